@@ -14,7 +14,7 @@ from isogi_core.kernels.shading.chunks import (
     weigh_chunks,
 )
 from isogi_core.kernels.shading.edges import borrow_light, find_contrasts
-from isogi_core.kernels.shading.filtering import filter_texels, lend_texels
+from isogi_core.kernels.shading.filtering import filter_texels, lend_texels, take_filtered
 from isogi_core.kernels.shading.framebuffer import develop_rows, fill_curve, tally
 from isogi_core.kernels.shading.irradiance_ratio import carry_ratios, fill_records
 from isogi_core.kernels.shading.lattice import carry_light, light_texels
@@ -132,6 +132,7 @@ FRAME = (
     fill_records,
     filter_texels,
     lend_texels,
+    take_filtered,
     tally,
     find_contrasts,
     look_up_normals,

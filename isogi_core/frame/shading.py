@@ -14,14 +14,12 @@ from isogi_core.frame.rays.pixel_rays import Paths, pooled_variance, replicas_fo
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import ViewTexels
-from isogi_core.kernels.shading.filtering import PATHS, VARIANCE, filter_texels, lend_texels
+from isogi_core.kernels.shading.filtering import ALL, FACES, PATHS, VARIANCE, filter_texels, lend_texels, take_filtered
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer, PixelPoints
 from isogi_core.kernels.shading.irradiance_ratio import (
-    DIRECT,
     GRADE,
     NOISE,
     RECORD,
-    REFLECTED,
     carry_ratios,
     fill_records,
 )
@@ -173,8 +171,8 @@ def filter_texel_light(
     """Texels' light ``lit`` (texels, LIT), filtered where it is noisy; see ``kernels.shading.filtering``.
 
     Texels without light have that of their neighbours, in which the ``reading`` that is returned is converging.
-    ``normals`` (texels, 3) are those that they are lit about. Of a view that moves the first step has to do, or
-    ``lend_light`` where its pixels are far apart. Raises Cancelled.
+    ``normals`` (texels, 3) are those that they are lit about. Of a view that moves one step to texels' faces has to do,
+    or none where its pixels are far apart; ``lend_light`` lights what has no light then. Raises Cancelled.
     """
     if light.view.moving and len(lit) > APART * len(texels.corners):
         return lend_light(texels, reading, lit)
@@ -182,22 +180,23 @@ def filter_texel_light(
     records[:, PATHS], records[:, VARIANCE] = reading.samples, records[:, NOISE] ** 2
     noisy = reading.noisy
     records[~noisy & (reading.grade == CONVERGING), GRADE] = FINAL
-    for step in STEPS[:1] if light.view.moving else STEPS:
-        before, after = records, np.empty_like(records)
+    moving, lattice = light.view.moving, texels.lattice
+    for step in STEPS[:1] if moving else STEPS:
+        before, after, reach = records, np.empty_like(records), (step, FACES if moving else ALL)
 
         def _piece(a: int, b: int) -> None:
-            filter_texels(texels.numbering, texels.lattice.bits, positions[a:b], a, step, before, after)  # noqa: B023
+            filter_texels(texels.numbering, lattice.bits, positions[a:b], a, *reach, before, after)  # noqa: B023
 
         tiles.run(_piece, len(lit), tiles.even(len(lit)))
         records = after
-    grade = np.where(
-        (reading.grade == UNBAKED) & (records[:, GRADE] == CONVERGING), np.uint8(CONVERGING), reading.grade
-    )
-    rows, filtered = np.flatnonzero(noisy | (grade != reading.grade)), lit.copy()
-    reflected = records[rows, REFLECTED : REFLECTED + 3]
-    filtered[rows, :3] = records[rows, DIRECT : DIRECT + 3] + reflected
-    filtered[rows, 3], filtered[rows, 4:] = records[rows, NOISE], reflected
-    return replace(reading, grade=grade), filtered
+    grade, filtered = np.empty_like(reading.grade), np.empty_like(lit)
+
+    def _take(a: int, b: int) -> None:
+        take_filtered(records[a:b], noisy[a:b], reading.grade[a:b], lit[a:b], grade[a:b], filtered[a:b])
+
+    tiles.run(_take, len(lit), tiles.even(len(lit)))
+    found = replace(reading, grade=grade)
+    return lend_light(texels, found, filtered) if moving else (found, filtered)
 
 
 def lend_light(texels: ViewTexels, reading: Reading, lit: np.ndarray) -> tuple[Reading, np.ndarray]:

@@ -89,9 +89,9 @@ class ViewTexels:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes, without its G-buffer; offsets and footprints are counted before they are found."""
+        """Bytes that it takes, without its G-buffer; what is found when it is first asked for is counted before."""
         numbering = sum(each.nbytes for each in self.numbering)
-        return 3 * self.places.nbytes + self.bounds.nbytes + self.corners.nbytes + numbering
+        return 6 * self.places.nbytes + self.bounds.nbytes + self.corners.nbytes + numbering
 
     @property
     def numbers(self) -> np.ndarray:
@@ -100,7 +100,7 @@ class ViewTexels:
         first = np.asarray(np.ravel_multi_index(tuple(chunks.T), self.lattice.chunks)) << bits
         return (first[self.places >> bits] + self.places % self.lattice.texels).astype(np.uint64)
 
-    @property
+    @cached_property
     def positions(self) -> np.ndarray:
         """Lattice indices (m, 3; z, y, x) int32 of the texels."""
         chunks = np.array(self.chunks, np.int32).reshape(-1, 3) * self.lattice.chunk

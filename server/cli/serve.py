@@ -5,6 +5,7 @@ import gc
 import os
 import signal
 import socket
+import sys
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -28,6 +29,12 @@ from server.settings import Settings
 LAST = 3.0
 """Seconds that a stopping process has left for itself once its requests had theirs."""
 
+HAND_OVER = 0.0005
+"""Seconds after which a thread that holds the interpreter lets another have it; a tenth of what Python has by itself.
+
+Each step of a picture asks for it anew, beside threads that load light and answer requests.
+"""
+
 EXPOSED = (
     "Others can reach {host}, so that a token is needed: put one of 16 characters or more into ISOGI_TOKEN or the"
     " configuration file, name a file of tokens by --tokens-file, or listen on 127.0.0.1."
@@ -43,6 +50,7 @@ def serve(target: str | None, settings: Settings) -> None:
     if settings.exposed and not settings.bearers:
         raise click.UsageError(EXPOSED.format(host=settings.host))
     logs.configure(settings.log_format, settings.log_level)
+    sys.setswitchinterval(HAND_OVER)
     scene = open_scene(target, settings)
     with listen(settings.host, settings.port) as listener:
         workers, memory = (settings.workers, scheduler_of(settings)), settings.memory_mb << 20

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.rays import lobe_light
 from isogi_core.frame.rays.lobe_light import find_lobes, find_starts
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import BLUE, GREEN, RED
@@ -179,19 +180,48 @@ def test_of_a_lobe_on_the_horizon_its_upper_half_arrives() -> None:
     assert light(level, points)[points[:, 0] > EDGE + 2.0, 0].mean() == pytest.approx(expected, rel=0.05)
 
 
-def test_a_half_shadow_is_the_share_of_the_disc_left_free() -> None:
-    """Straight above, the shelf hides what is on its side: its lower edge before it, its upper edge from aside."""
-    points, degrees = floor(), 30.0
-    lit = light(lamps_of(((0.0, 1e-9, 1.0), degrees, (1.0,) * 3)), points)
+def half_shadow_of_the_shelf(points: np.ndarray, degrees: float) -> tuple[np.ndarray, np.ndarray]:
+    """Which points are about the shelf's edge, and the share of a lobe straight above that each of these sees."""
     radius, near = math.sin(math.radians(degrees / 2.0)), np.abs(points[:, 0] - EDGE) < 3.0
     away = EDGE - points[near, 0]
     slope = away / (np.where(away > 0.0, 24.0, 27.0) - FLOOR - OFFSET)
     d = np.clip(slope / np.sqrt(1.0 + slope**2) / radius, -1.0, 1.0)  # a plane cuts the disc about there
-    free = (np.arccos(d) - d * np.sqrt(1.0 - d**2)) / math.pi
+    return near, (np.arccos(d) - d * np.sqrt(1.0 - d**2)) / math.pi
+
+
+def test_a_half_shadow_is_the_share_of_the_disc_left_free() -> None:
+    """Straight above, the shelf hides what is on its side: its lower edge before it, its upper edge from aside."""
+    points = floor()
+    lit, (near, free) = (
+        light(lamps_of(((0.0, 1e-9, 1.0), 30.0, (1.0,) * 3)), points),
+        half_shadow_of_the_shelf(points, 30.0),
+    )
     wrong = lit[near, 0] - free
     assert abs(wrong.mean()) < 0.01 and np.sqrt((wrong**2).mean()) < 0.1
     told = math.sqrt(lit[near, 3].mean())
     assert 0.5 < told / wrong.std() < 2.0, "and its error is told"
+
+
+def test_rays_in_a_wide_half_shadow_are_shared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half of the rays err a quarter more than all of a point's own."""
+    lamps, points, cast_by = lamps_of(((0.0, 1e-9, 1.0), 30.0, (1.0,) * 3)), floor(), lobe_light.cast_shadow_rays
+    wrong, rays = {}, {}
+    for shares in (True, False):
+        counts = list[int]()
+        monkeypatch.setattr(
+            lobe_light, "cast_shadow_rays", lambda *given, n=counts: n.append(given[3]) or cast_by(*given)
+        )
+        if not shares:
+            monkeypatch.setattr(lobe_light, "find_sides", unshared)
+        near, free = half_shadow_of_the_shelf(points, 30.0)
+        wrong[shares] = (light(lamps, points)[near, 0] - free).std()
+        rays[shares] = sum(counts)
+    assert rays[True] < 0.6 * rays[False] and wrong[True] < 1.3 * wrong[False]
+
+
+def unshared(picture: Any, pairs: np.ndarray, seen: np.ndarray, places: np.ndarray, sides: np.ndarray) -> None:
+    """In place of ``find_sides``: no neighbours share rays."""
+    places.reshape(-1)[pairs], sides[:] = np.arange(len(pairs)), 0
 
 
 @pytest.mark.parametrize("moving", [False, True])

@@ -17,7 +17,7 @@ from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.shading.chunks import SLOTS, WORDS, ones, within
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, luminance
 from isogi_core.kernels.shading.irradiance_ratio import BARE, DIRECT, GRADE, NOISE, NORMAL, RECORD, REFLECTED, TEXELS
-from isogi_core.kernels.shading.lattice import CORNERS, DARKEST, GRADES, UNBAKED
+from isogi_core.kernels.shading.lattice import CORNERS, DARKEST, GRADES, LIT, UNBAKED
 from isogi_core.kernels.transport.transfer import TEXELS as POSITIONS
 
 PATHS, VARIANCE = 14, 15
@@ -25,6 +25,9 @@ PATHS, VARIANCE = 14, 15
 
 NEAR = np.exp(np.arange(4, dtype=np.float32) / np.float32(-2.0))
 """What a neighbour counts by its squared distance, 0 … 3, in steps: a Gauss curve of a step's width."""
+
+FACES, ALL = 1, 3
+"""Squared distances, in steps, of the farthest neighbours that are asked: those at a texel's faces, or all 27."""
 
 SHARED = np.float32(27 / 8)
 """How much more the variance of what neighbours share counts in pixels than that of each texel's own noise.
@@ -84,19 +87,22 @@ def likeness(texels, t, s):
 
 
 @kernel()
-def neighbours_of(numbering, bits, texels, at, step, found, weights):
+def neighbours_of(numbering, bits, texels, at, step, farthest, found, weights):
     """Fill ``found`` (27,) with the lit texels about the one ``at`` (t, z, y, x), and what they count in ``weights``.
 
-    Returns how many there are, itself among them.
+    They are those at a squared distance of ``farthest`` steps at most. Returns how many there are, itself among them.
     """
     t, z, y, x = at
     count, inside = 0, step <= within(x, bits) < (1 << bits) - step
     for k in range(-1, 2):
         for j in range(-1, 2):
+            if k * k + j * j > farthest:
+                continue
             row = row_at(numbering, bits, z + k * step, y + j * step, x)
             if inside and row < 0:
                 continue
-            for i in range(-1, 2):
+            reach = 1 if k * k + j * j < farthest else 0
+            for i in range(-reach, reach + 1):
                 own = row if inside else row_at(numbering, bits, z + k * step, y + j * step, x + i * step)
                 number = number_of(numbering, own, within(x + i * step, bits)) if own >= 0 else -1
                 s = np.uint64(max(number, 0))
@@ -164,11 +170,12 @@ def mean_paths(texels, found, weights, count):
     return paths / total
 
 
-@kernel(types.void(NUMBERING, types.int64, POSITIONS, types.int64, types.int64, TEXELS, TEXELS))
-def filter_texels(numbering, bits, positions, first, step, texels, filtered):
+@kernel(types.void(NUMBERING, types.int64, POSITIONS, types.int64, types.int64, types.int64, TEXELS, TEXELS))
+def filter_texels(numbering, bits, positions, first, step, farthest, texels, filtered):
     """Write to ``filtered`` (texels, RECORD) the records ``texels``, from the ``first`` on one for each position.
 
-    ``positions`` (m, 3; z, y, x) are those texels' own, ``step`` is the distance between neighbours. Their VARIANCE is
+    ``positions`` (m, 3; z, y, x) are those texels' own, ``step`` is the distance between neighbours, of which those at
+    a squared distance of ``farthest`` steps at most are asked: FACES or ALL. Their VARIANCE is
     what is left of it, and NOISE what pixels are to be told of it. Those without light are CONVERGING once they have
     that of two neighbours, which count LENDS at least.
     """
@@ -181,7 +188,7 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
         if texels[t, GRADE] != CONVERGING and not unlit:
             continue
         at = t, np.int64(positions[m, 0]), np.int64(positions[m, 1]), np.int64(positions[m, 2])
-        count = neighbours_of(numbering, bits, texels, at, step, found, weights)
+        count = neighbours_of(numbering, bits, texels, at, step, farthest, found, weights)
         if count < 2:
             continue
         ratio, reflected, variance = mean_of(texels, found, weights, count)
@@ -197,6 +204,25 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
         if unlit:
             filtered[t, GRADE], filtered[t, PATHS] = CONVERGING, mean_paths(texels, found, weights, count)
         filtered[t, VARIANCE], filtered[t, NOISE] = kept + taken, math.sqrt(kept + SHARED * taken)
+
+
+@kernel(types.void(TEXELS, types.boolean[::1], GRADES, TEXELS, GRADES, TEXELS))
+def take_filtered(records, noisy, grade, lit, graded, filtered):
+    """Fill ``filtered`` (texels, LIT) with the light of the ``records`` where it is ``noisy`` (texels,), or where there
+    was none and now is; with ``lit`` elsewhere. ``graded`` (texels,) is ``grade``, in which the latter are CONVERGING.
+    """
+    for t in range(lit.shape[0]):
+        new = grade[t] == UNBAKED and records[t, GRADE] == CONVERGING
+        graded[t] = CONVERGING if new else grade[t]
+        for c in range(LIT):
+            filtered[t, c] = lit[t, c]
+        if noisy[t] or new:
+            filtered[t, 3] = records[t, NOISE]
+            for c in range(3):
+                filtered[t, c], filtered[t, 4 + c] = (
+                    records[t, DIRECT + c] + records[t, REFLECTED + c],
+                    records[t, REFLECTED + c],
+                )
 
 
 @kernel(types.void(CORNERS, GRADES, TEXELS, GRADES, TEXELS))

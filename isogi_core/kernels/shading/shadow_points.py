@@ -4,6 +4,7 @@ Pixels are asked in turns, so that a point may believe those around it that were
 smooth surface with it.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -96,12 +97,14 @@ def near_between(points, m, a, b):
 
 
 @kernel()
-def has_near(points, m, four):
-    """Whether one of its ``four`` neighbours is as near to point ``m`` as to the middle of two that are near."""
+def amid_near(points, m, four):
+    """Whether point ``m`` has all ``four`` neighbours, and the nearest is no farther than that of two that are near."""
+    nearest = math.inf
     for n in four:
-        if n >= 0 and apart(points, m, n) <= 0.5 * APART:
-            return True
-    return False
+        if n < 0:
+            return False
+        nearest = min(nearest, apart(points, m, n))
+    return nearest <= 0.5 * APART
 
 
 @kernel()
@@ -122,8 +125,8 @@ def prepare_points(surface, picture, part):
     """Fill ``starts``, ``around`` and ``edgy`` of the points of a ``part``.
 
     Neighbours ``around`` are the diagonal ones of a point of an odd turn, and those beside, above and below it of an
-    even one. Points are ``edgy`` at edges of the surface, behind which half-shadows may begin; of near ones every
-    other, as edges are two pixels wide, and what is found in the half-shadow has its neighbours asked.
+    even one. Points are ``edgy`` at edges of the surface, behind which half-shadows may begin; where one surface
+    hides another every other one, as such edges are two pixels wide, and those found have their neighbours asked.
     """
     rows, points, around, width = picture.rows, picture.points.points, picture.around, picture.rows.shape[1]
     for m in range(part[0], part[1]):
@@ -139,7 +142,7 @@ def prepare_points(surface, picture, part):
             smooth = max(apart(points, four[0], four[1]), apart(points, four[2], four[3])) <= APART
         around[m, 0], around[m, 1], around[m, 2], around[m, 3] = four[0] if smooth else -1, four[1], four[2], four[3]
         beside = neighbours(rows, y, x, 0, 1)
-        left_out = (x + y) & 1 and has_near(points, m, beside)
+        left_out = (x + y) & 1 and amid_near(points, m, beside)
         picture.edgy[m] = not left_out and not on_one_surface(points, m, beside)
 
 

@@ -3,10 +3,21 @@
 import numpy as np
 import pytest
 
-from isogi_core.kernels.shading.filtering import LENDS, NEAR, PATHS, SHARED, VARIANCE, Numbering, filter_texels
+from isogi_core.kernels.shading.filtering import (
+    ALL,
+    FACES,
+    LENDS,
+    NEAR,
+    PATHS,
+    SHARED,
+    VARIANCE,
+    Numbering,
+    filter_texels,
+    take_filtered,
+)
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
-from isogi_core.kernels.shading.irradiance_ratio import BARE, GRADE, NOISE, NORMAL, RECORD, REFLECTED
-from isogi_core.kernels.shading.lattice import UNBAKED
+from isogi_core.kernels.shading.irradiance_ratio import BARE, DIRECT, GRADE, NOISE, NORMAL, RECORD, REFLECTED
+from isogi_core.kernels.shading.lattice import LIT, UNBAKED
 from isogi_core.model.sky import LUMINANCE
 
 BITS, CHUNKS = 2, (2, 3, 2)
@@ -47,22 +58,23 @@ def random_records(count, seed):
     return records
 
 
-def filtered(numbering, positions, records, step=1):
+def filtered(numbering, positions, records, step=1, farthest=ALL):
     """`filter_texels`."""
     found = np.full_like(records, np.nan)
     half = len(records) // 2
     for a, b in ((0, half), (half, len(records))):
-        filter_texels(numbering, BITS, positions[a:b], a, step, records, found)
+        filter_texels(numbering, BITS, positions[a:b], a, step, farthest, records, found)
     return found
 
 
-def one_by_one(positions, records, step):
+def one_by_one(positions, records, step, farthest):
     """The same, texel by texel, in double precision."""
     found, kept = records.astype(float), records.astype(float)
     for t in np.flatnonzero(np.isin(records[:, GRADE], (CONVERGING, UNBAKED))):
         unlit = records[t, GRADE] == UNBAKED
         apart = positions - positions[t]
         near = (np.abs(apart) <= step).all(axis=1) & (apart % step == 0).all(axis=1)
+        near &= (apart**2).sum(axis=1) <= farthest * step**2
         near &= np.isin(records[:, GRADE], (CONVERGING, FINAL))
         cosine = kept[near, NORMAL : NORMAL + 3] @ kept[t, NORMAL : NORMAL + 3]
         weights = np.exp(((apart[near] / step) ** 2).sum(axis=1) / -2.0) * np.maximum(cosine, 0.0) ** 16
@@ -90,11 +102,11 @@ def one_by_one(positions, records, step):
     return found
 
 
-@pytest.mark.parametrize("step", [1, 2])
-def test_a_pass_is_that_of_plain_numpy(step):
+@pytest.mark.parametrize(("step", "farthest"), [(1, ALL), (2, ALL), (1, FACES)])
+def test_a_pass_is_that_of_plain_numpy(step, farthest):
     (numbering, positions), records = scattered(300, 1), random_records(300, 2)
-    found, expected = filtered(numbering, positions, records, step), one_by_one(positions, records, step)
-    np.testing.assert_allclose(found, expected, rtol=2e-4, atol=2e-5)
+    found = filtered(numbering, positions, records, step, farthest)
+    np.testing.assert_allclose(found, one_by_one(positions, records, step, farthest), rtol=2e-4, atol=2e-5)
     assert (found != records).any(axis=1).sum() > 100
 
 
@@ -165,3 +177,18 @@ def test_neighbours_that_face_away_lend_no_light():
 
 def test_neighbours_count_by_a_gauss_curve():
     np.testing.assert_allclose(NEAR, np.exp([0.0, -0.5, -1.0, -1.5]), rtol=1e-6)
+
+
+def test_what_was_filtered_replaces_noisy_light_and_what_was_missing():
+    records, rng = random_records(200, 7), np.random.default_rng(8)
+    grade, noisy = rng.choice([UNBAKED, CONVERGING, FINAL], 200).astype(np.uint8), rng.random(200) < 0.5
+    lit, graded = rng.random((200, LIT), np.float32), np.empty(200, np.uint8)
+    found = np.empty_like(lit)
+    take_filtered(records, noisy, grade, lit, graded, found)
+    new = (grade == UNBAKED) & (records[:, GRADE] == CONVERGING)
+    taken = noisy | new
+    reflected = records[:, REFLECTED : REFLECTED + 3]
+    expected = np.column_stack([records[:, DIRECT : DIRECT + 3] + reflected, records[:, NOISE], reflected])
+    np.testing.assert_array_equal(found, np.where(taken[:, None], expected, lit))
+    np.testing.assert_array_equal(graded, np.where(new, CONVERGING, grade))
+    assert new.any() and (~taken).any()
