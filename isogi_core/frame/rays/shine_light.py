@@ -37,7 +37,7 @@ ends are looked up together.
 SHARE = 0.5
 """Share of the target error that the noise of shine may have."""
 
-STEPS, ALIKE = (1, 3), 0.2
+STEPS, ALIKE = (1, 2), 0.2
 """How far apart the pixels are that the filter of first rays looks at, step after step; and how much their unit normals
 differ at most of what mirrors sharply: rougher lobes see as much from normals farther apart.
 """

@@ -11,11 +11,6 @@ NEAR = 2
 BINOMIAL = (1.0, 4.0, 6.0, 4.0, 1.0)
 """What neighbours count along an axis."""
 
-BESIDE = (1.0, 2.0, 1.0)
-"""What the filter's pixels count along an axis: as much of the picture is spread over by these at steps 1 and 3 as by
-BINOMIAL at steps 1 and 2, by 18 looks in place of 50.
-"""
-
 NONE, ONE = np.float32(0.0), np.float32(1.0)
 
 COLUMNS, ROWS, NUMBERS = types.float32[:, ::1], types.float64[:, ::1], types.float64[::1]
@@ -68,9 +63,9 @@ def likeness(normals, n, normal, narrow):
 def filter_shine(rows, pixels, normals, first, light, step, width, found):
     """Fill ``found`` (k, 4) with the mean ``light`` (m, 4) about the points of a picture from number ``first`` on.
 
-    Light is linear RGB and the variance of its luminance. The mean is that of three by three pixels, a ``step`` apart,
-    which count as much as BESIDE says, and by how like their ``normals`` (m, 3) are within a ``width``. ``rows`` and
-    ``pixels`` are as of ``pool_noise``. Source: Dammertz and others 2010; Schied and others 2017 on variance.
+    Light is linear RGB and the variance of its luminance. The mean is that of five by five pixels, a ``step`` apart,
+    which count binomially, and by how like their ``normals`` (m, 3) are within a ``width``. ``rows`` and ``pixels`` are
+    as of ``pool_noise``. Source: Dammertz and others 2010; Schied and others 2017 on variance.
     """
     (height, across), narrow = rows.shape, ONE / (width * width)
     for i in range(found.shape[0]):
@@ -78,13 +73,13 @@ def filter_shine(rows, pixels, normals, first, light, step, width, found):
         y, x = divmod(np.int64(pixels[m]), across)
         normal = normals[m, 0], normals[m, 1], normals[m, 2]
         red = green = blue = variance = total = NONE
-        for dy in range(-1, 2):
+        for dy in range(-NEAR, NEAR + 1):
             v = y + dy * step
-            for dx in range(-1 if 0 <= v < height else 2, 2):
+            for dx in range(-NEAR if 0 <= v < height else NEAR + 1, NEAR + 1):
                 u = x + dx * step
                 n = np.int64(rows[v, u]) if 0 <= u < across else -1
                 if n >= 0:
-                    w = np.float32(BESIDE[dy + 1] * BESIDE[dx + 1]) * likeness(normals, n, normal, narrow)
+                    w = np.float32(BINOMIAL[dy + NEAR] * BINOMIAL[dx + NEAR]) * likeness(normals, n, normal, narrow)
                     red, green, blue = red + w * light[n, 0], green + w * light[n, 1], blue + w * light[n, 2]
                     variance, total = variance + w * w * light[n, 3], total + w
         found[i, 0], found[i, 1], found[i, 2] = red / total, green / total, blue / total
