@@ -179,7 +179,7 @@ def test_neighbours_count_by_a_gauss_curve():
     np.testing.assert_allclose(NEAR, np.exp([0.0, -0.5, -1.0, -1.5]), rtol=1e-6)
 
 
-def test_what_was_filtered_replaces_noisy_light_and_what_was_missing():
+def test_filtered_light_replaces_noisy_and_missing_light():
     records, rng = random_records(200, 7), np.random.default_rng(8)
     grade, noisy = rng.choice([UNBAKED, CONVERGING, FINAL], 200).astype(np.uint8), rng.random(200) < 0.5
     lit, graded = rng.random((200, LIT), np.float32), np.empty(200, np.uint8)
