@@ -93,8 +93,11 @@ class PictureCheck:
         """Come one step nearer to the target from a ``frame`` of this picture; whether there was one to take.
 
         ``uncertainty`` finds how uncertain the light of each surface point is, (m,); whether there are ``finer``
-        texels that may be asked for. Raises Cancelled.
+        texels that may be asked for. Where another thread took a step since the frame was drawn, that was it. Raises
+        Cancelled.
         """
+        if frame.controls is not self.controls:
+            return True
         taken = frame.surface > 0 and not frame.final and self._step(frame, uncertainty, tiles, finer)
         self.ended = not taken
         return taken

@@ -11,7 +11,7 @@ import pytest
 
 from isogi_core.errors import Cancelled
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.rays.control_pixels import ControlPixels, chances, draw_places, measure_total
+from isogi_core.frame.rays.control_pixels import FIRST, ControlPixels, chances, draw_places, measure_total
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.model.volume import make_volume
@@ -111,6 +111,21 @@ def test_the_same_view_tells_the_same_after_a_restart(coarse: Workbench) -> None
     view = coarse.view(azimuth=150.0, size=32)
     one, other = (checked(bench, view) for bench in (coarse, coarse.again()))
     assert (one.version, one.total, one.radiance.tobytes()) == (other.version, other.total, other.radiance.tobytes())
+
+
+def test_a_frame_that_others_have_overtaken_takes_no_step(coarse: Workbench) -> None:
+    """Two threads draw the same picture, and one waits while the other takes a step."""
+    bench, view = coarse.again(), coarse.view(azimuth=75.0, size=32)
+    bench.bake(view)
+    bench.project(view)
+    renderer, seen = bench.renderer, []
+    while (frame := renderer.render(view)).refinable and len(seen) < 6:
+        seen.append(frame.total.controls)
+        for _ in range(2):
+            assert renderer.refine_frame(frame, TARGET, renderer.tiles, False)
+    assert seen[:2] == [0, FIRST], "the second step waits for a frame that shows the first"
+    one, other = checked(bench, view), checked(coarse, view)
+    assert (one.version, one.total) == (other.version, other.total)
 
 
 def test_a_picture_that_is_good_enough_keeps_its_light(orbital: Workbench) -> None:
