@@ -126,7 +126,8 @@ class PictureCheck:
         places = draw_places(self.gbuffer, uncertainty, (self.attempt, before), max(before, FIRST))
         halves = trace_controls(self.light, self.gbuffer, places, paths_for(self.target), self.attempt, tiles)
         weights = 1.0 / (len(uncertainty) * chances(uncertainty)[places])
-        self.controls, self.uncertainty = self.controls.joined(ControlPixels(places, weights, halves)), uncertainty
+        self.uncertainty = uncertainty  # before its controls: frames that other threads draw meanwhile read both
+        self.controls = self.controls.joined(ControlPixels(places, weights, halves))
         return True
 
     def _choose(self, frame: Frame, measured: TotalError, uncertainty: np.ndarray) -> Choice:
