@@ -29,6 +29,7 @@ SURVEYED = {"lights": LAMPS}
 """The plan decides: at some isovalues texels are projected."""
 RENDER = """\
 import json, os, sys, tempfile
+from dataclasses import replace
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.chunk import Chunk, Chunks
@@ -61,6 +62,7 @@ def compare(settings):
             part.samples[:], part.coefficients[:] = 16, 0.5
         cache.pool.insert(Chunks.of_one(chunk))
         renderer.render(view)
+        renderer.render(replace(view, moving=True))
         develop(frame, 1.0)
     called = {name for name, kernel in entries.items() if kernel.loaded}
     listed = {kernel.name for kernel in frame_kernels([scene])}
