@@ -174,16 +174,19 @@ class Shadows:
 
     def halves(self, pairs: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """Shares of lobes that points see in part, and their variance; (pairs, 2)."""
-        places, sides = np.empty(seen.shape, np.int32), np.empty(len(pairs), np.uint8)
-        find_sides(self.picture, pairs, seen, places, sides)
+        sides, places = np.empty(len(pairs), np.uint8), np.empty(self.points, np.int32)
+        find_sides(self.picture, pairs, seen, sides)
         rays, own, shares = np.array(RAYS)[np.bitwise_count(sides)], *np.empty((2, len(pairs), 2))
         for count in np.unique(rays).tolist():
             own[rays == count] = self._shares(pairs[rays == count], count)
 
-        def _piece(a: int, b: int) -> None:
-            share_rays(self.picture, self.lamps, pairs, sides, places, own, (a, b), shares)
+        for first, last in pairwise(np.searchsorted(pairs, self.points * np.arange(len(seen) + 1)).tolist()):
+            places[pairs[first:last] % self.points] = np.arange(first, last)
 
-        self.tiles.run(_piece, len(pairs), LOBE_POINTS)
+            def _piece(a: int, b: int, first: int = first) -> None:
+                share_rays(self.picture, self.lamps, pairs, sides, places, own, (first + a, first + b), shares)
+
+            self.tiles.run(_piece, last - first, LOBE_POINTS)
         return shares
 
     def _shares(self, pairs: np.ndarray, rays: int) -> np.ndarray:

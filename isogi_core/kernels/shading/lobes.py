@@ -32,7 +32,7 @@ from isogi_core.kernels.shading.framebuffer import (
 )
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.local_models import find_unoccluded
-from isogi_core.kernels.shading.shadow_points import PART, SHADOW_POINTS, near_between, neighbours, row_at
+from isogi_core.kernels.shading.shadow_points import ORDER, PART, SHADOW_POINTS, near_between, neighbours, row_at
 from isogi_core.kernels.tracing.cast import SURFACE
 from isogi_core.kernels.tracing.vec import dot, length, madd, put_column, scale
 from isogi_core.kernels.transport.lights import LAMPS, draw_from_disc, row
@@ -71,9 +71,9 @@ AWAY, DARK, LIT, HALF, UNKNOWN = range(5)
 """What a point sees of what is above its horizon of a lobe: none is there; nothing; all; a part; not known yet."""
 
 SEEN = types.uint8[:, ::1]
-PAIRS, PLACES, SIDES, SHARES = types.int64[::1], types.int32[:, ::1], types.uint8[::1], types.float64[:, ::1]
-"""Lobes and points that go together: number of the lobe times the points, plus that of the point. Where in a list each
-of them is; of which AXES neighbours share their rays with it, a bit for each; and how much of the lobe the point sees.
+PAIRS, SIDES, SHARES = types.int64[::1], types.uint8[::1], types.float64[:, ::1]
+"""Lobes and points that go together: number of the lobe times the points, plus that of the point. Of which AXES
+neighbours share their rays with each, a bit for each; and how much of the lobe the point sees, with its variance.
 """
 
 
@@ -244,14 +244,12 @@ def opposite(picture, m, axis):
     return row_at(picture.rows, y - dy, x - dx), row_at(picture.rows, y + dy, x + dx)
 
 
-@kernel(types.void(SHADOW_POINTS, PAIRS, SEEN, PLACES, SIDES))
-def find_sides(picture, pairs, seen, places, sides):
-    """Fill ``sides`` (pairs,): along which axes both neighbours are in the half-shadow, too, on one smooth surface; and
-    in ``places`` (lobes, m) where in the ``pairs`` each of them is.
-    """
+@kernel(types.void(SHADOW_POINTS, PAIRS, SEEN, SIDES))
+def find_sides(picture, pairs, seen, sides):
+    """Fill ``sides`` (pairs,): along which axes both neighbours are in the half-shadow, too, on one smooth surface."""
     for j in range(pairs.shape[0]):
         k, m = divmod(pairs[j], seen.shape[1])
-        places[k, m], sides[j] = j, 0
+        sides[j] = 0
         for axis in range(len(AXES)):
             a, b = opposite(picture, m, axis)
             both = is_seen(seen[k], a, HALF) and is_seen(seen[k], b, HALF)
@@ -273,15 +271,15 @@ def aim_at_discs(points, lamps, pairs, rays, aimed, brought):
         put_column(aimed.ways, i, w)
 
 
-@kernel(types.void(SHADOW_POINTS, LAMPS, PAIRS, SIDES, PLACES, SHARES, PART, SHARES))
+@kernel(types.void(SHADOW_POINTS, LAMPS, PAIRS, SIDES, ORDER, SHARES, PART, SHARES))
 def share_rays(picture, lamps, pairs, sides, places, own, part, shares):
     """Fill ``shares`` (pairs, 2) of a ``part`` of the ``pairs`` by their own rays and those beside that share theirs.
 
-    ``own`` (pairs, 2) are the shares by each pair's own rays, and their variance. What is shared is how much of what is
-    above a point's horizon it sees.
+    The part is of one lobe, whose points have their ``places`` (m,) among the pairs. ``own`` (pairs, 2) are the shares
+    by each pair's own rays. What is shared is how much of what is above a point's horizon it sees.
     """
     for j in range(part[0], part[1]):
-        k, m = divmod(pairs[j], places.shape[1])
+        k, m = divmod(pairs[j], places.shape[0])
         mean, variance, total = OWN * own[j, 0], OWN * OWN * own[j, 1], OWN
         bare = irradiance(cosine_of(picture.points, lamps, k, m), radius(lamps, k))
         for axis in range(len(AXES)):
@@ -289,7 +287,7 @@ def share_rays(picture, lamps, pairs, sides, places, own, part, shares):
                 continue
             for n in opposite(picture, m, axis):
                 above = bare / irradiance(cosine_of(picture.points, lamps, k, n), radius(lamps, k))
-                weight, i = AXES[axis][2], places[k, n]
+                weight, i = AXES[axis][2], places[n]
                 total, mean = total + weight, mean + weight * above * own[i, 0]
                 variance += (weight * above) ** 2 * own[i, 1]
         shares[j, 0], shares[j, 1] = mean / total, variance / total**2

@@ -91,9 +91,15 @@ def apart(points, a, b):
 
 
 @kernel()
+def are_near(points, a, b):
+    """Whether a point amid points ``a`` and ``b`` may believe what they see."""
+    return apart(points, a, b) <= APART
+
+
+@kernel()
 def near_between(points, m, a, b):
     """Whether point ``m`` is in the middle of ``a`` and ``b``, as on one smooth surface, and these are near."""
-    return between(points, m, a, b) and apart(points, a, b) <= APART
+    return between(points, m, a, b) and are_near(points, a, b)
 
 
 @kernel()
@@ -139,7 +145,7 @@ def prepare_points(surface, picture, part):
         four = neighbours(rows, y, x, step * (turn & 1), step)
         smooth = turn > 0 and on_one_surface(points, m, four)
         if smooth and step > 1:
-            smooth = max(apart(points, four[0], four[1]), apart(points, four[2], four[3])) <= APART
+            smooth = are_near(points, four[0], four[1]) and are_near(points, four[2], four[3])
         around[m, 0], around[m, 1], around[m, 2], around[m, 3] = four[0] if smooth else -1, four[1], four[2], four[3]
         beside = neighbours(rows, y, x, 0, 1)
         left_out = (x + y) & 1 and amid_near(points, m, beside)
