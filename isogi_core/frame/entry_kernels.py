@@ -33,9 +33,10 @@ from isogi_core.kernels.shading.lobes import (
     spread_edges,
 )
 from isogi_core.kernels.shading.local_models import find_normals, find_shadows, shade_local, trace_points
+from isogi_core.kernels.shading.picture_noise import pool_noise
 from isogi_core.kernels.shading.shadow_points import prepare_points, sort_by_turn
 from isogi_core.kernels.shading.shine import cast_shine, fill_below, light_ends
-from isogi_core.kernels.shading.shine_filter import filter_shine, pool_noise
+from isogi_core.kernels.shading.shine_filter import filter_shine
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals, keep_normals, look_up_normals
 from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_texels
 from isogi_core.kernels.shading.wall_light import light_walls
@@ -95,7 +96,7 @@ SHINE = (cast_shine, fill_below, fill_energy, pool_noise, filter_shine)
 GLOW = (gather_from_eye,)
 """Those that only scenes call in which something glows; and, among walls, what ``glow_of`` says."""
 
-MATTER = (see_through, light_through_matter)
+MATTER = (see_through, pool_noise, light_through_matter)
 """Those that only scenes call whose surface is glass; where light is scattered inside of it, the last alone."""
 
 FRAME = (
@@ -162,8 +163,8 @@ def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     rooms += COLOURED if any(scene.colours for scene in shown) else ()
     rooms += GLOW if any(scene.glowing.any for scene in shown) else ()
     rooms += tuple({glow_of(scene) for scene in shown if scene.glowing.any and scene.room.any})
-    rooms += MATTER[1:] if any(scene.material.scatters and scene.room.any for scene in shown) else ()
-    rooms += MATTER if any(scene.material.refracts for scene in shown) else ()
+    rooms += MATTER[-1:] if any(scene.material.scatters and scene.room.any for scene in shown) else ()
+    rooms += (*MATTER, fill_seeds) if any(scene.material.refracts for scene in shown) else ()
     rooms += AMONG if any(scene.several for scene in shown) else ()
     return (*rooms, *shines, *lobes, *(kernel for kernel in FRAME if kernel not in uncalled))
 

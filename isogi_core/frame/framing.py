@@ -9,7 +9,7 @@ from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight, version_of
 from isogi_core.frame.projected_texels import ProjectedReading, Projection
 from isogi_core.frame.rays.control_pixels import expected_error
-from isogi_core.frame.rays.picture_check import PictureCheck
+from isogi_core.frame.rays.picture_check import PictureState
 from isogi_core.frame.texel_reading import Lacking, Reading
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.frame.view_texels import ViewTexels
@@ -31,11 +31,11 @@ def frame_of(
     watch: Stopwatch,
     texels: ViewTexels | None = None,
     reading: Reading | None = None,
-    check: PictureCheck | None = None,
-    shine: bytes = b"",
+    checked: PictureState | None = None,
+    rays: bytes = b"",
 ) -> Frame:
     """The frame of a view from its framebuffer, from the texels and their reading where it was made of any, and from
-    the ``check`` of its picture where there is one. The rays of its ``shine`` are named by that. Faces of a window are
+    what is known of a picture that was ``checked``. ``rays`` names those that it cast besides. Faces of a window are
     painted into the framebuffer.
     """
     scene = light.spec.prepared.scene
@@ -45,7 +45,7 @@ def frame_of(
     lacking = Lacking(texels, reading, framebuffer) if texels and reading else None
     projection = Projection(texels, reading, framebuffer) if texels and isinstance(reading, ProjectedReading) else None
     needed, short = (len(lacking.texels.chunks), int(lacking.reading.short.sum())) if lacking else (0, 0)
-    read = (reading.version if reading else b"") + (check.version if check else b"") + shine
+    read = (reading.version if reading else b"") + (checked.version if checked else b"") + rays
     read += repr(light.view.window).encode() if light.view.window else b""
     read += repr(light.view.glow).encode() if light.view.glow != 1.0 else b""
     return Frame(
@@ -60,11 +60,11 @@ def frame_of(
         version=version_of(light, read),
         seconds=watch.seconds,
         projection=projection,
-        target=check.target if check else None,
-        controls=check.controls if check else None,
-        uncertainty=check.uncertainty if check else None,
-        given_up=check.ended if check else False,
-        own=len(check.own.places) if check else 0,
+        target=checked.target if checked else None,
+        controls=checked.controls if checked else None,
+        uncertainty=checked.uncertainty if checked else None,
+        given_up=checked.ended if checked else False,
+        own=len(checked.own.places) if checked else 0,
         expected=expected_error(scene, gbuffer.isovalue) if texels and light.view.shading == "gi" else 0.0,
     )
 

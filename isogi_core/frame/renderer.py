@@ -193,7 +193,7 @@ class Renderer:
             between = light.spec.unit * texel_disagreement(*found)
             if light.coloured:
                 between *= light.tints(frame.gbuffer, tiles) @ LUMINANCE
-            between[check.own.places] = 0.0
+            between[check.known.own.places] = 0.0
             return np.asarray(np.hypot(between, frame.pixel_noise))
 
         with check.lock:
@@ -230,10 +230,10 @@ class Renderer:
         if light.shine is not None and spec_name(light.view.shading) == "gi":
             with watch.stage("shine"):
                 shine = self._add_shine(gbuffer, light, target, framebuffer, tiles)
-        check = self.checks.of(light, gbuffer, target) if is_checked(light.view) else None
-        if check is not None:
-            check.put(framebuffer)
-        frame = frame_of(gbuffer, light, framebuffer, watch, texels, reading, check, shine)
+        known = self.checks.of(light, gbuffer, target).known if is_checked(light.view) else None
+        if known is not None:
+            known.own.put(framebuffer, gbuffer.pixels, light.spec.unit)
+        frame = frame_of(gbuffer, light, framebuffer, watch, texels, reading, known, shine)
         return self._walls.add(frame, light, target, tiles, watch)
 
     def _add_shine(

@@ -8,7 +8,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.own_light import foreseen_paths
-from isogi_core.frame.rays.picture_check import PictureCheck
+from isogi_core.frame.rays.picture_check import PictureCheck, PictureState
 from isogi_core.frame.view_keys import check_key, is_checked
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
@@ -34,7 +34,7 @@ class ViewChecks:
 
     def of(self, light: RotatedLight, gbuffer: GBuffer, target: float) -> PictureCheck:
         """What is known of the picture of a view besides its texels' light."""
-        return self._kept.get(check_key(light.view, target), lambda: PictureCheck(light, gbuffer, target))
+        return self._kept.get(check_key(light.view, target), lambda: PictureCheck(light, gbuffer, PictureState(target)))
 
     def held(self, view: View, target: float) -> PictureCheck | None:
         """The same, where anything is known."""
@@ -59,7 +59,7 @@ class ViewChecks:
         growth = check.growing if check else None
         if check and growth:
             return PathsLeft(growth.left, check.pace)
-        begun = check is not None and check.attempt > 0
+        begun = check is not None and check.known.attempt > 0
         if frame.target is None or frame.lacking is None or frame.finer or (begun and not frame.measured):
             return PathsLeft(0.0)
         noise = min(frame.noise, SETTLED * target) if frame.provisional else frame.noise

@@ -8,7 +8,7 @@ import hashlib
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,7 +28,6 @@ from isogi_core.frame.rays.control_pixels import (
 )
 from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Choice, Growth, PixelLight, choose
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.plan.finer import DENSER
 
 STRICTER = 0.9
@@ -47,36 +46,27 @@ def finer_pays(frame: Frame, pixels: int) -> bool:
     return frame.lacking is not None and AGAIN * len(frame.lacking.texels.places) < pixels
 
 
-@dataclass(eq=False)
-class PictureCheck:
-    """What is known of a picture of one view besides its texels' light; ``target`` is its relative error.
+@dataclass(frozen=True, eq=False)
+class PictureState:
+    """What a check knows of a picture besides its texels' light; each step replaces it whole, so that who reads it from
+    another thread has all of one step.
 
-    ``controls`` are of this ``attempt`` to reach the target, drawn by the ``uncertainty`` (m,) of all points; pixels in
-    ``own`` have light of their own, and those of a next attempt are ``growing``, at a ``pace`` of so many seconds a
-    path, None before the first. It has ``ended`` where no step was left; ``coarse`` says that finer texels are to be
-    shown in this picture's place, which is not asked for once they were ``declined``. Steps of several threads wait for
-    each other.
+    ``target`` is the relative error that is to be reached. ``controls`` are of this ``attempt``, drawn by the
+    ``uncertainty`` (m,) of all points; pixels in ``own`` have light of their own. It has ``ended`` where no step was
+    left.
     """
 
-    light: RotatedLight
-    gbuffer: GBuffer
     target: float
     controls: ControlPixels = field(default_factory=ControlPixels.none)
     uncertainty: np.ndarray = field(default_factory=lambda: np.empty(0))
     own: PixelLight = field(default_factory=PixelLight.none)
-    growing: Growth | None = None
-    pace: float | None = None
     attempt: int = 0
     ended: bool = False
-    coarse: bool = False
-    declined: bool = False
-    lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
     def nbytes(self) -> int:
         """Bytes that it takes."""
-        parts = (self.controls, self.uncertainty, self.own, self.growing)
-        return sum(each.nbytes for each in parts if each is not None)
+        return self.controls.nbytes + self.uncertainty.nbytes + self.own.nbytes
 
     @property
     def version(self) -> bytes:
@@ -84,10 +74,29 @@ class PictureCheck:
         own = self.own
         return b"" if not len(own.places) else repr(own.count).encode() + hashlib.sha256(own.places.data).digest()
 
-    def put(self, framebuffer: Framebuffer) -> None:
-        """Write the light of pixels that have their own into a picture."""
-        if len(self.own.places):
-            self.own.put(framebuffer, self.gbuffer.pixels, self.light.spec.unit)
+
+@dataclass(eq=False)
+class PictureCheck:
+    """The check of the picture of one view: what it has ``known`` so far, and what its next step needs besides.
+
+    Pixels of the next attempt are ``growing``, at a ``pace`` of so many seconds a path, None before the first;
+    ``coarse`` says that finer texels are to be shown in this picture's place, which is not asked for once they were
+    ``declined``. Steps of several threads wait for each other.
+    """
+
+    light: RotatedLight
+    gbuffer: GBuffer
+    known: PictureState
+    growing: Growth | None = None
+    pace: float | None = None
+    coarse: bool = False
+    declined: bool = False
+    lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return self.known.nbytes + (self.growing.nbytes if self.growing else 0)
 
     def step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles, finer: bool) -> bool:
         """Come one step nearer to the target from a ``frame`` of this picture; whether there was one to take.
@@ -96,10 +105,10 @@ class PictureCheck:
         texels that may be asked for. Where another thread took a step since the frame was drawn, that was it. Raises
         Cancelled.
         """
-        if frame.controls is not self.controls:
+        if frame.controls is not self.known.controls:
             return True
         taken = frame.surface > 0 and not frame.final and self._step(frame, uncertainty, tiles, finer)
-        self.ended = not taken
+        self.known = replace(self.known, ended=not taken)
         return taken
 
     def _step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles, finer: bool) -> bool:
@@ -109,25 +118,25 @@ class PictureCheck:
             return self._add_controls(uncertainty(), tiles)
         choice = self._choose(frame, frame.measured, uncertainty())
         self.coarse = finer and not self.declined and finer_pays(frame, len(choice.places))
-        return not self.coarse and self._grow(Growth(choice, self.own), tiles)
+        return not self.coarse and self._grow(Growth(choice, self.known.own), tiles)
 
     def decline(self) -> None:
         """Go on without finer texels: there is no memory for them."""
-        self.coarse, self.ended, self.declined = False, False, True
+        self.coarse, self.declined, self.known = False, True, replace(self.known, ended=False)
 
     def _decided(self, measured: TotalError) -> bool:
         """Whether a picture that is not at its target needs better light, and no further controls."""
-        most = MOST if measured.likely <= self.target else ENOUGH
-        return measured.low > self.target or measured.controls >= most
+        most = MOST if measured.likely <= self.known.target else ENOUGH
+        return measured.low > self.known.target or measured.controls >= most
 
     def _add_controls(self, uncertainty: np.ndarray, tiles: Tiles) -> bool:
         """Draw as many controls again as there are."""
-        before = len(self.controls.places)
-        places = draw_places(self.gbuffer, uncertainty, (self.attempt, before), max(before, FIRST))
-        halves = trace_controls(self.light, self.gbuffer, places, paths_for(self.target), self.attempt, tiles)
+        known, before = self.known, len(self.known.controls.places)
+        places = draw_places(self.gbuffer, uncertainty, (known.attempt, before), max(before, FIRST))
+        halves = trace_controls(self.light, self.gbuffer, places, paths_for(known.target), known.attempt, tiles)
         weights = 1.0 / (len(uncertainty) * chances(uncertainty)[places])
-        self.uncertainty = uncertainty  # before its controls: frames that other threads draw meanwhile read both
-        self.controls = self.controls.joined(ControlPixels(places, weights, halves))
+        controls = known.controls.joined(ControlPixels(places, weights, halves))
+        self.known = replace(known, uncertainty=uncertainty, controls=controls)
         return True
 
     def _choose(self, frame: Frame, measured: TotalError, uncertainty: np.ndarray) -> Choice:
@@ -135,9 +144,10 @@ class PictureCheck:
 
         They bring the picture to what is aimed at, and nearer by STRICTER at least.
         """
-        aim = min(AIM * STRICTER**self.attempt * self.target, STRICTER * measured.likely)
-        paths, allowed = paths_for(self.target), (aim * frame.true_mean) ** 2
-        return choose(uncertainty, self.controls, frame.controlled, paths, self.own.places, allowed)
+        known = self.known
+        aim = min(AIM * STRICTER**known.attempt * known.target, STRICTER * measured.likely)
+        paths, allowed = paths_for(known.target), (aim * frame.true_mean) ** 2
+        return choose(uncertainty, known.controls, frame.controlled, paths, known.own.places, allowed)
 
     def _grow(self, growth: Growth, tiles: Tiles) -> bool:
         """Trace further paths from the points of a ``growth``; they are shown, and controls drawn anew, once that will
@@ -151,6 +161,6 @@ class PictureCheck:
         self.pace = (time.perf_counter() - begun) / max(self.growing.traced, 1)
         self.growing = Growth(growth.choice, light)
         if count == MOST_PATHS or self.growing.enough:
-            self.own, self.growing = light, None
-            self.attempt, self.controls = self.attempt + 1, ControlPixels.none()
+            self.known = PictureState(self.known.target, own=light, attempt=self.known.attempt + 1)
+            self.growing = None
         return True

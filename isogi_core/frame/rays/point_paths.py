@@ -44,10 +44,13 @@ def path_starts(traced: TracedSurface, points: PixelPoints, replicas: range) -> 
 
 
 def sight_lines(gbuffer: GBuffer) -> tuple[np.ndarray, np.ndarray]:
-    """Where the eye's rays are just before the points of a G-buffer, and their unit world ways; (m, 3) float32 each."""
+    """Where the eye's rays are just before the points of a G-buffer, and their unit world ways; (m, 3) float64 each.
+
+    In glass rays soon part from those that start a rounding beside.
+    """
     spacing = np.array(gbuffer.spacing)
     ways = (gbuffer.points - np.array(gbuffer.eye)) * spacing
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     along = ways / spacing
     before = gbuffer.points - BACK * along / np.abs(along).max(axis=1, keepdims=True)
-    return before.astype(np.float32), ways.astype(np.float32)
+    return before, ways

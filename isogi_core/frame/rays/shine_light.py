@@ -13,18 +13,16 @@ import numpy as np
 
 from isogi_core.frame.gbuffer import GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.half_sums import HALVES, HalfSums, NoisyLight
 from isogi_core.frame.rays.shine import RAYS, ShineRays, cast_rays, light_below, paths_from
 from isogi_core.frame.rays.wall_light import WallView
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL, Framebuffer, PixelPoints
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.shine import light_ends
-from isogi_core.kernels.shading.shine_filter import filter_shine, pool_noise
+from isogi_core.kernels.shading.shine_filter import filter_shine
 from isogi_core.model.shine import DULL
 from isogi_core.model.sky import LUMINANCE
-
-HALVES = 2
-"""Independent randomisations."""
 
 LEAST, MOST = 8, 1 << 12
 """Rays of each half from a point: so many find highlights that a few miss; and at most."""
@@ -53,25 +51,8 @@ class SeenLight:
 
 
 @dataclass(frozen=True, eq=False)
-class Gleam:
-    """What shine brings to each point of a picture: ``light`` (m, 3) linear RGB, and its luminance's ``variance``."""
-
-    light: np.ndarray
-    variance: np.ndarray
-
-    @classmethod
-    def of(cls, means: np.ndarray, gbuffer: GBuffer, tiles: Tiles) -> "Gleam":
-        """That of halves' ``means`` (m, 1 or 2, 3); of a single one neighbouring pixels tell the noise.
-
-        Raises Cancelled.
-        """
-        values, rows, variance = np.ascontiguousarray(means @ LUMINANCE), gbuffer.rows, np.empty(len(means))
-
-        def _piece(a: int, b: int) -> None:
-            pool_noise(rows, gbuffer.pixels, a, values, variance[a:b])
-
-        tiles.run(_piece, len(means), tiles.even(len(means)))
-        return cls(means.mean(axis=1), variance)
+class Gleam(NoisyLight):
+    """What shine brings to each point of a picture."""
 
     def put(self, below: np.ndarray, gbuffer: GBuffer, unit: float, framebuffer: Framebuffer, tiles: Tiles) -> None:
         """Write it into a picture of diffuse light, of which the share ``below`` (m, 3) stays; errors are of both.
@@ -95,40 +76,36 @@ class Gleam:
 @dataclass(eq=False)
 class ShineLight:
     """The shine of a view in a ``light``: what it leaves of diffuse light, ``below``; its first ``rays``; and the
-    ``sums`` (m, HALVES, 3) of ``counts`` (m,) rays of each half, that were cast since the texels' light is final.
-
-    Points whose noise is small enough take no more: the others have as many rays as any. Threads wait for each other.
+    ``sums`` of those that were cast since the texels' light is final. Threads wait for each other.
     """
 
     light: RotatedLight
     gbuffer: GBuffer
     below: np.ndarray
     rays: ShineRays
-    sums: np.ndarray
-    counts: np.ndarray
+    sums: HalfSums
     lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @classmethod
     def begun(cls, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> "ShineLight":
         """The shine of a surface that shines in a ``light``, with its first rays. Raises Cancelled."""
         rays = cast_rays(light, gbuffer, range(1), range(1), tiles, ways=1)
-        sums = np.zeros((len(gbuffer.points), HALVES, 3))
-        return cls(light, gbuffer, light_below(light, gbuffer, tiles), rays, sums, np.zeros(len(sums), np.int64))
+        return cls(light, gbuffer, light_below(light, gbuffer, tiles), rays, HalfSums.none(len(gbuffer.points)))
 
     @property
     def nbytes(self) -> int:
         """Bytes that it takes."""
-        return self.below.nbytes + self.rays.nbytes + self.sums.nbytes + self.counts.nbytes
+        return self.below.nbytes + self.rays.nbytes + self.sums.nbytes
 
     @property
     def count(self) -> int:
         """The most rays of each half that any point has; 0 where nothing but the first rays was cast."""
-        return int(self.counts.max(initial=0))
+        return self.sums.most
 
     @property
     def version(self) -> bytes:
         """Names the rays that it is made of, but for what texels show where the first ones end."""
-        return repr((self.light.shine, int(self.counts.sum()))).encode()
+        return repr(self.light.shine).encode() + self.sums.version
 
     def gleam(self, seen: SeenLight | None, tiles: Tiles) -> Gleam:
         """What it brings to the picture: by all rays, or by the first ones where these have ``seen`` light."""
@@ -154,7 +131,7 @@ class ShineLight:
 
     def _gleam(self, tiles: Tiles) -> Gleam:
         """What all rays bring that were cast since the texels' light is final."""
-        return Gleam.of(self.sums / np.maximum(self.counts, 1)[:, None, None], self.gbuffer, tiles)
+        return Gleam.of(self.sums.means, self.gbuffer, tiles)
 
     def step(self, allowed: float, lit: Callable[[ShineRays], SeenLight], bounces: int, tiles: Tiles) -> bool:
         """Cast more rays where the noise is above what is ``allowed``, a luminance; whether there were any to cast.
@@ -175,20 +152,14 @@ class ShineLight:
                 short = np.flatnonzero(seen.states != FINAL)
                 seen.light[short] = paths_from(rays, short, self.light, bounces, tiles)
                 added += rays.gather(seen.light).reshape(len(places), HALVES, -1, 3).sum(axis=2)
-            self.sums, self.counts = self.sums.copy(), self.counts.copy()
-            self.sums[places] += added
-            self.counts[places] = last
+            self.sums = self.sums.joined(places, added, last)
             return True
 
     def _noisy(self, allowed: float, tiles: Tiles) -> np.ndarray:
         """Rows of the points that are to have more rays: all at first, none where the picture's noise is allowed."""
-        count = self.count
-        if count < LEAST:
-            return np.arange(len(self.counts))
-        variance = self._gleam(tiles).variance
-        if float(variance.mean()) <= allowed**2:
-            return np.empty(0, np.int64)
-        return np.flatnonzero((variance > allowed**2) & (self.counts == count))
+        if self.count < LEAST:
+            return np.arange(len(self.gbuffer.points))
+        return self.sums.noisy(self._gleam(tiles).variance, allowed)
 
 
 def walls_seen(rays: ShineRays, light: RotatedLight) -> list[WallView]:

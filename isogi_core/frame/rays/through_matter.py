@@ -1,34 +1,90 @@
-"""Surfaces that light passes in pictures: their pixels show walls and what lies outside, refracted and mirrored."""
+"""Surfaces that light passes in pictures: their pixels show walls and what lies outside, refracted and mirrored.
 
-from dataclasses import dataclass, replace
+The first picture follows the greater part of light where rays can part no more, and says how much went that way. While
+the view rests trees are drawn by chance, in halves that tell their noise, until that is small enough.
+"""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.half_sums import HALVES, HalfSums, NoisyLight
 from isogi_core.frame.rays.view_walls import ViewWalls
 from isogi_core.frame.rays.wall_light import WallView
 from isogi_core.frame.shading import empty_framebuffer
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_keys import surface_key
-from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
-from isogi_core.kernels.transport.matter.sight import LEAVES, Leaves, see_through
+from isogi_core.frame.view_keys import check_key, surface_key
+from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer
+from isogi_core.kernels.transport.matter.sight import NONE, Chances, Leaves, see_through
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.sky import LUMINANCE
 
-POINTS = 1024
-"""Points of a tile."""
+STREAM = 1 << 21
+"""Sets the sequences of a point's trees apart from those of all else."""
+
+FIRST, BREADTH = 8, 64
+"""Places that a point sees, at most, by its first tree, and by each of those that are drawn while the view rests: 64 of
+16 times less noise than 8 take twice as long.
+"""
+
+DEEP = 256
+"""Interfaces that a point's light passes, at most."""
+
+PLACES, TOGETHER, STEP = 1 << 13, 1 << 18, 1 << 22
+"""Places of a tile; those that are looked up together; and those of a step, about: of a point by one tree of each half
+at least, and by as many again as there are at most.
+"""
+
+MOST = 1 << 12
+"""Trees of each half of a point, at most."""
+
+SHARE = 0.5
+"""Share of the target error that the noise of what is seen may have, beside that of walls."""
+
+
+@dataclass(frozen=True)
+class Trees:
+    """Trees of rays from each point of a picture, one of each of the ``replicas`` and ``samples``, in this order.
+
+    They see so many places at most, their ``breadth``. Sample NONE leaves nothing to chance.
+    """
+
+    breadth: int
+    replicas: range
+    samples: range
+
+    @property
+    def each(self) -> int:
+        """How many a point has."""
+        return len(self.replicas) * len(self.samples)
+
+    def chances(self, pixels: np.ndarray) -> Chances:
+        """How they choose, of points in ``pixels`` (m,)."""
+        shape = len(pixels), len(self.replicas), len(self.samples)
+        point, replica, sample = (part.ravel() for part in np.indices(shape))
+        words = np.column_stack([pixels[point], STREAM + self.replicas.start + replica])
+        return Chances(seeds_of(words), self.samples.start + sample, DEEP)
+
+
+GREATEST = Trees(FIRST, range(1), range(NONE, NONE + 1))
+"""A tree of each point that leaves nothing to chance."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeenThrough:
-    """What the points of a G-buffer, m of them, show: ``sky`` (m, 3) of what lies outside, and walls.
+    """What the trees of a G-buffer's points, n of them in all, show: ``sky`` (n, 3) of what lies outside, and walls.
 
-    Each of h places on walls counts ``weights`` (h, 3) in the light of the point in row ``rows`` (h,), ascending. They
-    are the ``walls`` of a picture of one row, whose pixel i is place i, and seen from their ``sides`` (h,).
+    Each of h places on walls counts ``weights`` (h, 3) in the light of the tree in row ``rows`` (h,), ascending. They
+    are the ``walls`` of a picture of one row, whose pixel i is place i, and seen from their ``sides`` (h,). ``cut``
+    (n,) is the share of a tree's light that went the way of another.
     """
 
     sky: np.ndarray
@@ -36,30 +92,33 @@ class SeenThrough:
     rows: np.ndarray
     walls: PointsBeside
     sides: np.ndarray
+    cut: np.ndarray
 
     @property
     def nbytes(self) -> int:
         """Bytes that it takes."""
-        return sum(each.nbytes for each in (self.sky, self.weights, self.rows, self.walls, self.sides))
+        parts = (self.sky, self.weights, self.rows, self.walls, self.sides, self.cut)
+        return sum(each.nbytes for each in parts)
 
     @classmethod
-    def of(cls, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> "SeenThrough":
+    def of(cls, gbuffer: GBuffer, light: RotatedLight, trees: Trees, tiles: Tiles) -> "SeenThrough":
         """What is seen through the points of a G-buffer. Raises Cancelled."""
-        prepared, count = light.spec.prepared, len(gbuffer.points)
+        prepared, count = light.spec.prepared, len(gbuffer.points) * trees.each
         passable, traced = prepared.passable, gbuffer.surface.traced(tiles.run)
-        weights, points = np.empty((2, count * LEAVES, 3), np.float32)
-        met, sides = np.empty((2, count * LEAVES), np.int8)
-        sky = np.empty((count, 3), np.float32)
+        starts, (seeds, samples, deep) = np.repeat(gbuffer.points, trees.each, axis=0), trees.chances(gbuffer.pixels)
+        weights, points = np.empty((2, count * trees.breadth, 3), np.float32)
+        met, sides = np.empty((2, count * trees.breadth), np.int8)
+        sky, cut = np.empty((count, 3), np.float32), np.empty(count, np.float32)
 
         def _piece(a: int, b: int) -> None:
-            own = slice(a * LEAVES, b * LEAVES)
-            leaves = Leaves(sky[a:b], weights[own], points[own], met[own], sides[own])
-            see_through(traced, passable, light.surroundings, gbuffer.eye, gbuffer.points[a:b], leaves)
+            own, chances = slice(a * trees.breadth, b * trees.breadth), Chances(seeds[a:b], samples[a:b], deep)
+            leaves = Leaves(sky[a:b], weights[own], points[own], met[own], sides[own], cut[a:b])
+            see_through(traced, passable, light.surroundings, gbuffer.eye, starts[a:b], chances, leaves)
 
-        tiles.run(_piece, count, POINTS)
+        tiles.run(_piece, count, PLACES // trees.breadth)
         seen = np.flatnonzero(met >= 0)
         walls = PointsBeside(np.arange(len(seen), dtype=np.uint32), points[seen], met[seen])
-        return cls(sky, weights[seen], seen // LEAVES, walls, sides[seen].astype(np.int64))
+        return cls(sky, weights[seen], seen // trees.breadth, walls, sides[seen].astype(np.int64), cut)
 
     def views(self, gbuffer: GBuffer, light: RotatedLight) -> list[WallView]:
         """The walls that are seen, fronts and backs apart."""
@@ -71,20 +130,84 @@ class SeenThrough:
             if len(some)
         ]
 
-    def put(self, lit: Framebuffer, gbuffer: GBuffer, framebuffer: Framebuffer) -> None:
-        """Write what is seen to a picture, where walls are ``lit``: pixels have the least state of what they show.
+    def gather(self, lit: Framebuffer) -> tuple[np.ndarray, np.ndarray]:
+        """What trees bring where walls are ``lit``, linear RGB, (n, 3) float64; and the error of its luminance (n,).
 
         Errors of walls count as those of one, as a place beside another errs as it does.
         """
-        light, state = self.sky.astype(np.float64), np.full(len(self.sky), FINAL, np.uint8)
-        brought = self.weights * lit.radiance[: len(self.rows)].astype(np.float64)
+        light, brought = self.sky.astype(np.float64), self.weights * lit.radiance[: len(self.rows)].astype(np.float64)
         np.add.at(light, self.rows, brought)
-        np.minimum.at(state, self.rows, lit.state[: len(self.rows)])
         wrong = np.bincount(self.rows, (brought @ LUMINANCE) * lit.error[: len(self.rows)], len(self.sky))
-        light = np.minimum(light, np.finfo(np.float32).max)
-        framebuffer.radiance[gbuffer.pixels] = light
-        framebuffer.state[gbuffer.pixels] = state
-        framebuffer.error[gbuffer.pixels] = np.minimum(wrong / np.maximum(light @ LUMINANCE, 1e-30), 1.0)
+        return light, wrong
+
+    def states(self, lit: Framebuffer) -> np.ndarray:
+        """The least state of what trees show; (n,) uint8."""
+        state = np.full(len(self.sky), FINAL, np.uint8)
+        np.minimum.at(state, self.rows, lit.state[: len(self.rows)])
+        return state
+
+
+Light = Callable[[SeenThrough], Framebuffer]
+"""What lights the walls that are seen: a picture of one row."""
+
+
+@dataclass(eq=False)
+class SurfaceSeen:
+    """What a view of a target error shows of its surface, ``gbuffer``: by the ``first`` trees, or by the ``sums`` of
+    those drawn by chance since all walls that they see are final. Threads wait for each other.
+    """
+
+    gbuffer: GBuffer
+    light: RotatedLight
+    first: SeenThrough
+    sums: HalfSums
+    lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return self.sums.nbytes
+
+    def shown(self, lit: Framebuffer, tiles: Tiles) -> tuple[NoisyLight, np.ndarray]:
+        """What is seen where walls are ``lit``, and by how much walls' errors make its luminance err (m,).
+
+        What went the way of another light errs by how much neighbours differ. Raises Cancelled.
+        """
+        light, wrong = self.first.gather(lit)
+        sums = self.sums
+        if sums.most:
+            return NoisyLight.of(sums.means, self.gbuffer, tiles), wrong
+        apart = NoisyLight.of(light[:, None], self.gbuffer, tiles).variance
+        return NoisyLight(light, 2.0 * self.first.cut.astype(np.float64) ** 2 * apart), wrong
+
+    def noisy(self, shown: NoisyLight, target: float) -> np.ndarray:
+        """Rows of the points that are to have more trees before what is ``shown`` is at its target."""
+        allowed = (SHARE if len(self.first.rows) else 1.0) * target * float((shown.light @ LUMINANCE).mean())
+        found = self.sums.noisy(shown.variance, allowed) if self.sums.most < MOST else np.empty(0, np.int64)
+        return found if self.sums.most or not len(found) else np.arange(len(shown.light))
+
+    def step(self, target: float, lit: Light, tiles: Tiles) -> SeenThrough | None:
+        """Draw trees for the points whose noise is too much: as many again as there are. Raises Cancelled.
+
+        Returns what is seen of walls that are not final, without which nothing was drawn; None where all are.
+        """
+        with self.lock:
+            shown, _ = self.shown(lit(self.first), tiles)
+            places, count = self.noisy(shown, target), self.sums.most
+            if not len(places):
+                return None
+            more, added = max(STEP // (HALVES * BREADTH * len(places)), 1), np.zeros((len(places), HALVES, 3))
+            trees = Trees(BREADTH, range(HALVES), range(count, count + min(more, count or 1)))
+            some = max(TOGETHER // (BREADTH * trees.each), 1)
+            for a in range(0, len(places), some):
+                rows = places[a : a + some]
+                seen = SeenThrough.of(self.gbuffer.part(rows, tiles), self.light, trees, tiles)
+                walls = lit(seen)
+                if (walls.state[: len(seen.rows)] < FINAL).any():
+                    return seen
+                added[a : a + some] = seen.gather(walls)[0].reshape(len(rows), HALVES, -1, 3).sum(axis=2)
+            self.sums = self.sums.joined(places, added, trees.samples.stop)
+            return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,32 +221,63 @@ class ViewThrough:
         """The frame of a G-buffer with the walls' light as it is now. Raises Cancelled."""
         framebuffer = empty_framebuffer(gbuffer)
         with watch.stage("through"):
-            seen = self._seen(gbuffer, light, tiles)
+            seen = self._seen(gbuffer, light, target, tiles)
         with watch.stage("walls"):
-            lit = dark_row(len(seen.rows))
-            version = self.walls.put_seen(seen.views(gbuffer, light), target, lit, tiles)
-            seen.put(lit, gbuffer, framebuffer)
+            lit, version = self._lit(seen.first, gbuffer, light, target, tiles)
+            self._put(seen, lit, target, framebuffer, tiles)
             waiting = int((framebuffer.state[gbuffer.pixels] < FINAL).sum())
             if len(gbuffer.walls.pixels):
                 more, own = self.walls.put(gbuffer, light, target, framebuffer, tiles)
                 waiting, version = waiting + more, version + own
-        frame = frame_of(gbuffer, light, framebuffer, watch)
+        frame = frame_of(gbuffer, light, framebuffer, watch, rays=seen.sums.version)
         return replace(frame, walls_waiting=waiting, version=f"{frame.version}{version}")
 
     def grow(self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles) -> bool:
-        """Have the walls in a picture, and those seen through its surface, that are not final take as many paths again.
-
-        Raises Cancelled.
+        """Have the walls in a picture, and those seen through its surface, that are not final take as many paths again;
+        once all are, what is seen through it more trees. Whether there was anything to take. Raises Cancelled.
         """
         views = [WallView.of(gbuffer, light)]
-        if light.spec.prepared.scene.material.refracts:
-            views += self._seen(gbuffer, light, tiles).views(gbuffer, light)
-        return self.walls.grow(views, target, tiles)
+        if not light.spec.prepared.scene.material.refracts:
+            return self.walls.grow(views, target, tiles)
+        seen = self._seen(gbuffer, light, target, tiles)
+        if self.walls.grow([*views, *seen.first.views(gbuffer, light)], target, tiles):
+            return True
+        before = seen.sums
+        coarse = seen.step(target, lambda some: self._lit(some, gbuffer, light, target, tiles)[0], tiles)
+        if coarse is not None:
+            return self.walls.grow(coarse.views(gbuffer, light), target, tiles)
+        return seen.sums is not before
 
-    def _seen(self, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> SeenThrough:
+    def _put(self, seen: SurfaceSeen, lit: Framebuffer, target: float, framebuffer: Framebuffer, tiles: Tiles) -> None:
+        """Write what is ``seen`` to a picture, where walls are ``lit``.
+
+        Pixels have the least state of what they show, and are not final before the noise of what they see is allowed.
+        """
+        shown, wrong = seen.shown(lit, tiles)
+        light, state = np.minimum(shown.light, np.finfo(np.float32).max), seen.first.states(lit)
+        if len(seen.noisy(shown, target)):
+            np.minimum(state, CONVERGING, out=state)
+        error = np.sqrt(shown.variance + wrong**2) / np.maximum(light @ LUMINANCE, 1e-30)
+        pixels = seen.gbuffer.pixels
+        framebuffer.radiance[pixels], framebuffer.state[pixels] = light, state
+        framebuffer.error[pixels] = np.minimum(error, 1.0)
+
+    def _lit(
+        self, seen: SeenThrough, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles
+    ) -> tuple[Framebuffer, str]:
+        """The walls that are ``seen`` as they are lit now, and what names their paths. Raises Cancelled."""
+        lit = dark_row(len(seen.rows))
+        return lit, self.walls.put_seen(seen.views(gbuffer, light), target, lit, tiles)
+
+    def _seen(self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles) -> SurfaceSeen:
         """What the points of a G-buffer show."""
         key = SeenThrough, surface_key(light.view), light.view.light
-        return self.kept.get(key, lambda: SeenThrough.of(gbuffer, light, tiles))
+        first = self.kept.get(key, lambda: SeenThrough.of(gbuffer, light, GREATEST, tiles))
+
+        def make() -> SurfaceSeen:
+            return SurfaceSeen(gbuffer, light, first, HalfSums.none(len(gbuffer.points)))
+
+        return self.kept.get((SurfaceSeen, *check_key(light.view, target)), make)
 
 
 def dark_row(count: int) -> Framebuffer:

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.entry_kernels import MATTER, frame_kernels
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.through_matter import BREADTH, SeenThrough, Trees, dark_row
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.view import View
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
 from tests.loaded import load_scene
 
@@ -50,6 +55,51 @@ def test_clear_glass_under_an_even_sky_is_as_bright_as_that(tmp_path: Path) -> N
     np.testing.assert_allclose(frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels], 1.0, rtol=1e-5)
     traced = bench.renderer.render(bench.view(size=SIZE, shading="path_traced", samples=2))
     np.testing.assert_allclose(traced.radiance.reshape(-1, 3)[traced.gbuffer.pixels], 1.0, rtol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def casting(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
+    """A casting of glass in a studio: rays pass dozens of interfaces."""
+    scene = load_scene("demo:casting", material="glass", environment="studio", target_error=0.05)
+    return Workbench(scene, tmp_path_factory.mktemp("casting"))
+
+
+def true_light(bench: Workbench, view: View, trees: int) -> np.ndarray:
+    """The luminance of each point by so many trees, of other random numbers than a picture's."""
+    light, gbuffer = RotatedLight(bench.renderer.caches.spec("gi"), view), bench.renderer.gbuffer(view)
+    seen = SeenThrough.of(gbuffer, light, Trees(BREADTH, range(10, 11), range(trees)), bench.renderer.tiles)
+    return np.asarray(seen.gather(dark_row(0))[0].reshape(-1, trees, 3).mean(axis=1) @ LUMINANCE)
+
+
+def test_glass_tells_its_error_and_becomes_right(casting: Workbench) -> None:
+    view = casting.view(size=32)
+    true = true_light(casting, view, 64)
+
+    def wrong() -> tuple[Frame, float]:
+        frame = casting.renderer.render(view)
+        light = frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels] @ LUMINANCE
+        return frame, float(np.sqrt(((light - true) ** 2).mean()) / true.mean())
+
+    first, error = wrong()
+    assert error > 0.05 and error / 3.0 < first.noise < 2.0 * error
+    assert not first.final and first.checkable and first.counts["converging"] == first.surface
+    while casting.renderer.refine(view):
+        pass
+    frame, error = wrong()
+    assert frame.final and frame.version != first.version
+    assert 0.7 * error < frame.noise < 0.05 and error < 0.06
+    again = casting.again()
+    while again.renderer.refine(view):
+        pass
+    other = again.renderer.render(view)
+    assert (other.version, other.radiance.tobytes()) == (frame.version, frame.radiance.tobytes())
+
+
+def test_trees_bring_on_the_average_what_paths_bring(casting: Workbench) -> None:
+    traced = casting.renderer.render(casting.view(size=32, shading="path_traced", samples=512))
+    found = true_light(casting, casting.view(size=32), 64).mean()
+    light = traced.radiance.reshape(-1, 3)[traced.gbuffer.pixels].astype(float) @ LUMINANCE
+    assert found == pytest.approx(light.mean(), rel=0.02)
 
 
 def test_a_subsurface_becomes_what_paths_inside_say(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.shading.framebuffer import PixelPoints
+from isogi_core.kernels.shading.picture_noise import pool_noise
 from isogi_core.kernels.shading.shine import (
     ISOSURFACE,
     NEVER,
@@ -15,7 +16,6 @@ from isogi_core.kernels.shading.shine import (
     fill_below,
     light_ends,
 )
-from isogi_core.kernels.shading.shine_filter import pool_noise
 from isogi_core.kernels.transport.light_paths import NO_TABLE, Surroundings
 from isogi_core.kernels.transport.lights import DIRECTIONAL, NO_LAMPS, POINT, LampArrays
 from isogi_core.kernels.transport.microfacets import NODES, ShineLobe, fill_energy

@@ -24,17 +24,12 @@ from isogi_core.kernels.transport.matter.inside import (
     transmitted,
     way_inside,
 )
+from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.room_paths import lit_from
 from isogi_core.kernels.transport.wavefront import whole
 
-LEAVES = 8
-"""Places that a pixel sees through matter, at most."""
-
-DEEP = 16
-"""Interfaces that its light passes at most: then it goes on as it would without the matter."""
-
-LEAST = 1.0 / 128.0
-"""Share of a pixel's light below which a ray does not part: the larger part goes on with all of it."""
+EVEN = 16
+"""A ray parts where both parts count as much as one of so many times the places that its point may see."""
 
 BACK = 1e-2
 """Voxels before the surface at which the eye's rays start, so that they meet it whatever the rounding of the point."""
@@ -43,8 +38,9 @@ BACK = 1e-2
 class Leaves(NamedTuple):
     """What n points show: ``sky`` (n, 3) float32 of what lies outside, and the walls that their rays end on.
 
-    Row LEAVES · m + j is place j of point m: ``weights`` (rows, 3) and ``points`` (rows, 3; index space) float32, and
-    the number of the wall, or -1, in ``met`` (rows,) int8; ``sides`` (rows,) int8 is 1 for its front, -1 for its back.
+    Of at most b places each, row b · m + j is place j of point m: ``weights`` (rows, 3) and ``points`` (rows, 3; index
+    space) float32, and the number of the wall, or -1, in ``met`` (rows,) int8; ``sides`` (rows,) int8 is 1 for its
+    front, -1 for its back. ``cut`` (n,) float32 is the share of light that went the way of another.
     """
 
     sky: Any
@@ -52,10 +48,36 @@ class Leaves(NamedTuple):
     points: Any
     met: Any
     sides: Any
+    cut: Any
 
 
-POINTS, SHORT = types.float32[:, ::1], types.int8[::1]
-LEAVES_OF = record(Leaves, POINTS, POINTS, POINTS, SHORT, SHORT)
+POINTS, SHORT, NUMBERS = types.float32[:, ::1], types.int8[::1], types.float32[::1]
+LEAVES_OF = record(Leaves, POINTS, POINTS, POINTS, SHORT, SHORT, NUMBERS)
+
+
+class Chances(NamedTuple):
+    """How rays choose their way where they do not part: by random numbers of a point's ``seeds`` (n,) uint64 and of its
+    ``samples`` (n,) int64; where that is NONE, the way of the greater part. Their light passes ``deep`` interfaces at
+    most: then it goes on as it would without the matter.
+    """
+
+    seeds: Any
+    samples: Any
+    deep: int
+
+
+CHANCES = record(Chances, types.uint64[::1], types.int64[::1], types.int64)
+
+NONE = -1
+"""No sample: nothing is left to chance."""
+
+
+class Progress(NamedTuple):
+    """Of each of n points how many places it has ``used`` and ``shown``, and the choices it has ``made``, (n,) each."""
+
+    used: Any
+    shown: Any
+    made: Any
 
 
 class Sight(NamedTuple):
@@ -96,18 +118,33 @@ def put_leaf(leaves, place, p, weight, wall, side):
 
 
 @kernel()
-def part(surface, matter, sight, j, ray, used):
+def choice(chances, progress, m):
+    """The number in [0, 1) that point ``m`` chooses by next: one half where nothing is left to chance."""
+    progress.made[m] += 1
+    sample = chances.samples[m]
+    if sample == NONE:
+        return 0.5
+    return point_2d(chances.seeds[m], np.uint64(sample), np.uint64(progress.made[m]))[0]
+
+
+@kernel()
+def part(surface, matter, sight, j, ray, shown):
     """Put what becomes of a ``ray`` = (p, w, weight, side it came from, owner) at the surface, from place ``j`` on.
 
-    Returns the next place. It parts where its owner has used less than LEAVES places and neither part is below LEAST.
+    Returns the next place. It parts where its owner may see more places and neither part is too small; else all of its
+    light goes one way, as often as that has a share of it: right on the average. ``shown`` is (leaves, chances,
+    progress).
     """
-    p, w, weight, came, owner = ray
+    (p, w, weight, came, owner), (leaves, chances, progress) = ray, shown
     share, mirrored, passed = meet_interface(surface.field, matter, p, w, came)
-    if used[owner] >= LEAVES or brightest(weight) * min(share, 1.0 - share) < LEAST:
-        if share > 0.5:
+    places = leaves.met.shape[0] // leaves.sky.shape[0]
+    less = brightest(weight) * min(share, 1.0 - share)
+    if progress.used[owner] >= places or less * (EVEN * places) < 1.0:
+        leaves.cut[owner] += np.float32(less)
+        if share >= 1.0 or (share > 0.0 and choice(chances, progress, owner) < share):
             return push(sight, j, p, mirrored, weight, came, owner)
         return push(sight, j, p, passed, weight, -came, owner)
-    used[owner] += 1
+    progress.used[owner] += 1
     j = push(sight, j, p, passed, scale(weight, 1.0 - share), -came, owner)
     return push(sight, j, p, mirrored, scale(weight, share), came, owner)
 
@@ -130,7 +167,7 @@ def cast_sight(surface, sight, count):
 @kernel()
 def end_ray(room, light, shown, ends, m, weight):
     """Show point ``m`` what a ray ends on, ``ends`` = (point, way, wall or NOWHERE): a wall's lit side, or outside."""
-    leaves, _, done = shown
+    leaves, _, progress = shown
     p, w, wall = ends
     if wall == NOWHERE:
         sky = dimmed(weight, radiance(light.constant, light.image, light.matrix, w))
@@ -139,52 +176,58 @@ def end_ray(room, light, shown, ends, m, weight):
         return
     slope = dot(row(room.normals, int(wall)), w)
     if lit_from(room, int(wall), slope):
-        put_leaf(leaves, LEAVES * m + done[m], p, weight, wall, 1 if slope < 0.0 else -1)
-        done[m] += 1
+        place = m * (leaves.met.shape[0] // leaves.sky.shape[0]) + progress.shown[m]
+        put_leaf(leaves, place, p, weight, wall, 1 if slope < 0.0 else -1)
+        progress.shown[m] += 1
 
 
 @kernel()
 def follow(surface, met, light, sight, count, following, depth, shown):
     """Follow the first ``count`` rays to what they meet; returns how many go on from there, in ``following``.
 
-    What is ``shown`` is (leaves, places that each point has used, places that it shows).
+    What is ``shown`` is (leaves, chances, progress).
     """
+    leaves, chances, _ = shown
     directions, t, came = cast_sight(surface, sight, count)
     going = 0
     for j in range(count):
         o, w, d = column(sight.origins, j), column(sight.ways, j), column(directions, j)
-        met_at = t[j] if depth < DEEP else math.inf
+        met_at = t[j] if depth < chances.deep else math.inf
         reach, wall = nearest_wall(met.room.walls, o, d, NOWHERE, met_at)
         near, far = way_inside(surface.field.voxels.shape, o, d, int(sight.sides[j]), int(came[j]), reach)
         weight = dimmed(column(sight.weights, j), transmitted(met.matter, far - near))
         owner = sight.owners[j]
         if wall == NOWHERE and reach < math.inf:
             ray = madd(o, reach, d), w, weight, int(came[j]), owner
-            going = part(surface, met.matter, following, going, ray, shown[1])
+            going = part(surface, met.matter, following, going, ray, shown)
         else:
+            if depth == chances.deep and t[j] < math.inf:
+                leaves.cut[owner] += np.float32(brightest(weight))
             p = madd(o, reach, d) if reach < math.inf else o
             end_ray(met.room, light, shown, (p, w, wall), owner, weight)
     return going
 
 
-@kernel(types.void(SURFACE, PASSABLE, SURROUNDINGS, types.UniTuple(types.float64, 3), POINTS, LEAVES_OF))
-def see_through(surface, met, light, eye, points, leaves):
+@kernel(types.void(SURFACE, PASSABLE, SURROUNDINGS, types.UniTuple(types.float64, 3), POINTS, CHANCES, LEAVES_OF))
+def see_through(surface, met, light, eye, points, chances, leaves):
     """Fill the ``leaves`` of n ``points`` (n, 3), where rays from the ``eye`` meet the ``surface``; in index space.
 
-    Without absorption the weights of all that a point shows sum to 1.
+    Without absorption the weights of all that a point shows sum to 1. What it shows by all ``chances`` is right on the
+    average. Source: Whitted 1980; Arvo and Kirk 1990 on rays that part as long as that counts.
     """
     leaves.met[:] = np.int8(NOWHERE)
     leaves.sky[:] = np.float32(0.0)
-    spacing, n = surface.field.spacing, points.shape[0]
-    sight, following = make_sight(LEAVES * n), make_sight(LEAVES * n)
-    shown = leaves, np.ones(n, np.int64), np.zeros(n, np.int64)
+    leaves.cut[:] = np.float32(0.0)
+    spacing, n, places = surface.field.spacing, points.shape[0], leaves.met.shape[0]
+    sight, following = make_sight(places), make_sight(places)
+    shown = leaves, chances, Progress(np.ones(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64))
     for m in range(n):
         p = float(points[m, 0]), float(points[m, 1]), float(points[m, 2])
         w = normalize(to_world(sub(p, eye), spacing))
         d = to_index(w, spacing)
         push(sight, m, madd(p, -BACK / longest(d), d), w, (1.0, 1.0, 1.0), UNKNOWN, m)
     count = n
-    for depth in range(DEEP + 1):
+    for depth in range(chances.deep + 1):
         count = follow(surface, met, light, sight, count, following, depth, shown)
         if count == 0:
             return

@@ -4,7 +4,7 @@ import numpy as np
 
 from isogi_core.kernels.transport.matter.inside import Matter, Passable
 from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
-from isogi_core.kernels.transport.matter.sight import LEAVES, Leaves, see_through
+from isogi_core.kernels.transport.matter.sight import NONE, Chances, Leaves, see_through
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts
 from tests.kernels.fields import cells_of, field_of, surface_of
@@ -41,12 +41,18 @@ def gather(field, met, starts, samples, light=None, bounces=0):
     return sums / samples
 
 
-def look(field, met, eye, points, light=None):
-    """What is seen from an ``eye`` through ``points`` (n, 3): the Leaves."""
-    n = len(points)
-    weights, ends = np.empty((2, n * LEAVES, 3), np.float32)
-    kinds, sides = np.empty((2, n * LEAVES), np.int8)
-    leaves = Leaves(np.empty((n, 3), np.float32), weights, ends, kinds, sides)
-    places = np.ascontiguousarray(points, np.float32)
-    see_through(surface_of(field, 0.0), met, light or sky(0.0), tuple(map(float, eye)), places, leaves)
+LEAVES = 8
+"""Places that a point sees."""
+
+
+def look(field, met, eye, points, light=None, breadth=LEAVES, samples=(NONE,), deep=256):
+    """What is seen from an ``eye`` through ``points`` (n, 3), by a tree of each for all ``samples``: the Leaves."""
+    places = np.repeat(np.ascontiguousarray(points, np.float32), len(samples), axis=0)
+    n = len(places)
+    weights, ends = np.empty((2, n * breadth, 3), np.float32)
+    kinds, sides = np.empty((2, n * breadth), np.int8)
+    leaves = Leaves(np.empty((n, 3), np.float32), weights, ends, kinds, sides, np.empty(n, np.float32))
+    seeds = np.repeat(np.arange(1, len(points) + 1, dtype=np.uint64), len(samples))
+    chances = Chances(seeds, np.tile(np.array(samples, np.int64), len(points)), deep)
+    see_through(surface_of(field, 0.0), met, light or sky(0.0), tuple(map(float, eye)), places, chances, leaves)
     return leaves

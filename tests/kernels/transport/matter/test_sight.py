@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from isogi_core.kernels.transport.matter.sight import LEAVES
 from tests.kernels.rooms import room_of, sky, wall
-from tests.kernels.transport.matter.passables import ball, look, passable, slab
+from tests.kernels.transport.matter.passables import LEAVES, ball, look, passable, slab
 
 FACING = 0.04
 """What a surface of index 1.5 mirrors head on."""
@@ -73,3 +72,39 @@ def test_walls_and_their_dark_backs_are_seen():
     assert front.met[0] == 0 and front.sides[0] == 1
     assert (front.met[1:] < 0).all() and (back.met < 0).all()
     assert room_of([dark]).normals[0, 2] > 0.0
+
+
+def shares_on_walls(seen, breadth):
+    """The share of its light that each tree sees on walls."""
+    return np.where(seen.met >= 0, seen.weights[:, 0], 0.0).reshape(-1, breadth).sum(axis=1)
+
+
+def test_ways_by_chance_are_right_on_the_average():
+    """Rays that never part, and those that part as long as that counts: many times the same shares end on a floor."""
+    field, middle = ball(8.0, 20), 9.5
+    aside = np.array([0.5, 4.0, 6.0, 7.5])
+    points = np.column_stack([middle + aside, np.full(4, middle), middle - np.sqrt(64.0 - aside**2)])
+    glass, eye = passable([floor_at(30.0)], index=1.8), (middle, middle, -1e3)
+    true = shares_on_walls(look(field, glass, eye, points, breadth=256), 256)
+    for breadth, rtol in ((1, 0.03), (4, 0.015)):
+        seen = look(field, glass, eye, points, breadth=breadth, samples=range(4096))
+        found = shares_on_walls(seen, breadth).reshape(4, -1)
+        assert found.std(axis=1).max() > 0.01
+        np.testing.assert_allclose(found.mean(axis=1), true, rtol=rtol)
+    greatest = shares_on_walls(look(field, glass, eye, points, breadth=1), 1)
+    assert set(greatest) <= {0.0, 1.0}
+
+
+@pytest.mark.parametrize("breadth, cut", [(1, 2.0 * FACING), (2, FACING * (1.0 - FACING)), (8, 1e-3)])
+def test_what_went_another_way_is_told(breadth, cut):
+    """A slab from above: where rays part at no face, at the first, and at all that count."""
+    field, met = slab(2.0, 5.0), passable([floor_at(-4.0)])
+    seen = look(field, met, (3.5, 3.5, 50.0), [(3.5, 3.5, 5.0)], breadth=breadth)
+    assert seen.cut[0] == pytest.approx(cut, rel=1e-3 if breadth < 3 else 1.0)
+
+
+def test_beyond_the_last_interface_rays_go_straight_on():
+    field, met = slab(2.0, 5.0), passable([floor_at(-4.0)])
+    seen = look(field, met, (3.5, 3.5, 50.0), [(3.5, 3.5, 5.0)], deep=1)
+    assert seen.cut[0] == pytest.approx(1.0 - FACING, rel=1e-3)
+    np.testing.assert_allclose(shares_on_walls(seen, LEAVES), 1.0 - FACING, rtol=1e-3)
