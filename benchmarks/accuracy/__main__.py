@@ -9,6 +9,7 @@ from benchmarks.accuracy.cuts import cuts
 from benchmarks.accuracy.equal_error import equal_error
 from benchmarks.accuracy.filtering import filtering
 from benchmarks.accuracy.furnace import furnace
+from benchmarks.accuracy.glass import glass
 from benchmarks.accuracy.interpolation import interpolation
 from benchmarks.accuracy.lobes import lobes
 from benchmarks.accuracy.plans import plans
@@ -36,6 +37,7 @@ main = suite(
     colours,
     surfaces,
     room,
+    glass,
     sliding,
     sampling,
     reports,
