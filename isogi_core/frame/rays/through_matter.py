@@ -43,8 +43,13 @@ PLACES, TOGETHER, STEP = 1 << 13, 1 << 18, 1 << 22
 at least, and by as many again as there are at most.
 """
 
-MOST = 1 << 12
-"""Trees of each half of a point, at most."""
+LEAST, MOST = 8, 1 << 12
+"""Trees of each half that all points have before some may have more than others, as fewer say too little of one point;
+and at most.
+"""
+
+SURE = 0.25
+"""What the first trees may tell of their error, over what is allowed, where no others are drawn: it is a guess."""
 
 SHARE = 0.5
 """Share of the target error that the noise of what is seen may have, beside that of walls."""
@@ -183,8 +188,11 @@ class SurfaceSeen:
     def noisy(self, shown: NoisyLight, target: float) -> np.ndarray:
         """Rows of the points that are to have more trees before what is ``shown`` is at its target."""
         allowed = (SHARE if len(self.first.rows) else 1.0) * target * float((shown.light @ LUMINANCE).mean())
-        found = self.sums.noisy(shown.variance, allowed) if self.sums.most < MOST else np.empty(0, np.int64)
-        return found if self.sums.most or not len(found) else np.arange(len(shown.light))
+        count = self.sums.most
+        if count >= MOST:
+            return np.empty(0, np.int64)
+        found = self.sums.noisy(shown.variance, allowed if count else SURE * allowed)
+        return found if count >= LEAST or not len(found) else np.arange(len(shown.light))
 
     def step(self, target: float, lit: Light, tiles: Tiles) -> SeenThrough | None:
         """Draw trees for the points whose noise is too much: as many again as there are. Raises Cancelled.
