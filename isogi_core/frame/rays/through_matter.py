@@ -31,8 +31,8 @@ STREAM = 1 << 21
 """Sets the sequences of a point's trees apart from those of all else."""
 
 FIRST, BREADTH = 8, 64
-"""Places that a point sees, at most, by its first tree, and by each of those that are drawn while the view rests: 64 of
-16 times less noise than 8 take twice as long.
+"""Places that a point sees, at most, by its first tree, and by each of those drawn while the view rests: trees with 64
+take twice as long as those with 8, and have a tenth of the noise.
 """
 
 DEEP = 256
@@ -173,37 +173,36 @@ class SurfaceSeen:
         """Bytes that it takes."""
         return self.sums.nbytes
 
-    def shown(self, lit: Framebuffer, tiles: Tiles) -> tuple[NoisyLight, np.ndarray]:
-        """What is seen where walls are ``lit``, and by how much walls' errors make its luminance err (m,).
+    def shown(self, sums: HalfSums, lit: Framebuffer, tiles: Tiles) -> tuple[NoisyLight, np.ndarray]:
+        """What is seen by ``sums`` where walls are ``lit``, and by how much these make its luminance err (m,).
 
         What went the way of another light errs by how much neighbours differ. Raises Cancelled.
         """
         light, wrong = self.first.gather(lit)
-        sums = self.sums
         if sums.most:
             return NoisyLight.of(sums.means, self.gbuffer, tiles), wrong
         apart = NoisyLight.of(light[:, None], self.gbuffer, tiles).variance
         return NoisyLight(light, 2.0 * self.first.cut.astype(np.float64) ** 2 * apart), wrong
 
-    def noisy(self, shown: NoisyLight, target: float) -> np.ndarray:
-        """Rows of the points that are to have more trees before what is ``shown`` is at its target."""
+    def noisy(self, sums: HalfSums, shown: NoisyLight, target: float) -> np.ndarray:
+        """Rows of the points that are to have more trees than in ``sums`` before what is ``shown`` is at its target."""
         allowed = (SHARE if len(self.first.rows) else 1.0) * target * float((shown.light @ LUMINANCE).mean())
-        count = self.sums.most
+        count = sums.most
         if count >= MOST:
             return np.empty(0, np.int64)
-        found = self.sums.noisy(shown.variance, allowed if count else SURE * allowed)
+        found = sums.noisy(shown.variance, allowed if count else SURE * allowed)
         return found if count >= LEAST or not len(found) else np.arange(len(shown.light))
 
-    def step(self, target: float, lit: Light, tiles: Tiles) -> SeenThrough | None:
+    def step(self, target: float, lit: Light, tiles: Tiles) -> SeenThrough | bool:
         """Draw trees for the points whose noise is too much: as many again as there are. Raises Cancelled.
 
-        Returns what is seen of walls that are not final, without which nothing was drawn; None where all are.
+        Whether there were such points; or what they see, where walls among that are not final, and nothing was drawn.
         """
         with self.lock:
-            shown, _ = self.shown(lit(self.first), tiles)
-            places, count = self.noisy(shown, target), self.sums.most
+            shown, _ = self.shown(self.sums, lit(self.first), tiles)
+            places, count = self.noisy(self.sums, shown, target), self.sums.most
             if not len(places):
-                return None
+                return False
             more, added = max(STEP // (HALVES * BREADTH * len(places)), 1), np.zeros((len(places), HALVES, 3))
             trees = Trees(BREADTH, range(HALVES), range(count, count + min(more, count or 1)))
             some = max(TOGETHER // (BREADTH * trees.each), 1)
@@ -215,7 +214,7 @@ class SurfaceSeen:
                     return seen
                 added[a : a + some] = seen.gather(walls)[0].reshape(len(rows), HALVES, -1, 3).sum(axis=2)
             self.sums = self.sums.joined(places, added, trees.samples.stop)
-            return None
+            return True
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,14 +229,15 @@ class ViewThrough:
         framebuffer = empty_framebuffer(gbuffer)
         with watch.stage("through"):
             seen = self._seen(gbuffer, light, target, tiles)
+            sums = seen.sums  # another thread may add to them meanwhile
         with watch.stage("walls"):
             lit, version = self._lit(seen.first, gbuffer, light, target, tiles)
-            self._put(seen, lit, target, framebuffer, tiles)
+            self._put(seen, sums, lit, target, framebuffer, tiles)
             waiting = int((framebuffer.state[gbuffer.pixels] < FINAL).sum())
             if len(gbuffer.walls.pixels):
                 more, own = self.walls.put(gbuffer, light, target, framebuffer, tiles)
                 waiting, version = waiting + more, version + own
-        frame = frame_of(gbuffer, light, framebuffer, watch, rays=seen.sums.version)
+        frame = frame_of(gbuffer, light, framebuffer, watch, rays=sums.version)
         return replace(frame, walls_waiting=waiting, version=f"{frame.version}{version}")
 
     def grow(self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles) -> bool:
@@ -250,20 +250,27 @@ class ViewThrough:
         seen = self._seen(gbuffer, light, target, tiles)
         if self.walls.grow([*views, *seen.first.views(gbuffer, light)], target, tiles):
             return True
-        before = seen.sums
-        coarse = seen.step(target, lambda some: self._lit(some, gbuffer, light, target, tiles)[0], tiles)
-        if coarse is not None:
-            return self.walls.grow(coarse.views(gbuffer, light), target, tiles)
-        return seen.sums is not before
+        found = seen.step(target, lambda some: self._lit(some, gbuffer, light, target, tiles)[0], tiles)
+        if isinstance(found, SeenThrough):
+            return self.walls.grow(found.views(gbuffer, light), target, tiles)
+        return found
 
-    def _put(self, seen: SurfaceSeen, lit: Framebuffer, target: float, framebuffer: Framebuffer, tiles: Tiles) -> None:
-        """Write what is ``seen`` to a picture, where walls are ``lit``.
+    def _put(
+        self,
+        seen: SurfaceSeen,
+        sums: HalfSums,
+        lit: Framebuffer,
+        target: float,
+        framebuffer: Framebuffer,
+        tiles: Tiles,
+    ) -> None:
+        """Write what is ``seen`` by ``sums`` to a picture, where walls are ``lit``.
 
         Pixels have the least state of what they show, and are not final before the noise of what they see is allowed.
         """
-        shown, wrong = seen.shown(lit, tiles)
+        shown, wrong = seen.shown(sums, lit, tiles)
         light, state = np.minimum(shown.light, np.finfo(np.float32).max), seen.first.states(lit)
-        if len(seen.noisy(shown, target)):
+        if len(seen.noisy(sums, shown, target)):
             np.minimum(state, CONVERGING, out=state)
         error = np.sqrt(shown.variance + wrong**2) / np.maximum(light @ LUMINANCE, 1e-30)
         pixels = seen.gbuffer.pixels
