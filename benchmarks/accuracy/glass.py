@@ -27,15 +27,16 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.control_pixels import ControlPixels
 from isogi_core.frame.rays.half_sums import HALVES
 from isogi_core.frame.rays.through_matter import BREADTH, SeenThrough, Trees, dark_row
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import build_scene, load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.report.metrics import luminance
 from server.cli.bench import view_of
 
 MEMORY = 1 << 28
@@ -66,12 +67,16 @@ class Found:
     paths: float
     noise: float
 
+    @property
+    def ratio(self) -> float:
+        """What is told at rest over what is true."""
+        return self.told_at_rest / max(self.true_at_rest, 1e-9)
+
     def row(self, name: str) -> tuple[str, ...]:
         """Its row under HEAD."""
         shares = (self.told, self.true, self.told_at_rest, self.true_at_rest)
-        ratio = self.told_at_rest / max(self.true_at_rest, 1e-9)
         percents = [f"{100 * share:.2f}" for share in shares]
-        rest = (f"{ratio:.2f}", f"{self.seconds:.2f}", f"{100 * self.paths:+.2f}", f"{100 * self.noise:.2f}")
+        rest = (f"{self.ratio:.2f}", f"{self.seconds:.2f}", f"{100 * self.paths:+.2f}", f"{100 * self.noise:.2f}")
         return (name, f"{self.pixels}", *percents, *rest)
 
 
@@ -89,9 +94,7 @@ def glass(target: str | None, trees: int, paths: int, size: int, only: tuple[str
         found[scene.name] = measure(scene, size, trees, paths)
         click.echo(" | ".join(found[scene.name].row(scene.name)), err=True)
     figures = {
-        "told / true at rest, median": median(
-            each.told_at_rest / max(each.true_at_rest, 1e-9) for each in found.values()
-        ),
+        "told / true at rest, median": median(each.ratio for each in found.values()),
         "true at rest, worst": max(each.true_at_rest for each in found.values()),
         "told / true at once, least": min(each.told / max(each.true, 1e-9) for each in found.values()),
         "seconds until at rest, median": median(each.seconds for each in found.values()),
@@ -134,7 +137,7 @@ def measure(scene: Scene, size: int, trees: int, paths: int) -> Found:
 
 def seen(frame: Frame) -> np.ndarray:
     """The luminance of each surface point."""
-    return np.asarray(frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels].astype(np.float64) @ LUMINANCE)
+    return luminance(frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels])
 
 
 def true_halves(renderer: Renderer, view: View, trees: int) -> np.ndarray:
@@ -144,11 +147,11 @@ def true_halves(renderer: Renderer, view: View, trees: int) -> np.ndarray:
     for first in range(0, trees, TOGETHER):
         some = Trees(BREADTH, range(OTHERS, OTHERS + HALVES), range(first, min(first + TOGETHER, trees)))
         found, _ = SeenThrough.of(gbuffer, light, some, renderer.tiles).gather(dark_row(0))
-        sums += (found @ LUMINANCE).reshape(len(sums), HALVES, -1).sum(axis=2)
+        sums += luminance(found).reshape(len(sums), HALVES, -1).sum(axis=2)
     return np.asarray(sums / trees)
 
 
 def error_of(frame: Frame, halves: np.ndarray) -> float:
     """The relative RMSE of a frame's luminance, without the noise of the truth's ``halves``."""
-    wrong = seen(frame)[:, None] - halves
-    return float(np.sqrt(max((wrong[:, 0] * wrong[:, 1]).mean(), 0.0)) / halves.mean())
+    every = ControlPixels(np.arange(len(halves)), np.ones(len(halves)), halves)
+    return float(np.sqrt(max(every.squares(seen(frame)).mean(), 0.0)) / halves.mean())

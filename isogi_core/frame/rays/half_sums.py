@@ -71,6 +71,11 @@ class HalfSums:
         """What a ray of either half brings on the average; (m, HALVES, 3)."""
         return np.asarray(self.sums / np.maximum(self.counts, 1)[:, None, None])
 
+    def next(self, rays: int) -> range:
+        """The numbers of the rays that points take next: so many, one at least, and at most as many as there are."""
+        count = self.most
+        return range(count, count + min(max(rays, 1), count or 1))
+
     def noisy(self, variance: np.ndarray, allowed: float) -> np.ndarray:
         """Rows of the points that are to have more rays: none where the picture's noise is what is ``allowed``, a
         luminance; of points whose own ``variance`` (m,) is more.

@@ -140,19 +140,19 @@ class ShineLight:
         Raises Cancelled.
         """
         with self.lock:
-            places, count = self._noisy(allowed, tiles), self.count
-            if not len(places) or count >= MOST:
+            places = self._noisy(allowed, tiles)
+            if not len(places) or self.count >= MOST:
                 return False
             some, each = self.gbuffer.part(places, tiles), HALVES * len(places)
-            last = count + min(max(STEP // each, 1), count or 1)
+            numbers = self.sums.next(STEP // each)
             added, together = np.zeros((len(places), HALVES, 3)), max(TOGETHER // each, 1)
-            for first in range(count, last, together):
-                rays = cast_rays(self.light, some, range(HALVES), range(first, min(first + together, last)), tiles)
+            for first in range(0, len(numbers), together):
+                rays = cast_rays(self.light, some, range(HALVES), numbers[first : first + together], tiles)
                 seen = lit(rays)
                 short = np.flatnonzero(seen.states != FINAL)
                 seen.light[short] = paths_from(rays, short, self.light, bounces, tiles)
                 added += rays.gather(seen.light).reshape(len(places), HALVES, -1, 3).sum(axis=2)
-            self.sums = self.sums.joined(places, added, last)
+            self.sums = self.sums.joined(places, added, numbers.stop)
             return True
 
     def _noisy(self, allowed: float, tiles: Tiles) -> np.ndarray:

@@ -21,7 +21,7 @@ from isogi_core.frame.rays.view_walls import ViewWalls
 from isogi_core.frame.rays.wall_light import WallView
 from isogi_core.frame.shading import empty_framebuffer
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_keys import check_key, surface_key
+from isogi_core.frame.view_keys import check_key
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer
 from isogi_core.kernels.transport.matter.sight import NONE, Chances, Leaves, see_through
 from isogi_core.lru_cache import LruCache
@@ -171,7 +171,22 @@ class SurfaceSeen:
     @property
     def nbytes(self) -> int:
         """Bytes that it takes."""
-        return self.sums.nbytes
+        return self.first.nbytes + self.sums.nbytes
+
+    def put(self, lit: Framebuffer, target: float, framebuffer: Framebuffer, tiles: Tiles) -> bytes:
+        """Write what is seen to a picture where walls are ``lit``; what names the trees. Raises Cancelled.
+
+        Pixels have the least state of what they show, and are not final before the noise of what they see is allowed.
+        """
+        sums, pixels = self.sums, self.gbuffer.pixels  # another thread may add to the sums meanwhile
+        shown, wrong = self.shown(sums, lit, tiles)
+        light, state = np.minimum(shown.light, np.finfo(np.float32).max), self.first.states(lit)
+        if len(self.noisy(sums, shown, target)):
+            np.minimum(state, CONVERGING, out=state)
+        error = np.sqrt(shown.variance + wrong**2) / np.maximum(light @ LUMINANCE, 1e-30)
+        framebuffer.radiance[pixels], framebuffer.state[pixels] = light, state
+        framebuffer.error[pixels] = np.minimum(error, 1.0)
+        return sums.version
 
     def shown(self, sums: HalfSums, lit: Framebuffer, tiles: Tiles) -> tuple[NoisyLight, np.ndarray]:
         """What is seen by ``sums`` where walls are ``lit``, and by how much these make its luminance err (m,).
@@ -200,11 +215,14 @@ class SurfaceSeen:
         """
         with self.lock:
             shown, _ = self.shown(self.sums, lit(self.first), tiles)
-            places, count = self.noisy(self.sums, shown, target), self.sums.most
+            places = self.noisy(self.sums, shown, target)
             if not len(places):
                 return False
-            more, added = max(STEP // (HALVES * BREADTH * len(places)), 1), np.zeros((len(places), HALVES, 3))
-            trees = Trees(BREADTH, range(HALVES), range(count, count + min(more, count or 1)))
+            numbers, added = (
+                self.sums.next(STEP // (HALVES * BREADTH * len(places))),
+                np.zeros((len(places), HALVES, 3)),
+            )
+            trees = Trees(BREADTH, range(HALVES), numbers)
             some = max(TOGETHER // (BREADTH * trees.each), 1)
             for a in range(0, len(places), some):
                 rows = places[a : a + some]
@@ -213,7 +231,7 @@ class SurfaceSeen:
                 if (walls.state[: len(seen.rows)] < FINAL).any():
                     return seen
                 added[a : a + some] = seen.gather(walls)[0].reshape(len(rows), HALVES, -1, 3).sum(axis=2)
-            self.sums = self.sums.joined(places, added, trees.samples.stop)
+            self.sums = self.sums.joined(places, added, numbers.stop)
             return True
 
 
@@ -229,15 +247,14 @@ class ViewThrough:
         framebuffer = empty_framebuffer(gbuffer)
         with watch.stage("through"):
             seen = self._seen(gbuffer, light, target, tiles)
-            sums = seen.sums  # another thread may add to them meanwhile
         with watch.stage("walls"):
             lit, version = self._lit(seen.first, gbuffer, light, target, tiles)
-            self._put(seen, sums, lit, target, framebuffer, tiles)
+            rays = seen.put(lit, target, framebuffer, tiles)
             waiting = int((framebuffer.state[gbuffer.pixels] < FINAL).sum())
             if len(gbuffer.walls.pixels):
                 more, own = self.walls.put(gbuffer, light, target, framebuffer, tiles)
                 waiting, version = waiting + more, version + own
-        frame = frame_of(gbuffer, light, framebuffer, watch, rays=sums.version)
+        frame = frame_of(gbuffer, light, framebuffer, watch, rays=rays)
         return replace(frame, walls_waiting=waiting, version=f"{frame.version}{version}")
 
     def grow(self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles) -> bool:
@@ -255,28 +272,6 @@ class ViewThrough:
             return self.walls.grow(found.views(gbuffer, light), target, tiles)
         return found
 
-    def _put(
-        self,
-        seen: SurfaceSeen,
-        sums: HalfSums,
-        lit: Framebuffer,
-        target: float,
-        framebuffer: Framebuffer,
-        tiles: Tiles,
-    ) -> None:
-        """Write what is ``seen`` by ``sums`` to a picture, where walls are ``lit``.
-
-        Pixels have the least state of what they show, and are not final before the noise of what they see is allowed.
-        """
-        shown, wrong = seen.shown(sums, lit, tiles)
-        light, state = np.minimum(shown.light, np.finfo(np.float32).max), seen.first.states(lit)
-        if len(seen.noisy(sums, shown, target)):
-            np.minimum(state, CONVERGING, out=state)
-        error = np.sqrt(shown.variance + wrong**2) / np.maximum(light @ LUMINANCE, 1e-30)
-        pixels = seen.gbuffer.pixels
-        framebuffer.radiance[pixels], framebuffer.state[pixels] = light, state
-        framebuffer.error[pixels] = np.minimum(error, 1.0)
-
     def _lit(
         self, seen: SeenThrough, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles
     ) -> tuple[Framebuffer, str]:
@@ -286,10 +281,9 @@ class ViewThrough:
 
     def _seen(self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles) -> SurfaceSeen:
         """What the points of a G-buffer show."""
-        key = SeenThrough, surface_key(light.view), light.view.light
-        first = self.kept.get(key, lambda: SeenThrough.of(gbuffer, light, GREATEST, tiles))
 
         def make() -> SurfaceSeen:
+            first = SeenThrough.of(gbuffer, light, GREATEST, tiles)
             return SurfaceSeen(gbuffer, light, first, HalfSums.none(len(gbuffer.points)))
 
         return self.kept.get((SurfaceSeen, *check_key(light.view, target)), make)
