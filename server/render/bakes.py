@@ -118,6 +118,7 @@ class SideBakes:
         """None yet. When one is added, a thread trims the ``store`` to ``most`` bytes of projected texels."""
         self._baker, self._store, self._most = baker, store, most
         self._names: OrderedDict[str, str] = OrderedDict()
+        self._readers = weakref.WeakValueDictionary[str, Caches]()
         self._lit: set[tuple[str, float]] = set()
         self._lock = threading.Lock()
         self._trimming = threading.Lock()
@@ -132,21 +133,22 @@ class SideBakes:
 
     def side(self, scene: str, spec: str, stage: Stage, send: bool) -> str:
         """The name of the bake of a ``stage``, by a ``spec``, of one of the sides of a scene's surfaces; made where it
-        is new. Its assets are put into the store where they are to be ``sent``.
+        is new. Its assets are put into the store where they are to be ``sent``. The caches that asked last are told of
+        its light: those before them may have been let go.
         """
         if stage.caches is None:
             raise ValueError("A stage of the scene's own light has a bake already.")
-        caches, seen = stage.caches, weakref.ref(stage.caches)
-        own = caches.prepared.scene
+        caches, own = stage.caches, stage.caches.prepared.scene
+        name = f"{scene} (light {caches.spec(spec).digest}, projected at {stage.shown!r})"
+        self._readers[name] = caches
 
         def arrived(spec: str, index: Index, shown: Isovalue | None) -> None:
-            if (held := seen()) is not None:
+            if (held := self._readers.get(name)) is not None:
                 held.refresh(spec, index, shown)
 
         def make() -> Bake:
             return make_bake(caches, spec, sent(own, self._store) if send else None, arrived, stage.shown)
 
-        name = f"{scene} (light {caches.spec(spec).digest}, projected at {stage.shown!r})"
         return self._named(name, bake_name(scene, spec), stage.shown, make)
 
     def _named(self, name: str, own: str, shown: Isovalue | None, make: Callable[[], Bake]) -> str:

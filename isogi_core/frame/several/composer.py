@@ -8,6 +8,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from isogi_core.cache.scene_caches import Caches
+from isogi_core.errors import NoRoomError
 from isogi_core.frame.eye_glow import EyeGlow
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
@@ -76,7 +77,17 @@ class Composer:
             return views + sum(each.nbytes for each in self._held.values())
 
     def draw(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> SurfacesFrame:
-        """The frame of a view with the light that is there now. Raises Cancelled."""
+        """The frame of a view with the light that is there now. Raises Cancelled, and NoRoomError where the light of
+        one view takes more than the budget.
+        """
+        try:
+            return self._drawn(view, target, tiles, watch)
+        except NoRoomError:  # light of other isovalues takes the room: what this view reads is read anew
+            self._let_go()
+            return self._drawn(view, target, tiles, watch)
+
+    def _drawn(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> SurfacesFrame:
+        """The frame of a view, where its light has room beside what is held."""
         with watch.stage("primary"):
             peels = self.peels(view, tiles)
         parts = []
@@ -87,6 +98,7 @@ class Composer:
             else:
                 tall = self._view_of(side, view, layers.layers)
                 frame = renderer.draw_on(layers.gbuffer, tall, target, tiles, watch)
+                self._check_room()
             parts.append(Part(side, layers, frame, renderer.caches))
         with watch.stage("compose"):
             return compose(view, peels, parts, watch, target, self._scene)
@@ -159,8 +171,23 @@ class Composer:
             prepared = self._inner.beside(scene)
         scene.projection  # noqa: B018 - surveyed once for all isovalues that are shown
         self._surveyed[side] = scene.surveys
-        budget = self._caches.budget // (HELD * len(sides_of(self._scene)))
-        return Caches(prepared, self._caches.store, budget, makes=False)
+        return Caches(prepared, self._caches.store, self._caches.budget, makes=False)
+
+    def _check_room(self) -> None:
+        """Raise NoRoomError where the light of other sides takes more than the budget together."""
+        with self._lock:
+            taken = sum(each.nbytes for each in self._held.values())
+        if taken > self._caches.budget:
+            raise NoRoomError(
+                f"The light of this view takes {taken >> 20} MB, and may take {self._caches.budget >> 20}:"
+                " ask for a closer view or fewer pixels, or give light more memory."
+            )
+
+    def _let_go(self) -> None:
+        """Let go of the light of all other sides, and of what draws them."""
+        with self._lock:
+            self._sides.clear()
+            self._held.clear()
 
     def _view_of(self, side: Side, view: View, layers: int) -> View:
         """The view of a side's tall picture."""

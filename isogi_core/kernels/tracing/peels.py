@@ -24,8 +24,10 @@ from isogi_core.kernels.tracing.walls import NOWHERE, nearest_wall
 MOST = 4
 """Isosurfaces of a scene: the one that slides, and those beside it."""
 
-LAYERS = 8
-"""Surfaces that a ray shows behind each other, at most. The last of them is the first opaque one that is left."""
+LAYERS = 64
+"""Surfaces that a ray shows behind each other, at most. Where each lets nine tenths pass, what is left of a ray's light
+is below LEAST before. The last of them is the first opaque one that is left.
+"""
 
 LEAST = 1.0 / 512.0
 """Share of a ray's light below which what lies behind is left out."""
@@ -191,7 +193,11 @@ def nearest(shells, crossings, i, opaque):
 
 @kernel()
 def take_layer(shells, crossings, layers, number, left):
-    """Make the next crossing of each ray its layer of this ``number``; of the share ``left`` (n,) some passes."""
+    """Make the next crossing of each ray its layer of this ``number``; of the share ``left`` (n,) some passes.
+
+    Returns whether any ray goes on behind it.
+    """
+    some = False
     for i in range(left.shape[0]):
         k = nearest(shells, crossings, i, number == LAYERS - 1) if left[i] > 0.0 else -1
         if k >= 0:
@@ -199,6 +205,8 @@ def take_layer(shells, crossings, layers, number, left):
             layers.sides[number, i] = 2 * k + (crossings.came[k, i] == SOLID)
             layers.t[number, i], layers.weights[number, i] = crossings.t[k, i], left[i] * (1.0 - clear)
             left[i] = left[i] * clear if left[i] * clear >= LEAST else 0.0
+            some = some or left[i] > 0.0
+    return some
 
 
 @kernel()
@@ -262,12 +270,13 @@ def peel_rays(shells, sight, eye, directions, peeled, left):
     layers = Layers(np.full((LAYERS + 1, n), NOTHING, np.int8), ways[0], ways[1])
     left[:] = 1.0
     crossings, some = first_crossings(shells, sight, eye, directions, layers, left), np.empty(n, np.int64)
-    for number in range(LAYERS):
-        take_layer(shells, crossings, layers, number, left)
-        for k in range(shells.clears.shape[0] if number < LAYERS - 1 else 0):
+    number = 0
+    while take_layer(shells, crossings, layers, number, left) and number < LAYERS - 1:
+        for k in range(shells.clears.shape[0]):
             count = find_passing(layers, number, k, left, some)
             count = leave_cells(shells, crossings, k, eye, directions, some[:count])
             if count > 0:
                 cast_on(shells, crossings, k, eye, directions, some[:count])
+        number += 1
     take_walls(crossings, layers, left)
     return write_layers(eye, directions, layers, peeled)

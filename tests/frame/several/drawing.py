@@ -13,10 +13,10 @@ def drawn(bench: Workbench, view: View) -> SurfacesFrame:
     return frame
 
 
-def bake(bench: Workbench, view: View) -> SurfacesFrame:
-    """Bake rung by rung all that is wanted."""
+def bake(bench: Workbench, view: View, rungs: int | None = None) -> SurfacesFrame:
+    """Bake rung by rung all that is wanted; of so many ``rungs`` where they are given."""
     rung, frame = FIRST_LEVEL, drawn(bench, view)
-    while frame.stages:
+    while frame.stages and (rungs is None or rung < FIRST_LEVEL << rungs):
         for stage in frame.stages:
             caches = stage.caches or bench.caches
             loader = caches.of("gi") if stage.shown is None else caches.projected(stage.shown)

@@ -6,10 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from isogi_core.cache.scene_caches import Caches
+from isogi_core.errors import NoRoomError
 from isogi_core.frame.entry_kernels import AMONG, frame_kernels
 from isogi_core.frame.film import develop, linear_table
+from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.several.surfaces_frame import SurfacesFrame
 from isogi_core.frame.surface_point import point_at
+from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.window import read_window
 from isogi_core.plan.sides import OUTER, Side
@@ -105,6 +109,29 @@ def test_between_two_levels_nothing_is_baked_anew(halo: Workbench) -> None:
     assert not frame.provisional
     traced = drawn(halo, replace(view, shading="path_traced", samples=512))
     assert relative_rmse(frame, traced) < LOOSE
+
+
+def test_light_of_other_isovalues_makes_room(halo: Workbench) -> None:
+    """Views whose light fits the memory one by one are drawn as where all of it fits, and together take no more."""
+    first = halo.scene.levels.index(SHOWN)
+    views = [halo.view(size=SIZE, isovalue=each) for each in halo.scene.levels[first : first + 4]]
+    plenty = [bake(halo, view, 1) for view in views]
+    sides = [sum(part.caches.nbytes for part in frame.parts if part.side.number) for frame in plenty]
+    caches = Caches(halo.prepared, halo.folder, sum(sides) - min(sides) // 2)
+    small, readers = Renderer(caches, Tiles()), list[Caches]()
+    for view, whole in zip([*views, views[0]], [*plenty, plenty[0]], strict=True):
+        frame = small.render(view)
+        assert isinstance(frame, SurfacesFrame)
+        np.testing.assert_array_equal(frame.radiance, whole.radiance)
+        readers.append(next(part.caches for part in frame.parts if part.side == Side(1)))
+    assert readers[0] is not readers[-1], "the light of the first view was let go, and read anew"
+
+
+def test_a_view_that_takes_more_than_the_budget_says_so(halo: Workbench) -> None:
+    view = halo.view(size=SIZE)
+    bake(halo, view, 1)
+    with pytest.raises(NoRoomError, match="give light more memory"):
+        Renderer(Caches(halo.prepared, halo.folder, 1), Tiles()).render(view)
 
 
 def test_a_window_takes_shells_away_and_changes_no_light(halo: Workbench) -> None:

@@ -9,16 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.upkeep import prune as pruning
 from isogi_core.cache.upkeep.census import census_of
 from isogi_core.cache.upkeep.prune import trim_projected
 from isogi_core.frame import projected_texels
 from isogi_core.frame.projected_texels import STAND_IN
+from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
-from isogi_core.prepared.prepared_scene import Index
+from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.store import Store
 from server.api.headers import projection_header
 from server.pictures import planes
@@ -88,6 +90,21 @@ def test_a_bake_is_made_once_and_the_oldest_is_forgotten(monkeypatch: pytest.Mon
     assert (bakes.scene(first), bakes.scene(third), bakes.scene("b")) == ("a", "a", "b")
     bakes.forget("a")
     assert not baker.bakes and bakes.scene(first) == first
+
+
+def test_the_caches_that_asked_last_hear_of_new_light(
+    monkeypatch: pytest.MonkeyPatch, scene: Scene, tmp_path: Path
+) -> None:
+    """Caches of a side may be let go and made anew while its bake is at work: pictures of the new ones go on."""
+    baker: Any = FakeBaker()
+    told: list[tuple[Caches, Any]] = []
+    monkeypatch.setattr(Caches, "refresh", lambda self, *given: told.append((self, given)))
+    bakes = SideBakes(baker, Store("memory://projected"), 0)
+    former, latter = (Caches(PreparedScene(scene), tmp_path, 1 << 20, makes=False) for _ in range(2))
+    names = {bakes.side("a", "gi", Stage((), 0.3, caches=each), False) for each in (former, latter)}
+    assert len(names) == len(baker.bakes) == 1
+    baker.bakes[names.pop()].arrived((0, 0, 0))
+    assert told == [(latter, ("gi", (0, 0, 0), None))]
 
 
 def test_light_is_trimmed_when_an_isovalue_is_new(monkeypatch: pytest.MonkeyPatch) -> None:
