@@ -202,6 +202,8 @@ def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None
     tiles.run(_piece if sight is None else _piece_in_sight, view.width * view.height, RAYS)
     pixels, points, *others = (np.concatenate(parts) for parts in zip(*(found[a] for a in sorted(found)), strict=True))
     seen = PointsBeside(*others) if others else PointsBeside.none()
-    on_face = seen.numbers == FACE
     shown = (view.height, view.width), spacing, camera.eye, surface, pixels, points
+    if view.window is None:
+        return GBuffer(*shown, walls=seen)
+    on_face = seen.numbers == FACE
     return GBuffer(*shown, walls=seen.part(~on_face), faces=seen.part(on_face))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from isogi_core.frame.gbuffer import GBuffer, PointsBeside
+from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.half_sums import HALVES, HalfSums, NoisyLight
 from isogi_core.frame.rays.shine import RAYS, ShineRays, cast_rays, light_below, paths_from
@@ -169,12 +169,10 @@ def walls_seen(rays: ShineRays, light: RotatedLight) -> list[WallView]:
         return []
     fronts = light.spec.prepared.room(light.seen.albedo).normals[walls.numbers]
     sides = np.where((fronts * rays.normals[walls.pixels]).sum(axis=1) > 0.0, 1, -1)
-    found = []
-    for side in np.unique(sides):
-        own = sides == side
-        seen = PointsBeside(walls.pixels[own], walls.points[own], walls.numbers[own])
-        found.append(WallView(replace(hits, walls=seen), light, sides[own]))
-    return found
+    return [
+        WallView.from_side(replace(hits, walls=walls.part(sides == side)), light, side)
+        for side in np.unique(sides).tolist()
+    ]
 
 
 def add_lobes_seen(rays: ShineRays, light: RotatedLight, framebuffer: Framebuffer, tiles: Tiles) -> None:

@@ -130,8 +130,8 @@ class SeenThrough:
         row = replace(gbuffer, shape=(1, max(len(self.rows), 1)), walls=self.walls)
         found = [(side, np.flatnonzero(self.sides == side)) for side in (1, -1)]
         return [
-            WallView(replace(row, walls=self.walls.part(some)), light, self.sides[some])
-            for _, some in found
+            WallView.from_side(replace(row, walls=self.walls.part(some)), light, side)
+            for side, some in found
             if len(some)
         ]
 

@@ -7,6 +7,7 @@ the view rests then makes them fine, and takes as many paths again. The store ke
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -141,7 +142,7 @@ class RoomLight:
 
 @dataclass(frozen=True, eq=False)
 class WallView:
-    """The walls in a picture: what each of their pixels shows. ``sides`` (m,) int are 1 for fronts, -1 for backs."""
+    """The walls in a picture, each of which shows one of its ``sides`` (k,) int: 1 its front, -1 its back."""
 
     gbuffer: GBuffer
     light: RotatedLight
@@ -152,13 +153,22 @@ class WallView:
         """The walls that a G-buffer shows."""
         room, eye = light.spec.prepared.room(light.seen.albedo), np.multiply(gbuffer.eye, gbuffer.spacing)
         front = ((eye - room.corners) * room.normals).sum(axis=1) > 0.0
-        return cls(gbuffer, light, np.where(front, 1, -1)[gbuffer.walls.numbers])
+        return cls(gbuffer, light, np.where(front, 1, -1))
+
+    @classmethod
+    def from_side(cls, gbuffer: GBuffer, light: RotatedLight, side: int) -> "WallView":
+        """The walls that a G-buffer shows, all of them from the same ``side``."""
+        return cls(gbuffer, light, np.full(len(light.spec.prepared.scene.room.walls), side))
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """How many pixels each wall has; (k,)."""
+        return np.bincount(self.gbuffer.walls.numbers, minlength=len(self.sides))
 
     @property
     def seen(self) -> list[tuple[int, int]]:
         """The walls that are seen, by number, each with the side that is seen."""
-        numbers, first = np.unique(self.gbuffer.walls.numbers, return_index=True)
-        return list(zip(numbers.tolist(), self.sides[first].tolist(), strict=True))
+        return [(wall, int(self.sides[wall])) for wall in np.flatnonzero(self.counts).tolist()]
 
     def put(self, texels: Sequence[WallTexels], target: float, framebuffer: Framebuffer, tiles: Tiles) -> int:
         """Write the light of ``texels``, those of each wall that is seen, into a picture; pixels that are not final.
@@ -175,7 +185,7 @@ class WallView:
             light_walls(met, table, *some, darkest, framebuffer)
 
         tiles.run(_piece, len(walls.pixels), tiles.even(len(walls.pixels)))
-        return int(np.isin(walls.numbers, [wall for wall, final in finals.items() if not final]).sum())
+        return sum(int(self.counts[wall]) for wall, final in finals.items() if not final)
 
     def _table(self, texels: Sequence[WallTexels], finals: dict[int, bool]) -> WallTable:
         """The texels as kernels take them, and which walls are final."""
@@ -210,7 +220,7 @@ class WallView:
     def _normals(self) -> np.ndarray:
         """The normals of the sides that are seen; (m, 3)."""
         room = self.light.spec.prepared.room(self.light.seen.albedo)
-        return np.asarray(self.sides[:, None] * room.normals[self.gbuffer.walls.numbers])
+        return np.asarray((self.sides[:, None] * room.normals)[self.gbuffer.walls.numbers])
 
     def put_locally(self, shading: str, depths: tuple[float, float], framebuffer: Framebuffer, tiles: Tiles) -> None:
         """Write the walls into a picture by a local model, whose shadows are those of the surface. Raises Cancelled."""

@@ -7,12 +7,15 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.simd.maths import where
+from isogi_core.kernels.simd.memory import load, store
+from isogi_core.kernels.simd.types import PATH_WIDTH
 from isogi_core.kernels.tracing.camera import PINHOLE, pixel_ray, put_point, write_hits
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
 from isogi_core.kernels.tracing.field import VOXELS, value
 from isogi_core.kernels.tracing.intersect import UNKNOWN
 from isogi_core.kernels.tracing.ray_stream import Rays
-from isogi_core.kernels.tracing.vec import column, madd, put_column
+from isogi_core.kernels.tracing.vec import column, load_columns, madd, put_column
 from isogi_core.kernels.tracing.walls import NOWHERE, ROWS, WALLS, inner, nearest_wall
 
 FACE = -2.0
@@ -78,7 +81,13 @@ def cast_sight(surface, sight, eye, directions, t, met):
     ``cast_through``. No window takes walls away.
     """
     cast_through(surface, sight.window, eye, directions, t, met)
-    for i in range(t.shape[0]):
+    whole = t.shape[0] // PATH_WIDTH * PATH_WIDTH
+    for i in range(0, whole, PATH_WIDTH):
+        d, reach = load_columns(directions, i), load(t, i, PATH_WIDTH)
+        reach, wall = nearest_wall(sight.walls, eye, d, d[0] * 0.0 + NOWHERE, reach)
+        store(t, i, reach)
+        store(met, i, where(wall > NOWHERE, wall, load(met, i, PATH_WIDTH)))
+    for i in range(whole, t.shape[0]):
         t[i], wall = nearest_wall(sight.walls, eye, column(directions, i), NOWHERE, t[i])
         met[i] = met[i] if wall == NOWHERE else wall
 
