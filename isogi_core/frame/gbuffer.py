@@ -119,7 +119,7 @@ class GBuffer:
     def rows(self) -> np.ndarray:
         """The row of the point that each pixel shows, -1 off the surface; (h, w) int32."""
         rows = np.full(self.shape, -1, np.int32)
-        rows.flat[self.pixels] = np.arange(len(self.pixels), dtype=np.int32)
+        rows.reshape(-1)[self.pixels] = np.arange(len(self.pixels), dtype=np.int32)
         return rows
 
     def part(self, places: np.ndarray, tiles: Tiles) -> "GBuffer":
