@@ -71,18 +71,28 @@ def test_weights_and_what_is_left_make_a_whole(prepared: PreparedScene) -> None:
     assert np.bincount(hits.pixels).max() <= LAYERS
 
 
-@pytest.mark.parametrize(("clear", "seen"), [(0.5, [1] * 10), (0.99, [1] * (LAYERS - 1) + [0])])
-def test_a_ray_shows_all_layers_that_count(clear: float, seen: list[int]) -> None:
-    """Seventy clear sheets stand before an opaque block: until little is left of a ray, or it is at its last layer."""
+def through_sheets(clear: float) -> tuple[Hits, float]:
+    """What a ray shows that meets seventy clear sheets before an opaque block, and what is left of it."""
     values = np.where(np.arange(80) < 71, np.arange(80) % 2 - 0.5, 4.0)
     sheets = make_volume(np.ones((9, 80, 9), np.float32) * values[:, None].astype(np.float32), (1.0, 1.0, 1.0))
     prepared = PreparedScene(scene_of(sheets, 1.5))
     view = View(1.5, Camera((4.0, -80.0, 4.0), (4.0, 40.0, 4.0), (0.0, 0.0, 1.0), 1.0), width=1, height=1)
     surfaces = [prepared.surface(each) for each in (view.isovalue, 0.0)]
     hits, left = Peeler.of(view, surfaces, np.array([0.0, clear]), Tiles()).whole(view, Tiles())
-    assert (hits.sides // 2).tolist() == seen and left.item() == 0.0
-    shares = np.where(np.array(seen) == 0, 1.0, 1.0 - clear)
-    np.testing.assert_allclose(hits.weights, shares * clear ** np.arange(len(seen)), rtol=1e-5)
+    return hits, left.item()
+
+
+def test_a_ray_shows_all_layers_that_count() -> None:
+    hits, left = through_sheets(0.5)
+    assert (hits.sides // 2).tolist() == [1] * 10 and left == 0.0
+    np.testing.assert_allclose(hits.weights, 0.5 ** np.arange(1, 11))
+
+
+def test_the_last_layer_is_the_opaque_one_that_is_left() -> None:
+    hits, left = through_sheets(0.99)
+    assert (hits.sides // 2).tolist() == [1] * (LAYERS - 1) + [0]
+    np.testing.assert_allclose(hits.weights[:-1], 0.01 * 0.99 ** np.arange(LAYERS - 1), rtol=1e-5)
+    assert hits.weights[-1] == pytest.approx(0.99 ** (LAYERS - 1)) and left == 0.0
 
 
 def test_a_surface_at_the_shown_isovalue_is_that_one(prepared: PreparedScene) -> None:

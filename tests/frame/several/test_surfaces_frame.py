@@ -112,7 +112,7 @@ def test_between_two_levels_nothing_is_baked_anew(halo: Workbench) -> None:
 
 
 def test_light_of_other_isovalues_makes_room(halo: Workbench) -> None:
-    """Views whose light fits the memory one by one are drawn as where all of it fits, and together take no more."""
+    """Views whose light fits the memory one by one are drawn as where all of it fits."""
     first = halo.scene.levels.index(SHOWN)
     views = [halo.view(size=SIZE, isovalue=each) for each in halo.scene.levels[first : first + 4]]
     plenty = [bake(halo, view, 1) for view in views]
@@ -122,6 +122,7 @@ def test_light_of_other_isovalues_makes_room(halo: Workbench) -> None:
     for view, whole in zip([*views, views[0]], [*plenty, plenty[0]], strict=True):
         frame = small.render(view)
         assert isinstance(frame, SurfacesFrame)
+        assert sum(part.caches.nbytes for part in frame.parts if part.side.number) <= caches.budget
         np.testing.assert_array_equal(frame.radiance, whole.radiance)
         readers.append(next(part.caches for part in frame.parts if part.side == Side(1)))
     assert readers[0] is not readers[-1], "the light of the first view was let go, and read anew"
