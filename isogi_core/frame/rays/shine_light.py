@@ -7,7 +7,7 @@ halves that tell their noise, until it is a share of the target error. They are 
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -169,10 +169,7 @@ def walls_seen(rays: ShineRays, light: RotatedLight) -> list[WallView]:
         return []
     fronts = light.spec.prepared.room(light.seen.albedo).normals[walls.numbers]
     sides = np.where((fronts * rays.normals[walls.pixels]).sum(axis=1) > 0.0, 1, -1)
-    return [
-        WallView.from_side(replace(hits, walls=walls.part(sides == side)), light, side)
-        for side in np.unique(sides).tolist()
-    ]
+    return WallView.of_sides(hits, light, sides)
 
 
 def add_lobes_seen(rays: ShineRays, light: RotatedLight, framebuffer: Framebuffer, tiles: Tiles) -> None:

@@ -128,12 +128,7 @@ class SeenThrough:
     def views(self, gbuffer: GBuffer, light: RotatedLight) -> list[WallView]:
         """The walls that are seen, fronts and backs apart."""
         row = replace(gbuffer, shape=(1, max(len(self.rows), 1)), walls=self.walls)
-        found = [(side, np.flatnonzero(self.sides == side)) for side in (1, -1)]
-        return [
-            WallView.from_side(replace(row, walls=self.walls.part(some)), light, side)
-            for side, some in found
-            if len(some)
-        ]
+        return WallView.of_sides(row, light, self.sides)
 
     def gather(self, lit: Framebuffer) -> tuple[np.ndarray, np.ndarray]:
         """What trees bring where walls are ``lit``, linear RGB, (n, 3) float64; and the error of its luminance (n,).

@@ -6,7 +6,7 @@ the view rests then makes them fine, and takes as many paths again. The store ke
 
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 
@@ -156,9 +156,15 @@ class WallView:
         return cls(gbuffer, light, np.where(front, 1, -1))
 
     @classmethod
-    def from_side(cls, gbuffer: GBuffer, light: RotatedLight, side: int) -> "WallView":
-        """The walls that a G-buffer shows, all of them from the same ``side``."""
-        return cls(gbuffer, light, np.full(len(light.spec.prepared.scene.room.walls), side))
+    def of_sides(cls, gbuffer: GBuffer, light: RotatedLight, sides: np.ndarray) -> list["WallView"]:
+        """The walls that a G-buffer shows, seen from ``sides`` (m,): fronts and backs apart."""
+        count, walls = len(light.spec.prepared.scene.room.walls), gbuffer.walls
+        found = [(side, np.flatnonzero(sides == side)) for side in (1, -1)]
+        return [
+            cls(replace(gbuffer, walls=walls.part(some)), light, np.full(count, side))
+            for side, some in found
+            if len(some)
+        ]
 
     @cached_property
     def counts(self) -> np.ndarray:
