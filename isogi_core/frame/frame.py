@@ -9,7 +9,14 @@ import numpy as np
 
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.projected_texels import Projection
-from isogi_core.frame.rays.control_pixels import ControlPixels, TotalError, measure_total, predict_total, spread_errors
+from isogi_core.frame.rays.control_pixels import (
+    ControlPixels,
+    TotalError,
+    measure_surplus,
+    measure_total,
+    predict_total,
+    spread_errors,
+)
 from isogi_core.frame.texel_reading import Lacking, Stage
 from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer, tally
@@ -61,12 +68,13 @@ class Frame:
     wants more of, None where it reads no texels; ``seconds`` the time of each stage. ``projection`` tells of
     texels projected onto the view's isosurface, None where its scene has none there. ``target`` is the total error that
     control pixels are to show, None of frames that have none; ``controls`` are those drawn so far, by the
-    ``uncertainty`` (m,) of surface points, and it may be ``given_up``. ``expected`` is what it errs by
-    besides its noise, as the plan expects. Of a view that is smooth, ``edges`` have more samples. So many pixels of
-    walls, or of what is seen through glass, are ``walls_waiting``: not final yet. So many pixels have light
-    of their ``own``. Of surfaces that let rays pass ``left`` (h, w) is the share of what lies behind. Its texels are
-    finer than the plan's by ``fineness`` steps, see ``plan.finer``; a ``finer`` frame is coming, and waits for its
-    light. What glows adds ``glow`` (pixels, 3) float32 to the radiance; None where nothing does.
+    ``uncertainty`` (m,) of surface points, and it may be ``given_up``; ``early`` are those drawn while its light
+    converged. ``expected`` is what it errs by besides its noise, as the plan expects. Of a view that is smooth,
+    ``edges`` have more samples. So many pixels of walls, or of what is seen through glass, are ``walls_waiting``: not
+    final yet. So many pixels have light of their ``own``. Of surfaces that let rays pass ``left`` (h, w) is the share
+    of what lies behind. Its texels are finer than the plan's by ``fineness`` steps, see ``plan.finer``; a ``finer``
+    frame is coming, and waits for its light. What glows adds ``glow`` (pixels, 3) float32 to the radiance; None where
+    nothing does.
     """
 
     view: View
@@ -84,6 +92,7 @@ class Frame:
     controls: ControlPixels | None = None
     uncertainty: np.ndarray | None = None
     given_up: bool = False
+    early: ControlPixels | None = None
     expected: float = 0.0
     edges: EdgeSamples | None = None
     walls_waiting: int = 0
@@ -197,8 +206,16 @@ class Frame:
 
     @property
     def refinable(self) -> bool:
-        """Whether a step of refining makes it better now: it is checkable, or its walls lag behind its texels."""
-        return self.checkable or (self.walls_lag and not self.view.moving)
+        """Whether a step of refining makes it better or better known now: it is checkable or unmeasured, or its walls
+        lag behind its texels.
+        """
+        return self.checkable or self.unmeasured or (self.walls_lag and not self.view.moving)
+
+    @property
+    def unmeasured(self) -> bool:
+        """Whether its light converges everywhere, and no controls have told yet what it errs by besides noise."""
+        converges = self.provisional and not self.counts["provisional"]
+        return converges and self.target is not None and self.lacking is not None and self.early is None
 
     @cached_property
     def walls_lag(self) -> bool:
@@ -218,7 +235,10 @@ class Frame:
     @cached_property
     def controlled(self) -> np.ndarray:
         """The luminance that the control pixels show of the surface itself; (k,) float64."""
-        places = self.controls.places if self.controls else np.empty(0, np.int64)
+        return self._shown_at(self.controls.places if self.controls else np.empty(0, np.int64))
+
+    def _shown_at(self, places: np.ndarray) -> np.ndarray:
+        """The luminance that surface points show, by their numbers ``places`` (k,); (k,) float64."""
         return np.asarray(self.leaving.reshape(-1, 3)[self.gbuffer.pixels[places]].astype(np.float64) @ LUMINANCE)
 
     @property
@@ -248,7 +268,7 @@ class Frame:
             return self.error
         error, pixels = self.error.copy(), self.gbuffer.pixels
         if self.measured is None or self.controls is None or self.uncertainty is None:
-            other = np.float32(self.expected)
+            other = np.float32(self.beside_noise)
         else:
             errors = spread_errors(self.uncertainty, self.controls, self.controlled)
             other = np.sqrt(np.maximum(errors**2 - self.pixel_noise**2, 0.0)) / np.maximum(
@@ -276,7 +296,17 @@ class Frame:
         """The total relative RMSE of the frame: measured or predicted; without global illumination all noise."""
         if self.view.shading != "gi":
             return TotalError(self.noise, self.noise, self.noise)
-        return self.measured or predict_total(self.noise, self.expected)
+        return self.measured or predict_total(self.noise, self.beside_noise)
+
+    @cached_property
+    def beside_noise(self) -> float:
+        """What it errs by besides its noise, relative: as the plan expects, or more where early controls show it."""
+        if self.early is None:
+            return self.expected
+        places, light = self.early.places, float(self._tally[1][0])
+        found = measure_surplus(self.early, self._shown_at(places), self.pixel_noise[places])
+        among_all = math.sqrt(len(self.gbuffer.pixels) * self.surface) / light if light > 0.0 else 0.0
+        return max(self.expected, min(found * among_all, 1.0))
 
     @property
     def framebuffer(self) -> Framebuffer:

@@ -181,10 +181,10 @@ class Renderer:
         """``refine`` of a view with this ``frame``."""
         if not frame.refinable:
             return False
-        light = self._light(frame.view)
-        if frame.walls_waiting:
+        light, measured = self._light(frame.view), not frame.unmeasured
+        if measured and frame.walls_waiting:
             return self._through.grow(frame.gbuffer, light, target, tiles)
-        if self._grow_shine(frame, light, target, tiles):
+        if measured and self._grow_shine(frame, light, target, tiles):
             return True
         check = self.checks.of(light, frame.gbuffer, target)
 

@@ -53,7 +53,7 @@ class ViewChecks:
     def left(self, frame: Frame, target: float) -> PathsLeft:
         """The paths that pixels of a ``frame`` have left to take of their own: as they grow, or as they are foreseen.
 
-        Before anything is measured they are by the error that is expected, and by the paths of its texels.
+        Before it is measured they are by the error that is predicted, and by the paths of its texels.
         """
         check = self.held(frame.view, target)
         growth = check.growing if check else None
@@ -63,6 +63,6 @@ class ViewChecks:
         if frame.target is None or frame.lacking is None or frame.finer or (begun and not frame.measured):
             return PathsLeft(0.0)
         noise = min(frame.noise, SETTLED * target) if frame.provisional else frame.noise
-        error = frame.measured.likely if frame.measured else math.hypot(noise, frame.expected)
+        error = frame.measured.likely if frame.measured else math.hypot(noise, frame.beside_noise)
         points = len(frame.gbuffer.pixels)
         return PathsLeft(foreseen_paths(points, error, target, frame.lacking.reading.effort))

@@ -166,8 +166,9 @@ class RenderEngine:
             left = deadline - time.monotonic()
             if left <= 0.0:
                 break
-            with watch.stage("check" if frame.checkable else "bake"):
-                if frame.checkable:
+            checks = frame.checkable or frame.unmeasured
+            with watch.stage("check" if checks else "bake"):
+                if checks:
                     self.check(scene, view, target, cancelled)
                 else:
                     self._baker.wait(*self._chunks(scene, frame), left)

@@ -31,6 +31,9 @@ FIRST, ENOUGH, MOST = 256, 1024, 4096
 seems to reach it, whose interval costs less to narrow than better light. Each further round doubles what there is.
 """
 
+EARLY = 1 << 15
+"""In place of an attempt: the controls of a picture whose light converges."""
+
 EVEN = 0.5
 """Share of the controls that is drawn evenly from the picture; the others where it is uncertain."""
 
@@ -76,6 +79,15 @@ class ControlPixels:
         """The squared error of each control's luminance, ``shown`` (k,), right on the average; (k,)."""
         wrong = shown[:, None] - self.halves
         return np.asarray(wrong[:, 0] * wrong[:, 1])
+
+
+def measure_surplus(controls: ControlPixels, shown: np.ndarray, noise: np.ndarray) -> float:
+    """What the luminance of all points errs by besides its noise, root mean square.
+
+    The picture shows the luminance ``shown`` (k,) at the controls, with so much ``noise`` (k,). The square is right on
+    the average; below 0 it counts as 0.
+    """
+    return math.sqrt(max(float((controls.weights * (controls.squares(shown) - noise**2)).mean()), 0.0))
 
 
 BINS = 8

@@ -16,6 +16,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import (
+    EARLY,
     ENOUGH,
     FIRST,
     MOST,
@@ -53,7 +54,7 @@ class PictureState:
 
     ``target`` is the relative error that is to be reached. ``controls`` are of this ``attempt``, drawn by the
     ``uncertainty`` (m,) of all points; pixels in ``own`` have light of their own. It has ``ended`` where no step was
-    left.
+    left. ``early`` controls were drawn while its light converged, None if none were.
     """
 
     target: float
@@ -62,11 +63,13 @@ class PictureState:
     own: PixelLight = field(default_factory=PixelLight.none)
     attempt: int = 0
     ended: bool = False
+    early: ControlPixels | None = None
 
     @property
     def nbytes(self) -> int:
         """Bytes that it takes."""
-        return self.controls.nbytes + self.uncertainty.nbytes + self.own.nbytes
+        early = self.early.nbytes if self.early else 0
+        return self.controls.nbytes + self.uncertainty.nbytes + self.own.nbytes + early
 
     @property
     def version(self) -> bytes:
@@ -103,13 +106,21 @@ class PictureCheck:
 
         ``uncertainty`` finds how uncertain the light of each surface point is, (m,); whether there are ``finer``
         texels that may be asked for. Where another thread took a step since the frame was drawn, that was it. Raises
-        Cancelled.
+        Cancelled. While light converges the one step is to ``_foretell``.
         """
+        if frame.unmeasured:
+            return self._foretell(frame, tiles)
         if frame.controls is not self.known.controls:
             return True
         taken = frame.surface > 0 and not frame.final and self._step(frame, uncertainty, tiles, finer)
         self.known = replace(self.known, ended=not taken)
         return taken
+
+    def _foretell(self, frame: Frame, tiles: Tiles) -> bool:
+        """Draw early controls of a ``frame``, which tell what it errs by besides noise; True."""
+        if self.known.early is None:
+            self.known = replace(self.known, early=self._draw(frame.pixel_noise, EARLY, 0, FIRST, tiles))
+        return True
 
     def _step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles, finer: bool) -> bool:
         if self.growing is not None:
@@ -132,12 +143,15 @@ class PictureCheck:
     def _add_controls(self, uncertainty: np.ndarray, tiles: Tiles) -> bool:
         """Draw as many controls again as there are."""
         known, before = self.known, len(self.known.controls.places)
-        places = draw_places(self.gbuffer, uncertainty, (known.attempt, before), max(before, FIRST))
-        halves = trace_controls(self.light, self.gbuffer, places, paths_for(known.target), known.attempt, tiles)
-        weights = 1.0 / (len(uncertainty) * chances(uncertainty)[places])
-        controls = known.controls.joined(ControlPixels(places, weights, halves))
-        self.known = replace(known, uncertainty=uncertainty, controls=controls)
+        more = self._draw(uncertainty, known.attempt, before, max(before, FIRST), tiles)
+        self.known = replace(known, uncertainty=uncertainty, controls=known.controls.joined(more))
         return True
+
+    def _draw(self, uncertainty: np.ndarray, attempt: int, before: int, count: int, tiles: Tiles) -> ControlPixels:
+        """Draw ``count`` controls, after those that there were ``before``."""
+        places = draw_places(self.gbuffer, uncertainty, (attempt, before), count)
+        halves = trace_controls(self.light, self.gbuffer, places, paths_for(self.known.target), attempt, tiles)
+        return ControlPixels(places, 1.0 / (len(uncertainty) * chances(uncertainty)[places]), halves)
 
     def _choose(self, frame: Frame, measured: TotalError, uncertainty: np.ndarray) -> Choice:
         """The points that are to have light of their own, all that have it among them.

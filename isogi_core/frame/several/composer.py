@@ -129,7 +129,9 @@ class Composer:
         frame = self.draw(view, target, tiles, Stopwatch())
         if not frame.refinable:
             return False
-        waiting = [part for part in frame.parts if part.frame.checkable and (frame.checkable or part.side == WALLS)]
+        waiting = [part for part in frame.parts if part.side != WALLS and part.frame.unmeasured] or [
+            part for part in frame.parts if part.frame.checkable and (frame.checkable or part.side == WALLS)
+        ]
         waiting.sort(key=wrong_of, reverse=True)
         return any(
             self.renderer(part.side, view.isovalue).refine_frame(part.frame, target, tiles, False) for part in waiting

@@ -90,6 +90,11 @@ class SurfacesFrame(Frame):
         lit = not any(part.frame.provisional for part in self.parts if part.side != WALLS)
         return lit and not self.final and any(part.frame.checkable for part in self.parts)
 
+    @property
+    def unmeasured(self) -> bool:
+        """See ``Frame``: that of any side."""
+        return any(part.frame.unmeasured for part in self.parts if part.side != WALLS)
+
     @cached_property
     def walls_lag(self) -> bool:
         """See ``Frame``: more wrong than the side that errs most."""
@@ -119,7 +124,12 @@ class SurfacesFrame(Frame):
         """The total relative RMSE of the frame: measured or predicted; without global illumination all noise."""
         if self.view.shading != "gi":
             return TotalError(self.noise, self.noise, self.noise)
-        return self.measured or predict_total(self.noise, self.expected)
+        return self.measured or predict_total(self.noise, self.beside_noise)
+
+    @cached_property
+    def beside_noise(self) -> float:
+        """What it errs by besides its noise, relative: as the plan expects, or more where its parts know it."""
+        return max(self.expected, self._sum([part.frame.beside_noise for part in self.parts]))
 
     @cached_property
     def total_error(self) -> np.ndarray:

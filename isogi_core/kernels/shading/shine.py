@@ -113,7 +113,7 @@ def to_viewer(p, n, eye, spacing):
     return normalize((x, y, max(abs(z), GRAZING)))
 
 
-@kernel()
+@kernel(inline=True)
 def draw_way(lobe, lights, p, n, v, seed, sample):
     """A world direction from the world point ``p``, by the lobe or towards a light."""
     a, b = point_2d(seed, sample, WAY)
@@ -138,7 +138,7 @@ def mirrored(lobe, v, l):
     return scale(fresnel(lobe.facing, v, l), lobe.strength * reflected(lobe.alpha, v, l))
 
 
-@kernel()
+@kernel(inline=True)
 def judge_way(lobe, lights, p, v, l, w):
     """What light along the way ``w``, locally ``l``, counts, and the light were nothing before it, linear RGB; what is
     expected of both, and that over the density of ``draw_way``.
@@ -152,14 +152,15 @@ def judge_way(lobe, lights, p, v, l, w):
     return share, light, hope, hope / max(drawn, SMALLEST)
 
 
-@kernel()
+@kernel(inline=True)
 def choose_way(lobe, lights, p, n, v, seed, sample):
     """The way of a ray from the world point ``p``; what light from there counts, and that light were nothing before it.
 
     Of the ways x drawn with densities p(x) one is chosen as often as t(x)/p(x), t being what is expected; it counts
     f cosθ/t times the mean of all t/p.
     """
-    chance, total, expected = point_2d(seed, sample, CHOICE)[0], 0.0, 1.0
+    chance = point_2d(seed, sample, CHOICE)[0] if lights.ways > 1 else 0.0
+    total, expected = 0.0, 1.0
     chosen, colour, bright = n, NOTHING, NOTHING
     for j in range(lights.ways):
         w = draw_way(lobe, lights, p, n, v, seed, sample * lights.ways + j)

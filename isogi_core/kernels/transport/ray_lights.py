@@ -104,7 +104,7 @@ def draw_light(lights, which, p, a, b):
     return draw_from_disc(row(lights.discs.towards, k), lights.discs.edges[k], a, b)[0]
 
 
-@kernel()
+@kernel(inline=True)
 def expect_along(lights, p, w):
     """What a ray from ``p`` along ``w`` would bring were nothing before the lights, linear RGB; and the density of
     ``draw_light`` over all of them, each as often.

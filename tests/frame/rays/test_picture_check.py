@@ -11,7 +11,14 @@ import pytest
 
 from isogi_core.errors import Cancelled
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.rays.control_pixels import FIRST, ControlPixels, chances, draw_places, measure_total
+from isogi_core.frame.rays.control_pixels import (
+    FIRST,
+    ControlPixels,
+    chances,
+    draw_places,
+    measure_surplus,
+    measure_total,
+)
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.model.volume import make_volume
@@ -70,6 +77,19 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     assert np.median([each.likely for each in totals]) == pytest.approx(true / 2.0, rel=0.05)
 
 
+@pytest.mark.parametrize("bias", [0.0, 0.05, 0.5])
+def test_what_is_wrong_besides_noise_is_told_apart(bias: float) -> None:
+    """The picture has noise that is known, pixel by pixel, and errs by a ``bias`` besides; so do halves of paths."""
+    rng, points, count = np.random.default_rng(5), 200_000, 50_000
+    noise = rng.uniform(0.05, 0.3, points)
+    shown = bias * rng.choice([-1.0, 1.0], points) + noise * rng.normal(size=points)
+    chance = chances(noise)
+    places = rng.choice(points, count, p=chance)
+    controls = ControlPixels(places, 1.0 / (points * chance[places]), rng.normal(0.0, 0.2, (count, 2)))
+    found = measure_surplus(controls, shown[places], noise[places])
+    assert found**2 == pytest.approx(bias**2, abs=0.001, rel=0.02)
+
+
 def test_controls_are_drawn_where_it_is_uncertain(coarse: Workbench) -> None:
     gbuffer = coarse.renderer.gbuffer(coarse.view(size=48))
     points = len(gbuffer.points)
@@ -105,6 +125,24 @@ def test_a_picture_reaches_its_target_by_light_of_its_pixels(coarse: Workbench) 
     assert frame.final and frame.total.high <= TARGET
     assert true_error(frame, true) < TARGET
     assert not coarse.renderer.refine(view)
+
+
+def test_light_that_converges_tells_more_than_its_noise(coarse: Workbench) -> None:
+    """Early controls find what texels err by besides; they are drawn once, and what is final knows nothing of them."""
+    bench, view = coarse.again(), coarse.view(azimuth=110.0, size=48)
+    bench.bake(view, 0.4)
+    lit = bench.renderer.render(view)
+    assert lit.counts["provisional"] == 0 and lit.unmeasured and lit.refinable and not lit.checkable
+    true = true_error(lit, trace_reference(bench.renderer, view, 512))
+    assert lit.total.likely < 0.7 * true, "the plan expects less than there is"
+    assert bench.renderer.refine(view)
+    told = bench.renderer.render(view)
+    assert told.total.predicted and told.total.likely == pytest.approx(true, rel=0.15)
+    assert told.version == lit.version and told.noise == lit.noise
+    assert np.mean(told.total_error[told.state > 0]) > 1.3 * np.mean(lit.total_error[lit.state > 0])
+    assert not told.refinable and not bench.renderer.refine(view)
+    one, other = checked(bench, view), checked(coarse, view)
+    assert (one.version, one.total) == (other.version, other.total)
 
 
 def test_the_same_view_tells_the_same_after_a_restart(coarse: Workbench) -> None:

@@ -47,6 +47,22 @@ def test_a_picture_becomes_final_and_is_what_paths_say(halo: Workbench) -> None:
     assert not traced.stages and not traced.checkable
 
 
+def test_light_that_converges_tells_more_than_its_noise(halo: Workbench) -> None:
+    """Early controls of each side are drawn once, and the picture tells what all of them find."""
+    bench, view = halo.again(), halo.view(azimuth=130.0, size=24)
+    lit = bake(bench, view, 2)
+    assert lit.counts["provisional"] == 0 and lit.unmeasured and lit.refinable and not lit.checkable
+    steps = 0
+    while bench.renderer.refine(view):
+        steps += 1
+    told = drawn(bench, view)
+    assert steps == len(told.parts) and not told.unmeasured and not told.refinable
+    assert all(part.frame.early is not None for part in told.parts)
+    assert told.total.predicted and told.total.likely == pytest.approx(np.hypot(told.noise, told.beside_noise))
+    assert told.beside_noise >= lit.beside_noise == lit.expected
+    assert told.version == lit.version
+
+
 def test_one_cache_of_what_slides_serves_all_isovalues(halo: Workbench) -> None:
     """Slid beyond its level, the picture asks for texels of its own layer, and of the pinned surface at another one."""
     before, folders = drawn(halo, halo.view(size=SIZE)), {*halo.folder.iterdir()}

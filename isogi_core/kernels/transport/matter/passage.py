@@ -51,7 +51,7 @@ def make_passage(n):
     return Passage(origins, ways, sides, numbers[0], numbers[1], numbers[2], pending)
 
 
-@kernel()
+@kernel(inline=True)
 def draw(wave, i, bounce, step, second):
     """A pair of random numbers in [0, 1) of ray ``i`` of a wave at a ``step`` of its way; each step has two."""
     rays = wave.shadow.wave
@@ -75,7 +75,7 @@ def gather_rays(field, wave, passage, going):
     return rays, own
 
 
-@kernel()
+@kernel(inline=True)
 def dim(wave, i, shares):
     """Multiply what ray ``i`` of a wave carries by ``shares``."""
     m = wave.shadow.wave.owners[i]
@@ -83,7 +83,7 @@ def dim(wave, i, shares):
         wave.carried[c, m] *= shares[c]
 
 
-@kernel()
+@kernel(inline=True)
 def end_at(passage, i, p, wall):
     """End ray ``i`` at ``p``, on a ``wall`` or NOWHERE."""
     put_column(passage.origins, i, p)
@@ -91,7 +91,7 @@ def end_at(passage, i, p, wall):
     return False
 
 
-@kernel()
+@kernel(inline=True)
 def scatter(matter, wave, passage, i, bounce, step):
     """Turn ray ``i`` where it is scattered, or end it by chance: in as many cases as the brightest channel is absorbed.
 
@@ -109,7 +109,7 @@ def scatter(matter, wave, passage, i, bounce, step):
     return True
 
 
-@kernel()
+@kernel(inline=True)
 def go_on(field, matter, wave, passage, ray, i, place):
     """Bring ray ``i`` to what it met, ``ray`` = (o, d, t, side it came from, wall); returns whether it goes on there.
 
