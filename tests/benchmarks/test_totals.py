@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.accuracy.converging import converging
 from benchmarks.accuracy.filtering import filtering
 from benchmarks.accuracy.formulas import KINDS, made
 from benchmarks.accuracy.furnace import furnace
@@ -30,6 +31,13 @@ def test_filtered_light_is_nearer_to_the_truth() -> None:
     assert len(found) == 4
     assert found[f"{case}, 16 samples: filtered / alone"] < 0.95
     assert found[f"{case}, 16 samples in a quarter: provisional"] < 0.02
+
+
+def test_early_controls_tell_no_less_than_the_plan() -> None:
+    found = figures(converging, "--size", "24", "--paths", "256", "--only", "nested shells 1 under constant light")
+    assert found["pictures"] >= 1
+    least = "told by {} / true, least"
+    assert found[least.format("early controls")] >= found[least.format("the plan")] > 0.0
 
 
 def test_a_white_furnace_is_white() -> None:
