@@ -49,7 +49,7 @@ HEAD = (
 
 @dataclass(frozen=True)
 class Found:
-    """Relative errors of a picture: its ``noise``, what is told as ``planned`` and as ``measured``, the ``true`` one."""
+    """Relative errors of a picture: its ``noise``, told as ``planned`` and as ``measured``, and the ``true`` one."""
 
     noise: float
     planned: float
