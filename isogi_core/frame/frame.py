@@ -300,13 +300,16 @@ class Frame:
 
     @cached_property
     def beside_noise(self) -> float:
-        """What it errs by besides its noise, relative: as the plan expects, or more where early controls show it."""
+        """What it errs by besides its noise, relative: as the plan expects, where early controls do not know better.
+
+        It is no less than these find, and no more than a standard error above.
+        """
         if self.early is None:
             return self.expected
         places, light = self.early.places, float(self._tally[1][0])
-        found = measure_surplus(self.early, self._shown_at(places), self.pixel_noise[places])
+        found, most = measure_surplus(self.early, self._shown_at(places), self.pixel_noise[places])
         among_all = math.sqrt(len(self.gbuffer.pixels) * self.surface) / light if light > 0.0 else 0.0
-        return max(self.expected, min(found * among_all, 1.0))
+        return min(max(self.expected, found * among_all), most * among_all, 1.0)
 
     @property
     def framebuffer(self) -> Framebuffer:

@@ -33,11 +33,10 @@ def test_filtered_light_is_nearer_to_the_truth() -> None:
     assert found[f"{case}, 16 samples in a quarter: provisional"] < 0.02
 
 
-def test_early_controls_tell_no_less_than_the_plan() -> None:
+def test_light_that_converges_tells_its_whole_error() -> None:
     found = figures(converging, "--size", "24", "--paths", "256", "--only", "nested shells 1 under constant light")
     assert found["pictures"] >= 1
-    least = "told by {} / true, least"
-    assert found[least.format("early controls")] >= found[least.format("the plan")] > 0.0
+    assert 0.6 < found["told by early controls / true, median"] < 1.7
 
 
 def test_a_white_furnace_is_white() -> None:

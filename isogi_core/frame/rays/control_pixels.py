@@ -81,13 +81,15 @@ class ControlPixels:
         return np.asarray(wrong[:, 0] * wrong[:, 1])
 
 
-def measure_surplus(controls: ControlPixels, shown: np.ndarray, noise: np.ndarray) -> float:
-    """What the luminance of all points errs by besides its noise, root mean square.
+def measure_surplus(controls: ControlPixels, shown: np.ndarray, noise: np.ndarray) -> tuple[float, float]:
+    """What the luminance of all points errs by besides its noise, root mean square; and one standard error more.
 
     The picture shows the luminance ``shown`` (k,) at the controls, with so much ``noise`` (k,). The square is right on
     the average; below 0 it counts as 0.
     """
-    return math.sqrt(max(float((controls.weights * (controls.squares(shown) - noise**2)).mean()), 0.0))
+    squares = controls.weights * (controls.squares(shown) - noise**2)
+    square, spread = max(float(squares.mean()), 0.0), float(squares.std()) / math.sqrt(len(squares))
+    return math.sqrt(square), math.sqrt(square + spread)
 
 
 BINS = 8
