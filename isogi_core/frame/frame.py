@@ -298,6 +298,11 @@ class Frame:
             return TotalError(self.noise, self.noise, self.noise)
         return self.measured or predict_total(self.noise, self.beside_noise)
 
+    @property
+    def lasting_total(self) -> TotalError:
+        """The same as any restart tells it: without early controls, which follow from when they were drawn."""
+        return self.measured or predict_total(self.noise, self.expected)
+
     @cached_property
     def beside_noise(self) -> float:
         """What it errs by besides its noise, relative: as the plan expects, where early controls do not know better.

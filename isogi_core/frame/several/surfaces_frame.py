@@ -144,8 +144,8 @@ class SurfacesFrame(Frame):
 
 
 def wrong_of(part: Part) -> float:
-    """How much a part errs in the picture, as far as is known."""
-    return part.frame.total.likely * part.frame.true_mean * part.weight**0.5
+    """How much a part errs in the picture, as far as is known, and again after any restart."""
+    return part.frame.lasting_total.likely * part.frame.true_mean * part.weight**0.5
 
 
 def summed_errors(errors: Sequence[tuple[Part, np.ndarray]], radiance: np.ndarray) -> np.ndarray:

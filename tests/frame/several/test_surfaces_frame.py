@@ -61,6 +61,12 @@ def test_light_that_converges_tells_more_than_its_noise(halo: Workbench) -> None
     assert told.total.predicted and told.total.likely == pytest.approx(np.hypot(told.noise, told.beside_noise))
     assert told.beside_noise >= lit.beside_noise == lit.expected
     assert told.version == lit.version
+    other = halo.again()
+    ended = []
+    for each in (bench, other):
+        bake(each, view)
+        ended.append(check(each, view))
+    assert other.renderer.render(view).final and len({(frame.version, frame.total) for frame in ended}) == 1
 
 
 def test_one_cache_of_what_slides_serves_all_isovalues(halo: Workbench) -> None:
