@@ -69,12 +69,12 @@ class Frame:
     texels projected onto the view's isosurface, None where its scene has none there. ``target`` is the total error that
     control pixels are to show, None of frames that have none; ``controls`` are those drawn so far, by the
     ``uncertainty`` (m,) of surface points, and it may be ``given_up``; ``early`` are those drawn while its light
-    converged. ``expected`` is what it errs by besides its noise, as the plan expects. Of a view that is smooth,
-    ``edges`` have more samples. So many pixels of walls, or of what is seen through glass, are ``walls_waiting``: not
-    final yet. So many pixels have light of their ``own``. Of surfaces that let rays pass ``left`` (h, w) is the share
-    of what lies behind. Its texels are finer than the plan's by ``fineness`` steps, see ``plan.finer``; a ``finer``
-    frame is coming, and waits for its light. What glows adds ``glow`` (pixels, 3) float32 to the radiance; None where
-    nothing does.
+    converged. ``rays`` names those of shine that it shows. ``expected`` is what it errs by besides its noise, as the
+    plan expects. Of a view that is smooth, ``edges`` have more samples. So many pixels of walls, or of what is seen
+    through glass, are ``walls_waiting``: not final yet. So many pixels have light of their ``own``. Of surfaces that
+    let rays pass ``left`` (h, w) is the share of what lies behind. Its texels are finer than the plan's by ``fineness``
+    steps, see ``plan.finer``; a ``finer`` frame is coming, and waits for its light. What glows adds ``glow`` (pixels,
+    3) float32 to the radiance; None where nothing does.
     """
 
     view: View
@@ -93,6 +93,7 @@ class Frame:
     uncertainty: np.ndarray | None = None
     given_up: bool = False
     early: ControlPixels | None = None
+    rays: bytes = b""
     expected: float = 0.0
     edges: EdgeSamples | None = None
     walls_waiting: int = 0

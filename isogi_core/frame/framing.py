@@ -65,6 +65,7 @@ def frame_of(
         uncertainty=checked.uncertainty if checked else None,
         given_up=checked.ended if checked else False,
         early=checked.early if checked else None,
+        rays=rays,
         own=len(checked.own.places) if checked else 0,
         expected=expected_error(scene, gbuffer.isovalue) if texels and light.view.shading == "gi" else 0.0,
     )

@@ -257,7 +257,7 @@ class Renderer:
             return found
 
         allowed = SHINE_SHARE * target * frame.true_mean
-        return self._shine(frame.gbuffer, light, tiles).step(allowed, lit, bounces_of_truth(light), tiles)
+        return self._shine(frame.gbuffer, light, tiles).step(frame.rays, allowed, lit, bounces_of_truth(light), tiles)
 
     def _shine(self, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> ShineLight:
         """The shine of a view, with its first rays at least."""

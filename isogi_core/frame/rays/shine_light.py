@@ -133,13 +133,17 @@ class ShineLight:
         """What all rays bring that were cast since the texels' light is final."""
         return Gleam.of(self.sums.means, self.gbuffer, tiles)
 
-    def step(self, allowed: float, lit: Callable[[ShineRays], SeenLight], bounces: int, tiles: Tiles) -> bool:
+    def step(
+        self, shown: bytes, allowed: float, lit: Callable[[ShineRays], SeenLight], bounces: int, tiles: Tiles
+    ) -> bool:
         """Cast more rays where the noise is above what is ``allowed``, a luminance; whether there were any to cast.
 
         What they see is ``lit`` by texels and walls, and by a path of so many ``bounces`` where these are not final.
-        Raises Cancelled.
+        Where another thread cast some since a frame has ``shown`` these rays, that was the step. Raises Cancelled.
         """
         with self.lock:
+            if not shown.startswith(self.version):
+                return True
             places = self._noisy(allowed, tiles)
             if not len(places) or self.count >= MOST:
                 return False

@@ -62,6 +62,17 @@ def test_frames_at_rest_are_what_paths_say(polished: Workbench, kind: str, rough
     assert frame.radiance[lit].mean() == pytest.approx(truth.radiance[lit].mean(), rel=0.03)
 
 
+def test_frames_that_others_have_overtaken_cast_no_rays(polished: Workbench) -> None:
+    """Two threads draw the same picture, and one waits while the other casts: numbers are those of one alone."""
+    renderer, view = polished.renderer, polished.view(size=SIZE, shine=Shine("metal", 0.2))
+    alone = settled(polished, view)
+    renderer.forget_views()
+    while (frame := renderer.render(view)).refinable:
+        for _ in range(2):
+            renderer.refine_frame(frame, renderer.prepared.scene.target_error, renderer.tiles, False)
+    assert (frame.version, frame.total) == (alone.version, alone.total)
+
+
 def test_first_frames_tell_their_noise(polished: Workbench) -> None:
     """By pixels side by side, at rest and on the move; it falls as more rays are cast."""
     view = polished.view(size=SIZE, shine=Shine("metal", 0.6))
