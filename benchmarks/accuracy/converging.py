@@ -102,13 +102,12 @@ def measure(scene: Scene, size: int, paths: int, folder: Path) -> Iterator[tuple
     bench = bench_of(scene, size, folder)
     bake, best = ViewBake(bench.renderer(scene), bench.view), quiet_reference(bench, paths)
     filters = Renderer(bake.renderer.caches, bench.tiles)
-    planned = Renderer(bake.renderer.caches, bench.tiles)
     for samples in SAMPLES:
         bake.grow(samples, scene.target_error)
         bake.frame()
-        if (before := planned.render(bench.view)).unmeasured:
+        if (frame := filters.render(bench.view)).unmeasured:
             filters.refine(bench.view)
-        after = filters.render(bench.view)
-        if before.provisional:
-            true = score(after.radiance, best, 1.0).rmse
-            yield samples, Found(before.noise, before.total.likely, after.total.likely, true)
+            frame = filters.render(bench.view)
+        if frame.provisional:
+            true = score(frame.radiance, best, 1.0).rmse
+            yield samples, Found(frame.noise, frame.lasting_total.likely, frame.total.likely, true)

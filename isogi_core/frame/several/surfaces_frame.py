@@ -11,7 +11,7 @@ import numpy as np
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import paint_faces
-from isogi_core.frame.rays.control_pixels import TotalError, predict_total
+from isogi_core.frame.rays.control_pixels import TotalError
 from isogi_core.frame.several.peels import Peels, SideLayers
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.tiles import Stopwatch
@@ -118,13 +118,6 @@ class SurfacesFrame(Frame):
         every = [each for each in found if each is not None]
         likely, low, high = (self._sum([getattr(each, of) for each in every]) for of in ("likely", "low", "high"))
         return TotalError(likely, low, high, sum(each.controls for each in every)).at_least(self.noise)
-
-    @cached_property
-    def total(self) -> TotalError:
-        """The total relative RMSE of the frame: measured or predicted; without global illumination all noise."""
-        if self.view.shading != "gi":
-            return TotalError(self.noise, self.noise, self.noise)
-        return self.measured or predict_total(self.noise, self.beside_noise)
 
     @cached_property
     def beside_noise(self) -> float:
