@@ -7,7 +7,6 @@ what early controls find, which are drawn once, after the first samples. Referen
 """
 
 import tempfile
-import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -19,10 +18,9 @@ import click
 from benchmarks.accuracy.benches import bench_of, wanted
 from benchmarks.accuracy.totals import quiet_reference, scenes
 from benchmarks.common.measurement import Measurement, markdown
-from benchmarks.common.scenes import shared_data
+from benchmarks.common.scenes import documented_scene, shared_data
 from benchmarks.common.suite import part
 from isogi_core.frame.renderer import Renderer
-from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.report.bake import ViewBake
 from isogi_core.report.metrics import score
@@ -30,10 +28,11 @@ from isogi_core.report.metrics import score
 SAMPLES = (16, 64, 256)
 """Samples of each texel."""
 
-VIEWS = ("under grace", "microscopy")
-"""What is measured where nothing else is asked for: parts of the names of ``totals``, and of a scene that scatters."""
+SCATTERING = "microscopy"
+"""A scene of the documents that scatters."""
 
-SCATTERING = Path(__file__).parents[2] / "docs" / "scenes" / "microscopy.toml"
+VIEWS = ("under grace", SCATTERING)
+"""What is measured where nothing else is asked for: parts of the names of ``totals``, and that scene."""
 
 HEAD = (
     "view",
@@ -92,9 +91,8 @@ def every(folder: Path, seeds: Sequence[int], only: Sequence[str]) -> Iterator[t
     """The scenes of ``totals``, and one that scatters, by name, and what makes them."""
     yield from scenes(folder, seeds, only)
     data = shared_data()
-    if data is not None and wanted(SCATTERING.stem, only):
-        volume = next(data.rglob(tomllib.loads(SCATTERING.read_text())["volume"]))
-        yield SCATTERING.stem, partial(load_scene, SCATTERING, volume=str(volume))
+    if data is not None and wanted(SCATTERING, only):
+        yield SCATTERING, partial(documented_scene, SCATTERING, data)
 
 
 def measure(scene: Scene, size: int, paths: int, folder: Path) -> Iterator[tuple[int, Found]]:

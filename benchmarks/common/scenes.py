@@ -1,6 +1,7 @@
 """The scenes that suites measure: volumes and lights of the shared data, or demos where those are not at hand."""
 
 import os
+import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,6 +49,16 @@ def benchmark_scene(target: str | None, light: str = "probe", **overrides: Any) 
         engine = {"isovalue": 70, "albedo": 0.7, "bounces": 4, "lights": [lights[light]]}
         return load_scene(data / ENGINE, **{**engine, **overrides})
     return load_scene(target, **overrides)
+
+
+DOCUMENTED = Path(__file__).parents[2] / "docs" / "scenes"
+"""Where the scenes of the documents are, which name shared volumes."""
+
+
+def documented_scene(name: str, data: Path) -> Scene:
+    """A scene of the documents, by the name of its file, whose volume lies anywhere in ``data``."""
+    file = DOCUMENTED / f"{name}.toml"
+    return load_scene(file, volume=str(next(data.rglob(tomllib.loads(file.read_text())["volume"]))))
 
 
 def scene_file(folder: Path) -> str:

@@ -10,7 +10,6 @@ there the walls are all that is baked.
 """
 
 import tempfile
-import tomllib
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import replace
@@ -22,7 +21,7 @@ import numpy as np
 import psutil
 
 from benchmarks.common.measurement import Measurement
-from benchmarks.common.scenes import shared_data
+from benchmarks.common.scenes import documented_scene, shared_data
 from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
 from isogi_core.files.scene_file import SceneSource
@@ -30,13 +29,11 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.scene_plan import FEWEST
 from isogi_core.model.view import View
-from isogi_core.plan.assembly import build_scene, load_scene
+from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from server.cli.bench import DONE, Candidate, bake_view, make_renderer, medians, seconds, view_of
 from server.cli.render import awaited
 from server.render.engine import RenderEngine
-
-SCENES = Path(__file__).parents[2] / "docs" / "scenes"
 
 S3: Mapping[str, tuple[int, float]] = {
     "medical": (52, 1626.0),
@@ -121,8 +118,7 @@ def baked(name: str, data: Path, levels: int) -> dict[float, float]:
     """Seconds of processors that a level of one of S3's scenes takes to ERRORS, the mean of some levels; of those
     errors that all of them come to.
     """
-    file = SCENES / f"{name}.toml"
-    scene = load_scene(file, volume=str(next(data.rglob(tomllib.loads(file.read_text())["volume"]))))
+    scene = documented_scene(name, data)
     low, high = scene.isovalues
     view, spent = camera_of(scene, SIZE), dict[float, list[float]]()
     with tempfile.TemporaryDirectory() as store, closing(RenderEngine([scene], store, workers=2)) as engine:
