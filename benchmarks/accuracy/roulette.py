@@ -17,7 +17,7 @@ from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
 from benchmarks.speed.paths import view_texels
 from isogi_core.bake.refine import by_isovalue, locate
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.paths import SampleRange, TransferRules
 from isogi_core.kernels.transport.transfer import bake_texels
 from isogi_core.plan.budget import LONGEST_PATH, bounces_for
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -48,7 +48,7 @@ def left_after(prepared: PreparedScene, texels: np.ndarray, samples: int) -> np.
     count = LONGEST_PATH + 1
     sums = np.zeros((len(texels), 2, count, 1))
     shares = np.eye(count, count + 1, 1) * np.sqrt(4.0 * np.pi)
-    half, rules, orders = SampleRange(0, samples // 2), PathRules(shares, 1.0), np.ones(count, np.int64)
+    half, rules, orders = SampleRange(0, samples // 2), TransferRules(shares, 1.0, 1), np.ones(count, np.int64)
     for bricks, rows in by_isovalue(place[3], void, prepared):
         bake_texels(prepared.field, bricks, place, rows, half, rules, orders, sums)
     return np.asarray(sums.sum(axis=(1, 3))[~void] / samples)

@@ -305,6 +305,7 @@ class BakeSpec:
             np.arange(sum(channels) + len(layers)) >= sum(channels),
             self.plan.bounces if reflected.any() else 0,
             self.plan.survival,
+            self.plan.branches,
         )
 
     def _stacked(self, own: Sequence[np.ndarray]) -> np.ndarray:

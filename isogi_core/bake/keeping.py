@@ -56,7 +56,7 @@ def find_kept(light: Light, texels: np.ndarray, whole: BakeSpec, remains: Remain
         return kept & ~may_stray
     for some, samples, bounces in walks_of(light.parts, whole.plan.bounces):
         rows = kept & some & may_stray & ~light.void
-        confines = Confines(bounces, whole.plan.survival, box)
+        confines = Confines(bounces, whole.plan.survival, whole.plan.branches, box)
         kept &= ~strays_of(place, rows, whole, samples, confines)
     return kept
 

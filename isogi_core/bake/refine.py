@@ -16,7 +16,7 @@ from isogi_core.bake.precision import VOID, next_level, noise_codes, noise_of, r
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
-from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange, TransferRules
 from isogi_core.kernels.transport.room_paths import fill_seeds
 from isogi_core.kernels.transport.texel_points import PROJECTED, project_texels
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
@@ -175,7 +175,8 @@ Sample = Callable[[ActiveCells, Place, np.ndarray, SampleRange, np.ndarray], Non
 
 def sample_greys(layers: Sequence[Layer], orders: np.ndarray, spec: BakeSpec) -> Sample:
     """The paths of a surface with one albedo, whose weights are worked out once for all groups of texels."""
-    rules = PathRules(np.vstack([spec.shares(layers), spec.squares(layers)]), spec.plan.survival)
+    counts, plan = np.vstack([spec.shares(layers), spec.squares(layers)]), spec.plan
+    rules = TransferRules(counts, plan.survival, plan.branches)
 
     def _sample(bricks: ActiveCells, place: Place, rows: np.ndarray, some: SampleRange, sums: np.ndarray) -> None:
         bake_texels(spec.prepared.field, bricks, place, rows, some, rules, orders, sums)

@@ -121,6 +121,7 @@ class ScenePlan:
 
     ``order`` is that of the light that texels are lit with, 1 where they keep no harmonics; a layer may have more.
     ``bounces`` counts surface hits after the first; from the second on a path goes on with the chance ``survival``.
+    From the first one it goes on in so many ``branches``.
     ``samples`` are the most that a texel takes; so many ``lobes`` of the light are no part of direct light in texels,
     but lit by shadow rays from pixels; ``errors`` names relative errors that the plan expects, by
     what is cut off; ``notes`` are sentences on those above the target.
@@ -133,6 +134,7 @@ class ScenePlan:
     survival: float
     samples: int
     lobes: int = 0
+    branches: int = 1
     errors: tuple[tuple[str, float], ...] = ()
     notes: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()

@@ -13,6 +13,7 @@ from isogi_core.plan.budget import (
     MIXING,
     ROUNDING,
     bounces_for,
+    branches_for,
     even,
     harmonics_error,
     rounding_error,
@@ -148,7 +149,8 @@ def plan_scene(inputs: PlanInputs, overrides: PlanOverrides) -> ScenePlan:
     layers = rounded(layers_of(representation, inputs, overrides, bounces, lobes), inputs, overrides, lobes)
     layers += glow_layers(inputs, bounces)
     order, samples = max(layer.order for layer in layers), most_samples(inputs.target_error)
-    plan = ScenePlan(representation, layers, order, bounces, survival_for(inputs.reflecting, bounces), samples, lobes)
+    survival, branches = survival_for(inputs.reflecting, bounces), branches_for(layers, inputs, lobes)
+    plan = ScenePlan(representation, layers, order, bounces, survival, samples, lobes, branches)
     return complete(plan, inputs, overrides)
 
 

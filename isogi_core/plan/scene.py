@@ -319,6 +319,7 @@ class Scene:
             parts += ["shown", shown]
         if layer.reflected:
             parts += [["nodes", *nodes] if nodes else self.albedo[: layer.channels], self.bounces, self.plan.survival]
+            parts += ["branches", self.plan.branches] if self.plan.branches > 1 else []
         if layer.kind == "irradiance":
             parts += [self.environment.digest, self.lamps.digest, self.albedo]
             parts += ["walls", self.room.digest] if self.room.any else []

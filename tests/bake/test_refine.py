@@ -10,7 +10,7 @@ from isogi_core.bake.noise import DECAYS, blend_noise, finished, most_samples, n
 from isogi_core.bake.precision import VOID, noise_codes, noise_of, round_light
 from isogi_core.bake.refine import add_to_mean, climb, locate, next_samples, refine
 from isogi_core.bake.texel_light import Light
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.paths import SampleRange, TransferRules
 from isogi_core.kernels.transport.transfer import bake_texels, locate_texels
 from isogi_core.model.scene_plan import FEWEST
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -164,7 +164,10 @@ def kernels_sums(spec: BakeSpec, texels: np.ndarray, number: int, first: int, co
     place = (texels, np.empty((3, m)), np.empty((3, m)), isovalues)
     locate_texels(prepared.field, prepared.step, *place, void)
     bricks = prepared.maps.covering(isovalues)
-    samples, rules = SampleRange(first, count), PathRules(spec.shares([layer]), spec.plan.survival)
+    samples, rules = (
+        SampleRange(first, count),
+        TransferRules(spec.shares([layer]), spec.plan.survival, spec.plan.branches),
+    )
     orders = np.full(layer.channels, layer.order)
     bake_texels(prepared.field, bricks, place, np.arange(m), samples, rules, orders, sums)
     return sums

@@ -2,6 +2,7 @@
 
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.bake.texel_light import Light
 from isogi_core.frame.lighting import rotated_by
-from isogi_core.model.lights import ConstantLight, ProbeLight
+from isogi_core.model.lights import ConstantLight, ProbeLight, SkyLight
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.bands import project_environment
 from isogi_core.plan.budget import harmonics_error, rounding_error, tail_of_bounces
@@ -19,7 +20,7 @@ from isogi_core.plan.planner import plan_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import climbed, surface_texels
 from tests.loaded import load_scene
-from tests.plan.planning import inputs_of
+from tests.plan.planning import inputs_of, plan_of
 from tests.scale import COMPILED
 
 ORDERS = {"order": 6, "indirect_order": 3}
@@ -71,6 +72,30 @@ def test_one_number_errs_as_the_budget_says(shared_data: Path) -> None:
         plan_scene(inputs_of([ConstantLight()]), PlanOverrides()).layers, inputs_of([ConstantLight()])
     )
     assert measured == pytest.approx(expected, rel=0.2)
+
+
+SUN = SkyLight()
+"""A sky whose sun is a lobe."""
+
+
+@pytest.mark.parametrize(
+    ("lights", "changes", "branches"),
+    [
+        ([SUN], {}, 4),
+        ([SUN], {"albedo": 0.25}, 2),
+        ([SUN], {"albedo": 0.1}, 1),
+        ([ConstantLight()], {}, 1),
+        ([SUN], {"rotating": False}, 1),
+    ],
+)
+def test_paths_branch_where_reflections_are_noisier(lights: list[Any], changes: dict[str, Any], branches: int) -> None:
+    """Without its lobes direct light is soft, and the light that is reflected is not, unless little is."""
+    assert plan_of(lights, **changes).branches == branches
+
+
+def test_paths_do_not_branch_without_lobes() -> None:
+    assert plan_of([SUN], PlanOverrides(lobes=0)).branches == 1
+    assert plan_of([SUN], PlanOverrides(bounces=0)).branches == 1
 
 
 def test_single_floats_do_not_err() -> None:

@@ -301,6 +301,14 @@ def test_the_digest_of_reflected_light_holds_path_survival() -> None:
     assert plain.plan.survival < 1.0 and direct and not indirect
 
 
+def test_the_digest_of_reflected_light_holds_path_branches() -> None:
+    plain = load_scene("demo:orbital")
+    single, other = (replace(plain, plan=replace(plain.plan, branches=count)) for count in (1, 2))
+    for one, two in ((single, plain), (other, plain), (single, other)):
+        direct, indirect = (one.layer_digest(layer) == two.layer_digest(layer) for layer in plain.plan.layers)
+        assert direct and not indirect
+
+
 def test_irradiance_is_named_by_its_lights_too() -> None:
     fixed = load_scene(ORBITAL, rotating=False)
     moved = load_scene(ORBITAL, rotating=False, lights=[{"type": "sky", "sun_azimuth": 90.0}])

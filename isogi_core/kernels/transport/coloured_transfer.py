@@ -6,26 +6,36 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.simd.memory import load
 from isogi_core.kernels.simd.types import PATH_WIDTH
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.field import FIELD
-from isogi_core.kernels.tracing.vec import column, load_columns, madd
+from isogi_core.kernels.tracing.vec import column, madd, put_column
 from isogi_core.kernels.transport.colours import COLOURS, albedo_at
-from isogi_core.kernels.transport.harmonics import accumulate
-from isogi_core.kernels.transport.paths import SAMPLE_RANGE, PathEnds, SampleRange
-from isogi_core.kernels.transport.transfer import ORDERS, PLACE, ROWS, SUMS, exchange, start_halves
+from isogi_core.kernels.transport.paths import SAMPLE_RANGE, SampleRange
+from isogi_core.kernels.transport.transfer import (
+    ORDERS,
+    PLACE,
+    ROWS,
+    SUMS,
+    exchange,
+    make_ends,
+    project,
+    start_halves,
+)
 from isogi_core.kernels.transport.wavefront import (
     WAVE,
     Vertices,
+    blocks,
+    branch_ends,
     columns,
-    compact,
+    first_of_wave,
     generate,
+    go_on,
     intersect,
     launch_all,
     make_vertices,
     make_wave,
-    next_vertex,
+    open_ends,
     partition,
     russian_roulette,
     sample_direction,
@@ -35,7 +45,7 @@ from isogi_core.kernels.transport.wavefront import (
 
 
 class ColouredRules(NamedTuple):
-    """What a path counts in each of r rows of sums, and how long it is: at most ``bounces``, and by its ``survival``.
+    """What a path counts in each of r rows of sums, and how it goes on: see ``PathTree``.
 
     Rows have harmonics of ``orders`` (r,). One that leaves at once counts ``straight`` (r,), and one after k bounces
     ``reflected`` (r,), times the albedos of what it hit over the chance to get there, as ``mixes`` (r, 3) mix them, or
@@ -49,11 +59,12 @@ class ColouredRules(NamedTuple):
     squared: Any
     bounces: int
     survival: float
+    branches: int
 
 
 NUMBERS = types.float64[::1]
 ROWS_OF_RULES = (ORDERS, NUMBERS, NUMBERS, types.float64[:, ::1], types.boolean[::1])
-COLOURED_RULES = record(ColouredRules, *ROWS_OF_RULES, types.int64, types.float64)
+COLOURED_RULES = record(ColouredRules, *ROWS_OF_RULES, types.int64, types.float64, types.int64)
 
 
 @kernel()
@@ -67,9 +78,17 @@ def carry(wave, vertices, hits, chance, colours, carried):
 
 
 @kernel()
+def carry_along(wave, count, stride, carried):
+    """Let the wave's ``count`` branches carry what the paths do that they are of."""
+    for owner in wave.owners[:count]:
+        put_column(carried, owner, column(carried, owner % stride))
+
+
+@kernel()
 def walk_coloured_wave(field, cells, colours, walk, rules, ends, carried):
     """``walk_wave``, with what its paths carry; ``walk`` is the wave, its vertices, and room for others."""
     wave, vertices, spare = walk
+    stride = ends.bounces.shape[0] // blocks(rules.branches)
     for bounce in range(rules.bounces + 1):
         count = vertices.count
         sample_direction(wave, vertices, bounce, field.spacing)
@@ -80,31 +99,31 @@ def walk_coloured_wave(field, cells, colours, walk, rules, ends, carried):
         if hits == 0 or bounce == rules.bounces:
             return
         carry(wave, vertices, hits, rules.survival if bounce > 0 else 1.0, colours, carried)
-        following = Vertices(spare.points, spare.normals, hits)
-        compact(wave, vertices, following)
-        next_vertex(field, wave, count, following)
-        vertices, spare = following, vertices
+        branches = rules.branches if bounce == 0 else 1
+        vertices, spare = go_on(field, wave, vertices, spare, hits, branches, stride)
+        if branches > 1:
+            branch_ends(wave, vertices.count, stride, ends)
+            carry_along(wave, vertices.count, stride, carried)
 
 
 @kernel()
 def walk_coloured_paths(field, cells, colours, starts, samples, rules, ends, carried):
     """``walk_paths``, to the same ends; writes to ``carried`` (3, paths) the albedos that each path met, multiplied."""
     total = starts.isovalues.shape[0] * samples.count
-    ends.bounces[:total] = -1
-    ends.directions[:, :total] = 0.0
+    open_ends(ends, total)
     carried[:, :total] = 1.0
-    origins = launch_all(field, starts)
-    n = whole(min(WAVE, total))
+    origins, first = launch_all(field, starts), first_of_wave(rules.branches)
+    n = whole(min(first, total)) * rules.branches
     wave, room, spare = make_wave(n), make_vertices(n), make_vertices(n)
-    for begin in range(0, total, WAVE):
-        vertices = Vertices(room.points, room.normals, min(WAVE, total - begin))
+    for begin in range(0, total, first):
+        vertices = Vertices(room.points, room.normals, min(first, total - begin))
         generate(wave, vertices, starts, origins, samples.first, begin)
         walk_coloured_wave(field, cells, colours, (wave, vertices, spare), rules, ends, carried)
 
 
 @kernel()
 def count_path(rules, row, bounces, carried, m):
-    """What path ``m`` counts in a ``row`` of sums that left after so many ``bounces``, -1 of one that never did."""
+    """What path ``m`` counts in a ``row`` of sums that left after so many ``bounces``; nothing if it never did."""
     if bounces <= 0:
         return rules.straight[row] if bounces == 0 else 0.0
     mix = rules.mixes[row]
@@ -113,17 +132,15 @@ def count_path(rules, row, bounces, carried, m):
 
 
 @kernel()
-def project_coloured(ends, carried, rules, starts, count, sums):
+def project_coloured(ends, carried, rules, starts, samples, sums):
     """``project_ends``, with what each path counts by the albedos that it met."""
-    counts, ways = np.zeros(starts * count + PATH_WIDTH), ends.directions
+    paths = ends.bounces.shape[0]
+    counts, stride = np.zeros(paths + PATH_WIDTH), paths // blocks(rules.branches)
     for c in range(sums.shape[0]):
-        for m in range(starts * count):
+        for m in range(paths):
             counts[m] = count_path(rules, c, ends.bounces[m], carried, m)
-        for block in range(sums.shape[1]):
-            for s in range(count):
-                m = s * starts + block * PATH_WIDTH
-                x, y, z = load_columns(ways, m)
-                accumulate(rules.orders[c], x, y, z, load(counts, m, PATH_WIDTH), sums[c, block])
+        counts[stride:paths] /= rules.branches
+        project(ends, counts, rules.orders[c], starts, samples, (0, blocks(rules.branches)), sums[c])
 
 
 @kernel()
@@ -131,14 +148,14 @@ def bake_coloured_together(field, cells, colours, place, rows, samples, rules, o
     """``bake_coloured_texels`` for a few texels whose paths go together."""
     g, last, starts = 2 * rows.shape[0], samples.first + samples.count, start_halves(place, rows)
     step, most = max(WAVE // g, 1), rules.orders.max()
-    ends = PathEnds(np.zeros(g * step, np.int64), np.zeros((3, g * step + PATH_WIDTH)))
-    carried = np.ones((3, g * step))
+    ends = make_ends(g, step, rules.branches)
+    carried = np.ones((3, ends.bounces.shape[0]))
     sums = np.zeros((rules.orders.shape[0], whole(g) // PATH_WIDTH, most * most * PATH_WIDTH))
     exchange(sums, rows, out, False)
     for begin in range(samples.first, last, step):
         some = SampleRange(begin, min(step, last - begin))
         walk_coloured_paths(field, cells, colours, starts, some, rules, ends, carried)
-        project_coloured(ends, carried, rules, g, some.count, sums)
+        project_coloured(ends, carried, rules, g, (some.count, step), sums)
     exchange(sums, rows, out, True)
 
 

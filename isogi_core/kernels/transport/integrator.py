@@ -57,16 +57,17 @@ ROULETTE = 0x7FFF * PAIRS
 
 
 @kernel()
-def trace_path(field, iso, start, seed, index, bounces, survival):
+def trace_path(field, iso, start, seed, index, tree, way):
     """One diffuse path from a ``start`` (point, normal, side): (bounces before it left, world direction in which).
 
     Cosine-weighted directions, so that every path carries the same weight R^k; bounce b draws the
-    pair b of sample ``index`` of the sequence ``seed``. Returns -1 bounces when after ``bounces``
-    surface hits the path is still inside, or has ended by chance: from the second on it goes on from a
+    pair b of sample ``index`` of the sequence ``seed``. From the first hit of the ``PathTree`` it goes on in this
+    ``way``, one of its branches, and draws from sample ``branches`` · ``index`` + ``way``. Returns -1 bounces when
+    after all of its bounces the path is still inside, or has ended by chance: from the second on it goes on from a
     hit with the chance ``survival``. Source: S1, section 4.1; DESIGN section 3.
     """
     p, n, side = start
-    for bounce in range(bounces + 1):
+    for bounce in range(tree.bounces + 1):
         u, v = point_2d(seed, index, bounce)
         w = about(n, sample_cosine_hemisphere(u, v))
         d = to_index(w, field.spacing)
@@ -74,7 +75,9 @@ def trace_path(field, iso, start, seed, index, bounces, survival):
         t, side = cast(field, iso, o, d, side)
         if not t < math.inf:
             return bounce, w
-        if bounce > 0 and not point_2d(seed, index, ROULETTE + bounce)[0] < survival:
+        if bounce == 0:
+            index = index * tree.branches + way
+        elif not point_2d(seed, index, ROULETTE + bounce)[0] < tree.survival:
             return -1, (0.0, 0.0, 0.0)
         p = madd(o, t, d)
         n = shading_normal(field, p, side, w)

@@ -15,13 +15,12 @@ from isogi_core.kernels.transport.wavefront import (
     WAVE,
     Vertices,
     columns,
-    compact,
     generate,
+    go_on,
     intersect,
     launch_all,
     make_vertices,
     make_wave,
-    next_vertex,
     partition,
     russian_roulette,
     sample_direction,
@@ -158,10 +157,7 @@ def light_wave(field, cells, shadow, vertices, spare, rules, light, gathered):
         hits = russian_roulette(wave, hits, bounce, rules.survival)
         if hits == 0 or bounce == last:
             return
-        following = Vertices(spare.points, spare.normals, hits)
-        compact(wave, vertices, following)
-        next_vertex(field, wave, count, following)
-        vertices, spare = following, vertices
+        vertices, spare = go_on(field, wave, vertices, spare, hits, 1, 0)
 
 
 @kernel()

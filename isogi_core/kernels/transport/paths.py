@@ -37,12 +37,42 @@ class PathRules(NamedTuple):
     survival: float
 
 
+class TransferRules(NamedTuple):
+    """``PathRules`` of paths that go on from the first surface that they hit in so many ``branches``."""
+
+    weights: Any
+    survival: float
+    branches: int
+
+
+class PathTree(NamedTuple):
+    """How paths go on: from ``bounces`` hits at most, with the chance ``survival`` (see ``russian_roulette``), and from
+    the first one in ``branches`` ways.
+
+    What comes straight is soon known, and what was reflected takes many more paths: branches bring these without
+    first rays of their own. Source: splitting, Arvo and Kirk, "Particle Transport and Image Synthesis", 1990.
+    """
+
+    bounces: int
+    survival: float
+    branches: int
+
+
 class PathEnds(NamedTuple):
-    """How paths end: ``bounces`` int64 (n,) before they left, or -1, and world ``directions`` (3, n), or zeros."""
+    """How paths end: ``bounces`` int64 (n,) before they left, or -1, and world ``directions`` (3, n), or zeros.
+
+    In front are the paths as they start; where they branch, those of the first branches follow, those of the second,
+    and so on, as many each. ``NOWHERE`` stands for a path that branched, and for branches of one that did not.
+    """
 
     bounces: Any
     directions: Any
 
 
+NOWHERE = -2
+"""The bounces of what is no path."""
+
+
 SAMPLE_RANGE = record(SampleRange, types.int64, types.int64)
 PATH_RULES = record(PathRules, types.float64[:, ::1], types.float64)
+TRANSFER_RULES = record(TransferRules, types.float64[:, ::1], types.float64, types.int64)

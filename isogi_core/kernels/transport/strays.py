@@ -19,13 +19,13 @@ from isogi_core.kernels.transport.wavefront import (
     WAVE,
     Vertices,
     columns,
-    compact,
+    first_of_wave,
     generate,
+    go_on,
     intersect,
     launch_all,
     make_vertices,
     make_wave,
-    next_vertex,
     partition,
     russian_roulette,
     sample_direction,
@@ -36,15 +36,16 @@ from isogi_core.kernels.transport.wavefront import (
 class Confines(NamedTuple):
     """Where paths may meet surfaces: a ``box`` (2, 3) of index space, its least and its greatest corner.
 
-    Paths take as many ``bounces``, and go on with the chance ``survival``; see ``PathRules``.
+    Paths go on as a ``PathTree`` says: by its ``bounces``, ``survival`` and ``branches``.
     """
 
     bounces: int
     survival: float
+    branches: int
     box: Any
 
 
-CONFINES = record(Confines, types.int64, types.float64, COLUMNS)
+CONFINES = record(Confines, types.int64, types.float64, types.int64, COLUMNS)
 
 
 @kernel()
@@ -71,7 +72,7 @@ def mark_strays(wave, points, count, hits, box, strays):
 
 
 @kernel()
-def walk_within(field, cells, wave, vertices, spare, confines, strays):
+def walk_within(field, cells, wave, vertices, spare, confines, stride, strays):
     """Walk the paths of a wave as ``walk_wave`` does, but none of a stray any farther."""
     for bounce in range(confines.bounces + 1):
         count = vertices.count
@@ -81,22 +82,21 @@ def walk_within(field, cells, wave, vertices, spare, confines, strays):
         hits = russian_roulette(wave, hits, bounce, confines.survival)
         if hits == 0 or bounce == confines.bounces:
             return
-        following = Vertices(spare.points, spare.normals, hits)
-        compact(wave, vertices, following)
-        next_vertex(field, wave, count, following)
-        vertices, spare = following, vertices
+        branches = confines.branches if bounce == 0 else 1
+        vertices, spare = go_on(field, wave, vertices, spare, hits, branches, stride)
 
 
 @kernel()
 def walk_strays(field, cells, starts, samples, confines, strays):
     """Mark which of g ``PathStarts`` are ``strays`` (g,), by a ``SampleRange`` of the paths of ``walk_paths``."""
     total = starts.isovalues.shape[0] * samples.count
-    origins, n = launch_all(field, starts), whole(min(WAVE, total))
+    origins, first = launch_all(field, starts), first_of_wave(confines.branches)
+    n = whole(min(first, total)) * confines.branches
     wave, room, spare = make_wave(n), make_vertices(n), make_vertices(n)
-    for begin in range(0, total, WAVE):
-        vertices = Vertices(room.points, room.normals, min(WAVE, total - begin))
+    for begin in range(0, total, first):
+        vertices = Vertices(room.points, room.normals, min(first, total - begin))
         generate(wave, vertices, starts, origins, samples.first, begin)
-        walk_within(field, cells, wave, vertices, spare, confines, strays)
+        walk_within(field, cells, wave, vertices, spare, confines, total, strays)
 
 
 @kernel(types.void(FIELD, ACTIVE_CELLS, PLACE, ROWS, SAMPLE_RANGE, CONFINES, types.boolean[::1]))

@@ -14,9 +14,18 @@ from isogi_core.kernels.tracing.plateaus import along, leave_plateau
 from isogi_core.kernels.tracing.vec import column, is_zero, length, load_columns, put_column
 from isogi_core.kernels.transport.harmonics import accumulate
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS, light_paths
-from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, PathEnds, PathStarts, SampleRange
+from isogi_core.kernels.transport.paths import (
+    NOWHERE,
+    PATH_RULES,
+    SAMPLE_RANGE,
+    TRANSFER_RULES,
+    PathEnds,
+    PathStarts,
+    PathTree,
+    SampleRange,
+)
 from isogi_core.kernels.transport.rng import mix
-from isogi_core.kernels.transport.wavefront import WAVE, walk_paths, whole
+from isogi_core.kernels.transport.wavefront import WAVE, blocks, walk_paths, whole
 
 VECTOR = types.float64[::1]
 COLUMNS = types.float64[:, ::1]
@@ -56,22 +65,57 @@ def locate_texels(field, step, texels, points, normals, isovalues, void):
 
 
 @kernel()
-def project_ends(ends, weights, orders, starts, count, sums):
-    """Add the ends of ``walk_paths`` from ``starts`` starts, ``count`` samples each, to sums of their own.
+def make_ends(starts, count, branches):
+    """Room for the ``PathEnds`` of ``starts`` starts, ``count`` samples each."""
+    n = blocks(branches) * starts * count
+    return PathEnds(np.zeros(n, np.int64), np.zeros((3, n + PATH_WIDTH)))
 
-    Lane i % PATH_WIDTH of ``sums`` (channels, i // PATH_WIDTH, n² PATH_WIDTH) is of start i, and takes its samples
-    in their order: the company of a start changes no bit. ``weights`` are those of ``bake_texels``.
-    Source: S1, eq. 8 with cosine sampling, τ_i = Σ R^k Y_i(ω) / N.
+
+@kernel()
+def count_ends(ends, weights, branches, counts):
+    """Fill ``counts`` (n,) with what each path counts by its ``weights``, and a branch as one of so many; whether any
+    of the paths as they start count, and any of the branches.
     """
-    counts, ways = np.zeros(starts * count + PATH_WIDTH), ends.directions
+    straight = reflected = False
+    stride = ends.bounces.shape[0] // blocks(branches)
+    for m in range(ends.bounces.shape[0]):
+        bounces = ends.bounces[m]
+        counts[m] = weights[bounces + 1] if bounces != NOWHERE else 0.0
+        straight |= m < stride and counts[m] != 0.0
+        reflected |= m >= stride and counts[m] != 0.0
+    counts[stride : ends.bounces.shape[0]] /= branches
+    return straight, reflected
+
+
+@kernel()
+def project(ends, counts, order, starts, samples, some, sums):
+    """Add harmonics of this ``order`` of the ends of ``walk_paths`` to ``sums`` (i // PATH_WIDTH, n² PATH_WIDTH).
+
+    They are from ``starts`` starts, so many ``samples`` each, and the blocks that are ``some`` (first, last) of the
+    ``PathEnds``. Lane i % PATH_WIDTH is of start i, and takes its samples in their order, and each one's branches in
+    theirs: the company of a start changes no bit.
+    """
+    stride = starts * samples[1]
+    for block in range(sums.shape[0]):
+        for s in range(samples[0]):
+            for j in range(some[0], some[1]):
+                m = j * stride + s * starts + block * PATH_WIDTH
+                x, y, z = load_columns(ends.directions, m)
+                accumulate(order, x, y, z, load(counts, m, PATH_WIDTH), sums[block])
+
+
+@kernel()
+def project_ends(ends, rules, orders, starts, samples, sums):
+    """Add the ends of ``walk_paths`` to ``sums`` (channels, …) of their own: see ``project``.
+
+    ``samples`` are how many each of the ``starts`` took, and how many there is room for. The ``rules`` are those of
+    ``bake_texels``. Source: S1, eq. 8 with cosine sampling, τ_i = Σ R^k Y_i(ω) / N.
+    """
+    counts = np.zeros(ends.bounces.shape[0] + PATH_WIDTH)
     for c in range(sums.shape[0]):
-        for m in range(starts * count):
-            counts[m] = weights[c, ends.bounces[m] + 1]
-        for block in range(sums.shape[1]):
-            for s in range(count):
-                m = s * starts + block * PATH_WIDTH
-                x, y, z = load_columns(ways, m)
-                accumulate(orders[c], x, y, z, load(counts, m, PATH_WIDTH), sums[c, block])
+        straight, reflected = count_ends(ends, rules.weights[c], rules.branches, counts)
+        some = 0 if straight else 1, blocks(rules.branches) if reflected else 1
+        project(ends, counts, orders[c], starts, samples, some, sums[c])
 
 
 @kernel()
@@ -108,13 +152,13 @@ def bake_together(field, cells, place, rows, samples, rules, orders, out):
     g, bounces, last = 2 * rows.shape[0], rules.weights.shape[1] - 2, samples.first + samples.count
     starts = start_halves(place, rows)
     step, most = max(WAVE // g, 1), orders.max()
-    ends = PathEnds(np.zeros(g * step, np.int64), np.zeros((3, g * step + PATH_WIDTH)))
+    tree, ends = PathTree(bounces, rules.survival, rules.branches), make_ends(g, step, rules.branches)
     sums = np.zeros((rules.weights.shape[0], whole(g) // PATH_WIDTH, most * most * PATH_WIDTH))
     exchange(sums, rows, out, False)
     for begin in range(samples.first, last, step):
         some = SampleRange(begin, min(step, last - begin))
-        walk_paths(field, cells, starts, some, bounces, rules.survival, ends)
-        project_ends(ends, rules.weights, orders, g, some.count, sums)
+        walk_paths(field, cells, starts, some, tree, ends)
+        project_ends(ends, rules, orders, g, (some.count, step), sums)
     exchange(sums, rows, out, True)
 
 
@@ -123,13 +167,13 @@ ROWS, ORDERS = types.int64[::1], types.int64[::1]
 SUMS = types.float64[:, :, :, ::1]
 
 
-@kernel(types.void(FIELD, ACTIVE_CELLS, PLACE, ROWS, SAMPLE_RANGE, PATH_RULES, ORDERS, SUMS))
+@kernel(types.void(FIELD, ACTIVE_CELLS, PLACE, ROWS, SAMPLE_RANGE, TRANSFER_RULES, ORDERS, SUMS))
 def bake_texels(field, cells, place, rows, samples, rules, orders, sums):
     """Sums of a ``SampleRange`` for the ``rows`` and each of their two halves.
 
     ``place`` is what ``locate_texels`` took and wrote: texels, points, normals, isovalues, the latter
-    within the range of ``cells``. The weights (channels, bounces + 2) of the ``PathRules`` are what a path counts that
-    left after k bounces, at k + 1, or never, at 0.
+    within the range of ``cells``. The weights (channels, bounces + 2) of the ``TransferRules`` are what a path counts
+    that left after k bounces, at k + 1, or never, at 0.
     Adds to ``sums`` (m, 2, channels, n²), n the greatest of the channels' ``orders``. Source: S1, section 4.1,
     "for all texels".
     """

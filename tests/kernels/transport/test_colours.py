@@ -8,7 +8,7 @@ from isogi_core.kernels.tracing.vec import madd
 from isogi_core.kernels.transport import colours as module
 from isogi_core.kernels.transport.coloured_transfer import ColouredRules, bake_coloured_texels
 from isogi_core.kernels.transport.colours import fill_albedos, sample_layer, slope_layer
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.paths import SampleRange, TransferRules
 from isogi_core.kernels.transport.transfer import bake_texels
 from tests.kernels.fields import field_of
 from tests.kernels.transport.lighting import TORUS, place_of
@@ -109,20 +109,21 @@ def test_the_slope_of_a_ramp_is_per_unit_of_the_world() -> None:
     np.testing.assert_allclose(values[2:-2, 2:-2], np.sqrt(2.0**2 + 1.0 + 1.0), rtol=1e-5)
 
 
-def rules_of(survival=1.0):
+def rules_of(survival=1.0, branches=1):
     """Rows of direct light, of the three channels of reflected light, and of the square of its sum."""
     mixes = np.vstack([np.eye(3)[:1], np.eye(3), np.ones((1, 3))])
     straight, reflected = np.array([1.0, 0.0, 0.0, 0.0, 0.0]), np.array([0.0, 1.0, 1.0, 1.0, 1.0])
     squared = np.array([False, False, False, False, True])
-    return ColouredRules(np.array([3, 2, 2, 2, 1]), straight, reflected, mixes, squared, BOUNCES, survival)
+    return ColouredRules(np.array([3, 2, 2, 2, 1]), straight, reflected, mixes, squared, BOUNCES, survival, branches)
 
 
-def bake(texels, colours, survival=1.0):
+def bake(texels, colours, survival=1.0, branches=1):
     """``bake_coloured_texels`` from nothing: sums (m, 2, 5, 9)."""
     field, sums = field_of(TORUS), np.zeros((len(texels), 2, 5, 9))
     place, cells = place_of(field, texels)
     some = SampleRange(3, COUNT)
-    bake_coloured_texels(field, cells, colours, place, np.arange(len(texels)), some, rules_of(survival), sums)
+    rules = rules_of(survival, branches)
+    bake_coloured_texels(field, cells, colours, place, np.arange(len(texels)), some, rules, sums)
     return sums
 
 
@@ -133,17 +134,17 @@ def texels():
     return every[:: len(every) // few(60, 3)]
 
 
-@pytest.mark.parametrize("survival", [1.0, 0.7])
-def test_one_colour_everywhere_is_one_albedo(texels: np.ndarray, survival: float) -> None:
+@pytest.mark.parametrize(("survival", "branches"), [(1.0, 1), (0.7, 1), (0.7, 4)])
+def test_one_colour_everywhere_is_one_albedo(texels: np.ndarray, survival: float, branches: int) -> None:
     """Direct light has the same bits as without colours, and reflected light is Σ R^k Y_i."""
     albedo = np.array([0.9, 0.6, 0.3])
     field, sums, k = field_of(TORUS), np.zeros((len(texels), 2, 4, 9)), np.arange(BOUNCES + 1.0)[:, None]
     place, cells = place_of(field, texels)
     weights = albedo**k / survival ** np.maximum(k - 1.0, 0.0)
     shares = np.vstack([np.eye(BOUNCES + 2)[1], np.hstack([np.zeros((3, 2)), weights[1:].T])])
-    rules, orders = PathRules(np.ascontiguousarray(shares), survival), np.array([3, 2, 2, 2])
+    rules, orders = TransferRules(np.ascontiguousarray(shares), survival, branches), np.array([3, 2, 2, 2])
     bake_texels(field, cells, place, np.arange(len(texels)), SampleRange(3, COUNT), rules, orders, sums)
-    found = bake(texels, one_colour(albedo), survival)
+    found = bake(texels, one_colour(albedo), survival, branches)
     assert sums[:, :, 1:].any()
     assert np.array_equal(found[:, :, 0], sums[:, :, 0])
     np.testing.assert_allclose(found[:, :, 1:4], sums[:, :, 1:], rtol=1e-9, atol=1e-9)

@@ -14,7 +14,7 @@ from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN
 from isogi_core.kernels.transport import integrator, transfer
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, evaluate
 from isogi_core.kernels.transport.light_paths import Surroundings
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.paths import PathRules, SampleRange, TransferRules
 from isogi_core.kernels.transport.transfer import bake_texels, locate_texels
 from tests.kernels.fields import cast_each, cells_of, field_of, surface_of
 from tests.scale import COMPILED, few
@@ -33,10 +33,11 @@ def slope(towards):
     return -(X * towards[0] + Y * towards[1] + Z * towards[2])
 
 
-def bake(field, texels, count, shares, order=1, first=0, step=(1.0, 1.0, 1.0), survival=1.0):
+def bake(field, texels, count, shares, order=1, first=0, step=(1.0, 1.0, 1.0), **ends):
     """`bake_texels` from nothing: sums (m, 2, channels, n²), isovalues and void (m,)."""
     sums = np.zeros((len(texels), 2, len(shares), order**2))
-    isovalues, void = bake_more(field, texels, SampleRange(first, count), PathRules(shares, survival), sums, step)
+    rules = TransferRules(shares, ends.get("survival", 1.0), ends.get("branches", 1))
+    isovalues, void = bake_more(field, texels, SampleRange(first, count), rules, sums, step)
     return sums, isovalues, void
 
 
@@ -294,7 +295,7 @@ def test_samples_go_on_where_they_stopped_bit_for_bit():
     whole, _, _ = bake(field, texels, 2 * count, shares, 4)
     parts = np.zeros_like(whole)
     for first in (0, count):
-        bake_more(field, texels, SampleRange(first, count), PathRules(shares, 1.0), parts)
+        bake_more(field, texels, SampleRange(first, count), TransferRules(shares, 1.0, 1), parts)
     assert np.array_equal(whole, parts)
 
 
@@ -312,6 +313,18 @@ def test_roulette_ends_paths_and_keeps_their_light():
     assert np.abs(spun.mean(axis=1).ravel() / whole - 1.0).max() < 0.05
     reflected = [bake(field, texels, count, ends, survival=chance)[0].sum() for chance in (1.0, survival)]
     assert reflected[1] < 0.95 * reflected[0]
+
+
+@COMPILED
+def test_branches_keep_the_light_and_take_its_noise():
+    """Four ways on from the first hit: the same means, with less than half of the variance above band 0."""
+    texels = np.argwhere(np.abs(TORUS) < 0.3)[::10].astype(np.int32)
+    shares, field, count = shares_of([0.9], 8, 1), field_of(TORUS), 256
+    single, four = (bake(field, texels, count, shares, 3, branches=branches)[0] / count for branches in (1, 4))
+    spreads = [np.mean((halves[:, 0] - halves[:, 1]) ** 2, axis=0)[0] for halves in (single, four)]
+    assert spreads[1][1:].sum() < 0.5 * spreads[0][1:].sum()
+    apart, allowed = (four - single).mean(axis=(0, 1))[0], np.sqrt((spreads[0] + spreads[1]) / 2.0 / len(texels))
+    assert (np.abs(apart) < 4.0 * allowed).all()
 
 
 def test_shares_say_what_each_path_counts():

@@ -7,7 +7,7 @@ import pytest
 
 from isogi_core.kernels.tracing.field import OFFSET
 from isogi_core.kernels.transport.lights import DIRECTIONAL, POINT
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.paths import PathRules, SampleRange, TransferRules
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels
 from tests.kernels.fields import field_of
 from tests.kernels.transport.lighting import BALL, LIGHTS, PLANE, TORUS, lamps, place_of, surroundings
@@ -38,7 +38,7 @@ def test_under_constant_light_it_is_the_transfers_first_number(texels):
     field, m = field_of(TORUS), len(texels)
     place, cells = place_of(field, texels)
     sums, shares = np.zeros((m, 2, 3, 1)), np.ascontiguousarray(np.hstack([np.zeros((3, 1)), WEIGHTS.T]))
-    rules, orders = PathRules(shares, 1.0), np.ones(3, np.int64)
+    rules, orders = TransferRules(shares, 1.0, 1), np.ones(3, np.int64)
     bake_texels(field, cells, place, np.arange(m), SampleRange(5, COUNT), rules, orders, sums)
     expected = math.sqrt(4.0 * math.pi) * sums[..., 0]
     assert expected.any()

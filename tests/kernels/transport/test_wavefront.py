@@ -12,7 +12,7 @@ from isogi_core.kernels.tracing.intersect import OUTSIDE
 from isogi_core.kernels.tracing.vec import column
 from isogi_core.kernels.transport.harmonics import accumulate
 from isogi_core.kernels.transport.integrator import trace_path
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.paths import PathTree, SampleRange, TransferRules
 from isogi_core.kernels.transport.transfer import bake_texels, texel_seed
 from isogi_core.model.volume import make_volume
 from isogi_core.prepared.prepared_scene import PreparedScene, make_field
@@ -30,7 +30,7 @@ WEIGHTS = np.array([[0.3, 1.0, 0.8, 0.6, 0.5, 0.2]])
 
 
 @njit
-def one_by_one(field, place, samples, survival, sums):
+def one_by_one(field, place, samples, tree, sums):
     """``bake_texels`` by `trace_path`; returns how many paths left after a bounce."""
     texels, points, normals, isovalues = place
     bounced = 0
@@ -40,9 +40,14 @@ def one_by_one(field, place, samples, survival, sums):
         for half in range(2):
             for sample in range(samples.first, samples.first + samples.count):
                 seed = texel_seed(z, y, x, half)
-                bounces, w = trace_path(field, isovalues[m], start, seed, sample, BOUNCES, survival)
-                accumulate(2, w[0], w[1], w[2], WEIGHTS[0, bounces + 1], sums[m, half, 0])
-                bounced += bounces > 0
+                for way in range(tree.branches):
+                    bounces, w = trace_path(field, isovalues[m], start, seed, sample, tree, way)
+                    alone = bounces == 0
+                    share = WEIGHTS[0, bounces + 1] / (1 if alone else tree.branches)
+                    accumulate(2, w[0], w[1], w[2], share, sums[m, half, 0])
+                    bounced += bounces > 0
+                    if alone:
+                        break
     return bounced
 
 
@@ -51,14 +56,17 @@ def plateaus(values):
     return np.clip(values, -0.4, 0.4)
 
 
-@pytest.mark.parametrize(("survival", "smooth", "offset"), [(1.0, True, OFFSET), (0.6, True, 0.6), (0.6, False, 0.0)])
+@pytest.mark.parametrize(
+    ("survival", "branches", "smooth", "offset"),
+    [(1.0, 1, True, OFFSET), (0.6, 1, True, 0.6), (0.6, 4, True, OFFSET), (1.0, 2, False, 0.0), (0.6, 1, False, 0.0)],
+)
 @pytest.mark.parametrize("texels, count", [(1, 1), (2, 20), (9, 3), (350, 5), (10, 600), (2500, 2)])
 @pytest.mark.parametrize(
     "body",
     [BUMPS, plateaus(BUMPS), BUMPS[:, :, 16:19], np.repeat(BUMPS[16:17], len(BUMPS), axis=0)],
     ids=["bumps", "plateaus", "thin", "a column, whose normals have no z"],
 )
-def test_waves_are_the_paths_one_by_one(texels, count, body, survival, smooth, offset):
+def test_waves_are_the_paths_one_by_one(texels, count, body, survival, branches, smooth, offset):
     if PYTHON and texels * count > 50:
         pytest.skip("so many paths need compiled kernels")
     volume = make_volume(body, (0.5, 1.0, 2.0))
@@ -71,8 +79,8 @@ def test_waves_are_the_paths_one_by_one(texels, count, body, survival, smooth, o
     place = rng.integers(0, 2**31, (texels, 3)).astype(np.int32), points, normals, isovalues
     cells, samples = cells_of(field, isovalues.min(), isovalues.max()), SampleRange(3, count)
     one, other = np.zeros((2, texels, 2, 1, 4))
-    bounced = one_by_one(field, place, samples, survival, one)
-    rules, rows = PathRules(WEIGHTS, survival), np.arange(texels)
+    bounced = one_by_one(field, place, samples, PathTree(BOUNCES, survival, branches), one)
+    rules, rows = TransferRules(WEIGHTS, survival, branches), np.arange(texels)
     bake_texels(field, cells, place, rows, samples, rules, np.full(1, 2), other)
     assert one.any() and np.array_equal(one, other)
     assert texels * count < 500 or bounced > 0.01 * 2 * texels * count
