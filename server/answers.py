@@ -189,6 +189,7 @@ def plan_schema(scene: Scene) -> PlanSchema:
         indirect_order=plan.indirect_order,
         channels=plan.channels,
         bounces=plan.bounces,
+        branches=plan.branches,
         bytes_per_texel=plan.bytes_per_texel,
         full_bytes_per_texel=S1_BYTES,
         precision=plan.precision,

@@ -200,10 +200,9 @@ class LobeSchema(BaseModel):
 class PlanSchema(BaseModel):
     """What is stored per texel for this scene, the errors that are expected of it, and what was left out.
 
-    ``indirect_order`` is that of reflected light, null where that has no harmonics of its own; ``samples``
-    are the most that a texel takes; ``lobes`` are lit by shadow rays, beside the harmonics; ``errors`` are relative,
-    by what is cut off. ``full_bytes_per_texel`` is what S1 keeps for any scene. ``projected`` are the
-    isovalues, from one to another, where texels of a view at rest are projected onto its isosurface.
+    ``indirect_order`` is that of reflected light, null where that has no harmonics; paths go on in ``branches`` ways
+    from their first hit; ``samples`` are a texel's most; ``lobes`` are lit by shadow rays; ``errors`` are relative.
+    ``full_bytes_per_texel`` is what S1 keeps. ``projected`` are isovalues, from one to another, whose views project.
     """
 
     representation: str
@@ -211,6 +210,7 @@ class PlanSchema(BaseModel):
     indirect_order: int | None
     channels: int
     bounces: int
+    branches: int
     bytes_per_texel: int
     full_bytes_per_texel: int
     precision: str

@@ -1,6 +1,7 @@
 """``python -m benchmarks.accuracy``."""
 
 from benchmarks.accuracy.albedo import albedo
+from benchmarks.accuracy.branching import branching
 from benchmarks.accuracy.calibration import calibration
 from benchmarks.accuracy.checking import checking
 from benchmarks.accuracy.choices import choices
@@ -45,6 +46,7 @@ main = suite(
     reports,
     equal_error,
     plans,
+    branching,
     calibration,
     filtering,
     interpolation,

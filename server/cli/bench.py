@@ -304,6 +304,7 @@ class Bench:
             "size": self.size,
             "bounces": self.scene.bounces,
             "survival": self.scene.plan.survival,
+            "branches": self.scene.plan.branches,
             "threads": self.renderer.tiles.threads,
             "lanes": RAY_WIDTH if REGISTER else 0,
             "surface_pixels": self.frame.surface,

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.accuracy.albedo import albedo
+from benchmarks.accuracy.branching import branching
 from benchmarks.accuracy.checking import checking
 from benchmarks.accuracy.choices import choices
 from benchmarks.accuracy.interpolation import interpolation
@@ -40,6 +41,13 @@ def test_roulette_pays_where_albedos_are_high() -> None:
     ratios = [found[f"roulette / cut at albedo {albedo}"] for albedo in (0.1, 0.5, 0.9, 0.99)]
     assert all(math.isfinite(ratio) and ratio > 0.0 for ratio in ratios)
     assert ratios[-1] < ratios[0]
+
+
+def test_branches_take_error_off() -> None:
+    found = figures(branching, "demo:orbital", "--size", "24")
+    assert found["demo:orbital: planned"] == 4 and 0.0 < found["demo:orbital: single, error"] < 0.04
+    assert all(0.0 < found[f"demo:orbital: {count}: error then"] < 1.1 for count in (2, 4, 8))
+    assert all(found[f"demo:orbital: {count}: time to equal error"] > 0.0 for count in (2, 4, 8))
 
 
 def test_what_projection_gains_is_listed_by_volume() -> None:

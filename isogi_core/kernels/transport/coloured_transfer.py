@@ -147,7 +147,7 @@ def project_coloured(ends, carried, rules, starts, samples, sums):
 def bake_coloured_together(field, cells, colours, place, rows, samples, rules, out):
     """``bake_coloured_texels`` for a few texels whose paths go together."""
     g, last, starts = 2 * rows.shape[0], samples.first + samples.count, start_halves(place, rows)
-    step, most = max(WAVE // g, 1), rules.orders.max()
+    step, most = min(max(WAVE // g, 1), samples.count), rules.orders.max()
     ends = make_ends(g, step, rules.branches)
     carried = np.ones((3, ends.bounces.shape[0]))
     sums = np.zeros((rules.orders.shape[0], whole(g) // PATH_WIDTH, most * most * PATH_WIDTH))

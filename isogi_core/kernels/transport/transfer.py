@@ -73,18 +73,18 @@ def make_ends(starts, count, branches):
 
 @kernel()
 def count_ends(ends, weights, branches, counts):
-    """Fill ``counts`` (n,) with what each path counts by its ``weights``, and a branch as one of so many; whether any
-    of the paths as they start count, and any of the branches.
+    """Fill ``counts`` (n,) with what each path counts by its ``weights``, and a branch as one of so many.
+
+    Returns which blocks of the ``PathEnds`` count at all, (first, last): the others are left.
     """
-    straight = reflected = False
+    straight, reflected = weights[:2].any(), weights[0] != 0.0 or weights[2:].any()
+    first, last = 0 if straight or branches == 1 else 1, blocks(branches) if reflected else 1
     stride = ends.bounces.shape[0] // blocks(branches)
-    for m in range(ends.bounces.shape[0]):
+    for m in range(first * stride, last * stride):
         bounces = ends.bounces[m]
         counts[m] = weights[bounces + 1] if bounces != NOWHERE else 0.0
-        straight |= m < stride and counts[m] != 0.0
-        reflected |= m >= stride and counts[m] != 0.0
-    counts[stride : ends.bounces.shape[0]] /= branches
-    return straight, reflected
+    counts[stride : last * stride] /= branches
+    return first, last
 
 
 @kernel()
@@ -113,8 +113,7 @@ def project_ends(ends, rules, orders, starts, samples, sums):
     """
     counts = np.zeros(ends.bounces.shape[0] + PATH_WIDTH)
     for c in range(sums.shape[0]):
-        straight, reflected = count_ends(ends, rules.weights[c], rules.branches, counts)
-        some = 0 if straight else 1, blocks(rules.branches) if reflected else 1
+        some = count_ends(ends, rules.weights[c], rules.branches, counts)
         project(ends, counts, orders[c], starts, samples, some, sums[c])
 
 
@@ -151,7 +150,7 @@ def bake_together(field, cells, place, rows, samples, rules, orders, out):
     """``bake_texels`` for a few texels whose paths go together."""
     g, bounces, last = 2 * rows.shape[0], rules.weights.shape[1] - 2, samples.first + samples.count
     starts = start_halves(place, rows)
-    step, most = max(WAVE // g, 1), orders.max()
+    step, most = min(max(WAVE // g, 1), samples.count), orders.max()
     tree, ends = PathTree(bounces, rules.survival, rules.branches), make_ends(g, step, rules.branches)
     sums = np.zeros((rules.weights.shape[0], whole(g) // PATH_WIDTH, most * most * PATH_WIDTH))
     exchange(sums, rows, out, False)

@@ -155,7 +155,8 @@ def test_the_plan_is_that_of_the_scene(live_server: str, small_scene: Path) -> N
     """Every number of the document, beside the plan that the scene itself makes."""
     answer = httpx.get(f"{live_server}/v1/scenes/small")
     plan, own = answer.json()["plan"], load_scene(small_scene)
-    for name in ("representation", "order", "indirect_order", "channels", "bounces", "precision", "samples"):
+    names = ("representation", "order", "indirect_order", "channels", "bounces", "branches", "precision", "samples")
+    for name in names:
         assert plan[name] == getattr(own.plan, name)
     assert plan["bytes_per_texel"] == sum(layer["bytes_per_texel"] for layer in plan["layers"]) < 300
     assert plan["full_bytes_per_texel"] == 300
