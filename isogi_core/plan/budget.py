@@ -61,15 +61,13 @@ On texels of the engine at 70 and the CT head at 110 reflected light took 1.18 a
 ROULETTE_RAYS = 21
 """Percent of rays that roulette saves, for albedos from 0.5 to 0.95 on those texels: 13 to 30."""
 
-BRANCHING = 2.0
-"""v_r / (p v_d) over R² and the ratio of energies, see ``branches_for``: so much after 64 samples of the engine at 70
-under grace.
-"""
+BRANCHING = 5.7
+"""The best number of branches over the albedo where light has its lobes taken out: 2 under ennis, 10 under grace."""
 
 MOST_BRANCHES = 4
-"""The most branches of a path. Under grace and noon_grass, whose best are 5 and 9 by the energies, 4 came to the error
-that single paths end with in 0.62 to 0.76 of their time (``accuracy branching``: engine, CT and chest, brain, carp). 8
-took 0.51 to 0.71 of it, and first light, which all wait for, twice as long as single paths do.
+"""The most branches of a path. Under grace and noon_grass, 4 came to the error that single paths end with in 0.62 to
+0.76 of their time (``accuracy branching``: engine, CT and chest, brain, carp). 8 took 0.51 to 0.71 of it, and first
+light, which all wait for, twice as long as single paths do.
 """
 
 LONGEST_PATH = 1000
@@ -110,21 +108,21 @@ def survival_for(albedo: Colour, bounces: int) -> float:
     return brightest if bounces > 1 and brightest >= ROULETTE else 1.0
 
 
-def branches_for(layers: tuple[Layer, ...], inputs: PlanInputs, lobes: int) -> int:
+def branches_for(layers: tuple[Layer, ...], inputs: PlanInputs) -> int:
     """In how many ways paths go on from the first surface that they hit: a power of two, at most MOST_BRANCHES.
 
     Where v_d and v_r are the variances that what comes straight and what was reflected bring by each path, and a path
     takes one ray and then p more, b branches cost (v_d + v_r / b)(1 + p b) for an error: least at √(v_r / (p v_d)).
     Noise is alike in all bands, so that v_r / v_d is R² times the energy of the bands that either meets, and falls
-    with p as v_r does: see BRANCHING. Light that lobes are taken out of gains most.
+    with p as v_r does. Light that lobes are taken out of gains: that which is reflected still meets these, and has
+    about as many bands. So the number follows from the layers, and hardly from the light, which may change: where that
+    is the same from all sides, nothing is noisy but band 0.
     """
     direct, indirect = (next((each for each in layers if each.kind == kind), None) for kind in ("direct", "indirect"))
-    if direct is None or indirect is None or direct.order == 1:
+    if direct is None or indirect is None or direct.order > indirect.order + 1 or even(inputs):
         return 1
-    straight = float(inputs.energy_beside(lobes)[1 : direct.order].sum())
-    reflected = max(inputs.albedo) ** 2 * float(inputs.energy[1 : indirect.order].sum())
-    best = math.sqrt(BRANCHING * reflected / max(straight, 1e-30 * reflected)) if reflected > 0.0 else 1.0
-    return int(2 ** min(max(round(math.log2(best)), 0), int(math.log2(MOST_BRANCHES))))
+    power = round(math.log2(max(BRANCHING * max(inputs.albedo), 1.0)))
+    return min(1 << power, MOST_BRANCHES)
 
 
 def tail_of_bounces(albedo: Colour, bounces: int) -> float:

@@ -149,7 +149,7 @@ def plan_scene(inputs: PlanInputs, overrides: PlanOverrides) -> ScenePlan:
     layers = rounded(layers_of(representation, inputs, overrides, bounces, lobes), inputs, overrides, lobes)
     layers += glow_layers(inputs, bounces)
     order, samples = max(layer.order for layer in layers), most_samples(inputs.target_error)
-    survival, branches = survival_for(inputs.reflecting, bounces), branches_for(layers, inputs, lobes)
+    survival, branches = survival_for(inputs.reflecting, bounces), branches_for(layers, inputs)
     plan = ScenePlan(representation, layers, order, bounces, survival, samples, lobes, branches)
     return complete(plan, inputs, overrides)
 

@@ -315,8 +315,7 @@ class Scene:
             return self._glow_digest(layer, shown)
         *kept, nodes = astuple(layer)
         parts = [BAKE_FORMAT, self.volume.digest, self.lattice, *kept, *self.departures]
-        if shown is not None:
-            parts += ["shown", shown]
+        parts += [] if shown is None else ["shown", shown]
         if layer.reflected:
             parts += [["nodes", *nodes] if nodes else self.albedo[: layer.channels], self.bounces, self.plan.survival]
             parts += ["branches", self.plan.branches] if self.plan.branches > 1 else []

@@ -395,9 +395,9 @@ TRANSFER = "order = 3\nindirect_order = 2\nbounces = 4\nlobes = 0"
             [
                 "9c645cbc7717d93629bd",
                 "6a2aaaea9a060fa2da31",
-                "cd85183d619b8118aeb1",
-                "60765dcf2dc0d404eb8b",
-                "4a3812659fd7a4107b6e",
+                "8d0ebdacd1ad6e42618a",
+                "415cb1074ff5c0c7df37",
+                "fd44de9c9d9038395602",
             ],
         ),
         (
