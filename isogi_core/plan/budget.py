@@ -61,8 +61,13 @@ On texels of the engine at 70 and the CT head at 110 reflected light took 1.18 a
 ROULETTE_RAYS = 21
 """Percent of rays that roulette saves, for albedos from 0.5 to 0.95 on those texels: 13 to 30."""
 
-BRANCHING = 5.7
-"""The best number of branches over the albedo where light has its lobes taken out: 2 under ennis, 10 under grace."""
+BRANCHING = 2.0
+"""v_r / (p v_d) over R² and the ratio of energies, see ``branches_for``: so much after 64 samples of the engine at 70
+under grace.
+"""
+
+BRANCHED = 6
+"""The bands that are asked whether paths branch: as many as light that turns usually keeps."""
 
 MOST_BRANCHES = 4
 """The most branches of a path. Under grace and noon_grass, 4 came to the error that single paths end with in 0.62 to
@@ -114,15 +119,15 @@ def branches_for(layers: tuple[Layer, ...], inputs: PlanInputs) -> int:
     Where v_d and v_r are the variances that what comes straight and what was reflected bring by each path, and a path
     takes one ray and then p more, b branches cost (v_d + v_r / b)(1 + p b) for an error: least at √(v_r / (p v_d)).
     Noise is alike in all bands, so that v_r / v_d is R² times the energy of the bands that either meets, and falls
-    with p as v_r does. Light that lobes are taken out of gains: that which is reflected still meets these, and has
-    about as many bands. So the number follows from the layers, and hardly from the light, which may change: where that
-    is the same from all sides, nothing is noisy but band 0.
+    with p as v_r does; band 0, which varies by whether first rays hit anything, gains little. Light that lobes are
+    taken out of gains most. Lobes that a plan leaves in harmonics are not asked for, nor how many bands it keeps: plans
+    of one light share their layers.
     """
-    direct, indirect = (next((each for each in layers if each.kind == kind), None) for kind in ("direct", "indirect"))
-    if direct is None or indirect is None or direct.order > indirect.order + 1 or even(inputs):
+    straight, met = (energy[1:BRANCHED].sum() for energy in (inputs.energy_beside(len(inputs.lobes)), inputs.energy))
+    if met == 0.0 or all(layer.kind != "indirect" for layer in layers):
         return 1
-    power = round(math.log2(max(BRANCHING * max(inputs.albedo), 1.0)))
-    return min(1 << power, MOST_BRANCHES)
+    best = max(inputs.albedo) * math.sqrt(BRANCHING * met / max(straight, 1e-9 * met))
+    return min(1 << round(math.log2(max(best, 1.0))), MOST_BRANCHES)
 
 
 def tail_of_bounces(albedo: Colour, bounces: int) -> float:

@@ -82,8 +82,8 @@ SUN = SkyLight()
     ("lights", "changes", "branches"),
     [
         ([SUN], {}, 4),
-        ([SUN], {"albedo": 0.25}, 2),
-        ([SUN], {"albedo": 0.1}, 1),
+        ([SUN], {"albedo": 0.1}, 2),
+        ([SUN], {"albedo": 0.03}, 1),
         ([ConstantLight()], {}, 1),
         ([SUN], {"rotating": False}, 1),
     ],
@@ -93,8 +93,10 @@ def test_paths_branch_where_reflections_are_noisier(lights: list[Any], changes: 
     assert plan_of(lights, **changes).branches == branches
 
 
-def test_paths_do_not_branch_without_lobes() -> None:
-    assert plan_of([SUN], PlanOverrides(lobes=0)).branches == 1
+def test_plans_of_one_light_have_the_same_branches() -> None:
+    """However many lobes and bands they keep, where they keep reflected light at all."""
+    changes = (PlanOverrides(lobes=0), PlanOverrides(order=4), PlanOverrides(indirect_order=2))
+    assert {plan_of([SUN], change).branches for change in changes} == {4}
     assert plan_of([SUN], PlanOverrides(bounces=0)).branches == 1
 
 

@@ -45,9 +45,11 @@ def test_each_cause_is_there_where_it_acts(under_sky: Bench) -> None:
     assert sizes["bounces cut off"].bias <= 0.0
 
 
-def test_the_noise_part_is_what_the_frame_tells(under_sky: Bench) -> None:
-    split = split_error(under_sky)
-    told = under_sky.planned.frame().noise
+def test_the_noise_part_is_what_the_frame_tells(make_bench: Callable[..., Bench]) -> None:
+    """At 2 %: where 64 samples are far more than enough, less is left than is told."""
+    bench = make_bench(target_error=0.02)
+    split = split_error(bench)
+    told = bench.planned.frame().noise
     assert 0.67 < split.spread(split.parts[0]).rmse / told < 1.5
 
 

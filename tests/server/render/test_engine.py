@@ -272,10 +272,10 @@ def test_a_path_traced_frame_lacks_no_light_whatever_its_error(begin: Open, scen
 def test_a_stricter_error_is_worked_for(begin: Open, scene: Scene) -> None:
     engine = begin()
     loose = engine.frame(scene.id, view_of(scene), wait=LONG)
-    strict = engine.frame(scene.id, view_of(scene), max_error=0.05)
+    strict = engine.frame(scene.id, view_of(scene), max_error=0.02)
     assert strict.provisional
     assert strict.demands
-    strict = engine.frame(scene.id, view_of(scene), max_error=0.05, wait=LONG)
+    strict = engine.frame(scene.id, view_of(scene), max_error=0.02, wait=LONG)
     assert not strict.provisional
     assert strict.total.likely < loose.total.likely
 
