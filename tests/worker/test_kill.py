@@ -35,7 +35,7 @@ LONG = 120.0
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     """One with projected texels beside the others."""
-    return load_scene("demo:orbital", lattice=0.5, bounces=2, target_error=0.2, projected=True)
+    return load_scene("demo:orbital", lattice=0.5, bounces=2, target_error=0.25, projected=True)
 
 
 @pytest.fixture(scope="module")
