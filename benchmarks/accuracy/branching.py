@@ -8,10 +8,10 @@ what single paths end with, between levels by a power of time. Errors are estima
 texels.
 """
 
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 
 import click
 import numpy as np
@@ -23,7 +23,7 @@ from benchmarks.common.suite import part
 from benchmarks.speed.paths import view_texels
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.bake.noise import relative_error
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.precision import FIRST_LEVEL, next_level
 from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import Light
 from isogi_core.plan.assembly import load_scene
@@ -82,8 +82,10 @@ def curve_of(scene: Scene, branches: int, tasks: list[np.ndarray]) -> Curve:
     spec = spec_for(PreparedScene(replace(scene, plan=replace(scene.plan, branches=branches))), "gi")
     for texels in tasks:  # maps are made, and kernels loaded
         refine(Light.dark(spec.plan, len(texels)), texels, spec, FIRST_LEVEL, scene.target_error)
-    lights, seconds, curve = [Light.dark(spec.plan, len(texels)) for texels in tasks], 0.0, []
-    for level in levels(scene.plan.samples):
+    lights, seconds, curve = [Light.dark(spec.plan, len(texels)) for texels in tasks], 0.0, Curve()
+    level = 0
+    while level < scene.plan.samples:
+        level = next_level(level)
         begun = time.process_time()
         for light, texels in zip(lights, tasks, strict=True):
             refine(light, texels, spec, level, scene.target_error)
@@ -93,18 +95,7 @@ def curve_of(scene: Scene, branches: int, tasks: list[np.ndarray]) -> Curve:
     return curve
 
 
-def levels(most: int) -> Iterator[int]:
-    """The levels of samples up to the most."""
-    level = FIRST_LEVEL
-    while level <= most:
-        yield level
-        level *= 2
-
-
 def seconds_to(error: float, curve: Curve) -> float:
     """When a curve comes to an ``error``: between two levels as if it fell with a power of time."""
-    for (before, above), (after, below) in pairwise(curve):
-        if below <= error:
-            share = np.log(above / error) / np.log(above / below) if above > error else 0.0
-            return float(before * (after / before) ** share)
-    return float("inf")
+    seconds, errors = np.log(curve).T
+    return float(np.exp(np.interp(-np.log(error), -errors, seconds))) if curve[-1][1] <= error else math.inf
