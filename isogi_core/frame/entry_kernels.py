@@ -6,6 +6,7 @@ from typing import Any
 from isogi_core.frame.view_texels import carries_irradiance_ratios
 from isogi_core.kernels.shading.chunks import (
     add_footprints,
+    find_coarse_corners,
     find_corners,
     find_places,
     find_rows,
@@ -120,6 +121,7 @@ FRAME = (
     pack_bricks,
     number_bricks,
     fill_macrocells,
+    find_coarse_corners,
     find_corners,
     add_footprints,
     count_stiffness,

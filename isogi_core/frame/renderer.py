@@ -64,7 +64,7 @@ from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_checks import ViewChecks
 from isogi_core.frame.view_keys import check_key, is_checked, surface_key
-from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels
+from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels, reads_coarsely
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.lru_cache import LruCache
@@ -253,7 +253,7 @@ class Renderer:
         def lit(rays: ShineRays) -> SeenLight:
             found = self._light_ends(rays, light, target, tiles)
             for kind in (ViewTexels, TexelNormals):
-                self._kept.drop((kind, surface_key(rays.view(light.view))))
+                self._kept.drop((kind, surface_key(rays.view(light.view)), False))
             return found
 
         allowed = SHINE_SHARE * target * frame.true_mean
@@ -338,12 +338,13 @@ class Renderer:
 
     def texels(self, view: View, gbuffer: GBuffer, tiles: Tiles | None = None) -> ViewTexels:
         """The texels under a view; they hold its G-buffer, so that both are kept, or neither."""
-        make = partial(find_texels, gbuffer, self.prepared, tiles or self.tiles)
-        return self._kept.get((ViewTexels, surface_key(view)), make)
+        coarse = reads_coarsely(view, gbuffer, self.prepared.lattice)
+        make = partial(find_texels, gbuffer, self.prepared, tiles or self.tiles, coarse)
+        return self._kept.get((ViewTexels, surface_key(view), coarse), make)
 
     def knows(self, view: View) -> bool:
         """Whether the texels under a view are kept."""
-        return self._kept.held((ViewTexels, surface_key(view))) is not None
+        return self._kept.held((ViewTexels, surface_key(view), False)) is not None
 
     def lobes(self, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles | None = None) -> LobeLight:
         """What comes straight from lobes to a view; kept while neither camera nor light moves, for any albedo."""
@@ -366,7 +367,7 @@ class Renderer:
 
     def _read(self, view: View, texels: ViewTexels, pool: PagePool, held: Held, target: float, tiles: Tiles) -> Reading:
         """What the ``pool`` has of a view's texels, looked up anew when it has changed."""
-        key = (Reading, surface_key(view), pool.spec.digest, target, held.age)
+        key = (Reading, surface_key(view), texels.coarse, pool.spec.digest, target, held.age)
         return self._kept.get(key, lambda: read_texels(texels, held.slots, pool, target, tiles))
 
     @contextmanager
@@ -395,5 +396,5 @@ class Renderer:
         if reading.unbaked:
             return nearby_normals(texels, tiles)
         make = partial(find_texel_normals, texels, self._normals, self.prepared, tiles)
-        normals = self._kept.get((TexelNormals, surface_key(view)), make)
+        normals = self._kept.get((TexelNormals, surface_key(view), texels.coarse), make)
         return normals.where(reading.on_surface, texels, self.prepared, tiles)

@@ -1,5 +1,6 @@
 """The light that leaves each surface point of a view, by the model that the view asks for: from data to data."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ from isogi_core.frame.lighting import RotatedLight, scatter_at, weights_between
 from isogi_core.frame.rays.pixel_rays import Paths, pooled_variance, replicas_for, variance_of_mean
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_texels import ViewTexels
+from isogi_core.frame.view_texels import PAIRED, ViewTexels
 from isogi_core.kernels.shading.filtering import ALL, FACES, PATHS, VARIANCE, filter_texels, lend_texels, take_filtered
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer, PixelPoints
 from isogi_core.kernels.shading.irradiance_ratio import (
@@ -34,11 +35,6 @@ STEPS = (1, 2)
 
 Of the engine under uffizi after 16 samples each texel by itself errs by 12.4 %, filtered once by 7.4 %, twice by 5.1 %;
 after 256 samples by 1.18, 0.89 and 0.83 %.
-"""
-
-APART = 5
-"""Texels for each surface point from which on cells hardly share any, of at most eight: a filter then finds few more
-texels than the pixels mix anyway, and takes longer than all else of such a draft.
 """
 
 
@@ -171,17 +167,15 @@ def filter_texel_light(
     """Texels' light ``lit`` (texels, LIT), filtered where it is noisy; see ``kernels.shading.filtering``.
 
     Texels without light have that of their neighbours, in which the ``reading`` that is returned is converging.
-    ``normals`` (texels, 3) are those that they are lit about. Of a view that moves one step to texels' faces has to do,
-    or none where its pixels are far apart; ``lend_light`` lights what has no light then. Raises Cancelled.
+    ``normals`` (texels, 3) are those that they are lit about. Of a view that moves one step along the axes has to do,
+    to the next texels that it reads; ``lend_light`` lights what has no light then. Raises Cancelled.
     """
-    if light.view.moving and len(lit) > APART * len(texels.corners):
-        return lend_light(texels, reading, lit)
     records, positions = fill_texel_records(reading, lit, normals, light, tiles), texels.positions
     records[:, PATHS], records[:, VARIANCE] = reading.samples, records[:, NOISE] ** 2
     noisy = reading.noisy
     records[~noisy & (reading.grade == CONVERGING), GRADE] = FINAL
     moving, lattice = light.view.moving, texels.lattice
-    for step in STEPS[:1] if moving else STEPS:
+    for step in (STEPS[texels.coarse],) if moving else STEPS:
         before, after, reach = records, np.empty_like(records), (step, FACES if moving else ALL)
 
         def _piece(a: int, b: int) -> None:
@@ -221,6 +215,8 @@ def carry_irradiance_ratios(
     gbuffer, lattice, corners = texels.gbuffer, texels.lattice, texels.corners
     points, pixels, framebuffer = gbuffer.points, gbuffer.pixels, empty_framebuffer(gbuffer)
     unshadowed, unit = light.unshadowed, np.float32(light.spec.unit)
+    if texels.coarse:
+        records[:, NOISE] *= math.sqrt(PAIRED)
 
     def _piece(a: int, b: int) -> None:
         some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
@@ -240,6 +236,8 @@ def carry_texel_light(
     gbuffer, lattice, corners = texels.gbuffer, texels.lattice, texels.corners
     points, pixels, framebuffer = gbuffer.points, gbuffer.pixels, empty_framebuffer(gbuffer)
     sky, unit = light.sky, np.float32(light.spec.unit)
+    if texels.coarse:
+        lit[:, 3] *= math.sqrt(PAIRED)
 
     def _piece(a: int, b: int) -> None:
         some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])

@@ -15,6 +15,7 @@ from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.chunks import (
     add_footprints,
+    find_coarse_corners,
     find_corners,
     find_places,
     mark_texels,
@@ -24,6 +25,7 @@ from isogi_core.kernels.shading.chunks import (
 from isogi_core.kernels.shading.filtering import Numbering
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lattice import Lattice
+from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
@@ -70,13 +72,26 @@ def first_texels(offsets: np.ndarray, bits: int) -> np.ndarray:
     return np.asarray((z == y) & (y == x))
 
 
+READ, EACH = 3.0, 16
+"""Texels that a view reads for each square of a lattice's texels on a surface; and every so many pairs of points are
+looked at to tell how large a share of such a square a pixel has.
+"""
+
+PAIRED = 17.0 / 8.0
+"""How much more the variance of a texel counts in the pixels of a view that is ``coarse``, in the mean.
+
+Two texels then stand for the eight of a cell, whose trilinear weights they add up: over a cell the squares of these
+sums are 17/27 in the mean, where those of the weights themselves are (2/3)³.
+"""
+
+
 @dataclass(frozen=True, eq=False)
 class ViewTexels:
     """The texels of a ``lattice`` that a G-buffer reads, numbered 0 … m - 1, chunk by chunk.
 
     ``chunks`` lists the chunks touched; texel t is at ``places[t]`` = i · texels of a chunk + offset, those
     of chunk i are ``bounds[i]`` … ``bounds[i + 1]``; ``corners`` (points, 8) numbers the texels around each point, and
-    ``numbering`` finds those around a texel.
+    ``numbering`` finds those around a texel. Where a view is ``coarse`` its ``first_texels`` stand for all.
     """
 
     gbuffer: GBuffer
@@ -86,6 +101,7 @@ class ViewTexels:
     bounds: np.ndarray
     corners: np.ndarray
     numbering: Numbering
+    coarse: bool = False
 
     @property
     def nbytes(self) -> int:
@@ -134,8 +150,21 @@ class ViewTexels:
         return weight
 
 
-def find_texels(gbuffer: GBuffer, prepared: PreparedScene, tiles: Tiles) -> ViewTexels:
-    """Collect the texels around every surface point of ``gbuffer``. Raises Cancelled."""
+def reads_coarsely(view: View, gbuffer: GBuffer, lattice: Lattice) -> bool:
+    """Whether a ``view`` moves and would read more texels than it has points: some READ for each square of the lattice.
+
+    By the median distance of points in pixels side by side.
+    """
+    if not view.moving:
+        return False
+    here, beside = gbuffer.pixels[:-1:EACH], gbuffer.pixels[1::EACH]
+    steps = gbuffer.points[1::EACH] - gbuffer.points[:-1:EACH]
+    squares = ((steps * np.array(lattice.density, np.float32)) ** 2).sum(axis=1)[beside - here == 1]
+    return len(squares) > 0 and READ * float(np.median(squares)) > 1.0
+
+
+def find_texels(gbuffer: GBuffer, prepared: PreparedScene, tiles: Tiles, coarse: bool = False) -> ViewTexels:
+    """Collect the texels around every surface point of ``gbuffer``, or ``coarse`` ones alone. Raises Cancelled."""
     points, lattice = gbuffer.points, prepared.lattice
     piece, share = tiles.even(len(points)), tiles.even(len(points), 1)
 
@@ -143,22 +172,22 @@ def find_texels(gbuffer: GBuffer, prepared: PreparedScene, tiles: Tiles) -> View
         tiles.run(lambda a, b: kernel(lattice, points[a:b], *each(a, b)), len(points), size)
 
     touched = np.zeros(prepared.chunks, np.bool_)
-    _over_points(touch_chunks, piece, lambda a, b: (touched,))
+    _over_points(touch_chunks, piece, lambda a, b: (coarse, touched))
     indices = np.argwhere(touched)
     slots = np.full(prepared.chunks, -1, np.int32)
     slots[touched] = np.arange(len(indices))
     marks = np.zeros((-(-len(points) // share), len(indices) * lattice.rows), np.uint32)
-    _over_points(mark_texels, share, lambda a, b: (slots, marks[a // share]))
+    _over_points(mark_texels, share, lambda a, b: (coarse, slots, marks[a // share]))
     read = np.bitwise_or.reduce(marks, axis=0)
     first = np.zeros(len(read) + 1, np.uint32)
     np.cumsum(np.bitwise_count(read), out=first[1:])
     places = np.empty(first[-1], np.uint32)
     tiles.run(lambda a, b: find_places(lattice, a, b, read, first, places), len(read), tiles.even(len(read)))
-    corners = np.empty((len(points), 8), np.uint32)
-    _over_points(find_corners, piece, lambda a, b: (slots, read, first, corners[a:b]))
+    corners, find = np.empty((len(points), 8), np.uint32), find_coarse_corners if coarse else find_corners
+    _over_points(find, piece, lambda a, b: (slots, read, first, corners[a:b]))
     chunks = tuple((z, y, x) for z, y, x in indices.tolist())
     numbering = Numbering(slots, read, first)
-    return ViewTexels(gbuffer, lattice, chunks, places, first[:: lattice.rows].copy(), corners, numbering)
+    return ViewTexels(gbuffer, lattice, chunks, places, first[:: lattice.rows].copy(), corners, numbering, coarse)
 
 
 def most_seen(offsets: np.ndarray, *views: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

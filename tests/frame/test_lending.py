@@ -1,4 +1,4 @@
-"""Light that is lent in small drafts: what has none yet is lit by the rest of its cell, and nothing is filtered."""
+"""Light of drafts: what has none yet is lit by the rest of its cell, and where pixels are large few texels are read."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from isogi_core.frame import shading
-from isogi_core.frame.shading import lend_light
+from isogi_core.frame.shading import carry_texel_light, lend_light
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.view_texels import first_texels
+from isogi_core.frame.view_texels import PAIRED, first_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
 from isogi_core.kernels.shading.lattice import BURIED, LIT, PARTIAL, UNBAKED, VOID
+from isogi_core.model.sky import LUMINANCE
 from tests.frame.conftest import SKY, Workbench, reading_of, refine_chunk, relative_rmse
 from tests.loaded import load_scene
 
@@ -55,9 +56,11 @@ def test_light_that_is_all_there_is_left_alone(workbench: Make) -> None:
     assert lend_light(texels, reading, lit) == (reading, lit)
 
 
-@pytest.mark.parametrize("size", [64, 128])
-def test_a_draft_is_lit_by_a_quarter_of_its_texels(size: int, workbench: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A small one unfiltered. Either is near to the picture at rest, which is filtered."""
+@pytest.mark.parametrize(("size", "step"), [(64, 2), (128, 2), (512, 1)])
+def test_a_draft_is_lit_by_a_quarter_of_its_texels(
+    size: int, step: int, workbench: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A small one reads no others, and is filtered by the next of these. All are near to the picture at rest."""
     bench = orbital(workbench)
     view = bench.view(size=size)
     for demand in bench.renderer.render(view).demands:
@@ -71,6 +74,52 @@ def test_a_draft_is_lit_by_a_quarter_of_its_texels(size: int, workbench: Make, m
 
     monkeypatch.setattr(shading, "filter_texels", noted)
     draft = bench.renderer.render(replace(view, moving=True))
-    assert steps == (set() if size == 64 else {1}) and draft.coverage["provisional"] < 0.02
+    assert steps == {step} and draft.coverage["provisional"] < 0.02
+    unlit = sum(demand.effort.unlit for demand in draft.demands)
+    assert unlit == 0 if step == 2 else unlit > 1000
     rest = bench.renderer.render(view)
     assert steps == {1, 2} and relative_rmse(draft, rest) < 0.15
+
+
+def test_what_moves_reads_few_texels_where_pixels_are_large(workbench: Make) -> None:
+    """Small views that move read first texels alone; large ones, and all at rest, the eight about each point."""
+    bench = orbital(workbench)
+    for size in (32, 64, 128, 512):
+        view = bench.view(size=size)
+        gbuffer = bench.renderer.gbuffer(view)
+        rest, draft = (bench.renderer.texels(replace(view, moving=moving), gbuffer) for moving in (False, True))
+        assert not rest.coarse and draft.coarse == (size < 512)
+        assert bench.renderer.texels(view, gbuffer) is rest, "both are kept"
+        assert draft.coarse == (len(rest.places) > len(gbuffer.pixels))
+        assert len(draft.places) <= 2 * len(gbuffer.pixels)
+        assert np.isin(draft.numbers, rest.numbers).all(), "of those at rest"
+
+
+def test_coarse_texels_count_more_in_the_noise_of_pixels() -> None:
+    """By 17/8 in the variance, over points spread evenly in a cell, where two take the weights of four corners each."""
+    share = (np.arange(32) + 0.5) / 32
+    weights = np.stack([1.0 - share, share])
+    corners = np.einsum("ax,by,cz->abcxyz", weights, weights, weights).reshape(8, -1)
+    near = [c.bit_count() < 2 for c in range(8)]
+    pairs = np.stack([corners[near].sum(axis=0), corners[np.invert(near)].sum(axis=0)])
+    assert (pairs**2).sum() / (corners**2).sum() == pytest.approx(PAIRED, rel=2e-3)
+
+
+def test_a_coarse_draft_tells_the_noise_of_its_pixels(workbench: Make) -> None:
+    """Over many independent lights of its texels, their pixels scatter as much as is told of them in the mean."""
+    bench, random = orbital(workbench), np.random.default_rng(3)
+    view = replace(bench.view(size=48), moving=True)
+    light, tiles = bench.renderer._light(view), Tiles(1)
+    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    assert texels.coarse
+    reading = replace(reading_of(bench, view, tiles), grade=np.full(len(texels.places), CONVERGING, np.uint8))
+    seen, told = [], []
+    for _ in range(64):
+        lit = np.ones((len(texels.places), LIT), np.float32)
+        lit[:, :3], lit[:, 3] = 1.0 + 0.05 * random.normal(size=(len(lit), 1)), 0.05
+        picture = carry_texel_light(texels, reading, lit, texels.gbuffer.points, light, tiles)
+        shown = picture.radiance[texels.gbuffer.pixels] @ LUMINANCE / light.spec.unit
+        seen.append(shown)
+        told.append(picture.error[texels.gbuffer.pixels] * shown)
+    true = np.sqrt(np.var(seen, axis=0).mean())
+    assert np.sqrt(np.mean(np.square(told))) == pytest.approx(true, rel=0.1)

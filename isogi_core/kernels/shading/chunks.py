@@ -27,15 +27,26 @@ def borders(z, y, x, bits):
     return int(within(x, bits) == last) | int(within(y, bits) == last) << 1 | int(within(z, bits) == last) << 2
 
 
-@kernel(types.void(LATTICE, POINTS, types.boolean[:, :, ::1]))
-def touch_chunks(lattice, points, touched):
-    """Set ``touched`` (chunks z, y, x) for each chunk that a point reads."""
+@kernel()
+def even_corner(z, y, x):
+    """The corner whose indices are all even of the cell whose lowest texel is this; that of odd ones is opposite."""
+    return np.int64(x & 1 | (y & 1) << 1 | (z & 1) << 2)
+
+
+@kernel(types.void(LATTICE, POINTS, types.boolean, types.boolean[:, :, ::1]))
+def touch_chunks(lattice, points, coarse, touched):
+    """Set ``touched`` (chunks z, y, x) for each chunk that a point reads: all of its cell, or ``coarse`` texels."""
     bits = lattice.bits
     for m in range(points.shape[0]):
         z, y, x, _, _, _ = base_texel(lattice, points, m)
         k, j, i = np.int64(z) >> bits, np.int64(y) >> bits, np.int64(x) >> bits
-        touched[k, j, i] = True
         crossed = borders(z, y, x, bits)
+        if coarse:
+            even = even_corner(z, y, x)
+            for c in (even & crossed, (7 - even) & crossed):
+                touched[k + (c >> 2), j + ((c >> 1) & 1), i + (c & 1)] = True
+            continue
+        touched[k, j, i] = True
         if crossed:
             for c in range(1, 8):
                 if c & crossed == c:
@@ -58,16 +69,30 @@ def rows_around(slots, bits, z, y, x):
     return r, row_of(slots, bits, z, y + 1, x), row_of(slots, bits, z + 1, y, x), row_of(slots, bits, z + 1, y + 1, x)
 
 
-@kernel(types.void(LATTICE, POINTS, SLOTS, WORDS))
-def mark_texels(lattice, points, slots, read):
+@kernel()
+def row_of_corner(slots, bits, z, y, x, c):
+    """``row_of`` corner ``c`` of a lattice cell, and the corner's place in that row."""
+    x += np.uint32(c & 1)
+    return row_of(slots, bits, z + np.uint32(c >> 2), y + np.uint32(c >> 1 & 1), x), within(x, bits)
+
+
+@kernel(types.void(LATTICE, POINTS, types.boolean, SLOTS, WORDS))
+def mark_texels(lattice, points, coarse, slots, read):
     """Set in ``read`` (slots · rows,), a bit for each texel of a row, those that a point reads.
 
-    ``slots`` (z, y, x) numbers the touched chunks. Threads each need a ``read`` of their own.
+    They are all eight of its cell, or the two ``coarse`` ones: see ``find_coarse_corners``. ``slots`` (z, y, x) numbers
+    the touched chunks. Threads each need a ``read`` of their own.
     """
     bits = lattice.bits
     last = (1 << bits) - 1
     for m in range(points.shape[0]):
         z, y, x, _, _, _ = base_texel(lattice, points, m)
+        if coarse:
+            even = even_corner(z, y, x)
+            for c in (even, 7 - even):
+                r, i = row_of_corner(slots, bits, z, y, x, c)
+                read[r] |= np.uint32(1) << np.uint32(i)
+            continue
         i = within(x, bits)
         for r in rows_around(slots, bits, z, y, x):
             read[r] |= np.uint32((3 if i < last else 1) << i)
@@ -105,6 +130,31 @@ def find_corners(lattice, points, slots, read, first, corners):
                 corners[m, 2 * c + 1] = first[r]
 
 
+@kernel()
+def is_nearer(c, corner):
+    """Whether corner ``c`` of a cell is nearer to this ``corner`` than to that opposite to it."""
+    apart = c ^ corner
+    return (apart & 1) + (apart >> 1 & 1) + (apart >> 2) < 2
+
+
+@kernel(types.void(LATTICE, POINTS, SLOTS, WORDS, PLACES, CORNERS))
+def find_coarse_corners(lattice, points, slots, read, first, corners):
+    """As ``find_corners``, of a view that reads the lattice coarsely: two texels of each cell stand for all.
+
+    They are the corners whose indices are all even or all odd (``view_texels.first_texels``), each for the four corners
+    that are nearer to it.
+    """
+    bits, numbers = lattice.bits, np.empty(2, np.uint32)
+    for m in range(points.shape[0]):
+        z, y, x, _, _, _ = base_texel(lattice, points, m)
+        even = even_corner(z, y, x)
+        for n, c in enumerate((even, 7 - even)):
+            r, i = row_of_corner(slots, bits, z, y, x, c)
+            numbers[n] = first[r] + np.uint32(ones(read[r] & ((np.uint32(1) << np.uint32(i)) - np.uint32(1))))
+        for c in range(8):
+            corners[m, c] = numbers[0] if is_nearer(c, even) else numbers[1]
+
+
 @kernel(types.void(LATTICE, types.int64, types.int64, WORDS, PLACES, PLACES))
 def find_places(lattice, begin, end, read, first, places):
     """Write to ``places`` (texels,) where the texels of the rows ``begin`` … ``end`` are.
@@ -130,24 +180,34 @@ def visible_error(framebuffer, pixel):
     return np.float64(luminance(*light) * framebuffer.error[pixel]) ** 2
 
 
+@kernel()
+def is_new(places, corners, m, c, bits):
+    """Whether the chunk of corner ``c`` of point ``m`` is not that of one before."""
+    for d in range(c):
+        if places[corners[m, d]] >> bits == places[corners[m, c]] >> bits:
+            return False
+    return True
+
+
 @kernel(types.void(LATTICE, CORNERS, PLACES, PIXELS, types.int64, types.int64, FRAMEBUFFER, types.float64[::1]))
 def weigh_chunks(lattice, corners, places, pixels, width, height, framebuffer, weight):
     """Add to ``weight`` (chunks,) the ``visible_error`` of the points that read each chunk.
 
     It counts twice in the middle of the picture, and once in its corners.
     """
-    bits = lattice.bits
+    bits = 3 * lattice.bits
     for m in range(corners.shape[0]):
         wrong = visible_error(framebuffer, pixels[m])
         if wrong == 0.0:
             continue
         y, x = divmod(np.int64(pixels[m]), width)
         wrong *= 2.0 - 0.5 * (((2 * x + 1) / width - 1.0) ** 2 + ((2 * y + 1) / height - 1.0) ** 2)
-        place = places[corners[m, 0]]
-        crossed = borders(place >> 2 * bits, place >> bits, place, bits)
-        for c in range(8):
-            if c & crossed == c:
-                weight[places[corners[m, c]] >> 3 * bits] += wrong
+        first = places[corners[m, 0]] >> bits
+        weight[first] += wrong
+        if places[corners[m, 7]] >> bits != first:  # opposite corners
+            for c in range(1, 8):
+                if is_new(places, corners, m, c, bits):
+                    weight[places[corners[m, c]] >> bits] += wrong
 
 
 class Pages(NamedTuple):

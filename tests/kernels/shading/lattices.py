@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from isogi_core.kernels.shading.chunks import find_corners, find_places, mark_texels
+from isogi_core.kernels.shading.chunks import find_coarse_corners, find_corners, find_places, mark_texels
 from isogi_core.kernels.shading.lattice import CHUNK, Lattice
 
 SHAPE = (40, 37, 34)
@@ -45,16 +45,16 @@ def corner_texels(points):
     return lower_texels(points)[0][:, None] + np.array(list(np.ndindex(2, 2, 2)))
 
 
-def view_of(points, pieces=1, chunk=CHUNK):
-    """The view's tables as `frame.texels` makes them: read (slots · rows,), places of the texels, corners (n, 8)."""
+def view_of(points, pieces=1, chunk=CHUNK, coarse=False):
+    """A view's tables as `frame.view_texels` makes them: read (slots · rows,), places of texels, corners (n, 8)."""
     whole = lattice(chunk)
     slots = np.arange(np.prod(whole.chunks), dtype=np.int32).reshape(whole.chunks)
     read = np.zeros(slots.size * whole.rows, np.uint32)
     for piece in np.array_split(points, pieces):
-        mark_texels(whole, piece, slots, read)
+        mark_texels(whole, piece, coarse, slots, read)
     first = np.concatenate([[0], np.cumsum(np.bitwise_count(read), dtype=np.uint32)]).astype(np.uint32)
     places, corners = np.full(first[-1], 2**32 - 1, np.uint32), np.empty((len(points), 8), np.uint32)
     for begin in range(0, read.size, 1000):
         find_places(whole, begin, min(begin + 1000, read.size), read, first, places)
-    find_corners(whole, points, slots, read, first, corners)
+    (find_coarse_corners if coarse else find_corners)(whole, points, slots, read, first, corners)
     return read, places.astype(int), corners
