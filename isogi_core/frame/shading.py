@@ -166,9 +166,10 @@ def filter_texel_light(
 ) -> tuple[Reading, np.ndarray]:
     """Texels' light ``lit`` (texels, LIT), filtered where it is noisy; see ``kernels.shading.filtering``.
 
-    Texels without light have that of their neighbours, in which the ``reading`` that is returned is converging.
-    ``normals`` (texels, 3) are those that they are lit about. Of a view that moves one step along the axes has to do,
-    to the next texels that it reads; ``lend_light`` lights what has no light then. Raises Cancelled.
+    Texels without light have that of their neighbours, in which the ``reading`` that is returned is converging. Where
+    none of these faces their way, ``lend_light`` does, and at rest all of that light may be wrong. ``normals``
+    (texels, 3) are those that they are lit about. Of a view that moves one step along the axes has to do, to the next
+    texels that it reads. Raises Cancelled.
     """
     records, positions = fill_texel_records(reading, lit, normals, light, tiles), texels.positions
     records[:, PATHS], records[:, VARIANCE] = reading.samples, records[:, NOISE] ** 2
@@ -190,7 +191,11 @@ def filter_texel_light(
 
     tiles.run(_take, len(lit), tiles.even(len(lit)))
     found = replace(reading, grade=grade)
-    return lend_light(texels, found, filtered) if moving else (found, filtered)
+    lent, light_lent = lend_light(texels, found, filtered)
+    if not moving:
+        unsure = grade != lent.grade
+        light_lent[unsure, 3] = light_lent[unsure, :3] @ LUMINANCE
+    return lent, light_lent
 
 
 def lend_light(texels: ViewTexels, reading: Reading, lit: np.ndarray) -> tuple[Reading, np.ndarray]:
