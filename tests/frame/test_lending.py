@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from isogi_core.frame import shading
-from isogi_core.frame.shading import carry_texel_light, lend_light
+from isogi_core.frame.shading import carry_texel_light, filter_texel_light, lend_light
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import PAIRED, first_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
@@ -123,3 +123,26 @@ def test_a_coarse_draft_tells_the_noise_of_its_pixels(workbench: Make) -> None:
         told.append(picture.error[texels.gbuffer.pixels] * shown)
     true = np.sqrt(np.var(seen, axis=0).mean())
     assert np.sqrt(np.mean(np.square(told))) == pytest.approx(true, rel=0.1)
+
+
+def test_at_rest_what_no_neighbour_faces_is_lent_light_that_may_be_wrong(workbench: Make) -> None:
+    """A texel whose normal is turned round has the light of its cell, and as much error as light; none is filtered."""
+    bench = orbital(workbench)
+    view, tiles = bench.view(size=24), Tiles(1)
+    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    turned = np.unique(texels.corners[::7, 3])
+    normals = np.tile(np.array([[0.0, 0.0, 1.0]], np.float32), (len(texels.places), 1))
+    normals[turned] *= -1.0
+    grade = np.full(len(normals), CONVERGING, np.uint8)
+    grade[turned] = UNBAKED
+    samples = np.where(grade == UNBAKED, 0, 16).astype(np.int32)
+    reading = replace(reading_of(bench, view, tiles), grade=grade, samples=samples)
+    lit = np.full((len(normals), LIT), 0.5, np.float32)
+    lit[:, 3], lit[turned] = 0.01, 0.0
+    for moving in (False, True):
+        light = bench.renderer._light(replace(view, moving=moving))
+        found, filtered = filter_texel_light(texels, reading, lit, normals, light, tiles)
+        assert (found.grade == CONVERGING).all()
+        np.testing.assert_allclose(filtered[turned, :3], 0.5, rtol=1e-3)
+        told = filtered[turned, 3]
+        assert (told < 0.05).all() if moving else np.allclose(told, 0.5, rtol=1e-3)
