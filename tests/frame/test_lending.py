@@ -125,7 +125,7 @@ def test_a_coarse_draft_tells_the_noise_of_its_pixels(workbench: Make) -> None:
     assert np.sqrt(np.mean(np.square(told))) == pytest.approx(true, rel=0.1)
 
 
-def test_at_rest_what_no_neighbour_faces_is_lent_light_that_may_be_wrong(workbench: Make) -> None:
+def test_lent_light_at_rest_may_all_be_wrong(workbench: Make) -> None:
     """A texel whose normal is turned round has the light of its cell, and as much error as light; none is filtered."""
     bench = orbital(workbench)
     view, tiles = bench.view(size=24), Tiles(1)
