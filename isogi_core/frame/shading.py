@@ -210,6 +210,15 @@ def lend_light(texels: ViewTexels, reading: Reading, lit: np.ndarray) -> tuple[R
     return replace(reading, grade=grade), lent
 
 
+def noise_in_pixels(values: np.ndarray, column: int, texels: ViewTexels) -> np.ndarray:
+    """The ``values`` (texels, …) with the noise in their ``column`` as pixels are to count it: see PAIRED."""
+    if not texels.coarse:
+        return values
+    counted = values.copy()
+    counted[:, column] *= math.sqrt(PAIRED)
+    return counted
+
+
 def carry_irradiance_ratios(
     texels: ViewTexels, records: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
 ) -> Framebuffer:
@@ -219,9 +228,8 @@ def carry_irradiance_ratios(
     """
     gbuffer, lattice, corners = texels.gbuffer, texels.lattice, texels.corners
     points, pixels, framebuffer = gbuffer.points, gbuffer.pixels, empty_framebuffer(gbuffer)
+    records = noise_in_pixels(records, NOISE, texels)
     unshadowed, unit = light.unshadowed, np.float32(light.spec.unit)
-    if texels.coarse:
-        records[:, NOISE] *= math.sqrt(PAIRED)
 
     def _piece(a: int, b: int) -> None:
         some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
@@ -240,9 +248,8 @@ def carry_texel_light(
     """
     gbuffer, lattice, corners = texels.gbuffer, texels.lattice, texels.corners
     points, pixels, framebuffer = gbuffer.points, gbuffer.pixels, empty_framebuffer(gbuffer)
+    lit = noise_in_pixels(lit, 3, texels)
     sky, unit = light.sky, np.float32(light.spec.unit)
-    if texels.coarse:
-        lit[:, 3] *= math.sqrt(PAIRED)
 
     def _piece(a: int, b: int) -> None:
         some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
