@@ -111,6 +111,12 @@ def ones(word):
     ) >> np.uint32(24)
 
 
+@kernel()
+def number_in_row(read, first, r, i):
+    """The view's own number of the texel at place ``i`` of row ``r``, or of the next one there that it reads."""
+    return first[r] + np.uint32(ones(read[r] & ((np.uint32(1) << np.uint32(i)) - np.uint32(1))))
+
+
 @kernel(types.void(LATTICE, POINTS, SLOTS, WORDS, PLACES, CORNERS))
 def find_corners(lattice, points, slots, read, first, corners):
     """Fill ``corners`` (points, 8), x fastest, with the view's own numbers of the texels.
@@ -123,7 +129,7 @@ def find_corners(lattice, points, slots, read, first, corners):
         z, y, x, _, _, _ = base_texel(lattice, points, m)
         i = within(x, bits)
         for c, r in enumerate(rows_around(slots, bits, z, y, x)):
-            number = first[r] + np.uint32(ones(read[r] & ((np.uint32(1) << np.uint32(i)) - np.uint32(1))))
+            number = number_in_row(read, first, r, i)
             corners[m, 2 * c], corners[m, 2 * c + 1] = number, number + 1
         if i == (1 << bits) - 1:
             for c, r in enumerate(rows_around(slots, bits, z, y, x + 1)):
@@ -150,7 +156,7 @@ def find_coarse_corners(lattice, points, slots, read, first, corners):
         even = even_corner(z, y, x)
         for n, c in enumerate((even, 7 - even)):
             r, i = row_of_corner(slots, bits, z, y, x, c)
-            numbers[n] = first[r] + np.uint32(ones(read[r] & ((np.uint32(1) << np.uint32(i)) - np.uint32(1))))
+            numbers[n] = number_in_row(read, first, r, i)
         for c in range(8):
             corners[m, c] = numbers[0] if is_nearer(c, even) else numbers[1]
 
