@@ -24,7 +24,7 @@ from isogi_core.model.view import Camera, View, rotation_matrix
 from isogi_core.plan.albedos import mixing_weights
 from isogi_core.plan.scene import Scene
 
-FORMAT = 11
+FORMAT = 12
 """Counts up when pictures of the same light change: those that browsers keep are then asked for anew."""
 
 MOST = 100.0

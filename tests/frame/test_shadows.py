@@ -70,11 +70,14 @@ def picture(points: np.ndarray, spacing: Spacing = (1.0, 1.0, 1.0)) -> GBuffer:
 
 
 def twin(lamps: LampArrays, points: np.ndarray, spacing: Spacing) -> np.ndarray:
-    """The same, ray by ray, all of them to all rims."""
-    field, lit = field_of(ROOM, spacing), np.zeros((len(points), 4))
+    """The same, ray by ray, all of them to all rims; points amid four in the half-shadow are there, too."""
+    field, lit, starts = field_of(ROOM, spacing), np.zeros((len(points), 4)), find_starts(picture(points), Tiles(1))
     for k in range(len(lamps.kinds)):
         seen = [rims_seen(field, lamps, k, m, p) for m, p in enumerate(points.astype(float))]
         half = np.array([any(each) and not all(each) for each in seen])
+        for m in starts.picture.order[starts.ends[1] :]:
+            around = starts.picture.around[m]
+            half[m] |= (around >= 0).all() and half[around].all()
         for m in range(len(points)):
             share, variance = all(seen[m]) * max(float(lamps.places[k, 2]), 0.0), 0.0
             if half[m]:
@@ -222,6 +225,21 @@ def test_rays_in_a_wide_half_shadow_are_shared(monkeypatch: pytest.MonkeyPatch) 
 def unshared(picture: Any, pairs: np.ndarray, seen: np.ndarray, sides: np.ndarray) -> None:
     """In place of ``find_sides``: no neighbours share rays."""
     sides[:] = 0
+
+
+def test_a_wide_half_shadow_is_found_by_few_of_its_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Points four apart are asked at first, and those amid four in the half-shadow are there without rays."""
+    lamps, points, asked, found = lamps_of(((0.0, 1e-9, 1.0), 30.0, (1.0,) * 3)), floor(), [0], [np.empty(0)]
+    aim_at, add = lobe_light.aim_at_rims, lobe_light.add_halves
+    monkeypatch.setattr(lobe_light, "aim_at_rims", lambda *given: asked.append(len(given[2])) or aim_at(*given))
+    monkeypatch.setattr(lobe_light, "add_halves", lambda *given: found.append(given[1]) or add(*given))
+    light(lamps, points)
+    seen = [rims_seen(field_of(ROOM, (1.0,) * 3), lamps, 0, m, p) for m, p in enumerate(points.astype(float))]
+    half = np.array([any(each) and not all(each) for each in seen])
+    there = np.zeros(len(points), bool)
+    there[found[-1]] = True
+    assert half.sum() > 500 and sum(asked) < 0.7 * half.sum()
+    assert (half & ~there).sum() < 0.01 * half.sum() and (there & ~half).sum() < 0.05 * half.sum()
 
 
 @pytest.mark.parametrize("moving", [False, True])

@@ -11,6 +11,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.lobes import (
+    ANY,
     DARK,
     EVEN,
     HALF,
@@ -30,13 +31,16 @@ from isogi_core.kernels.shading.lobes import (
     share_rays,
     spread_edges,
 )
-from isogi_core.kernels.shading.shadow_points import TURNS, ShadowPoints, prepare_points, sort_by_turn
+from isogi_core.kernels.shading.shadow_points import STRIDE, TURNS, ShadowPoints, prepare_points, sort_by_turn
 from isogi_core.kernels.tracing.cast import TracedSurface
 from isogi_core.kernels.transport.lights import LampArrays
 from isogi_core.model.sky import LUMINANCE
 
 LOBE_POINTS, RIMS, HALVES = 4096, 1024, 256
 """Surface points, pairs of points and lobes at edges of shadows, and such pairs in half-shadow, of a tile."""
+
+FILLED = ((2, 1), (2, 2), (1, 3), (1, 4))
+"""Steps and turns by which half-shadows are filled between points STRIDE apart."""
 
 RIM_SEEN = np.array([DARK, *[HALF] * (RIM - 1), LIT], np.uint8)
 """What a point sees of a lobe of which so many rays to the rim get away."""
@@ -144,20 +148,37 @@ class Shadows:
         return seen
 
     def edges(self, seen: np.ndarray) -> np.ndarray:
-        """Put into ``seen`` what points at the edges of shadows see of lobes' rims; the pairs in half-shadow, int64."""
+        """Put into ``seen`` what points at the edges of shadows see of lobes' rims; the pairs in half-shadow, int64.
+
+        Those that are wide are followed by points STRIDE apart, and filled turn by turn.
+        """
         asked = np.empty_like(seen)
 
         def _piece(a: int, b: int) -> None:
             mark_edges(self.picture, self.lamps, (a, b), seen, asked)
 
         self.tiles.run(_piece, self.points, LOBE_POINTS)
-        pairs, found = np.flatnonzero(asked), [np.empty(0, np.int64)]
-        while len(pairs):
-            seen.reshape(-1)[pairs] = sees = self._rims(pairs)
-            found.append(pairs[sees == HALF])
-            more = np.empty(8 * len(pairs), np.int64)
-            pairs = more[: spread_edges(self.picture, self.lamps, found[-1], seen, asked, more)]
+        halves = self._ask(np.flatnonzero(asked), seen)
+        found = [halves]
+        while len(halves):
+            found.append(halves := self._ask_about(halves, (STRIDE, ANY), seen, asked))
+        for about in FILLED:
+            found.append(self._ask_about(np.concatenate(found), about, seen, asked))
+        halves = np.concatenate(found)
+        for _ in range(STRIDE):
+            found.append(halves := self._ask_about(halves, (1, ANY), seen, asked))
         return np.sort(np.concatenate(found))
+
+    def _ask(self, pairs: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """Put into ``seen`` what ``pairs`` see of each other by their rims; those of them in half-shadow."""
+        seen.reshape(-1)[pairs] = sees = self._rims(pairs)
+        return pairs[sees == HALF]
+
+    def _ask_about(self, halves: np.ndarray, about: tuple[int, int], seen: np.ndarray, asked: np.ndarray) -> np.ndarray:
+        """The pairs ``about`` those in half-shadow that are there, too, and not ``asked`` yet: see ``spread_edges``."""
+        more = np.empty(8 * len(halves), np.int64)
+        count, last = spread_edges(self.picture, self.lamps, halves, about, seen, asked, more)
+        return np.concatenate([more[last:], self._ask(more[:count], seen)])
 
     def _rims(self, pairs: np.ndarray) -> np.ndarray:
         """What the points and lobes in ``pairs`` see of each other by their rims; (pairs,) uint8."""

@@ -2,8 +2,9 @@
 
 A lobe is a directional lamp. Few rays find where its shadows have their edges: one to its middle from every fourth
 pixel of every fourth row, and from the others where those around disagree. Where the answers change from pixel to
-pixel, rays to the lobe's rim tell what sees all of it, or nothing, of which the light is known; about pixels in the
-half-shadow, whose rim rays disagree, all neighbours are asked too. In the half-shadow more rays are drawn, fewer the
+pixel, rays to the lobe's rim tell what sees all of it, or nothing, of which the light is known. Pixels whose rim rays
+disagree are in the half-shadow: from these it is followed by every fourth pixel, as far as it goes, then filled between
+pixels that are in it, and its ends are sought pixel by pixel. In the half-shadow more rays are drawn, fewer the
 more neighbours share theirs (interleaved sampling: Keller and Heidrich 2001): those opposite each other, whose mean is
 right for all that changes evenly. A point that a lobe only grazes gets so little of it that the ray to its middle is
 enough.
@@ -32,7 +33,15 @@ from isogi_core.kernels.shading.framebuffer import (
 )
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.local_models import find_unoccluded
-from isogi_core.kernels.shading.shadow_points import ORDER, PART, SHADOW_POINTS, near_between, neighbours, row_at
+from isogi_core.kernels.shading.shadow_points import (
+    ORDER,
+    PART,
+    SHADOW_POINTS,
+    near_between,
+    neighbours,
+    row_at,
+    turn_of,
+)
 from isogi_core.kernels.tracing.cast import SURFACE
 from isogi_core.kernels.tracing.vec import dot, length, madd, put_column, scale
 from isogi_core.kernels.transport.lights import LAMPS, draw_from_disc, row
@@ -67,10 +76,13 @@ rays to the rim miss of them, a tenth of all half-shadow at its ends, is another
 GRAZING = 0.03
 """What a lobe brings at most, over what it would from straight above, where its half-shadows are not looked for."""
 
+ANY = -1
+"""In place of a turn: all of them."""
+
 AWAY, DARK, LIT, HALF, UNKNOWN = range(5)
 """What a point sees of what is above its horizon of a lobe: none is there; nothing; all; a part; not known yet."""
 
-SEEN = types.uint8[:, ::1]
+SEEN, ABOUT = types.uint8[:, ::1], types.UniTuple(types.int64, 2)
 PAIRS, SIDES, SHARES = types.int64[::1], types.uint8[::1], types.float64[:, ::1]
 """Lobes and points that go together: number of the lobe times the points, plus that of the point. Of which AXES
 neighbours share their rays with each, a bit for each; and how much of the lobe the point sees, with its variance.
@@ -191,23 +203,47 @@ def mark_edges(picture, lamps, part, seen, asked):
             asked[k, m] = edge and may_be_half(picture.points, lamps, k, m, seen)
 
 
-@kernel(types.int64(SHADOW_POINTS, LAMPS, PAIRS, SEEN, SEEN, PAIRS))
-def spread_edges(picture, lamps, halves, seen, asked, more):
-    """Write to ``more`` the pairs about those in the half-shadow that are not asked yet, and mark them as ``asked``.
+@kernel()
+def halves_around(picture, m, seen):
+    """How many of the four neighbours that point ``m`` believes have ``seen`` (m,) a lobe in part."""
+    count = 0
+    for i in range(4):
+        count += is_seen(seen, picture.around[m, i], HALF)
+    return count
 
-    Returns how many there are, 8 times the ``halves`` at most.
+
+@kernel(ABOUT(SHADOW_POINTS, LAMPS, PAIRS, ABOUT, SEEN, SEEN, PAIRS))
+def spread_edges(picture, lamps, halves, about, seen, asked, more):
+    """Find pairs ``about`` those in the half-shadow that are not ``asked`` yet, and mark them.
+
+    They are nearest to a pixel of every step-th along x and y: of one turn, and amid two at least in the half-shadow,
+    or, where ``about`` (step, turn) has ANY, of all. Those amid four are in it, too, and need no rays: they are written
+    to the end of ``more``, the others to its beginning. It has room for 8 times the ``halves``. Returns how many are to
+    be asked, and where the others begin.
     """
-    points, width, count = seen.shape[1], picture.rows.shape[1], 0
+    (step, turn), points, width, count, last = about, seen.shape[1], picture.rows.shape[1], 0, more.shape[0]
     for pair in halves:
         k, m = divmod(pair, points)
         y, x = divmod(np.int64(picture.points.pixels[m]), width)
-        for i in range(9):
-            n = row_at(picture.rows, y + i // 3 - 1, x + i % 3 - 1)
-            if n >= 0 and not asked[k, n] and may_be_half(picture.points, lamps, k, n, seen):
+        if turn != ANY and turn_of(x, y) >= turn:
+            continue  # none of that turn believes it
+        for above in range(step * ((y - 1) // step), y + step + 1, step):
+            for aside in range(step * ((x - 1) // step), x + step + 1, step):
+                n = row_at(picture.rows, above, aside) if turn == ANY or turn_of(aside, above) == turn else -1
+                if n < 0 or asked[k, n]:
+                    continue
+                amid = halves_around(picture, n, seen[k])
+                if (turn != ANY and amid < 2) or not may_be_half(picture.points, lamps, k, n, seen):
+                    continue
                 asked[k, n] = 1
-                more[count] = k * points + n
-                count += 1
-    return count
+                if amid == 4:
+                    seen[k, n] = HALF
+                    last -= 1
+                    more[last] = k * points + n
+                else:
+                    more[count] = k * points + n
+                    count += 1
+    return count, last
 
 
 @kernel()

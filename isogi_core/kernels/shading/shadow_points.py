@@ -24,6 +24,9 @@ APART = 4.0
 """Voxels between two neighbours, at most, of which a point amid them believes something: surfaces hide nothing smaller.
 """
 
+STRIDE = 4
+"""Pixels asked in the first turn are so far apart along x and y."""
+
 TURNS = 5
 """Turns in which pixels are asked, each of them amid four of the turns before."""
 
