@@ -95,11 +95,6 @@ def level_codes(samples: np.ndarray) -> np.ndarray:
     return np.where(samples == VOID, VOID_CODE, codes).astype(np.uint8)
 
 
-def samples_of(codes: np.ndarray) -> np.ndarray:
-    """The sample counts that bytes stand for, int32."""
-    return SAMPLES_OF[codes]
-
-
 def _samples_table() -> np.ndarray:
     """The sample counts that each byte stands for; (256,) int32."""
     codes = np.arange(256)
@@ -108,6 +103,7 @@ def _samples_table() -> np.ndarray:
 
 
 SAMPLES_OF = _samples_table()
+"""The sample counts that bytes stand for: see ``level_codes``."""
 
 
 def next_level(samples: int) -> int:

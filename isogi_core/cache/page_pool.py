@@ -12,12 +12,12 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import DARKEST, deviations, least_level, powers, white
-from isogi_core.bake.precision import samples_of
+from isogi_core.bake.precision import SAMPLES_OF
 from isogi_core.bake.texel_light import Light
 from isogi_core.cache.chunk import Chunks
 from isogi_core.errors import NoRoomError
 from isogi_core.kernels.shading.lattice import UNLIT, Lattice
-from isogi_core.kernels.shading.texel_table import Judge, Role, Rows, Sums, add_part, judge_rows
+from isogi_core.kernels.shading.texel_table import Judge, Role, Rows, Sums, add_part, find_fewest, judge_rows
 from isogi_core.model.scene_plan import FEWEST, GLOW, Layer
 from isogi_core.prepared.prepared_scene import Index
 
@@ -309,5 +309,6 @@ def powers_of(spec: BakeSpec) -> np.ndarray:
 
 def fewest_samples(stamps: np.ndarray, parts: int) -> np.ndarray:
     """The fewest samples of any part of texels with these ``stamps``, 0 where one is not baked; (texels,) int32."""
-    levels = np.maximum(stamps, 0).astype(np.int64)[None] // LEVELS ** np.arange(parts)[:, None] % LEVELS
-    return samples_of(levels.min(axis=0).astype(np.uint8))
+    fewest = np.empty(len(stamps), np.int32)
+    find_fewest(stamps, parts, LEVELS, SAMPLES_OF, fewest)
+    return fewest

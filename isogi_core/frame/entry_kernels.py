@@ -39,7 +39,7 @@ from isogi_core.kernels.shading.shadow_points import prepare_points, sort_by_tur
 from isogi_core.kernels.shading.shine import cast_shine, fill_below, light_ends
 from isogi_core.kernels.shading.shine_filter import filter_shine
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals, keep_normals, look_up_normals
-from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_texels
+from isogi_core.kernels.shading.texel_table import add_part, find_fewest, judge_rows, unpack_texels
 from isogi_core.kernels.shading.wall_light import light_walls
 from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, number_bricks, pack_bricks
 from isogi_core.kernels.tracing.camera import trace_pixels, trace_places
@@ -130,6 +130,7 @@ FRAME = (
     fill_curve,
     add_part,
     judge_rows,
+    find_fewest,
     unpack_texels,
     find_places,
     fill_records,

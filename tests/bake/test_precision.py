@@ -10,6 +10,7 @@ from isogi_core.bake.precision import (
     LARGEST,
     NEGATIVE,
     NOISIEST,
+    SAMPLES_OF,
     SILENT,
     SMALLEST,
     STEPS,
@@ -22,7 +23,6 @@ from isogi_core.bake.precision import (
     noise_codes,
     noise_of,
     round_light,
-    samples_of,
 )
 from isogi_core.model.scene_plan import MOST, Layer
 
@@ -63,8 +63,8 @@ def test_every_sample_level_has_a_code_of_its_own() -> None:
     codes = level_codes(np.array([*levels, VOID], np.int32))
     assert codes.dtype == np.uint8
     assert codes.tolist() == [*range(len(levels)), VOID_CODE]
-    assert samples_of(codes).tolist() == [*levels, VOID]
-    assert samples_of(codes).dtype == np.int32 and levels[1] == FIRST_LEVEL
+    assert SAMPLES_OF[codes].tolist() == [*levels, VOID]
+    assert SAMPLES_OF[codes].dtype == np.int32 and levels[1] == FIRST_LEVEL
 
 
 def half(number: float) -> float:

@@ -321,3 +321,17 @@ def judge_rows(rows, into, sums, judge, places):
         into.error[row] = wrong / max(sums.luminance[m], judge.level)
         into.stamp[row] = sums.rungs[m] + judge.beyond * (sums.shown[m] % judge.checksums)
         places[m] = place_of(sums.marks[m], rows[m])
+
+
+@kernel(types.void(types.float32[::1], types.int64, types.int64, types.int32[::1], types.int32[::1]))
+def find_fewest(stamps, parts, levels, numbers, fewest):
+    """Fill ``fewest`` (m,): the fewest samples of any of so many ``parts`` of texels with these ``stamps`` (m,).
+
+    A stamp has as many ``levels`` for each part, which stand for ``numbers`` (256,) of samples; negative ones for none.
+    """
+    for m in range(stamps.shape[0]):
+        rungs, least = max(int(stamps[m]), 0), levels
+        for _ in range(parts):
+            least = min(least, rungs % levels)
+            rungs //= levels
+        fewest[m] = numbers[least]
