@@ -71,7 +71,8 @@ def picture(points: np.ndarray, spacing: Spacing = (1.0, 1.0, 1.0)) -> GBuffer:
 
 def twin(lamps: LampArrays, points: np.ndarray, spacing: Spacing) -> np.ndarray:
     """The same, ray by ray, all of them to all rims; points amid four in the half-shadow are there, too."""
-    field, lit, starts = field_of(ROOM, spacing), np.zeros((len(points), 4)), find_starts(picture(points), Tiles(1))
+    field, lit = field_of(ROOM, spacing), np.zeros((len(points), 4))
+    starts = find_starts(picture(points, spacing), Tiles(1))
     for k in range(len(lamps.kinds)):
         seen = [rims_seen(field, lamps, k, m, p) for m, p in enumerate(points.astype(float))]
         half = np.array([any(each) and not all(each) for each in seen])

@@ -11,7 +11,6 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.lobes import (
-    ANY,
     DARK,
     EVEN,
     HALF,
@@ -31,16 +30,13 @@ from isogi_core.kernels.shading.lobes import (
     share_rays,
     spread_edges,
 )
-from isogi_core.kernels.shading.shadow_points import STRIDE, TURNS, ShadowPoints, prepare_points, sort_by_turn
+from isogi_core.kernels.shading.shadow_points import ANY, STRIDE, TURNS, ShadowPoints, prepare_points, sort_by_turn
 from isogi_core.kernels.tracing.cast import TracedSurface
 from isogi_core.kernels.transport.lights import LampArrays
 from isogi_core.model.sky import LUMINANCE
 
 LOBE_POINTS, RIMS, HALVES = 4096, 1024, 256
 """Surface points, pairs of points and lobes at edges of shadows, and such pairs in half-shadow, of a tile."""
-
-FILLED = ((2, 1), (2, 2), (1, 3), (1, 4))
-"""Steps and turns by which half-shadows are filled between points STRIDE apart."""
 
 RIM_SEEN = np.array([DARK, *[HALF] * (RIM - 1), LIT], np.uint8)
 """What a point sees of a lobe of which so many rays to the rim get away."""
@@ -150,7 +146,7 @@ class Shadows:
     def edges(self, seen: np.ndarray) -> np.ndarray:
         """Put into ``seen`` what points at the edges of shadows see of lobes' rims; the pairs in half-shadow, int64.
 
-        Those that are wide are followed by points STRIDE apart, and filled turn by turn.
+        Those that are wide are followed by points STRIDE apart, and filled turn by turn; their ends are sought as far.
         """
         asked = np.empty_like(seen)
 
@@ -161,12 +157,12 @@ class Shadows:
         halves = self._ask(np.flatnonzero(asked), seen)
         found = [halves]
         while len(halves):
-            found.append(halves := self._ask_about(halves, (STRIDE, ANY), seen, asked))
-        for about in FILLED:
-            found.append(self._ask_about(np.concatenate(found), about, seen, asked))
+            found.append(halves := self._ask_about(halves, 0, seen, asked))
+        for turn in range(1, TURNS):
+            found.append(self._ask_about(np.concatenate(found), turn, seen, asked))
         halves = np.concatenate(found)
         for _ in range(STRIDE):
-            found.append(halves := self._ask_about(halves, (1, ANY), seen, asked))
+            found.append(halves := self._ask_about(halves, ANY, seen, asked))
         return np.sort(np.concatenate(found))
 
     def _ask(self, pairs: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -174,10 +170,10 @@ class Shadows:
         seen.reshape(-1)[pairs] = sees = self._rims(pairs)
         return pairs[sees == HALF]
 
-    def _ask_about(self, halves: np.ndarray, about: tuple[int, int], seen: np.ndarray, asked: np.ndarray) -> np.ndarray:
-        """The pairs ``about`` those in half-shadow that are there, too, and not ``asked`` yet: see ``spread_edges``."""
+    def _ask_about(self, halves: np.ndarray, turn: int, seen: np.ndarray, asked: np.ndarray) -> np.ndarray:
+        """The pairs about ``halves`` that are in half-shadow, too, and not ``asked`` yet: see ``spread_edges``."""
         more = np.empty(8 * len(halves), np.int64)
-        count, last = spread_edges(self.picture, self.lamps, halves, about, seen, asked, more)
+        count, last = spread_edges(self.picture, self.lamps, halves, turn, seen, asked, more)
         return np.concatenate([more[last:], self._ask(more[:count], seen)])
 
     def _rims(self, pairs: np.ndarray) -> np.ndarray:

@@ -34,12 +34,14 @@ from isogi_core.kernels.shading.framebuffer import (
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.local_models import find_unoccluded
 from isogi_core.kernels.shading.shadow_points import (
+    ANY,
     ORDER,
     PART,
     SHADOW_POINTS,
     near_between,
     neighbours,
     row_at,
+    step_of,
     turn_of,
 )
 from isogi_core.kernels.tracing.cast import SURFACE
@@ -76,13 +78,10 @@ rays to the rim miss of them, a tenth of all half-shadow at its ends, is another
 GRAZING = 0.03
 """What a lobe brings at most, over what it would from straight above, where its half-shadows are not looked for."""
 
-ANY = -1
-"""In place of a turn: all of them."""
-
 AWAY, DARK, LIT, HALF, UNKNOWN = range(5)
 """What a point sees of what is above its horizon of a lobe: none is there; nothing; all; a part; not known yet."""
 
-SEEN, ABOUT = types.uint8[:, ::1], types.UniTuple(types.int64, 2)
+SEEN = types.uint8[:, ::1]
 PAIRS, SIDES, SHARES = types.int64[::1], types.uint8[::1], types.float64[:, ::1]
 """Lobes and points that go together: number of the lobe times the points, plus that of the point. Of which AXES
 neighbours share their rays with each, a bit for each; and how much of the lobe the point sees, with its variance.
@@ -212,28 +211,28 @@ def halves_around(picture, m, seen):
     return count
 
 
-@kernel(ABOUT(SHADOW_POINTS, LAMPS, PAIRS, ABOUT, SEEN, SEEN, PAIRS))
-def spread_edges(picture, lamps, halves, about, seen, asked, more):
-    """Find pairs ``about`` those in the half-shadow that are not ``asked`` yet, and mark them.
+@kernel(types.UniTuple(types.int64, 2)(SHADOW_POINTS, LAMPS, PAIRS, types.int64, SEEN, SEEN, PAIRS))
+def spread_edges(picture, lamps, halves, turn, seen, asked, more):
+    """Find pairs about those in the half-shadow, ``halves``, that are not ``asked`` yet, and mark them.
 
-    They are nearest to a pixel of every step-th along x and y: of one turn, and amid two at least in the half-shadow,
-    or, where ``about`` (step, turn) has ANY, of all. Those amid four are in it, too, and need no rays: they are written
-    to the end of ``more``, the others to its beginning. It has room for 8 times the ``halves``. Returns how many are to
-    be asked, and where the others begin.
+    They are of a ``turn``, or of ANY, and nearest to a pixel at its step; after the first turn amid two in the
+    half-shadow at least. Those amid four are in it, too, and need no rays: they are written to the end of ``more``, the
+    others to its beginning. It has room for 8 times the ``halves``. Returns how many are to be asked, and where the
+    others begin.
     """
-    (step, turn), points, width, count, last = about, seen.shape[1], picture.rows.shape[1], 0, more.shape[0]
+    points, width, step, count, last = seen.shape[1], picture.rows.shape[1], step_of(turn), 0, more.shape[0]
     for pair in halves:
         k, m = divmod(pair, points)
         y, x = divmod(np.int64(picture.points.pixels[m]), width)
-        if turn != ANY and turn_of(x, y) >= turn:
+        if 0 < turn <= turn_of(x, y):
             continue  # none of that turn believes it
         for above in range(step * ((y - 1) // step), y + step + 1, step):
             for aside in range(step * ((x - 1) // step), x + step + 1, step):
-                n = row_at(picture.rows, above, aside) if turn == ANY or turn_of(aside, above) == turn else -1
-                if n < 0 or asked[k, n]:
+                n = row_at(picture.rows, above, aside)
+                if n < 0 or asked[k, n] or (turn != ANY and turn_of(aside, above) != turn):
                     continue
                 amid = halves_around(picture, n, seen[k])
-                if (turn != ANY and amid < 2) or not may_be_half(picture.points, lamps, k, n, seen):
+                if (turn > 0 and amid < 2) or not may_be_half(picture.points, lamps, k, n, seen):
                     continue
                 asked[k, n] = 1
                 if amid == 4:

@@ -30,6 +30,9 @@ STRIDE = 4
 TURNS = 5
 """Turns in which pixels are asked, each of them amid four of the turns before."""
 
+ANY = -1
+"""In place of a turn: all of them."""
+
 PART = types.UniTuple(types.int64, 2)
 ORDER = types.int32[::1]
 
@@ -75,6 +78,12 @@ def turn_of(x, y):
     if (x | y) & 1:
         return 3 if x & y & 1 else 4
     return 2 if (x + y) & 2 else (x & 2) // 2
+
+
+@kernel()
+def step_of(turn):
+    """How far apart the pixels of a turn and of those before it are, along x and y; 1 of ANY."""
+    return STRIDE if turn == 0 else 2 if 0 < turn < 3 else 1
 
 
 @kernel()
@@ -144,7 +153,7 @@ def prepare_points(surface, picture, part):
         picture.starts[m, 0], picture.starts[m, 1], picture.starts[m, 2] = start
         y, x = divmod(np.int64(picture.points.pixels[m]), width)
         turn = turn_of(x, y)
-        step = 2 if turn < 3 else 1
+        step = step_of(turn)
         four = neighbours(rows, y, x, step * (turn & 1), step)
         smooth = turn > 0 and on_one_surface(points, m, four)
         if smooth and step > 1:
