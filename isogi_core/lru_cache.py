@@ -109,10 +109,8 @@ class LruCache(Generic[K]):
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all that is kept, OVERHEAD for each result among them."""
-        with self._lock:
-            self._count_all()
-            return self._total
+        """Bytes of all that is kept, as it was counted last, OVERHEAD for each result among them."""
+        return self._total
 
     def _leave(self, key: K, cell: Cell[Any], new: bool) -> None:
         """Stop asking for a result, and count it; the place of one that could not be made goes with the last that asks.

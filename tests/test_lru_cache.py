@@ -142,7 +142,8 @@ def test_results_that_grew_are_counted_when_asked_for() -> None:
     parts = Growing([grown])
     kept.get("parts", lambda: parts)
     parts.append(grown)
-    assert kept.nbytes == 3 * SIZE + 100
+    assert kept.nbytes == 3 * SIZE
+    assert kept.get("parts", Growing) is parts and kept.nbytes == 3 * SIZE + 100
     kept.settle()
     assert kept.nbytes == 2 * SIZE + 100 and made(kept, "c") == [] and kept.held("b") is None
 
