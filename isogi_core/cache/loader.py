@@ -27,8 +27,9 @@ UNPACKERS = 4
 AHEAD = 2 * READERS
 """Most batches of a view that are being read, or wait in memory."""
 
-BATCH = 1 << 23
-"""Most bytes of records that are unpacked together: each call is then for thousands of texels."""
+BATCH, FEWEST = 1 << 23, 8
+"""Most bytes of records that are unpacked together, each call is then for thousands of texels; and for how many chunks
+a thread of a store on this machine is woken."""
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
@@ -98,9 +99,10 @@ class Loader:
             yield indices, self._brought(indices)
 
     def _batches(self, indices: Sequence[Index]) -> list[Sequence[Index]]:
-        """The chunks in batches: as many as there are threads, and none of more than BATCH bytes."""
-        size = min(BATCH // self.chunk_store.chunk_bytes, -(-len(indices) // self._many))
-        return [indices[i : i + max(size, 1)] for i in range(0, len(indices), max(size, 1))]
+        """The chunks in batches: as many as there are threads, none of few chunks, nor of more than BATCH bytes."""
+        least = 1 if self.chunk_store.store.url.remote else FEWEST
+        size = max(min(BATCH // self.chunk_store.chunk_bytes, max(-(-len(indices) // self._many), least)), 1)
+        return [indices[i : i + size] for i in range(0, len(indices), size)]
 
     def _brought(self, indices: Sequence[Index]) -> Chunks:
         """Read and decode some chunks."""

@@ -22,14 +22,12 @@ from isogi_core.kernels.shading.lattice import carry_light, light_texels
 from isogi_core.kernels.shading.lobes import (
     add_halves,
     add_lobes,
-    aim_at_discs,
-    aim_at_middles,
-    aim_at_rims,
-    cast_shadow_rays,
-    face_lobes,
     find_sides,
     light_points,
     mark_edges,
+    see_discs,
+    see_middles,
+    see_rims,
     share_rays,
     spread_edges,
 )
@@ -63,14 +61,12 @@ from isogi_core.plan.left_out import uncalled
 from isogi_core.plan.scene import Scene
 
 LOBES = (
-    cast_shadow_rays,
-    aim_at_discs,
-    aim_at_rims,
-    aim_at_middles,
+    see_middles,
+    see_rims,
+    see_discs,
     mark_edges,
     prepare_points,
     sort_by_turn,
-    face_lobes,
     spread_edges,
     find_sides,
     share_rays,

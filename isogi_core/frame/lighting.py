@@ -3,7 +3,7 @@
 import hashlib
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from isogi_core.model.view import Camera, View, rotation_matrix
 from isogi_core.plan.albedos import mixing_weights
 from isogi_core.plan.scene import Scene
 
-FORMAT = 12
+FORMAT = 13
 """Counts up when pictures of the same light change: those that browsers keep are then asked for anew."""
 
 MOST = 100.0
@@ -182,7 +182,7 @@ class RotatedLight:
     def lobes(self) -> LampArrays:
         """The spec's lobes as rotated lamps; what they give is multiplied by its albedo, in its ``unit``."""
         lobes = self.spec.lobes
-        discs = [disc(np.array(lobe.towards), lobe.cosine) for lobe in lobes]
+        discs = [disc(lobe.towards, lobe.cosine) for lobe in lobes]
         towards = np.array([lobe.towards for lobe in lobes]).reshape(-1, 3) @ self.matrix.T
         edges = np.array(discs).reshape(-1, 2, 3) @ self.matrix.T
         shine = np.array([lobe.irradiance for lobe in lobes]).reshape(-1, 3) * self.spec.albedo
@@ -298,8 +298,9 @@ def quadric_of(light: np.ndarray) -> np.ndarray:
     return quadric * np.sqrt(np.array([1.0, 3.0, 3.0, 3.0, 15.0, 15.0, 45.0 / 4.0, 15.0, 15.0 / 4.0]) / (4.0 * math.pi))
 
 
-def disc(towards: np.ndarray, cosine: float) -> np.ndarray:
-    """Two radii (2, 3) of the disc about the unit direction ``towards`` (3,) whose half angle has the ``cosine``."""
+@lru_cache(64)
+def disc(towards: tuple[float, float, float], cosine: float) -> np.ndarray:
+    """Two radii (2, 3) of the disc about the unit direction ``towards`` whose half angle has the ``cosine``."""
     aside = np.cross(towards, np.eye(3)[np.abs(towards).argmin()])
     east = aside / np.linalg.norm(aside)
     return math.sqrt(1.0 - cosine**2) * np.array([east, np.cross(towards, east)])

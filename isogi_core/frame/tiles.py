@@ -36,6 +36,9 @@ class Stopwatch:
 
 Piece = Callable[[int, int], object]
 
+LEAST = 4096
+"""Points, texels or rows that a piece has where a thread has several: each piece asks for the interpreter anew."""
+
 
 class Tiles:
     """Runs a function over the ranges of a whole. The kernels under it release the interpreter.
@@ -95,7 +98,8 @@ class Tiles:
         self.check()
 
     def even(self, total: int, share: int = 4) -> int:
-        """The size of equal pieces, ``share`` of them for each thread."""
+        """The size of equal pieces, ``share`` of them for each thread; fewer where they would be of less than LEAST."""
+        share = min(max(total // (LEAST * self.threads), 1), share)
         return max(-(-total // (share * self.threads)), 1)
 
     def close(self) -> None:

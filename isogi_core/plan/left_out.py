@@ -16,9 +16,8 @@ from isogi_core.plan.projection import ProjectionPlan
 from isogi_core.plan.reachable_texels import TexelCount
 
 LOBES = (
-    *("prepare_points", "sort_by_turn", "face_lobes", "aim_at_middles", "cast_shadow_rays", "mark_edges"),
-    *("aim_at_rims", "spread_edges", "find_sides", "aim_at_discs", "share_rays", "light_points", "add_halves"),
-    "add_lobes",
+    *("prepare_points", "sort_by_turn", "see_middles", "mark_edges", "see_rims", "spread_edges", "find_sides"),
+    *("see_discs", "share_rays", "light_points", "add_halves", "add_lobes"),
 )
 """Names of the kernels that only lights with lobes call."""
 

@@ -208,13 +208,22 @@ def test_a_half_shadow_is_the_share_of_the_disc_left_free() -> None:
 
 def test_rays_in_a_wide_half_shadow_are_shared(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half of the rays err a quarter more than all of a point's own."""
-    lamps, points, cast_by = lamps_of(((0.0, 1e-9, 1.0), 30.0, (1.0,) * 3)), floor(), lobe_light.cast_shadow_rays
+    lamps, points = lamps_of(((0.0, 1e-9, 1.0), 30.0, (1.0,) * 3)), floor()
+    see_rims, see_discs = lobe_light.see_rims, lobe_light.see_discs
     wrong, rays = {}, {}
     for shares in (True, False):
         counts = list[int]()
-        monkeypatch.setattr(
-            lobe_light, "cast_shadow_rays", lambda *given, n=counts: n.append(given[3]) or cast_by(*given)
-        )
+
+        def rims(*given: Any, counts: list[int] = counts) -> None:
+            counts.append(RIM * len(given[3]))
+            see_rims(*given)
+
+        def discs(*given: Any, counts: list[int] = counts) -> None:
+            counts.append(given[4] * len(given[3]))
+            see_discs(*given)
+
+        monkeypatch.setattr(lobe_light, "see_rims", rims)
+        monkeypatch.setattr(lobe_light, "see_discs", discs)
         if not shares:
             monkeypatch.setattr(lobe_light, "find_sides", unshared)
         near, free = half_shadow_of_the_shelf(points, 30.0)
@@ -231,8 +240,8 @@ def unshared(picture: Any, pairs: np.ndarray, seen: np.ndarray, sides: np.ndarra
 def test_a_wide_half_shadow_is_found_by_few_of_its_points(monkeypatch: pytest.MonkeyPatch) -> None:
     """Points four apart are asked at first, and those amid four in the half-shadow are there without rays."""
     lamps, points, asked, found = lamps_of(((0.0, 1e-9, 1.0), 30.0, (1.0,) * 3)), floor(), [0], [np.empty(0)]
-    aim_at, add = lobe_light.aim_at_rims, lobe_light.add_halves
-    monkeypatch.setattr(lobe_light, "aim_at_rims", lambda *given: asked.append(len(given[2])) or aim_at(*given))
+    see, add = lobe_light.see_rims, lobe_light.add_halves
+    monkeypatch.setattr(lobe_light, "see_rims", lambda *given: asked.append(len(given[3])) or see(*given))
     monkeypatch.setattr(lobe_light, "add_halves", lambda *given: found.append(given[1]) or add(*given))
     light(lamps, points)
     seen = [rims_seen(field_of(ROOM, (1.0,) * 3), lamps, 0, m, p) for m, p in enumerate(points.astype(float))]

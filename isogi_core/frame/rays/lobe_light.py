@@ -11,22 +11,16 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.lobes import (
-    DARK,
     EVEN,
     HALF,
-    LIT,
     RAYS,
-    RIM,
-    Aimed,
     add_halves,
-    aim_at_discs,
-    aim_at_middles,
-    aim_at_rims,
-    cast_shadow_rays,
-    face_lobes,
     find_sides,
     light_points,
     mark_edges,
+    see_discs,
+    see_middles,
+    see_rims,
     share_rays,
     spread_edges,
 )
@@ -37,9 +31,6 @@ from isogi_core.model.sky import LUMINANCE
 
 LOBE_POINTS, RIMS, HALVES = 4096, 1024, 256
 """Surface points, pairs of points and lobes at edges of shadows, and such pairs in half-shadow, of a tile."""
-
-RIM_SEEN = np.array([DARK, *[HALF] * (RIM - 1), LIT], np.uint8)
-"""What a point sees of a lobe of which so many rays to the rim get away."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,15 +121,11 @@ class Shadows:
 
     def middles(self) -> np.ndarray:
         """What all points see of lobes' middles, (lobes, m) uint8."""
-        lobes, points = len(self.lamps.kinds), self.picture.points
-        seen = np.empty((lobes, self.points), np.uint8)
-        self.tiles.run(lambda a, b: face_lobes(points, self.lamps, (a, b), seen), self.points, LOBE_POINTS)
+        seen = np.empty((len(self.lamps.kinds), self.points), np.uint8)
         for first, last in pairwise(self.starts.ends.tolist()):
 
             def _piece(a: int, b: int, first: int = first) -> None:
-                aimed = room_for((b - a) * lobes)
-                count = aim_at_middles(self.picture, self.lamps, (first + a, first + b), seen, aimed)
-                seen.reshape(-1)[aimed.pairs[:count]] = np.where(self._cast(aimed, count), LIT, DARK)
+                see_middles(self.traced, self.picture, self.lamps, (first + a, first + b), seen)
 
             self.tiles.run(_piece, last - first, tile_of(last - first, LOBE_POINTS, self.tiles))
         return seen
@@ -178,16 +165,13 @@ class Shadows:
 
     def _rims(self, pairs: np.ndarray) -> np.ndarray:
         """What the points and lobes in ``pairs`` see of each other by their rims; (pairs,) uint8."""
-        found = np.empty(len(pairs), np.uint8)
+        sees = np.empty(len(pairs), np.uint8)
 
         def _piece(a: int, b: int) -> None:
-            aimed = room_for(RIM * (b - a))
-            count = aim_at_rims(self.picture.points, self.lamps, pairs[a:b], aimed)
-            rays = np.bincount(aimed.pairs[:count][self._cast(aimed, count)], minlength=b - a)
-            found[a:b] = RIM_SEEN[rays]
+            see_rims(self.traced, self.picture, self.lamps, pairs[a:b], sees[a:b])
 
         self.tiles.run(_piece, len(pairs), tile_of(len(pairs), RIMS, self.tiles))
-        return found
+        return sees
 
     def halves(self, pairs: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """Shares of lobes that points see in part, and their variance; (pairs, 2)."""
@@ -211,27 +195,12 @@ class Shadows:
         shares = np.empty((len(pairs), 2))
 
         def _piece(a: int, b: int) -> None:
-            count = rays * (b - a)
-            aimed, brought = room_for(count), np.empty(count)
-            aim_at_discs(self.picture.points, self.lamps, pairs[a:b], rays, aimed, brought)
-            each = (brought * self._cast(aimed, count)).reshape(-1, rays)
-            shares[a:b, 0], shares[a:b, 1] = each.mean(axis=1), EVEN[rays] * each.var(axis=1) / (rays - 1)
+            see_discs(self.traced, self.picture, self.lamps, pairs[a:b], rays, EVEN[rays], shares[a:b])
 
         self.tiles.run(_piece, len(pairs), HALVES * RAYS[0] // rays)
         return shares
-
-    def _cast(self, aimed: Aimed, count: int) -> np.ndarray:
-        """Whether the first ``count`` rays get away; (count,) bool."""
-        reached = np.empty(count, np.bool_)
-        cast_shadow_rays(self.traced, self.picture, aimed, count, reached)
-        return reached
 
 
 def tile_of(total: int, most: int, tiles: Tiles) -> int:
     """The size of tiles that are even, but of a quarter of the ``most`` at least: for less no thread is woken."""
     return min(max(tiles.even(total), most // 4), most)
-
-
-def room_for(rays: int) -> Aimed:
-    """Room for so many rays."""
-    return Aimed(np.empty(rays, np.int64), np.empty(rays, np.int64), np.empty((3, rays)))

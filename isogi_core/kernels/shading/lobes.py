@@ -13,17 +13,15 @@ Where shadow rays start, who is asked when, and whom a point believes, no light 
 """
 
 import math
-from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.shading.framebuffer import (
     BLUE,
     FRAMEBUFFER,
     GREEN,
-    PIXEL_POINTS,
     PIXELS,
     PROVISIONAL,
     RED,
@@ -88,17 +86,6 @@ neighbours share their rays with each, a bit for each; and how much of the lobe 
 """
 
 
-class Aimed(NamedTuple):
-    """Shadow rays: the points that they start from, ``owners`` (n,), directions ``ways`` (3, n), and ``pairs`` (n,)."""
-
-    owners: Any
-    pairs: Any
-    ways: Any
-
-
-AIMED = record(Aimed, types.int64[::1], types.int64[::1], types.float64[:, ::1])
-
-
 @kernel()
 def radius(lamps, k):
     """The sine of the half angle of lobe ``k``; 0 for one that is seen along one ray."""
@@ -126,15 +113,6 @@ def irradiance(cosine, s):
     return s / math.pi * (x * (0.5 * math.pi + x * root + math.asin(x)) + 2.0 / 3.0 * root**3)
 
 
-@kernel(types.void(PIXEL_POINTS, LAMPS, PART, SEEN))
-def face_lobes(points, lamps, part, seen):
-    """Begin with what points of a ``part`` have ``seen`` (lobes, m): AWAY or UNKNOWN, by their normals."""
-    for k in range(seen.shape[0]):
-        lowest = -radius(lamps, k)
-        for m in range(part[0], part[1]):
-            seen[k, m] = AWAY if cosine_of(points, lamps, k, m) <= lowest else UNKNOWN
-
-
 @kernel()
 def agreed(around, m, seen):
     """What the neighbours ``around`` point ``m`` all have ``seen`` (m,) of a lobe, DARK or LIT; else UNKNOWN."""
@@ -145,32 +123,30 @@ def agreed(around, m, seen):
     return found if same and (found == DARK or found == LIT) else UNKNOWN
 
 
-@kernel(types.void(SURFACE, SHADOW_POINTS, AIMED, types.int64, types.boolean[::1]))
-def cast_shadow_rays(surface, picture, aimed, count, reached):
-    """Fill ``reached`` (count,): whether the first ``count`` of the rays that are ``aimed`` get away."""
-    find_unoccluded(surface, picture.starts, aimed.owners[:count], aimed.ways[:, :count], reached)
+@kernel(types.void(SURFACE, SHADOW_POINTS, LAMPS, PART, SEEN))
+def see_middles(surface, picture, lamps, part, seen):
+    """Fill what points have ``seen`` (lobes, m) of lobes' middles: AWAY by their normals, DARK or LIT.
 
-
-@kernel(types.int64(SHADOW_POINTS, LAMPS, PART, SEEN, AIMED))
-def aim_at_middles(picture, lamps, part, seen, aimed):
-    """Have points see what all ``around`` them do, and aim rays from the others to lobes; how many.
-
-    The points are a ``part`` of the ``order``, all of one turn. Rays go to the middle of what is above their horizon.
-    There is room for all.
+    The points are a ``part`` of the ``order``, all of one turn. They see what all ``around`` them do; from the others
+    rays go to the middle of what is above their horizon.
     """
-    normals, count = picture.points.normals, 0
+    most = (part[1] - part[0]) * seen.shape[0]
+    owners, lobes, ways, count = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((3, most)), 0
     for k in range(seen.shape[0]):
         towards, s = row(lamps.places, k), radius(lamps, k)
         for i in range(part[0], part[1]):
             m = np.int64(picture.order[i])
+            n = point_of(picture.points.normals, m)
+            cosine = dot(n, towards)
+            seen[k, m] = AWAY if cosine <= -s else agreed(picture.around, m, seen[k])
             if seen[k, m] == UNKNOWN:
-                seen[k, m] = agreed(picture.around, m, seen[k])
-            if seen[k, m] == UNKNOWN:
-                n = point_of(normals, m)
-                aimed.owners[count], aimed.pairs[count] = m, k * seen.shape[1] + m
-                put_column(aimed.ways, count, madd(towards, 0.5 * max(s - dot(n, towards), 0.0), n))
+                owners[count], lobes[count] = m, k
+                put_column(ways, count, madd(towards, 0.5 * max(s - cosine, 0.0), n))
                 count += 1
-    return count
+    reached = np.empty(count, np.bool_)
+    find_unoccluded(surface, picture.starts, owners[:count], ways[:, :count], reached)
+    for i in range(count):
+        seen[lobes[i], owners[i]] = LIT if reached[i] else DARK
 
 
 @kernel()
@@ -252,23 +228,30 @@ def rim_way(lamps, k, turn):
     return madd(across, math.sqrt(max(1.0 - dot(across, across), 0.0)), row(lamps.places, k))
 
 
-@kernel(types.int64(PIXEL_POINTS, LAMPS, PAIRS, AIMED))
-def aim_at_rims(points, lamps, pairs, aimed):
-    """Aim RIM rays to the lobes of ``pairs``, but none from below a point's own surface; how many.
+@kernel(types.void(SURFACE, SHADOW_POINTS, LAMPS, PAIRS, SIDES))
+def see_rims(surface, picture, lamps, pairs, sees):
+    """Fill what points and lobes of ``pairs`` see of each other by their rims, ``sees`` (pairs,): DARK, LIT or HALF.
 
-    They are ``aimed`` with the place of their pair in place of its number. There is room for all.
+    Of RIM rays none is cast from below a point's own surface: it would end there.
     """
-    count = 0
+    points, most, count = picture.points, RIM * pairs.shape[0], 0
+    owners, asking, ways = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((3, most))
     for j in range(pairs.shape[0]):
         k, m = divmod(pairs[j], points.pixels.shape[0])
         first = 0.5 * math.pi * point_2d(mix(np.int64(points.pixels[m]), STREAM), 0, k)[0]
         for i in range(RIM):
             w = rim_way(lamps, k, first + 2.0 * math.pi * i / RIM)
             if dot(point_of(points.normals, m), w) > 0.0:
-                aimed.owners[count], aimed.pairs[count] = m, j
-                put_column(aimed.ways, count, w)
+                owners[count], asking[count] = m, j
+                put_column(ways, count, w)
                 count += 1
-    return count
+    reached = np.empty(count, np.bool_)
+    find_unoccluded(surface, picture.starts, owners[:count], ways[:, :count], reached)
+    sees[:] = 0
+    for i in range(count):
+        sees[asking[i]] += reached[i]
+    for j in range(pairs.shape[0]):
+        sees[j] = DARK if sees[j] == 0 else LIT if sees[j] == RIM else HALF
 
 
 @kernel()
@@ -292,18 +275,29 @@ def find_sides(picture, pairs, seen, sides):
                 sides[j] |= 1 << axis
 
 
-@kernel(types.void(PIXEL_POINTS, LAMPS, PAIRS, types.int64, AIMED, types.float64[::1]))
-def aim_at_discs(points, lamps, pairs, rays, aimed, brought):
-    """Aim so many ``rays`` to the discs of the lobes of ``pairs``; what each brings where it gets away.
+@kernel(types.void(SURFACE, SHADOW_POINTS, LAMPS, PAIRS, types.int64, types.float64, SHARES))
+def see_discs(surface, picture, lamps, pairs, rays, even, shares):
+    """Fill ``shares`` (pairs, 2): E/π from lobes by so many ``rays`` of each of the ``pairs``, and its variance.
 
-    That is E/π over that of the lobe from straight above, were all of it there.
+    It is that over E/π of the lobe from straight above, were all of it there; the rays are spread as EVEN says.
     """
-    for i in range(rays * pairs.shape[0]):
+    points, count = picture.points, rays * pairs.shape[0]
+    owners, ways, brought = np.empty(count, np.int64), np.empty((3, count)), np.empty(count)
+    for i in range(count):
         k, m = divmod(pairs[i // rays], points.pixels.shape[0])
         u, v = point_2d(mix(np.int64(points.pixels[m]), STREAM), i % rays, k)
         w, cosine = draw_from_disc(row(lamps.places, k), lamps.edges[k], u, v)
-        aimed.owners[i], brought[i] = m, max(dot(point_of(points.normals, m), w), 0.0) / cosine
-        put_column(aimed.ways, i, w)
+        owners[i], brought[i] = m, max(dot(point_of(points.normals, m), w), 0.0) / cosine
+        put_column(ways, i, w)
+    reached = np.empty(count, np.bool_)
+    find_unoccluded(surface, picture.starts, owners, ways, reached)
+    for j in range(pairs.shape[0]):
+        mean, squares = 0.0, 0.0
+        for i in range(j * rays, (j + 1) * rays):
+            mean += reached[i] * brought[i] / rays
+        for i in range(j * rays, (j + 1) * rays):
+            squares += (reached[i] * brought[i] - mean) ** 2
+        shares[j, 0], shares[j, 1] = mean, even * squares / (rays * (rays - 1))
 
 
 @kernel(types.void(SHADOW_POINTS, LAMPS, PAIRS, SIDES, ORDER, SHARES, PART, SHARES))
