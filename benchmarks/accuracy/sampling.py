@@ -204,7 +204,7 @@ def own_texels(bakes: Sequence[ViewBake], paths: int) -> tuple[Bake, list[np.nda
 
     And for each bake the rows of its texels, (texels,).
     """
-    numbers = np.concatenate([bake.shown.numbers for bake in bakes])
+    numbers = np.concatenate([bake.shown.numbers(bake.shown.places) for bake in bakes])
     _, first, rows = np.unique(numbers, return_index=True, return_inverse=True)
     texels = np.concatenate([bake.texels for bake in bakes])[first]
     every = Bake(bakes[0].tiles, bakes[0].spec, bakes[0].layers, texels)

@@ -78,18 +78,20 @@ class PagePool:
 
     A row has the ``transfer`` (channels, columns of all terms), the ``scatter``, the relative ``error`` and the
     ``stamp``: see ``fill_rows``. Where light is kept for several albedos it also has the share of its variance that is
-    ``reflected``.
+    ``reflected``. It was ``written`` at that age of the pool, 0 where never.
     """
 
     def __init__(self, spec: BakeSpec, budget: int) -> None:
         """Allocate the arrays that frames of ``spec`` read; memory is taken as they fill."""
         texels = spec.prepared.lattice.texels
-        pages = max(budget // page_bytes(spec), 1)
+        beside = FEWEST_CHUNKS * 4 * texels
+        pages = max(min(budget // page_bytes(spec), (budget - beside) // (PAGE * row_bytes(spec))), 1)
         slots = max(pages // pages_of_sheet(spec.prepared.lattice), FEWEST_CHUNKS)
         self.spec = spec
         self.rows = new_rows(spec, pages * PAGE)
         self.transfer, self.scatter, self.error, self.stamp = self.rows
         self.reflected = np.empty(pages * PAGE if spec.plan.nodes else 0, np.float32)
+        self.written = np.zeros(pages * PAGE, np.int32)
         self.table = np.empty((slots, texels), np.int32)
         self._free_pages = Numbers(pages)
         self._free_slots = Numbers(slots)
@@ -125,7 +127,7 @@ class PagePool:
             entries = self._allocate(-(-counts // PAGE), {*keep} - {*chunks.indices})
             rows = rows_in([entry.pages for entry in entries], counts)
             slots = np.array([entry.slot for entry in entries], np.int32)
-            self.table[slots] = UNLIT
+            self.table[slots], self.written[rows] = UNLIT, self._age
             self.table[np.repeat(slots, counts), chunks.offsets] = fill_rows(self.rows, rows, chunks.light, self.spec)
             if self.spec.plan.nodes:
                 self.reflected[rows] = reflected_share(chunks.light, self.spec)
@@ -211,9 +213,12 @@ def pages_of_sheet(lattice: Lattice) -> int:
 def page_bytes(spec: BakeSpec) -> int:
     """Bytes that a page of a ``spec`` takes, its part of the table among them."""
     lattice = spec.prepared.lattice
-    return PAGE * 4 * (
-        spec.channels * spec.columns + (4 if spec.plan.nodes else 3)
-    ) + lattice.texels * 4 // pages_of_sheet(lattice)
+    return PAGE * row_bytes(spec) + lattice.texels * 4 // pages_of_sheet(lattice)
+
+
+def row_bytes(spec: BakeSpec) -> int:
+    """Bytes that a row takes."""
+    return 4 * (spec.channels * spec.columns + (5 if spec.plan.nodes else 4))
 
 
 def rows_in(pages: Sequence[np.ndarray], counts: np.ndarray) -> np.ndarray:

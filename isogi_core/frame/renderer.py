@@ -14,13 +14,11 @@ step and the surface that a view shows, by isovalue, camera and size (``surface_
 | ``ShineLight`` | a surface, its shine and albedo, the rotation of the light, a glow, and whether it moves |
 
 ``Reading``, ``LobeLight`` and ``ShineLight`` have a SHARE of its bytes each, so that a light that turns, or a bake that
-goes on, drives out no surface.
+goes on, drives out no surface. What views have in common of texels is kept by ``TexelShading``: see ``OwnNormals`` and
+``RowRecords``.
 """
 
-import math
 import threading
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -28,7 +26,6 @@ from typing import Any
 import numpy as np
 
 from isogi_core.bake.bake_spec import spec_name
-from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.wall_store import WallStore
 from isogi_core.frame.antialiasing import smooth_edges
@@ -37,7 +34,6 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, to_index, trace
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.projected_texels import Distances, find_distances, held_chunks, join_readings
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
 from isogi_core.frame.rays.lobe_light import LobeLight, ShadowStarts, find_lobes, find_starts
 from isogi_core.frame.rays.shine import ShineRays
@@ -46,25 +42,21 @@ from isogi_core.frame.rays.shine_light import SeenLight, ShineLight, add_lobes_s
 from isogi_core.frame.rays.through_matter import ViewThrough
 from isogi_core.frame.rays.view_walls import ViewWalls
 from isogi_core.frame.several.composer import Composer
-from isogi_core.frame.several.mixing import Level, mixed
+from isogi_core.frame.several.mixing import Level
 from isogi_core.frame.shading import (
-    carry_irradiance_ratios,
-    carry_texel_light,
     colour_surface,
     empty_framebuffer,
-    fill_texel_records,
-    filter_texel_light,
-    light_sources,
     shade,
     texel_disagreement,
 )
 from isogi_core.frame.stand_in import StandIn
-from isogi_core.frame.texel_normals import ENTRY, OwnNormals, TexelNormals, find_texel_normals, nearby_normals
-from isogi_core.frame.texel_reading import Reading, read_texels
+from isogi_core.frame.texel_normals import TexelNormals
+from isogi_core.frame.texel_reading import Reading
+from isogi_core.frame.texel_shading import TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_checks import ViewChecks
 from isogi_core.frame.view_keys import check_key, is_checked, surface_key
-from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels, reads_coarsely
+from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.lru_cache import LruCache
@@ -75,8 +67,8 @@ from isogi_core.model.view import View
 KEPT = 256 << 20
 """Bytes that are kept of views, for turning light and for asking again."""
 
-SHARE, NORMALS = 1 / 16, 1 / 6
-"""Shares of these bytes: for what changes while a view stays, and for texels' normals, which views have in common."""
+SHARE, COMMON = 1 / 16, 1 / 3
+"""Shares of these bytes: for what changes while a view stays, and for what views have in common of texels."""
 
 
 class Renderer:
@@ -97,21 +89,20 @@ class Renderer:
         surfaces one is shown alone, as the others light it, where there are ``levels`` to mix its light of.
         """
         self.prepared, self.caches, self.tiles = caches.prepared, caches, tiles
-        self._filters, self._stand_in = filters, stand_in
-        self._normals = OwnNormals(min(int(NORMALS * most), 4 * ENTRY * math.prod(self.prepared.shape)))
         changing = dict.fromkeys((Reading, LobeLight, ShineLight), int(SHARE * most))
-        self._kept: LruCache[Any] = LruCache(most - int(NORMALS * most), changing)
+        self._kept: LruCache[Any] = LruCache(most - int(COMMON * most), changing)
+        shown = levels or (Level(caches),)
+        self._texels = TexelShading(self.prepared, shown, self._kept, int(COMMON * most), filters, stand_in)
         self.checks = ViewChecks(self._kept)
         self._walls = ViewWalls(self._kept, self.prepared.scene.volume, WallStore(caches.store, self.prepared))
         self._through = ViewThrough(self._kept, self._walls)
-        self._levels = levels or (Level(caches),)
         make, composes = partial(Renderer, tiles=tiles, most=most // 8, filters=filters), self.prepared.scene.several
         self._composer = Composer(caches, self, make, self._kept) if composes and not levels else None
 
     @property
     def nbytes(self) -> int:
         """Bytes of memory that views, maps and light take."""
-        parts = (self._kept, self._normals, self.prepared.maps, self.caches, self._composer)
+        parts = (self._kept, self._texels, self.prepared.maps, self.caches, self._composer)
         return sum(part.nbytes for part in parts if part is not None)
 
     def render(
@@ -189,8 +180,9 @@ class Renderer:
         check = self.checks.of(light, frame.gbuffer, target)
 
         def uncertainty() -> np.ndarray:
-            found = self._lit_texels(frame.gbuffer, light, target, tiles, Stopwatch())
-            between = light.spec.unit * texel_disagreement(*found)
+            texels = self.texels(light.view, frame.gbuffer, tiles)
+            found = self._texels.lit(texels, light, target, tiles, Stopwatch())
+            between = light.spec.unit * texel_disagreement(texels, *found)
             if light.coloured:
                 between *= light.tints(frame.gbuffer, tiles) @ LUMINANCE
             between[check.known.own.places] = 0.0
@@ -220,8 +212,9 @@ class Renderer:
         self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
     ) -> Frame:
         """The frame out of the illumination cache: global illumination, or vicinity shading (S1, section 4.2)."""
-        texels, reading, lit = self._lit_texels(gbuffer, light, target, tiles, watch)
-        framebuffer, shine = self._carry(texels, reading, lit, light, tiles, watch), b""
+        with watch.stage("texels"):
+            texels = self.texels(light.view, gbuffer, tiles)
+        (reading, framebuffer), shine = self._texels.picture(texels, light, target, tiles, watch), b""
         if light.spec.lobes:
             with watch.stage("lobes"):
                 straight = self.lobes(light, gbuffer, tiles)
@@ -267,66 +260,12 @@ class Renderer:
     def _light_ends(self, rays: ShineRays, light: RotatedLight, target: float, tiles: Tiles) -> SeenLight:
         """What rays of shine see by texels and walls as they are lit now; unshadowed light where nothing is lit yet."""
         hits, seen = rays.hits, RotatedLight(light.spec, rays.view(light.view))
-        texels, reading, lit = self._lit_texels(hits, seen, target, tiles, Stopwatch())
-        framebuffer = self._carry(texels, reading, lit, seen, tiles, Stopwatch())
+        texels = self.texels(seen.view, hits, tiles)
+        reading, framebuffer = self._texels.picture(texels, seen, target, tiles, Stopwatch())
         add_lobes_seen(rays, seen, framebuffer, tiles)
         colour_surface(hits, seen, framebuffer, tiles)
         version = self._walls.put_seen(walls_seen(rays, seen), target, framebuffer, tiles)
         return SeenLight(framebuffer.radiance, framebuffer.state, reading.version + version.encode())
-
-    def _lit_texels(
-        self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
-    ) -> tuple[ViewTexels, Reading, np.ndarray]:
-        """A view's texels, their reading, and their light (texels, LIT)."""
-        with watch.stage("texels"):
-            texels = self.texels(light.view, gbuffer, tiles)
-        found = [self._lit_by(each.caches, texels, light, target, tiles, watch) for each in self._levels]
-        return texels, *mixed(self._levels, found)
-
-    def _lit_by(
-        self, caches: Caches, texels: ViewTexels, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
-    ) -> tuple[Reading, np.ndarray]:
-        """The reading of a view's texels, and their light, by some ``caches``."""
-        view, loader = light.view, caches.of(light.view.shading)
-        with watch.stage("load"):
-            loader.ensure(texels.chunks, tiles.check)
-        with loader.pool.hold(texels.chunks) as held, ExitStack() as stack:
-            with watch.stage("read"):
-                reading = self._read(view, texels, loader.pool, held, target, tiles)
-                reading = stack.enter_context(self._project(view, texels, reading, caches, tiles))
-            with watch.stage("light"):
-                lit = light_sources(reading.sources(loader.pool), light, tiles)
-                if self._stand_in is not None:
-                    reading, lit = self._stand_in.light(texels, reading, lit, light, tiles)
-        return reading, lit
-
-    def _carry(
-        self, texels: ViewTexels, reading: Reading, lit: np.ndarray, light: RotatedLight, tiles: Tiles, watch: Stopwatch
-    ) -> Framebuffer:
-        """Bring the light of texels, ``lit`` (texels, LIT), to the picture: as irradiance ratios, or as it is.
-
-        Global illumination that is noisy is filtered before.
-        """
-        gbuffer, records, shading = texels.gbuffer, None, light.view.shading
-        ratios = carries_irradiance_ratios(self.prepared.scene, shading, reading.projects)
-        filtered = self._filters and spec_name(shading) == "gi" and bool(reading.noisy.any())
-        if ratios or filtered:
-            with watch.stage("normals"):
-                about = self._texel_normals(light.view, texels, reading, tiles)
-        if filtered:
-            with watch.stage("filter"):
-                reading, lit = filter_texel_light(texels, reading, lit, about, light, tiles)
-        if ratios:
-            with watch.stage("light"):
-                records = fill_texel_records(reading, lit, about, light, tiles)
-        normals = gbuffer.points  # as good as any where they are not read
-        if records is not None or not reading.whole:
-            with watch.stage("normals"):
-                normals = gbuffer.normals(tiles)
-        with watch.stage("shade"):
-            if records is not None:
-                return carry_irradiance_ratios(texels, records, normals, light, tiles)
-            return carry_texel_light(texels, reading, lit, normals, light, tiles)
 
     def gbuffer(self, view: View, tiles: Tiles | None = None) -> GBuffer:
         """The G-buffer of a view. Raises Cancelled, as every step does, once its ``tiles`` are cancelled."""
@@ -338,9 +277,7 @@ class Renderer:
 
     def texels(self, view: View, gbuffer: GBuffer, tiles: Tiles | None = None) -> ViewTexels:
         """The texels under a view; they hold its G-buffer, so that both are kept, or neither."""
-        coarse = reads_coarsely(view, gbuffer, self.prepared.lattice)
-        make = partial(find_texels, gbuffer, self.prepared, tiles or self.tiles, coarse)
-        return self._kept.get((ViewTexels, surface_key(view), coarse), make)
+        return self._texels.under(view, gbuffer, tiles or self.tiles)
 
     def knows(self, view: View) -> bool:
         """Whether the texels under a view are kept."""
@@ -364,37 +301,3 @@ class Renderer:
     def forget_views(self) -> None:
         """Keep nothing of views, as if every one were new."""
         self._kept.clear()
-
-    def _read(self, view: View, texels: ViewTexels, pool: PagePool, held: Held, target: float, tiles: Tiles) -> Reading:
-        """What the ``pool`` has of a view's texels, looked up anew when it has changed."""
-        key = (Reading, surface_key(view), texels.coarse, pool.spec.digest, target, held.age)
-        return self._kept.get(key, lambda: read_texels(texels, held.slots, pool, target, tiles))
-
-    @contextmanager
-    def _project(
-        self, view: View, texels: ViewTexels, base: Reading, caches: Caches, tiles: Tiles
-    ) -> Iterator[Reading]:
-        """What a view reads besides the ``base``, which stays while the block runs: projected texels where they pay.
-
-        Views that move, and vicinity shading, have none.
-        """
-        shown = texels.gbuffer.isovalue
-        if view.moving or spec_name(view.shading) != "gi" or not self.prepared.scene.projection.projects(shown):
-            yield base
-            return
-        make = partial(find_distances, texels, self.prepared, tiles)
-        distances, loader = self._kept.get((Distances, surface_key(view)), make), caches.projected(shown)
-        with held_chunks(loader, texels.chunks) as held:
-            if held is None:
-                yield base
-            else:
-                projected = read_texels(texels, held.slots, loader.pool, base.target, tiles)
-                yield join_readings(base, projected, distances, loader.pool)
-
-    def _texel_normals(self, view: View, texels: ViewTexels, reading: Reading, tiles: Tiles) -> np.ndarray:
-        """The normals that a view's texels are lit about, as they are read; such as are near where none has light."""
-        if reading.unbaked:
-            return nearby_normals(texels, tiles)
-        make = partial(find_texel_normals, texels, self._normals, self.prepared, tiles)
-        normals = self._kept.get((TexelNormals, surface_key(view), texels.coarse), make)
-        return normals.where(reading.on_surface, texels, self.prepared, tiles)

@@ -145,17 +145,17 @@ def texel_disagreement(texels: ViewTexels, reading: Reading, lit: np.ndarray) ->
 
 
 def fill_texel_records(
-    reading: Reading, lit: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
+    grade: np.ndarray, lit: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
 ) -> np.ndarray:
-    """Texels' light and unshadowed light about their ``normals``, (texels, RECORD); see ``fill_records``.
+    """Light and unshadowed light of texels of a ``grade`` (m,) about their ``normals``, (m, RECORD).
 
-    Raises Cancelled.
+    See ``fill_records``. Raises Cancelled.
     """
     unshadowed, records = light.unshadowed, np.empty((len(lit), RECORD), np.float32)
     whole = light.spec.plan.representation == "irradiance"
 
     def _piece(a: int, b: int) -> None:
-        fill_records(reading.grade[a:b], lit[a:b], normals[a:b], unshadowed, whole, records[a:b])
+        fill_records(grade[a:b], lit[a:b], normals[a:b], unshadowed, whole, records[a:b])
 
     tiles.run(_piece, len(lit), tiles.even(len(lit)))
     return records
@@ -171,7 +171,7 @@ def filter_texel_light(
     (texels, 3) are those that they are lit about. Of a view that moves one step along the axes has to do, to the next
     texels that it reads. Raises Cancelled.
     """
-    records, positions = fill_texel_records(reading, lit, normals, light, tiles), texels.positions
+    records, positions = fill_texel_records(reading.grade, lit, normals, light, tiles), texels.positions
     records[:, PATHS], records[:, VARIANCE] = reading.samples, records[:, NOISE] ** 2
     noisy = reading.noisy
     records[~noisy & (reading.grade == CONVERGING), GRADE] = FINAL

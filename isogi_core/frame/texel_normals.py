@@ -97,17 +97,23 @@ class TexelNormals:
             return self.own
         with self._lock:
             new = np.flatnonzero(projected & ~self._known)
-            self._there[new] = normals_of(texels, texels.positions[new], True, prepared, tiles)
+            self._there[new] = normals_of(texels, texels.places[new], True, prepared, tiles)
             self._known[new] = True
             return np.where(projected[:, None], self._there, self.own)
 
 
 def find_texel_normals(texels: ViewTexels, known: OwnNormals, prepared: PreparedScene, tiles: Tiles) -> TexelNormals:
     """Find the normals of a view's texels at their own points, which may be ``known``."""
-    own = known.of(
-        texels.numbers, lambda rows: normals_of(texels, texels.positions[rows], False, prepared, tiles), tiles
-    )
+    own = own_normals(texels, texels.places, known, prepared, tiles)
     return TexelNormals(own, np.zeros_like(own), np.zeros(len(own), np.bool_))
+
+
+def own_normals(
+    texels: ViewTexels, places: np.ndarray, known: OwnNormals, prepared: PreparedScene, tiles: Tiles
+) -> np.ndarray:
+    """The same of the texels at some of the ``places`` (k,) alone; (k, 3) float32."""
+    numbers = texels.numbers(places)
+    return known.of(numbers, lambda new: normals_of(texels, places[new], False, prepared, tiles), tiles)
 
 
 def nearby_normals(texels: ViewTexels, tiles: Tiles) -> np.ndarray:
@@ -123,11 +129,12 @@ def nearby_normals(texels: ViewTexels, tiles: Tiles) -> np.ndarray:
 def normals_of(
     texels: ViewTexels, places: np.ndarray, projected: bool, prepared: PreparedScene, tiles: Tiles
 ) -> np.ndarray:
-    """Normals (m, 3) float32 at ``places`` (m, 3; z, y, x) of a view's texels, ``projected`` or as they are."""
+    """Normals (k, 3) float32 of a view's texels at ``places`` (k,), ``projected`` or as they are."""
     normals, level = np.empty((len(places), 3), np.float32), texels.gbuffer.isovalue
+    positions = texels.positions_of(places)
 
     def _piece(a: int, b: int) -> None:
-        fill_texel_normals(prepared.field, prepared.step, level, projected, places[a:b], normals[a:b])
+        fill_texel_normals(prepared.field, prepared.step, level, projected, positions[a:b], normals[a:b])
 
     tiles.run(_piece, len(places), PIECE)
     return normals

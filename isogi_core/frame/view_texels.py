@@ -109,20 +109,23 @@ class ViewTexels:
         numbering = sum(each.nbytes for each in self.numbering)
         return 6 * self.places.nbytes + self.bounds.nbytes + self.corners.nbytes + numbering
 
-    @property
-    def numbers(self) -> np.ndarray:
-        """The number of each texel in its whole lattice, chunk by chunk; (m,) uint64."""
+    def numbers(self, places: np.ndarray) -> np.ndarray:
+        """The numbers in the whole lattice of texels at some of the ``places`` (k,), in their order; (k,) uint64."""
         bits, chunks = 3 * self.lattice.bits, np.array(self.chunks, np.int64).reshape(-1, 3)
         first = np.asarray(np.ravel_multi_index(tuple(chunks.T), self.lattice.chunks)) << bits
-        return (first[self.places >> bits] + self.places % self.lattice.texels).astype(np.uint64)
+        return (first[places >> bits] + places % self.lattice.texels).astype(np.uint64)
 
     @cached_property
     def positions(self) -> np.ndarray:
         """Lattice indices (m, 3; z, y, x) int32 of the texels."""
+        return self.positions_of(self.places)
+
+    def positions_of(self, places: np.ndarray) -> np.ndarray:
+        """Lattice indices (k, 3; z, y, x) int32 of the texels at some of the ``places`` (k,)."""
         chunks = np.array(self.chunks, np.int32).reshape(-1, 3) * self.lattice.chunk
         bits, side = self.lattice.bits, self.lattice.chunk - 1
-        inside = np.stack([self.places >> bits * axis & side for axis in (2, 1, 0)], axis=-1).astype(np.int32)
-        return chunks[self.places >> 3 * bits] + inside
+        inside = np.stack([places >> bits * axis & side for axis in (2, 1, 0)], axis=-1).astype(np.int32)
+        return chunks[places >> 3 * bits] + inside
 
     @cached_property
     def offsets(self) -> tuple[np.ndarray, ...]:

@@ -228,16 +228,17 @@ def new_camera(renderer: Renderer, view: View, target: float = DONE) -> Candidat
     return render
 
 
-def turned(view: View, turn: int) -> View:
+def turned(view: View, turn: float) -> View:
     """The view under a light that is turned otherwise in each round."""
     return replace(view, light=quaternion_from_angles(7.0 * turn + 3.0, 5.0, 2.0))
 
 
 def relight(renderer: Renderer, view: View) -> Candidate:
-    """A frame that differs from the last one by its light's rotation alone."""
+    """A frame that differs from the last one by its light's rotation alone, as that does from the one before."""
 
     def render(turn: int) -> float:
-        renderer.render(view, DONE)
+        for before in (turn - 1.0, turn - 0.5):
+            renderer.render(turned(view, before), DONE)
         return seconds(lambda: renderer.render(turned(view, turn), DONE))
 
     return render

@@ -18,7 +18,7 @@ from benchmarks.accuracy.carrying import (
     trilinear,
 )
 from benchmarks.accuracy.projection import by_shares_and_normals, plain, sides_of
-from isogi_core.frame import renderer as renderer_module
+from isogi_core.frame import texel_shading
 from isogi_core.report.bake import ViewBake
 from isogi_core.report.exact import straight_light, unrounded
 from isogi_core.report.metrics import luminance
@@ -75,7 +75,7 @@ def test_texels_without_light_are_left_out(linear: Neighbourhood) -> None:
 @pytest.mark.parametrize("shared", [False, True])
 def test_frames_do_what_their_twins_say(shared: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Grey light and surfaces: twins know luminance alone."""
-    monkeypatch.setattr(renderer_module, "carries_irradiance_ratios", lambda *_: shared)
+    monkeypatch.setattr(texel_shading, "carries_irradiance_ratios", lambda *_: shared)
     monkeypatch.setattr(carrying, "SAMPLES", 64)
     probe = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
     bench = bench_of(tmp_path, lights=[probe], albedo=0.7, lobes=1)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import spec_for
-from isogi_core.frame import renderer as renderer_module
 from isogi_core.frame import texel_normals as facings
+from isogi_core.frame import texel_shading
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_normals import OwnNormals, find_texel_normals
@@ -114,7 +114,7 @@ def test_ratios_are_nearer_to_the_truth_than_plain_light(
     bench = workbench(scene_of(ball(20, 6.0), 0.0, target_error=0.01, **settings))
     view = bench.view(size=48, light=ODD)
     shared, truth = bench.bake(view), bench.renderer.render(replace(view, shading="path_traced", samples=4096))
-    monkeypatch.setattr(renderer_module, "carries_irradiance_ratios", lambda *_: False)
+    monkeypatch.setattr(texel_shading, "carries_irradiance_ratios", lambda *_: False)
     plain = bench.renderer.render(view)
     assert relative_rmse(shared, truth) < 0.5 * relative_rmse(plain, truth)
 
@@ -152,7 +152,7 @@ def test_ratios_leave_light_from_all_sides_as_it_is(evenly_lit: Workbench, monke
     """Where shares are asked for nevertheless, they are the light itself but for weights."""
     view = evenly_lit.view()
     plain = evenly_lit.renderer.render(view)
-    monkeypatch.setattr(renderer_module, "carries_irradiance_ratios", lambda *_: True)
+    monkeypatch.setattr(texel_shading, "carries_irradiance_ratios", lambda *_: True)
     shared = evenly_lit.renderer.render(view)
     assert relative_rmse(shared, plain) < 0.01
     assert shared.radiance.tobytes() != plain.radiance.tobytes()

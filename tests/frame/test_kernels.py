@@ -4,7 +4,7 @@ import sys
 from typing import Any
 
 from isogi_core.frame.entry_kernels import COLOURED, FRAME, GLOW, LOBES, OTHERS, frame_kernels, other_kernels
-from isogi_core.kernels.shading.irradiance_ratio import carry_ratios
+from isogi_core.kernels.shading.irradiance_ratio import carry_ratios, recall_records
 from isogi_core.kernels.shading.lattice import carry_light
 from isogi_core.kernels.tracing.stiffness import count_stiffness
 from isogi_core.kernels.transport.glow_paths import glow_in_room
@@ -62,7 +62,13 @@ def compare(settings):
             part.samples[:], part.coefficients[:] = 16, 0.5
         cache.pool.insert(Chunks.of_one(chunk))
         renderer.render(view)
-        renderer.render(replace(view, moving=True))
+        for demand in frame.demands:
+            chunk = Chunk.empty(demand.index, cache.chunk_store.spec.plan).with_texels(demand.offsets)
+            for part in chunk.light.parts:
+                part.samples[:], part.coefficients[:] = 1 << 20, 0.5
+            cache.pool.insert(Chunks.of_one(chunk))
+        for _ in range(3):
+            renderer.render(replace(view, moving=True), 1.0)
         develop(frame, 1.0)
     called = {name for name, kernel in entries.items() if kernel.loaded}
     listed = {kernel.name for kernel in frame_kernels([scene])}
@@ -99,7 +105,7 @@ def test_kernels_are_left_out_by_what_a_scene_lacks() -> None:
     soft, lamp = {project_lamps} | lobes | far | survey, {rotate} | lobes | far | survey
     turning = {project_lamps} | far | survey | plain
     projected = (lamp | plain) - far
-    assert spared[:4] == [still | {carry_ratios}, still | plain, turning, soft | plain]
+    assert spared[:4] == [still | {carry_ratios, recall_records}, still | plain, turning, soft | plain]
     assert spared[4:] == [lamp | plain, projected, projected - survey]
 
 

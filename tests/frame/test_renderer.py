@@ -13,7 +13,7 @@ import pytest
 
 from isogi_core.errors import Cancelled
 from isogi_core.frame import gbuffer as gbuffer_module
-from isogi_core.frame import renderer as renderer_module
+from isogi_core.frame import texel_shading
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
@@ -207,14 +207,14 @@ def test_the_pool_is_read_once_for_a_view_until_it_changes(workbench: Make, monk
     bench = workbench(scene_of(ball(), 0.0, bounces=0, target_error=0.5))
     view = bench.view(size=24)
     bench.bake(view)
-    read = renderer_module.read_texels
+    read = texel_shading.read_texels
     readings: list[Any] = []
 
     def counting(*arguments: Any) -> Any:
         readings.append(read(*arguments))
         return readings[-1]
 
-    monkeypatch.setattr(renderer_module, "read_texels", counting)
+    monkeypatch.setattr(texel_shading, "read_texels", counting)
     versions = {bench.renderer.render(replace(view, light=turn)).version for turn in (IDENTITY, TURN, IDENTITY)}
     assert len(versions) == 2 and not readings, "the last frame of the bake read it"
     bench.renderer.render(view, 0.001)

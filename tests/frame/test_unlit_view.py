@@ -9,6 +9,7 @@ import pytest
 
 from isogi_core.errors import Cancelled
 from isogi_core.frame import renderer as renderer_module
+from isogi_core.frame import texel_shading
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.unlit_view import unlit_frame
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
@@ -31,8 +32,8 @@ def test_it_demands_what_the_first_picture_does(workbench: Make, monkeypatch: py
     view = bench.view()
     frame = unlit(bench, view)
     assert frame is not None and not frame.checkable
-    for name in ("trace", "find_texels"):
-        monkeypatch.setattr(renderer_module, name, lambda *_: pytest.fail("it is done twice"))
+    for module, name in ((renderer_module, "trace"), (texel_shading, "find_texels")):
+        monkeypatch.setattr(module, name, lambda *_: pytest.fail("it is done twice"))
     first = bench.renderer.render(view)
     assert np.array_equal(frame.state, first.state) and (first.state[first.state > 0] == PROVISIONAL).all()
     pairs = list(zip(frame.demands, first.demands, strict=True))
@@ -72,7 +73,7 @@ def test_the_first_picture_is_the_same_about_any_normals(
     """It is lit about those of surface points, as texels' own would take as long as all else."""
     bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=2))
     view = bench.view(**settings)
-    monkeypatch.setattr(renderer_module, "find_texel_normals", lambda *_: pytest.fail("it takes long"))
+    monkeypatch.setattr(texel_shading, "find_texel_normals", lambda *_: pytest.fail("it takes long"))
     near = bench.renderer.render(view)
     monkeypatch.undo()
     monkeypatch.setattr("isogi_core.frame.texel_reading.Reading.unbaked", False)

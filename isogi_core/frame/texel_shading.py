@@ -1,0 +1,203 @@
+"""Views shaded by their texels: from the illumination cache to the picture."""
+
+import math
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from isogi_core.bake.bake_spec import spec_name
+from isogi_core.cache.page_pool import Held, PagePool
+from isogi_core.cache.scene_caches import Caches
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.projected_texels import Distances, find_distances, held_chunks, join_readings
+from isogi_core.frame.row_records import RowRecords
+from isogi_core.frame.several.mixing import Level, mixed
+from isogi_core.frame.shading import (
+    carry_irradiance_ratios,
+    carry_texel_light,
+    fill_texel_records,
+    filter_texel_light,
+    light_sources,
+)
+from isogi_core.frame.stand_in import StandIn
+from isogi_core.frame.texel_normals import (
+    ENTRY,
+    OwnNormals,
+    TexelNormals,
+    find_texel_normals,
+    nearby_normals,
+    own_normals,
+)
+from isogi_core.frame.texel_reading import Reading, read_texels
+from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.view_keys import surface_key
+from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels, reads_coarsely
+from isogi_core.kernels.shading.framebuffer import Framebuffer
+from isogi_core.lru_cache import LruCache
+from isogi_core.model.view import View
+from isogi_core.prepared.prepared_scene import PreparedScene
+
+
+class TexelShading:
+    """Finds the texels under views, reads their light, and carries it to the pictures. Any thread may use it."""
+
+    def __init__(
+        self,
+        prepared: PreparedScene,
+        levels: tuple[Level, ...],
+        kept: LruCache[Any],
+        most: int,
+        filters: bool,
+        stand_in: StandIn | None,
+    ) -> None:
+        """Shade with the light of ``levels``, which are mixed, and keep what the steps make where renderers do.
+
+        What views have in common takes ``most`` bytes besides. Who measures bakes ``filters`` no noisy light. Other
+        light may ``stand_in`` where there is none yet.
+        """
+        self.prepared, self._levels, self._kept = prepared, levels, kept
+        self._filters, self._stand_in = filters, stand_in
+        self._normals = OwnNormals(min(most // 2, 4 * ENTRY * math.prod(self.prepared.shape)))
+        self._records = RowRecords(most // 2)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that normals and records of texels take."""
+        return self._normals.nbytes + self._records.nbytes
+
+    def under(self, view: View, gbuffer: GBuffer, tiles: Tiles) -> ViewTexels:
+        """The texels under a view; they hold its G-buffer, so that both are kept, or neither."""
+        coarse = reads_coarsely(view, gbuffer, self.prepared.lattice)
+        make = partial(find_texels, gbuffer, self.prepared, tiles, coarse)
+        return self._kept.get((ViewTexels, surface_key(view), coarse), make)
+
+    def picture(
+        self, texels: ViewTexels, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
+    ) -> tuple[Reading, Framebuffer]:
+        """The reading of a view's texels, and the picture of their light."""
+        if (recalled := self._recall(texels, light, target, tiles, watch)) is None:
+            reading, lit = self.lit(texels, light, target, tiles, watch)
+            return reading, self._carry(texels, reading, lit, light, tiles, watch)
+        reading, records = recalled
+        with watch.stage("normals"):
+            normals = texels.gbuffer.normals(tiles)
+        with watch.stage("shade"):
+            return reading, carry_irradiance_ratios(texels, records, normals, light, tiles)
+
+    def _recall(
+        self, texels: ViewTexels, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
+    ) -> tuple[Reading, np.ndarray] | None:
+        """The reading of a view's texels, and their records, most as they were kept; None where they are not to be.
+
+        They are of texels on their own isosurfaces, by one light in the store, none of which changes any more.
+        """
+        view, scene, loader = light.view, self.prepared.scene, self._levels[0].caches.of(light.view.shading)
+        projects = not view.moving and scene.projection.projects(texels.gbuffer.isovalue)
+        if projects or len(self._levels) > 1 or not carries_irradiance_ratios(scene, view.shading, False):
+            return None
+        if not self._records.stays(key := (loader.pool, light.spec, view.light, view.albedo, view.glow)):
+            return None
+        with watch.stage("load"):
+            loader.ensure(texels.chunks, tiles.check)
+        with loader.pool.hold(texels.chunks) as held:
+            with watch.stage("read"):
+                reading = self._read(view, texels, loader.pool, held, target, tiles)
+
+            def fill(new: np.ndarray) -> np.ndarray:
+                lit = light_sources([(reading.rows[new], loader.pool)], light, tiles)
+                about = own_normals(texels, texels.places[new], self._normals, self.prepared, tiles)
+                return fill_texel_records(reading.grade[new], lit, about, light, tiles)
+
+            with watch.stage("light"):
+                kept = self._records.of(key, reading, loader.pool, held, fill, tiles) if reading.settled else None
+        return None if kept is None else (reading, kept)
+
+    def lit(
+        self, texels: ViewTexels, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
+    ) -> tuple[Reading, np.ndarray]:
+        """The reading of a view's texels, and their light (texels, LIT)."""
+        found = [self._lit_by(each.caches, texels, light, target, tiles, watch) for each in self._levels]
+        return mixed(self._levels, found)
+
+    def _lit_by(
+        self, caches: Caches, texels: ViewTexels, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
+    ) -> tuple[Reading, np.ndarray]:
+        """The reading of a view's texels, and their light, by some ``caches``."""
+        view, loader = light.view, caches.of(light.view.shading)
+        with watch.stage("load"):
+            loader.ensure(texels.chunks, tiles.check)
+        with loader.pool.hold(texels.chunks) as held, ExitStack() as stack:
+            with watch.stage("read"):
+                reading = self._read(view, texels, loader.pool, held, target, tiles)
+                reading = stack.enter_context(self._project(view, texels, reading, caches, tiles))
+            with watch.stage("light"):
+                lit = light_sources(reading.sources(loader.pool), light, tiles)
+                if self._stand_in is not None:
+                    reading, lit = self._stand_in.light(texels, reading, lit, light, tiles)
+        return reading, lit
+
+    def _carry(
+        self, texels: ViewTexels, reading: Reading, lit: np.ndarray, light: RotatedLight, tiles: Tiles, watch: Stopwatch
+    ) -> Framebuffer:
+        """Bring the light of texels, ``lit`` (texels, LIT), to the picture: as irradiance ratios, or as it is.
+
+        Global illumination that is noisy is filtered before.
+        """
+        gbuffer, records, shading = texels.gbuffer, None, light.view.shading
+        ratios = carries_irradiance_ratios(self.prepared.scene, shading, reading.projects)
+        filtered = self._filters and spec_name(shading) == "gi" and bool(reading.noisy.any())
+        if ratios or filtered:
+            with watch.stage("normals"):
+                about = self._texel_normals(light.view, texels, reading, tiles)
+        if filtered:
+            with watch.stage("filter"):
+                reading, lit = filter_texel_light(texels, reading, lit, about, light, tiles)
+        if ratios:
+            with watch.stage("light"):
+                records = fill_texel_records(reading.grade, lit, about, light, tiles)
+        normals = gbuffer.points  # as good as any where they are not read
+        if records is not None or not reading.whole:
+            with watch.stage("normals"):
+                normals = gbuffer.normals(tiles)
+        with watch.stage("shade"):
+            if records is not None:
+                return carry_irradiance_ratios(texels, records, normals, light, tiles)
+            return carry_texel_light(texels, reading, lit, normals, light, tiles)
+
+    def _read(self, view: View, texels: ViewTexels, pool: PagePool, held: Held, target: float, tiles: Tiles) -> Reading:
+        """What the ``pool`` has of a view's texels, looked up anew when it has changed."""
+        key = (Reading, surface_key(view), texels.coarse, pool.spec.digest, target, held.age)
+        return self._kept.get(key, lambda: read_texels(texels, held.slots, pool, target, tiles))
+
+    @contextmanager
+    def _project(
+        self, view: View, texels: ViewTexels, base: Reading, caches: Caches, tiles: Tiles
+    ) -> Iterator[Reading]:
+        """What a view reads besides the ``base``, which stays while the block runs: projected texels where they pay.
+
+        Views that move, and vicinity shading, have none.
+        """
+        shown = texels.gbuffer.isovalue
+        if view.moving or spec_name(view.shading) != "gi" or not self.prepared.scene.projection.projects(shown):
+            yield base
+            return
+        make = partial(find_distances, texels, self.prepared, tiles)
+        distances, loader = self._kept.get((Distances, surface_key(view)), make), caches.projected(shown)
+        with held_chunks(loader, texels.chunks) as held:
+            if held is None:
+                yield base
+            else:
+                projected = read_texels(texels, held.slots, loader.pool, base.target, tiles)
+                yield join_readings(base, projected, distances, loader.pool)
+
+    def _texel_normals(self, view: View, texels: ViewTexels, reading: Reading, tiles: Tiles) -> np.ndarray:
+        """The normals that a view's texels are lit about, as they are read; such as are near where none has light."""
+        if reading.unbaked:
+            return nearby_normals(texels, tiles)
+        make = partial(find_texel_normals, texels, self._normals, self.prepared, tiles)
+        normals = self._kept.get((TexelNormals, surface_key(view), texels.coarse), make)
+        return normals.where(reading.on_surface, texels, self.prepared, tiles)
