@@ -92,7 +92,7 @@ def test_what_moves_reads_few_texels_where_pixels_are_large(workbench: Make) -> 
         assert bench.renderer.texels(view, gbuffer) is rest, "both are kept"
         assert draft.coarse == (len(rest.places) > len(gbuffer.pixels))
         assert len(draft.places) <= 2 * len(gbuffer.pixels)
-        assert np.isin(draft.numbers, rest.numbers).all(), "of those at rest"
+        assert np.isin(draft.numbers(draft.places), rest.numbers(rest.places)).all(), "of those at rest"
 
 
 def test_coarse_texels_count_more_in_the_noise_of_pixels() -> None:
