@@ -55,7 +55,6 @@ def frames(target: str | None, size: int, repeats: int) -> Measurement:
     """Frame times of all shadings side by side, light baked, and of turning only the light."""
     scene = benchmark_scene(target)
     with lit(scene, size) as (renderer, view):
-        bake_view(renderer, on_from(renderer, view), FEWEST)
         texels = sum(len(demand.offsets) for demand in renderer.render(view, NEVER).demands)
         figures = summarise(medians(candidates(renderer, view), repeats))
         figures["lattice / texels of this view"] = math.prod(renderer.prepared.shape) / texels
@@ -68,17 +67,17 @@ def frames(target: str | None, size: int, repeats: int) -> Measurement:
 
 @contextmanager
 def lit(scene: Scene, size: int) -> Iterator[tuple[Renderer, View]]:
-    """A renderer of a scene, and its view that is measured, with all light that this reads."""
+    """A renderer of a scene, and its view that is measured, with all light that this and the next camera's read."""
     with tempfile.TemporaryDirectory() as store:
         renderer, view = make_renderer(scene, store), view_of(scene, size)
-        bake_view(renderer, view, FEWEST)
+        for each in (view, on_from(renderer, view)):
+            bake_view(renderer, each, FEWEST)
         yield renderer, view
 
 
 def under_light(light: Mapping[str, str], size: int, repeats: int) -> Figures:
     """A moved camera and a turned light of the engine, over Lambert's frames, by the lobes that its ``light`` has."""
     with lit(benchmark_scene(None, lights=[light]), size) as (renderer, view):
-        bake_view(renderer, on_from(renderer, view), FEWEST)
         moving, lobes = replace(view, moving=True), renderer.prepared.scene.plan.lobes
         some = {
             "lambert": new_camera(renderer, replace(view, shading="lambert")),

@@ -27,9 +27,11 @@ UNPACKERS = 4
 AHEAD = 2 * READERS
 """Most batches of a view that are being read, or wait in memory."""
 
-BATCH, FEWEST = 1 << 23, 8
-"""Most bytes of records that are unpacked together, each call is then for thousands of texels; and for how many chunks
-a thread of a store on this machine is woken."""
+BATCH = 1 << 23
+"""Most bytes of records that are unpacked together: each call is then for thousands of texels."""
+
+FEW = 8
+"""Chunks for fewer of which no further thread is woken, where the store is on this machine."""
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
@@ -100,7 +102,7 @@ class Loader:
 
     def _batches(self, indices: Sequence[Index]) -> list[Sequence[Index]]:
         """The chunks in batches: as many as there are threads, none of few chunks, nor of more than BATCH bytes."""
-        least = 1 if self.chunk_store.store.url.remote else FEWEST
+        least = 1 if self.chunk_store.store.url.remote else FEW
         size = max(min(BATCH // self.chunk_store.chunk_bytes, max(-(-len(indices) // self._many), least)), 1)
         return [indices[i : i + size] for i in range(0, len(indices), size)]
 

@@ -95,25 +95,22 @@ class TexelShading:
 
         They are of texels on their own isosurfaces, by one light in the store, none of which changes any more.
         """
-        view, scene, loader = light.view, self.prepared.scene, self._levels[0].caches.of(light.view.shading)
-        projects = not view.moving and scene.projection.projects(texels.gbuffer.isovalue)
-        if projects or len(self._levels) > 1 or not carries_irradiance_ratios(scene, view.shading, False):
+        view, caches = light.view, self._levels[0].caches
+        ratios = carries_irradiance_ratios(self.prepared.scene, view.shading, False)
+        if len(self._levels) > 1 or not ratios or self._projects(texels, view):
             return None
-        if not self._records.stays(key := (loader.pool, light.spec, view.light, view.albedo, view.glow)):
+        key = caches.of(view.shading).pool, light.spec, view.light, view.albedo, view.glow
+        if not self._records.stays(key):
             return None
-        with watch.stage("load"):
-            loader.ensure(texels.chunks, tiles.check)
-        with loader.pool.hold(texels.chunks) as held:
-            with watch.stage("read"):
-                reading = self._read(view, texels, loader.pool, held, target, tiles)
+        with self._read(caches, texels, view, target, tiles, watch) as (reading, pool, held):
 
             def fill(new: np.ndarray) -> np.ndarray:
-                lit = light_sources([(reading.rows[new], loader.pool)], light, tiles)
+                lit = light_sources([(reading.rows[new], pool)], light, tiles)
                 about = own_normals(texels, texels.places[new], self._normals, self.prepared, tiles)
                 return fill_texel_records(reading.grade[new], lit, about, light, tiles)
 
             with watch.stage("light"):
-                kept = self._records.of(key, reading, loader.pool, held, fill, tiles) if reading.settled else None
+                kept = self._records.of(key, reading, pool, held, fill, tiles) if reading.settled else None
         return None if kept is None else (reading, kept)
 
     def lit(
@@ -127,15 +124,11 @@ class TexelShading:
         self, caches: Caches, texels: ViewTexels, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
     ) -> tuple[Reading, np.ndarray]:
         """The reading of a view's texels, and their light, by some ``caches``."""
-        view, loader = light.view, caches.of(light.view.shading)
-        with watch.stage("load"):
-            loader.ensure(texels.chunks, tiles.check)
-        with loader.pool.hold(texels.chunks) as held, ExitStack() as stack:
+        with self._read(caches, texels, light.view, target, tiles, watch) as (base, pool, _), ExitStack() as stack:
             with watch.stage("read"):
-                reading = self._read(view, texels, loader.pool, held, target, tiles)
-                reading = stack.enter_context(self._project(view, texels, reading, caches, tiles))
+                reading = stack.enter_context(self._project(light.view, texels, base, caches, tiles))
             with watch.stage("light"):
-                lit = light_sources(reading.sources(loader.pool), light, tiles)
+                lit = light_sources(reading.sources(pool), light, tiles)
                 if self._stand_in is not None:
                     reading, lit = self._stand_in.light(texels, reading, lit, light, tiles)
         return reading, lit
@@ -168,23 +161,38 @@ class TexelShading:
                 return carry_irradiance_ratios(texels, records, normals, light, tiles)
             return carry_texel_light(texels, reading, lit, normals, light, tiles)
 
-    def _read(self, view: View, texels: ViewTexels, pool: PagePool, held: Held, target: float, tiles: Tiles) -> Reading:
-        """What the ``pool`` has of a view's texels, looked up anew when it has changed."""
-        key = (Reading, surface_key(view), texels.coarse, pool.spec.digest, target, held.age)
-        return self._kept.get(key, lambda: read_texels(texels, held.slots, pool, target, tiles))
+    @contextmanager
+    def _read(
+        self, caches: Caches, texels: ViewTexels, view: View, target: float, tiles: Tiles, watch: Stopwatch
+    ) -> Iterator[tuple[Reading, PagePool, Held]]:
+        """What the pool of some ``caches`` has of a view's texels, looked up anew where it has changed; held meanwhile.
+
+        Raises what ``Loader.ensure`` does.
+        """
+        loader = caches.of(view.shading)
+        with watch.stage("load"):
+            loader.ensure(texels.chunks, tiles.check)
+        with loader.pool.hold(texels.chunks) as held:
+            with watch.stage("read"):
+                key = (Reading, surface_key(view), texels.coarse, loader.pool.spec.digest, target, held.age)
+                make = partial(read_texels, texels, held.slots, loader.pool, target, tiles)
+                reading = self._kept.get(key, make)
+            yield reading, loader.pool, held
+
+    def _projects(self, texels: ViewTexels, view: View) -> bool:
+        """Whether a view may read texels that are projected; those that move, and vicinity shading, do not."""
+        shown = texels.gbuffer.isovalue
+        return not view.moving and spec_name(view.shading) == "gi" and self.prepared.scene.projection.projects(shown)
 
     @contextmanager
     def _project(
         self, view: View, texels: ViewTexels, base: Reading, caches: Caches, tiles: Tiles
     ) -> Iterator[Reading]:
-        """What a view reads besides the ``base``, which stays while the block runs: projected texels where they pay.
-
-        Views that move, and vicinity shading, have none.
-        """
-        shown = texels.gbuffer.isovalue
-        if view.moving or spec_name(view.shading) != "gi" or not self.prepared.scene.projection.projects(shown):
+        """What a view reads besides the ``base``, which stays while the block runs: projected texels where they pay."""
+        if not self._projects(texels, view):
             yield base
             return
+        shown = texels.gbuffer.isovalue
         make = partial(find_distances, texels, self.prepared, tiles)
         distances, loader = self._kept.get((Distances, surface_key(view)), make), caches.projected(shown)
         with held_chunks(loader, texels.chunks) as held:

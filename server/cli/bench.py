@@ -234,11 +234,10 @@ def turned(view: View, turn: float) -> View:
 
 
 def relight(renderer: Renderer, view: View) -> Candidate:
-    """A frame that differs from the last one by its light's rotation alone, as that does from the one before."""
+    """A frame that differs by its light's rotation alone from the last one, whose light was turned, too."""
 
     def render(turn: int) -> float:
-        for before in (turn - 1.0, turn - 0.5):
-            renderer.render(turned(view, before), DONE)
+        renderer.render(turned(view, turn - 0.5), DONE)
         return seconds(lambda: renderer.render(turned(view, turn), DONE))
 
     return render
