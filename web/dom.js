@@ -43,6 +43,31 @@ export function svgElement(tag, attributes, text = "") {
   return node;
 }
 
+/** @type {WeakMap<Element, {width: number, height: number}>} */
+const SIZES = new WeakMap();
+/** @type {ResizeObserver|null} */
+let watching = null;
+
+/**
+ * The size of an element's box inside its border, CSS pixels, as it was last laid out: to ask the element itself would
+ * have the page laid out at once.
+ * @param {Element} element one that stays on the page
+ * @returns {{width: number, height: number}}
+ */
+export function sizeOf(element) {
+  watching ??= new ResizeObserver((changes) => changes.forEach(({ target }) => measure(target)));
+  const known = SIZES.get(element);
+  if (!known) watching.observe(element);
+  return known ?? measure(element);
+}
+
+/** @param {Element} element */
+function measure(element) {
+  const size = { width: element.clientWidth, height: element.clientHeight };
+  SIZES.set(element, size);
+  return size;
+}
+
 /**
  * Keep as many elements in a list as are wanted: the last ones go, new ones are made.
  * @template {Element} T

@@ -43,6 +43,7 @@ import { Picture } from "./view/picture.js";
 /** @typedef {import("./view/rotation.js").Vec3} Vec3 */
 
 const RETRY_MS = 1500;
+const LATE_MS = 600; // after which a person is told that a picture is still to come
 const REFUSED = 422;
 
 /**
@@ -85,7 +86,7 @@ async function start() {
  */
 function assemble(scene, knobs, trouble) {
   const view = new ViewModel(scene, knobs);
-  const picture = new Picture($("stage"), $("picture", HTMLImageElement));
+  const picture = new Picture($("stage"), $("picture", HTMLImageElement), $("draft", HTMLCanvasElement));
   const { say } = new Notice($("notice"));
   const { card, reading } = attachReading(scene, view, picture, say);
   const loop = startLoop(scene, view, picture, trouble, card);
@@ -242,7 +243,7 @@ function startLoop(scene, view, picture, trouble, card) {
         panel.show(facts, draft);
       }
       const done = facts !== null && !draft && !facts.provisional;
-      if (blob) await picture.show(blob, describe(scene, view.values));
+      if (blob) await picture[draft ? "sketch" : "show"](blob, describe(scene, view.values));
       const more = done && !picture.sharp && picture.sharpen();
       $("stage").toggleAttribute("data-sharp", done && !more);
       if (!draft) card.refresh();
@@ -260,12 +261,29 @@ function startLoop(scene, view, picture, trouble, card) {
       trouble.show(error);
     },
     moving: (moving) => comparison.moving(moving),
-    busy: (busy) => $("stage").toggleAttribute("data-busy", busy),
+    busy: waitingOn($("stage")),
   });
   panel.follow(view);
   trouble.onRetry = () => loop.settle();
   picture.onResize(() => startAnew(picture, loop));
   return loop;
+}
+
+/**
+ * What marks the stage while the newest view waits for its first picture, and visibly so where that is late: what moves
+ * there costs frames of the screen.
+ * @param {HTMLElement} stage
+ * @returns {(busy: boolean) => void}
+ */
+function waitingOn(stage) {
+  let timer = 0;
+  return (busy) => {
+    if (busy === stage.hasAttribute("data-busy")) return;
+    stage.toggleAttribute("data-busy", busy);
+    clearTimeout(timer);
+    if (busy) timer = setTimeout(() => stage.toggleAttribute("data-late", true), LATE_MS);
+    else stage.removeAttribute("data-late");
+  };
 }
 
 /**

@@ -5,7 +5,7 @@ import re
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.web.visits import BROWSER, open_final, slide, wait_final
+from tests.web.visits import BROWSER, open_final, pixels, slide, stage_of, wait_final
 
 pytestmark = BROWSER
 
@@ -76,3 +76,33 @@ def test_a_picture_at_rest_has_the_screens_own_pixels(browser: Browser, live_ser
     page.wait_for_function("width => document.querySelector('#picture').naturalWidth < width", arg=whole)
     page.wait_for_function("width => document.querySelector('#picture').naturalWidth === width", arg=whole)
     context.close()
+
+
+def test_drafts_lie_over_the_picture_until_the_view_rests(page: Page, live_server: str) -> None:
+    open_final(page, f"{live_server}/?shading=lambert")
+    left, top, width, height = stage_of(page)
+    draft = page.locator("#draft")
+    expect(draft).to_be_hidden()
+    page.mouse.move(left + width / 2, top + height / 2)
+    page.mouse.down()
+    for step in range(200):
+        page.mouse.move(left + width / 2 + step % 100, top + height / 2)
+        if draft.is_visible():
+            break
+    else:
+        pytest.fail("no draft was shown")
+    shape = "each => each.naturalWidth || each.width"
+    assert 0 < draft.evaluate(shape) <= page.locator("#picture").evaluate(shape)
+    assert pixels(page, "#draft").std() > 5.0, "it shows a surface"
+    page.mouse.up()
+    wait_final(page)
+    expect(draft).to_be_hidden()
+
+
+def test_a_picture_that_is_late_is_said_to_come(fresh: Page, live_server: str) -> None:
+    fresh.route_web_socket("**/stream", lambda _: None)  # open, and silent
+    fresh.goto(live_server)
+    fresh.wait_for_selector("#stage[data-busy]:not([data-late])")
+    fresh.wait_for_selector("#stage[data-late]")
+    moves = "busy => getComputedStyle(busy).animationName"
+    assert fresh.locator("#busy").evaluate(moves) == "busy"

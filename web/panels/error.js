@@ -83,8 +83,9 @@ export class ErrorPanel {
    */
   follow(view) {
     view.watch(lightKnobs, () => {
+      const { latest } = this.#history;
       this.#history.begin();
-      this.#write();
+      if (latest) this.#write();
     });
   }
 

@@ -39,7 +39,12 @@ export function attachLight(section, scene, view, onRest) {
     ball.draw(view.values);
     globe.dataset.painted = "";
   };
-  view.subscribe((values) => ball?.draw(values));
+  let seen = false;
+  new IntersectionObserver((changes) => {
+    seen = changes.at(-1)?.isIntersecting ?? seen;
+    if (seen) ball?.draw(view.values);
+  }).observe(globe);
+  view.subscribe((values) => seen && ball?.draw(values));
   attachDrag(globe, scene, view, onRest);
   attachArrows(globe, scene, view);
   show();

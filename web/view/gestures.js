@@ -1,5 +1,6 @@
 /** Pointer, touch and wheel on the stage, as changes of the view. */
 
+import { sizeOf } from "../dom.js";
 import { pan } from "./camera.js";
 import { dragLight } from "./rotation.js";
 
@@ -55,7 +56,7 @@ export function attachGestures(stage, scene, view, { onRest }) {
     const before = hold([...fingers.values()]);
     fingers.set(event.pointerId, place(event));
     const after = hold([...fingers.values()]);
-    if (fingers.size > 1) view.set(pinched(stage.clientHeight, scene, grip, after));
+    if (fingers.size > 1) view.set(pinched(sizeOf(stage).height, scene, grip, after));
     else view.set(dragged(stage, scene, view.values, after.x - before.x, after.y - before.y));
   });
 
@@ -169,8 +170,9 @@ function dragTarget(event, { turns }) {
  */
 function dragged(stage, scene, values, right, down) {
   const what = stage.dataset.dragging;
-  if (what === "picture") return pan(scene, values, right / stage.clientHeight, down / stage.clientHeight);
-  const degrees = DEGREES_ACROSS / Math.min(stage.clientWidth, stage.clientHeight);
+  const { width, height } = sizeOf(stage);
+  if (what === "picture") return pan(scene, values, right / height, down / height);
+  const degrees = DEGREES_ACROSS / Math.min(width, height);
   return (what === "light" ? dragLight : dragObject)(values, right * degrees, down * degrees);
 }
 

@@ -1,5 +1,7 @@
 /** The picture on the stage: its size in pixels, and swapping frames without a flicker. */
 
+import { sizeOf } from "../dom.js";
+
 const LONGEST_SIDE = 1024;
 const HIGHEST_RATIO = 1.5; // of a picture whose light is still to come: finer costs much and shows little
 const SHORTEST_SIDE = 64;
@@ -23,10 +25,11 @@ export function pictureSize(width, height, ratio, scale, sharp = false) {
   return { width: pixels(width), height: pixels(height) };
 }
 
-/** Shows one frame after the other in the stage's image. */
+/** Shows one frame after the other in the stage's image, and drafts on a canvas over it, where they are sooner. */
 export class Picture {
   #stage;
   #image;
+  #canvas;
   /** Whether all of the screen's pixels are asked for: once a picture has its light. */
   sharp = false;
   #refused = false;
@@ -35,10 +38,12 @@ export class Picture {
   /**
    * @param {HTMLElement} stage box that the picture fills
    * @param {HTMLImageElement} image
+   * @param {HTMLCanvasElement|null} [canvas] for drafts
    */
-  constructor(stage, image) {
+  constructor(stage, image, canvas = null) {
     this.#stage = stage;
     this.#image = image;
+    this.#canvas = canvas;
   }
 
   /**
@@ -47,8 +52,8 @@ export class Picture {
    * @returns {{width: number, height: number}}
    */
   size(scale) {
-    const { clientWidth, clientHeight } = this.#stage;
-    return pictureSize(clientWidth, clientHeight, window.devicePixelRatio || 1, scale, this.sharp);
+    const { width, height } = sizeOf(this.#stage);
+    return pictureSize(width, height, window.devicePixelRatio || 1, scale, this.sharp);
   }
 
   /** Ask for all of the screen's pixels from now on. @returns {boolean} whether that is more */
@@ -81,8 +86,31 @@ export class Picture {
     }
     const old = this.#image.src;
     Object.assign(this.#image, { src: address, alt, hidden: false });
+    this.#uncover();
     if (old.startsWith("blob:")) URL.revokeObjectURL(old);
     return true;
+  }
+
+  /**
+   * Show a draft over the image, until that has its next frame; dropped as `show` does. The first frame of all is the
+   * image's own.
+   * @param {Blob} blob encoded picture
+   * @param {string} alt what it shows, in words
+   * @returns {Promise<boolean>} whether it is shown now
+   */
+  async sketch(blob, alt) {
+    const context = this.hidden ? null : this.#canvas?.getContext("bitmaprenderer");
+    if (!context) return this.show(blob, alt);
+    const count = ++this.#shown;
+    const bitmap = await createImageBitmap(blob).catch(() => null);
+    if (!bitmap || count !== this.#shown) return false;
+    Object.assign(context.canvas, { width: bitmap.width, height: bitmap.height, hidden: false });
+    context.transferFromImageBitmap(bitmap);
+    return true;
+  }
+
+  #uncover() {
+    if (this.#canvas) this.#canvas.hidden = true;
   }
 
   /** Whether nothing is shown. @returns {boolean} */
@@ -94,6 +122,7 @@ export class Picture {
   hide() {
     this.#shown += 1;
     this.#image.hidden = true;
+    this.#uncover();
   }
 
   /**

@@ -1,6 +1,6 @@
 /** A scale bar and the world's axes in the corner of the picture, as shapes and as a drawing that follows the view; letters; a legend. */
 
-import { find, svgElement } from "../dom.js";
+import { find, sizeOf, svgElement } from "../dom.js";
 import { boxOf, sidesOf } from "./camera.js";
 import { errorInWords } from "./format.js";
 import { unitOf } from "./measures.js";
@@ -174,7 +174,7 @@ export function attachRulers(root, scene, view) {
     const { values } = view;
     root.toggleAttribute("hidden", values.rulers === "off");
     if (values.rulers === "off") return;
-    const { lines, words } = rulerShapes(scene, values, { width: stage.clientWidth, height: stage.clientHeight });
+    const { lines, words } = rulerShapes(scene, values, sizeOf(stage));
     root.replaceChildren(...lines.flatMap(lineOf), ...words.map(wordsOf));
   };
   view.subscribe(draw);
