@@ -44,6 +44,10 @@ from server.cli.bench import (
 SHADINGS = ("gi", "lambert")
 KINDS = (*SHADINGS, "rays")
 SMALLEST = 64
+TURNS = 4
+"""Times that work is done in a row. The first finds caches full of other work, and the last of two processes may be
+alone: those between count, of threads and of processes alike."""
+
 PIECE = 8192
 """Rays that a thread casts before it takes the next."""
 
@@ -115,7 +119,12 @@ def serve(pipe: Connection, target: str | None, store: str, size: int) -> None:
     works = works_of(make_renderer(benchmark_scene(target), store, 1), size)
     pipe.send("ready")
     while name := pipe.recv():
-        pipe.send([works[name](turn) for turn in range(4)])
+        pipe.send(in_a_row(works[name])(0))
+
+
+def in_a_row(work: Candidate) -> Candidate:
+    """The same work TURNS times: seconds of one of them."""
+    return lambda _: float(np.mean([work(turn) for turn in range(TURNS)][1:-1]))
 
 
 class Pair:
@@ -132,12 +141,12 @@ class Pair:
         assert all(pipe.recv() == "ready" for pipe in self.pipes)
 
     def candidate(self, name: str) -> Candidate:
-        """Seconds for one piece of work a process, a mean of those at which both were busy."""
+        """Seconds for one piece of work a process, while both are busy."""
 
         def work(_: int) -> float:
             for pipe in self.pipes:
                 pipe.send(name)
-            return float(np.mean([pipe.recv()[1:-1] for pipe in self.pipes]))
+            return float(np.mean([pipe.recv() for pipe in self.pipes]))
 
         return work
 
@@ -155,8 +164,8 @@ def by_threads(target: str | None, store: str, size: int, repeats: int) -> dict[
     with closing(Pair(target, store, size)) as pair:
         works: dict[str, Candidate] = {}
         for kind in KINDS:
-            works[f"one thread: {kind}"] = one[kind]
-            works[f"two threads: {kind}"] = two[kind]
+            works[f"one thread: {kind}"] = in_a_row(one[kind])
+            works[f"two threads: {kind}"] = in_a_row(two[kind])
             works[f"two processes: {kind}"] = pair.candidate(kind)
         taken = medians(works, repeats)
     figures = milliseconds(taken)
