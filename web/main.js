@@ -243,7 +243,8 @@ function startLoop(scene, view, picture, trouble, card) {
         panel.show(facts, draft);
       }
       const done = facts !== null && !draft && !facts.provisional;
-      if (blob) await picture[draft ? "sketch" : "show"](blob, describe(scene, view.values));
+      const words = describe(scene, view.values);
+      if (blob) await (draft ? picture.sketch(blob, words) : picture.show(blob, words));
       const more = done && !picture.sharp && picture.sharpen();
       $("stage").toggleAttribute("data-sharp", done && !more);
       if (!draft) card.refresh();

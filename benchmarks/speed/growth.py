@@ -101,7 +101,7 @@ def grown(taken: dict[str, float], steps: list[int], sign: str, shading: str) ->
 
 
 def works_of(renderer: Renderer, size: int) -> dict[str, Candidate]:
-    """A frame of each shading, and diffuse rays in pieces of PIECE."""
+    """A frame of each shading, and diffuse rays in pieces of PIECE, in the middle of a row of them."""
     prepared = renderer.prepared
     rays = bounce(prepared, primary_rays(prepared, size), np.random.default_rng(1))
     parts = [rays.part(slice(first, first + PIECE)) for first in range(0, len(rays), PIECE)]
@@ -111,20 +111,21 @@ def works_of(renderer: Renderer, size: int) -> dict[str, Candidate]:
             cast(prepared, those)
 
     works = {s: new_camera(renderer, view_of(prepared.scene, size, shading=s)) for s in SHADINGS}
-    return {**works, "rays": timed(partial(renderer.tiles.run, piece, len(parts), 1))}
-
-
-def serve(pipe: Connection, target: str | None, store: str, size: int) -> None:
-    """What an independent process does: the work that is named, as often as is told, and the seconds that took."""
-    works = works_of(make_renderer(benchmark_scene(target), store, 1), size)
-    pipe.send("ready")
-    while name := pipe.recv():
-        pipe.send(in_a_row(works[name])(0))
+    works["rays"] = timed(partial(renderer.tiles.run, piece, len(parts), 1))
+    return {kind: in_a_row(work) for kind, work in works.items()}
 
 
 def in_a_row(work: Candidate) -> Candidate:
     """The same work TURNS times: seconds of one of them."""
     return lambda _: float(np.mean([work(turn) for turn in range(TURNS)][1:-1]))
+
+
+def serve(pipe: Connection, target: str | None, store: str, size: int) -> None:
+    """What an independent process does: the work that is named, and the seconds that took."""
+    works = works_of(make_renderer(benchmark_scene(target), store, 1), size)
+    pipe.send("ready")
+    while name := pipe.recv():
+        pipe.send(works[name](0))
 
 
 class Pair:
@@ -164,8 +165,8 @@ def by_threads(target: str | None, store: str, size: int, repeats: int) -> dict[
     with closing(Pair(target, store, size)) as pair:
         works: dict[str, Candidate] = {}
         for kind in KINDS:
-            works[f"one thread: {kind}"] = in_a_row(one[kind])
-            works[f"two threads: {kind}"] = in_a_row(two[kind])
+            works[f"one thread: {kind}"] = one[kind]
+            works[f"two threads: {kind}"] = two[kind]
             works[f"two processes: {kind}"] = pair.candidate(kind)
         taken = medians(works, repeats)
     figures = milliseconds(taken)

@@ -81,7 +81,7 @@ def test_a_picture_at_rest_has_the_screens_own_pixels(browser: Browser, live_ser
 def test_drafts_lie_over_the_picture_until_the_view_rests(page: Page, live_server: str) -> None:
     open_final(page, f"{live_server}/?shading=lambert")
     left, top, width, height = stage_of(page)
-    draft = page.locator("#draft")
+    draft, words = page.locator("#draft"), page.locator("#picture").get_attribute("alt") or ""
     expect(draft).to_be_hidden()
     page.mouse.move(left + width / 2, top + height / 2)
     page.mouse.down()
@@ -94,6 +94,7 @@ def test_drafts_lie_over_the_picture_until_the_view_rests(page: Page, live_serve
     shape = "each => each.naturalWidth || each.width"
     assert 0 < draft.evaluate(shape) <= page.locator("#picture").evaluate(shape)
     assert pixels(page, "#draft").std() > 5.0, "it shows a surface"
+    expect(page.locator("#picture")).not_to_have_attribute("alt", words)
     page.mouse.up()
     wait_final(page)
     expect(draft).to_be_hidden()

@@ -1,6 +1,6 @@
 /** Handles on the picture that move the planes of a cut: dragged along their normals, or moved by keys. */
 
-import { find, resize, svgElement } from "../dom.js";
+import { find, resize, sizeOf, svgElement } from "../dom.js";
 import { boxOf, placeOf } from "./camera.js";
 import { niceStep } from "./format.js";
 import { spotOf } from "./marks.js";
@@ -49,6 +49,7 @@ export function draggedBy(scene, values, { at, normal }, { right, down }) {
 /** Draws what is left as a box, and on each side of it, and on each oblique plane, a handle that moves it. */
 export class Handles {
   #root;
+  #stage;
   #scene;
   #view;
   #hooks;
@@ -63,11 +64,12 @@ export class Handles {
    */
   constructor(root, scene, view, hooks) {
     this.#root = root;
+    this.#stage = root.parentElement ?? root; // they cover it, and are hidden at times
     this.#scene = scene;
     this.#view = view;
     this.#hooks = hooks;
     view.subscribe(() => this.draw());
-    new ResizeObserver(() => this.draw()).observe(root.parentElement ?? root);
+    new ResizeObserver(() => this.draw()).observe(this.#stage);
     this.draw();
   }
 
@@ -91,7 +93,7 @@ export class Handles {
 
   /** Put a handle at a point, or as near as the stage has a place. @param {HTMLElement} button @param {Vec3} point */
   #place(button, point) {
-    const { clientWidth: width, clientHeight: height } = this.#root;
+    const { width, height } = sizeOf(this.#stage);
     const at = placeOf(this.#scene, this.#view.values, point), { x, y } = spotOf(at, width, height);
     button.hidden = at.depth <= 0;
     button.style.translate = `${within(x, width).toFixed(1)}px ${within(y, height).toFixed(1)}px`;
@@ -100,7 +102,7 @@ export class Handles {
 
   /** The box of what is left, and outlines; none of those that reach behind the eye. @param {Vec3[][]} outlines */
   #drawLines(outlines) {
-    const { values } = this.#view, { clientWidth: width, clientHeight: height } = this.#root;
+    const { values } = this.#view, { width, height } = sizeOf(this.#stage);
     const box = edgesOf(readPlanes(values.planes, this.#scene.volume.bounds).kept);
     const rows = [...box, ...outlines].flatMap((points) => {
       const places = points.map((point) => placeOf(this.#scene, values, point));
@@ -118,7 +120,7 @@ export class Handles {
     attachGrip(button, this.#view, {
       plane,
       draggedBy: (right, down) => {
-        const height = this.#root.clientHeight;
+        const { height } = sizeOf(this.#stage);
         return draggedBy(this.#scene, this.#view.values, plane(), { right: right / height, down: down / height });
       },
       onRest: this.#hooks.onRest,

@@ -1,6 +1,6 @@
 /** Marks over the picture that stay on points of the world while the camera moves, hidden behind the surface. */
 
-import { svgElement } from "../dom.js";
+import { sizeOf, svgElement } from "../dom.js";
 import { placeOf } from "./camera.js";
 import { arcOf, measureInWords } from "./measures.js";
 
@@ -73,7 +73,8 @@ export class Marks {
 
   /** Where a point is on the stage, as the view is now. @param {Vec3} point @returns {Spot} */
   spot(point) {
-    return spotOf(this.place(point), this.#root.clientWidth, this.#root.clientHeight);
+    const { width, height } = sizeOf(this.#root);
+    return spotOf(this.place(point), width, height);
   }
 
   #changed() {

@@ -103,9 +103,13 @@ export class Picture {
     if (!context) return this.show(blob, alt);
     const count = ++this.#shown;
     const bitmap = await createImageBitmap(blob).catch(() => null);
-    if (!bitmap || count !== this.#shown) return false;
+    if (!bitmap || count !== this.#shown) {
+      bitmap?.close();
+      return false;
+    }
     Object.assign(context.canvas, { width: bitmap.width, height: bitmap.height, hidden: false });
     context.transferFromImageBitmap(bitmap);
+    this.#image.alt = alt;
     return true;
   }
 
