@@ -3,14 +3,16 @@
 import os
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
+import click
 from tqdm import tqdm
 
 from isogi_core.files.scene_file import find_source
+from isogi_core.kernels._compilation import KernelProgress
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from server.settings import Settings
@@ -54,7 +56,7 @@ class Progress:
     def count(self, done: int, total: int) -> None:
         """Draw how much is done, and the time left at the mean pace so far."""
         left = (time.monotonic() - self._begun) * (total - done) / max(done, 1)
-        self._draw(done, total, f"about {span(left, digits=2)} left")
+        self._draw(done, total, about_left(left))
 
     def _draw(self, done: int, total: int, postfix: str) -> None:
         if self._bar is None:
@@ -118,6 +120,37 @@ class Pieces:
             thread.join()
             self.show()
             self._bar.close()
+
+
+@contextmanager
+def compiling(progress: Callable[[], KernelProgress | None]) -> Iterator[None]:
+    """Draw, while other work is done, how far kernels are compiled; nothing where ``progress`` tells of none."""
+    ended = threading.Event()
+
+    def watch() -> None:
+        with Progress("compiling, once on this machine", "kernel") as bar:
+            while (now := progress()) is not None and not ended.is_set():
+                bar.show(now.done, now.total, note=about_left(now.seconds))
+                ended.wait(TICK)
+
+    thread = threading.Thread(target=watch, name="progress", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def say(line: str) -> None:
+    """Print a line to stdout, above a bar where one is drawn."""
+    with tqdm.external_write_mode():
+        click.echo(line)
+
+
+def about_left(seconds: float | None) -> str:
+    """Seconds that are left, for a person; empty where they are not known."""
+    return "" if seconds is None else f"about {span(max(seconds, 1.0), digits=2)} left"
 
 
 def left_text(left: TimeLeft) -> str:

@@ -4,7 +4,8 @@ from importlib import import_module
 from pkgutil import walk_packages
 
 from isogi_core import kernels
-from isogi_core.kernels._jit import Entry, warm
+from isogi_core.kernels._compilation import warm
+from isogi_core.kernels._jit import Entry
 
 
 def entry_kernels() -> list[Entry]:

@@ -24,7 +24,7 @@ from benchmarks.common.scenes import benchmark_scene, shared_data
 from benchmarks.common.suite import part
 from benchmarks.speed import embree
 from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER
-from isogi_core.kernels.tracing.cast import cast_rays_one_by_one
+from isogi_core.kernels.tracing.cast import cast_one_by_one
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from server.cli.bench import Candidate, Rays, bounce, cast, medians, primary_rays, timed
@@ -74,7 +74,7 @@ class Casts:
         """What to time on ``rays``."""
         found: dict[str, Callable[[], Any]] = {
             "lanes": partial(cast, self.prepared, rays),
-            "scalar": partial(cast, self.prepared, rays, cast_rays_one_by_one),
+            "scalar": partial(cast, self.prepared, rays, cast_one_by_one),
         }
         if embree.installed() and mesh.installed():
             origins, directions = (v.astype(np.float32) for v in (rays.origins, rays.directions))

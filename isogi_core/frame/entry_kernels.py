@@ -148,6 +148,20 @@ views through a window.
 """
 
 
+FIRST = (
+    *(trace_pixels, trace_pixels_in_sight, light_in_room, light_walls, fill_seeds, peel_rays),
+    *(mark_bricks, fill_ranges, pack_bricks, number_bricks, fill_macrocells, count_stiffness),
+    *(find_normals, tally, develop_rows, fill_curve),
+)
+"""Those of them that pictures without light from texels call as well, which come first where none are compiled."""
+
+
+def first_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
+    """The entry kernels of first pictures of the ``scenes``: by a local shading without shadows, edges not smoothed."""
+    called = {*frame_kernels(scenes)}
+    return (*(kernel for kernel in FIRST if kernel in called), shade_local)
+
+
 def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     """Those that frames of any of the ``scenes`` call: ROOM where one has walls, COLOURED where one has colours,
     MATTER where light passes one, AMONG where one has several surfaces, GLOW where something glows, SHINE where one

@@ -1,20 +1,23 @@
 """The one place that owns Numba's options, and has entry kernels compiled or loaded before they are called."""
 
-import signal
 import threading
-from collections.abc import Callable, Iterable
-from functools import update_wrapper
-from importlib import import_module
-from multiprocessing import get_context
+from collections.abc import Callable, Iterable, Iterator
+from functools import cached_property, update_wrapper
+from types import CodeType
 from typing import Any
 
+import llvmlite.binding as llvm
 import numba
 from numba import njit, types
+from numba.core import cgutils
+from numba.core.imputils import lower_builtin
+from numba.core.sigutils import normalize_signature
+from numba.core.typing.templates import AbstractTemplate, builtin_registry, signature
 from numba.extending import register_jitable
 from numba.np import linalg
 
-from isogi_core.kernels._borrowing import Compiler
 from isogi_core.kernels._cache_folder import cache_folder, hold, locked
+from isogi_core.kernels._compiler import Compiler
 
 # Not the whole of fastmath: `nnan` would make isnan() False, and the kernels ask.
 FASTMATH = {"nsz", "contract"}
@@ -36,19 +39,20 @@ linalg.ensure_blas = no_blas
 
 
 class Entry:
-    """An entry kernel, called from outside compiled code.
+    """An entry kernel, called from Python, and by other kernels through its address.
 
-    It is compiled once for all processes, or loaded, when it is first called, and only for the types of
-    its signature. Any thread may call it.
+    It is compiled once for all processes, or loaded, when it is first called, and only for the types of its
+    signature. Any thread may call it. Kernels that call it hold no copy of its code: they compile without it.
     """
 
-    def __init__(self, function: Callable[..., Any], signature: Any, options: dict[str, Any]) -> None:
-        """Take on a Python ``function``; nothing is compiled yet."""
+    def __init__(self, function: Callable[..., Any], given: Any, options: dict[str, Any]) -> None:
+        """Take on a Python ``function`` with the signature ``given``; nothing is compiled yet."""
         update_wrapper(self, function)
         self.name = f"{function.__module__}.{function.__qualname__}"
         self.targetoptions = options
-        self._signature = signature
+        self._signature = given
         self._ready: Any = None
+        let_kernels_call(self, *normalize_signature(given))
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the kernel; TypeError where the arguments are of other types."""
@@ -58,13 +62,34 @@ class Entry:
     def ready(self) -> Any:
         """Numba's compiled function. Asking for it compiles or loads it."""
         if self._ready is None:
+            load(self.callees)
             with locked(FOLDER / f"{self.name}.lock"):
                 if self._ready is None:
                     self._compile()
         return self._ready
 
+    @cached_property
+    def parts(self) -> tuple[Any, ...]:
+        """The functions that become its machine code, and the entry kernels that it calls."""
+        found: dict[Any, None] = {}
+        find_parts(self.__wrapped__, found)
+        return tuple(found)
+
+    @property
+    def callees(self) -> list["Entry"]:
+        """The entry kernels that it calls, which must be loaded before it is."""
+        return entries_of(self.parts)
+
+    @property
+    def size(self) -> int:
+        """Bytes of Python's code that become its machine code: the time to compile it grows with these."""
+        return sum(len(each.__code__.co_code) for each in self.parts if not isinstance(each, Entry))
+
     def offer(self) -> None:
         """Compile it, unless that is done or somebody is at it."""
+        if self.stored:
+            return
+        load(self.callees)
         with locked(FOLDER / f"{self.name}.lock", wait=False) as ours:
             if ours and not self.stored:
                 self._compile()
@@ -81,7 +106,52 @@ class Entry:
         return any(FOLDER.glob(f"*/{module}.{name}-*.nbi"))
 
     def _compile(self) -> None:
-        self._ready = njit(self._signature, cache=True, no_cfunc_wrapper=True, **self.targetoptions)(self.__wrapped__)
+        ready = njit(self._signature, cache=True, no_cfunc_wrapper=True, **self.targetoptions)(self.__wrapped__)
+        (compiled,) = ready.overloads.values()
+        llvm.add_symbol(self.name, compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
+        self._ready = ready
+
+
+def let_kernels_call(entry: Entry, arguments: tuple[Any, ...], result: Any) -> None:
+    """Have compiled code call an ``entry`` kernel by its name, at which its address stands once it is ready."""
+    call = signature(result or types.none, *arguments)
+
+    def _generic(self: Any, given: Any, kws: Any) -> Any:
+        return call if len(given) == len(arguments) else None
+
+    template = type("Call", (AbstractTemplate,), {"key": entry, "generic": _generic})
+    builtin_registry.register_global(entry, types.Function(template))
+
+    @lower_builtin(entry, *arguments)
+    def _call(context: Any, builder: Any, sig: Any, values: Any) -> Any:
+        entry.ready  # noqa: B018 (what is not known by name when its caller is loaded would end the process)
+        kind = context.call_conv.get_function_type(sig.return_type, sig.args)
+        function = cgutils.get_or_insert_function(builder.module, kind, entry.name)
+        status, value = context.call_conv.call_function(builder, function, sig.return_type, sig.args, values)
+        with cgutils.if_unlikely(builder, status.is_error):
+            context.call_conv.return_status_propagate(builder, status)
+        return value
+
+
+def find_parts(function: Callable[..., Any], found: dict[Any, None]) -> None:
+    """Add to ``found`` a function, all helpers that it reaches by calls, and the entry kernels that any of them calls."""
+    found[function] = None
+    for name in names_in(function.__code__):
+        each = function.__globals__.get(name)
+        if isinstance(each, Entry):
+            found[each] = None
+            continue
+        part = getattr(each, "py_func", each)
+        if hasattr(part, "__code__") and part not in found:
+            find_parts(part, found)
+
+
+def names_in(code: CodeType) -> Iterator[str]:
+    """The global names that code uses, and the code within it."""
+    yield from code.co_names
+    for each in code.co_consts:
+        if isinstance(each, CodeType):
+            yield from names_in(each)
 
 
 def kernel(
@@ -125,21 +195,6 @@ def record(cls: type, *members: Any) -> Any:
     return types.BaseTuple.from_types(members, cls)
 
 
-LOOK = 0.02
-"""Seconds between two looks at whether the wait for a compilation is given up."""
-
-
-def warm(kernels: Iterable[Any], stopped: threading.Event | None = None) -> None:
-    """Load ``kernels``; those that were never compiled are compiled first, on all cores, in the order given.
-
-    Once ``stopped`` is set it returns as soon as it can.
-    """
-    stopped = stopped or threading.Event()
-    entries = entries_of(kernels)
-    compile_beside([entry.name for entry in entries if not entry.stored], stopped)
-    load(entries, stopped)
-
-
 def load(kernels: Iterable[Any], stopped: threading.Event | None = None) -> None:
     """Have ``kernels`` in this process, which compiles those that it must. Ends between two once ``stopped`` is set."""
     for entry in entries_of(kernels):
@@ -150,27 +205,3 @@ def load(kernels: Iterable[Any], stopped: threading.Event | None = None) -> None
 def entries_of(kernels: Iterable[Any]) -> list[Entry]:
     """The entry kernels among ``kernels``; none where Numba is switched off: they are plain functions then."""
     return [kernel for kernel in kernels if isinstance(kernel, Entry)]
-
-
-def compile_beside(names: list[str], stopped: threading.Event) -> None:
-    """Compile kernels in processes of their own: within one, Numba compiles one thing at a time."""
-    processes = min(numba.config.NUMBA_DEFAULT_NUM_THREADS, len(names))
-    if processes < 2:
-        return
-    spawn = get_context("spawn")
-    helpers = [spawn.Process(target=compile_named, args=[names], daemon=True) for _ in range(processes)]
-    for helper in helpers:
-        helper.start()
-    for helper in helpers:
-        while helper.is_alive() and not stopped.is_set():
-            helper.join(LOOK)
-        helper.terminate()
-        helper.join()
-
-
-def compile_named(names: list[str]) -> None:
-    """Compile those kernels that are not stored yet and that no other process is at."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for name in names:
-        module, _, function = name.rpartition(".")
-        getattr(import_module(module), function).offer()

@@ -217,9 +217,9 @@ class Silence:
 
 async def resume(service: Service) -> None:
     """Begin prewarms that did not end, once the service stands; those of another server, when its records stop."""
-    await service.settled.wait()
+    await service.startup.lit.wait()
     silence = Silence()
-    held = [] if service.failure else await taken_up(service, silence)
+    held = [] if service.startup.failure else await taken_up(service, silence)
     service.resumed.set()
     while held:
         await asyncio.sleep(BEAT)

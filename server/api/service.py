@@ -24,8 +24,9 @@ from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from server.api.render_threads import RenderThreads
 from server.api.shown import PictureRequest, Shown, Wait
+from server.api.startup import Startup, within
 from server.bearers import Bearer, bearer_of
-from server.errors import BusyError, ForbiddenError, StartingError, UnknownJobError, UnknownSceneError
+from server.errors import ForbiddenError, StartingError, UnknownJobError, UnknownSceneError
 from server.exports.folder import ExportFolder
 from server.parameters import LightParams, VariantParams, ViewParams
 from server.render.engine import RenderEngine
@@ -41,16 +42,14 @@ from worker.progress import TimeLeft
 
 Result = TypeVar("Result")
 
-CHECK = 0.02
-"""Seconds between two checks of whether the service is ready."""
-
 STREAM, ADDRESS, PATIENT = 1.0, 4.0, 0.25
 """Weights of clients where they share the threads: a stream, all requests of an address, and work that yields."""
 
-COMPILING = "What draws {shading} pictures is being compiled, once on this machine: ask again in a while."
-
 PREVIEW = "lambert"
-"""The shading of views whose light does not fit the memory."""
+"""The shading of views whose light does not fit the memory, and of all while kernels of light are compiled."""
+
+SKETCHES = (PREVIEW, "lambert_fog", "phong")
+"""Shadings that kernels of first pictures draw."""
 
 HEARTBEAT = 20.0
 """Seconds without an update after which light is requested again, before the baker forgets the request."""
@@ -73,11 +72,8 @@ class Service:
     def __init__(self, engine: RenderEngine, settings: Settings) -> None:
         self.engine = engine
         self.settings = settings
-        self.settled = asyncio.Event()
-        self._compiled = asyncio.Event()
-        self._compiling: asyncio.Task[None] | None = None
+        self.startup = Startup(engine)
         self.resumed = asyncio.Event()
-        self.failure: Exception | None = None
         self.connections = AdmissionLimit(settings.streams, "streams are open")
         self.updates: UpdateBus
         self.jobs = Jobs(settings.jobs)
@@ -89,41 +85,22 @@ class Service:
         self._refining = 0
 
     async def start(self) -> None:
-        """Start the engine; ``settled`` is set when it is up, or when ``failure`` says why it is not."""
+        """Start the engine, and what comes with it: see ``startup``."""
         self.updates = UpdateBus()
-        try:
-            await asyncio.to_thread(self.engine.start)
-            await asyncio.to_thread(self.uploads.open)
-            self.engine.listen(self.updates.publish)
-        except Exception as error:
-            self.failure = error
-        self._compiling = asyncio.create_task(self._compile())
-        self.settled.set()
+        await self.startup.run(self._open)
 
-    async def _compile(self) -> None:
-        """Have what no scene needs by itself compiled, beside all else."""
-        try:
-            await asyncio.to_thread(self.engine.compile_others)
-        finally:
-            self._compiled.set()
+    def _open(self) -> None:
+        self.uploads.open()
+        self.engine.listen(self.updates.publish)
 
     async def close(self) -> None:
         """Drop waiting work and close the engine, once its start has ended."""
         await self.jobs.close()
-        await self.settled.wait()
-        if self._compiling:
-            self.engine.stop()
-            await self._compiling
+        await self.startup.close()
         self.threads.close()
         self.uploads.close()
         self.exports.close()
         await asyncio.to_thread(self.engine.close)
-
-    def reasons(self) -> list[str]:
-        """Why the service is not ready; empty when it is."""
-        if not self.settled.is_set():
-            return ["isogi is starting: kernels and workers are not up yet."]
-        return [f"isogi did not start: {self.failure}"] if self.failure else self.engine.unready()
 
     def job(self, key: str) -> Job:
         """The job with this id. Raises UnknownJobError, and StartingError while it may still be taken up."""
@@ -144,11 +121,6 @@ class Service:
     def reason(self) -> str:
         """Why light is not baked."""
         return self.engine.trouble() or "Some light that the view needs cannot be baked: see /readyz."
-
-    async def ready(self) -> None:
-        """Returns once the service is ready, or has failed to start."""
-        while not self.failure and await asyncio.to_thread(self.reasons) != []:
-            await asyncio.sleep(CHECK)
 
     @property
     def attended(self) -> bool:
@@ -172,16 +144,12 @@ class Service:
         if isinstance(params, VariantParams):
             change = Change(**params.model_dump(include={*VariantParams.model_fields}))
         if change != Change():
-            self._check_started()
+            self.startup.check()
         return await self.variants.of(scene, change)
-
-    def _check_started(self) -> None:
-        if not self.settled.is_set() or self.failure:
-            raise StartingError(self.reasons()[0])
 
     def planned(self, scene: Scene) -> Scene:
         """The same scene with the plan of the light that its store has, where that can be read now."""
-        if not self.settled.is_set() or self.failure:
+        if not self.startup.open:
             return scene
         with suppress(StoreError):
             return self.engine.planned(scene.id)
@@ -190,7 +158,7 @@ class Service:
     def picture_of(self, scene: Scene, params: ViewParams) -> PictureRequest:
         """The picture that the parameters ask for. Raises ViewError, and StartingError until the engine is up."""
         view = view_of(scene, params, self.settings)
-        self._check_started()
+        self.startup.check()
         return PictureRequest(scene.id, view, params.max_error or scene.target_error)
 
     async def render(
@@ -254,13 +222,16 @@ class Service:
     async def frame(self, picture: PictureRequest, rank: Rank, watch: Stopwatch) -> Frame:
         """The frame of a picture, drawn once for all requests that come meanwhile; no light is requested for it.
 
-        A request that joins another counts all of the time as time in the queue. Raises BusyError where what draws such
-        pictures is still compiled.
+        A request that joins another counts all of the time as time in the queue. Waits for kernels of light that are
+        still compiled; raises BusyError where others are.
         """
-        if picture.view.shading not in SPECS and not self._compiled.is_set():
-            await within(self.settings.queue_seconds, self._compiled)
-            if not self._compiled.is_set():
-                raise BusyError(COMPILING.format(shading=picture.view.shading))
+        if picture.view.shading in SPECS:
+            await self.startup.lit.wait()
+        elif picture.view.shading in SKETCHES:
+            smooth = picture.view.smooth and self.startup.lit.is_set()
+            picture = replace(picture, view=replace(picture.view, smooth=smooth))
+        else:
+            await self.startup.others(picture.view.shading, self.settings.queue_seconds)
 
         def work(cancelled: threading.Event) -> Frame:
             return self.engine.survey(picture.scene, picture.view, picture.target, cancelled, watch)
@@ -269,13 +240,16 @@ class Service:
             return await self.threads.of(picture.view).share((picture, self._newest(picture)), work, rank)
 
     async def frame_or_preview(self, picture: PictureRequest, rank: Rank, watch: Stopwatch) -> Frame:
-        """The frame of a picture; where its light does not fit the memory, an unshadowed one, all of it provisional."""
-        try:
-            return await self.frame(picture, rank, watch)
-        except NoRoomError:
-            preview = replace(picture, view=replace(picture.view, shading=PREVIEW))
-            frame = await self.frame(preview, rank.begun, watch)
-            return replace(frame, state=np.minimum(frame.state, PROVISIONAL))
+        """The frame of a picture; an unshadowed one, all of it provisional, while it cannot have light.
+
+        That is so where its light does not fit the memory, and while kernels of light are compiled.
+        """
+        if picture.view.shading not in SPECS or self.startup.lit.is_set():
+            with suppress(NoRoomError):
+                return await self.frame(picture, rank, watch)
+        preview = replace(picture, view=replace(picture.view, shading=PREVIEW))
+        frame = await self.frame(preview, rank.begun, watch)
+        return replace(frame, state=np.minimum(frame.state, PROVISIONAL))
 
     async def refinements(self, picture: PictureRequest, viewer: Viewer) -> AsyncGenerator[Shown, None]:
         """The picture at once, then a better one as light comes, until it is final or no more light is coming.
@@ -286,6 +260,9 @@ class Service:
         """
         known, patience, clock = None, REST, asyncio.get_running_loop().time
         begun = clock()
+        if not self.startup.lit.is_set():
+            yield await self.show(picture, viewer, self.rank(viewer, patience))
+            await self.startup.lit.wait()
         await self._ask_ahead(picture, viewer)
         while True:
             shown = await self.show(picture, viewer, self.rank(viewer, patience))
@@ -331,6 +308,7 @@ class Service:
         )
         deadline = loop.time() + wait
         try:
+            await within(wait, self.startup.lit)
             shown = await self.show(picture, viewer, rank, watch)
             while shown.coming and (left := deadline - loop.time()) > 0:
                 coming, since = shown.coming, shown.since
@@ -359,13 +337,6 @@ class Service:
 
     def _newest(self, picture: PictureRequest) -> int:
         return self.updates.newest(self._bake(picture))
-
-
-async def within(seconds: float, event: asyncio.Event) -> None:
-    """Returns when the event is set, after so many seconds at the latest."""
-    with suppress(TimeoutError):
-        async with asyncio.timeout(seconds):
-            await event.wait()
 
 
 async def service_of(connection: HTTPConnection) -> Service:

@@ -25,7 +25,8 @@ from isogi_core.frame.gbuffer import pinhole
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER
-from isogi_core.kernels.tracing.cast import cast_rays
+from isogi_core.kernels.tracing import ray_stream
+from isogi_core.kernels.tracing.cast import cast_batch
 from isogi_core.kernels.tracing.intersect import UNKNOWN
 from isogi_core.kernels.transport.integrator import bounce_rays
 from isogi_core.model.scene_plan import FEWEST
@@ -66,6 +67,11 @@ class Rays:
 
     def __len__(self) -> int:
         return len(self.sides)
+
+    @property
+    def columns(self) -> ray_stream.Rays:
+        """The rays as kernels take them."""
+        return ray_stream.Rays(self.levels, self.origins, self.directions, self.sides)
 
     def part(self, which: Any) -> "Rays":
         """Some of the rays, as arrays of their own."""
@@ -175,11 +181,11 @@ def primary_rays(prepared: PreparedScene, size: int) -> Rays:
     return Rays(origins, directions, levels, np.full(len(x), UNKNOWN, np.int8))
 
 
-def cast(prepared: PreparedScene, rays: Rays, by: Callable[..., None] = cast_rays) -> tuple[np.ndarray, np.ndarray]:
+def cast(prepared: PreparedScene, rays: Rays, by: Callable[..., None] = cast_batch) -> tuple[np.ndarray, np.ndarray]:
     """Where ``rays`` meet their surfaces: (t, came), on one thread."""
     t, came = np.empty(len(rays)), np.empty(len(rays), np.int8)
     cells = prepared.maps.covering(rays.levels)
-    by(prepared.field, cells, rays.levels, rays.origins, rays.directions, rays.sides, t, came)
+    by(prepared.field, cells, rays.columns, t, came)
     return t, came
 
 

@@ -17,7 +17,7 @@ from server.prewarm.context import PrewarmContext, Step
 from server.prewarm.order import PrewarmOrder, Views, order_of
 from server.prewarm.record import Record, Summary, last_unfinished
 from server.prewarm.work import carry_out, carry_out_dry, wanted
-from server.progress import Progress, open_scene
+from server.progress import Progress, compiling, open_scene
 from server.render.bakes import PATIENCE
 from server.render.engine import RenderEngine
 from server.render.jobs import Status
@@ -55,7 +55,8 @@ def prewarm_scene(
     root = root_of(settings)
     record = Record(root, scene, order, "command")
     with closing(RenderEngine([scene], root, *hired, settings.memory_mb << 20)) as engine, Progress() as bar:
-        engine.start(hire=not dry)
+        with compiling(lambda: engine.kernels.progress):
+            engine.start(hire=not dry)
         context = desk_of(engine, scene, order, partial(show, bar), begun)
         what = wanted(context, order, settings)
         if dry:

@@ -18,7 +18,7 @@ from isogi_core.storage.atomic_file import write_whole
 from server.cli.render import awaited
 from server.parameters import FrameParams
 from server.pictures import SUFFIXES, encode
-from server.progress import Progress
+from server.progress import Progress, compiling
 from server.render.engine import RenderEngine
 from server.render.resources import root_of
 from server.render.workforce import scheduler_of
@@ -81,7 +81,8 @@ class Reel:
             closing(RenderEngine([self._scene], *place, memory, projected=settings.projected_mb << 20)) as engine,
             Progress("rendering", "picture") as bar,
         ):
-            engine.start()
+            with compiling(lambda: engine.kernels.progress):
+                engine.start()
             try:
                 self._shoot(engine, budget, settings, bar)
             finally:

@@ -20,7 +20,7 @@ from server.answers import camera_schema, coverage_schema
 from server.cli.bench import make_renderer
 from server.parameters import FrameParams, ViewParams, read
 from server.pictures import SUFFIXES, encode, format_for, smoothed
-from server.progress import Progress, open_scene
+from server.progress import Progress, compiling, open_scene
 from server.render.bakes import Patience
 from server.render.engine import RenderEngine
 from server.render.resources import root_of
@@ -58,7 +58,8 @@ def render(
 
     place, memory = (root_of(settings), settings.workers, scheduler_of(settings)), settings.memory_mb << 20
     with closing(RenderEngine([scene], *place, memory, projected=settings.projected_mb << 20)) as engine:
-        engine.start()
+        with compiling(lambda: engine.kernels.progress):
+            engine.start()
         view = view_of(scene, params if PLACED & set(knobs) else seen_whole(engine, scene, params, settings), settings)
         frame = refine(engine, scene.id, view, params.max_error, seconds)
         left, paths = engine.time_left(scene.id, frame, params.max_error), engine.paths

@@ -20,7 +20,7 @@ from server.api.app import create_app
 from server.api.connections import HANDSHAKE, Connection, ServerConfig, keep_newcomers_out, queued
 from server.api.service import Service
 from server.api.shutdown import Closing
-from server.progress import open_scene
+from server.progress import compiling, open_scene, say
 from server.render.engine import RenderEngine
 from server.render.resources import root_of
 from server.render.workforce import scheduler_of
@@ -34,6 +34,8 @@ HAND_OVER = 0.0005
 
 Each step of a picture asks for it anew, beside threads that load light and answer requests.
 """
+
+UNLIT = " (without light until all is compiled)"
 
 EXPOSED = (
     "Others can reach {host}, so that a token is needed: put one of 16 characters or more into ISOGI_TOKEN or the"
@@ -55,8 +57,10 @@ def serve(target: str | None, settings: Settings) -> None:
     with listen(settings.host, settings.port) as listener:
         workers, memory = (settings.workers, scheduler_of(settings)), settings.memory_mb << 20
         engine = RenderEngine([scene], root_of(settings), *workers, memory, projected=settings.projected_mb << 20)
-        engine.hire()
-        asyncio.run(run(create_app(engine, settings), listener))
+        if engine.kernels.progress is None:
+            engine.hire()
+        with compiling(lambda: engine.kernels.progress):
+            asyncio.run(run(create_app(engine, settings), listener))
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -113,17 +117,18 @@ async def run(app: FastAPI, listener: socket.socket) -> None:
     stop_on_signals(server)
     service: Service = app.state.service
     serving = asyncio.create_task(server.serve([listener]))
-    watching = asyncio.create_task(service.ready())
+    startup = service.startup
+    watching = asyncio.create_task(startup.ready())
     await asyncio.wait({serving, watching}, return_when=asyncio.FIRST_COMPLETED)
-    if service.failure:
+    if startup.failure:
         server.should_exit = True
     elif watching.done():
         gc.freeze()  # 200,000 objects that stay: to look for garbage among them stops all threads for 0.2 s
-        click.echo(f"isogi is ready at {address(listener)}")
+        say(f"isogi is ready at {address(listener)}{'' if startup.lit.is_set() else UNLIT}")
     watching.cancel()
     await serving
-    if service.failure:
-        raise service.failure
+    if startup.failure and not startup.open:
+        raise startup.failure
 
 
 def leave_within(seconds: float) -> None:

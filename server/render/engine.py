@@ -10,7 +10,6 @@ from isogi_core.bake.bake_spec import SPECS, spec_name
 from isogi_core.cache.chunk_store import default_store
 from isogi_core.cache.costs import Cost
 from isogi_core.errors import StoreFullError, StoreReadOnlyError
-from isogi_core.frame.entry_kernels import frame_kernels, other_kernels
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_reading import Stage
@@ -18,9 +17,6 @@ from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.unlit_view import unlit_frame
 from isogi_core.frame.view_keys import surface_key
 from isogi_core.frame.view_texels import Demand
-from isogi_core.kernels._cache_folder import prune
-from isogi_core.kernels._jit import FOLDER, compile_beside, entries_of, warm
-from isogi_core.kernels._jit import load as load_kernels
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
@@ -29,6 +25,7 @@ from isogi_core.storage.store import Store, StoreLike
 from isogi_core.storage.url import StoreUrl
 from server.errors import UnknownSceneError
 from server.render.bakes import BACKGROUND, BackgroundBake, SideBakes, bake_name, make_bake
+from server.render.kernels import SceneKernels
 from server.render.loaded_scene import LoadedScene, load
 from server.render.loaded_scenes import LoadedScenes
 from server.render.path_times import time_of_paths
@@ -81,15 +78,22 @@ class RenderEngine:
         self._checking = Tiles()
         self._listeners: list[Listener] = []
         self._stopped = threading.Event()
+        self.kernels = SceneKernels(lambda: list(self.scenes.values()), self._stopped)
 
     def start(self, hire: bool = True) -> None:
-        """Have the workers come while the stores are opened and the kernels of frames loaded, or compiled once.
+        """``open`` the engine, and have all that pictures with ``light`` call. Raises StoreError."""
+        self.open(hire)
+        self.light(hire)
 
-        Without workers to ``hire`` nothing is baked, nor in a store that can only be read. Raises StoreError.
+    def open(self, hire: bool = True) -> None:
+        """Open stores and scenes: pictures without light can be drawn then. Raises StoreError.
+
+        Workers to ``hire`` come meanwhile, or after kernels are compiled; without them nothing is baked.
         """
-        if hire:
+        self.workforce.late = self.kernels.progress is not None
+        if hire and not self.workforce.late:
             self.hire()
-        warm(frame_kernels(self.scenes.values()), self._stopped)
+        self.kernels.first()
         if self._stopped.is_set():
             return
         with suppress(StoreReadOnlyError, StoreFullError):
@@ -97,14 +101,12 @@ class RenderEngine:
         for scene in list(self.scenes.values()):
             self._loaded.at(scene)
         threading.Thread(target=self._loaded.tidy, args=[self._stopped], name="tidying", daemon=True).start()
-        prune(FOLDER)
 
-    def compile_others(self) -> None:
-        """Compile, or load, the kernels of pictures without light from texels, in other processes as far as it can."""
-        others = other_kernels(list(self.scenes.values()))
-        if not all(kernel.stored for kernel in entries_of(others)):
-            compile_beside([kernel.name for kernel in entries_of(others)], self._stopped)
-        load_kernels(others, self._stopped)
+    def light(self, hire: bool = True) -> None:
+        """Have kernels of light here, compiled while pictures without light are drawn; then workers to ``hire``."""
+        self.kernels.light()
+        if hire and not self._stopped.is_set():
+            self.hire()
 
     def stop(self) -> None:
         """Have ``start``, if it is at work in another thread, return without an engine that can be used."""
@@ -112,12 +114,11 @@ class RenderEngine:
 
     def hire(self) -> None:
         """Have the workers come, beside whatever else there is to do."""
-        scenes = list(self.scenes.values())
-        self.workforce.hire({kind for each in scenes for kind in each.bakes}, scenes[0].source if scenes else None)
+        self.workforce.hire(self.kernels.kinds, next((each.source for each in self.scenes.values()), None))
 
     def admit(self, scene: Scene) -> None:
         """Show one more scene, once the engine has started; it is loaded when it is first looked at."""
-        warm(frame_kernels([scene]), self._stopped)
+        self.kernels.admit(scene)
         with self._changing:
             self.scenes = {**self.scenes, scene.id: scene}
 
@@ -335,8 +336,8 @@ class RenderEngine:
         return [why] if why else []
 
     def notes(self) -> list[str]:
-        """What a person should know though all goes as it should: that the store is only read."""
-        return [self.trouble()] if self.store.read_only else []
+        """What a person should know though all goes as it should: what is compiled, or that the store is only read."""
+        return [note for note in (self.kernels.compiling, self.trouble() if self.store.read_only else "") if note]
 
     def close(self) -> None:
         """Stop the workers; what they were at is baked again when it is next wanted."""
@@ -395,6 +396,5 @@ class RenderEngine:
 
     def _arrived(self, scene: str, fineness: int, spec: str, index: Index, shown: Isovalue | None) -> None:
         """Have a scene, where it is loaded, read a chunk of its texels again: it has new light."""
-        loaded = self._loaded.held(scene)
-        if loaded is not None and (loaded := loaded.held(fineness)) is not None:
-            loaded.renderer.caches.refresh(spec, index, shown)
+        if (loaded := self._loaded.held(scene)) is not None and (level := loaded.held(fineness)) is not None:
+            level.renderer.caches.refresh(spec, index, shown)

@@ -28,7 +28,8 @@ from isogi_core.files.scene_changes import (
     write_material_text,
 )
 from isogi_core.frame.entry_kernels import frame_kernels, other_kernels
-from isogi_core.kernels._jit import entries_of, warm
+from isogi_core.kernels._compilation import warm
+from isogi_core.kernels._jit import entries_of
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.window import read_window
 from isogi_core.plan.scene import Scene

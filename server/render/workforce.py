@@ -44,6 +44,8 @@ class Workforce:
         self._hiring: threading.Thread | None = None
         self._stopped = threading.Event()
         self._error: IsogiError | None = None
+        self.late = False
+        """Whether they come after kernels are compiled: pictures are drawn before that, and they are not missed."""
 
     @property
     def joins(self) -> bool:
@@ -73,7 +75,9 @@ class Workforce:
     @property
     def trouble(self) -> str:
         """Why nothing is baked at the moment; empty when all is well."""
-        return self.missing or (STARTING if self._pool is None else self._pool.trouble)
+        if self._pool is None:
+            return self.missing or ("" if self.late else STARTING)
+        return self.missing or self._pool.trouble
 
     @property
     def preparing(self) -> str:

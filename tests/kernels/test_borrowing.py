@@ -9,7 +9,7 @@ import pytest
 from numba import njit
 from numba.core.runtime import _nrt_python, rtsys
 
-from isogi_core.kernels._borrowing import Compiler
+from isogi_core.kernels._compiler import Compiler
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 

@@ -18,9 +18,10 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.tracing.active_cells import ActiveCells, block_ranges, make_active_cells
-from isogi_core.kernels.tracing.cast import cast_rays, cast_rays_one_by_one
+from isogi_core.kernels.tracing.cast import cast_batch, cast_one_by_one
 from isogi_core.kernels.tracing.field import Field
 from isogi_core.kernels.tracing.intersect import UNKNOWN
+from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue, Volume, make_volume
@@ -152,7 +153,7 @@ def is_finite(frame: Frame) -> bool:
     return bool(finite and ((errors >= 0.0) & (errors <= 1.0)).all())
 
 
-ARITHMETICS: Mapping[str, Callable[..., None]] = {"float32": cast_rays, "float64": cast_rays_one_by_one}
+ARITHMETICS: Mapping[str, Callable[..., None]] = {"float32": cast_batch, "float64": cast_one_by_one}
 """The float32 traversal, refined in float64, which frames and bakes cast with; and the scalar caster."""
 
 
@@ -172,8 +173,8 @@ class Surface:
         t, came = np.empty(count), np.empty(count, np.int8)
         given = np.broadcast_to(np.asarray(sides, np.int8), count).copy()
         levels = np.full(count, self.level)
-        columns = (np.ascontiguousarray(v.T, np.float64) for v in (origins, directions))
-        ARITHMETICS[by](self.field, self.bricks, levels, *columns, given, t, came)
+        starts, ways = (np.ascontiguousarray(v.T, np.float64) for v in (origins, directions))
+        ARITHMETICS[by](self.field, self.bricks, Rays(levels, starts, ways, given), t, came)
         return t, came
 
     def height(self, points: np.ndarray) -> np.ndarray:

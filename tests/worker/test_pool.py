@@ -22,7 +22,7 @@ from distributed.utils import LoopRunner
 
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.cache.chunk_store import ChunkStore
-from isogi_core.kernels._jit import warm
+from isogi_core.kernels._compilation import warm
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store

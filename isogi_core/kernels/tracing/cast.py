@@ -30,6 +30,7 @@ MOST_VOXELS, LONGEST_SIDE = 2**31, 2**18
 ORIGINS = types.float64[:, ::1]
 SIDES = types.int8[::1]
 VECTOR = types.float64[::1]
+RAYS = record(Rays, VECTOR, ORIGINS, ORIGINS, SIDES)
 
 
 class TracedSurface(NamedTuple):
@@ -107,7 +108,10 @@ def cast_scalar(field, rays, t, came):
         t[m], came[m] = cast(field, rays.isovalues[m], o, d, int(rays.sides[m]))
 
 
-@kernel()
+CAST = types.void(FIELD, ACTIVE_CELLS, RAYS, VECTOR, SIDES)
+
+
+@kernel(CAST)
 def cast_batch(field, cells, rays, t, came):
     """First crossings of n ``Rays``, as ``intersect.cast`` gives them, to the bit.
 
@@ -121,16 +125,7 @@ def cast_batch(field, cells, rays, t, came):
         cast_scalar(field, rays, t, came)
 
 
-CAST = types.void(FIELD, ACTIVE_CELLS, VECTOR, ORIGINS, ORIGINS, SIDES, VECTOR, SIDES)
-
-
 @kernel(CAST)
-def cast_rays(field, cells, isovalues, origins, directions, sides, t, came):
-    """``cast_batch`` for callers outside compiled code; see ``Rays`` for the arrays."""
-    cast_batch(field, cells, Rays(isovalues, origins, directions, sides), t, came)
-
-
-@kernel(CAST)
-def cast_rays_one_by_one(field, cells, isovalues, origins, directions, sides, t, came):
-    """``cast_rays`` by the scalar kernel: the reference, and what there is without SIMD."""
-    cast_scalar(field, Rays(isovalues, origins, directions, sides), t, came)
+def cast_one_by_one(field, cells, rays, t, came):
+    """``cast_batch`` by the scalar kernel: the reference, and what there is without SIMD."""
+    cast_scalar(field, rays, t, came)

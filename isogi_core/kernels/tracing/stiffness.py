@@ -40,6 +40,19 @@ COUNTS = types.int64[:, ::1]
 
 
 @kernel()
+def first_at(levels, value):
+    """The place of the first of the ascending ``levels`` that is at ``value`` or above; their number for NaN."""
+    first, last = 0, levels.shape[0]
+    while first < last:
+        middle = (first + last) // 2
+        if value <= levels[middle]:
+            last = middle
+        else:
+            first = middle + 1
+    return first
+
+
+@kernel()
 def look_at(field, levels, k, normals, marks):
     """Write ``normals`` (ny, nx, 3) and ``marks`` (ny, nx) of the voxels of plane ``k`` that an isosurface passes."""
     _, ny, nx = field.voxels.shape
@@ -47,7 +60,7 @@ def look_at(field, levels, k, normals, marks):
         for i in range(nx):
             p = (float(i), float(j), float(k))
             low, high, hole = span(field.voxels, p)
-            if not np.searchsorted(levels, low) < np.searchsorted(levels, high):
+            if not first_at(levels, low) < first_at(levels, high):
                 continue
             n, edge = normal(field, p), at_edge(field.voxels, p, field.voxels[k, j, i], low, high)
             normals[j, i, 0], normals[j, i, 1], normals[j, i, 2] = n
@@ -71,19 +84,20 @@ def passing(levels, corners, bit, side):
     for c in range(8):
         if c & bit == side:
             low, high = min(low, corners[c]), max(high, corners[c])
-    return np.searchsorted(levels, np.float32(low)), np.searchsorted(levels, np.float32(high))
+    return first_at(levels, np.float32(low)), first_at(levels, np.float32(high))
 
 
 @kernel()
-def corner_of(marks, normals, j, i):
-    """What the corners of the cell at (j, i) are: how many at an edge, all marks together, length of the mean normal.
+def corner_of(marks, normals, k, j, i):
+    """What the corners of the cell at (k, j, i) are: how many at an edge, all marks, length of the mean normal.
 
-    ``marks`` and ``normals`` are of two planes of voxels.
+    ``marks`` and ``normals`` are of two planes of voxels: those of plane k stand in row k % 2.
     """
     edges, together, known = 0, 0, 0
     x, y, z = 0.0, 0.0, 0.0
     for c in range(8):
-        mark, n = marks[c >> 2, j + ((c >> 1) & 1), i + (c & 1)], normals[c >> 2, j + ((c >> 1) & 1), i + (c & 1)]
+        plane, row, column = (k + (c >> 2)) & 1, j + ((c >> 1) & 1), i + (c & 1)
+        mark, n = marks[plane, row, column], normals[plane, row, column]
         edges, together = edges + (mark & EDGE), together | mark
         if not mark & VOID:
             x, y, z, known = x + n[0], y + n[1], z + n[2], known + 1
@@ -140,15 +154,14 @@ def count_stiffness(field, levels, begin, end, counts):
     """
     _, ny, nx = field.voxels.shape
     normals, marks = np.zeros((2, ny, nx, 3)), np.zeros((2, ny, nx), np.uint8)
-    look_at(field, levels, begin, normals[1], marks[1])
+    look_at(field, levels, begin, normals[begin & 1], marks[begin & 1])
     for k in range(begin, end):
-        normals[0], marks[0] = normals[1], marks[1]
-        look_at(field, levels, k + 1, normals[1], marks[1])
+        look_at(field, levels, k + 1, normals[(k + 1) & 1], marks[(k + 1) & 1])
         for j in range(ny - 1):
             for i in range(nx - 1):
                 corners = cube(field.voxels, k, j, i)
                 first, last = passing(levels, corners, 0, 0)
                 if first < last and not math.isnan(sum(corners)):
-                    seen = corner_of(marks, normals, j, i)
+                    seen = corner_of(marks, normals, k, j, i)
                     count_cell(levels, corners, first, last, seen, counts)
                     count_faces(levels, corners, (i, j, k), field.voxels.shape, counts)

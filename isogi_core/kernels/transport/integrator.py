@@ -88,7 +88,7 @@ def trace_path(field, iso, start, seed, index, tree, way):
 def bounce_rays(field, isovalues, origins, directions, t, came, numbers):
     """Turn rays ``origins`` + t · ``directions`` (3, n) that hit, in place, into cosine rays from there.
 
-    ``isovalues`` (n,) of the surfaces; ``t`` and ``came`` (n,) as ``cast_rays`` writes them; ``numbers``
+    ``isovalues`` (n,) of the surfaces; ``t`` and ``came`` (n,) as ``cast_batch`` writes them; ``numbers``
     (2, n) in [0, 1). They start off the surface as a path's do. Source: S1, section 4.1.
     """
     for m in range(origins.shape[1]):

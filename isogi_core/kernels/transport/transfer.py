@@ -124,10 +124,11 @@ def exchange(sums, rows, outside, store):
         block, lane = i // PATH_WIDTH, i % PATH_WIDTH
         for c in range(sums.shape[0]):
             there, here = outside[rows[i // 2], i % 2, c], sums[c, block, lane::PATH_WIDTH]
-            if store:
-                there[:] = here
-            else:
-                here[:] = there
+            for j in range(here.shape[0]):
+                if store:
+                    there[j] = here[j]
+                else:
+                    here[j] = there[j]
 
 
 @kernel()

@@ -17,7 +17,7 @@ from server.api import export_jobs
 from server.api.export_jobs import media_type
 from server.api.prewarm_jobs import begin
 from server.api.service import BearerDep, SceneDep, ServiceDep
-from server.errors import ParameterError, StartingError, UnknownResultError
+from server.errors import ParameterError, UnknownResultError
 from server.export_parameters import ExportParams, ExportParamsDep
 from server.parameters import NoParamsDep, documented, read
 from server.prewarm.order import PrewarmOrder, PrewarmRequest, Views
@@ -190,8 +190,7 @@ async def prewarm(
 
     It yields to people, goes on when the server starts anew, and is dismissed by DELETE.
     """
-    if not service.settled.is_set() or service.failure:
-        raise StartingError(service.reasons()[0])
+    service.startup.check()
     await asyncio.to_thread(check, scene, asked.order, service.settings)
     job = begin(service, scene, asked.order, asked.dry_run, bearer.name)
     response.headers.update({"Location": address(job), "Cache-Control": "no-store"})
@@ -211,8 +210,7 @@ async def export(
     scene: SceneDep, params: ExportParamsDep, service: ServiceDep, response: Response, bearer: BearerDep
 ) -> JobSchema:
     """Bake a whole isosurface, and make a file with its light in it: `/v1/jobs/{job}/file`, when that has ended."""
-    if not service.settled.is_set() or service.failure:
-        raise StartingError(service.reasons()[0])
+    service.startup.check()
     scene = await service.variant(scene, params)
     job = export_jobs.begin(service, scene, params, bearer.name)
     response.headers.update({"Location": address(job), "Cache-Control": "no-store"})

@@ -114,7 +114,7 @@ def readyz(request: Request, service: ServiceDep) -> Response | Ready:
     """Ready: kernels are compiled, the store takes light, workers are alive, no stop is asked; 503 with reasons."""
     stopping = ["isogi is stopping."] if request.app.state.closing.begun else []
     of_store = request.app.state.probe.reasons()  # it is the probe that finds a store read-only, which is no reason
-    reasons = stopping or service.reasons() or of_store
+    reasons = stopping or service.startup.reasons() or of_store
     if not reasons:
         return Ready(reasons=[*service.engine.notes(), *service.uploads.notes()])
     return problem(503, " ".join(reasons), request.url.path, ready=False, reasons=reasons)

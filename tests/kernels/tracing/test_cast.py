@@ -8,10 +8,11 @@ import pytest
 from isogi_core.files.nrrd import read_nrrd
 from isogi_core.kernels.simd.types import REGISTER
 from isogi_core.kernels.tracing.active_cells import BRICK, ActiveCells, block_ranges, brick_shape, make_active_cells
-from isogi_core.kernels.tracing.cast import cast_rays, cast_rays_one_by_one
+from isogi_core.kernels.tracing.cast import cast_batch, cast_one_by_one
 from isogi_core.kernels.tracing.field import Field
 from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN
 from isogi_core.kernels.tracing.macrocells import macrocell_shape
+from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.model.volume import make_volume
 from isogi_core.prepared.prepared_scene import make_field
 from tests.scale import COMPILED, few
@@ -30,9 +31,9 @@ def cast_both(voxels, isovalues, origins, directions, sides, spread=0.0):
     cells = make_active_cells(volume.voxels, ranges, isovalues.min() - spread, isovalues.max() + spread)
     sides = np.broadcast_to(np.asarray(sides, np.int8), len(origins)).copy()
     results = []
-    for kernel in (cast_rays, cast_rays_one_by_one):
+    for kernel in (cast_batch, cast_one_by_one):
         t, came = np.full(len(origins), -1.0), np.full(len(origins), 99, np.int8)
-        kernel(field, cells, isovalues, *along(origins, directions), sides, t, came)
+        kernel(field, cells, Rays(isovalues, *along(origins, directions), sides), t, came)
         results.append((t, came))
     return results
 
@@ -153,9 +154,8 @@ def cast_nothing():
     volume = make_volume(BALL)
     cells = make_active_cells(volume.voxels, block_ranges(volume.voxels), 0.5, 0.5)
     none = np.empty((3, 0))
-    cast_rays(
-        make_field(volume), cells, np.empty(0), none, none, np.empty(0, np.int8), np.empty(0), np.empty(0, np.int8)
-    )
+    rays = Rays(np.empty(0), none, none, np.empty(0, np.int8))
+    cast_batch(make_field(volume), cells, rays, np.empty(0), np.empty(0, np.int8))
 
 
 def vast(shape):
@@ -182,12 +182,12 @@ def test_volumes_of_up_to_two_billion_voxels_are_cast_by_simd(shape):
     origins, directions = rays_about((24, 24, 24), 17)
     origins = origins + np.array(shape[::-1]) - 24.0
     isovalues, sides = np.full(len(origins), 0.5), np.full(len(origins), UNKNOWN, np.int8)
-    rays = isovalues, *along(origins, directions), sides
+    rays = Rays(isovalues, *along(origins, directions), sides)
     empty = field._replace(high=np.zeros_like(field.high))  # where the scalar kernel finds nothing
     found = []
-    for kernel, seen in ((cast_rays, field), (cast_rays_one_by_one, field), (cast_rays, empty)):
+    for kernel, seen in ((cast_batch, field), (cast_one_by_one, field), (cast_batch, empty)):
         t, came = np.empty(len(origins)), np.empty(len(origins), np.int8)
-        kernel(seen, cells, *rays, t, came)
+        kernel(seen, cells, rays, t, came)
         found.append((t, came))
     (t, came), (t_one, came_one), (t_simd, _) = found
     assert np.array_equal(t, t_one) and np.array_equal(came, came_one)

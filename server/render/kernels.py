@@ -1,0 +1,66 @@
+"""The kernels of an engine's scenes, compiled once on a machine: those of first pictures first, then those of light."""
+
+import threading
+from collections.abc import Callable, Collection
+from typing import Any
+
+from isogi_core.frame.entry_kernels import first_kernels, frame_kernels, other_kernels
+from isogi_core.kernels._cache_folder import prune
+from isogi_core.kernels._compilation import NICENESS, Compilation, KernelProgress, compile_beside, warm
+from isogi_core.kernels._jit import FOLDER, load
+from isogi_core.plan.scene import Scene
+from server.progress import about_left
+from worker.kernels import bake_kernels
+
+COMPILING = "Compiling, once on this machine: {done} of {total}"
+
+
+class SceneKernels:
+    """What pictures of the ``scenes``, and bakes of their light, call. Work ends early once ``stopped`` is set."""
+
+    def __init__(self, scenes: Callable[[], Collection[Scene]], stopped: threading.Event) -> None:
+        """Compile nothing yet. ``scenes`` gives those that are shown at the moment."""
+        self._scenes, self._stopped = scenes, stopped
+        self.kinds = {kind for each in scenes() for kind in each.bakes}
+        self._all = Compilation((*first_kernels(scenes()), *self._of_light()))
+
+    @property
+    def progress(self) -> KernelProgress | None:
+        """How far the kernels of pictures and their light are compiled; None where this machine has them all."""
+        return self._all.progress
+
+    @property
+    def compiling(self) -> str:
+        """``progress`` for a person; empty where this machine has them all."""
+        progress = self.progress
+        if progress is None:
+            return ""
+        far = COMPILING.format(done=progress.done, total=progress.total)
+        return ", ".join(filter(None, (far, about_left(progress.seconds)))) + "."
+
+    def first(self) -> None:
+        """Have kernels of pictures without light in this process."""
+        self._all.run(first_kernels(self._scenes()), self._stopped)
+
+    def light(self) -> None:
+        """Have kernels of pictures with light in this process, and those of bakes compiled."""
+        self._beside(self._of_light())
+        load(frame_kernels(self._scenes()), self._stopped)
+        prune(FOLDER)
+
+    def admit(self, scene: Scene) -> None:
+        """Have kernels of pictures of one more scene in this process."""
+        warm(frame_kernels([scene]), self._stopped)
+
+    def others(self) -> None:
+        """Have kernels of pictures without light from texels, and of whole paths, in this process."""
+        others = other_kernels(self._scenes())
+        self._beside(others)
+        load(others, self._stopped)
+
+    def _of_light(self) -> tuple[Any, ...]:
+        return *frame_kernels(self._scenes()), *bake_kernels(self.kinds)
+
+    def _beside(self, kernels: tuple[Any, ...]) -> None:
+        """Compile in other processes, which leave the cores to pictures."""
+        compile_beside(kernels, self._stopped, NICENESS)
