@@ -134,7 +134,7 @@ def let_kernels_call(entry: Entry, arguments: tuple[Any, ...], result: Any) -> N
 
 
 def find_parts(function: Callable[..., Any], found: dict[Any, None]) -> None:
-    """Add to ``found`` a function, all helpers that it reaches by calls, and the entry kernels that any of them calls."""
+    """Add to ``found`` a function, all helpers that it reaches by calls, and entry kernels that any of them calls."""
     found[function] = None
     for name in names_in(function.__code__):
         each = function.__globals__.get(name)

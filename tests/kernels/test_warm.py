@@ -9,8 +9,9 @@ from pathlib import Path
 
 from numba import config
 
-from isogi_core.kernels import _jit
-from isogi_core.kernels._jit import entries_of, load, warm
+from isogi_core.kernels import _compilation, _jit
+from isogi_core.kernels._compilation import Compilation, KernelProgress, in_order, warm, with_callees
+from isogi_core.kernels._jit import entries_of, load
 from tests.scale import COMPILED
 
 pytestmark = COMPILED
@@ -23,9 +24,13 @@ from isogi_core.kernels._jit import kernel
 def one(x):
     return x + 1.0
 
+@kernel()
+def twice(x):
+    return one(one(x))
+
 @kernel("float64(float64)")
 def two(x):
-    return x + 2.0
+    return twice(x)
 
 @kernel("float64(float64)")
 def never(x):
@@ -34,7 +39,7 @@ def never(x):
 ASK = """\
 import sys
 from isogi_core.kernels.small import never, one, two
-from isogi_core.kernels._jit import warm
+from isogi_core.kernels._compilation import warm
 if __name__ == "__main__":
     was = one.stored, two.stored
     warm((one, two))
@@ -61,10 +66,66 @@ def test_what_is_loaded_is_what_is_compiled_ahead(tmp_path, monkeypatch):
     assert [entry.loaded for entry in entries] == [False, True]
 
 
+def entry_of(function):
+    """An entry kernel that is compiled nowhere."""
+    return _jit.Entry(function, "float64(float64)", {})
+
+
+def leaf(x):
+    return x
+
+
+LEAF = entry_of(leaf)
+
+
+def helper(x):
+    return LEAF(x)
+
+
+def branch(x):
+    return helper(x) + helper(x)
+
+
+BRANCH = entry_of(branch)
+
+
+def root(x):
+    return BRANCH(x) + LEAF(x)
+
+
+ROOT = entry_of(root)
+
+
+def test_an_entry_kernel_knows_what_it_is_made_of():
+    assert ROOT.parts == (root, BRANCH, LEAF)
+    assert BRANCH.parts == (branch, helper, LEAF)
+    assert BRANCH.size == sum(len(each.__code__.co_code) for each in (branch, helper))
+    assert BRANCH.callees == [LEAF] and LEAF.callees == []
+
+
+def test_callees_come_before_their_callers():
+    assert with_callees([ROOT, max, ROOT]) == [LEAF, BRANCH, ROOT]
+    assert in_order([ROOT, BRANCH, LEAF])[0] is LEAF
+
+
+def test_progress_counts_what_the_machine_lacked(monkeypatch):
+    stored = {LEAF}
+    monkeypatch.setattr(_jit.Entry, "stored", property(lambda entry: entry in stored))
+    monkeypatch.setattr(_compilation, "compile_beside", lambda *_: stored.add(BRANCH))
+    monkeypatch.setattr(_compilation, "load", lambda *_: None)
+    work = Compilation([ROOT])
+    assert work.progress == KernelProgress(0, 2, None)
+    work.run([BRANCH], threading.Event())
+    done, total, seconds = work.progress
+    assert (done, total) == (1, 2) and seconds >= 0.0
+    stored.add(ROOT)
+    assert work.progress is None
+
+
 def test_what_is_missing_is_compiled_by_others_and_loaded_here(tmp_path):
     kernels = tmp_path / "isogi_core" / "kernels"
     kernels.mkdir(parents=True)
-    for name in ("_jit.py", "_borrowing.py", "_cache_folder.py"):
+    for name in ("_jit.py", "_compilation.py", "_compiler.py", "_cache_folder.py"):
         shutil.copy(FOLDER / name, kernels)
     (kernels.parent / "__init__.py").touch()
     (kernels / "__init__.py").touch()

@@ -246,7 +246,8 @@ def pack_bricks(words, empty, cells):
     first = 0
     for b in range(empty.shape[0]):
         if not empty[b]:
-            cells[first : first + BRICK] = words[BRICK * b : BRICK * (b + 1)]
+            for i in range(BRICK):
+                cells[first + i] = words[BRICK * b + i]
             mark_blocks(cells, first)
             first += BRICK
 

@@ -124,7 +124,9 @@ def fill_skips(empty, tops):
     first_cubes, beyond, bits = hollow.reshape(count), outside.reshape(count), sides.reshape((BITS, count))
     cubes, rows, larger = np.empty(count, np.uint64), np.empty(count, np.uint64), np.full(count, ALL)
     for octant in range(2**3):
-        cubes[:], bits[:] = first_cubes, NONE
+        bits[:] = NONE
+        for b in range(count):
+            cubes[b] = first_cubes[b]
         for side in range(1, LONGEST + 1):
             for p in range(BITS):
                 if side % 2**p == 0:

@@ -350,7 +350,8 @@ def set_out(field, surfaces, company, vertices, starts, origins, sample, first):
     wave = company.wave
     generate(wave.shadow.wave, vertices, starts, origins, sample, first)
     begin(wave, starts, first, vertices.count)
-    company.own[:] = wave.shadow.wave.isovalues
+    for h in range(wave.own.shape[0]):
+        company.own[h] = wave.shadow.wave.isovalues[h]
     for h in range(vertices.count):
         company.on[h] = NONE if wave.own[h] >= 0.0 else 0
     start_on_either_side(field, surfaces, company, vertices, starts)
