@@ -16,6 +16,9 @@ from isogi_core.kernels._jit import Entry, entries_of, load
 LOOK = 0.02
 """Seconds between two looks at whether the wait for a compilation is given up."""
 
+KNOWN = 0.1
+"""Share of a compilation after which the time that it takes is told."""
+
 NICENESS = 5
 """Niceness of processes that compile beside a server: pictures that can be drawn already come first."""
 
@@ -29,43 +32,53 @@ class KernelProgress(NamedTuple):
 
 
 class Compilation:
-    """Entry kernels that this machine lacks, which are compiled once for all processes. Any thread may ask how far."""
+    """Entry kernels that this machine lacks, stage by stage: each is compiled once for all processes.
 
-    def __init__(self, kernels: Iterable[Any]) -> None:
-        """Compile nothing yet: list those of the ``kernels``, and of what they call, that are not stored."""
-        self._lacking = [each for each in with_callees(kernels) if not each.stored]
-        self._whole = sum(each.size for each in self._lacking)
-        self._begun: float | None = None
+    All cores work at it, in processes of their own: within one, Numba compiles one kernel at a time. Any thread may ask
+    how far it is.
+    """
 
-    @property
-    def progress(self) -> KernelProgress | None:
-        """How far it is; None where nothing is lacking."""
-        left = [each for each in self._lacking if not each.stored]
+    def __init__(self, *stages: Iterable[Any]) -> None:
+        """Compile nothing yet: list the kernels of the ``stages``, and those that they call, that are not stored."""
+        listed = [each for stage in stages for each in in_order(with_callees(stage))]
+        self._lacking = [each for each in dict.fromkeys(listed) if not each.stored]
+        self._begun = time.monotonic()
+        self._work: threading.Thread | None = None
+
+    def begin(self, stopped: threading.Event, niceness: int = 0) -> None:
+        """Have all compiled by processes whose ``niceness`` is so much higher than this one's, until ``stopped``."""
+        names, self._begun = [each.name for each in self._lacking], time.monotonic()
+        self._work = threading.Thread(target=compile_beside, args=[names, stopped, niceness], name="compiling")
+        self._work.start()
+
+    def wait(self, kernels: Iterable[Any]) -> None:
+        """Returns once ``kernels`` are compiled, or nobody is at it any more: it was stopped, or there is one core."""
+        entries = with_callees(kernels)
+        while self._work and self._work.is_alive() and not all(each.stored for each in entries):
+            self._work.join(LOOK)
+
+    def progress(self, kernels: Iterable[Any]) -> KernelProgress | None:
+        """How far the compilation of ``kernels`` is; None where this machine has them all."""
+        wanted = set(with_callees(kernels))
+        lacking = [each for each in self._lacking if each in wanted]
+        left = [each for each in lacking if not each.stored]
         if not left:
             return None
-        rest, seconds = sum(each.size for each in left), None
-        if self._begun is not None and rest < self._whole:
-            seconds = (time.monotonic() - self._begun) * rest / (self._whole - rest)
-        return KernelProgress(len(self._lacking) - len(left), len(self._lacking), seconds)
-
-    def run(self, kernels: Iterable[Any], stopped: threading.Event, niceness: int = 0) -> None:
-        """Compile those of its kernels that are among ``kernels``, or called by them, and load the ``kernels`` here.
-
-        Returns as soon as it can once ``stopped`` is set.
-        """
-        self._begun = self._begun or time.monotonic()
-        entries = entries_of(kernels)
-        compile_beside(entries, stopped, niceness)
-        load(entries, stopped)
+        whole, rest = sum(each.size for each in lacking), sum(each.size for each in left)
+        seconds = (time.monotonic() - self._begun) * rest / (whole - rest) if whole - rest > KNOWN * whole else None
+        return KernelProgress(len(lacking) - len(left), len(lacking), seconds)
 
 
-def warm(kernels: Iterable[Any], stopped: threading.Event | None = None) -> None:
+def warm(kernels: Iterable[Any], stopped: threading.Event | None = None, niceness: int = 0) -> None:
     """Load ``kernels``; those that were never compiled are compiled first, on all cores.
 
-    Once ``stopped`` is set it returns as soon as it can.
+    Once ``stopped`` is set it returns as soon as it can. For the ``niceness`` see ``Compilation``.
     """
-    kernels = list(kernels)
-    Compilation(kernels).run(kernels, stopped or threading.Event())
+    kernels, stopped = list(kernels), stopped or threading.Event()
+    work = Compilation(kernels)
+    work.begin(stopped, niceness)
+    work.wait(kernels)
+    load(kernels, stopped)
 
 
 def with_callees(kernels: Iterable[Any]) -> list[Entry]:
@@ -81,12 +94,8 @@ def in_order(entries: Iterable[Entry]) -> list[Entry]:
     return sorted(entries, key=lambda entry: (bool(entry.callees), -entry.size))
 
 
-def compile_beside(kernels: Iterable[Any], stopped: threading.Event, niceness: int = 0) -> None:
-    """Compile ``kernels`` that are not stored in processes of their own: within one, Numba compiles one at a time.
-
-    Their ``niceness`` is so much higher than this process's.
-    """
-    names = [entry.name for entry in in_order(with_callees(kernels)) if not entry.stored]
+def compile_beside(names: list[str], stopped: threading.Event, niceness: int = 0) -> None:
+    """Compile kernels in processes, one for each core, until ``stopped``; none where that would be one process."""
     processes = min(numba.config.NUMBA_DEFAULT_NUM_THREADS, len(names))
     if processes < 2:
         return

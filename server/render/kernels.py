@@ -2,11 +2,10 @@
 
 import threading
 from collections.abc import Callable, Collection
-from typing import Any
 
 from isogi_core.frame.entry_kernels import first_kernels, frame_kernels, other_kernels
 from isogi_core.kernels._cache_folder import prune
-from isogi_core.kernels._compilation import NICENESS, Compilation, KernelProgress, compile_beside, warm
+from isogi_core.kernels._compilation import NICENESS, Compilation, KernelProgress, warm
 from isogi_core.kernels._jit import FOLDER, load
 from isogi_core.plan.scene import Scene
 from server.progress import about_left
@@ -22,12 +21,13 @@ class SceneKernels:
         """Compile nothing yet. ``scenes`` gives those that are shown at the moment."""
         self._scenes, self._stopped = scenes, stopped
         self.kinds = {kind for each in scenes() for kind in each.bakes}
-        self._all = Compilation((*first_kernels(scenes()), *self._of_light()))
+        self._lit = (*first_kernels(scenes()), *frame_kernels(scenes()), *bake_kernels(self.kinds))
+        self._all = Compilation(first_kernels(scenes()), self._lit)
 
     @property
     def progress(self) -> KernelProgress | None:
         """How far the kernels of pictures and their light are compiled; None where this machine has them all."""
-        return self._all.progress
+        return self._all.progress(self._lit)
 
     @property
     def compiling(self) -> str:
@@ -39,28 +39,21 @@ class SceneKernels:
         return ", ".join(filter(None, (far, about_left(progress.seconds)))) + "."
 
     def first(self) -> None:
-        """Have kernels of pictures without light in this process."""
-        self._all.run(first_kernels(self._scenes()), self._stopped)
+        """Have kernels of pictures without light in this process; the others begin to be compiled."""
+        self._all.begin(self._stopped, NICENESS)
+        self._all.wait(first_kernels(self._scenes()))
+        load(first_kernels(self._scenes()), self._stopped)
 
     def light(self) -> None:
-        """Have kernels of pictures with light in this process, and those of bakes compiled."""
-        self._beside(self._of_light())
+        """Have kernels of pictures with light in this process, and those of bakes on this machine."""
+        self._all.wait(self._lit)
         load(frame_kernels(self._scenes()), self._stopped)
         prune(FOLDER)
+
+    def others(self) -> None:
+        """Have kernels of pictures without light from texels, and of whole paths, in this process."""
+        warm(other_kernels(self._scenes()), self._stopped, NICENESS)
 
     def admit(self, scene: Scene) -> None:
         """Have kernels of pictures of one more scene in this process."""
         warm(frame_kernels([scene]), self._stopped)
-
-    def others(self) -> None:
-        """Have kernels of pictures without light from texels, and of whole paths, in this process."""
-        others = other_kernels(self._scenes())
-        self._beside(others)
-        load(others, self._stopped)
-
-    def _of_light(self) -> tuple[Any, ...]:
-        return *frame_kernels(self._scenes()), *bake_kernels(self.kinds)
-
-    def _beside(self, kernels: tuple[Any, ...]) -> None:
-        """Compile in other processes, which leave the cores to pictures."""
-        compile_beside(kernels, self._stopped, NICENESS)

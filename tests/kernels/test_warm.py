@@ -111,15 +111,17 @@ def test_callees_come_before_their_callers():
 def test_progress_counts_what_the_machine_lacked(monkeypatch):
     stored = {LEAF}
     monkeypatch.setattr(_jit.Entry, "stored", property(lambda entry: entry in stored))
-    monkeypatch.setattr(_compilation, "compile_beside", lambda *_: stored.add(BRANCH))
-    monkeypatch.setattr(_compilation, "load", lambda *_: None)
-    work = Compilation([ROOT])
-    assert work.progress == KernelProgress(0, 2, None)
-    work.run([BRANCH], threading.Event())
-    done, total, seconds = work.progress
+    monkeypatch.setattr(_compilation, "compile_beside", lambda names, *_: stored.add(BRANCH))
+    work, stopped = Compilation([BRANCH], [ROOT]), threading.Event()
+    assert work.progress([ROOT]) == KernelProgress(0, 2, None)
+    assert work.progress([LEAF]) is None
+    work.begin(stopped)
+    work.wait([BRANCH])
+    done, total, seconds = work.progress([ROOT])
     assert (done, total) == (1, 2) and seconds >= 0.0
+    assert work.progress([BRANCH]) is None
     stored.add(ROOT)
-    assert work.progress is None
+    assert work.progress([ROOT]) is None
 
 
 def test_what_is_missing_is_compiled_by_others_and_loaded_here(tmp_path):
