@@ -31,10 +31,12 @@ class Startup:
         self._compiling: asyncio.Task[None] | None = None
 
     async def run(self, prepare: Callable[[], None]) -> None:
-        """Open the engine, and ``prepare`` what comes with it. Kernels that pictures may lack come after that."""
+        """Open the engine, and ``prepare`` what comes with it. Kernels that must be compiled come after that."""
         try:
             await asyncio.to_thread(self._engine.open)
             await asyncio.to_thread(prepare)
+            if self._engine.kernels.progress is None:
+                await self._light()
         except Exception as error:
             self.failure = error
         self._compiling = asyncio.create_task(self._compile())
@@ -74,12 +76,16 @@ class Startup:
         if not self._all.is_set():
             raise BusyError(COMPILING.format(shading=shading))
 
+    async def _light(self) -> None:
+        """Have kernels of light."""
+        await asyncio.to_thread(self._engine.light)
+        self.lit.set()
+
     async def _compile(self) -> None:
         """Have kernels of light compiled, and then those that no scene needs by itself, beside all else."""
         try:
-            if not self.failure:
-                await asyncio.to_thread(self._engine.light)
-                self.lit.set()
+            if not (self.failure or self.lit.is_set()):
+                await self._light()
             await asyncio.to_thread(self._engine.kernels.others)
         except Exception as error:
             self.failure = error

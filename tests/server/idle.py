@@ -4,7 +4,6 @@ import asyncio
 import time
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +42,7 @@ def idle_server(scene: Path, store: Path, **settings: Any) -> Iterator[Idle]:
     """Such a server of a scene, once it answers."""
     baker, loaded = Baker(), load_scene(scene)
     engine = RenderEngine([loaded], str(store), baker=baker)
-    engine.start = partial(engine.start, hire=False)  # type: ignore[method-assign]
+    engine.hire = lambda: None  # type: ignore[method-assign]
     until = f"/v1/scenes/{loaded.id}/coverage?width=8&height=8&shading=lambert"
     with live(create_app(engine, Settings(**settings)), until) as url:
         yield Idle(url, baker)

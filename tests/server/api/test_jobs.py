@@ -4,7 +4,6 @@ import asyncio
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
-from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -277,7 +276,7 @@ class Broken:
 def test_a_job_fails_where_its_light_cannot_be_baked(small_scene: Path, tmp_path: Path) -> None:
     baker = Baker()
     engine = RenderEngine([load_scene(small_scene)], str(tmp_path), baker=baker)
-    engine.start = partial(engine.start, hire=False)  # type: ignore[method-assign]
+    engine.hire = lambda: None  # type: ignore[method-assign]
     path = "/v1/scenes/small/coverage?width=8&height=8&shading=lambert"
     with live(create_app(engine, Settings()), path) as url, httpx.Client(base_url=url, timeout=60) as client:
         begun = client.get(FRAME, params=VIEW, headers=ASYNC)

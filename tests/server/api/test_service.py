@@ -19,6 +19,7 @@ from isogi_core.errors import Cancelled, NoRoomError, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Stopwatch
+from isogi_core.kernels._compilation import KernelProgress
 from isogi_core.kernels.shading.framebuffer import CONVERGING, PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
@@ -41,6 +42,25 @@ from worker.progress import TimeLeft
 FRAME = "/v1/scenes/orbital/frame"
 
 
+class FakeKernels:
+    """Kernels that are there once ``compiled`` is set, as it is unless the test says otherwise."""
+
+    def __init__(self) -> None:
+        self.compiled = threading.Event()
+        self.compiled.set()
+
+    @property
+    def progress(self) -> KernelProgress | None:
+        return None if self.compiled.is_set() else KernelProgress(7, 24, 40.0)
+
+    @property
+    def compiling(self) -> str:
+        return "" if self.compiled.is_set() else "Compiling, once on this machine: 7 of 24, about 40 s left."
+
+    def others(self) -> None:
+        assert self.compiled.wait(10)
+
+
 class FakeEngine:
     """An engine whose frames are grey squares; ``doing`` is called in the middle of each."""
 
@@ -58,13 +78,14 @@ class FakeEngine:
         self.startable: Exception | None = None
         self.stopped = False
         self.closed = False
+        self.kernels = FakeKernels()
 
-    def start(self) -> None:
+    def open(self) -> None:
         if self.startable:
             raise self.startable
 
-    def compile_others(self) -> None:
-        """All is compiled."""
+    def light(self) -> None:
+        assert self.kernels.compiled.wait(10)
 
     def stop(self) -> None:
         self.stopped = True
@@ -470,11 +491,46 @@ def test_light_of_a_new_view_is_requested_before_it_is_drawn(
 def test_the_lifespan_starts_and_closes_the_engine(engine: FakeEngine, app: FastAPI) -> None:
     async def live() -> bool:
         async with app.router.lifespan_context(app):
-            await asyncio.wait_for(app.state.service.settled.wait(), 10)
+            await asyncio.wait_for(app.state.service.startup.settled.wait(), 10)
             return engine.closed
 
     assert asyncio.run(live()) is False
     assert engine.closed
+
+
+def test_while_kernels_are_compiled_pictures_have_no_light(engine: FakeEngine, app: FastAPI) -> None:
+    engine.kernels.compiled.clear()
+    lit, plain = started(app, {"f": "png"}, {"shading": "phong"})
+    assert [answer.status_code for answer in (lit, plain)] == [200, 200]
+    assert lit.headers["isogi-provisional"] == "?1"
+    assert [(view.shading, view.smooth) for view, _ in engine.views] == [("lambert", False), ("phong", False)]
+    engine.kernels.compiled.set()
+
+
+def test_while_kernels_are_compiled_the_server_says_how_far(
+    ask: Callable[..., httpx.Response], engine: FakeEngine, app: FastAPI
+) -> None:
+    engine.kernels.compiled.clear()
+    starting = ask(app, "GET", FRAME)
+    assert starting.status_code == 503
+    assert starting.json()["detail"] == "Compiling, once on this machine: 7 of 24, about 40 s left."
+    assert ask(app, "GET", "/readyz").json()["reasons"] == [starting.json()["detail"]]
+
+
+def test_a_view_at_rest_is_lit_once_kernels_are_there(engine: FakeEngine, app: FastAPI) -> None:
+    engine.kernels.compiled.clear()
+    service: Service = app.state.service
+
+    async def two() -> list[str]:
+        await service.start()
+        picture = service.picture_of(engine.scenes["orbital"], ViewParams(width=4, height=4))
+        async with aclosing(service.refinements(picture, Viewer("a"))) as refinements:
+            await anext(refinements)
+            engine.kernels.compiled.set()
+            await anext(refinements)
+        return [view.shading for view, _ in engine.views]
+
+    assert asyncio.run(two()) == ["lambert", "gi"]
 
 
 def test_a_picture_whose_kernels_are_compiled_does_not_hang(engine: FakeEngine) -> None:

@@ -21,8 +21,10 @@ import pytest
 from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.entry_kernels import FRAME, LOBES
 from isogi_core.frame.frame import Frame
+from isogi_core.kernels._compilation import Compilation, with_callees
 from isogi_core.kernels.shading.irradiance_ratio import carry_ratios, recall_records
 from isogi_core.kernels.shading.lattice import carry_light
+from isogi_core.kernels.shading.local_models import shade_local
 from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.tracing.stiffness import count_stiffness
 from isogi_core.kernels.transport.harmonics import rotate
@@ -34,7 +36,6 @@ from isogi_core.prepared.active_cell_maps import ActiveCellMaps, Run, find_level
 from isogi_core.storage import folder
 from isogi_core.storage.url import StoreUrl
 from server.cli.render import refine
-from server.render import engine as engine_module
 from server.render.engine import RenderEngine
 from server.render.loaded_scene import next_values
 from server.render.resources import StoreProbe, whereabouts
@@ -457,14 +458,15 @@ def test_a_engine_can_be_closed_before_it_began(scene: Scene, store: Path) -> No
 
 
 def test_a_start_can_be_given_up(scene: Scene, store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    compiling = threading.Event()
+    compiling, stopped = threading.Event(), list[RenderEngine]()
 
-    def compile_for_long(kernels: Any, stopped: threading.Event) -> None:
+    def compile_for_long(work: Compilation, kernels: Any) -> None:
         compiling.set()
-        assert stopped.wait(LONG)
+        assert stopped[0]._stopped.wait(LONG)
 
-    monkeypatch.setattr(engine_module, "warm", compile_for_long)
+    monkeypatch.setattr(Compilation, "wait", compile_for_long)
     with closing(RenderEngine([scene], str(store))) as engine, ThreadPoolExecutor(1) as thread:
+        stopped.append(engine)
         start = thread.submit(engine.start)
         assert compiling.wait(LONG)
         engine.stop()
@@ -513,7 +515,7 @@ def test_kernels_that_a_scene_never_calls_are_never_loaded(tmp_path: Path, light
     )
     uncalled = {carry_ratios, recall_records, rotate, *LOBES} if light == "constant" else {carry_light}
     called = {*FRAME} - uncalled - {project_lamps, measure_distances, count_stiffness}
-    assert set(json.loads(done.stdout)) == {kernel.name for kernel in called}
+    assert set(json.loads(done.stdout)) == {kernel.name for kernel in with_callees([*called, shade_local])}
 
 
 def test_workers_are_told_absolute_paths(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
