@@ -2,7 +2,7 @@
 
 import { find } from "./dom.js";
 import { complaints, followAddress, readAddress } from "./net/address.js";
-import { listScenes, openStream, readFrame, readLight, readPoint, readScene, readSurfacePoint, sliceAddress } from "./net/api.js";
+import { listScenes, openStream, readFrame, readLight, readPoint, readReadiness, readScene, readSurfacePoint, sliceAddress } from "./net/api.js";
 import { Exporter } from "./net/export.js";
 import { FrameLoop } from "./net/loop.js";
 import { describe, fileName, frameQuery, ground, pointQuery } from "./net/request.js";
@@ -11,6 +11,7 @@ import { attachShare } from "./net/share.js";
 import { Trouble } from "./net/trouble.js";
 import { attachUpload } from "./net/upload.js";
 import { Comparison } from "./panels/comparison.js";
+import { CompilingLine } from "./panels/compiling.js";
 import { attachCuts, attachLabels, attachMaterial, attachSurfaces } from "./panels/cuts.js";
 import { attachEnvironments } from "./panels/environment.js";
 import { ErrorPanel } from "./panels/error.js";
@@ -43,6 +44,7 @@ import { Picture } from "./view/picture.js";
 /** @typedef {import("./view/rotation.js").Vec3} Vec3 */
 
 const RETRY_MS = 1500;
+const COMPILING_MS = 300; // between two looks at whether a first picture can be drawn
 const LATE_MS = 600; // after which a person is told that a picture is still to come
 const REFUSED = 422;
 
@@ -56,7 +58,8 @@ const $ = (id, kind) => find(document, `#${id}`, kind);
 
 /** Load the scene that the address names (else the first) and start; keep trying while the server is away. */
 async function start() {
-  const trouble = new TroublePanel($("trouble"));
+  const trouble = new TroublePanel($("trouble")), compiling = new CompilingLine($("compiling"), readReadiness);
+  compiling.watch();
   const { scene: wanted, start: knobs } = readAddress(location.search);
   for (;;) {
     try {
@@ -70,11 +73,13 @@ async function start() {
       if (environment || material) Object.assign(scene, await readLight(scene.id, { environment, material }));
       return assemble(scene, knobs, trouble);
     } catch (error) {
-      $("stage").dataset.state = "trouble";
       const failure = /** @type {import("./net/trouble.js").Trouble} */ (error);
-      trouble.show(failure);
+      if (!failure.retry || !(await compiling.look())) {
+        $("stage").dataset.state = "trouble";
+        trouble.show(failure);
+      }
       if (!failure.retry) throw error;
-      await trouble.patience(RETRY_MS);
+      await trouble.patience(compiling.shown ? COMPILING_MS : RETRY_MS);
     }
   }
 }

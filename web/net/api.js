@@ -27,6 +27,24 @@ export async function listScenes() {
 }
 
 /**
+ * @typedef {object} Readiness
+ * @property {boolean} ready whether pictures are drawn
+ * @property {{done: number, total: number, seconds: number|null}|null} [compiling] kernels, and the time left
+ */
+
+/**
+ * How ready the server is to draw pictures.
+ * @returns {Promise<Readiness|null>} null where it does not answer
+ */
+export async function readReadiness() {
+  try {
+    return await (await fetch(new URL("readyz", document.baseURI))).json();
+  } catch {
+    return null;
+  }
+}
+
+/**
  * Upload a volume, or a light probe. `fetch` reports no progress, so this is an `XMLHttpRequest`.
  * @param {"volumes"|"environments"} kind
  * @param {Blob} file

@@ -96,11 +96,23 @@ class Live(BaseModel):
     version: str
 
 
+class Compiling(BaseModel):
+    """Kernels that are compiled, once on this machine: ``done`` of ``total``; about ``seconds`` left, null if unknown."""
+
+    done: int
+    total: int
+    seconds: float | None
+
+
 class Ready(BaseModel):
-    """Whether frames can be served, and if not, why not; if so, what one should know all the same."""
+    """Whether frames can be served, and if not, why not; if so, what one should know all the same.
+
+    While kernels of light are ``compiling`` they are served without light.
+    """
 
     ready: bool = True
     reasons: list[str] = []
+    compiling: Compiling | None = None
 
 
 @health_router.get("/livez")
@@ -111,13 +123,16 @@ async def livez(request: Request) -> Live:
 
 @health_router.get("/readyz", response_model=Ready, responses=documented_problems(503))
 def readyz(request: Request, service: ServiceDep) -> Response | Ready:
-    """Ready: kernels are compiled, the store takes light, workers are alive, no stop is asked; 503 with reasons."""
+    """Ready: pictures can be drawn, the store takes light, workers are alive, no stop is asked; 503 with reasons."""
     stopping = ["isogi is stopping."] if request.app.state.closing.begun else []
     of_store = request.app.state.probe.reasons()  # it is the probe that finds a store read-only, which is no reason
     reasons = stopping or service.startup.reasons() or of_store
+    progress = service.engine.kernels.progress
+    compiling = None if progress is None else Compiling(**progress._asdict())
     if not reasons:
-        return Ready(reasons=[*service.engine.notes(), *service.uploads.notes()])
-    return problem(503, " ".join(reasons), request.url.path, ready=False, reasons=reasons)
+        return Ready(reasons=[*service.engine.notes(), *service.uploads.notes()], compiling=compiling)
+    more = {"compiling": compiling.model_dump()} if compiling else {}
+    return problem(503, " ".join(reasons), request.url.path, ready=False, reasons=reasons, **more)
 
 
 @health_router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
