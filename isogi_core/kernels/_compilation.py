@@ -4,7 +4,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from importlib import import_module
 from multiprocessing import get_context
 from typing import Any, NamedTuple
@@ -40,8 +40,10 @@ class Compilation:
 
     def __init__(self, *stages: Iterable[Any]) -> None:
         """Compile nothing yet: list the kernels of the ``stages``, and those that they call, that are not stored."""
-        listed = [each for stage in stages for each in in_order(with_callees(stage))]
-        self._lacking = [each for each in dict.fromkeys(listed) if not each.stored]
+        listed: dict[Entry, None] = {}
+        for stage in stages:
+            listed |= dict.fromkeys(in_order(with_callees(stage), listed))
+        self._lacking = [each for each in listed if not each.stored]
         self._begun = time.monotonic()
         self._work: threading.Thread | None = None
 
@@ -65,6 +67,7 @@ class Compilation:
         if not left:
             return None
         whole, rest = sum(each.size for each in lacking), sum(each.size for each in left)
+        rest -= sum(each.size for each in left[: numba.config.NUMBA_DEFAULT_NUM_THREADS]) / 2  # under way, half done
         seconds = (time.monotonic() - self._begun) * rest / (whole - rest) if whole - rest > KNOWN * whole else None
         return KernelProgress(len(lacking) - len(left), len(lacking), seconds)
 
@@ -89,9 +92,9 @@ def with_callees(kernels: Iterable[Any]) -> list[Entry]:
     return list(found)
 
 
-def in_order(entries: Iterable[Entry]) -> list[Entry]:
-    """Those first that call no other, and of these the largest: what comes last is short, and waits for none."""
-    return sorted(entries, key=lambda entry: (bool(entry.callees), -entry.size))
+def in_order(entries: Iterable[Entry], before: Collection[Entry] = ()) -> list[Entry]:
+    """Those first that call none that does not come ``before``, and of these the largest: what comes last is short."""
+    return sorted(entries, key=lambda entry: (any(each not in before for each in entry.callees), -entry.size))
 
 
 def compile_beside(names: list[str], stopped: threading.Event, niceness: int = 0) -> None:

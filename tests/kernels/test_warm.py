@@ -106,6 +106,7 @@ def test_an_entry_kernel_knows_what_it_is_made_of():
 def test_callees_come_before_their_callers():
     assert with_callees([ROOT, max, ROOT]) == [LEAF, BRANCH, ROOT]
     assert in_order([ROOT, BRANCH, LEAF])[0] is LEAF
+    assert in_order([BRANCH, ROOT], [LEAF, BRANCH])[0] is max(BRANCH, ROOT, key=lambda each: each.size)
 
 
 def test_progress_counts_what_the_machine_lacked(monkeypatch):
