@@ -67,8 +67,9 @@ class Compilation:
         if not left:
             return None
         whole, rest = sum(each.size for each in lacking), sum(each.size for each in left)
-        rest -= sum(each.size for each in left[: numba.config.NUMBA_DEFAULT_NUM_THREADS]) / 2  # under way, half done
-        seconds = (time.monotonic() - self._begun) * rest / (whole - rest) if whole - rest > KNOWN * whole else None
+        under_way = sum(each.size for each in left[: numba.config.NUMBA_DEFAULT_NUM_THREADS]) / 2
+        pace = (time.monotonic() - self._begun) / (whole - rest + under_way)
+        seconds = pace * (rest - under_way) if whole - rest > KNOWN * whole else None
         return KernelProgress(len(lacking) - len(left), len(lacking), seconds)
 
 

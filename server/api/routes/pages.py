@@ -97,7 +97,7 @@ class Live(BaseModel):
 
 
 class Compiling(BaseModel):
-    """Kernels that are compiled, once on this machine: ``done`` of ``total``; about ``seconds`` left, null if unknown."""
+    """Kernels that are compiled, once on this machine: ``done`` of ``total``; about ``seconds`` left, null at first."""
 
     done: int
     total: int
