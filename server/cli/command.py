@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from isogi_core.allocation import keep_memory_small
-from isogi_core.errors import IsogiError, LightError, SceneError, StoreUrlError, ViewError, VolumeError
+from isogi_core.errors import IsogiError, LightError, SceneError, StoreUrlError, ViewError, VolumeError, advice
 from server.cli.arguments import (
     AS_JSON,
     DEVELOPED,
@@ -48,6 +48,9 @@ def run(arguments: Sequence[str]) -> int:
         return int(cli.main(list(arguments), "isogi", standalone_mode=False) or 0)
     except click.Abort:
         return complain("stopped", 1)
+    except click.NoSuchOption as error:
+        name, near = error.option_name, error.possibilities
+        return complain(f"There is no option '{name}': {advice(name, near) if near else '--help lists all.'}", 2)
     except click.ClickException as error:
         return complain(error.format_message(), error.exit_code)
     except BAD_INPUT as error:

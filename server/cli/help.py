@@ -1,8 +1,11 @@
 """Help: options in groups, each by what it is for."""
 
 from importlib import import_module
+from pathlib import Path
 
 import click
+
+from isogi_core.errors import advice
 
 GROUPS = {
     "Camera": ("azimuth", "elevation", "distance", "fov", "eye", "target", "up", "window"),
@@ -58,9 +61,26 @@ def group_of(name: str) -> str:
 
 
 class Commands(click.Group):
-    """A group of commands with such help."""
+    """A group of commands with such help. What is no command but names a volume or a scene is served."""
 
     command_class = GroupedCommand
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command that is named; ``isogi FILE`` is ``isogi serve FILE``. UsageError where there is none."""
+        word = args[0]
+        if word in self.commands or word.startswith("-"):
+            return super().resolve_command(ctx, args)
+        if names_target(word):
+            return super().resolve_command(ctx, ["serve", *args])
+        raise click.UsageError(f"There is no command '{word}': {advice(word, self.commands)}", ctx)
+
+
+def names_target(word: str) -> bool:
+    """Whether a word names a file, a folder, a demo or a URL rather than a command."""
+    path = Path(word.partition("#")[0])
+    return word.startswith("demo:") or "://" in word or bool(path.suffix) or path.exists()
 
 
 class SettingsCommand(GroupedCommand):

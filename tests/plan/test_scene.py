@@ -194,6 +194,26 @@ def test_settings_without_meaning_are_refused_by_name(folder: Path, line: str, w
         scene_of(folder, f'volume = "ramp.nrrd"\n{line}\n')
 
 
+def test_a_misspelt_setting_is_answered_with_the_nearest(folder: Path) -> None:
+    with pytest.raises(SceneError) as caught:
+        scene_of(folder, 'volume = "ramp.nrrd"\nisovlaue = 3\n')
+    assert str(caught.value).endswith(" sets isovlaue, unknown here: did you mean 'isovalue'?")
+
+
+@pytest.mark.parametrize(
+    ("line", "word"),
+    [
+        ('lights = [{ type = "prob", file = "a.hdr" }]', "'prob': did you mean 'probe'?"),
+        ('lights = [{ type = "sky", sun_azimut = 3 }]', "'sun_azimut': did you mean 'sun_azimuth'?"),
+        ("[shine]\nroughnes = 1", "'roughnes': did you mean 'roughness'?"),
+    ],
+)
+def test_a_misspelt_word_of_a_table_is_answered_too(folder: Path, line: str, word: str) -> None:
+    with pytest.raises(SceneError) as caught:
+        scene_of(folder, f'volume = "ramp.nrrd"\n{line}\n')
+    assert str(caught.value).endswith(word)
+
+
 @pytest.mark.parametrize("key", FORMER)
 def test_former_settings_are_refused_with_what_to_do(folder: Path, key: str) -> None:
     with pytest.raises(SceneError) as caught:
@@ -203,8 +223,8 @@ def test_former_settings_are_refused_with_what_to_do(folder: Path, key: str) -> 
 
 def test_former_settings_are_none_that_scenes_have(folder: Path) -> None:
     with pytest.raises(SceneError) as caught:
-        scene_of(folder, 'volume = "ramp.nrrd"\nisovlaue = 3\n')
-    known = str(caught.value).split("known: ")[1].rstrip(".").split(", ")
+        scene_of(folder, 'volume = "ramp.nrrd"\nqqq = 3\n')
+    known = str(caught.value).split("choose from ")[1].rstrip(".").split(", ")
     assert "lattice" in known and not {*known} & {*FORMER}
 
 
