@@ -1,10 +1,13 @@
 """Every error that the domain raises on purpose. Each speaks to a person in one sentence."""
 
-from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 
-def advice(word: str, known: Iterable[str]) -> str:
+def advice(word: str, known: "Iterable[str]") -> str:
     """End a sentence about an unknown word: by the known word that it resembles, else by all of them."""
     names = list(known)
     close = get_close_matches(word, names, 1)

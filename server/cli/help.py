@@ -1,4 +1,4 @@
-"""Help: options in groups, each by what it is for."""
+"""Help: options in groups, each by what it is for, and examples."""
 
 from importlib import import_module
 from pathlib import Path
@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from isogi_core.errors import advice
+from server.cli.examples import EXAMPLES
 
 GROUPS = {
     "Camera": ("azimuth", "elevation", "distance", "fov", "eye", "target", "up", "window"),
@@ -38,8 +39,22 @@ GROUPS = {
 
 FIRST = "Options"
 
+WIDEST = 46
+"""Columns of the longest example that has its explanation on the same line."""
 
-class GroupedCommand(click.Command):
+
+class WithExamples(click.Command):
+    """A command whose help ends with examples."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the command's lines of EXAMPLES."""
+        rows = EXAMPLES.get(ctx.command_path.partition(" ")[2], ())
+        if rows:
+            with formatter.section("Examples"):
+                formatter.write_dl(rows, col_max=WIDEST)
+
+
+class GroupedCommand(WithExamples):
     """A command whose help lists its options in groups."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -60,10 +75,16 @@ def group_of(name: str) -> str:
     return next((title for title, names in GROUPS.items() if name in names), FIRST)
 
 
-class Commands(click.Group):
-    """A group of commands with such help. What is no command but names a volume or a scene is served."""
+class Group(WithExamples, click.Group):
+    """A group of commands with such help."""
 
     command_class = GroupedCommand
+
+
+class Commands(Group):
+    """The commands of ``isogi``. What is no command but names a volume or a scene is served."""
+
+    group_class = Group
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -92,6 +113,7 @@ class SettingsCommand(GroupedCommand):
         return [*own, *import_module("server.cli.options").setting_options(), help_option]
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the settings that have no option."""
+        """List the settings that have no option, and then the examples."""
         with formatter.section("Only in the environment or the file"):
             formatter.write_dl(import_module("server.cli.options").secrets())
+        super().format_epilog(ctx, formatter)

@@ -156,14 +156,14 @@ def test_a_port_in_use_is_a_failure(capsys: pytest.CaptureFixture[str], small_sc
 
 
 def test_inspect(capsys: pytest.CaptureFixture[str], small_scene: Path) -> None:
-    assert run(["inspect", str(small_scene)]) == 0
+    assert run(["inspect", str(small_scene), "--plan"]) == 0
     text = capsys.readouterr().out
     for fact in ("24 × 20 × 16 voxels of float32", "0.5, from 0.2 to 0.8", "constant, sky", "left out", "█"):
         assert fact in text
 
 
 def test_inspect_tells_the_plan_and_what_it_saves(capsys: pytest.CaptureFixture[str], small_scene: Path) -> None:
-    assert run(["inspect", str(small_scene)]) == 0
+    assert run(["inspect", str(small_scene), "--plan"]) == 0
     lines = capsys.readouterr().out.splitlines()
     scene = load_scene(small_scene)
     plan, texels = scene.plan, scene.texels
