@@ -371,6 +371,38 @@ def test_otsu_parts_two_heaps() -> None:
     assert 30 < otsu(*np.histogram(values, 256)) < 65
 
 
+RADII = np.linalg.norm(np.mgrid[-8:8, -8:8, -8:8] + 0.5, axis=0)
+
+
+@pytest.mark.parametrize(
+    ("array", "middle"),
+    [
+        (np.where(RADII < 5, 255, 0).astype(np.uint8), 127.5),
+        (RADII < 5, 0.5),
+        ((RADII < 7).astype(np.float32), 0.5),
+        (np.where(RADII < 5, 3, np.where(RADII < 6, 1, 0)).astype(np.uint8), 2.0),
+        (np.where(RADII < 3, 3, np.where(RADII < 6, 1, 0)).astype(np.int16), 0.5),
+        (np.where(RADII < 5, 500.0, -1000.0), -250.0),
+        (np.where(RADII < 5, 1, 5).astype(np.uint8), 3.0),
+    ],
+)
+def test_a_view_of_a_mask_starts_half_way(tmp_path: Path, array: np.ndarray, middle: float) -> None:
+    np.save(tmp_path / "mask.npy", array)
+    assert load_scene(tmp_path / "mask.npy").isovalue == middle
+
+
+def test_a_view_of_few_whole_numbers_starts_between_two(tmp_path: Path) -> None:
+    np.save(tmp_path / "few.npy", np.clip(20 - 2 * RADII, 0, 20).astype(np.uint8))
+    assert load_scene(tmp_path / "few.npy").isovalue % 1.0 == 0.5
+
+
+def test_a_view_of_values_without_gaps_starts_at_an_edge(tmp_path: Path) -> None:
+    np.save(tmp_path / "smooth.npy", np.random.default_rng(1).random((16, 16, 16)))
+    scene = load_scene(tmp_path / "smooth.npy")
+    edges = scene.volume.histogram()[1]
+    assert np.abs(edges - scene.isovalue).min() < 1e-9
+
+
 @pytest.mark.parametrize(
     ("sign", "text", "solid"),
     [(1, "", "above"), (-1, "", "below"), (-1, 'solid = "above"', "above"), (1, 'solid = "below"', "below")],
