@@ -3,8 +3,8 @@
 import os
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Self
 
@@ -24,19 +24,45 @@ TICK = 1.0
 """Seconds between two drawings of a bar whose clock runs while a piece of work is done."""
 
 
+CLOCK = "{desc}, {elapsed}"
+
+
+@contextmanager
+def ticking(draw: Callable[[], object]) -> Iterator[None]:
+    """Call ``draw`` every TICK seconds, on a thread of its own."""
+    ended = threading.Event()
+
+    def tick() -> None:
+        while not ended.wait(TICK):
+            draw()
+
+    thread = threading.Thread(target=tick, name="progress", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
 class Progress:
-    """A bar on stderr, drawn with the first progress; it begins anew with each new name. Close it by ``with``."""
+    """A bar on stderr, drawn with the first progress; it begins anew with each new name. Close it by ``with``.
+
+    Its clock runs while nothing is reported.
+    """
 
     def __init__(self, what: str = "", unit: str = "step") -> None:
         """Draw nothing yet: ``what`` is done, counted in ``unit``s."""
         self._what, self._unit = what, unit
         self._begun = time.monotonic()
         self._bar: Any = None
+        self._clock = ExitStack()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._clock.close()
         if self._bar is not None:
             self._bar.close()
             self._bar = None
@@ -46,6 +72,11 @@ class Progress:
         if what != self._what:
             self.__exit__()
             self._what, self._unit, self._begun = what, unit, time.monotonic()
+
+    def begin(self, what: str) -> None:
+        """Draw at once that ``what`` is done now, with a clock: how much there is of it is not known."""
+        self.name(what, "")
+        self._open(CLOCK, 0)
 
     def show(self, done: int, total: int, left: TimeLeft | None = None, note: str = "") -> None:
         """Draw how much is done, a note, and the time that is left."""
@@ -58,10 +89,14 @@ class Progress:
 
     def _draw(self, done: int, total: int, postfix: str) -> None:
         if self._bar is None:
-            self._bar = tqdm(desc=self._what, unit=self._unit, total=total, bar_format=ITEMS)
+            self._open(ITEMS, total)
         self._bar.total, self._bar.n = total, done
         self._bar.set_postfix_str(postfix, refresh=False)
         self._bar.refresh()
+
+    def _open(self, form: str, total: int) -> None:
+        self._bar = tqdm(desc=self._what, unit=self._unit, total=total, bar_format=form)
+        self._clock.enter_context(ticking(self._bar.refresh))
 
 
 class Pieces:
@@ -103,19 +138,10 @@ class Pieces:
     @contextmanager
     def ticking(self) -> Iterator[Self]:
         """Draw the bar every TICK seconds while work is done, and close it in the end."""
-        ended = threading.Event()
-
-        def tick() -> None:
-            while not ended.wait(TICK):
-                self.show()
-
-        thread = threading.Thread(target=tick, name="progress", daemon=True)
-        thread.start()
         try:
-            yield self
+            with ticking(self.show):
+                yield self
         finally:
-            ended.set()
-            thread.join()
             self.show()
             self._bar.close()
 

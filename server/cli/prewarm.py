@@ -55,7 +55,9 @@ def prewarm_scene(
     root = root_of(settings)
     record = Record(root, scene, order, "command")
     with closing(RenderEngine([scene], root, *hired, settings.memory_mb << 20)) as engine, Progress() as bar:
+        bar.begin("loading kernels, which are compiled once on a machine")
         engine.start(hire=not dry)
+        bar.begin("planning")
         context = desk_of(engine, scene, order, partial(show, bar), begun)
         what = wanted(context, order, settings)
         if dry:
