@@ -37,7 +37,7 @@ serve: install
 
 shell: install
 	@echo "isogi and its Python are at hand here; exit leaves."
-	@PATH="$(CURDIR)/$(BIN):$$PATH" VIRTUAL_ENV="$(CURDIR)/.venv" "$${SHELL:-sh}"
+	@PATH="$(CURDIR)/$(BIN):$$PATH" VIRTUAL_ENV="$(CURDIR)/.venv" "$${SHELL:-sh}" || true
 
 check: $(BIN)/.tools
 	$(BIN)/ruff check .

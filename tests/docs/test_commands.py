@@ -105,6 +105,16 @@ def test_the_environment_has_what_pages_use() -> None:
     assert needed - locked == set()
 
 
+@pytest.mark.skipif(shutil.which("make") is None, reason="there is no make on this machine")
+def test_make_shell_has_isogi_at_hand() -> None:
+    """What is installed is left alone; the last command of the shell fails, which is no failure of make."""
+    command = ["make", "--silent", "--old-file", "install", "shell"]
+    environment = {**os.environ, "SHELL": "/bin/sh"}
+    typed = "command -v isogi\ncommand -v python\nfalse\n"
+    done = subprocess.run(command, cwd=ROOT, input=typed, capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.splitlines()[1:] == [str(ROOT / ".venv" / "bin" / name) for name in ("isogi", "python")]
+
+
 def test_an_editable_install_stays_one() -> None:
     """An install of the folder without -e puts a copy in its place, whose kernels all compile again."""
     for page in (*pages(), ROOT / "CONTRIBUTING.md"):
