@@ -5,10 +5,13 @@ SCENE ?=
 ISOGI_SHARED_DATA ?= ../shared/data
 TESTS ?=
 
+# What README and docs use, and what files of other fields need: all of it is in the environment.
+EXTRAS := --extra formats --extra report --extra s3 --extra client --extra film
+
 # Every process would compile all modules anew: a server with two workers starts three times as fast without it.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install serve test kernels bytecode test-campaigns test-bounds test-python check lock format pictures figures \
+.PHONY: install serve shell test kernels bytecode test-campaigns test-bounds test-python check lock format pictures figures \
   reports clean
 
 install: $(BIN)/.installed
@@ -31,6 +34,10 @@ $(NODE_TOOLS): tests/web/package.json tests/web/package-lock.json
 
 serve: install
 	$(BIN)/isogi serve $(SCENE)
+
+shell: install
+	@echo "isogi and its Python are at hand here; exit leaves."
+	@PATH="$(CURDIR)/$(BIN):$$PATH" VIRTUAL_ENV="$(CURDIR)/.venv" "$${SHELL:-sh}" || true
 
 check: $(BIN)/.tools
 	$(BIN)/ruff check .
@@ -100,9 +107,9 @@ reports: $(BIN)/.tools
 
 lock: $(BIN)/.tools
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
-	  --extra formats --extra report --extra s3 pyproject.toml -o requirements.lock
+	  $(EXTRAS) pyproject.toml -o requirements.lock
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
-	  --extra formats --extra report --extra s3 --extra client --extra dev pyproject.toml -o requirements-dev.lock
+	  $(EXTRAS) --extra dev pyproject.toml -o requirements-dev.lock
 
 format: $(BIN)/.tools
 	$(BIN)/ruff check --fix .

@@ -1,5 +1,20 @@
 """Every error that the domain raises on purpose. Each speaks to a person in one sentence."""
 
+from difflib import get_close_matches
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+
+def advice(word: str, known: "Iterable[str]") -> str:
+    """End a sentence about an unknown word: by the known word that it resembles, else by all of them."""
+    names = list(known)
+    close = get_close_matches(word, names, 1)
+    if close:
+        return f"did you mean '{close[0]}'?"
+    return f"choose from {', '.join(names)}." if names else "leave it out."
+
 
 class IsogiError(Exception):
     """Base of all errors that say what is wrong, where, and what to do about it."""

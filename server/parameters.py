@@ -6,6 +6,7 @@ from typing import Annotated, Any, Self, TypeVar
 from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator, model_validator
 
+from isogi_core.errors import advice
 from isogi_core.model.glow import STRONGEST
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.shine import KINDS, SMOOTHEST
@@ -262,8 +263,7 @@ def complaint(model: type[BaseModel], error: ValidationError) -> ParameterError:
     first = error.errors(include_url=False)[0]
     name = ".".join(map(str, first["loc"]))
     if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
-        known = ", ".join(model.model_fields) or "none"
-        return ParameterError(f"There is no parameter '{name[:40]}' here; the parameters are: {known}.", name)
+        return ParameterError(f"There is no parameter '{name[:40]}' here: {advice(name, model.model_fields)}", name)
     if first["type"] == "missing":
         return ParameterError(f"{name} is missing: give it.", name)
     reason = first["msg"].removeprefix("Value error, ").rstrip(".")

@@ -4,7 +4,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Self
 
@@ -26,19 +26,49 @@ TICK = 1.0
 """Seconds between two drawings of a bar whose clock runs while a piece of work is done."""
 
 
+CLOCK = "{desc}, {elapsed}"
+
+
+@contextmanager
+def ticking(draw: Callable[[], object]) -> Iterator[None]:
+    """Call ``draw`` every TICK seconds, on a thread of its own."""
+    ended = threading.Event()
+
+    def tick() -> None:
+        while not ended.wait(TICK):
+            draw()
+
+    thread = threading.Thread(target=tick, name="progress", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
 class Progress:
-    """A bar on stderr, drawn with the first progress; it begins anew with each new name. Close it by ``with``."""
+    """A bar on stderr, drawn with the first progress; it begins anew with each new name. Close it by ``with``.
+
+    Its clock runs while nothing is reported.
+    """
 
     def __init__(self, what: str = "", unit: str = "step") -> None:
         """Draw nothing yet: ``what`` is done, counted in ``unit``s."""
         self._what, self._unit = what, unit
         self._begun = time.monotonic()
         self._bar: Any = None
+        self._clock = ExitStack()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Draw no more, until there is progress again."""
+        self._clock.close()
         if self._bar is not None:
             self._bar.close()
             self._bar = None
@@ -46,8 +76,13 @@ class Progress:
     def name(self, what: str, unit: str) -> None:
         """From now on ``what`` is done: a new bar, where that is another than before."""
         if what != self._what:
-            self.__exit__()
+            self.close()
             self._what, self._unit, self._begun = what, unit, time.monotonic()
+
+    def begin(self, what: str) -> None:
+        """Draw at once that ``what`` is done now, with a clock: how much there is of it is not known."""
+        self.name(what, "")
+        self._open(CLOCK, 0)
 
     def show(self, done: int, total: int, left: TimeLeft | None = None, note: str = "") -> None:
         """Draw how much is done, a note, and the time that is left."""
@@ -60,10 +95,14 @@ class Progress:
 
     def _draw(self, done: int, total: int, postfix: str) -> None:
         if self._bar is None:
-            self._bar = tqdm(desc=self._what, unit=self._unit, total=total, bar_format=ITEMS)
+            self._open(ITEMS, total)
         self._bar.total, self._bar.n = total, done
         self._bar.set_postfix_str(postfix, refresh=False)
         self._bar.refresh()
+
+    def _open(self, form: str, total: int) -> None:
+        self._bar = tqdm(desc=self._what, unit=self._unit, total=total, bar_format=form)
+        self._clock.enter_context(ticking(self._bar.refresh))
 
 
 class Pieces:
@@ -105,41 +144,28 @@ class Pieces:
     @contextmanager
     def ticking(self) -> Iterator[Self]:
         """Draw the bar every TICK seconds while work is done, and close it in the end."""
-        ended = threading.Event()
-
-        def tick() -> None:
-            while not ended.wait(TICK):
-                self.show()
-
-        thread = threading.Thread(target=tick, name="progress", daemon=True)
-        thread.start()
         try:
-            yield self
+            with ticking(self.show):
+                yield self
         finally:
-            ended.set()
-            thread.join()
             self.show()
             self._bar.close()
 
 
 @contextmanager
 def compiling(progress: Callable[[], KernelProgress | None]) -> Iterator[None]:
-    """Draw, while other work is done, how far kernels are compiled; nothing where ``progress`` tells of none."""
-    ended = threading.Event()
+    """Draw, while other work is done, how far kernels are compiled; nothing where there are none to compile."""
+    with Progress("compiling, once on this machine", "kernel") as bar:
 
-    def watch() -> None:
-        with Progress("compiling, once on this machine", "kernel") as bar:
-            while (now := progress()) is not None and not ended.is_set():
+        def draw() -> None:
+            now = progress()
+            if now is None:
+                bar.close()
+            else:
                 bar.show(now.done, now.total, note=about_left(now.seconds))
-                ended.wait(TICK)
 
-    thread = threading.Thread(target=watch, name="progress", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
+        with ticking(draw):
+            yield
 
 
 def say(line: str) -> None:

@@ -21,6 +21,9 @@ UNKNOWN_SCHEDULER = (
     " scheduler_cert and scheduler_key (docs/cluster.md), or say --insecure-scheduler"
 )
 
+UPLOADS_MB = 2048
+"""Megabytes that uploads may take by default, where no other machine reaches the server."""
+
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 Names = Annotated[tuple[str, ...], NoDecode]
 """Names in a list, or with commas between them."""
@@ -112,7 +115,13 @@ class Settings(BaseSettings):
     max_pixels: int = Field(4096 * 4096, ge=1, description="Most pixels in one picture.")
     max_paths: int = Field(2**26, ge=1, description="Most paths (pixels × samples) in one path-traced picture.")
     max_body_bytes: int = Field(64 * 1024, ge=0, description="Most bytes in the body of a request; beyond that: 413.")
-    uploads_mb: int = Field(0, ge=0, le=1 << 20, description="Megabytes that uploads may take in all; 0: no uploads.")
+    uploads_mb: int | None = Field(
+        None,
+        ge=0,
+        le=1 << 20,
+        description=f"Megabytes that uploads may take in all; 0: no uploads; default: {UPLOADS_MB} where this machine"
+        " alone reaches the server (on loopback, without allowed_hosts), else 0.",
+    )
     uploads: str | None = Field(None, description="Folder of uploads; default: in the user's data folder.")
     max_upload_mb: int = Field(
         256, ge=1, le=1 << 16, description="Most megabytes of one upload, and of its voxels at 4 bytes each."
@@ -231,6 +240,13 @@ class Settings(BaseSettings):
             return not ip_address(self.host).is_loopback
         except ValueError:
             return self.host != "localhost"
+
+    @property
+    def upload_quota_mb(self) -> int:
+        """Megabytes that uploads may take: as set, else none where other machines may reach the server."""
+        if self.uploads_mb is not None:
+            return self.uploads_mb
+        return 0 if self.exposed or self.allowed_hosts is not None else UPLOADS_MB
 
     def hosts(self) -> tuple[str, ...] | None:
         """Host names that requests may use, in lower case; None for any."""

@@ -46,6 +46,14 @@ def pytest_collection() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def no_uploads_unless_asked_for() -> Iterator[None]:
+    """Leave the user's folder of uploads alone: one server has it at a time, and tests start many."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ISOGI_UPLOADS_MB", "0")
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def one_list_of_authorities() -> Iterator[None]:
     """Let clients share what they trust: each of them reads all certificates of the web, and tests make thousands."""
     with pytest.MonkeyPatch.context() as patch:

@@ -5,7 +5,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import httpx
 from fastapi import FastAPI
@@ -36,7 +36,7 @@ def live(app: FastAPI, until: str = "/readyz", port: int = 0) -> Iterator[str]:
 
 
 @contextmanager
-def serving(scene: Path, store: Path) -> Iterator[str]:
+def serving(scene: Path, store: Path, **settings: Any) -> Iterator[str]:
     """The base URL of an isogi that is ready, with a scene and a store; it bakes on a thread of this process."""
     from server.api.app import create_app
     from server.settings import Settings
@@ -46,7 +46,8 @@ def serving(scene: Path, store: Path) -> Iterator[str]:
     baker, pool = Baker(), InlinePool()
     baker.employ(cast("WorkerPool", pool))
     try:
-        with live(create_app(EngineWithoutWorkers([load_scene(scene)], str(store), baker=baker), Settings())) as url:
+        engine = EngineWithoutWorkers([load_scene(scene)], str(store), baker=baker)
+        with live(create_app(engine, Settings(**settings))) as url:
             yield url
     finally:
         pool.close()

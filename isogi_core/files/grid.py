@@ -64,7 +64,8 @@ class Grid:
     VolumeError where the source is damaged. ``stamp`` names the source's state, as far as sizes and times of files
     show it. ``affine`` says where voxels lie in the world, None where the source says spacing alone; ``unit`` is that
     of lengths, empty where unknown. ``notes`` are sentences on what was done to make this field of the source. It is
-    the ``moment`` of a series in time: which step it is, and of how many.
+    the ``moment`` of a series in time: which step it is, and of how many; ``unchosen`` where it is the first because
+    nobody chose one.
     """
 
     shape: Shape
@@ -76,6 +77,7 @@ class Grid:
     unit: str = ""
     notes: tuple[str, ...] = ()
     moment: tuple[int, int] = ALONE
+    unchosen: bool = False
 
     @classmethod
     def of(cls, array: np.ndarray, spacing: Sequence[float] = (1.0, 1.0, 1.0)) -> "Grid":

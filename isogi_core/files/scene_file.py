@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import unquote
 
-from isogi_core.errors import SceneError
+from isogi_core.errors import SceneError, advice
 from isogi_core.files.scene_changes import CHANGES, change_document, tables_in
 
 DEFAULT_DEMO = "demo:casting"
@@ -251,8 +251,8 @@ class Settings:
             if key in FORMER:
                 raise SceneError(f"The scene '{self.source.name}' sets {key}: {FORMER[key]}")
         if unknown:
-            known = ", ".join(sorted(self.known))
-            raise SceneError(f"The scene '{self.source.name}' sets {', '.join(unknown)}, unknown here; known: {known}.")
+            first = f"The scene '{self.source.name}' sets {unknown[0]}, unknown here"
+            raise SceneError(f"{first}: {advice(unknown[0], sorted(self.known))}")
 
 
 def is_number(value: Any) -> bool:

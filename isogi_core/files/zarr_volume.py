@@ -145,8 +145,10 @@ def open_zarr(path: Path | str, level: int | None = None, channel: int | None = 
     part = [array.path, *(pick for pick in picks if isinstance(pick, int))]
     spacing = spacing_of(found.axes, found.scale)
     times = dict(zip((axis.name for axis in found.axes), array.shape, strict=True)).get("t", 1)
-    moment = (time or 0, times) if times > 1 else ALONE
-    return Grid(shape, array.dtype, spacing, slabs, lambda: f"{found.among.stamp()} {part}", moment=moment)
+    moment, unchosen = (time or 0, times) if times > 1 else ALONE, time is None and times > 1
+    return Grid(
+        *(shape, array.dtype, spacing, slabs, lambda: f"{found.among.stamp()} {part}"), moment=moment, unchosen=unchosen
+    )
 
 
 def find_array(path: Path | str, level: int | None) -> FoundArray:
@@ -234,7 +236,7 @@ def _pick(path: Path | str, found: FoundArray, place: int, chosen: dict[str, int
     """The element that is read along an axis that is not spatial."""
     name, length = found.axes[place].name, found.array.shape[place]
     key, pick = CHOSEN.get(name), chosen.get(name)
-    if pick is None and length > 1:
+    if pick is None and length > 1 and key != "time":
         wanted = f"set {key} in the scene, from 0 to {length - 1}" if key else "save one element of it"
         raise VolumeError(f"'{path}' has {length} elements along its axis '{name}': {wanted}.")
     if not 0 <= (pick or 0) < length:

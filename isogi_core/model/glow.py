@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.errors import SceneError
+from isogi_core.errors import SceneError, advice
 from isogi_core.files.scene_file import is_number
 from isogi_core.model.lights import LARGEST, Colour, Vector
 from isogi_core.model.orientation import triple
@@ -196,7 +196,7 @@ def glow_from_mapping(table: Mapping[str, Any]) -> Glow:
     """The glow that one ``[[glow]]`` table describes. SceneError where a key is unknown, or has no meaning."""
     unknown = [key for key in table if key not in READERS]
     if unknown:
-        raise SceneError(f"A glow has no '{unknown[0]}': choose from {', '.join(READERS)}.")
+        raise SceneError(f"A glow has no '{unknown[0]}': {advice(unknown[0], READERS)}")
     given: dict[str, Any] = {key: READERS[key](value) for key, value in table.items()}
     return Glow(**given)
 

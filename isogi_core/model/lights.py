@@ -6,7 +6,7 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from isogi_core.errors import LightError, SceneError
+from isogi_core.errors import LightError, SceneError, advice
 
 LARGEST = 1e30
 """Largest number of a light: squares and products of such numbers are finite in the kernels."""
@@ -198,11 +198,11 @@ def light_from_mapping(mapping: Mapping[str, Any], base: Path) -> Light:
     """
     kind = mapping.get("type")
     if not isinstance(kind, str) or kind not in _KINDS:
-        raise SceneError(f"A light has type {kind!r}: choose one of {', '.join(_KINDS)}.")
+        raise SceneError(f"A light has type {kind!r}: {advice(str(kind), _KINDS)}")
     light, readers = _KINDS[kind]
     unknown = [key for key in mapping if key not in readers and key != "type"]
     if unknown:
-        raise SceneError(f"A {kind} light has no '{unknown[0]}': choose from {', '.join(readers)}.")
+        raise SceneError(f"A {kind} light has no '{unknown[0]}': {advice(unknown[0], readers)}")
     missing = [f.name for f in fields(light) if f.default is MISSING and f.name not in mapping]
     if missing:
         raise SceneError(f"A {kind} light lacks its '{missing[0]}': add it to the scene.")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.errors import SceneError
+from isogi_core.errors import SceneError, advice
 from isogi_core.files.scene_file import is_number
 from isogi_core.model.lights import LARGEST, AreaLight, Colour, Vector
 from isogi_core.model.orientation import triple
@@ -127,7 +127,7 @@ def wall_from_mapping(table: Mapping[str, Any]) -> Wall:
     """The wall that one ``[[walls]]`` table describes. SceneError where a key is unknown, missing or has no meaning."""
     unknown = [key for key in table if key not in READERS]
     if unknown:
-        raise SceneError(f"A wall has no '{unknown[0]}': choose from {', '.join(READERS)}.")
+        raise SceneError(f"A wall has no '{unknown[0]}': {advice(unknown[0], READERS)}")
     missing = [key for key in ("corner", "edges") if key not in table]
     if missing:
         raise SceneError(f"A wall lacks its '{missing[0]}': add it to the scene.")

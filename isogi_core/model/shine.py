@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from isogi_core.errors import SceneError, ViewError
+from isogi_core.errors import SceneError, ViewError, advice
 from isogi_core.files.scene_file import is_number
 
 KINDS = ("plastic", "metal")
@@ -49,7 +49,7 @@ def shine_from_mapping(table: Mapping[str, Any]) -> Shine:
     known = {"kind": "a word", "roughness": "a number", "strength": "a number"}
     for key, value in table.items():
         if key not in known:
-            raise SceneError(f"Shine has no '{key}': choose from {', '.join(known)}.")
+            raise SceneError(f"Shine has no '{key}': {advice(key, known)}")
         if not (isinstance(value, str) if key == "kind" else is_number(value)):
             raise SceneError(f"The {key} of shine is {value!r}: give {known[key]}.")
     try:

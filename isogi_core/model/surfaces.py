@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import astuple, dataclass
 from typing import Any
 
-from isogi_core.errors import SceneError
+from isogi_core.errors import SceneError, advice
 from isogi_core.files.scene_file import is_number
 from isogi_core.model.lights import Colour
 from isogi_core.model.volume import Volume
@@ -70,7 +70,7 @@ def refuse_gain(albedo: Colour, transmission: Colour, surface: str) -> None:
 def pinned_from_mapping(table: Mapping[str, Any], volume: Volume) -> PinnedSurface:
     """The surface of a ``volume`` that a ``[[surfaces]]`` table describes. SceneError where it has no meaning."""
     if unknown := sorted(set(table) - set(KEYS)):
-        raise SceneError(f"A surface has no '{unknown[0]}': choose from {', '.join(KEYS)}.")
+        raise SceneError(f"A surface has no '{unknown[0]}': {advice(unknown[0], KEYS)}")
     low, high = volume.value_range
     isovalue, clear, name = table.get("isovalue", math.nan), table.get("clear", 0.0), table.get("name", "")
     if not is_number(isovalue) or not low <= isovalue <= high:

@@ -40,7 +40,7 @@ from isogi_core.model.sky import sky_image
 from isogi_core.model.surfaces import leaving
 from isogi_core.model.value_survey import Progress, no_progress
 from isogi_core.model.view import PROJECTIONS
-from isogi_core.model.volume import Volume
+from isogi_core.model.volume import BINS, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import read_presets
 from isogi_core.plan.lobe_choice import MOST as MOST_LOBES
@@ -271,17 +271,41 @@ def start_isovalue(settings: Settings, volume: Volume, within: tuple[float, floa
 
 
 def default_isovalue(settings: Settings, volume: Volume) -> float:
-    """An isovalue for a scene that gives none: the demo's, that of a segmentation, or Otsu's threshold."""
+    """An isovalue for a scene that gives none: the demo's, that of a segmentation, or Otsu's threshold, half-way
+    between the values on its two sides.
+    """
     if find_labels(settings) is not None:
         return HALF
     name = settings.text("volume", DEFAULT_DEMO)
     if name.startswith("demo:"):
         return float(DEMOS[name.removeprefix("demo:")][1])
-    return otsu(*volume.histogram())
+    return halfway(volume, otsu(*volume.histogram()))
+
+
+LAYERS = 16
+"""Layers of a volume whose voxels are looked at for values beside an isovalue."""
+
+NEAR = 2 / BINS
+"""Share of the core's span up to which values are near each other: they fill the histogram's bins."""
+
+
+def halfway(volume: Volume, isovalue: float) -> float:
+    """The middle between the values next to an ``isovalue``, as in a mask or few whole numbers; itself where values
+    are near each other, or on one side alone. Some layers are looked at.
+    """
+    layers = volume.voxels[:: max(len(volume.voxels) // LAYERS, 1)]
+    level = volume.normalise_isovalue(isovalue)
+    low = float(np.max(layers, where=layers < level, initial=-np.inf))
+    high = float(np.min(layers, where=layers > level, initial=np.inf))
+    least, most = volume.core_span()
+    if not NEAR * (most - least) < high - low < np.inf:
+        return isovalue
+    return 0.5 * volume.file_value(low) + 0.5 * volume.file_value(high)
 
 
 def otsu(counts: np.ndarray, edges: np.ndarray) -> float:
-    """The edge that splits a histogram of even bins into the two classes farthest apart (Otsu 1979).
+    """The value that splits a histogram of even bins into the two classes farthest apart (Otsu 1979): an edge, or
+    half-way over the empty bins between the classes.
 
     Distances are counted in bins, as squares of values may overflow or underflow a double.
     """
@@ -292,7 +316,9 @@ def otsu(counts: np.ndarray, edges: np.ndarray) -> float:
     with np.errstate(divide="ignore", invalid="ignore"):
         apart = (mass[-1] - mass[:-1]) / above - mass[:-1] / below
         between = np.nan_to_num(below.astype(float) * above * apart**2)
-    return float(edges[1 + int(np.argmax(between))])
+    first = int(np.argmax(between))
+    last = first + int(np.argmax(np.append(counts[first + 1 :] > 0, True)))
+    return 0.5 * float(edges[1 + first]) + 0.5 * float(edges[1 + last])
 
 
 ASSEMBLED: WeakValueDictionary[Sequence[Light] | str, Environment] = WeakValueDictionary()

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from isogi_core.allocation import keep_memory_small
-from isogi_core.errors import IsogiError, LightError, SceneError, StoreUrlError, ViewError, VolumeError
+from isogi_core.errors import IsogiError, LightError, SceneError, StoreUrlError, ViewError, VolumeError, advice
 from server.cli.arguments import (
     AS_JSON,
     DEVELOPED,
@@ -48,6 +48,9 @@ def run(arguments: Sequence[str]) -> int:
         return int(cli.main(list(arguments), "isogi", standalone_mode=False) or 0)
     except click.Abort:
         return complain("stopped", 1)
+    except click.NoSuchOption as error:
+        name, near = error.option_name, error.possibilities
+        return complain(f"There is no option '{name}': {advice(name, near) if near else '--help lists all.'}", 2)
     except click.ClickException as error:
         return complain(error.format_message(), error.exit_code)
     except BAD_INPUT as error:
@@ -64,7 +67,11 @@ def complain(message: str, status: int) -> int:
     return status
 
 
-@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=Commands,
+    subcommand_metavar="COMMAND|FILE [ARGS]...",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.version_option(package_name="isogi")
 def cli() -> None:
     """Look at isosurfaces of volumes in light from all around."""
@@ -137,11 +144,7 @@ def reference(
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder.")
 @click.option("--size", type=click.IntRange(8, 1024), default=112, show_default=True, help="Pixels along each side.")
 @options(REPORT_OPTIONS)
-@click.option(
-    "--deadline",
-    callback=duration,
-    help="Such as 90s, 10m or 1h: what does not fit is left out. The end may be a tenth late, and then it is drawn.",
-)
+@click.option("--deadline", callback=duration, help="90s, 10m or 1h, and a tenth more: what does not fit is left out.")
 @click.option("--only", multiple=True, metavar="KEY", help="Run this study alone; may be given more than once.")
 @AS_JSON
 def report(
@@ -220,15 +223,12 @@ def remote() -> Any:
 @cli.command()
 @click.argument("target")
 @volume_options
-@click.option(
-    "--picture",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Draw how steep its surfaces are to a file, .png.",
-)
+@click.option("--plan", is_flag=True, help="All facts: also the plan, the histogram, and how steep its surfaces are.")
+@click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw how steep it is, .png.")
 @AS_JSON
-def inspect(target: str, picture: Path | None, as_json: bool) -> None:
-    """Say what is in TARGET, a volume or a scene, how steep its surfaces are, and what will be computed for it."""
-    click.echo(module_of("inspect").inspect(target, picture, as_json))
+def inspect(target: str, plan: bool, picture: Path | None, as_json: bool) -> None:
+    """Say what isogi makes of TARGET, a volume or a scene, in ten lines; with --plan, in full."""
+    click.echo(module_of("inspect").inspect(target, picture, as_json, plan))
 
 
 @cli.command()

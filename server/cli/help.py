@@ -1,8 +1,12 @@
-"""Help: options in groups, each by what it is for."""
+"""Help: options in groups, each by what it is for, and examples."""
 
 from importlib import import_module
+from pathlib import Path
 
 import click
+
+from isogi_core.errors import advice
+from server.cli.examples import EXAMPLES
 
 GROUPS = {
     "Camera": ("azimuth", "elevation", "distance", "fov", "eye", "target", "up", "window"),
@@ -35,8 +39,22 @@ GROUPS = {
 
 FIRST = "Options"
 
+WIDEST = 46
+"""Columns of the longest example that has its explanation on the same line."""
 
-class GroupedCommand(click.Command):
+
+class WithExamples(click.Command):
+    """A command whose help ends with examples."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the command's lines of EXAMPLES."""
+        rows = EXAMPLES.get(ctx.command_path.partition(" ")[2], ())
+        if rows:
+            with formatter.section("Examples"):
+                formatter.write_dl(rows, col_max=WIDEST)
+
+
+class GroupedCommand(WithExamples):
     """A command whose help lists its options in groups."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -57,10 +75,33 @@ def group_of(name: str) -> str:
     return next((title for title, names in GROUPS.items() if name in names), FIRST)
 
 
-class Commands(click.Group):
+class Group(WithExamples, click.Group):
     """A group of commands with such help."""
 
     command_class = GroupedCommand
+
+
+class Commands(Group):
+    """The commands of ``isogi``. What is no command but names a volume or a scene is served."""
+
+    group_class = Group
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command that is named; ``isogi FILE`` is ``isogi serve FILE``. UsageError where there is none."""
+        word = args[0]
+        if word in self.commands or word.startswith("-"):
+            return super().resolve_command(ctx, args)
+        if names_target(word):
+            return super().resolve_command(ctx, ["serve", *args])
+        raise click.UsageError(f"There is no command '{word}': {advice(word, self.commands)}", ctx)
+
+
+def names_target(word: str) -> bool:
+    """Whether a word names a file, a folder, a demo or a URL rather than a command."""
+    path = Path(word.partition("#")[0])
+    return word.startswith("demo:") or "://" in word or bool(path.suffix) or path.exists()
 
 
 class SettingsCommand(GroupedCommand):
@@ -72,6 +113,7 @@ class SettingsCommand(GroupedCommand):
         return [*own, *import_module("server.cli.options").setting_options(), help_option]
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the settings that have no option."""
+        """List the settings that have no option, and then the examples."""
         with formatter.section("Only in the environment or the file"):
             formatter.write_dl(import_module("server.cli.options").secrets())
+        super().format_epilog(ctx, formatter)

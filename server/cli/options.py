@@ -8,6 +8,7 @@ from typing import Any
 import click
 from pydantic import ValidationError
 
+from isogi_core.errors import advice
 from server.settings import FORMER, Settings, read_settings
 from server.values import Span, seconds_of, seconds_of_age
 
@@ -31,6 +32,8 @@ def settings_from(config: Path | None = None, **given: Any) -> Settings:
         if not first["loc"]:
             raise click.UsageError(f"{first['msg'].removeprefix('Value error, ')}.") from None
         name = str(first["loc"][0])
+        if first["type"] == "extra_forbidden":
+            raise click.UsageError(f"There is no setting '{name}': {advice(name, Settings.model_fields)}") from None
         value = "" if name in SECRET else f", not {first['input']!r}"
         raise click.UsageError(f"{name}: {first['msg']}{value}.") from None
     except ValueError as error:

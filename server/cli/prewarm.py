@@ -57,6 +57,7 @@ def prewarm_scene(
     with closing(RenderEngine([scene], root, *hired, settings.memory_mb << 20)) as engine, Progress() as bar:
         with compiling(lambda: engine.kernels.progress):
             engine.start(hire=not dry)
+        bar.begin("planning")
         context = desk_of(engine, scene, order, partial(show, bar), begun)
         what = wanted(context, order, settings)
         if dry:

@@ -113,13 +113,21 @@ class Server(uvicorn.Server):
 
 async def run(app: FastAPI, listener: socket.socket) -> None:
     """Serve the app, say where once it is ready, and end with the engine's error where it did not start."""
-    server = Server(app, lambda: leave_within(app.state.settings.shutdown_seconds + LAST))
-    stop_on_signals(server)
     service: Service = app.state.service
+
+    def stopping() -> None:
+        """End in time; at once where nobody was served, and no kernel need be waited for."""
+        if not watching.done():
+            click.echo("isogi: stopped before it was ready", err=True)
+        leave_within(LAST + (app.state.settings.shutdown_seconds if watching.done() else 0))
+
+    server = Server(app, stopping)
+    stop_on_signals(server)
     serving = asyncio.create_task(server.serve([listener]))
     startup = service.startup
     watching = asyncio.create_task(startup.ready())
     await asyncio.wait({serving, watching}, return_when=asyncio.FIRST_COMPLETED)
+    stopped = server.should_exit  # by a signal: what fails after that, such as workers that are gone, is no failure
     if startup.failure:
         server.should_exit = True
     elif watching.done():
@@ -127,7 +135,7 @@ async def run(app: FastAPI, listener: socket.socket) -> None:
         say(f"isogi is ready at {address(listener)}{'' if startup.lit.is_set() else UNLIT}")
     watching.cancel()
     await serving
-    if startup.failure and not startup.open:
+    if startup.failure and not stopped:
         raise startup.failure
 
 

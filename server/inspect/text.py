@@ -2,12 +2,12 @@
 
 import importlib.util
 import math
-import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
 from isogi_core.plan.scene import Scene
 from server.errors import LibraryError, ParameterError
+from server.inspect.brief import brief
 from server.inspect.inspection import (
     InspectionSchema,
     Remark,
@@ -17,14 +17,16 @@ from server.inspect.inspection import (
     percent,
     span,
 )
+from server.inspect.wrapping import LEAD, wrapped
 from server.progress import open_scene
 from server.report.heading import omission, plan_rows, summary
 
 BINS = 24
 BAR = 48
-WIDTH, LEAD = 100, 14
 ROWS = 10
 """Isovalues in the table, besides the scene's own and the stiffest."""
+
+MORE = "--plan shows the plan, the histogram, every remark, and more isovalues; prewarm --dry-run, the time."
 
 HEAD = f"  {'isovalue':>11} {'cells':>13} {'steep':>6} {'plateau':>8} {'noisy':>6} {'holes':>6}   error about"
 
@@ -63,11 +65,6 @@ def lines_of(remark: Remark) -> Iterator[str]:
         yield from wrapped(f"{'you can':>{LEAD - 1}} ", can)
 
 
-def wrapped(lead: str, text: str) -> list[str]:
-    """Lines of at most WIDTH, the first after its ``lead`` and the others under the text."""
-    return textwrap.wrap(text, WIDTH, initial_indent=lead, subsequent_indent=" " * len(lead))
-
-
 def shown_places(found: StiffnessSchema) -> list[int]:
     """Places of ROWS surfaces, evenly taken, of the scene's own, and of the one that is expected to err most."""
     step = (len(found.surfaces) - 1) / (ROWS - 1)
@@ -85,10 +82,11 @@ def row(surface: SurfaceSchema, own: bool) -> str:
     return f"{name} {shares}   {span(surface.error)}"
 
 
-def inspect(target: str, picture: Path | None = None, as_json: bool = False) -> str:
+def inspect(target: str, picture: Path | None = None, as_json: bool = False, plan: bool = False) -> str:
     """The inspection of ``target``, a volume or a scene; draws the ``picture`` where one is asked for.
 
-    Raises SceneError, VolumeError, LightError, and ParameterError or LibraryError where no picture can be drawn.
+    It is in brief, unless the ``plan`` and all facts are asked for, or their document ``as_json``. Raises SceneError,
+    VolumeError, LightError, and ParameterError or LibraryError where no picture can be drawn.
     """
     if picture is not None:
         check_picture(picture)
@@ -98,7 +96,9 @@ def inspect(target: str, picture: Path | None = None, as_json: bool = False) -> 
         from server.inspect.picture import save_picture  # noqa: PLC0415 (matplotlib is an extra)
 
         save_picture(picture, facts)
-    return facts.model_dump_json(indent=2) if as_json else report(scene, facts)
+    if as_json:
+        return facts.model_dump_json(indent=2)
+    return report(scene, facts) if plan else f"{brief(scene, facts)}\n{MORE}"
 
 
 def check_picture(path: Path) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from isogi_core.errors import advice
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from server.errors import LibraryError, ParameterError
@@ -92,7 +93,7 @@ def choose(studies: Sequence[Study], only: Sequence[str]) -> tuple[Study, ...]:
     known = {study.key for study in studies}
     for key in only:
         if key not in known:
-            raise ParameterError(f"There is no study '{key}': choose from {', '.join(each.key for each in studies)}.")
+            raise ParameterError(f"There is no study '{key}': {advice(key, (each.key for each in studies))}")
     return tuple(study for study in studies if not only or study.key in only)
 
 

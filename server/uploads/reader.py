@@ -46,7 +46,8 @@ def main(name: str, out: int, voxels: int, seconds: int, kind: str = VOLUME) -> 
         try:
             if kind == ENVIRONMENT:
                 return {"id": write_environment(canonical, upload.read(), name)}
-            grid = on_right_angles(open_upload(upload, name or "upload", voxels))
+            found = open_upload(upload, name or "upload", voxels)
+            grid, name = on_right_angles(found), named_after(found, name)
             check_size(grid, voxels)
             grid = grid.loaded()
             make_volume(grid.whole(), grid.spacing)  # what the server cannot show is refused here
@@ -57,6 +58,11 @@ def main(name: str, out: int, voxels: int, seconds: int, kind: str = VOLUME) -> 
             return {"refused": "The file needs more memory than an upload may take: save a smaller part of it."}
         except Exception as error:
             return {"refused": f"The file cannot be read ({type(error).__name__}: {error}): save it again."}
+
+
+def named_after(grid: Grid, name: str) -> str:
+    """The name of a volume, which says so where it is the first step of a series in time."""
+    return f"{name or 'volume'}, first of {grid.moment[1]} steps" if grid.unchosen else name
 
 
 def check_size(grid: Grid, voxels: int) -> None:

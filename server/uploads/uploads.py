@@ -29,6 +29,7 @@ from server.errors import (
     SlowUploadError,
     StartingError,
     UnknownVolumeError,
+    UploadFolderError,
     UploadsOffError,
 )
 from server.render.engine import RenderEngine
@@ -149,8 +150,8 @@ class Uploads:
 
     def __init__(self, engine: "RenderEngine", settings: Settings) -> None:
         """Take none yet; see ``open``."""
-        self.on = settings.uploads_mb > 0
-        self.quota = settings.uploads_mb << 20
+        self.on = settings.upload_quota_mb > 0
+        self.quota = settings.upload_quota_mb << 20
         self.limit = settings.max_upload_mb << 20
         self.folder = UploadFolder(Path(settings.uploads) if settings.uploads else default_folder())
         self._engine, self._settings = engine, settings
@@ -158,24 +159,31 @@ class Uploads:
         self._changing = asyncio.Lock()
         self._ready = False
         self._lacking = ""
+        self._off = OFF
 
     def open(self) -> None:
         """Show the volumes in the folder, where uploads are on, as far as the quota goes; others are logged and left.
 
-        Raises UploadFolderError.
+        Raises UploadFolderError where uploads were asked for and the folder cannot be used. Uploads that are on by
+        default are off then.
         """
         if not self.on:
             return
+        try:
+            self.folder.open()
+        except (UploadFolderError, FullError) as error:
+            if self._settings.uploads_mb is not None:
+                raise
+            self.on, self._off = False, f"This server takes no uploads. {error}"
+            log.warning("%s", self._off)
+            return
         self._lacking = lacking()
-        self.folder.open()
         left = self.quota
         for kept in self.folder.volumes.values():
             try:
                 left -= kept.held
                 if left < 0:
-                    raise FullError(
-                        f"Uploads may take {self._settings.uploads_mb} MB: delete volumes, or give them more."
-                    )
+                    raise FullError(f"Uploads may take {self.quota >> 20} MB: delete volumes, or give them more.")
                 self._engine.admit(self._scene(kept))
             except IsogiError as error:
                 log.error("the upload %s cannot be shown: %s", kept.id, error)
@@ -219,7 +227,7 @@ class Uploads:
     ) -> tuple[Kept, bool]:
         """Take the body of a request as a file of a ``kind``, and ``keep`` its canonical form."""
         if not self.on:
-            raise UploadsOffError(OFF)
+            raise UploadsOffError(self._off)
         self._check_ready()
         with self._admission.admitted(), self.folder.drafts() as (body, draft):
             self._check_room(SCENE if kind == VOLUME else 0)  # no volume takes less
@@ -302,7 +310,7 @@ class Uploads:
         """Raises FullError where so many bytes are more than the quota has left."""
         if size > self.free:
             room = f"{size} bytes are wanted and {self.free} free"
-            raise FullError(f"Uploads may take {self._settings.uploads_mb} MB, {room}: delete volumes first.")
+            raise FullError(f"Uploads may take {self.quota >> 20} MB, {room}: delete volumes first.")
 
     def _scene(self, kept: UploadedVolume) -> Scene:
         """The scene of a volume: in default light, and found by the volume's id."""

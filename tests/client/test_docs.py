@@ -55,7 +55,7 @@ def test_python(own_server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_shell(own_server: str, tmp_path: Path) -> None:
     lines = [line for block in blocks("sh") for line in block.splitlines()]
     script = "\n".join(f"echo '+++'\n{line}\necho" for line in lines)
-    script = script.replace(HERE, own_server).replace("/scenes/scene/", "/scenes/small/")
+    script = script.replace(HERE, own_server).replace("/scenes/engine/", "/scenes/small/")
     done = subprocess.run(["bash", "-eu", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
     picture, _, events, _, job, jobs, dismissed = done.stdout.split("+++\n")[1:]
     assert "preference-applied: wait=5" in picture.lower()

@@ -123,8 +123,12 @@ def test_one_channel_and_time_are_chosen(tmp_path: Path) -> None:
     values = np.arange(2 * 3 * 7 * 5 * 6).reshape(2, 3, 7, 5, 6)
     image(tmp_path / "v.zarr", [values], axes)
     check(open_zarr(tmp_path / "v.zarr", channel=2, time=1), values[1, 2])
-    with pytest.raises(VolumeError, match=r"has 2 elements along its axis 't': set time in the scene, from 0 to 1"):
-        open_zarr(tmp_path / "v.zarr", channel=0)
+    first = open_zarr(tmp_path / "v.zarr", channel=0)
+    check(first, values[0, 0])
+    assert (first.moment, first.unchosen) == ((0, 2), True)
+    assert not open_zarr(tmp_path / "v.zarr", channel=0, time=0).unchosen
+    with pytest.raises(VolumeError, match=r"has 3 elements along its axis 'c': set channel in the scene, from 0 to 2"):
+        open_zarr(tmp_path / "v.zarr", time=0)
     with pytest.raises(VolumeError, match=r"channel = 3 is not in .*, which has 0 to 2"):
         open_zarr(tmp_path / "v.zarr", channel=3, time=0)
 

@@ -194,6 +194,26 @@ def test_settings_without_meaning_are_refused_by_name(folder: Path, line: str, w
         scene_of(folder, f'volume = "ramp.nrrd"\n{line}\n')
 
 
+def test_a_misspelt_setting_is_answered_with_the_nearest(folder: Path) -> None:
+    with pytest.raises(SceneError) as caught:
+        scene_of(folder, 'volume = "ramp.nrrd"\nisovlaue = 3\n')
+    assert str(caught.value).endswith(" sets isovlaue, unknown here: did you mean 'isovalue'?")
+
+
+@pytest.mark.parametrize(
+    ("line", "word"),
+    [
+        ('lights = [{ type = "prob", file = "a.hdr" }]', "'prob': did you mean 'probe'?"),
+        ('lights = [{ type = "sky", sun_azimut = 3 }]', "'sun_azimut': did you mean 'sun_azimuth'?"),
+        ("[shine]\nroughnes = 1", "'roughnes': did you mean 'roughness'?"),
+    ],
+)
+def test_a_misspelt_word_of_a_table_is_answered_too(folder: Path, line: str, word: str) -> None:
+    with pytest.raises(SceneError) as caught:
+        scene_of(folder, f'volume = "ramp.nrrd"\n{line}\n')
+    assert str(caught.value).endswith(word)
+
+
 @pytest.mark.parametrize("key", FORMER)
 def test_former_settings_are_refused_with_what_to_do(folder: Path, key: str) -> None:
     with pytest.raises(SceneError) as caught:
@@ -203,8 +223,8 @@ def test_former_settings_are_refused_with_what_to_do(folder: Path, key: str) -> 
 
 def test_former_settings_are_none_that_scenes_have(folder: Path) -> None:
     with pytest.raises(SceneError) as caught:
-        scene_of(folder, 'volume = "ramp.nrrd"\nisovlaue = 3\n')
-    known = str(caught.value).split("known: ")[1].rstrip(".").split(", ")
+        scene_of(folder, 'volume = "ramp.nrrd"\nqqq = 3\n')
+    known = str(caught.value).split("choose from ")[1].rstrip(".").split(", ")
     assert "lattice" in known and not {*known} & {*FORMER}
 
 
@@ -349,6 +369,38 @@ def test_otsu_parts_two_heaps() -> None:
     rng = np.random.default_rng(1)
     values = np.concatenate([rng.normal(20, 3, 5000), rng.normal(80, 5, 1000)])
     assert 30 < otsu(*np.histogram(values, 256)) < 65
+
+
+RADII = np.linalg.norm(np.mgrid[-8:8, -8:8, -8:8] + 0.5, axis=0)
+
+
+@pytest.mark.parametrize(
+    ("array", "middle"),
+    [
+        (np.where(RADII < 5, 255, 0).astype(np.uint8), 127.5),
+        (RADII < 5, 0.5),
+        ((RADII < 7).astype(np.float32), 0.5),
+        (np.where(RADII < 5, 3, np.where(RADII < 6, 1, 0)).astype(np.uint8), 2.0),
+        (np.where(RADII < 3, 3, np.where(RADII < 6, 1, 0)).astype(np.int16), 0.5),
+        (np.where(RADII < 5, 500.0, -1000.0), -250.0),
+        (np.where(RADII < 5, 1, 5).astype(np.uint8), 3.0),
+    ],
+)
+def test_a_view_of_a_mask_starts_half_way(tmp_path: Path, array: np.ndarray, middle: float) -> None:
+    np.save(tmp_path / "mask.npy", array)
+    assert load_scene(tmp_path / "mask.npy").isovalue == middle
+
+
+def test_a_view_of_few_whole_numbers_starts_between_two(tmp_path: Path) -> None:
+    np.save(tmp_path / "few.npy", np.clip(20 - 2 * RADII, 0, 20).astype(np.uint8))
+    assert load_scene(tmp_path / "few.npy").isovalue % 1.0 == 0.5
+
+
+def test_a_view_of_values_without_gaps_starts_at_an_edge(tmp_path: Path) -> None:
+    np.save(tmp_path / "smooth.npy", np.random.default_rng(1).random((16, 16, 16)))
+    scene = load_scene(tmp_path / "smooth.npy")
+    edges = scene.volume.histogram()[1]
+    assert np.abs(edges - scene.isovalue).min() < 1e-9
 
 
 @pytest.mark.parametrize(

@@ -52,15 +52,21 @@ def test_zero_size() -> None:
     assert str(refusal(("width", "0"))) == "width must be a whole number from 1 to 16383, not '0'."
 
 
-def test_an_unknown_parameter_is_named_and_the_known_ones_listed() -> None:
+def test_a_misspelt_parameter_is_answered_with_the_nearest() -> None:
     error = refusal(("isovalu", "1"))
     assert error.parameter == "isovalu"
-    assert "'isovalu'" in str(error)
+    assert str(error) == "There is no parameter 'isovalu' here: did you mean 'isovalue'?"
+
+
+def test_an_unknown_parameter_is_named_and_the_known_ones_listed() -> None:
+    error = refusal(("qqq", "1"))
+    assert error.parameter == "qqq"
+    assert "'qqq'" in str(error)
     assert "isovalue, azimuth" in str(error)
 
 
 def test_a_resource_without_parameters() -> None:
-    with pytest.raises(ParameterError, match="the parameters are: none"):
+    with pytest.raises(ParameterError, match="There is no parameter 'x' here: leave it out"):
         read(NoParams, [("x", "1")])
 
 

@@ -15,6 +15,7 @@ from isogi_core.files.volume_copies import copies_folder, most_bytes
 from server import progress
 from server.progress import Pieces, Progress, open_scene
 from server.settings import Settings
+from tests.server.sockets import wait_for
 from worker.progress import TimeLeft
 
 
@@ -56,6 +57,20 @@ def test_the_bar_shows_it(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
         bar.finish(1.0)
     error = capsys.readouterr().err
     assert "half of it: " in error and "59:59 left" in error and "50 %" in error
+
+
+def test_a_clock_runs_where_nothing_is_reported(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "TICK", 0.2)
+    with Progress() as bar:
+        bar.begin("compiling")
+        assert "compiling, 00:00" in capsys.readouterr().err, "drawn at once"
+        assert wait_for(lambda: "compiling, 00:01" in capsys.readouterr().err, 20)
+        bar.name("looking", "view")
+        bar.show(1, 2)
+        assert "1/2 views, 00:00" in capsys.readouterr().err
+        assert wait_for(lambda: "1/2 views, 00:01" in capsys.readouterr().err, 20)
 
 
 def test_each_name_has_a_bar_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:

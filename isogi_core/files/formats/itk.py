@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import Source, library, pick, reading
+from isogi_core.files.formats.source import Source, library, pick_step, reading
 from isogi_core.files.grid import ALONE, PATIENT, Affine, Grid, layers_of
 
 SUFFIXES = (".mha", ".mhd", ".vtk", ".gipl", ".hdr", ".img")
@@ -32,7 +32,7 @@ def open_itk(source: Source) -> Grid:
             )
         if not 3 <= len(size) <= 4:
             raise VolumeError(f"'{source.name}' has {len(size)} dimensions, not 3: save one scalar field of it.")
-        time = pick(source, "time", size[3], "time steps") if len(size) == 4 else None
+        time, unchosen = pick_step(source, size[3]) if len(size) == 4 else (None, False)
         nx, ny, nz = size[:3]
         source.check((nz, ny, nx))
         dtype = _block(source, time, 0, 1).dtype
@@ -45,9 +45,8 @@ def open_itk(source: Source) -> Grid:
     spacing = (float(steps[0]), float(steps[1]), float(steps[2]))
     slabs = partial(_slabs, source, time, (nz, ny, nx), dtype.itemsize)
     unit, moment = "mm" if anatomical else "", ALONE if time is None else (time, int(size[3]))
-    return Grid(
-        (nz, ny, nx), dtype, spacing, slabs, partial(source.stamp, *_data_files(source)), placed, unit, moment=moment
-    )
+    stamp = partial(source.stamp, *_data_files(source))
+    return Grid((nz, ny, nx), dtype, spacing, slabs, stamp, placed, unit, moment=moment, unchosen=unchosen)
 
 
 def _reader(source: Source) -> tuple[Any, tuple[int, ...]]:

@@ -16,6 +16,7 @@ from isogi_core.files.formats.source import (
     library,
     luminance,
     pick,
+    pick_step,
     raw_slabs,
     reading,
 )
@@ -43,17 +44,18 @@ def open_nifti(source: Source) -> Grid:
         header = _header(nib, source)
         shape, dtype = tuple(int(n) for n in header.get_data_shape()), header.get_data_dtype()
         scaling = _scaling(header)
-        frame, moment, (nx, ny, nz) = _frame(source, shape)
+        (time, unchosen), channel, times, (nx, ny, nz) = _frame(source, shape)
         source.check((nz, ny, nx))
-        start = int(header.get_data_offset()) + frame * nx * ny * nz * dtype.itemsize
+        start = int(header.get_data_offset()) + (time + times * channel) * nx * ny * nz * dtype.itemsize
         voxels = _voxels_of(source, header)
         unit = UNITS.get(header.get_xyzt_units()[0], "")
         spacing = tuple(abs(float(step)) for step in header.get_zooms()[:3])
     others = [voxels.path] if voxels.path is not None and voxels.path != source.path else []
     slabs = partial(_slabs, voxels, start, (nz, ny, nx), dtype, scaling)
     values = np.dtype(np.float32) if dtype.names else scaling.dtype(dtype)
-    grid = Grid((nz, ny, nx), values, spacing, slabs, partial(source.stamp, *others), unit=unit, moment=moment)
-    return _placed(replace(grid, notes=(COLOURS,) if dtype.names else ()), header)
+    grid = Grid((nz, ny, nx), values, spacing, slabs, partial(source.stamp, *others), unit=unit)
+    notes = (COLOURS,) if dtype.names else ()
+    return _placed(replace(grid, notes=notes, moment=(time, times), unchosen=unchosen), header)
 
 
 def _header(nib: Any, source: Source) -> Any:
@@ -88,14 +90,13 @@ def _scaling(header: Any) -> Scaling:
     return Scaling(float(slope), float(intercept or 0.0))
 
 
-def _frame(source: Source, shape: Shape) -> tuple[int, tuple[int, int], tuple[int, int, int]]:
-    """Number of the field that is chosen among those in the file, its moment, and its size along x, y, z."""
+def _frame(source: Source, shape: Shape) -> tuple[tuple[int, bool], int, int, tuple[int, int, int]]:
+    """The step in time, as of ``pick_step``, the channel, how many steps there are, and the size along x, y, z."""
     nx, ny, nz, *extra = (*shape, *(1,) * (3 - len(shape)))
     while extra and extra[-1] == 1:
         extra.pop()
     times, channels = (*extra[:1], 1)[0], math.prod(extra[1:])
-    time, channel = pick(source, "time", times, "time steps"), pick(source, "channel", channels, "channels")
-    return time + times * channel, (time, times), (nx, ny, nz)
+    return pick_step(source, times), pick(source, "channel", channels, "channels"), times, (nx, ny, nz)
 
 
 def _slabs(voxels: Source, start: int, shape: Shape, dtype: np.dtype[Any], scaling: Scaling) -> Iterator[np.ndarray]:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from isogi_core.errors import VolumeError
+from isogi_core.errors import VolumeError, advice
 from isogi_core.files.formats import dicom, hdf5, itk, mrc, nifti, numpy_file, tiff, vti
 from isogi_core.files.formats.source import KEYS, Source
 from isogi_core.files.formats.wrong_files import sort_of
@@ -149,6 +149,6 @@ def split_part(name: str) -> tuple[str, dict[str, str]]:
     for each in text.split("&"):
         key, equals, value = each.partition("=")
         if equals and key not in KEYS:
-            raise VolumeError(f"'{each}' of '{name}' chooses nothing: give one of {', '.join(KEYS)}.")
+            raise VolumeError(f"'{each}' of '{name}' chooses nothing: {advice(key, KEYS)}")
         chosen[key if equals else "part"] = value if equals else each
     return place, chosen

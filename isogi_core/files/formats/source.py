@@ -211,6 +211,15 @@ def pick(source: Source, key: str, length: int, steps: str) -> int:
     return chosen or 0
 
 
+def pick_step(source: Source, length: int) -> tuple[int, bool]:
+    """Which of ``length`` steps in time is chosen, the first by default, and whether nobody chose among several.
+
+    It is for files that say that an axis is time. Raises VolumeError for a step that is not there.
+    """
+    unchosen = length > 1 and source.count("time") is None
+    return 0 if unchosen else pick(source, "time", length, "time steps"), unchosen
+
+
 def moment_of(source: Source, extra: Shape, picked: Sequence[int]) -> tuple[int, int]:
     """The moment of what was ``picked`` along axes of the lengths ``extra`` before the last three: ``pick_axes``."""
     return ALONE if not extra or (len(extra) == 1 and "channel" in source.chosen) else (picked[0], int(extra[0]))

@@ -50,7 +50,7 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
     chosen = {key: value for key in NESTED if (value := settings.count(key, 1 << 20)) is not None}
     tables, labels = read_tables(settings), find_labels(settings)
     if not name.startswith("demo:"):
-        grid, stem = open_grid(base, name, chosen, raw)
+        grid, stem = open_series(base, name, chosen, raw)
         moment = grid.moment
         if labels is not None:
             grid = solid_of_labels(grid, labels, settings)
@@ -70,12 +70,26 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
     return demo_volume(name.removeprefix("demo:"))
 
 
+FIRST = "The file holds {steps} steps in time: the first is shown, and time = 0 to {last} chooses another."
+
+
+def open_series(base: Path, name: str, chosen: dict[str, int], raw: bool = False) -> tuple[Grid, str]:
+    """Open a grid as ``open_grid`` does; of a series in time of which no step is chosen the first one, with a note."""
+    grid, stem = _open_placed(base, name, chosen)
+    steps = grid.moment[1]
+    notes = (FIRST.format(steps=steps, last=steps - 1),) if grid.unchosen else ()
+    return replace(grid, affine=None if raw else grid.affine, notes=(*grid.notes, *notes)), stem
+
+
 def open_grid(base: Path, name: str, chosen: dict[str, int], raw: bool = False) -> tuple[Grid, str]:
     """The grid at a path or a URL, and its display name; what follows a # in the name chooses too.
 
-    Where the file says that it lies in the world is left out of a ``raw`` one.
+    Where the file says that it lies in the world is left out of a ``raw`` one. Raises VolumeError for a series in time
+    of which no step is chosen.
     """
     grid, stem = _open_placed(base, name, chosen)
+    if grid.unchosen:
+        raise VolumeError(f"'{name}' has {grid.moment[1]} time steps: choose one, such as '{name}#time=0'.")
     return replace(grid, affine=None) if raw else grid, stem
 
 

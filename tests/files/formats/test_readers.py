@@ -79,12 +79,18 @@ def test_nifti_slope_and_intercept_are_applied(tmp_path: Path) -> None:
 
 def test_a_time_step_of_a_nifti_file_is_chosen(tmp_path: Path) -> None:
     path = nifti(tmp_path / "f.nii.gz", np.stack([F, F + 1, F + 2]))
-    with pytest.raises(VolumeError, match=r"has 3 time steps: choose one by time = 0 to 2 .* '.*f.nii.gz#time=0'"):
-        opened(path)
+    check(path, F)
+    assert (opened(path).moment, opened(path).unchosen) == ((0, 3), True)
     check(path, F + 2, time=2)
-    assert opened(path, time=2).moment == (2, 3)
+    assert (opened(path, time=2).moment, opened(path, time=2).unchosen) == ((2, 3), False)
     with pytest.raises(VolumeError, match="time = 3 is not in"):
         opened(path, time=3)
+
+
+def test_channels_of_a_nifti_file_have_to_be_chosen(tmp_path: Path) -> None:
+    path = nifti(tmp_path / "f.nii", np.stack([F, F + 1])[:, None])
+    with pytest.raises(VolumeError, match=r"has 2 channels: choose one by channel = 0 to 1"):
+        opened(path)
 
 
 def test_transforms_that_differ_are_told(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.grid import Grid
 from isogi_core.model.value_survey import no_progress
 from isogi_core.model.volume import BINS, Volume, make_volume
+from isogi_core.plan.variants import at_time
 from isogi_core.plan.volumes.opening import volume_of
 from tests.loaded import load_scene
 
@@ -114,6 +115,31 @@ def test_an_array_in_a_zarr_folder_is_named_by_its_path(tmp_path: Path) -> None:
     ]
     scene = load_scene(tmp_path / "v.zarr" / "inner")
     assert (scene.name, scene.volume.name, scene.volume.shape) == ("v-inner", "v-inner", (4, 4, 4))
+
+
+def test_a_series_opens_at_its_first_step_with_a_note(tmp_path: Path) -> None:
+    nib = pytest.importorskip("nibabel")
+    field = np.random.default_rng(2).random((6, 7, 8, 3)).astype(np.float32)
+    nib.save(nib.Nifti1Image(field, np.eye(4)), tmp_path / "bold.nii")
+    scene = load_scene(tmp_path / "bold.nii")
+    assert scene.volume.moment == (0, 3)
+    assert any("holds 3 steps in time: the first is shown" in note for note in scene.volume.orientation.notes)
+    assert scene.volume.digest == load_scene(f"{tmp_path / 'bold.nii'}#time=0").volume.digest
+    for chosen in (at_time(scene, 1, "later"), load_scene(f"{tmp_path / 'bold.nii'}#time=1")):
+        assert chosen.volume.moment == (1, 3)
+        assert not any("first" in note for note in chosen.volume.orientation.notes)
+
+
+def test_a_mask_of_several_steps_has_one_chosen(tmp_path: Path) -> None:
+    nib = pytest.importorskip("nibabel")
+    nib.save(nib.Nifti1Image(np.ones((6, 7, 8, 2), np.uint8), np.eye(4)), tmp_path / "m.nii")
+    nib.save(nib.Nifti1Image(np.random.default_rng(2).random((6, 7, 8)), np.eye(4)), tmp_path / "v.nii")
+    text = 'volume = "v.nii"\n[[volumes]]\nfile = "m.nii{}"\nuse = "mask"\n'
+    (tmp_path / "s.toml").write_text(text.format(""))
+    with pytest.raises(VolumeError, match=r"'m.nii' has 2 time steps: choose one, such as 'm.nii#time=0'"):
+        load_scene(tmp_path / "s.toml")
+    (tmp_path / "s.toml").write_text(text.format("#time=1"))
+    load_scene(tmp_path / "s.toml")
 
 
 def opened(stamp: str = "a", array: np.ndarray = FIELD, **changes: Any) -> Volume:

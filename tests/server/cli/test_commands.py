@@ -68,6 +68,31 @@ def test_wrong_use(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> 
     refused(capsys, *arguments)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "answer"),
+    [
+        (["exprot", "demo:casting"], "There is no command 'exprot': did you mean 'export'?"),
+        (["render", "demo:casting", "--isovlaue", "3"], "There is no option '--isovlaue': did you mean '--isovalue'?"),
+        (["serve", "--prot", "3"], "There is no option '--prot': did you mean '--port'?"),
+        (["serve", "--qqqqqqqq"], "There is no option '--qqqqqqqq': --help lists all."),
+    ],
+)
+def test_a_misspelt_word_is_answered_with_the_nearest(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], answer: str
+) -> None:
+    assert refused(capsys, *arguments) == f"isogi: {answer}\n"
+
+
+@pytest.mark.parametrize("target", ["none.nhdr", "demo:none", "small.zarr#time=3"])
+def test_a_file_in_place_of_a_command_is_served(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, target: str) -> None:
+    served: list[str] = []
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("server.cli.serve.serve", lambda target, settings: served.append(f"{target} {settings.port}"))
+    monkeypatch.setattr("server.cli.command.start_fork_server", lambda: None)
+    assert run([target, "--port", "8123"]) == 0
+    assert served == [f"{target} 8123"]
+
+
 @pytest.mark.parametrize("command", ["inspect", "prewarm", "render", "serve", "reference"])
 @pytest.mark.parametrize("target", ["none.nrrd", "none.nhdr", "none.toml", "demo:none", "folder"])
 def test_a_missing_target(capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str, target: str) -> None:
@@ -131,14 +156,14 @@ def test_a_port_in_use_is_a_failure(capsys: pytest.CaptureFixture[str], small_sc
 
 
 def test_inspect(capsys: pytest.CaptureFixture[str], small_scene: Path) -> None:
-    assert run(["inspect", str(small_scene)]) == 0
+    assert run(["inspect", str(small_scene), "--plan"]) == 0
     text = capsys.readouterr().out
     for fact in ("24 × 20 × 16 voxels of float32", "0.5, from 0.2 to 0.8", "constant, sky", "left out", "█"):
         assert fact in text
 
 
 def test_inspect_tells_the_plan_and_what_it_saves(capsys: pytest.CaptureFixture[str], small_scene: Path) -> None:
-    assert run(["inspect", str(small_scene)]) == 0
+    assert run(["inspect", str(small_scene), "--plan"]) == 0
     lines = capsys.readouterr().out.splitlines()
     scene = load_scene(small_scene)
     plan, texels = scene.plan, scene.texels

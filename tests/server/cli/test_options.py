@@ -40,6 +40,12 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return error
 
 
+def test_a_misspelt_setting_is_answered_with_the_nearest(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "isogi.toml").write_text("prot = 8123")
+    assert run(["serve", "--config", str(tmp_path / "isogi.toml")]) == 2
+    assert capsys.readouterr().err == "isogi: There is no setting 'prot': did you mean 'port'?\n"
+
+
 @pytest.mark.parametrize("host", ["0.0.0.0", "::"])
 def test_others_are_not_served_without_a_token(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, host: str

@@ -168,7 +168,7 @@ def test_percent(share: float, text: str) -> None:
 def test_the_text_fits_a_terminal_and_marks_the_scenes_isovalue(
     capsys: pytest.CaptureFixture[str], small_scene: Path
 ) -> None:
-    assert run(["inspect", str(small_scene)]) == 0
+    assert run(["inspect", str(small_scene), "--plan"]) == 0
     lines = capsys.readouterr().out.splitlines()
     told = lines[next(i for i, line in enumerate(lines) if line.startswith("stiffness")) :]
     assert max(map(len, told)) <= 100

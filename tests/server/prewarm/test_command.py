@@ -210,6 +210,22 @@ def test_a_chunk_that_cannot_be_baked_is_told_and_the_others_are(
     assert len(chunks_in(tmp_path)) == summary.chunks - 1
 
 
+def test_it_says_at_once_what_it_does(
+    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    start, said = RenderEngine.start, list[str]()
+
+    def slow(engine: RenderEngine, hire: bool = True) -> None:
+        said.append(capsys.readouterr().err)
+        start(engine, hire)
+
+    monkeypatch.setattr(RenderEngine, "start", slow)
+    warmed(blocks, tmp_path, "0.5", dry=True)
+    assert said == ["\rloading kernels, which are compiled once on a machine, 00:00"]
+    error = capsys.readouterr().err
+    assert "planning, 00:00" in error and "looking:   0%" in error
+
+
 def test_who_interrupts_it_is_told_how_to_go_on(
     blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

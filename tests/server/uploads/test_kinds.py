@@ -52,6 +52,15 @@ def test_files_of_every_kind_are_read_confined(tmp_path: Path) -> None:
         np.testing.assert_array_equal(np.sort(grid.whole(), axis=None), np.sort(F, axis=None))
 
 
+def test_an_uploaded_series_shows_its_first_step(tmp_path: Path) -> None:
+    nib = pytest.importorskip("nibabel")
+    nib.save(nib.Nifti1Image(np.stack([F.T, F.T + 1, F.T + 2], axis=-1), np.eye(4)), tmp_path / "bold.nii")
+    kept = read_confined(tmp_path / "bold.nii", tmp_path)
+    facts = read_facts(kept)
+    assert facts and facts.name == "bold.nii, first of 3 steps"
+    np.testing.assert_array_equal(np.sort(open_nrrd(kept).whole(), axis=None), np.sort(F, axis=None))
+
+
 def test_an_uploaded_file_lies_where_it_did(tmp_path: Path) -> None:
     pytest.importorskip("nibabel")
     path = next(path for path in written(tmp_path / "files") if path.name == "f.nii.gz")

@@ -6,6 +6,7 @@ import re
 import socket
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
+from typing import Any
 
 import httpx
 import numpy as np
@@ -13,6 +14,8 @@ import pytest
 from fastapi import FastAPI
 
 from isogi_core.errors import StoreError
+from server.errors import UploadFolderError
+from server.settings import Settings
 from server.uploads.folder import SCENE, UploadFolder
 from tests.server.uploads.files import FIELDS, ball, headed, names
 from tests.server.uploads.site import Open, Poster
@@ -27,6 +30,28 @@ def test_a_server_takes_none_unless_told(ask: Ask, open_app: Open, folder: Path)
     assert ask(app, "GET", "/v1/volumes").json() == {"volumes": [], "uploads": None}
     assert ask(app, "GET", "/v1/scenes").json()["uploads"] is None
     assert not folder.exists()
+
+
+def test_uploads_are_on_where_nothing_is_said(ask: Ask, open_app: Open) -> None:
+    app = open_app(uploads_mb=None)
+    assert ask(app, "POST", "/v1/volumes", content=ball()).status_code == 201
+    assert ask(app, "GET", "/v1/scenes").json()["uploads"]["quota_bytes"] == 2048 << 20
+
+
+@pytest.mark.parametrize("reached", [{"host": "0.0.0.0"}, {"allowed_hosts": ("render.lab.example",)}])
+def test_uploads_are_off_where_others_reach_the_server(reached: dict[str, Any]) -> None:
+    assert Settings(uploads_mb=None, **reached).upload_quota_mb == 0
+    assert Settings(uploads_mb=7, **reached).upload_quota_mb == 7
+
+
+def test_a_folder_in_use_turns_default_uploads_off(ask: Ask, open_app: Open) -> None:
+    open_app()
+    app = open_app(uploads_mb=None)
+    answer = ask(app, "POST", "/v1/volumes", content=ball())
+    assert answer.status_code == 403 and "Another server keeps its uploads in" in answer.json()["detail"]
+    assert ask(app, "GET", "/v1/scenes").json()["uploads"] is None
+    with pytest.raises(UploadFolderError, match="Another server"):
+        open_app(uploads_mb=64)
 
 
 def test_a_volume_is_taken_shown_listed_found_again_and_deleted(ask: Ask, open_app: Open, folder: Path) -> None:
