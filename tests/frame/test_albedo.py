@@ -93,6 +93,7 @@ def test_another_albedo_is_within_1_percent_of_a_fresh_bake(
     assert relative_rmse(frame, fresh_frame(albedo, **view)) < 0.01
 
 
+@pytest.mark.slow
 def test_constant_light_serves_any_albedo(workbench: Make, fresh_frame: Fresh) -> None:
     bench = workbench(live_scene(CONSTANT, **TIGHT))
     assert bench.scene.plan.representation == "constant"

@@ -74,6 +74,7 @@ def test_half_baked_light_is_converging(workbench: Make) -> None:
     assert bench.renderer.render(view, target=1.0).coverage["final"] == 1.0
 
 
+@pytest.mark.slow
 def test_a_quarter_of_the_texels_lights_all_of_a_picture(workbench: Make) -> None:
     """Those that have light first give theirs to their neighbours, at an error that is told."""
     bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=2))
@@ -284,6 +285,7 @@ def test_a_cancelled_frame_stops(orbital: Workbench) -> None:
     assert orbital.renderer.render(orbital.view()).coverage["final"] == 1.0
 
 
+@pytest.mark.slow
 def test_errors_do_not_depend_on_how_bright_the_light_is(tmp_path: Path) -> None:
     """Squares of these lights are nothing, or more, in single floats."""
     frames = []

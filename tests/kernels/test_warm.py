@@ -7,6 +7,7 @@ import sys
 import threading
 from pathlib import Path
 
+import pytest
 from numba import config
 
 from isogi_core.kernels import _jit
@@ -61,6 +62,7 @@ def test_what_is_loaded_is_what_is_compiled_ahead(tmp_path, monkeypatch):
     assert [entry.loaded for entry in entries] == [False, True]
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_compiled_by_others_and_loaded_here(tmp_path):
     kernels = tmp_path / "isogi_core" / "kernels"
     kernels.mkdir(parents=True)

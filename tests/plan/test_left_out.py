@@ -98,6 +98,7 @@ def test_lobes_are_left_out_where_the_light_is_soft(frame_of: Frames, lobe: Lobe
     assert apart(frame_of(scene, 256), frame_of(scene, 256, shading="path_traced")) < 2 * TARGET
 
 
+@pytest.mark.slow
 def test_lobes_are_kept_where_a_sun_throws_shadows(frame_of: Frames) -> None:
     scene = in_bowl(lights=[SUN])
     assert scene.plan.lobes == 1

@@ -165,6 +165,7 @@ def test_inspect_refuses_what_is_no_volume_in_a_line(
     assert REFUSED[name].refused in said
 
 
+@pytest.mark.slow
 def test_render_writes_files_of_finite_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By the command line."""
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)

@@ -158,6 +158,7 @@ def test_metal_mirrors_in_its_own_colour(workbench: Callable[[Scene], Workbench]
     assert green / red == pytest.approx(5 / 9, rel=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("room", ["cornell", None])
 def test_rays_see_walls_and_lamps(tmp_path: Path, room: str | None) -> None:
     """In a Cornell room, and under an area light that only shine sees; against paths."""

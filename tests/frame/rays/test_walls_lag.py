@@ -56,6 +56,7 @@ def test_walls_are_fine_before_any_texel_has_light(bench: Workbench) -> None:
     assert bench.renderer.render(view, target).version == second.version
 
 
+@pytest.mark.slow
 def test_walls_grow_while_they_err_more_than_the_surface(bench: Workbench) -> None:
     """Where the surface's light is final they do whatever it takes, as ever."""
     view = view_of(bench)

@@ -246,6 +246,7 @@ def test_after_a_restart_the_same_view_is_final_at_once(begin: Open, scene: Scen
     assert chunks_in(store) == kept
 
 
+@pytest.mark.slow
 def test_the_order_of_views_does_not_matter(begin: Open, scene: Scene, store: Path) -> None:
     views = [view_of(scene, azimuth, isovalue) for azimuth in (0.0, 130.0) for isovalue in (0.03, 0.06)]
     engine = begin()
@@ -269,6 +270,7 @@ def test_a_path_traced_frame_lacks_no_light_whatever_its_error(begin: Open, scen
     assert refine(engine, scene.id, view, 0.001, None).version == frame.version
 
 
+@pytest.mark.slow
 def test_a_stricter_error_is_worked_for(begin: Open, scene: Scene) -> None:
     engine = begin()
     loose = engine.frame(scene.id, view_of(scene), wait=LONG)
@@ -306,6 +308,7 @@ def test_swapped_chunks_heal(begin: Open, scene: Scene, store: Path, whole: Fram
     assert chunks_in(store) == kept
 
 
+@pytest.mark.slow
 def test_layers_deleted_while_running_are_baked_again(begin: Open, scene: Scene, store: Path) -> None:
     engine = begin()
     views = view_of(scene), view_of(scene, isovalue=0.06)
@@ -502,6 +505,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @COMPILED
 @pytest.mark.parametrize("light", ["constant", "sky"])
 def test_kernels_that_a_scene_never_calls_are_never_loaded(tmp_path: Path, light: str) -> None:

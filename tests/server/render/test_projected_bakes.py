@@ -156,6 +156,7 @@ def places_of(demands: tuple[Demand, ...]) -> list[tuple[Index, bytes]]:
     return [(demand.index, demand.offsets.tobytes()) for demand in demands]
 
 
+@pytest.mark.slow
 def test_light_that_is_replaced_is_not_brought_to_the_target(begin: Open, scene: Scene) -> None:
     """Light on texels' own isosurfaces that only stands in stays as it is; the picture is the same."""
     engine, view, strict = begin(), view_of(scene), STAND_IN / 4
@@ -168,6 +169,7 @@ def test_light_that_is_replaced_is_not_brought_to_the_target(begin: Open, scene:
     assert not whole.demands and np.array_equal(whole.radiance, lazy.radiance)
 
 
+@pytest.mark.slow
 def test_a_store_keeps_a_bounded_part_of_them(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     engine = begin()
     levels = [scene.isovalue, 1.2 * scene.isovalue]

@@ -123,6 +123,7 @@ def test_light_that_turns_for_a_while_finds_its_first_bake_again(turn: Turn) -> 
     assert again.first.version == fixed.final.version
 
 
+@pytest.mark.slow
 def test_single_floats_have_own_layers_and_serve_half_floats(turn: Turn) -> None:
     half = turn(order=3)
     single = turn(order=3, precision="single")

@@ -132,6 +132,7 @@ def test_the_quota_is_held(ask: Ask, open_app: Open, folder: Path) -> None:
     assert ask(app, "POST", "/v1/volumes", content=ball(56)).status_code == 201
 
 
+@pytest.mark.slow
 def test_small_volumes_count_too_also_after_a_restart(
     ask: Ask, open_app: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
