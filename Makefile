@@ -47,7 +47,8 @@ TIER := $(BIN)/python -m tests.run -n auto --dist worksteal --durations 20
 # Threads of BLAS would spin on the cores that the processes share.
 test-fast test test-all: export OPENBLAS_NUM_THREADS = 1
 
-test-fast: check
+test-fast:
+	$(MAKE) --no-print-directory --jobs 3 check kernels $(NODE_TOOLS)
 	rm -f test-results/passed-alone.txt
 	$(TIER) -m "smoke or not ($(LATE) or light or live)"
 

@@ -117,6 +117,7 @@ def test_demands_name_the_texels_that_pixels_read(workbench: Make) -> None:
     assert all(demand.weight > 0.0 for demand in frame.demands)
 
 
+@pytest.mark.slow
 def test_light_of_one_layer_is_shown_and_provisional(workbench: Make) -> None:
     """The indirect layer is lost: the frame is that of direct light alone, and wants the rest."""
     settings = {"lights": [SKY], "target_error": LOOSE}
@@ -269,6 +270,7 @@ def test_versions_change_when_light_is_refined(workbench: Make) -> None:
     assert len({before, after, bench.bake(view, target=0.1).version}) == 3
 
 
+@pytest.mark.slow
 def test_two_stores_baked_apart_hold_the_same_light(tmp_path: Path) -> None:
     scene = load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=0.3)
     frames = [(bench := Workbench(scene, tmp_path / name)).bake(bench.view(size=24)) for name in ("a", "b")]

@@ -69,6 +69,7 @@ def aimed(scene: Scene, sharp: bool) -> Scene:
     return replace(scene, environment=around)
 
 
+@pytest.mark.slow
 def test_soft_light_leaves_out_shadow_rays_and_their_table(frame_of: Frames, lobe: Lobe) -> None:
     scene = in_bowl(lights=[lobe(1.0)], rotating=False)
     assert not scene.environment.table[0].size

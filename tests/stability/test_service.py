@@ -133,6 +133,7 @@ def hostile_queries() -> Iterator[dict[str, str]]:
             yield from ({name: ",".join([text, *others])} for text in HOSTILE if text != "1,0")
 
 
+@pytest.mark.slow
 def test_what_is_no_number_is_422_in_every_parameter(tmp_path: Path) -> None:
     """Of frames and of coverage, with a sentence."""
     queries = [{**query, **({"shading": "path_traced"} if "samples" in query else {})} for query in hostile_queries()]

@@ -96,6 +96,7 @@ def test_walls_are_lit_by_what_glows(tmp_path: Path) -> None:
     np.testing.assert_allclose(floor, floor[:, :1] * [1.0, 0.5, 0.125], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_colour_and_strength_change_no_chunk(tmp_path: Path) -> None:
     """Two glows of other colours are frames of the same chunks, and the light is theirs: it adds up."""
     low, high = load_scene("demo:orbital", lights=[CONSTANT]).volume.world_bounds
@@ -134,6 +135,7 @@ def test_points_of_reports_are_lit_by_what_glows(glows: int, tmp_path: Path) -> 
     np.testing.assert_allclose(found, expected, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_other_light_keeps_its_chunks(tmp_path: Path) -> None:
     """The layers of a scene without glow are those of the same scene with it, byte for byte."""
     alone = Workbench(load_scene("demo:orbital", lights=[CONSTANT], target_error=LOOSE), tmp_path / "alone")

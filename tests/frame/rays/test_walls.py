@@ -118,6 +118,7 @@ def test_only_scenes_with_walls_need_their_kernels(room: Workbench) -> None:
     assert not {*ROOM} & {*frame_kernels([load_scene("demo:orbital", lights=[CONSTANT])])}
 
 
+@pytest.mark.slow
 def test_a_white_furnace_stays_one_in_a_closed_room(tmp_path: Path) -> None:
     """Walls that all give off 1 and reflect nothing are a constant light of radiance 1 to a surface in them."""
     low, high = -30.0, 130.0

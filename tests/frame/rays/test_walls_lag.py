@@ -41,6 +41,7 @@ def beside_surface(frame: Frame) -> np.ndarray:
     return frame.state[alone]
 
 
+@pytest.mark.slow
 def test_walls_are_fine_before_any_texel_has_light(bench: Workbench) -> None:
     """A step makes them so; they err less then than a surface without light, and wait for that."""
     view, target = view_of(bench), 0.01

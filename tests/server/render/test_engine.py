@@ -131,6 +131,7 @@ def test_a_frame_comes_at_once_and_becomes_final(begin: Open, scene: Scene) -> N
     assert 0.0 < final.noise < 0.3
 
 
+@pytest.mark.slow
 def test_asking_again_and_again_is_enough(begin: Open, scene: Scene) -> None:
     engine = begin()
     deadline = time.monotonic() + LONG
@@ -391,6 +392,7 @@ def test_a_view_that_does_not_fit_the_memory_is_an_error(begin: Open, scene: Sce
         engine.frame(scene.id, view_of(scene), wait=LONG)
 
 
+@pytest.mark.slow
 def test_little_memory_serves_one_view_after_the_other(begin: Open, scene: Scene) -> None:
     views = [view_of(scene, isovalue=isovalue) for isovalue in (0.03, 0.3, 0.5)]
     engine = begin()
@@ -400,6 +402,7 @@ def test_little_memory_serves_one_view_after_the_other(begin: Open, scene: Scene
         assert_same_light(little.frame(scene.id, view), frame)
 
 
+@pytest.mark.slow
 def test_views_from_many_threads(begin: Open, scene: Scene) -> None:
     views = [view_of(scene, azimuth) for azimuth in range(0, 360, 60)]
     engine = begin()
@@ -432,6 +435,7 @@ def test_memory_is_set_aside_for_what_requests_read_alone(
     assert taken == pytest.approx([0.0, 0.0, 0.25, 0.55], abs=0.1)
 
 
+@pytest.mark.slow
 def test_what_a_scene_keeps_stays_within_its_memory(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(InlinePool, "submit", lambda *_: None)
     memory, grown = 8 << 20, []

@@ -118,6 +118,7 @@ def test_light_is_trimmed_when_an_isovalue_is_new(monkeypatch: pytest.MonkeyPatc
     assert trimmed == [(store, 7)] * 2
 
 
+@pytest.mark.slow
 def test_a_view_at_rest_has_projected_texels(begin: Open, scene: Scene) -> None:
     engine, news = begin(), []
     engine.listen(lambda bake, index, more: news.append((bake, index)))
@@ -135,6 +136,7 @@ def test_a_view_at_rest_has_projected_texels(begin: Open, scene: Scene) -> None:
     assert set(census_of(engine.store).counts) == layers
 
 
+@pytest.mark.slow
 def test_projected_texels_have_a_bake_and_a_time_left(begin: Open, scene: Scene) -> None:
     engine = begin()
     view, name, target = view_of(scene), scene.id, scene.target_error

@@ -13,6 +13,7 @@ from tests.server.uploads.site import Site
 VIEW = {"width": 48, "height": 48, "wait_ms": 10_000, "max_error": 0.5}
 
 
+@pytest.mark.slow
 def test_an_upload_is_a_scene_like_any_other(site: Site) -> None:
     facts = site.send(12)
     scene = site.client.get(facts["scene"]).raise_for_status().json()
