@@ -40,9 +40,10 @@ check: $(BIN)/.tools
 
 # Tests in tiers, by what they need (the markers of pyproject.toml): `test-fast` while you work, `test` before each
 # commit, `test-all` before a landing. `test-all` runs `test` first, and then only what that leaves out.
-LATE := benchmark or browser or campaign or cluster or kill or s3 or slow
+LATE := benchmark or browser or campaign or cluster or kill or s3 or slow or stability
 SOON := journey or not ($(LATE))
-TIER := $(BIN)/python -m tests.run -n auto --dist worksteal --durations 20
+RUN := $(BIN)/python -m tests.run --durations 20
+TOGETHER := -n auto --dist worksteal
 
 # Threads of BLAS would spin on the cores that the processes share.
 test-fast test test-all: export OPENBLAS_NUM_THREADS = 1
@@ -50,16 +51,18 @@ test-fast test test-all: export OPENBLAS_NUM_THREADS = 1
 test-fast:
 	$(MAKE) --no-print-directory --jobs 3 check kernels $(NODE_TOOLS)
 	rm -f test-results/passed-alone.txt
-	$(TIER) -m "smoke or not ($(LATE) or light or live)"
+	$(RUN) $(TOGETHER) -m "smoke or not ($(LATE) or light or live)"
 
 # Kernels and modules compile while the tools install and the checks run.
 test:
 	$(MAKE) --no-print-directory --jobs 3 check kernels $(NODE_TOOLS) bytecode
 	rm -f test-results/passed-alone.txt
-	$(TIER) -m "$(SOON)"
+	$(RUN) $(TOGETHER) -m "$(SOON)"
 
+# Campaigns measure times: nothing runs beside them.
 test-all: test
-	$(TIER) -m "not ($(SOON))"
+	$(RUN) $(TOGETHER) -m "not ($(SOON) or campaign)"
+	$(RUN) -m campaign
 
 kernels: $(BIN)/.installed
 	$(BIN)/python -m tests.compile_kernels

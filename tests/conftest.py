@@ -31,10 +31,11 @@ FIXTURES = {"browser": "browser", "live_server": "live", "standard_s3": "s3"}
 """Fixtures, and the marker that a test gets which uses one."""
 
 ROOMS = {
-    **dict.fromkeys(["bake", "frame", "kernels", "report", "server/exports", "server/render", "stability"], "light"),
-    **dict.fromkeys(["client", "cluster", "faults", "server/api", "server/cli", "server/uploads", "worker"], "live"),
     "benchmarks": "benchmark",
-    "server/prewarm": "light",
+    **dict.fromkeys(["bake", "frame", "kernels", "report"], "light"),
+    **dict.fromkeys(["server/exports", "server/prewarm", "server/render"], "light"),
+    **dict.fromkeys(["client", "cluster", "faults", "server/api", "server/cli", "server/uploads", "worker"], "live"),
+    "stability": "stability",
 }
 """Folders, and the marker that each test in one gets."""
 

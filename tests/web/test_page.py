@@ -344,7 +344,6 @@ def test_without_sockets_drafts_are_small_jpegs(fresh: Page, live_server: str) -
     assert int(frames[-1]["width"][0]) == pytest.approx(box["width"], abs=1)
 
 
-@pytest.mark.journey
 def test_reload_restores_the_view(shown: Page) -> None:
     slide(shown, "isovalue", 0.45)
     drag(shown, -70, -25)

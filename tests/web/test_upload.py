@@ -25,7 +25,6 @@ def test_without_uploads_the_page_offers_none(page: Page, live_server: str) -> N
     expect(page.locator("#upload-open")).to_be_hidden()
 
 
-@pytest.mark.journey
 def test_a_file_becomes_a_scene_and_is_deleted_again(shown: Page, site: Site) -> None:
     expect(shown.locator("#upload-delete")).to_be_hidden(timeout=FINAL_MS)
     give(shown, "My ball.nrrd", ball(10))

@@ -177,8 +177,8 @@ def test_maps_of_the_next_isovalues_are_made_while_nobody_waits(
     made: Queue[float] = Queue()
     covering = ActiveCellMaps.covering
 
-    def noted(self: ActiveCellMaps, isovalues: np.ndarray, run: Run) -> ActiveCells:
-        cells = covering(self, isovalues, run)
+    def noted(self: ActiveCellMaps, isovalues: np.ndarray, *run: Run) -> ActiveCells:
+        cells = covering(self, isovalues, *run)
         if threading.current_thread().name.startswith("prefetch"):
             made.put(*isovalues.tolist())
         return cells
