@@ -11,8 +11,8 @@ EXTRAS := --extra formats --extra report --extra s3 --extra client --extra film
 # Every process would compile all modules anew: a server with two workers starts three times as fast without it.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install serve shell test kernels bytecode test-campaigns test-bounds test-python check lock format pictures figures \
-  reports clean
+.PHONY: install serve shell test-fast test test-all kernels bytecode test-bounds test-python check lock format pictures \
+  figures reports clean
 
 install: $(BIN)/.installed
 
@@ -45,26 +45,39 @@ check: $(BIN)/.tools
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# Kernels and modules compile while the tools install and the checks run. Tests wait for servers and browsers on a
-# machine that is full of each other: one that fails there is told, and runs again alone. What fails twice is broken.
+# Tests in tiers, by what they need (the markers of pyproject.toml): `test-fast` while you work, `test` before each
+# commit, `test-all` before a landing. `test-all` runs `test` first, and then only what that leaves out.
+LATE := benchmark or browser or campaign or cluster or kill or s3 or slow or stability
+SOON := journey or not ($(LATE))
+RUN := $(BIN)/python -m tests.run --durations 20
+TOGETHER := -n auto --dist worksteal
+
 # Threads of BLAS would spin on the cores that the processes share.
-test: export OPENBLAS_NUM_THREADS = 1
+test-fast test test-all: export OPENBLAS_NUM_THREADS = 1
+
+test-fast:
+	$(MAKE) --no-print-directory --jobs 3 check kernels $(NODE_TOOLS)
+	rm -f test-results/passed-alone.txt
+	$(RUN) $(TOGETHER) -m "smoke or not ($(LATE) or light or live)"
+
+# Kernels and modules compile while the tools install and the checks run.
 test:
 	$(MAKE) --no-print-directory --jobs 3 check kernels $(NODE_TOOLS) bytecode
-	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --durations 20 -m "not campaign" \
-		|| { test $$? = 1 && $(BIN)/python -m pytest --last-failed --last-failed-no-failures none -m "not campaign"; }
+	rm -f test-results/passed-alone.txt
+	$(RUN) $(TOGETHER) -m "$(SOON)"
+
+# Campaigns measure times: nothing runs beside them.
+test-all: test
+	$(RUN) $(TOGETHER) -m "not ($(SOON) or campaign)"
+	$(RUN) -m campaign
 
 kernels: $(BIN)/.installed
 	$(BIN)/python -m tests.compile_kernels
 
 # Each process of pytest would rewrite and compile all modules of tests, and what they import, by itself. The tests
-# tell what cannot be imported.
+# say what cannot be imported.
 bytecode: $(BIN)/.tools
 	$(BIN)/python -m pytest --collect-only --quiet >/dev/null || true
-
-# Parts of the suites of benchmarks, small, that start servers and workers of their own.
-test-campaigns: $(BIN)/.tools
-	$(BIN)/python -m pytest -m campaign $(TESTS)
 
 # The tests of kernels with every index of an array checked (slow: all is compiled anew), and with Python in Numba's place.
 test-bounds: $(BIN)/.tools

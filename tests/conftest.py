@@ -3,7 +3,6 @@
 import gc
 import logging
 import os
-from collections import Counter
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +17,8 @@ from isogi_core.model.demo import demo_volume
 from tests.live import serving_with_a_worker
 from tests.s3 import BUCKET, S3Server, environment_of
 
-ROOT = Path(__file__).resolve().parent.parent
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -27,10 +27,32 @@ def pytest_xdist_auto_num_workers() -> int:
     return min((os.cpu_count() or 1) + 1, 5)
 
 
+FIXTURES = {"browser": "browser", "live_server": "live", "standard_s3": "s3"}
+"""Fixtures, and the marker that a test gets which uses one."""
+
+ROOMS = {
+    "benchmarks": "benchmark",
+    **dict.fromkeys(["bake", "frame", "kernels", "report"], "light"),
+    **dict.fromkeys(["server/exports", "server/prewarm", "server/render"], "light"),
+    **dict.fromkeys(["client", "cluster", "faults", "server/api", "server/cli", "server/uploads", "worker"], "live"),
+    "stability": "stability",
+}
+"""Folders, and the marker that each test in one gets."""
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run files of slow tests first: workers take whole files, and a long one at the end would leave one alone."""
-    slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
-    items.sort(key=lambda item: -slow[item.path])
+    """Mark tests by the fixtures they use and the folder they are in, before ``-m`` chooses among them."""
+    for item in items:
+        for marker in markers_of(item):
+            item.add_marker(marker)
+
+
+def markers_of(item: pytest.Item) -> set[str]:
+    """The markers that a test gets by itself."""
+    folder = f"{item.path.relative_to(HERE).parent}/"
+    by_folder = {marker for room, marker in ROOMS.items() if folder.startswith(f"{room}/")}
+    return by_folder | {FIXTURES[name] for name in FIXTURES.keys() & set(getattr(item, "fixturenames", ()))}
 
 
 @pytest.hookimpl(wrapper=True)

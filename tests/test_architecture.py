@@ -39,14 +39,6 @@ def offenders(paths: Iterable[Path], faults: Callable[[Path], Any]) -> dict[str,
     return {name: faults for name, faults in found.items() if faults}
 
 
-def test_the_import_contracts_hold() -> None:
-    """In a process of its own: the linter's set-up of logging silences every logger that it finds."""
-    command = [Path(sys.executable).with_name("lint-imports"), "--no-cache"]
-    linted = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert linted.returncode == 0, linted.stdout + linted.stderr
-    assert "0 broken" in linted.stdout
-
-
 @pytest.mark.parametrize("package", PACKAGES)
 def test_each_package_has_its_errors_in_one_module(package: str) -> None:
     module = import_module(f"{package}.errors")
@@ -57,7 +49,15 @@ def test_each_package_has_its_errors_in_one_module(package: str) -> None:
         assert error.__doc__
 
 
-def errors_defined_in(tree: Iterator[ast.AST]) -> set[str]:
+@cache
+def facts_of_sources(path: Path) -> tuple[set[str], set[str], str | None]:
+    """Errors that a source file defines, names it imports from Numba, and its docstring; each file is parsed once."""
+    module, *others = nodes(path)
+    assert isinstance(module, ast.Module)
+    return errors_defined_in(others), names_from_numba(others), ast.get_docstring(module)
+
+
+def errors_defined_in(tree: Iterable[ast.AST]) -> set[str]:
     """Names of the exceptions that a module defines."""
     classes = [node for node in tree if isinstance(node, ast.ClassDef)]
     bases = {node.name: {ast.unparse(base).split(".")[-1] for base in node.bases} for node in classes}
@@ -66,7 +66,7 @@ def errors_defined_in(tree: Iterator[ast.AST]) -> set[str]:
 
 def test_errors_are_defined_nowhere_else() -> None:
     others = [path for path in SOURCES if path.name != "errors.py"]
-    assert offenders(others, lambda path: errors_defined_in(nodes(path))) == {}
+    assert offenders(others, lambda path: facts_of_sources(path)[0]) == {}
 
 
 def test_the_search_for_errors_finds_some() -> None:
@@ -78,7 +78,7 @@ def lines_beyond_the_longest(path: Path) -> int:
 
 
 def has_no_docstring(path: Path) -> bool:
-    return path.name != "__main__.py" and not ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+    return path.name != "__main__.py" and not facts_of_sources(path)[2]
 
 
 def test_no_file_is_too_long_and_each_says_what_it_is() -> None:
@@ -137,12 +137,12 @@ def test_the_one_decorator_asks_for_what_is_allowed() -> None:
 
 
 def test_numba_is_asked_for_kernels_in_one_place_only() -> None:
-    users = {name_of(path) for path in SOURCES if {"njit", "jit", "vectorize"} & imported_names(path)}
+    users = {name_of(path) for path in SOURCES if {"njit", "jit", "vectorize"} & facts_of_sources(path)[1]}
     assert users == {"isogi_core/kernels/_jit.py"}
 
 
-def imported_names(path: Path) -> set[str]:
-    imports = [node for node in nodes(path) if isinstance(node, ast.ImportFrom) and node.module == "numba"]
+def names_from_numba(tree: Iterable[ast.AST]) -> set[str]:
+    imports = [node for node in tree if isinstance(node, ast.ImportFrom) and node.module == "numba"]
     return {alias.name for node in imports for alias in node.names}
 
 

@@ -205,6 +205,7 @@ def save_chunks(store: Path, indices: list[Index]) -> None:
         chunk_store.save(baked(spec, index, seed=sum(index)))
 
 
+@pytest.mark.slow
 def test_two_processes_with_different_chunks_lose_none(tmp_path: Path, spec: BakeSpec) -> None:
     indices = list(product(range(3), repeat=3))
     spawn = multiprocessing.get_context("spawn")

@@ -7,7 +7,7 @@ import pytest
 from tests.cluster.intruder import fallen, ports_of
 from tests.cluster.processes import Cluster, end, final, metric, reasons, status, until
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.cluster
 
 
 def test_scheduler_workers_and_servers_come_and_go(small_scene: Path, tmp_path: Path) -> None:

@@ -9,11 +9,11 @@ from tests.cluster.composed import COMPOSE, SERVICES, Composed
 from tests.cluster.processes import ROOT, final, metric, until
 from tests.s3 import S3Server
 
-pytestmark = pytest.mark.slow
 CHECKED = 1.0
 """Seconds between two health checks: each of them is a process that starts Python."""
 
 
+@pytest.mark.cluster
 def test_commands_of_the_compose_file_bake_into_the_bucket(small_scene: Path) -> None:
     with S3Server() as s3, Composed(s3, small_scene) as running:
         running.start("scheduler")

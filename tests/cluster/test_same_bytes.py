@@ -14,7 +14,7 @@ from server.render.engine import RenderEngine
 from tests.server.inline import InlinePool, chunks_in, view_of
 from worker import pool
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.cluster
 LONG = 240.0
 WORKERS = 2
 

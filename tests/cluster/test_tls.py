@@ -18,7 +18,7 @@ def test_the_commands_of_the_documentation_name_them_all() -> None:
         assert " ".join(named(options, Path())) in line
 
 
-@pytest.mark.slow
+@pytest.mark.cluster
 def test_a_scheduler_refuses_strangers(tmp_path: Path) -> None:
     """A worker with the certificates of another authority, and one without any."""
     write_certificates(tmp_path)

@@ -10,7 +10,7 @@ from tests.faults.bench import LONG, Bench, bake_here, objects_in
 from tests.faults.failpoints import FAULTS, POINTS
 from worker.bake_requests import MOST_FAILURES
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.kill
 
 
 def test_every_fault_at_every_point_costs_time_and_nothing_else(bench: Bench, tmp_path: Path) -> None:

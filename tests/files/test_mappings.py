@@ -59,6 +59,7 @@ def run(script: str, path: Path, budget: int) -> str:
     return done.stdout.decode()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not file_bytes(), reason="the system does not tell resident pages")
 def test_scattered_reads_stay_near_the_budget(tmp_path: Path) -> None:
     path, shape = tmp_path / "v.voxels", (64, 1024, 1024)

@@ -197,6 +197,7 @@ def listed(folder: Path) -> dict[str, dict[str, str]]:
     return facts
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_real_volumes_are_what_their_list_says(shared_data: Path) -> None:
     facts = listed(shared_data)

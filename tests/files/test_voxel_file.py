@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from isogi_core.files.voxel_file import new_voxels
 
@@ -15,6 +16,7 @@ from pathlib import Path
 from isogi_core.files.mappings import file_bytes
 from isogi_core.files.voxel_file import read_voxels
 import numpy as np
+import pytest
 from isogi_core.kernels._pages import bound_pages
 getattr(bound_pages, "ready", None)  # libraries are loaded
 before = file_bytes()
@@ -30,6 +32,7 @@ print(first)
 """
 
 
+@pytest.mark.slow
 def test_pages_above_the_budget_are_let_go(tmp_path: Path) -> None:
     path, rng = tmp_path / "v.voxels", np.random.default_rng(2)
     planes = rng.random((64, 512, 512), np.float32)

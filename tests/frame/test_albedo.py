@@ -83,6 +83,7 @@ def test_constant_light_on_a_convex_surface_shows_its_albedo(shading: str, albed
     np.testing.assert_allclose(frame.radiance[on], expected, rtol=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("albedo", [grey(0.9), ORANGE], ids=["grey", "orange"])
 @pytest.mark.parametrize("view", [{}, {"light": TURN}], ids=["as it stands", "turned"])
 def test_another_albedo_is_within_1_percent_of_a_fresh_bake(
@@ -93,6 +94,7 @@ def test_another_albedo_is_within_1_percent_of_a_fresh_bake(
     assert relative_rmse(frame, fresh_frame(albedo, **view)) < 0.01
 
 
+@pytest.mark.slow
 def test_constant_light_serves_any_albedo(workbench: Make, fresh_frame: Fresh) -> None:
     bench = workbench(live_scene(CONSTANT, **TIGHT))
     assert bench.scene.plan.representation == "constant"

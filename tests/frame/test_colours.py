@@ -23,6 +23,7 @@ def painted(light: dict[str, Any], table: dict[str, Any] = GRADIENT, **settings:
     return load_scene("demo:orbital", lights=[light], volumes=[table], **{**KEPT, **settings})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fixed", [False, True], ids=["turning", "staying"])
 def test_one_colour_is_one_albedo(fixed: bool, tmp_path: Path) -> None:
     """The closed form of all furnaces: the pictures agree to rounding, as the paths are the same."""
@@ -38,6 +39,7 @@ def test_one_colour_is_one_albedo(fixed: bool, tmp_path: Path) -> None:
     assert rmse_of_colours(traced, paths) < 0.002
 
 
+@pytest.mark.slow
 def test_direct_light_keeps_its_key_and_its_bytes(tmp_path: Path) -> None:
     """Colours change reflected light alone."""
     scene, plain = painted(SKY), load_scene("demo:orbital", lights=[SKY], albedo=0.7, **KEPT)
@@ -61,6 +63,7 @@ def test_light_of_texels_is_what_paths_bring(light: dict[str, Any], workbench: C
     assert (hue[:, 0] > 1.3 * hue[:, 2]).any() and (hue[:, 2] > 1.3 * hue[:, 0]).any(), "red here and blue there"
 
 
+@pytest.mark.slow
 def test_light_that_stays_is_what_paths_bring(workbench: Callable[..., Workbench]) -> None:
     """Once its picture is checked: colours change within a voxel here, and so do shadows of the sun."""
     scene = painted(SKY, rotating=False)
@@ -114,6 +117,7 @@ def test_local_shading_shows_the_colours(workbench: Callable[..., Workbench]) ->
     np.testing.assert_allclose(shown, base * own / 0.5, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_shine_lies_over_the_colours(workbench: Callable[..., Workbench]) -> None:
     bench = workbench(painted(CONSTANT, shine={"kind": "plastic"}))
     frame = bench.bake(bench.view(size=24))

@@ -3,6 +3,8 @@ import subprocess
 import sys
 from typing import Any
 
+import pytest
+
 from isogi_core.frame.entry_kernels import COLOURED, FRAME, GLOW, LOBES, OTHERS, frame_kernels, other_kernels
 from isogi_core.kernels.shading.irradiance_ratio import carry_ratios, recall_records
 from isogi_core.kernels.shading.lattice import carry_light
@@ -88,6 +90,7 @@ def scene_of(settings: dict[str, Any]) -> Scene:
     return load_scene("demo:orbital", **settings)
 
 
+@pytest.mark.slow
 @COMPILED
 def test_a_frame_calls_exactly_its_listed_kernels() -> None:
     """Each scene in a process of its own, which has loaded no kernel yet."""

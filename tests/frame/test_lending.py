@@ -56,6 +56,7 @@ def test_light_that_is_all_there_is_left_alone(workbench: Make) -> None:
     assert lend_light(texels, reading, lit) == (reading, lit)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("size", "step"), [(64, 2), (128, 2), (512, 1)])
 def test_a_draft_is_lit_by_a_quarter_of_its_texels(
     size: int, step: int, workbench: Make, monkeypatch: pytest.MonkeyPatch

@@ -126,6 +126,7 @@ def test_vicinity_of_a_constant_scene_has_a_layer_of_its_own(workbench: Make) ->
     assert not bench.again().renderer.render(view).provisional
 
 
+@pytest.mark.slow
 def test_vicinity_under_a_lamp_alone_is_that_under_its_mean(workbench: Make) -> None:
     """A lamp of irradiance π is as much light as a constant radiance of a quarter."""
     lights = {"type": "directional", "irradiance": math.pi}, {"type": "constant", "radiance": 0.25}

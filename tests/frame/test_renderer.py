@@ -74,6 +74,7 @@ def test_half_baked_light_is_converging(workbench: Make) -> None:
     assert bench.renderer.render(view, target=1.0).coverage["final"] == 1.0
 
 
+@pytest.mark.slow
 def test_a_quarter_of_the_texels_lights_all_of_a_picture(workbench: Make) -> None:
     """Those that have light first give theirs to their neighbours, at an error that is told."""
     bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=2))
@@ -116,6 +117,7 @@ def test_demands_name_the_texels_that_pixels_read(workbench: Make) -> None:
     assert all(demand.weight > 0.0 for demand in frame.demands)
 
 
+@pytest.mark.slow
 def test_light_of_one_layer_is_shown_and_provisional(workbench: Make) -> None:
     """The indirect layer is lost: the frame is that of direct light alone, and wants the rest."""
     settings = {"lights": [SKY], "target_error": LOOSE}
@@ -268,6 +270,7 @@ def test_versions_change_when_light_is_refined(workbench: Make) -> None:
     assert len({before, after, bench.bake(view, target=0.1).version}) == 3
 
 
+@pytest.mark.slow
 def test_two_stores_baked_apart_hold_the_same_light(tmp_path: Path) -> None:
     scene = load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=0.3)
     frames = [(bench := Workbench(scene, tmp_path / name)).bake(bench.view(size=24)) for name in ("a", "b")]
@@ -284,6 +287,7 @@ def test_a_cancelled_frame_stops(orbital: Workbench) -> None:
     assert orbital.renderer.render(orbital.view()).coverage["final"] == 1.0
 
 
+@pytest.mark.slow
 def test_errors_do_not_depend_on_how_bright_the_light_is(tmp_path: Path) -> None:
     """Squares of these lights are nothing, or more, in single floats."""
     frames = []

@@ -134,6 +134,7 @@ def share_of(field: Any, lamps: LampArrays, k: int, m: int, p: np.ndarray, rays:
     return float(np.mean(brought)), float(EVEN[rays] * np.var(brought) / (rays - 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 2.0, 1.0)])
 @pytest.mark.parametrize("degrees", [0.0, 0.4, 3.0, 15.0])
 def test_light_of_lobes_is_that_of_all_rays(degrees: float, spacing: Spacing) -> None:

@@ -87,6 +87,7 @@ def counted() -> Iterator[None]:
     _nrt_python.memsys_disable_stats()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("counted")
 def test_what_makes_arrays_lets_go_of_all() -> None:
     """As many arrays are freed as are made, and those that are handed on live as long as they are read."""

@@ -129,6 +129,7 @@ sys.stdout.write(f"{entry(1.0)} {sum(entry.ready.stats.cache_hits.values())}")
 """
 
 
+@pytest.mark.slow
 @COMPILED
 def test_an_edited_helper_is_compiled_anew_an_old_one_loaded(tmp_path):
     """A house of two files, each run a fresh process: the entry kernel's own file never changes."""

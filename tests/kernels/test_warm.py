@@ -7,6 +7,7 @@ import sys
 import threading
 from pathlib import Path
 
+import pytest
 from numba import config
 
 from isogi_core.kernels import _compilation, _jit
@@ -125,6 +126,7 @@ def test_progress_counts_what_the_machine_lacked(monkeypatch):
     assert work.progress([ROOT]) is None
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_compiled_by_others_and_loaded_here(tmp_path):
     kernels = tmp_path / "isogi_core" / "kernels"
     kernels.mkdir(parents=True)

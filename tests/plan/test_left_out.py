@@ -45,6 +45,7 @@ def test_harmonics_are_kept_under_a_probe(frame_of: Frames, lobe: Lobe) -> None:
     assert apart(frame_of(with_layers(scene, Layer("whole"), representation="constant")), frame_of(scene)) > TARGET
 
 
+@pytest.mark.slow
 def test_turning_is_left_out_where_the_light_stays(frame_of: Frames, lobe: Lobe) -> None:
     scene = in_bowl(lights=[lobe(WIDE)], rotating=False)
     assert scene.plan.representation == "irradiance"
@@ -98,6 +99,7 @@ def test_lobes_are_left_out_where_the_light_is_soft(frame_of: Frames, lobe: Lobe
     assert apart(frame_of(scene, 256), frame_of(scene, 256, shading="path_traced")) < 2 * TARGET
 
 
+@pytest.mark.slow
 def test_lobes_are_kept_where_a_sun_throws_shadows(frame_of: Frames) -> None:
     scene = in_bowl(lights=[SUN])
     assert scene.plan.lobes == 1
@@ -175,6 +177,7 @@ def test_single_floats_are_kept_for_a_small_target(frame_of: Frames, lobe: Lobe)
     assert apart(frame_of(in_bowl(**small, precision="half")), frame_of(scene)) > scene.target_error
 
 
+@pytest.mark.slow
 def test_vicinity_shading_is_the_path_tracer_without_bounces(frame_of: Frames) -> None:
     """S1, figure 10: by the same paths from texels, and by others from pixels, which do not interpolate."""
     scene = in_bowl(bounces=0, lattice=2.0)

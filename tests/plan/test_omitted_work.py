@@ -69,6 +69,7 @@ def aimed(scene: Scene, sharp: bool) -> Scene:
     return replace(scene, environment=around)
 
 
+@pytest.mark.slow
 def test_soft_light_leaves_out_shadow_rays_and_their_table(frame_of: Frames, lobe: Lobe) -> None:
     scene = in_bowl(lights=[lobe(1.0)], rotating=False)
     assert not scene.environment.table[0].size
@@ -77,6 +78,7 @@ def test_soft_light_leaves_out_shadow_rays_and_their_table(frame_of: Frames, lob
     assert apart(frame_of(scene, 256), frame_of(kept, 256)) < TARGET / 3
 
 
+@pytest.mark.slow
 def test_shadow_rays_and_their_table_are_kept_under_the_sun(frame_of: Frames) -> None:
     scene = in_bowl(lights=[SUN], rotating=False)
     assert scene.environment.table[0].size

@@ -33,6 +33,7 @@ def test_a_bake_counts_at_its_cheapest_good_point() -> None:
     assert len(table.rows[0]) == len(EVENS)
 
 
+@pytest.mark.slow
 def test_curves_fall_with_time(under_sky: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each point of baked light has cost all samples up to its own, each of traced paths its own alone."""
     measure_toil(monkeypatch)

@@ -45,6 +45,7 @@ def test_each_cause_is_there_where_it_acts(under_sky: Bench) -> None:
     assert sizes["bounces cut off"].bias <= 0.0
 
 
+@pytest.mark.slow
 def test_the_noise_part_is_what_the_frame_tells(make_bench: Callable[..., Bench]) -> None:
     """At 2 %: where 64 samples are far more than enough, less is left than is told."""
     bench = make_bench(target_error=0.02)
@@ -64,6 +65,7 @@ def test_what_is_cut_off_beside_a_lobe_is_little(make_bench: Callable[..., Bench
     assert cut[1] < 0.5 * cut[0] and cut[0] > 0.05
 
 
+@pytest.mark.slow
 def test_what_two_references_share_is_not_noise(make_bench: Callable[..., Bench]) -> None:
     """Of other normals' pictures with 64 paths, against the same with many more."""
     bench = make_bench()

@@ -46,6 +46,7 @@ def coloured(small_scene: Path) -> Path:
     return scene
 
 
+@pytest.mark.slow
 def test_a_server_lights_the_colours_and_takes_no_albedo(coloured: Path, tmp_path: Path) -> None:
     from tests.live import serving_with_a_worker
 

@@ -62,6 +62,7 @@ def test_a_white_surface_in_light_of_one_is_one_by_texels(name: str) -> None:
         assert float(pixels.mean()) == pytest.approx(1.0, abs=0.005)
 
 
+@pytest.mark.slow
 def test_specks_of_marks_are_dimmer_than_they_should_be() -> None:
     """A known fault: 30 % of the voxels are marks of -9999 that the scene does not call missing.
 

@@ -133,6 +133,7 @@ def hostile_queries() -> Iterator[dict[str, str]]:
             yield from ({name: ",".join([text, *others])} for text in HOSTILE if text != "1,0")
 
 
+@pytest.mark.slow
 def test_what_is_no_number_is_422_in_every_parameter(tmp_path: Path) -> None:
     """Of frames and of coverage, with a sentence."""
     queries = [{**query, **({"shading": "path_traced"} if "samples" in query else {})} for query in hostile_queries()]
@@ -165,6 +166,7 @@ def test_inspect_refuses_what_is_no_volume_in_a_line(
     assert REFUSED[name].refused in said
 
 
+@pytest.mark.slow
 def test_render_writes_files_of_finite_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By the command line."""
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)

@@ -129,6 +129,7 @@ def scene_of(page: Page, base: str) -> dict[str, Any]:
     return facts
 
 
+@pytest.mark.journey
 def test_becomes_final_without_a_reload_and_asks_only_the_server(page: Page, live_server: str) -> None:
     loads, asked = list[str](), list[str]()
     page.on("framenavigated", lambda frame: loads.append(frame.url))
@@ -179,6 +180,7 @@ def test_a_scene_of_one_isovalue_locks_its_slider(page: Page, live_server: str) 
     assert box is not None and box["width"] > 100
 
 
+@pytest.mark.journey
 def test_isovalue_slider_changes_picture_and_address(sketched: Page) -> None:
     before = pixels(sketched)
     slide(sketched, "isovalue", 0.35)
@@ -200,6 +202,7 @@ def test_isovalue_can_be_typed(sketched: Page) -> None:
     assert numbers_of(sketched)["isovalue"] == wanted
 
 
+@pytest.mark.journey
 def test_drag_turns_the_object_as_if_held(sketched: Page) -> None:
     before, start = pixels(sketched), scene_angles(sketched)
     drag(sketched, 90, 40)
@@ -408,6 +411,7 @@ def test_dark_scheme(browser: Browser, live_server: str) -> None:
     context.close()
 
 
+@pytest.mark.journey
 def test_server_gone_and_back(fresh: Page, live_server: str) -> None:
     away, open_streams = False, list[WebSocketRoute]()
 

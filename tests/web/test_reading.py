@@ -50,6 +50,7 @@ def nearest(points: np.ndarray, position: list[float]) -> tuple[int, int, float]
     return int(column), int(row), float(away.min())
 
 
+@pytest.mark.journey
 def test_a_click_tells_the_point_under_it(shown: Page) -> None:
     points = surface(shown)
     *_, width, height = stage_of(shown)

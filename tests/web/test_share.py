@@ -59,6 +59,7 @@ def pixels_in(picture: bytes) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"))
 
 
+@pytest.mark.journey
 def test_the_curl_line_saves_the_picture_that_is_shown(menu: Page, tmp_path: Path) -> None:
     command = line(menu, "curl")
     subprocess.run(["bash", "-c", command], cwd=tmp_path, check=True, timeout=60, capture_output=True)

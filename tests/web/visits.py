@@ -22,12 +22,8 @@ FLAGS = [
     f"--disable-features={','.join(WITHOUT)}",
 ]
 SHOTS = Path(__file__).resolve().parents[2] / "test-results" / "page"
-BROWSER = [
-    pytest.mark.browser,
-    pytest.mark.slow,
-    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no Chromium at {CHROMIUM}: install Debian's chromium"),
-]
-"""The marks of tests of the page."""
+BROWSER = pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no Chromium at {CHROMIUM}: install Debian's chromium")
+"""Skips tests of the page where there is no Chromium; the fixture ``browser`` marks them."""
 
 DROP = """([text, name]) => {
   const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));

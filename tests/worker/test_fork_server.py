@@ -45,6 +45,7 @@ def kernels_loaded() -> list[bool]:
     return [entry.loaded for entry in entries_of(bake_kernels(["direct"]))]
 
 
+@pytest.mark.slow
 def test_workers_share_what_one_process_has_loaded(pool: WorkerPool) -> None:
     (parent,) = parents(pool)
     assert psutil.Process(parent).ppid() == os.getpid()

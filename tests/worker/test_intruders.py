@@ -18,7 +18,7 @@ from tests.cluster.intruder import fallen, ports_of
 from tests.cluster.processes import QUIET, ROOT, Cluster, end, listens, until
 from worker.fork_server import START_METHOD
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.cluster
 
 TOKEN = "a token of the tests"
 

@@ -27,7 +27,7 @@ from tests.server.inline import EngineWithoutWorkers, InlinePool
 from worker import pool
 from worker.fork_server import WORKER
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.kill
 ROOT = Path(__file__).parent.parent.parent
 LONG = 120.0
 

@@ -34,6 +34,7 @@ from worker.niceness import BACK, FORWARD, NICENESS
 from worker.pool import AHEAD, FOREVER, OwnClient, WorkerPool, report
 from worker.tasks import BakeResult, BakeTask, open_spec
 
+pytestmark = pytest.mark.cluster
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5)
 SPEC = spec_for(PreparedScene(SCENE), "gi")
 BAKE = bake_kernels(KINDS)
@@ -251,7 +252,6 @@ def test_joined_workers_have_loaded_kernels_and_stay_as_nice(
     assert sessions == [os.getsid(0)]
 
 
-@pytest.mark.slow
 def test_a_killed_worker_is_replaced_and_its_tasks_are_lost(pool: WorkerPool, tmp_path: Path) -> None:
     before = pool.pids()
     psutil.Process(before[0]).kill()
@@ -264,7 +264,6 @@ def test_a_killed_worker_is_replaced_and_its_tasks_are_lost(pool: WorkerPool, tm
     assert len(set(pids) - set(before)) == 1
 
 
-@pytest.mark.slow
 def test_tasks_whose_end_dask_does_not_report_are_noticed(
     pool: WorkerPool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -308,7 +307,6 @@ def known_to(cluster: LocalCluster) -> Any:
     return dask.config.set({f"{tls}.ca-file": made.tls_ca_file, **own})
 
 
-@pytest.mark.slow
 def test_workers_of_others_are_joined_and_left_alone(pool: WorkerPool, tmp_path: Path) -> None:
     assert pool._cluster is not None
     with known_to(pool._cluster):
@@ -352,7 +350,6 @@ def lone_scheduler(port: int = 0) -> LocalCluster:
     )
 
 
-@pytest.mark.slow
 def test_a_scheduler_that_was_restarted_unnoticed_is_joined_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     """Dask's client may find it before the pool has seen that it was away, and is not told of its workers then."""
     first = lone_scheduler()
@@ -375,7 +372,6 @@ def test_a_scheduler_that_was_restarted_unnoticed_is_joined_anew(monkeypatch: py
         first.close()
 
 
-@pytest.mark.slow
 def test_workers_are_counted_without_events(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(WorkerPool, "_on_event", lambda *_: None)
     with lone_scheduler() as alone:
@@ -406,7 +402,6 @@ def test_clients_without_a_scheduler_block_no_new_client() -> None:
     assert threading.active_count() <= threads
 
 
-@pytest.mark.slow
 def test_a_worker_that_dies_again_and_again_comes_back_each_time() -> None:
     """Dask looks a while after each death whether the worker is back, and here it never is."""
     with dask.config.set({"distributed.deploy.lost-worker-timeout": "1 ms"}):

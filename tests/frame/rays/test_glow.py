@@ -42,6 +42,7 @@ def floor_under(glow: Glow, tmp_path: Path) -> Workbench:
     return Workbench(replace(scene, glowing=glowing, plan=given.plan, inputs=given.inputs), tmp_path)
 
 
+@pytest.mark.slow
 def test_a_floor_under_a_glowing_ball(tmp_path: Path) -> None:
     """E = π L (r/d)² cosθ in every pixel, through texels, at rays' starts 0.3 voxels above the floor."""
     middle, radius, radiance = np.array([24.0, 24.0, 24.0]), 6.0, np.array([3.0, 2.0, 1.0])
@@ -56,6 +57,7 @@ def test_a_floor_under_a_glowing_ball(tmp_path: Path) -> None:
     assert np.sqrt(np.mean((lit[:, 0] / (3.0 * expected) - 1.0) ** 2)) < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lights", [[SKY], [CONSTANT]])
 def test_pictures_with_glow_are_what_paths_say(lights: list[dict[str, Any]], tmp_path: Path) -> None:
     """Beside light that turns and light that is the same from all sides, and what glows is seen by the eye."""
@@ -74,6 +76,7 @@ def test_pictures_with_glow_are_what_paths_say(lights: list[dict[str, Any]], tmp
     assert bench.renderer.render(view).total.likely < 1.5 * LOOSE
 
 
+@pytest.mark.slow
 def test_walls_are_lit_by_what_glows(tmp_path: Path) -> None:
     """A room whose luminaire is out is lit by the ball alone, as paths say."""
     room = {"room": "cornell", "bounces": 0}
@@ -93,6 +96,7 @@ def test_walls_are_lit_by_what_glows(tmp_path: Path) -> None:
     np.testing.assert_allclose(floor, floor[:, :1] * [1.0, 0.5, 0.125], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_colour_and_strength_change_no_chunk(tmp_path: Path) -> None:
     """Two glows of other colours are frames of the same chunks, and the light is theirs: it adds up."""
     low, high = load_scene("demo:orbital", lights=[CONSTANT]).volume.world_bounds
@@ -131,6 +135,7 @@ def test_points_of_reports_are_lit_by_what_glows(glows: int, tmp_path: Path) -> 
     np.testing.assert_allclose(found, expected, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_other_light_keeps_its_chunks(tmp_path: Path) -> None:
     """The layers of a scene without glow are those of the same scene with it, byte for byte."""
     alone = Workbench(load_scene("demo:orbital", lights=[CONSTANT], target_error=LOOSE), tmp_path / "alone")

@@ -98,6 +98,7 @@ def test_rays_to_lobes_are_cast_again_when_the_light_rotates(workbench: Make, mo
     assert len(cast) == 2, "vicinity shading has no lobes"
 
 
+@pytest.mark.slow
 def test_a_moving_view_has_few_lobes_and_one_at_rest_all(workbench: Make, tmp_path: Path) -> None:
     image, rng = np.full((32, 64, 3), 0.02, np.float32), np.random.default_rng(3)
     image[rng.integers(4, 20, 40), rng.integers(0, 64, 40)] = rng.uniform(5.0, 50.0, (40, 1))

@@ -128,6 +128,7 @@ def test_a_picture_reaches_its_target_by_light_of_its_pixels(coarse: Workbench) 
     assert not coarse.renderer.refine(view)
 
 
+@pytest.mark.slow
 def test_light_that_converges_tells_more_than_its_noise(coarse: Workbench) -> None:
     """Early controls find what texels err by besides; they are drawn once, and what is final knows nothing of them."""
     bench, view = coarse.again(), coarse.view(azimuth=110.0, size=48)
@@ -207,6 +208,7 @@ def test_a_check_ends_when_it_is_cancelled(coarse: Workbench) -> None:
     assert coarse.renderer.render(view).checkable
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wall", "projected", "light"),
     [

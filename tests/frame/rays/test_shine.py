@@ -62,6 +62,7 @@ def test_frames_at_rest_are_what_paths_say(polished: Workbench, kind: str, rough
     assert frame.radiance[lit].mean() == pytest.approx(truth.radiance[lit].mean(), rel=0.03)
 
 
+@pytest.mark.slow
 def test_frames_that_others_have_overtaken_cast_no_rays(polished: Workbench) -> None:
     """Two threads draw the same picture, and one waits while the other casts: numbers are those of one alone."""
     renderer, view = polished.renderer, polished.view(size=SIZE, shine=Shine("metal", 0.2))
@@ -158,6 +159,7 @@ def test_metal_mirrors_in_its_own_colour(workbench: Callable[[Scene], Workbench]
     assert green / red == pytest.approx(5 / 9, rel=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("room", ["cornell", None])
 def test_rays_see_walls_and_lamps(tmp_path: Path, room: str | None) -> None:
     """In a Cornell room, and under an area light that only shine sees; against paths."""

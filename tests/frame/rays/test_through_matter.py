@@ -71,6 +71,7 @@ def true_light(bench: Workbench, view: View, trees: int) -> np.ndarray:
     return np.asarray(seen.gather(dark_row(0))[0].reshape(-1, trees, 3).mean(axis=1) @ LUMINANCE)
 
 
+@pytest.mark.slow
 def test_glass_tells_its_error_and_becomes_right(casting: Workbench) -> None:
     view = casting.view(size=32)
     true = true_light(casting, view, 64)
@@ -95,6 +96,7 @@ def test_glass_tells_its_error_and_becomes_right(casting: Workbench) -> None:
     assert (other.version, other.radiance.tobytes()) == (frame.version, frame.radiance.tobytes())
 
 
+@pytest.mark.slow
 def test_trees_bring_on_the_average_what_paths_bring(casting: Workbench) -> None:
     traced = casting.renderer.render(casting.view(size=32, shading="path_traced", samples=512))
     found = true_light(casting, casting.view(size=32), 64).mean()
@@ -102,6 +104,7 @@ def test_trees_bring_on_the_average_what_paths_bring(casting: Workbench) -> None
     assert found == pytest.approx(light.mean(), rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_subsurface_becomes_what_paths_inside_say(tmp_path: Path) -> None:
     chosen = {"material": "subsurface", "mean_free_path": 3.0, "albedo": [0.9, 0.6, 0.3], "environment": "overcast"}
     scene = load_scene("demo:casting", **chosen, target_error=LOOSE, projected=False)

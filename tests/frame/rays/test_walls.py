@@ -40,6 +40,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
     return bench
 
 
+@pytest.mark.slow
 def test_a_room_becomes_final_and_is_what_paths_say(room: Workbench) -> None:
     view = room.view(90.0, 0.0, SIZE, distance=4.0)
     first = room.renderer.render(view)
@@ -65,6 +66,7 @@ def test_a_room_becomes_final_and_is_what_paths_say(room: Workbench) -> None:
     np.testing.assert_allclose(lamp, room.scene.room.walls[5].radiance[0], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_edges_of_walls_and_before_walls_are_smooth(room: Workbench) -> None:
     """Against the mean of six times as many pixels along each side, of the same light."""
     while room.renderer.refine(room.view(90.0, 0.0, SIZE, distance=4.0)):
@@ -116,6 +118,7 @@ def test_only_scenes_with_walls_need_their_kernels(room: Workbench) -> None:
     assert not {*ROOM} & {*frame_kernels([load_scene("demo:orbital", lights=[CONSTANT])])}
 
 
+@pytest.mark.slow
 def test_a_white_furnace_stays_one_in_a_closed_room(tmp_path: Path) -> None:
     """Walls that all give off 1 and reflect nothing are a constant light of radiance 1 to a surface in them."""
     low, high = -30.0, 130.0
@@ -156,6 +159,7 @@ def test_walls_are_final_at_once_after_a_restart(room: Workbench) -> None:
     np.testing.assert_array_equal(*(frame.error.ravel()[before.gbuffer.walls.pixels] for frame in (before, after)))
 
 
+@pytest.mark.slow
 def test_walls_between_two_isovalues_show_what_is_known_of_these(room: Workbench, tmp_path: Path) -> None:
     middle = room.scene.isovalue
     low, here, high = (room.view(90.0, 0.0, SIZE, distance=4.0, isovalue=middle * share) for share in (0.8, 1.0, 1.2))
@@ -177,6 +181,7 @@ def test_walls_between_two_isovalues_show_what_is_known_of_these(room: Workbench
     )
 
 
+@pytest.mark.slow
 def test_damaged_light_of_walls_is_baked_again(room: Workbench, tmp_path: Path) -> None:
     view = room.view(90.0, 0.0, SIZE, distance=4.0)
     true = finished(room, view)
@@ -202,6 +207,7 @@ def test_light_of_walls_is_pruned_with_the_rest(room: Workbench, tmp_path: Path)
     assert {count.files.digest for count in walls} <= {count.files.digest for count in plan.going}
 
 
+@pytest.mark.slow
 def test_walls_are_lit_where_a_store_takes_nothing(room: Workbench, tmp_path: Path) -> None:
     view, bench = room.view(90.0, 0.0, SIZE, distance=4.0), Workbench(room.scene, tmp_path)
     bench.bake(view)

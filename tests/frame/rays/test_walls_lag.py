@@ -41,6 +41,7 @@ def beside_surface(frame: Frame) -> np.ndarray:
     return frame.state[alone]
 
 
+@pytest.mark.slow
 def test_walls_are_fine_before_any_texel_has_light(bench: Workbench) -> None:
     """A step makes them so; they err less then than a surface without light, and wait for that."""
     view, target = view_of(bench), 0.01
@@ -56,6 +57,7 @@ def test_walls_are_fine_before_any_texel_has_light(bench: Workbench) -> None:
     assert bench.renderer.render(view, target).version == second.version
 
 
+@pytest.mark.slow
 def test_walls_grow_while_they_err_more_than_the_surface(bench: Workbench) -> None:
     """Where the surface's light is final they do whatever it takes, as ever."""
     view = view_of(bench)

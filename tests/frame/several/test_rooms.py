@@ -43,6 +43,7 @@ def lit(bench: Workbench, view: View) -> SurfacesFrame:
     return check(bench, view)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["clear", "sheet", "pinned"])
 def test_it_becomes_final_and_is_what_paths_say(kind: str, tmp_path: Path) -> None:
     bench = bench_of(kind, tmp_path)
@@ -104,6 +105,7 @@ def test_edges_are_smooth_and_their_samples_show_walls(tmp_path: Path) -> None:
     assert frame.edges.on[behind].all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("room", [{}, {"room": "cornell"}], ids=["open", "room"])
 def test_glow_behind_clear_surfaces_is_what_paths_say(room: dict[str, Any], tmp_path: Path) -> None:
     """A lesion in a shell: it lights the shell from inside, and walls through it, and is seen through it."""

@@ -47,6 +47,7 @@ def test_a_picture_becomes_final_and_is_what_paths_say(halo: Workbench) -> None:
     assert not traced.stages and not traced.checkable
 
 
+@pytest.mark.slow
 def test_light_that_converges_tells_more_than_its_noise(halo: Workbench) -> None:
     """Early controls of each side are drawn once, and the picture tells what all of them find."""
     bench, view = halo.again(), halo.view(azimuth=130.0, size=24)
@@ -117,6 +118,7 @@ def test_a_point_has_the_value_of_what_is_in_front(halo: Workbench) -> None:
     assert point is not None and point.value == HALO["isovalue"]
 
 
+@pytest.mark.slow
 def test_between_two_levels_nothing_is_baked_anew(halo: Workbench) -> None:
     """Baked at one isovalue, the pinned surface has its light at another between the same levels; so paths say."""
     level, above = halo.scene.levels[halo.scene.levels.index(SHOWN) :][:2]
@@ -133,6 +135,7 @@ def test_between_two_levels_nothing_is_baked_anew(halo: Workbench) -> None:
     assert relative_rmse(frame, traced) < LOOSE
 
 
+@pytest.mark.slow
 def test_light_of_other_isovalues_makes_room(halo: Workbench) -> None:
     """Views whose light fits the memory one by one are drawn as where all of it fits."""
     first = halo.scene.levels.index(SHOWN)

@@ -43,6 +43,7 @@ def test_texels_of_a_closed_shell_keep_its_closed_form(tmp_path: Path) -> None:
     assert frame.radiance[on].std() < 0.03 * expected
 
 
+@pytest.mark.slow
 def test_a_picture_at_its_target_is_what_paths_say(tmp_path: Path) -> None:
     """Lit from behind by a sun low in the sky."""
     sun = {"type": "sky", "sun_azimuth": 200.0, "sun_elevation": 20.0}

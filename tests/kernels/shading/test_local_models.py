@@ -150,6 +150,7 @@ def shadows_one_by_one(field, iso, points, normals, key, seen):
         seen[m] = n[0] * key[0] + n[1] * key[1] + n[2] * key[2] > 0.0 and not t < np.inf
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 2.0, 1.0)])
 def test_shadows_of_many_rays_are_those_of_single_ones(spacing):
     points, normals = ball_points(spacing=spacing)

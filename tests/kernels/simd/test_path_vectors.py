@@ -168,6 +168,7 @@ def apart(seeds, samples, normals, voxels, points, draws, values, gradients):
         put_column(gradients, m, smooth_gradient(voxels, column(points, m)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(5, 6, 7), (2, 2, 2), (9, 3, 3)])
 def test_vectors_are_one_number_at_a_time(shape):
     voxels = RNG.random(shape, np.float32)

@@ -96,6 +96,7 @@ def test_what_is_behind_the_surface_is_not_lit() -> None:
     assert (found[below, 1] > 0.0).all() and (found[above, 1] == 0.0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("survival", [1.0, 0.6])
 def test_a_closed_room_keeps_what_glows_in_it(survival: float) -> None:
     """Light is kept: E/π is (1 - ρ^(n + 1)) / (1 - ρ) in the mean over the walls, as the rate is that of the room."""

@@ -37,6 +37,7 @@ from tests.kernels.transport.lighting import (
 from tests.scale import COMPILED, PYTHON, few
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LIGHTS)
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 1.0, 2.0)])
 def test_waves_gather_what_paths_one_by_one_do(name, spacing):
@@ -173,6 +174,7 @@ def test_a_lamp_in_a_hollow_ball(bounces):
 # --- statistics ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @COMPILED
 @pytest.mark.parametrize("voxels", [BALL, NOISY], ids=["ball", "noisy ball"])
 def test_rays_towards_bright_parts_change_noise_and_not_the_mean(voxels):

@@ -102,6 +102,7 @@ def test_light_and_viewer_may_change_places(alpha):
         assert fresnel(facing, tuple(v), tuple(l)) == pytest.approx(fresnel(facing, tuple(l), tuple(v)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cosine", [0.25, 0.5, 1.0])
 @pytest.mark.parametrize("alpha", [0.25, 0.6, 1.0])
 def test_directions_follow_their_density(alpha, cosine):

@@ -130,6 +130,7 @@ def draw(marginal, conditional, points):
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bright", [100.0, 1.0])
 def test_piecewise_follows_its_density(uniforms, bright):
     weights = np.random.default_rng(5).random((8, 12))

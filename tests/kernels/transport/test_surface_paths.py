@@ -111,6 +111,7 @@ def inner_ball(count):
     return 20.0 + (points - 20.0) / 2.0, normals
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", LIGHTS)
 def test_paths_are_those_of_one_ray_at_a_time(light: str) -> None:
     field, (points, normals) = field_of(NOISY), inner_ball(6)

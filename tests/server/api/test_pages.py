@@ -6,6 +6,7 @@ import httpx
 import pytest
 
 
+@pytest.mark.smoke
 def test_the_viewer_and_its_files(live_server: str) -> None:
     page = httpx.get(f"{live_server}/")
     assert page.headers["content-type"].startswith("text/html")

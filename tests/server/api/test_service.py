@@ -320,6 +320,7 @@ def test_leaving_a_shared_render_does_not_end_it_for_others(engine: FakeEngine, 
     assert len(engine.left) == 1
 
 
+@pytest.mark.slow
 def test_a_frame_is_drawn_again_once_all_its_light_is_there(engine: FakeEngine, app: FastAPI) -> None:
     engine.coming = frozenset({(0, 0, 1), (0, 0, 2)})
 

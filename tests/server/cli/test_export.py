@@ -17,6 +17,7 @@ def inline(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
 
 
+@pytest.mark.slow
 def test_light_is_written_to_files_of_other_tools(
     small_scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

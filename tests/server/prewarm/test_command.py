@@ -40,6 +40,7 @@ def warmed(scene: Path, store: Path, *isovalues: str, dry: bool = False, **more:
     return prewarm(str(scene), order, Settings(store=str(store), workers=1), dry)
 
 
+@pytest.mark.slow
 def test_walls_that_were_prewarmed_are_final_at_once(blocks: Path, tmp_path: Path) -> None:
     among = blocks.with_name("among.toml")
     among.write_text(blocks.read_text().replace("[[lights]]", 'room = "cornell"\n[[lights]]'))
@@ -96,6 +97,7 @@ def test_whole_isosurfaces_are_final_from_all_sides_and_between(blocks: Path, tm
     assert prewarm(str(blocks), order, settings).paths == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", [{"views": 3, **SIZE}, {"all_directions": True}], ids=["views", "whole isosurfaces"])
 def test_projected_texels_are_prewarmed_too(
     blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: dict[str, Any]

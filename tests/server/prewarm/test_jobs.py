@@ -133,6 +133,7 @@ def test_looking_at_many_views_ends_soon_where_it_is_dismissed(idle: Idle) -> No
     assert httpx.delete(f"{idle.url}{job}", timeout=10).json()["status"] == "dismissed"
 
 
+@pytest.mark.slow
 def test_a_server_that_starts_again_takes_up_what_was_begun(
     blocks: Path, tmp_path: Path, alone: dict[str, str]
 ) -> None:

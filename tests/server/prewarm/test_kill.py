@@ -51,6 +51,7 @@ def kill_half_way(scene: Path, store: Path) -> None:
     assert psutil.wait_procs(family, timeout=LONG)[1] == []
 
 
+@pytest.mark.kill
 def test_a_prewarm_that_is_killed_goes_on(
     blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -83,6 +83,7 @@ def test_the_document_has_the_range_the_default_and_what_is_kept(server: str) ->
     assert direct["nodes"] == [] and indirect["nodes"][-1] == 0.9 and scene["plan"]["channels"] == 1
 
 
+@pytest.mark.slow
 def test_coverage_and_the_interface_know_the_parameter(server: str) -> None:
     covered = httpx.get(
         f"{server}/v1/scenes/live/coverage", params={"albedo": "0.9,0.5,0.1", "width": 24, "height": 20}

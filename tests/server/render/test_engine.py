@@ -132,6 +132,7 @@ def test_a_frame_comes_at_once_and_becomes_final(begin: Open, scene: Scene) -> N
     assert 0.0 < final.noise < 0.3
 
 
+@pytest.mark.slow
 def test_asking_again_and_again_is_enough(begin: Open, scene: Scene) -> None:
     engine = begin()
     deadline = time.monotonic() + LONG
@@ -177,8 +178,8 @@ def test_maps_of_the_next_isovalues_are_made_while_nobody_waits(
     made: Queue[float] = Queue()
     covering = ActiveCellMaps.covering
 
-    def noted(self: ActiveCellMaps, isovalues: np.ndarray, run: Run) -> ActiveCells:
-        cells = covering(self, isovalues, run)
+    def noted(self: ActiveCellMaps, isovalues: np.ndarray, *run: Run) -> ActiveCells:
+        cells = covering(self, isovalues, *run)
         if threading.current_thread().name.startswith("prefetch"):
             made.put(*isovalues.tolist())
         return cells
@@ -247,6 +248,7 @@ def test_after_a_restart_the_same_view_is_final_at_once(begin: Open, scene: Scen
     assert chunks_in(store) == kept
 
 
+@pytest.mark.slow
 def test_the_order_of_views_does_not_matter(begin: Open, scene: Scene, store: Path) -> None:
     views = [view_of(scene, azimuth, isovalue) for azimuth in (0.0, 130.0) for isovalue in (0.03, 0.06)]
     engine = begin()
@@ -270,6 +272,7 @@ def test_a_path_traced_frame_lacks_no_light_whatever_its_error(begin: Open, scen
     assert refine(engine, scene.id, view, 0.001, None).version == frame.version
 
 
+@pytest.mark.slow
 def test_a_stricter_error_is_worked_for(begin: Open, scene: Scene) -> None:
     engine = begin()
     loose = engine.frame(scene.id, view_of(scene), wait=LONG)
@@ -307,6 +310,7 @@ def test_swapped_chunks_heal(begin: Open, scene: Scene, store: Path, whole: Fram
     assert chunks_in(store) == kept
 
 
+@pytest.mark.slow
 def test_layers_deleted_while_running_are_baked_again(begin: Open, scene: Scene, store: Path) -> None:
     engine = begin()
     views = view_of(scene), view_of(scene, isovalue=0.06)
@@ -389,6 +393,7 @@ def test_a_view_that_does_not_fit_the_memory_is_an_error(begin: Open, scene: Sce
         engine.frame(scene.id, view_of(scene), wait=LONG)
 
 
+@pytest.mark.slow
 def test_little_memory_serves_one_view_after_the_other(begin: Open, scene: Scene) -> None:
     views = [view_of(scene, isovalue=isovalue) for isovalue in (0.03, 0.3, 0.5)]
     engine = begin()
@@ -398,6 +403,7 @@ def test_little_memory_serves_one_view_after_the_other(begin: Open, scene: Scene
         assert_same_light(little.frame(scene.id, view), frame)
 
 
+@pytest.mark.slow
 def test_views_from_many_threads(begin: Open, scene: Scene) -> None:
     views = [view_of(scene, azimuth) for azimuth in range(0, 360, 60)]
     engine = begin()
@@ -430,6 +436,7 @@ def test_memory_is_set_aside_for_what_requests_read_alone(
     assert taken == pytest.approx([0.0, 0.0, 0.25, 0.55], abs=0.1)
 
 
+@pytest.mark.slow
 def test_what_a_scene_keeps_stays_within_its_memory(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(InlinePool, "submit", lambda *_: None)
     memory, grown = 8 << 20, []
@@ -504,6 +511,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @COMPILED
 @pytest.mark.parametrize("light", ["constant", "sky"])
 def test_kernels_that_a_scene_never_calls_are_never_loaded(tmp_path: Path, light: str) -> None:

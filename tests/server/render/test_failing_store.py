@@ -101,6 +101,7 @@ def endure(scene: Scene, failing: Failing, reference: Frame) -> dict[str, bytes]
     return failing.objects()
 
 
+@pytest.mark.slow
 def test_a_store_that_fails_once_costs_no_light(scene: Scene, store: StoreMaker) -> None:
     reference, kept, calls = whole(scene, store)
     assert calls > 10 and [key.partition("/")[2] for key in kept if "/c/" in key] == ["c/0/0/0/0"]
@@ -111,6 +112,7 @@ def test_a_store_that_fails_once_costs_no_light(scene: Scene, store: StoreMaker)
             assert failing.calls >= n
 
 
+@pytest.mark.slow
 def test_a_store_that_is_away_for_a_while_is_waited_for(scene: Scene, store: StoreMaker) -> None:
     """From each third call on: the test above has each of them fail alone."""
     reference, kept, calls = whole(scene, store)

@@ -49,6 +49,7 @@ def engine(scene: Scene, tmp_path: Path) -> Iterator[RenderEngine]:
     engine.close()
 
 
+@pytest.mark.slow
 def test_a_view_that_asks_for_finer_texels_has_them(engine: RenderEngine, scene: Scene) -> None:
     """Of so few texels they cost less than light for each pixel."""
     news = set()

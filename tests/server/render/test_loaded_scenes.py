@@ -48,6 +48,7 @@ def test_scenes_under_the_same_light_share_it(scenes: list[Scene]) -> None:
     assert first.inputs.harmonics is second.inputs.harmonics
 
 
+@pytest.mark.slow
 def test_a_scene_makes_way_and_is_the_same_when_it_is_back(engine: RenderEngine, scenes: list[Scene]) -> None:
     one, other, _ = scenes
     engine.admit(other)

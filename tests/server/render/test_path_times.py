@@ -50,6 +50,7 @@ def test_times_of_two_works_add_up() -> None:
     assert TimeLeft(1.0, 2.0, 3.0).plus(TimeLeft(10.0, 20.0, 30.0)) == TimeLeft(11.0, 22.0, 33.0)
 
 
+@pytest.mark.slow
 def test_a_picture_tells_the_time_until_its_pixels_have_light(engine: RenderEngine, scene: Scene) -> None:
     view, target, checks = view_of(scene), 0.02, engine.renderer(scene.id).checks
     while (frame := engine.survey(scene.id, view, target)).provisional:

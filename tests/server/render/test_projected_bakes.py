@@ -118,6 +118,7 @@ def test_light_is_trimmed_when_an_isovalue_is_new(monkeypatch: pytest.MonkeyPatc
     assert trimmed == [(store, 7)] * 2
 
 
+@pytest.mark.slow
 def test_a_view_at_rest_has_projected_texels(begin: Open, scene: Scene) -> None:
     engine, news = begin(), []
     engine.listen(lambda bake, index, more: news.append((bake, index)))
@@ -135,6 +136,7 @@ def test_a_view_at_rest_has_projected_texels(begin: Open, scene: Scene) -> None:
     assert set(census_of(engine.store).counts) == layers
 
 
+@pytest.mark.slow
 def test_projected_texels_have_a_bake_and_a_time_left(begin: Open, scene: Scene) -> None:
     engine = begin()
     view, name, target = view_of(scene), scene.id, scene.target_error
@@ -156,6 +158,7 @@ def places_of(demands: tuple[Demand, ...]) -> list[tuple[Index, bytes]]:
     return [(demand.index, demand.offsets.tobytes()) for demand in demands]
 
 
+@pytest.mark.slow
 def test_light_that_is_replaced_is_not_brought_to_the_target(begin: Open, scene: Scene) -> None:
     """Light on texels' own isosurfaces that only stands in stays as it is; the picture is the same."""
     engine, view, strict = begin(), view_of(scene), STAND_IN / 4
@@ -168,6 +171,7 @@ def test_light_that_is_replaced_is_not_brought_to_the_target(begin: Open, scene:
     assert not whole.demands and np.array_equal(whole.radiance, lazy.radiance)
 
 
+@pytest.mark.slow
 def test_a_store_keeps_a_bounded_part_of_them(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     engine = begin()
     levels = [scene.isovalue, 1.2 * scene.isovalue]

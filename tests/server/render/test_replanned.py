@@ -82,6 +82,7 @@ def test_texels_take_as_many_samples_in_every_plan() -> None:
     assert most_samples(SETTINGS["target_error"]) == FEWEST
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["half", "bytes"])
 def test_more_bands_are_baked_while_the_former_ones_are_shown(turn: Turn, precision: str) -> None:
     small = turn(order=3, indirect_order=2, precision=precision)
@@ -91,6 +92,7 @@ def test_more_bands_are_baked_while_the_former_ones_are_shown(turn: Turn, precis
     assert same_light(large.final, turn("fresh", order=5, indirect_order=2, precision=precision).final)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["half", "bytes"])
 def test_fewer_bands_are_served_by_the_layers_that_are_there(turn: Turn, precision: str) -> None:
     large = turn(order=5, indirect_order=2, precision=precision)
@@ -102,6 +104,7 @@ def test_fewer_bands_are_served_by_the_layers_that_are_there(turn: Turn, precisi
     assert same_light(small.final, turn("fresh", order=3, indirect_order=2, precision=precision).final)
 
 
+@pytest.mark.slow
 def test_albedo_that_turns_coloured_bakes_reflected_light_alone(turn: Turn) -> None:
     grey = turn(order=3, indirect_order=2)
     coloured = turn(order=3, indirect_order=2, albedo=[0.7, 0.5, 0.3])
@@ -111,6 +114,7 @@ def test_albedo_that_turns_coloured_bakes_reflected_light_alone(turn: Turn) -> N
     assert same_light(coloured.final, turn("fresh", order=3, indirect_order=2, albedo=[0.7, 0.5, 0.3]).final)
 
 
+@pytest.mark.slow
 def test_light_that_turns_for_a_while_finds_its_first_bake_again(turn: Turn) -> None:
     fixed = turn(rotating=False)
     turning = turn(rotating=True, order=3)
@@ -123,6 +127,7 @@ def test_light_that_turns_for_a_while_finds_its_first_bake_again(turn: Turn) -> 
     assert again.first.version == fixed.final.version
 
 
+@pytest.mark.slow
 def test_single_floats_have_own_layers_and_serve_half_floats(turn: Turn) -> None:
     half = turn(order=3)
     single = turn(order=3, precision="single")

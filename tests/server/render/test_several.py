@@ -36,6 +36,7 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[.
         each.close()
 
 
+@pytest.mark.slow
 def test_workers_bake_all_sides_and_a_restart_finds_them(make: Callable[..., RenderEngine]) -> None:
     engine = make(hire=True)
     scene = engine.scenes["orbital"]

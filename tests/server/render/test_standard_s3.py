@@ -67,7 +67,7 @@ def test_two_servers_on_a_bucket_leave_what_one_leaves(
     assert chunks_at(standard_s3) == whole[1]
 
 
-@pytest.mark.slow
+@pytest.mark.kill
 def test_what_a_killed_server_left_is_mended(
     small_scene: Path, standard_s3: str, whole: tuple[bytes, dict[str, str]], tmp_path: Path
 ) -> None:

@@ -239,6 +239,7 @@ def test_secrets_are_told_to_nobody(small_scene: Path, s3: S3Server, caplog: pyt
         assert not [text for text in told if secret in text]
 
 
+@pytest.mark.slow
 def test_workers_use_the_credentials_of_their_own_environment(small_scene: Path, s3: S3Server, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "server", "render", str(small_scene), "-o", "frame.png", "--store", s3.url]
     done = subprocess.run(

@@ -12,16 +12,13 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from server.report.bundle import write_report
 from server.report.journal import Entry
 from tests.server.report.samples import report_of, sections
-from tests.web.visits import CHROMIUM, FLAGS
+from tests.web.visits import BROWSER, CHROMIUM, FLAGS
 
 SHOTS = Path(__file__).resolve().parents[3] / "test-results" / "report"
 Scheme = Literal["light", "dark"]
 WIDTHS = {"wide": 1100, "phone": 390}
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no Chromium at {CHROMIUM}: install Debian's chromium"),
-]
+pytestmark = BROWSER
 
 
 @pytest.fixture(scope="module")

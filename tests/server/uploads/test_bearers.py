@@ -87,6 +87,7 @@ def test_who_may_only_look_has_nothing_baked() -> None:
         assert asyncio.run(asked) == frozenset()
 
 
+@pytest.mark.slow
 def test_volumes_belong_to_who_sent_them(ask: Ask, open_app: Any, tokens: Path, folder: Path) -> None:
     """Also after a restart; what two have sent goes with the second."""
     app: FastAPI = open_app(tokens_file=tokens)

@@ -60,6 +60,7 @@ def test_the_same_light_is_kept_once(site: Site, sent: dict[str, str], tmp_path:
     assert (again.status_code, again.json()["id"]) == (200, sent["id"])
 
 
+@pytest.mark.slow
 def test_a_large_one_is_made_smaller_with_its_energy(site: Site, tmp_path: Path) -> None:
     image = lamp(2 * LARGEST[0])
     facts = site.client.post(LIGHTS, content=picture(tmp_path, image)).raise_for_status().json()
@@ -69,6 +70,7 @@ def test_a_large_one_is_made_smaller_with_its_energy(site: Site, tmp_path: Path)
     assert site.client.delete(facts["href"]).status_code == 204
 
 
+@pytest.mark.slow
 def test_what_is_no_light_is_refused_in_a_sentence(site: Site, tmp_path: Path) -> None:
     refused = {
         b"NRRD0004\n": "no Radiance picture|not a Radiance picture",

@@ -5,6 +5,7 @@ import threading
 import weakref
 
 import httpx
+import pytest
 
 from tests.server.uploads.files import names
 from tests.server.uploads.site import Site
@@ -12,6 +13,7 @@ from tests.server.uploads.site import Site
 VIEW = {"width": 48, "height": 48, "wait_ms": 10_000, "max_error": 0.5}
 
 
+@pytest.mark.slow
 def test_an_upload_is_a_scene_like_any_other(site: Site) -> None:
     facts = site.send(12)
     scene = site.client.get(facts["scene"]).raise_for_status().json()
@@ -28,6 +30,7 @@ def test_an_upload_is_a_scene_like_any_other(site: Site) -> None:
     assert "final=1.000" in shown.headers["isogi-coverage"], "the light of what came again is found in the store"
 
 
+@pytest.mark.slow
 def test_what_is_deleted_while_it_is_drawn_ends_in_frames_or_404(site: Site) -> None:
     facts, statuses, begun = site.send(16), [], threading.Semaphore(0)
 

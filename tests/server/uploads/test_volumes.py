@@ -112,6 +112,7 @@ def test_what_cannot_be_shown_is_refused_and_leaves_nothing(
     assert not names(folder)
 
 
+@pytest.mark.slow
 def test_a_file_is_asked_for_by_no_url_and_no_path(ask: Ask, open_app: Open, tmp_path: Path) -> None:
     secret = tmp_path / "secret.raw"
     secret.write_bytes(bytes(range(24)))
@@ -147,6 +148,7 @@ def test_one_that_may_not_be_that_large_is_413(ask: Ask, open_app: Open, folder:
     assert ask(app, "POST", "/v1/scenes", content=large).status_code == 413
 
 
+@pytest.mark.slow
 def test_the_quota_is_held(ask: Ask, open_app: Open, folder: Path) -> None:
     app = open_app(uploads_mb=1)
     first = ask(app, "POST", "/v1/volumes", content=ball(50)).json()
@@ -157,6 +159,7 @@ def test_the_quota_is_held(ask: Ask, open_app: Open, folder: Path) -> None:
     assert ask(app, "POST", "/v1/volumes", content=ball(56)).status_code == 201
 
 
+@pytest.mark.slow
 def test_small_volumes_count_too_also_after_a_restart(
     ask: Ask, open_app: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -206,6 +209,7 @@ def test_without_the_token_nothing_is_taken(ask: Ask, open_app: Open, folder: Pa
     assert ask(app, "POST", "/v1/volumes", content=ball(), headers=bearer).status_code == 201
 
 
+@pytest.mark.slow
 def test_a_third_upload_at_once_comes_back_later(open_app: Open, folder: Path) -> None:
     app = open_app()
     answers = asyncio.run(crowd(app))
@@ -249,6 +253,7 @@ def test_an_upload_that_stands_still_is_408(open_app: Open, folder: Path) -> Non
     assert not names(folder)
 
 
+@pytest.mark.slow
 def test_a_kept_volume_that_cannot_be_shown_is_left(ask: Ask, open_app: Open, folder: Path) -> None:
     app = open_app()
     good, bad = (ask(app, "POST", "/v1/volumes", content=ball(side)).json()["id"] for side in (8, 9))

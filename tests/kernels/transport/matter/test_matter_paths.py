@@ -73,6 +73,7 @@ def analytic_ball(points, samples, lamp, n, seed=1):
     return np.array(found)
 
 
+@pytest.mark.slow
 @COMPILED
 def test_a_caustic_is_that_of_an_analytic_ball():
     half, height = 6.0, 50.0

@@ -91,6 +91,7 @@ def test_a_request_that_was_on_its_way_is_answered(app: FastAPI) -> None:
     assert told.lower().count(b"connection: close") == 1
 
 
+@pytest.mark.slow
 def test_nobody_is_reset_by_a_stop(app: FastAPI) -> None:
     """Each client opens a connection for each request, and finds the server gone in the end."""
     ends: list[type[Exception]] = []

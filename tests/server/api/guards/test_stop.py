@@ -32,6 +32,7 @@ def serving(small_scene: Path, tmp_path: Path) -> Iterator[tuple[subprocess.Pope
         process.kill()
 
 
+@pytest.mark.slow
 def test_nobody_is_reset_or_failed(serving: tuple[subprocess.Popen[str], str]) -> None:
     """Some clients keep their connection, others open one each time; one of them waits for light that takes long."""
     (process, url), ends = serving, Counter[str]()
