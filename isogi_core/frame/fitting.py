@@ -23,6 +23,10 @@ SPECKS = 0.003
 """Share of the surface's pixels that may be outside at each side: noise afar does not push the camera away."""
 
 
+SHALLOW = 0.05
+"""How far apart cameras look, as a sine, for their pictures to tell how deep the middle lies."""
+
+
 class Stand(NamedTuple):
     """A ``view`` in perspective, and the world's ``azimuth`` and ``elevation`` from which its camera is to look."""
 
@@ -126,16 +130,21 @@ def nearest_ahead(clouds: Sequence[Cloud], depth: float) -> tuple[np.ndarray, fl
 
 
 def nearest_around(clouds: Sequence[Cloud], depth: float) -> tuple[np.ndarray, float]:
-    """Where cameras that look from many sides aim, the middle of all ``clouds``, and the greatest distance that one
-    of them needs from there.
+    """Where cameras that look from several sides aim, and the greatest distance that one of them needs from there.
+
+    The aim is the point that all pictures together have nearest to their middles, by least squares; no deeper or nearer
+    than the middle of the ``clouds`` where the pictures leave that open.
     """
-    points = np.vstack([cloud.points for cloud in clouds])
-    aim = np.array([(most(points[:, axis]) - most(-points[:, axis])) / 2.0 for axis in range(3)])
+    middle = np.median(np.vstack([cloud.points for cloud in clouds]), axis=0)
+    rows = np.concatenate([cloud.axes[:2] for cloud in clouds])
+    seen = [(cloud.points - middle) @ cloud.axes.T * [1.0, 1.0, depth] for cloud in clouds]
+    wanted = np.concatenate([nearest(x, cloud.slopes)[0][:2] for x, cloud in zip(seen, clouds, strict=True)])
+    off = np.linalg.lstsq(rows, wanted, SHALLOW)[0]
     needed = []
-    for cloud in clouds:
-        x = (cloud.points - aim) @ cloud.axes.T
-        needed += [most(depth * x[:, 2] + np.abs(x[:, axis]) / slope) for axis, slope in enumerate(cloud.slopes)]
-    return aim, max(needed)
+    for x, cloud in zip(seen, clouds, strict=True):
+        x = x - cloud.axes @ off * [1.0, 1.0, depth]
+        needed += [most(x[:, 2] + np.abs(x[:, axis]) / slope) for axis, slope in enumerate(cloud.slopes)]
+    return middle + off, max(needed)
 
 
 def most(values: np.ndarray) -> float:
