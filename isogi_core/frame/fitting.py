@@ -141,9 +141,9 @@ def nearest_around(clouds: Sequence[Cloud], depth: float) -> tuple[np.ndarray, f
     wanted = np.concatenate([nearest(x, cloud.slopes)[0][:2] for x, cloud in zip(seen, clouds, strict=True)])
     off = np.linalg.lstsq(rows, wanted, SHALLOW)[0]
     needed = []
-    for x, cloud in zip(seen, clouds, strict=True):
-        x = x - cloud.axes @ off * [1.0, 1.0, depth]
-        needed += [most(x[:, 2] + np.abs(x[:, axis]) / slope) for axis, slope in enumerate(cloud.slopes)]
+    for points, cloud in zip(seen, clouds, strict=True):
+        x, y, z = (points - cloud.axes @ off * [1.0, 1.0, depth]).T
+        needed += [most(z + np.abs(aside) / slope) for aside, slope in zip((x, y), cloud.slopes, strict=True)]
     return middle + off, max(needed)
 
 
