@@ -1,5 +1,6 @@
 """Answers: the schemas filled for a scene, its plan, and the coverage of a frame."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -8,7 +9,7 @@ import numpy as np
 
 from isogi_core.files.scene_changes import write_material_text
 from isogi_core.frame.film import COLOURS, SCALE, lit
-from isogi_core.frame.fitting import fitted, front_of
+from isogi_core.frame.fitting import Stand, fitted_to_all
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.surface_point import point_at
@@ -18,7 +19,8 @@ from isogi_core.model.environment import Lobe
 from isogi_core.model.lights import ENVIRONMENTS, Light
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.shine import KINDS
-from isogi_core.model.view import SHADINGS, View
+from isogi_core.model.view import SHADINGS, Vec3, View
+from isogi_core.plan.first_view import front_of
 from isogi_core.plan.left_out import S1_BYTES
 from isogi_core.plan.materials import material_settings
 from isogi_core.plan.scene import Scene
@@ -168,16 +170,23 @@ def camera_schema(
 
     The ``view`` is in perspective; the camera is for a ``projection``, the scene's own by default.
     """
-    front, above = front_of(renderer.prepared.scene)
+    scene = renderer.prepared.scene
+    front, above = front_of(scene.volume, scene.room.any)
     azimuth, elevation = front if azimuth is None else azimuth, above if elevation is None else elevation
-    projection = projection or renderer.prepared.scene.camera_projection
-    found = fitted(renderer, view, azimuth, elevation, projection)
-    target, distance = found or (
-        renderer.prepared.scene.volume.world_centre,
-        FrameParams.model_fields["distance"].default,
-    )
+    target, distance = fit(renderer, [Stand(view, azimuth, elevation)], projection)
+    return CameraSchema(azimuth=azimuth, elevation=elevation, distance=distance, target=target)
+
+
+def fit(renderer: Renderer, stands: Sequence[Stand], projection: str | None) -> tuple[Vec3, float]:
+    """The target and the distance, rounded, at which cameras see their surfaces whole: see ``fitted_to_all``.
+
+    They see the whole volume where none is to be seen.
+    """
+    scene = renderer.prepared.scene
+    found = fitted_to_all(renderer, stands, projection or scene.camera_projection)
+    target, distance = found or (scene.volume.world_centre, FrameParams.model_fields["distance"].default)
     x, y, z = (float(f"{value:.6g}") for value in target)
-    return CameraSchema(azimuth=azimuth, elevation=elevation, distance=float(f"{distance:.4g}"), target=(x, y, z))
+    return (x, y, z), float(f"{distance:.4g}")
 
 
 def plan_schema(scene: Scene) -> PlanSchema:

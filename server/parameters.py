@@ -216,7 +216,7 @@ class FrameParams(ViewParams):
         None, description="Factor on radiance before the tone curve; default: the scene's."
     )
     background: Annotated[str, Ground()] = Field(
-        "dark", description="Behind the surface: dark, light, transparent (not in jpeg), or sRGB such as #ffffff."
+        "light", description="Behind the surface: light, dark, transparent (not in jpeg), or sRGB such as #ffffff."
     )
     antialias: Annotated[str | None, Choice(("on", "off"))] = Field(
         None,

@@ -1,8 +1,10 @@
-"""A camera as near as the shown surface fits, from three quarters where nobody says from where."""
+"""A camera as near as the shown surface fits."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,22 +12,9 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.model.glow import Glowing
 from isogi_core.model.orientation import triple
 from isogi_core.model.view import PROJECTIONS, Vec3, View, orbit
-from isogi_core.plan.scene import Scene
 
 SIDE = 96
 """Pixels along each side of the picture that finds the surface."""
-
-FRONT = (50.0, 25.0)
-"""Azimuth and elevation from which a volume is seen that is as wide as it is deep."""
-
-ASKEW = (20.0, 70.0)
-"""Azimuths between which others are seen: of the longer they are, the more from the side."""
-
-FACE = (65.0, 15.0)
-"""The same for a patient, whose face is at azimuth 90."""
-
-INSIDE = (90.0, 5.0)
-"""The same in a room, from its open side."""
 
 FILLED = 0.9
 """Share of the picture's height, or width, that the surface fills."""
@@ -34,31 +23,60 @@ SPECKS = 0.003
 """Share of the surface's pixels that may be outside at each side: noise afar does not push the camera away."""
 
 
-def front_of(scene: Scene) -> tuple[float, float]:
-    """The azimuth and the elevation from which a ``scene`` is seen at first: its volume's longer side lies across."""
-    volume = scene.volume
-    if scene.room.any:
-        return INSIDE
-    if volume.orientation.letters:
-        return FACE
-    (_, deep, wide), (x, y, _) = volume.shape, volume.spacing
-    azimuth = FRONT[0] - 45.0 + math.degrees(math.atan2(wide * x, deep * y))
-    return float(round(min(max(azimuth, ASKEW[0]), ASKEW[1]))), FRONT[1]
+SHALLOW = 0.05
+"""How far apart cameras look, as a sine, for their pictures to tell how deep the middle lies."""
+
+
+class Stand(NamedTuple):
+    """A ``view`` in perspective, and the world's ``azimuth`` and ``elevation`` from which its camera is to look."""
+
+    view: View
+    azimuth: float
+    elevation: float
+
+
+class Cloud(NamedTuple):
+    """What a picture is to show: ``points`` of the world (n, 3), along the ``axes`` (3, 3) of a camera, right, up and
+    back; ``slopes`` are how far it looks aside, across and up, for each unit of depth.
+    """
+
+    points: np.ndarray
+    axes: np.ndarray
+    slopes: tuple[float, float]
 
 
 def fitted(
     renderer: Renderer, view: View, azimuth: float, elevation: float, projection: str = PROJECTIONS[0]
 ) -> tuple[Vec3, float] | None:
-    """The world's target and the distance from it, in radii, at which a ``view`` shows its surface whole and large, and
-    balls and boxes beside it that glow.
+    """``fitted_to_all`` of one view."""
+    return fitted_to_all(renderer, [Stand(view, azimuth, elevation)], projection)
 
-    The view itself is in perspective; distance and target are for a camera with that ``projection``.
-    None where no surface is to be seen. Raises Cancelled.
+
+def fitted_to_all(
+    renderer: Renderer, stands: Sequence[Stand], projection: str = PROJECTIONS[0]
+) -> tuple[Vec3, float] | None:
+    """The world's target and the distance from it, in radii, at which views show their surfaces whole and large, and
+    balls and boxes beside these that glow. All views have the same, also where they look from many sides.
+
+    Distance and target are for a camera with that ``projection``. None where no surface is to be seen. Raises
+    Cancelled.
     """
-    volume, orientation = renderer.prepared.scene.volume, view.orientation
-    fov = view.camera.fov
+    clouds = [cloud for stand in stands if (cloud := cloud_of(renderer, stand)) is not None]
+    if not clouds:
+        return None
+    depth = 1.0 if projection == PROJECTIONS[0] else 0.0
+    alike = all(np.allclose(each.axes, clouds[0].axes) and each.slopes == clouds[0].slopes for each in clouds)
+    aim, away = nearest_ahead(clouds, depth) if alike else nearest_around(clouds, depth)
+    return triple(aim), away / renderer.prepared.scene.volume.radius
+
+
+def cloud_of(renderer: Renderer, stand: Stand) -> Cloud | None:
+    """What the picture of a ``stand`` is to show; None where that is nothing. Raises Cancelled."""
+    scene, view = renderer.prepared.scene, stand.view
+    volume, orientation, fov = scene.volume, view.orientation, view.camera.fov
     across = math.tan(math.radians(fov) / 2.0) * min(1.0, view.width / view.height)
-    afar = orbit(volume.world_centre, volume.radius, azimuth, elevation, math.hypot(1.0, 1.0 / across), fov)
+    away = math.hypot(1.0, 1.0 / across)
+    afar = orbit(volume.world_centre, volume.radius, stand.azimuth, stand.elevation, away, fov)
     high = max(SIDE, round(SIDE * view.height / view.width))
     wide = max(SIDE, round(SIDE * view.width / view.height))
     seen = renderer.gbuffer(replace(view, camera=afar.in_box(orientation), width=wide, height=high))
@@ -67,12 +85,10 @@ def fitted(
     right, up, forward = afar.basis()
     axes = np.stack([right, up, -forward])
     points = orientation.to_world(seen.points * np.array(seen.spacing))
-    rims = orientation.to_world(rims_of(renderer.prepared.scene.glowing, axes @ orientation.matrix))
+    rims = orientation.to_world(rims_of(scene.glowing, axes @ orientation.matrix))
     points = np.vstack([points, np.repeat(rims, math.ceil(2.0 * SPECKS * len(points)), axis=0)])
     slope = FILLED * math.tan(math.radians(fov) / 2.0)
-    nearest_of = nearest if projection == PROJECTIONS[0] else nearest_beside
-    aim, away = nearest_of(points @ axes.T, (slope * view.width / view.height, slope))
-    return triple(aim @ axes), away / volume.radius
+    return Cloud(points, axes, (slope * view.width / view.height, slope))
 
 
 def rims_of(glowing: Glowing, axes: np.ndarray) -> np.ndarray:
@@ -101,10 +117,34 @@ def nearest(points: np.ndarray, slopes: tuple[float, float]) -> tuple[np.ndarray
     return np.array([(above[0] - below[0]) / 2.0, (above[1] - below[1]) / 2.0, middle]), away - middle
 
 
-def nearest_beside(points: np.ndarray, slopes: tuple[float, float]) -> tuple[np.ndarray, float]:
-    """The same for a camera whose rays are parallel: depths do not matter."""
-    aim, away = nearest(points * [1.0, 1.0, 0.0], slopes)
-    return np.array([aim[0], aim[1], float(np.median(points[:, 2]))]), away
+def nearest_ahead(clouds: Sequence[Cloud], depth: float) -> tuple[np.ndarray, float]:
+    """Where cameras that all look the same way aim, and their distance from there: ``nearest``, in the world.
+
+    ``depth`` is 0 for a camera whose rays are parallel, to which depths do not matter.
+    """
+    axes, slopes = clouds[0].axes, clouds[0].slopes
+    points = np.vstack([cloud.points for cloud in clouds]) @ axes.T
+    aim, away = nearest(points * [1.0, 1.0, depth], slopes)
+    middle = float(np.median(points[:, 2]))
+    return np.array([aim[0], aim[1], middle]) @ axes, away
+
+
+def nearest_around(clouds: Sequence[Cloud], depth: float) -> tuple[np.ndarray, float]:
+    """Where cameras that look from several sides aim, and the greatest distance that one of them needs from there.
+
+    The aim is the point that all pictures together have nearest to their middles, by least squares; no deeper or nearer
+    than the middle of the ``clouds`` where the pictures leave that open.
+    """
+    middle = np.median(np.vstack([cloud.points for cloud in clouds]), axis=0)
+    rows = np.concatenate([cloud.axes[:2] for cloud in clouds])
+    seen = [(cloud.points - middle) @ cloud.axes.T * [1.0, 1.0, depth] for cloud in clouds]
+    wanted = np.concatenate([nearest(x, cloud.slopes)[0][:2] for x, cloud in zip(seen, clouds, strict=True)])
+    off = np.linalg.lstsq(rows, wanted, SHALLOW)[0]
+    needed = []
+    for points, cloud in zip(seen, clouds, strict=True):
+        x, y, z = (points - cloud.axes @ off * [1.0, 1.0, depth]).T
+        needed += [most(z + np.abs(aside) / slope) for aside, slope in zip((x, y), cloud.slopes, strict=True)]
+    return middle + off, max(needed)
 
 
 def most(values: np.ndarray) -> float:

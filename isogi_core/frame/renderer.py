@@ -134,7 +134,7 @@ class Renderer:
     def _draw_lit(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of what is lit in a view."""
         self.prepared.scene.albedo_for(view.albedo)
-        self.prepared.scene.refuse_camera(view.camera)
+        self.prepared.scene.room.refuse_camera(view.camera, self.prepared.scene.volume.radius)
         if self._composer is not None:
             return self._composer.draw(view, target, tiles, watch)
         with watch.stage("primary"):

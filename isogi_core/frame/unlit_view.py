@@ -25,7 +25,7 @@ def unlit_frame(renderer: Renderer, view: View, target: float, cancelled: thread
     staged = scene.several or scene.material.refracts
     if staged or view.moving or view.shading not in SPECS or renderer.knows(view):
         return None
-    scene.refuse_camera(view.camera)
+    scene.room.refuse_camera(view.camera, scene.volume.radius)
     tiles, loader = renderer.tiles.cancelled_by(cancelled), renderer.caches.of(view.shading)
     gbuffer = renderer.gbuffer(view, tiles)
     if scene.projection.projects(gbuffer.isovalue):

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.errors import SceneError, advice
+from isogi_core.errors import SceneError, ViewError, advice
 from isogi_core.files.scene_file import is_number
 from isogi_core.model.lights import LARGEST, AreaLight, Colour, Vector
 from isogi_core.model.orientation import triple
+from isogi_core.model.view import Camera
 from isogi_core.model.volume import Volume
 
 MOST_WALLS = 64
@@ -20,6 +21,10 @@ MOST_WALLS = 64
 
 SKEW = 1e-6
 """Cosine up to which two edges are at a right angle."""
+
+
+IN_WALL = 1e-6
+"""How near the camera may come to a wall, in radii of the volume."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +112,15 @@ class Room:
             if abs(away @ normal) <= near * np.linalg.norm(normal) and all(0.0 <= share <= 1.0 for share in shares):
                 return k
         return None
+
+    def refuse_camera(self, camera: Camera, radius: float) -> None:
+        """Raise ViewError where a ``camera`` stands in a wall about a volume of this ``radius``: it would see no more.
+
+        Both are in the volume's box.
+        """
+        wall = self.wall_at(camera.eye, IN_WALL * radius)
+        if wall is not None:
+            raise ViewError(f"The camera stands in wall {wall + 1}: move it to either side.")
 
 
 NO_ROOM = Room((), np.empty((0, 3)), np.empty((0, 2, 3)))

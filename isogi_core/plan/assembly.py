@@ -90,7 +90,7 @@ def build_scene(
     """
     settings = Settings(source)
     settings.text("volume", DEFAULT_DEMO)  # named by the scene, also where another way led to it
-    cut = settings.text("cut", "")
+    cut, whole = settings.text("cut", ""), None
     if volume is None:
         whole = right_side_out(settings, open_volume(settings, source.base, progress), source.base, progress)
         colours = colours or colours_by_data(settings, whole)
@@ -153,6 +153,8 @@ def build_scene(
         transmission=transmission,
     )
     settings.refuse_unknown()
+    if whole is not None and cut:  # what is cut away does not change how bright the rest is
+        vars(scene)["seen"] = scene.altered((), volume=whole).seen
     return scene
 
 

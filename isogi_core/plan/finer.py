@@ -16,7 +16,7 @@ DENSER = 2.0
 FURTHER = 2
 """Bands of harmonics that finer light has besides, of light that turns."""
 
-KEPT = ("projection", "presets")
+KEPT = ("projection", "presets", "seen")
 """What was surveyed of a volume, and holds for finer light too."""
 
 

@@ -150,11 +150,16 @@ def cells_between(
     (rows, nx - 1) each, of every ``step``th row of cells; no number beside a voxel that is none.
     """
     edges = edges_between(lower, upper, step)
+    square = sum(slope**2 for slope in slopes_between(edges, spacing))
+    return *extremes_between(edges), np.sqrt(square)
+
+
+def slopes_between(edges: tuple[np.ndarray, ...], spacing: tuple[float, float, float]) -> tuple[np.ndarray, ...]:
+    """The gradient in the middle of the cells between ``edges`` along x: its x, y and z, (rows, nx - 1) each."""
     a, b, c, d = (each.astype(np.float64) for each in edges)
     along, across, up = a + b + c + d, b - a + d - c, c - a + d - b
     slopes = (along[:, 1:] - along[:, :-1], across[:, 1:] + across[:, :-1], up[:, 1:] + up[:, :-1])
-    square = sum((slope / (4.0 * length)) ** 2 for slope, length in zip(slopes, spacing, strict=True))
-    return *extremes_between(edges), np.sqrt(square)
+    return tuple(slope / (4.0 * length) for slope, length in zip(slopes, spacing, strict=True))
 
 
 def spread_down(table: np.ndarray) -> np.ndarray:

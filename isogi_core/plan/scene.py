@@ -1,5 +1,6 @@
 """A scene: a volume, its lights, its material and its plan, and the digests that name its light."""
 
+import math
 from collections.abc import Collection
 from dataclasses import astuple, dataclass, replace
 from functools import cached_property
@@ -11,6 +12,7 @@ from isogi_core.errors import SceneError, ViewError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.kernels.shading.lattice import CHUNK
 from isogi_core.kernels.tracing.field import OFFSET, Field
+from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.colours import SurfaceColours
 from isogi_core.model.environment import Environment, Lamps
 from isogi_core.model.glow import NO_GLOW, STRONGEST, Glowing
@@ -19,11 +21,11 @@ from isogi_core.model.material import DIFFUSE, Material
 from isogi_core.model.room import NO_ROOM, Room
 from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer, LeftOut, ScenePlan
 from isogi_core.model.shine import Shine
-from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.surfaces import OPAQUE, PinnedSurface, leaving
 from isogi_core.model.value_survey import digest_of
 from isogi_core.model.view import Camera, orbit, orthographic
 from isogi_core.model.volume import Isovalue, Volume
+from isogi_core.plan.first_view import SeenNormals, exposure_for, find_seen, front_of
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import Preset, find_boundaries, suggested_presets
 from isogi_core.plan.left_out import unprojected, unseen, unshared, unshining, untold_sides
@@ -39,16 +41,13 @@ BAKE_FORMAT = 6
 NORMALS = ("bspline", "gradient")
 """Gradients that normals may be made of: smoothed with the tricubic B-spline, or plain (S1, figure 5)."""
 
-SURVEYED = ("texels", "projection", "presets", "stops", "levels")
+SURVEYED = ("texels", "projection", "presets", "stops", "levels", "seen")
 """Properties of a scene that take a pass over its volume, and that no plan changes."""
 
 ROOM, COLOURED, AMONG, INSIDE, GLOW_AMONG = "room", "coloured", "among", "inside", "glow among"
 """Stand for the kinds of layers that are baked among walls, on a surface with colours where its light may turn, among
 several surfaces, or inside of one.
 """
-
-IN_WALL = 1e-6
-"""How near the camera may come to a wall, in radii of the volume."""
 
 CHUNKS = (8, 16, 32)
 """Sides that a chunk may have, in texels. Small chunks spread over more workers; large ones are fewer objects."""
@@ -164,11 +163,17 @@ class Scene:
         return z, y, x
 
     @cached_property
+    def seen(self) -> SeenNormals:
+        """How the surface lies that is seen at first; found on first use."""
+        return find_seen(self.volume, self.start, front_of(self.volume, self.room.any))
+
+    @cached_property
     def default_exposure(self) -> float:
-        """The exposure at which a surface turned to the light shows its own albedo, also beside what glows."""
-        brightest = self.inputs.brightest
-        brightest += float(self.glow_around @ LUMINANCE) if self.glowing.any else 0.0
-        return 1.0 / brightest if brightest > 0.0 else 1.0
+        """The exposure of pictures that ask for none: see ``exposure_for``."""
+        light = self.inputs.harmonics + self.lamps.approximate(MAX_ORDER, self.volume.centre, self.volume.radius)
+        light[:, 0] += self.glow_around * math.sqrt(4.0 * math.pi)
+        turn = self.volume.orientation.matrix.T if self.rotating else np.eye(3)
+        return exposure_for(light, self.albedo, self.seen._replace(normals=self.seen.normals @ turn))
 
     @property
     def glow_around(self) -> np.ndarray:
@@ -298,12 +303,6 @@ class Scene:
             raise SceneError(
                 f"The surface of '{self.name}' is glass and keeps no light of its own: render views of it."
             )
-
-    def refuse_camera(self, camera: Camera) -> None:
-        """Raise ViewError where a ``camera``, in the volume's box, stands in a wall: all it would see is that."""
-        wall = self.room.wall_at(camera.eye, IN_WALL * self.volume.radius)
-        if wall is not None:
-            raise ViewError(f"The camera stands in wall {wall + 1}: move it to either side.")
 
     def layer_digest(self, layer: Layer, shown: Isovalue | None = None) -> str:
         """Digest (hex) of everything that a layer's light depends on, and of nothing else.

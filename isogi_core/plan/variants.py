@@ -26,12 +26,17 @@ from isogi_core.plan.scene import Scene
 from isogi_core.plan.volumes.cuts import cut_away, voxels_left
 
 
-def remade(scene: Scene, document: dict[str, Any], volume: Volume | None) -> Scene:
-    """The scene that another ``document`` makes of it, with its colours where a ``volume`` is open: see build_scene."""
+def remade(scene: Scene, document: dict[str, Any], volume: Volume | None, name: str | None = None) -> Scene:
+    """The scene that another ``document`` makes of it, with its colours where a ``volume`` is open: see build_scene.
+
+    It has another id where there is a ``name``. The same light is as bright in pictures of both.
+    """
     bare = {key: value for key, value in document.items() if volume is None or key not in FOLLOWED}
     known = (scene.colours, scene.glowing.bits) if volume else (None, None)
     made = build_scene(replace(scene.source, document=bare), no_progress, volume, *known)
-    return replace(made, source=replace(scene.source, document=document))
+    made = replace(made, source=replace(scene.source, document=document), id=name or made.id)
+    vars(made)["seen"] = scene.seen
+    return made
 
 
 def under(scene: Scene, environment: str, name: str) -> Scene:
@@ -40,7 +45,7 @@ def under(scene: Scene, environment: str, name: str) -> Scene:
     It replaces all of the scene's [[lights]]; walls stay, and their luminaires. The volume and what was surveyed of it
     are shared. Raises SceneError where the scene's own choices do not fit that light, and LightError.
     """
-    other = replace(remade(scene, {**scene.source.document, "environment": environment}, scene.volume), id=name)
+    other = remade(scene, {**scene.source.document, "environment": environment}, scene.volume, name)
     vars(other).update(scene.surveys)
     return other
 
@@ -56,7 +61,7 @@ def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) ->
     both = f"{own};{cut}" if own else cut
     voxels_left(scene.volume, both)  # each by itself may leave something
     left = volume or cut_away(scene.volume, cut)
-    return replace(remade(scene, {**scene.source.document, "cut": both}, left), id=name)
+    return remade(scene, {**scene.source.document, "cut": both}, left, name)
 
 
 def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) -> Scene:
@@ -71,8 +76,9 @@ def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) ->
     place, chosen = split_part(str(scene.source.document["volume"]))
     rest = "&".join(value if key == "part" else f"{key}={value}" for key, value in chosen.items() if key != "time")
     document = {**scene.source.document, "volume": f"{place}#{rest}" if rest else place, "time": time}
-    other = remade(scene, document, volume)
-    return replace(other, id=name, isovalue=min(max(scene.isovalue, other.isovalues[0]), other.isovalues[1]))
+    other = remade(scene, document, volume, name)
+    low, high = other.isovalues
+    return other.altered(("seen",), isovalue=min(max(scene.isovalue, low), high))
 
 
 def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:
@@ -81,7 +87,7 @@ def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:
     The volume and what was surveyed of it are shared. Raises as ``build_scene`` does.
     """
     document = put_clears(scene.source.document, [each.table for each in scene.pinned], clears)
-    made = replace(remade(scene, document | {"rotating": scene.rotating}, scene.volume), id=name)
+    made = remade(scene, document | {"rotating": scene.rotating}, scene.volume, name)
     vars(made).update(scene.surveys)
     return made
 
@@ -93,8 +99,8 @@ def with_hidden(scene: Scene, hidden: Hidden, name: str, like: Scene | None = No
     """
     document = put_hidden(scene.source.document, hidden)
     if like is None:
-        return replace(remade(scene, document, None), id=name)
-    return replace(remade(replace(scene, colours=like.colours), document, like.volume), id=name)
+        return remade(scene, document, None, name)
+    return remade(scene.altered(("seen",), colours=like.colours), document, like.volume, name)
 
 
 def with_material(scene: Scene, settings: MaterialSettings, name: str) -> Scene:
@@ -103,7 +109,7 @@ def with_material(scene: Scene, settings: MaterialSettings, name: str) -> Scene:
     What only reflects is left behind: albedos of glass, and a range of them of a subsurface. The volume and what was
     surveyed of it are shared. Raises as ``build_scene`` does.
     """
-    made = replace(remade(scene, put_material(scene.source.document, settings), scene.volume), id=name)
+    made = remade(scene, put_material(scene.source.document, settings), scene.volume, name)
     vars(made).update(scene.surveys)
     return made
 

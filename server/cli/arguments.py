@@ -63,7 +63,7 @@ VIEW_OPTIONS = {
     "shading": "gi (light from all around), vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
     "exposure": "How much brighter: a factor on the light; default: the scene's.",
     "antialias": "Smooth edges, on or off; default: on, off in npy.",
-    "background": "Behind the surface: dark, light, transparent (png, webp), or a colour such as #ffffff.",
+    "background": "Behind the surface: light (default), dark, transparent (png, webp), or a colour such as #ffffff.",
     "samples": "Paths per pixel, for path_traced.",
     "overlay": "Over the picture: none, provisional (hatches what is not done) or error (colours each pixel by it).",
 }

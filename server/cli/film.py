@@ -11,8 +11,10 @@ from typing import Any
 from urllib.parse import quote
 
 from isogi_core.errors import ViewError
+from isogi_core.plan.first_view import front_of
 from isogi_core.plan.scene import Scene
 from server.cli.film_path import film_path, view_in, views_in
+from server.cli.first_camera import is_placed
 from server.cli.movie import FRAMES, check_movie, write_movie
 from server.cli.reel import Budget, Reel, said
 from server.errors import ParameterError
@@ -114,6 +116,8 @@ def shots_of(
     if not 1 <= count <= MOST_FRAMES:
         raise ParameterError(f"length × fps must be 1 to {MOST_FRAMES:,} frames, not {count:,}.", "length")
     own = {"isovalue": repr(scene.isovalue), "exposure": repr(scene.default_exposure)}
+    if not any(is_placed(view) for view in (knobs, *views)):
+        own["azimuth"], own["elevation"] = map(repr, front_of(scene.volume, scene.room.any))
     if scene.colours is None:
         own["albedo"] = ",".join(map(repr, scene.albedo))
     if scene.shine is not None:

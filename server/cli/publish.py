@@ -2,15 +2,22 @@
 
 import itertools
 import json
+import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from isogi_core.errors import ViewError
+from isogi_core.frame.film import coded, ground_of
+from isogi_core.plan.first_view import front_of
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
+from server.answers import defaults
+from server.cli.film_path import TURNS
 from server.cli.reel import Budget, Reel, said
 from server.errors import ParameterError
 from server.parameters import FrameParams, read
@@ -107,10 +114,31 @@ def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel, size: 
         "name": scene.name,
         **size,
         "quality": quality,
-        "sliders": [{"name": name, "values": values} for name, values in sliders.items()],
+        "ground": ground_colour(next(iter(reel.shots.values())).background),
+        "sliders": [
+            {"name": name, "values": values, "start": first_place(scene, name, values)}
+            for name, values in sliders.items()
+        ],
         "errors": [float(f"{reel.facts[name]['error']:.3g}") for name in reel.shots],
     }
     return PAGE.read_text(encoding="utf-8").replace("{DATA}", json.dumps(document).replace("<", "\\u003c"))
+
+
+def first_place(scene: Scene, name: str, values: Sequence[float]) -> int:
+    """The place of a slider where the page begins: the nearest to what the scene is seen with at first."""
+    front = dict(zip(("azimuth", "elevation"), front_of(scene.volume, scene.room.any), strict=True))
+    usual = {**defaults(scene), **front}.get(name)
+    if not isinstance(usual, float):
+        return 0
+    away, turn = np.abs(np.array(values) - usual), 360.0 if name in TURNS else math.inf
+    return int(np.argmin(np.minimum(away, turn - away % turn)))
+
+
+def ground_colour(background: str) -> str:
+    """What is behind the surfaces of pictures as CSS has it: ``#rrggbb``, empty where that is the page itself."""
+    if background == "transparent":
+        return ""
+    return f"#{coded(np.array(ground_of(background))).tobytes().hex()}"
 
 
 def published(facts: Mapping[str, Any]) -> str:

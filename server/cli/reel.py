@@ -15,6 +15,7 @@ import numpy as np
 from isogi_core.errors import ViewError
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
+from server.cli.first_camera import is_placed, seen_whole
 from server.cli.render import awaited
 from server.parameters import FrameParams
 from server.pictures import SUFFIXES, encode
@@ -35,8 +36,10 @@ class Reel:
     def __init__(self, folder: Path, scene: Scene, shots: Mapping[str, FrameParams]) -> None:
         """Look at what is there of ``shots``, by the names of their files. Raises ViewError where it is another's."""
         self.shots, self._folder, self._scene, self._list = shots, folder, scene, folder / "pictures.json"
-        asked = [[name, shot.model_dump(mode="json", exclude_unset=True)] for name, shot in shots.items()]
-        self._digest = blake2b(json.dumps([scene.digest, asked]).encode(), digest_size=12).hexdigest()
+        self._placed = any(is_placed(shot.model_fields_set) for shot in shots.values())
+        asked = [[name, shot.model_dump(mode="json")] for name, shot in shots.items()]
+        whole = [scene.digest, scene.default_exposure, self._placed, asked]
+        self._digest = blake2b(json.dumps(whole).encode(), digest_size=12).hexdigest()
         self.facts: dict[str, dict[str, Any]] = {}
         self._written = -math.inf
         if self._list.exists():
@@ -90,9 +93,12 @@ class Reel:
                     self._write_list()
 
     def _shoot(self, engine: RenderEngine, budget: "Budget", settings: Settings, bar: Progress) -> None:
-        missing, scene = self.missing, self._scene
+        missing, scene, shots = self.missing, self._scene, self.shots
+        if not self._placed:
+            whole = seen_whole(engine.renderer(scene.id), list(shots.values()), settings)
+            shots = dict(zip(shots, whole, strict=True))
         for done, name in enumerate(missing):
-            shot, seconds = self.shots[name], budget.share(len(missing) - done)
+            shot, seconds = shots[name], budget.share(len(missing) - done)
             frame = awaited(engine, scene.id, view_of(scene, shot, settings), shot.max_error, seconds)
             exposure = scene.default_exposure if shot.exposure is None else shot.exposure
             picture = encode(frame, SUFFIXES[self.path(name).suffix], exposure, shot)

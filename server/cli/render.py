@@ -12,12 +12,13 @@ from tqdm import tqdm
 
 from isogi_core.errors import ViewError
 from isogi_core.frame.frame import Frame
-from isogi_core.model.view import PROJECTIONS, View
+from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.report.reference import Goal, Reference, grow, load_reference, save_reference, with_bounces
 from isogi_core.storage.atomic_file import write_whole
-from server.answers import camera_schema, coverage_schema
+from server.answers import coverage_schema
 from server.cli.bench import make_renderer
+from server.cli.first_camera import is_placed, seen_whole
 from server.parameters import FrameParams, ViewParams, read
 from server.pictures import SUFFIXES, encode, format_for, smoothed
 from server.progress import Progress, compiling, open_scene
@@ -29,9 +30,6 @@ from server.settings import Settings
 from server.views import view_of
 from worker.errors import WorkersError
 from worker.progress import TimeLeft
-
-PLACED = {"distance", "eye", "target", "up"}
-"""Options that say where the camera is: with none of them, all of the surface is seen."""
 
 STEP = 2.0
 """Seconds between two frames, while light is baked."""
@@ -60,7 +58,9 @@ def render(
     with closing(RenderEngine([scene], *place, memory, projected=settings.projected_mb << 20)) as engine:
         with compiling(lambda: engine.kernels.progress):
             engine.start()
-        view = view_of(scene, params if PLACED & set(knobs) else seen_whole(engine, scene, params, settings), settings)
+        if not is_placed(knobs):
+            [params] = seen_whole(engine.renderer(scene.id), [params], settings)
+        view = view_of(scene, params, settings)
         frame = refine(engine, scene.id, view, params.max_error, seconds)
         left, paths = engine.time_left(scene.id, frame, params.max_error), engine.paths
     exposure = scene.default_exposure if params.exposure is None else params.exposure
@@ -75,15 +75,6 @@ def render(
         "stopped": stopped_by(frame),
         "seconds": time.monotonic() - started,
     }
-
-
-def seen_whole(engine: RenderEngine, scene: Scene, params: FrameParams, settings: Settings) -> FrameParams:
-    """The same picture from a camera that shows all of its surface; from the direction that is given, if any is."""
-    view = view_of(scene, params.model_copy(update={"projection": PROJECTIONS[0]}), settings)
-    named = params.model_dump(include=params.model_fields_set & {"azimuth", "elevation"})
-    angles = named.get("azimuth"), named.get("elevation")
-    camera = camera_schema(engine.renderer(scene.id), view, *angles, params.projection)
-    return params.model_copy(update=camera.model_dump())
 
 
 def stopped_by(frame: Frame) -> str:

@@ -264,7 +264,8 @@ def loaded(
 ) -> LoadedScene:
     """The scene of some ``caches``: its layers open, and worked out what its first frame needs. Raises StoreError."""
     prepared, scene = caches.prepared, caches.prepared.scene
-    prepared.field, prepared.maps, scene.projection, caches.chunk_store("gi")  # worked out now, not in the first frame
+    # worked out now, not in the first frame
+    prepared.field, prepared.maps, scene.projection, scene.default_exposure, caches.chunk_store("gi")
     planned = scene.with_plan(complete(caches.spec("gi").plan, scene.inputs, scene.overrides))
     prefetch = Prefetch(partial(prepare, prepared.maps, tiles), prepared.maps.levels, scene.span)
     renderer = Renderer(caches, tiles, memory.views, stand_in=stand_in)

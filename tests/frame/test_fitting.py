@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isogi_core.frame.fitting import ASKEW, FILLED, FRONT, fitted, front_of, nearest
-from isogi_core.model.view import orbit
+from isogi_core.frame.fitting import FILLED, Stand, fitted, fitted_to_all, nearest
+from isogi_core.model.view import PROJECTIONS, Vec3, View, orbit
 from isogi_core.model.volume import make_volume
+from isogi_core.plan.first_view import ASKEW, FRONT, front_of
 from tests.frame.conftest import Workbench
 from tests.loaded import load_scene
 
@@ -60,7 +61,32 @@ def test_what_glows_beside_the_surface_is_seen_whole(tmp_path: Path) -> None:
 
 
 def test_the_longer_side_lies_across_the_first_picture() -> None:
-    cube, long, wide = (
-        front_of(replace(SCENE, volume=make_volume(np.zeros(shape)))) for shape in ((4, 8, 8), (4, 16, 8), (4, 8, 80))
-    )
+    cube, long, wide = (front_of(make_volume(np.zeros(shape)), False) for shape in ((4, 8, 8), (4, 16, 8), (4, 8, 80)))
     assert cube == FRONT and long[0] < cube[0] and wide == (ASKEW[1], FRONT[1])
+
+
+def edges_of(bench: Workbench, view: View, stand: Stand, found: tuple[Vec3, float], projection: str) -> np.ndarray:
+    """How far the surface reaches in the picture of a camera at a ``stand``, 1 at its edges: left, right, down, up."""
+    camera = orbit(found[0], bench.scene.volume.radius, stand.azimuth, stand.elevation, found[1], view.camera.fov)
+    seen = bench.renderer.gbuffer(replace(view, camera=bench.scene.in_box(camera, projection)))
+    rows, columns = np.nonzero(seen.rows >= 0)
+    x, y = 2.0 * columns / (view.width - 1) - 1.0, 1.0 - 2.0 * rows / (view.height - 1)
+    return np.array([-x.min(), x.max(), -y.min(), y.max()])
+
+
+@pytest.mark.parametrize("projection", PROJECTIONS)
+def test_from_many_sides_all_is_seen_from_one_distance(projection: str, tmp_path: Path) -> None:
+    """Of two isovalues, from all around and from above: nowhere cut off, and as large as the margin allows."""
+    bench = Workbench(SCENE, tmp_path)
+    views = [replace(bench.view(size=120), isovalue=isovalue) for isovalue in (0.01, 0.03)]
+    stands = [
+        Stand(view, azimuth, elevation) for view in views for azimuth, elevation in ((0, 0), (120, 30), (250, 70))
+    ]
+    found = fitted_to_all(bench.renderer, stands, projection)
+    assert found is not None
+    reach = np.array([edges_of(bench, stand.view, stand, found, projection) for stand in stands])
+    assert reach.max() == pytest.approx(FILLED, abs=0.04)
+    alone = fitted(bench.renderer, views[0], 30.0, 20.0, projection)
+    same = fitted_to_all(bench.renderer, [Stand(views[0], 30.0, 20.0)] * 3, projection)
+    assert alone is not None and same is not None
+    assert [*same[0], same[1]] == pytest.approx([*alone[0], alone[1]], rel=0.01)

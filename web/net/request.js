@@ -118,7 +118,7 @@ export function fileName(scene, values) {
  */
 export function changedParameters(scene, query) {
   /** @type {Record<string, string|number>} */
-  const defaults = { ...scene.defaults, overlay: "none", background: "dark", f: "png" };
+  const defaults = { ...scene.defaults, overlay: "none", background: "light", f: "png" };
   /** @type {(parameter: [string, string|number]) => boolean} */
   const changed = ([name, value]) => name === "isovalue" || String(value) !== String(defaults[name]);
   return Object.fromEntries(Object.entries(query).filter(changed));

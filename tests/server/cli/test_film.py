@@ -12,6 +12,7 @@ from server.cli.command import run
 from server.cli.film_path import film_path, view_in, views_in
 from server.cli.reel import Budget
 from server.errors import ParameterError
+from tests.loaded import load_scene
 from tests.server.inline import InlinePool
 from worker import pool
 
@@ -142,6 +143,42 @@ def test_a_film_goes_on_and_becomes_a_movie(
     with Image.open(tmp_path / "turn.gif") as movie:
         assert (movie.size, movie.n_frames, movie.info["duration"]) == ((24, 20), 4, 250)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["store", "turn.gif"]
+
+
+def test_a_film_and_a_grid_show_what_render_shows(small_scene: Path, tmp_path: Path) -> None:
+    """The same camera, ground and exposure, to the byte, where one view of each is the same."""
+    level = float(load_scene(small_scene).isovalue)
+    options = ["--store", str(tmp_path / "store"), "--elevation", "40", *SIZE]
+    for name in ("a.png", "a.webp"):
+        assert run(["render", str(small_scene), "-o", str(tmp_path / name), *options]) == 0
+    sweep = ["--isovalue", f"{level}:{level}", "--length", "1", "--fps", "1"]
+    assert run(["film", str(small_scene), "-o", str(tmp_path / "film"), *sweep, *options]) == 0
+    grid = ["--isovalue", f"{level}:{level}:1"]
+    assert run(["publish", str(small_scene), "-o", str(tmp_path / "grid"), *grid, *options]) == 0
+    assert (tmp_path / "film" / "frame-00001.png").read_bytes() == (tmp_path / "a.png").read_bytes()
+    assert (tmp_path / "grid" / "pictures" / "0.webp").read_bytes() == (tmp_path / "a.webp").read_bytes()
+
+
+def covered(picture: Path) -> np.ndarray:
+    """The rows and the columns of a picture without its ground that show something: the first and the last, (2, 2)."""
+    with Image.open(picture) as opened:
+        cover = np.asarray(opened)[..., 3] > 0
+    places = (np.flatnonzero(cover.any(axis=axis)) for axis in (1, 0))
+    return np.array([[place[0], place[-1]] for place in places])
+
+
+def test_a_film_sees_all_of_what_it_goes_round(small_scene: Path, tmp_path: Path) -> None:
+    """Unless the camera is placed: then it is as far away as it was told."""
+    options = ["--store", str(tmp_path / "store"), "--length", "1", "--fps", "4", "--background", "transparent"]
+    options += ["--time", "1", "--width", "60", "--height", "60"]
+    for name, more in (("whole", []), ("near", ["--distance", "2"]), ("far", ["--distance", "9"])):
+        assert run(["film", str(small_scene), "-o", str(tmp_path / name), *options, *more]) == 0
+    reach = {}
+    for name in ("whole", "near", "far"):
+        ends = np.array([covered(path) for path in sorted((tmp_path / name).glob("*.png"))])
+        reach[name] = (np.abs(ends - 29.5).max() + 0.5) / 30.0
+    assert reach["whole"] == pytest.approx(0.9, abs=0.06)
+    assert reach["near"] == 1.0 and reach["far"] < 0.6
 
 
 def test_other_films_and_odd_names_are_refused(

@@ -7,9 +7,11 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from isogi_core.plan.first_view import front_of
 from server.cli.command import run
-from server.cli.publish import sliders_of, values_in
+from server.cli.publish import first_place, ground_colour, sliders_of, values_in
 from server.errors import ParameterError
+from tests.loaded import load_scene
 from tests.server.inline import InlinePool
 from worker import pool
 
@@ -39,6 +41,24 @@ def test_a_grid_is_published_and_gone_on_with(
     assert {path.name for path in (folder / "pictures").iterdir()} == names - {"2-1.webp"}
     with Image.open(folder / "pictures" / "0-0.webp") as picture:
         assert picture.size == (24, 20)
+
+
+def test_the_page_begins_at_the_first_view() -> None:
+    scene = load_scene("demo:orbital")
+    azimuths = [15.0 * n for n in range(24)]
+    azimuth, elevation = front_of(scene.volume, False)
+    assert abs(azimuths[first_place(scene, "azimuth", azimuths)] - azimuth) <= 7.5
+    assert first_place(scene, "elevation", [0.0, elevation + 1.0, 60.0]) == 1
+    assert first_place(scene, "isovalue", [0.0, scene.isovalue, 1.0]) == 1
+    assert first_place(scene, "yaw", [90.0, 350.0, 200.0]) == 1, "ten degrees from 0"
+    assert first_place(scene, "roughness", [0.1, 0.2]) == 0, "there is none"
+
+
+@pytest.mark.parametrize(
+    ("background", "colour"), [("light", "#e2e4e6"), ("#102030", "#102030"), ("dark", "#1a1d22"), ("transparent", "")]
+)
+def test_the_pages_ground_is_the_pictures(background: str, colour: str) -> None:
+    assert ground_colour(background) == colour
 
 
 def test_sliders_are_what_is_given_as_ranges() -> None:

@@ -111,8 +111,10 @@ test("a file is named by its scene and isovalue", () => {
 });
 
 test("a line holds what differs from the defaults", () => {
-  const query = frameQuery(SCENE, knobs({ azimuth: -70.5, overlay: "error" }), { width: 512, height: 400 });
-  assert.deepEqual(changedParameters(SCENE, query), { isovalue: 70, azimuth: -70.5, height: 400, overlay: "error" });
+  const query = frameQuery(SCENE, knobs({ azimuth: -70.5, overlay: "error", background: "light" }), { width: 512, height: 400 });
+  const changed = { isovalue: 70, azimuth: -70.5, height: 400, overlay: "error" };
+  assert.deepEqual(changedParameters(SCENE, query), changed);
+  assert.deepEqual(changedParameters(SCENE, { ...query, background: "dark" }), { ...changed, background: "dark" });
 });
 
 test("a shell line names the token's variable where one is wanted", () => {
