@@ -3,6 +3,7 @@
 from benchmarks.common.suite import suite
 from benchmarks.service.drag import drag
 from benchmarks.service.first_look import first_look
+from benchmarks.service.first_start import first_start
 from benchmarks.service.fuzz import fuzz
 from benchmarks.service.load import load
 from benchmarks.service.malformed import malformed
@@ -13,7 +14,7 @@ from benchmarks.service.widget import widget
 
 main = suite(
     "One server, as its clients see it.",
-    *(drag, load, malformed, memory, fuzz, warm_view, page, widget, first_look),
+    *(drag, load, malformed, memory, fuzz, warm_view, page, widget, first_look, first_start),
 )
 
 if __name__ == "__main__":

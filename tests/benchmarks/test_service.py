@@ -3,6 +3,7 @@
 import pytest
 
 from benchmarks.service.drag import drag
+from benchmarks.service.first_start import first_start
 from benchmarks.service.fuzz import fuzz
 from benchmarks.service.load import load
 from benchmarks.service.malformed import malformed
@@ -56,3 +57,11 @@ def test_malformed() -> None:
     found = figures(malformed, "--files", "6")
     assert found["files"] == 6 and found["server alive"] is True
     assert found["other answers"] == "" and found["left after a kill"] == 0
+
+
+@pytest.mark.campaign
+def test_first_start() -> None:
+    found = figures(first_start, "demo:orbital", "--size", "64")
+    moments = [found[f"{what} after, s"] for what in ("ready", "first picture", "lit")]
+    assert 0.0 < moments[0] <= moments[1] <= moments[2]
+    assert found["kernels"] > 20
