@@ -9,12 +9,13 @@ import errno, os, signal, sys, time
 from server.cli.command import run
 from server.render.engine import RenderEngine
 
-def start(engine):
+def start(engine, *_):
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(1.0)
     raise OSError(errno.EBADF, os.strerror(errno.EBADF))
 
-RenderEngine.start, RenderEngine.hire = start, lambda engine: None
+RenderEngine.open = RenderEngine.start = start
+RenderEngine.hire = lambda engine: None
 sys.exit(run(["serve", sys.argv[1], "--port", "0", "--store", sys.argv[2]]))
 """
 
@@ -37,7 +38,8 @@ for name in PRELOADED:
 
 def ended(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     """A Python process that came to its end."""
-    return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
 def test_a_server_that_is_stopped_early_says_one_line(small_scene: Path, tmp_path: Path) -> None:
