@@ -35,13 +35,15 @@ NORMALS = 4096
 """Normals that stand for a surface, at most."""
 
 BRIGHT = 0.98
-"""Share of the surface that is less bright than what shows its albedo as it is."""
+"""Share of the seen surface that shows its albedo or less."""
 
 WHITEST = 0.75
-"""Most that the surface shows there: lighter ones are darkened to it, so that light between them has room."""
+"""Highest albedo that is shown as it is: lighter surfaces are darkened to it, so that their highlights keep shape."""
 
 FALL = 0.5
-"""How much darker than the brightest side of a ball the front may be taken for: a turn does not end in white."""
+"""Least brightness that the front counts as having, of that on the brightest side of a ball: no turn of the camera ends
+in white.
+"""
 
 BALL = pixel_directions(16, 32).reshape(-1, 3)
 """Directions all around, (n, 3)."""
@@ -71,7 +73,7 @@ def front_of(volume: Volume, inside: bool) -> tuple[float, float]:
 def find_seen(volume: Volume, level: Isovalue, front: tuple[float, float]) -> SeenNormals:
     """The normals of an isosurface that look to the ``front``, weighted by the area that is seen of them from there.
 
-    Nothing hides anything. A ball stands for a surface that is not there.
+    Parts that others hide count, too. A ball stands for a surface that is not there.
     """
     towards = np.array(volume.orientation.direction_to_box(orbit((0.0, 0.0, 0.0), 1.0, *front, 1.0, 1.0).eye))
     found = surface_normals(volume, level)
@@ -97,9 +99,9 @@ def surface_normals(volume: Volume, level: Isovalue) -> np.ndarray:
 
 
 def exposure_for(light: np.ndarray, albedo: Colour, seen: SeenNormals) -> float:
-    """The exposure at which BRIGHT of what is ``seen`` shows no more than its albedo, or WHITEST where that is lighter.
+    """The exposure at which BRIGHT of what is ``seen`` shows its ``albedo`` or less, and at most WHITEST; three digits.
 
-    ``light`` are harmonics of all that shines on it, linear RGB (3, n²), about the box. 1 where that is nothing.
+    ``light`` is all that shines on it, as harmonics, linear RGB (3, n²). The exposure is 1 where that is nothing.
     """
     tint = np.array(albedo) / max(albedo) if any(albedo) else np.ones(3)
     front = percentile(brightness(light, tint, seen.normals), seen.weights, BRIGHT)
@@ -108,8 +110,8 @@ def exposure_for(light: np.ndarray, albedo: Colour, seen: SeenNormals) -> float:
 
 
 def brightness(light: np.ndarray, tint: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """E/π on surfaces with these ``normals`` (n, 3) that nothing shades, in the channel that has most of the ``tint``
-    (3,); (n,).
+    """The brightest channel of a surface of colour ``tint`` (3,) under a ``light``, without shadows: tint · E/π at each
+    of the ``normals`` (n, 3); (n,).
     """
     order = math.isqrt(light.shape[1])
     x, y, z = normals.T
@@ -119,7 +121,7 @@ def brightness(light: np.ndarray, tint: np.ndarray, normals: np.ndarray) -> np.n
 
 
 def percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """What a ``share`` of the ``weights`` (n,) of ``values`` (n,) is not above."""
+    """The least of ``values`` (n,) that a ``share`` of their ``weights`` (n,) does not exceed."""
     order = np.argsort(values, kind="stable")
     below = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(below, share * below[-1])])

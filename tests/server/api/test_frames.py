@@ -256,7 +256,7 @@ def test_a_background_is_in_the_picture_and_its_tag(client: httpx.Client) -> Non
 
 
 def test_pictures_are_smooth_and_npy_tells_coverage_if_asked(client: httpx.Client) -> None:
-    view = {"f": "png", "shading": "lambert", "overlay": "none"}
+    view = {"f": "png", "shading": "lambert", "overlay": "none", "background": "dark"}
     answers = [frame(client, **view, **asked) for asked in ({"antialias": "off"}, {"antialias": "on"}, {})]
     plain, smooth, usual = (np.array(Image.open(io.BytesIO(answer.content)), float) for answer in answers)
     assert np.array_equal(smooth, usual) and answers[1].headers["etag"] == answers[2].headers["etag"]
