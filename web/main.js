@@ -3,15 +3,16 @@
 import { find } from "./dom.js";
 import { complaints, followAddress, readAddress } from "./net/address.js";
 import { listScenes, openStream, readFrame, readLight, readPoint, readReadiness, readScene, readSurfacePoint, sliceAddress } from "./net/api.js";
+import { CompilingLine } from "./net/compiling.js";
 import { Exporter } from "./net/export.js";
 import { FrameLoop } from "./net/loop.js";
 import { describe, fileName, frameQuery, ground, pointQuery } from "./net/request.js";
 import { Saver } from "./net/save.js";
 import { attachShare } from "./net/share.js";
+import { Shown } from "./net/shown.js";
 import { Trouble } from "./net/trouble.js";
 import { attachUpload } from "./net/upload.js";
 import { Comparison } from "./panels/comparison.js";
-import { CompilingLine } from "./panels/compiling.js";
 import { attachCuts, attachLabels, attachMaterial, attachSurfaces } from "./panels/cuts.js";
 import { attachEnvironments } from "./panels/environment.js";
 import { ErrorPanel } from "./panels/error.js";
@@ -45,7 +46,6 @@ import { Picture } from "./view/picture.js";
 
 const RETRY_MS = 1500;
 const COMPILING_MS = 300; // between two looks at whether a first picture can be drawn
-const LATE_MS = 600; // after which a person is told that a picture is still to come
 const REFUSED = 422;
 
 /**
@@ -94,11 +94,12 @@ function assemble(scene, knobs, trouble) {
   const picture = new Picture($("stage"), $("picture", HTMLImageElement), $("draft", HTMLCanvasElement));
   const { say } = new Notice($("notice"));
   const { card, reading } = attachReading(scene, view, picture, say);
-  const loop = startLoop(scene, view, picture, trouble, card);
-  const keys = { f: toggleFull, p: () => reading.middle(), m: () => reading.measure(), r: () => toggleRulers(view), c: () => $("cuts").toggleAttribute("open") };
+  const shown = new Shown(view.values, (values) => keyOf(scene, values, picture));
+  const loop = startLoop(scene, view, picture, { trouble, card, shown });
+  const keys = { f: toggleFull, p: () => reading.middle(), m: () => reading.measure(), r: () => toggleRulers(view), c: () => unfold($("cuts", HTMLDetailsElement)) };
   const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), keys };
   const form = $("controls");
-  attachKnobs(form, scene, view);
+  attachKnobs(form, scene, view, shown);
   attachHistogram(form, scene, view, say);
   attachPresets($("presets"), scene, view);
   attachLabels($("colour-scale"), scene, view);
@@ -108,11 +109,12 @@ function assemble(scene, knobs, trouble) {
   attachCutting(scene, view, card, options.onRest);
   attachMeasures($("measures"), scene, view);
   const showLight = attachLight($("light"), scene, view, options.onRest);
-  attachEnvironments($("light"), scene, view, () => { showLight(); showScene(form, scene); }, say);
+  const follow = () => followView(view, picture, shown, loop);
+  attachEnvironments($("light"), scene, view, () => { showLight(); showScene(form, scene); follow(); }, say);
   attachGestures($("stage"), scene, view, options);
   attachKeys(scene, view, options);
-  attachSides($("sides"), scene, view);
-  attachRulers($("rulers", SVGElement), scene, view);
+  attachSides($("sides"), scene, shown);
+  attachRulers($("rulers", SVGElement), scene, view, shown);
   showScene(form, scene);
   form.addEventListener("submit", (event) => event.preventDefault());
   $("reset").addEventListener("click", () => view.reset());
@@ -135,14 +137,11 @@ function assemble(scene, knobs, trouble) {
   document.title = `${scene.name} · isogi`;
   form.inert = false;
   for (const id of ["share-button", "save-button", "reset"]) $(id, HTMLButtonElement).disabled = false;
-  view.watch(({ compare, measures, rulers, ...shown }) => shown, () => startAnew(picture, loop));
-  const paintGround = () => { $("stage").dataset.ground = ground(view.values); };
-  view.subscribe(paintGround);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-    paintGround();
-    loop.settle();
-  });
-  paintGround();
+  view.subscribe(follow);
+  picture.onResize(follow);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", follow);
+  addEventListener("beforeunload", () => shown.leave());
+  addEventListener("pageshow", follow); // also a page that was left, and is come back to
   $("full-screen").hidden = !document.fullscreenEnabled;
   $("full-screen").addEventListener("click", toggleFull);
   say(complaints(location.search, scene).join(" "));
@@ -214,6 +213,12 @@ function toggleRulers(view) {
   view.set({ rulers: view.values.rulers === "on" ? "off" : "on" });
 }
 
+/** Open a folded part where it can be seen, or fold it. @param {HTMLDetailsElement} part */
+function unfold(part) {
+  part.open = !part.open;
+  if (part.open) part.scrollIntoView({ block: "nearest" });
+}
+
 /** Show the picture alone on the whole screen, or the page again. */
 function toggleFull() {
   if (document.fullscreenElement) document.exitFullscreen();
@@ -224,35 +229,37 @@ function toggleFull() {
  * @param {Scene} scene
  * @param {ViewModel} view
  * @param {Picture} picture
- * @param {TroublePanel} trouble
- * @param {PointCard} card
+ * @param {{trouble: TroublePanel, card: PointCard, shown: Shown}} parts
  */
-function startLoop(scene, view, picture, trouble, card) {
+function startLoop(scene, view, picture, { trouble, card, shown }) {
   const status = new Status(document, scene.target_error);
   const panel = new ErrorPanel($("error"), scene.target_error);
   const times = new Times($("times", HTMLDetailsElement));
   /** @type {(values: Knobs, scale?: number, moving?: boolean) => ReturnType<typeof frameQuery>} */
   const query = (values, scale = 1, moving = false) => queryOf(scene, values, picture, scale, moving);
-  /** @type {(values: () => Knobs) => (options: FrameOptions, signal: AbortSignal) => ReturnType<typeof readFrame>} */
-  const ask = (values) => async (options, signal) =>
-    readFrame(scene.id, { ...query(values(), options.scale, options.draft), ...formatOf(options) }, { etag: options.etag, signal });
-  const server = { open: () => openStream(scene.id), view: (/** @type {boolean} */ moving) => query(view.values, 1, moving), ask: ask(() => view.values) };
-  const other = ask(() => ({ ...view.values, shading: view.values.compare }));
+  const ask = (/** @type {() => Partial<Knobs>} */ other) => async (/** @type {FrameOptions} */ options, /** @type {AbortSignal} */ signal) => {
+    const of = shown.asked, values = { ...of.values, ...other() };
+    return { ...await readFrame(scene.id, { ...query(values, options.scale, options.draft), ...formatOf(options) }, { etag: options.etag, signal }), of };
+  };
+  const server = {
+    open: () => openStream(scene.id),
+    view: (/** @type {boolean} */ moving) => ({ query: query(shown.asked.values, 1, moving), of: shown.asked }),
+    ask: ask(() => ({})),
+  };
+  const other = ask(() => ({ shading: view.values.compare }));
   const comparison = new Comparison($("comparison"), new Picture($("stage"), $("other", HTMLImageElement)), other, view);
   const loop = new FrameLoop(server, {
-    async frame({ blob, facts }, draft) {
+    async frame({ blob, facts, of }, draft) {
+      const { sharp } = picture, words = describe(scene, of.values);
+      if (shown.surpasses(of) || (blob && !(await (draft ? picture.sketch(blob, words) : picture.show(blob, words))))) return;
       trouble.hide();
+      shown.show({ of, draft, sharp, facts });
+      $("stage").dataset.ground = ground(of.values);
       if (facts) times.show(facts, draft);
-      if (facts && !(picture.sharp && facts.provisional)) {
-        status.show(facts, draft); // a picture that was done stays so while it becomes sharp
-        panel.show(facts, draft);
-      }
-      const done = facts !== null && !draft && !facts.provisional;
-      const words = describe(scene, view.values);
-      if (blob) await (draft ? picture.sketch(blob, words) : picture.show(blob, words));
+      const done = shown.state === "final";
       const more = done && !picture.sharp && picture.sharpen();
       $("stage").toggleAttribute("data-sharp", done && !more);
-      if (!draft) card.refresh();
+      if (shown.facts) card.refresh();
       if (more) {
         loop.improve();
         comparison.improve();
@@ -263,33 +270,23 @@ function startLoop(scene, view, picture, trouble, card) {
         picture.blunt();
         return;
       }
-      status.stale();
+      shown.lose();
       trouble.show(error);
     },
-    moving: (moving) => comparison.moving(moving),
-    busy: waitingOn($("stage")),
+    moving(moving) {
+      shown.move(moving);
+      comparison.moving(moving);
+    },
   });
-  panel.follow(view);
-  trouble.onRetry = () => loop.settle();
-  picture.onResize(() => startAnew(picture, loop));
-  return loop;
-}
-
-/**
- * What marks the stage while the newest view waits for its first picture, and visibly so where that is late: what moves
- * there costs frames of the screen.
- * @param {HTMLElement} stage
- * @returns {(busy: boolean) => void}
- */
-function waitingOn(stage) {
-  let timer = 0;
-  return (busy) => {
-    if (busy === stage.hasAttribute("data-busy")) return;
-    stage.toggleAttribute("data-busy", busy);
-    clearTimeout(timer);
-    if (busy) timer = setTimeout(() => stage.toggleAttribute("data-late", true), LATE_MS);
-    else stage.removeAttribute("data-late");
+  const tell = () => {
+    status.show(shown);
+    panel.show(shown);
+    comparison.name(shown.values.shading);
   };
+  shown.subscribe(tell);
+  tell();
+  trouble.onRetry = () => loop.settle();
+  return loop;
 }
 
 /**
@@ -305,11 +302,24 @@ function queryOf(scene, values, picture, scale = 1, moving = false) {
 }
 
 /**
- * Show a view that has changed, at first with as many pixels as come quickly.
+ * What tells views apart whose pictures differ: the parameters at rest, and the stage's size.
+ * @param {Scene} scene
+ * @param {Knobs} values
  * @param {Picture} picture
+ */
+function keyOf(scene, values, picture) {
+  return JSON.stringify(frameQuery(scene, values, picture.size(1, false)));
+}
+
+/**
+ * Show a view that has changed, if another picture is asked for: at first with as many pixels as come quickly.
+ * @param {ViewModel} view
+ * @param {Picture} picture
+ * @param {Shown} shown
  * @param {FrameLoop} loop
  */
-function startAnew(picture, loop) {
+function followView(view, picture, shown, loop) {
+  if (!shown.ask(view.values)) return;
   picture.sharp = false;
   $("stage").removeAttribute("data-sharp");
   loop.change();

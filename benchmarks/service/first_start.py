@@ -83,5 +83,5 @@ def note_compiling(served: Served, found: dict[str, float], now: float) -> None:
             found.setdefault("compiled after, s", now)
         return
     found.setdefault("kernels", compiling["total"])
-    if compiling["seconds"] is not None and now > PROMISED:
+    if "seconds" in compiling and now > PROMISED:
         found.setdefault("compiled after, s, as promised first", now + compiling["seconds"])

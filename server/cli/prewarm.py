@@ -55,6 +55,7 @@ def prewarm_scene(
     root = root_of(settings)
     record = Record(root, scene, order, "command")
     with closing(RenderEngine([scene], root, *hired, settings.memory_mb << 20)) as engine, Progress() as bar:
+        bar.begin("loading kernels")
         with compiling(lambda: engine.kernels.progress):
             engine.start(hire=not dry)
         bar.begin("planning")

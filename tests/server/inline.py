@@ -62,11 +62,10 @@ class InlinePool:
 
 
 class EngineWithoutWorkers(RenderEngine):
-    """A studio that hires nobody, and is ready all the same."""
+    """An engine that hires nobody, and is ready all the same."""
 
-    def start(self, hire: bool = False) -> None:
-        """Open the stores, and have the kernels ready."""
-        super().start(hire)
+    def hire(self) -> None:
+        """Nobody comes."""
 
     def unready(self) -> list[str]:
         """Nothing."""

@@ -61,6 +61,9 @@ def test_handles_in_the_picture_move_planes(page: Page, live_server: str) -> Non
     page.mouse.move(bx + 0.3 * (ax - bx), by + 0.3 * (ay - by), steps=5)
     page.mouse.up()
     expect(page.locator("#uncut")).to_be_enabled()
+    turn = float(page.input_value("#azimuth"))
+    page.keyboard.press("ArrowLeft")
+    assert float(page.input_value("#azimuth")) == turn + 5.0, "after a drag arrows turn the object"
     page.get_by_label("Cut, y from").focus()
     page.keyboard.press("PageUp")
     page.click("#add-plane")

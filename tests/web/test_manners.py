@@ -5,7 +5,7 @@ import re
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.web.visits import BROWSER, open_final, pixels, slide, stage_of, wait_final
+from tests.web.visits import BROWSER, VIEWPORTS, open_final, pixels, slide, stage_of, wait_final
 
 pytestmark = BROWSER
 
@@ -13,6 +13,7 @@ pytestmark = BROWSER
 @pytest.fixture
 def sketched(steady: Page, live_server: str) -> Page:
     """The page with a shading for which nothing is baked."""
+    steady.set_viewport_size({"width": 900, "height": 640})
     return open_final(steady, f"{live_server}/?shading=lambert")
 
 
@@ -107,3 +108,50 @@ def test_a_picture_that_is_late_is_said_to_come(fresh: Page, live_server: str) -
     fresh.wait_for_selector("#stage[data-late]")
     moves = "busy => getComputedStyle(busy).animationName"
     assert fresh.locator("#busy").evaluate(moves) == "busy"
+
+
+def test_escape_closes_the_panel_of_saving_from_anywhere(sketched: Page) -> None:
+    sketched.click("#save-button")
+    sketched.focus("#stage")
+    sketched.click("#help-button")
+    sketched.keyboard.press("Escape")
+    expect(sketched.locator("#help")).to_be_hidden()
+    expect(sketched.locator("#save")).to_be_visible()
+    sketched.keyboard.press("Escape")
+    expect(sketched.locator("#save")).to_be_hidden()
+
+
+@pytest.mark.parametrize(("width", "height"), VIEWPORTS)
+def test_no_panel_covers_the_controls(sketched: Page, width: int, height: int) -> None:
+    sketched.set_viewport_size({"width": width, "height": height})
+    for name in ("save", "share"):
+        sketched.click(f"#{name}-button")
+        panel, controls = sketched.locator(f"#{name}").bounding_box(), sketched.locator("#controls").bounding_box()
+        assert panel is not None and controls is not None
+        beside = panel["x"] + panel["width"] <= controls["x"] or panel["y"] + panel["height"] <= controls["y"]
+        assert beside and panel["x"] >= 0 and panel["y"] + panel["height"] <= height, name
+        sketched.keyboard.press("Escape")
+
+
+@pytest.mark.parametrize(("width", "height"), [(1920, 1080), (2560, 1440)])
+def test_the_picture_uses_a_wide_screen(sketched: Page, width: int, height: int) -> None:
+    sketched.set_viewport_size({"width": width, "height": height})
+    *_, wide, high = stage_of(wait_final(sketched))
+    assert wide >= width - 24 - 24 - 28 - 348 and high >= height - 140
+    assert sketched.evaluate("document.documentElement.scrollWidth") <= width
+    assert sketched.evaluate("document.querySelector('#picture').naturalWidth") == wide
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 620), (390, 844)])
+def test_key_c_brings_its_section_into_sight(sketched: Page, width: int, height: int) -> None:
+    sketched.set_viewport_size({"width": width, "height": height})
+    sketched.focus("#stage")
+    sketched.keyboard.press("c")
+    summary = sketched.locator("#cuts summary")
+    expect(summary).to_be_in_viewport(ratio=1)
+    box, stage = summary.bounding_box(), sketched.locator("#stage").bounding_box()
+    assert box is not None and stage is not None
+    beside = box["x"] >= stage["x"] + stage["width"] or box["y"] >= stage["y"] + stage["height"]
+    assert beside, "the picture does not cover it"
+    sketched.keyboard.press("c")
+    expect(sketched.locator("#cuts")).not_to_have_attribute("open", "")

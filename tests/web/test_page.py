@@ -306,10 +306,10 @@ def test_overlay_marks_what_is_provisional(page: Page, live_server: str) -> None
     assert unfold(page).input_value("#overlay") == "provisional"
     for overlay in ("none", "error", "provisional"):
         page.select_option("#overlay", overlay)
-        assert page.locator("#error-scale").is_visible() == (overlay == "error")
         page.wait_for_timeout(100)
         assert views[-1]["view"]["overlay"] == overlay
         assert address_of(page).get("overlay", "none") == overlay
+        expect(page.locator("#error-scale")).to_be_visible(visible=overlay == "error")  # with the picture
 
 
 def test_moving_shows_small_jpeg_and_rest_the_full_picture(page: Page, live_server: str) -> None:

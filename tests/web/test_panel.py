@@ -93,7 +93,7 @@ def test_a_new_view_begins_a_new_history_and_exposure_does_not(fresh: Page, live
         slide(fresh, knob, 0.3)
         assert course(fresh) == []
         expect(fresh.locator("#error .value")).to_have_text("")
-        expect(fresh.locator("#error .note")).to_have_text("Waiting for the view to rest.")
+        expect(fresh.locator("#error .note")).to_have_text("Waiting for the picture of this view.")
         fresh.unroute("**/frame?*")
         fresh.route("**/frame?*", staged(None, end=True))
         slide(fresh, knob, 0.32)

@@ -21,6 +21,9 @@ FLAGS = [
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
     f"--disable-features={','.join(WITHOUT)}",
 ]
+VIEWPORTS = [(1280, 800), (1920, 1080), (390, 844)]
+"""Screens that the page is looked at on: a laptop's, a desk's and a phone's."""
+
 SHOTS = Path(__file__).resolve().parents[2] / "test-results" / "page"
 BROWSER = pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no Chromium at {CHROMIUM}: install Debian's chromium")
 """Skips tests of the page where there is no Chromium; the fixture ``browser`` marks them."""

@@ -2,7 +2,7 @@
 
 import { WHITE, startAlbedo } from "../view/albedo.js";
 import { readMeasure, writeMeasure } from "../view/measures.js";
-import { NUMBERS } from "../view/model.js";
+import { NUMBERS, inShort } from "../view/model.js";
 import { arePlanes } from "../view/planes.js";
 import { areHidden, areSurfaces, idleKnobs, isMaterial } from "../view/surfaces.js";
 import { cutQuery } from "./request.js";
@@ -38,14 +38,18 @@ export function readAddress(search) {
 }
 
 /**
- * The address query of a view. The names are those of the frame request.
- * @param {Pick<Scene, "id"|"albedo"|"albedos"> & Partial<Pick<Scene, "defaults">>} scene
+ * The address query of a view. The names are those of the frame request. What the scene starts with is as short as its
+ * slider can tell it, and the exposure that is usual in its light is left out.
+ * @param {Scene} scene
  * @param {Knobs} values knobs of the view
  * @returns {string}
  */
 export function writeAddress(scene, values) {
   const query = new URLSearchParams({ scene: scene.id }), idle = idleKnobs(values.material);
-  for (const name of NUMBERS.filter((each) => each in values && !idle.includes(each))) query.set(name, String(values[name]));
+  for (const name of NUMBERS.filter((each) => each in values && !idle.includes(each))) {
+    const value = /** @type {number} */ (values[name]), usual = value === scene.defaults[name];
+    if (!usual || name !== "exposure") query.set(name, String(usual ? inShort(scene, name, value) : value));
+  }
   if (values.target) query.set("target", values.target.join(","));
   if (values.tint && !idle.includes("tint") && [values.tint, startAlbedo(scene).tint].some((tint) => tint !== WHITE)) query.set("tint", values.tint);
   if (values.shine) query.set("shine", values.shine);

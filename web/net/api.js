@@ -29,7 +29,7 @@ export async function listScenes() {
 /**
  * @typedef {object} Readiness
  * @property {boolean} ready whether pictures are drawn
- * @property {{done: number, total: number, seconds: number|null}|null} [compiling] kernels, and the time left
+ * @property {{done: number, total: number, seconds?: number}} [compiling] kernels, and the time left
  */
 
 /**

@@ -8,21 +8,24 @@ import { CLOCK } from "./trouble.js";
 /** @typedef {import("./schemas.js").Facts} Facts */
 /** @typedef {import("./schemas.js").Frame} Frame */
 /** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
+/** @typedef {import("./shown.js").Asked} Asked */
 
 const SETTLE_MS = 200; // a view that has not changed for this long is at rest
 
 /**
+ * @typedef {{query: FrameQuery, of: Asked}} View the parameters of a picture, and the view that they are of
+ * @typedef {{blob: Blob|null, facts: Facts|null, of: Asked}} Answer a picture, where it is a new one, and its view
+ *
  * @typedef {object} Hooks what the loop calls
- * @property {(frame: {blob: Blob|null, facts: Facts|null}, draft: boolean) => Promise<void>} frame a picture came;
- *   `facts` are the latest also where the answer had none; it is settled once the picture is shown
+ * @property {(answer: Answer, draft: boolean) => Promise<void>} frame a picture came; `facts` are the latest also where
+ *   the answer had none; it is settled once the picture is shown
  * @property {(error: Error) => void} trouble
  * @property {(moving: boolean) => void} moving whether the view goes on changing
- * @property {(busy: boolean) => void} busy whether the newest view waits for its first picture
  *
  * @typedef {object} Server
  * @property {() => WebSocket} open opens a socket
- * @property {(moving: boolean) => FrameQuery} view the parameters that go over it
- * @property {(options: FrameOptions, signal: AbortSignal) => Promise<Frame>} ask sends one request
+ * @property {(moving: boolean) => View} view as it is now, which goes over it
+ * @property {(options: FrameOptions, signal: AbortSignal) => Promise<Frame & Pick<View, "of">>} ask sends one request
  */
 
 /** Shows a view that may change at any time. */

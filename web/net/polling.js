@@ -2,6 +2,8 @@
 
 import { CLOCK, Trouble, retryDelay } from "./trouble.js";
 
+/** @typedef {import("./loop.js").Answer} Answer */
+/** @typedef {import("./loop.js").View} View */
 /** @typedef {import("./schemas.js").Facts} Facts */
 /** @typedef {import("./schemas.js").Frame} Frame */
 /** @typedef {import("./trouble.js").Clock} Clock */
@@ -16,10 +18,9 @@ import { CLOCK, Trouble, retryDelay } from "./trouble.js";
 
 /**
  * @typedef {object} PollingHooks
- * @property {(frame: {blob: Blob|null, facts: Facts|null}, draft: boolean) => unknown} frame a picture came; `facts`
- *   are the latest also where the answer had none
+ * @property {(answer: Answer, draft: boolean) => unknown} frame a picture came; `facts` are the latest also where the
+ *   answer had none
  * @property {(error: Error) => void} trouble
- * @property {(busy: boolean) => void} busy whether the newest view waits for its first picture
  */
 
 const WAIT_MS = 400; // how long the server may hold a refinement back for new light
@@ -49,7 +50,7 @@ export class Polling {
   #timer = 0;
 
   /**
-   * @param {(options: FrameOptions, signal: AbortSignal) => Promise<Frame>} ask sends one request
+   * @param {(options: FrameOptions, signal: AbortSignal) => Promise<Frame & Pick<View, "of">>} ask sends one request
    * @param {PollingHooks} hooks
    * @param {Clock} [clock]
    */
@@ -85,14 +86,12 @@ export class Polling {
     const flight = { draft: this.#moving, controller: new AbortController(), began: this.#clock.now() };
     this.#flight = flight;
     this.#changed = false;
-    this.#hooks.busy(true);
     const { frame, error } = await this.#ask(this.#options(flight.draft), flight.controller.signal).then(
       (answer) => ({ frame: answer, error: null }),
       (reason) => ({ frame: null, error: reason }),
     );
     if (flight !== this.#flight) return; // a newer request took over
     this.#flight = null;
-    this.#hooks.busy(false);
     if (frame) this.#arrived(flight.draft, frame, this.#clock.now() - flight.began);
     else this.#failed(error);
   }
@@ -105,7 +104,7 @@ export class Polling {
 
   /**
    * @param {boolean} draft
-   * @param {Frame} frame
+   * @param {Frame & Pick<View, "of">} frame
    * @param {number} elapsed milliseconds
    */
   #arrived(draft, frame, elapsed) {
@@ -113,7 +112,7 @@ export class Polling {
     this.#unchanged = frame.blob ? 0 : this.#unchanged + 1;
     const facts = frame.facts ?? this.#shown?.facts ?? null;
     if (!draft) this.#shown = { etag: frame.etag, facts };
-    this.#hooks.frame({ blob: frame.blob, facts }, draft);
+    this.#hooks.frame({ blob: frame.blob, facts, of: frame.of }, draft);
     if (draft) this.#scale = nextScale(this.#scale, elapsed);
     if (draft && this.#changed) this.#send();
     if (!draft && facts?.provisional) this.#later(refinementPause(elapsed, this.#unchanged));

@@ -56,7 +56,7 @@ export class Saver {
     this.#scene = scene;
     this.#description = description;
     panel.addEventListener("beforetoggle", ({ newState }) => newState === "open" && this.#offer());
-    panel.addEventListener("keydown", ({ key }) => key === "Escape" && this.#close());
+    document.addEventListener("keydown", ({ key }) => key === "Escape" && this.#hide());
     find(panel, "#save-start").addEventListener("click", () => this.#start());
     find(panel, "#save-now").addEventListener("click", () => this.#work?.hurry.abort());
     find(panel, "#save-close").addEventListener("click", () => this.#close());
@@ -183,6 +183,12 @@ export class Saver {
     this.#work = null;
     this.#show({ busy: false });
     this.#say(words);
+  }
+
+  /** Hide the panel, unless another is to be hidden first; what is being saved goes on. */
+  #hide() {
+    const open = [...document.querySelectorAll(":popover-open")];
+    if (open.length === 1 && open[0] === this.#panel) this.#panel.hidePopover();
   }
 
   #close() {

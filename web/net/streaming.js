@@ -4,7 +4,7 @@ import { streamedFrame } from "./schemas.js";
 import { CLOCK, lost, retryDelay, troubleOf } from "./trouble.js";
 
 /** @typedef {import("./loop.js").Hooks} Hooks */
-/** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
+/** @typedef {import("./loop.js").View} View */
 /** @typedef {import("./schemas.js").StreamMessage} StreamMessage */
 /** @typedef {import("./trouble.js").Clock} Clock */
 /** @typedef {import("./trouble.js").Trouble} Trouble */
@@ -29,12 +29,14 @@ export class Streaming {
   #timer = 0;
   #failures = 0;
   #sent = 0;
+  /** @type {Map<number, View["of"]>} views that were sent, by their ids */
+  #asked = new Map();
   /** @type {StreamMessage|null} */
   #message = null;
 
   /**
    * @param {() => WebSocket} open
-   * @param {(moving: boolean) => FrameQuery} view the parameters of the full picture as they are now
+   * @param {(moving: boolean) => View} view as it is now
    * @param {Hooks} hooks
    * @param {() => void} refused is called when no stream can be had from the start
    * @param {Clock} [clock]
@@ -50,7 +52,6 @@ export class Streaming {
   /** The view is now another one; show it. @param {boolean} moving whether it goes on changing */
   show(moving) {
     this.#moving = moving;
-    this.#hooks.busy(true);
     cancelAnimationFrame(this.#drawing);
     if (moving) this.#drawing = requestAnimationFrame(() => this.#send()); // no more often than the screen changes
     else this.#send();
@@ -65,8 +66,9 @@ export class Streaming {
     this.#clock.cancel(this.#timer);
     if (!this.#socket) this.#connect();
     else if (this.#socket.readyState === OPEN) {
-      this.#sent += 1;
-      this.#socket.send(JSON.stringify({ id: this.#sent, view: this.#view(this.#moving), moving: this.#moving }));
+      const { query, of } = this.#view(this.#moving);
+      this.#asked.set(++this.#sent, of);
+      this.#socket.send(JSON.stringify({ id: this.#sent, view: query, moving: this.#moving }));
     }
   }
 
@@ -89,7 +91,7 @@ export class Streaming {
   /** @param {StreamMessage} message about the picture that comes next, or a problem in place of one */
   #announced(message) {
     this.#message = message;
-    if (message.problem) this.#failed(troubleOf(message.problem));
+    if (message.problem && (message.id ?? this.#sent) === this.#sent) this.#failed(troubleOf(message.problem));
   }
 
   /** @param {Blob} data */
@@ -97,11 +99,15 @@ export class Streaming {
     const [socket, message, came] = [this.#socket, this.#message, this.#clock.now()];
     if (!socket || !message) return;
     this.#failures = 0;
-    const shown = this.#hooks.frame(streamedFrame(message, data), message.draft);
-    if (message.id === this.#sent) this.#hooks.busy(false);
-    await shown;
+    await this.#hooks.frame({ ...streamedFrame(message, data), of: this.#askedBy(message.id) }, message.draft);
     if (socket.readyState !== OPEN) return;
     socket.send(JSON.stringify({ shown: message.id, took: Math.min(this.#clock.now() - came, LONGEST_MS) }));
+  }
+
+  /** The view that was sent with an id; those before it are answered no more. @param {number} id */
+  #askedBy(id) {
+    for (const each of this.#asked.keys()) if (each < id) this.#asked.delete(each);
+    return /** @type {View["of"]} */ (this.#asked.get(id));
   }
 
   /** @param {number} code */
@@ -115,7 +121,6 @@ export class Streaming {
   #failed(error) {
     const delay = retryDelay(error, this.#failures, RETRY_MS);
     this.#failures += 1;
-    this.#hooks.busy(false);
     this.#hooks.trouble(error);
     this.#clock.cancel(this.#timer);
     if (delay !== null) this.#timer = this.#clock.after(delay, () => this.#send());

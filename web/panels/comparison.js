@@ -24,18 +24,23 @@ export class Comparison {
    * @param {HTMLElement} root holds two `.side`s and `#divider`
    * @param {import("../view/picture.js").Picture} picture shows the right side
    * @param {(options: import("../net/polling.js").FrameOptions, signal: AbortSignal)
-   *   => Promise<import("../net/schemas.js").Frame>} ask sends one request for the right side
+   *   => Promise<import("../net/schemas.js").Frame & {of: import("../net/shown.js").Asked}>} ask sends one request for the right side
    * @param {import("../view/model.js").ViewModel} view
    */
   constructor(root, picture, ask, view) {
     this.#root = root;
     this.#picture = picture;
     this.#view = view;
-    this.#polling = new Polling(ask, { frame: (frame) => this.#show(frame), trouble: () => this.#hide("lost"), busy: () => {} });
+    this.#polling = new Polling(ask, { frame: (frame) => this.#show(frame), trouble: () => this.#hide("lost") });
     attachDivider(find(root, "#divider"), (at) => this.#divide(at));
     document.addEventListener("visibilitychange", () => this.#on && !document.hidden && this.#polling.resume());
     view.watch(({ shading, compare }) => [shading, compare], () => this.#compare());
     this.#compare();
+  }
+
+  /** The left side shows a picture of this shading. @param {string} shading */
+  name(shading) {
+    find(this.#root, ".left").textContent = shadingName(shading);
   }
 
   /** The view goes on changing, or rests. @param {boolean} moving */
@@ -61,7 +66,6 @@ export class Comparison {
     this.#root.hidden = !this.#on;
     this.#hide("moving");
     if (!this.#on) return;
-    find(this.#root, ".left").textContent = shadingName(this.#view.values.shading);
     this.#divide(Number(find(this.#root, "#divider").ariaValueNow));
     if (!this.#moving) this.#ask();
   }

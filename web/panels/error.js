@@ -9,6 +9,7 @@ import { Chart } from "./chart.js";
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 
 const MOST = 600; // moments kept; a drawing tells no more apart
+const WAITING = "Waiting for the picture of this view.";
 
 /**
  * @typedef {object} Moment
@@ -38,12 +39,12 @@ export class History {
   }
 
   /**
-   * Note a frame that has just come. After the first final one nothing changes, so no more are kept; of very many,
-   * every other one is.
+   * Note a frame that has just come. After the first final one the light does not change, so no more are kept; of very
+   * many, every other one is.
    * @param {Pick<Facts, "error"|"coverage"|"provisional">} facts
    */
   add({ error, coverage, provisional }) {
-    if (!Number.isFinite(error) || (!provisional && this.latest?.provisional === false)) return;
+    if (!Number.isFinite(error) || this.latest?.provisional === false) return;
     if (this.#moments.length >= MOST) this.#moments = this.#moments.filter((_, i) => i % 2 === 0);
     this.#moments.push({ seconds: (this.#clock() - this.#start) / 1000, error, coverage, provisional });
   }
@@ -65,6 +66,9 @@ export class ErrorPanel {
   #target;
   #chart;
   #history = new History();
+  #light = "";
+  /** @type {Facts|null} */
+  #facts = null;
 
   /**
    * @param {HTMLElement} root holds a `.value`, a `.note`, an `svg` and a `.legend`
@@ -74,40 +78,31 @@ export class ErrorPanel {
     this.#root = root;
     this.#target = target;
     this.#chart = new Chart(find(root, "svg", SVGSVGElement));
-    this.#write();
   }
 
   /**
-   * Begin anew at every change of a view that changes its light, which exposure, marks and comparing do not.
-   * @param {import("../view/model.js").ViewModel} view
+   * Show what is known of the picture on the stage, and what led to it: another view begins a history of its own, unless
+   * its light is the same.
+   * @param {Pick<import("../net/shown.js").Shown, "asked"|"facts">} shown
    */
-  follow(view) {
-    view.watch(lightKnobs, () => {
-      const { latest } = this.#history;
-      this.#history.begin();
-      if (latest) this.#write();
-    });
+  show({ asked, facts }) {
+    const light = JSON.stringify(lightKnobs(asked.values));
+    if (light === this.#light && facts === this.#facts) return;
+    if (light !== this.#light) this.#history.begin();
+    if (facts) this.#history.add(facts);
+    [this.#light, this.#facts] = [light, facts];
+    this.#write(facts);
   }
 
-  /**
-   * Add a frame.
-   * @param {Facts} facts
-   * @param {boolean} draft whether the view is still moving; such frames are no part of the history
-   */
-  show(facts, draft) {
-    if (draft) return;
-    this.#history.add(facts);
-    this.#write(facts.timeLeft);
-  }
-
-  /** @param {Facts["timeLeft"]} [timeLeft] */
-  #write(timeLeft = null) {
+  /** @param {Facts|null} facts of the picture */
+  #write(facts) {
     const { moments, latest } = this.#history;
-    find(this.#root, ".value").textContent = latest ? errorInWords(latest.error) : "";
-    find(this.#root, ".note").textContent = latest ? momentInWords(latest, timeLeft) : "Waiting for the view to rest.";
+    const known = latest && facts;
+    find(this.#root, ".value").textContent = known ? errorInWords(facts.error) : "";
+    find(this.#root, ".note").textContent = known ? momentInWords({ ...facts, seconds: latest.seconds }, facts.timeLeft) : WAITING;
     find(this.#root, "svg", SVGSVGElement).setAttribute("aria-label", courseInWords(moments, this.#target));
     for (const state of STATES) {
-      find(this.#root, `.legend .${state} b`).textContent = latest ? legendShare(state, latest.coverage) : "";
+      find(this.#root, `.legend .${state} b`).textContent = known ? legendShare(state, facts.coverage) : "";
     }
     this.#chart.show(moments, this.#target);
   }

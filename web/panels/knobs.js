@@ -21,8 +21,9 @@ const SHARES = new Set(["albedo", "roughness", "strength", "glow"]);
  * @param {HTMLElement} form
  * @param {Scene} scene
  * @param {ViewModel} view
+ * @param {import("../view/rulers.js").Seen} shown
  */
-export function attachKnobs(form, scene, view) {
+export function attachKnobs(form, scene, view, shown) {
   const select = (/** @type {string} */ id) => find(form, id, HTMLSelectElement);
   const [shading, compare, overlay] = ["#shading", "#compare", "#overlay"].map(select);
   const [background, rulers, projection] = ["#background", "#rulers-choice", "#projection"].map(select);
@@ -33,12 +34,13 @@ export function attachKnobs(form, scene, view) {
   const mirrors = [
     ...sliders, attachChoice(shading, "shading", view), attachChoice(compare, "compare", view),
     attachChoice(overlay, "overlay", view), attachChoice(background, "background", view), attachChoice(rulers, "rulers", view), attachChoice(projection, "projection", view), disableOwn(compare), attachTint(find(form, "#tint", HTMLInputElement), view), attachShine(select("#shine"), scene, view),
-    attachScale(find(form, "#error-scale"), scene.error_scale), attachAxisViews(find(form, "#axis-views"), view),
+    attachAxisViews(find(form, "#axis-views"), view),
   ];
   /** @param {Knobs} values */
   const mirror = (values) => mirrors.forEach((each) => each(values));
   mirror(view.values);
   view.subscribe(mirror);
+  attachScale(find(form, "#error-scale"), scene.error_scale, shown);
   showColours(find(form, "#colour-scale"), scene.colours);
 }
 
@@ -147,15 +149,17 @@ function attachShine(select, scene, view) {
 }
 
 /**
- * The legend of the colours of errors, shown while they are.
+ * The legend of the colours of errors, shown while the picture on the stage has them.
  * @param {HTMLElement} legend
  * @param {Scene["error_scale"]} scale
- * @returns {Mirror}
+ * @param {import("../view/rulers.js").Seen} shown
  */
-function attachScale(legend, { low, high, colours }) {
+function attachScale(legend, { low, high, colours }, shown) {
   find(legend, ".colours").style.background = `linear-gradient(90deg, ${colours.join(", ")})`;
   find(legend, ".row").replaceChildren(...decades({ low, high }).map((text) => textElement("span", text)));
-  return ({ overlay }) => { legend.hidden = overlay !== "error"; };
+  const draw = () => { legend.hidden = shown.values.overlay !== "error"; };
+  shown.subscribe(draw);
+  draw();
 }
 
 /**

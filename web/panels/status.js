@@ -2,66 +2,108 @@
 
 import { find } from "../dom.js";
 import { STATES } from "../net/schemas.js";
+import { CLOCK } from "../net/trouble.js";
 import { PREVIEW, errorInWords, frameInWords, shareInWords, showsSurface } from "../view/format.js";
 
 /** @typedef {import("../net/schemas.js").Facts} Facts */
+/** @typedef {import("../net/shown.js").Shown} Shown */
+/** @typedef {import("../net/shown.js").State} State */
+/** @typedef {import("../net/trouble.js").Clock} Clock */
 
-/** Shows the facts of the frame on the stage. */
+const OLD_MS = 300; // after which a picture that the controls have left is dimmed
+const LATE_MS = 600; // after which a person is told that a picture is still to come
+/** @type {Partial<Record<State, {badge: string, line: string}>>} */
+const WORDS = {
+  loading: { badge: "", line: "Loading the scene…" },
+  trouble: { badge: "", line: "Not up to date: the picture is the last one received" },
+  moving: { badge: "Moving", line: "Moving" },
+  updating: { badge: "Updating", line: "Updating: the picture of this view is on its way" },
+};
+
+/** Says of the picture on the stage what is true of it, and nothing while the controls ask for another. */
 export class Status {
   #root;
   #target;
-  #announced = "";
+  #old;
+  #late;
 
   /**
    * @param {ParentNode} root holds `#stage`, `#badge`, `#progress`, `#status-line`, `#announce`
    * @param {number} target relative error at which a picture is good enough to go without a badge
+   * @param {Clock} [clock]
    */
-  constructor(root, target) {
+  constructor(root, target, clock = CLOCK) {
     this.#root = root;
     this.#target = target;
+    const stage = find(root, "#stage");
+    this.#old = markedFrom(stage, "data-old", clock);
+    this.#late = markedFrom(stage, "data-late", clock); // what moves there costs frames of the screen
   }
 
-  /**
-   * Show a frame's facts.
-   * @param {Facts} facts
-   * @param {boolean} draft whether the view is still moving
-   */
-  show(facts, draft) {
-    this.#write({
-      state: draft ? "draft" : facts.provisional ? "provisional" : "final",
-      line: draft ? "Preview" : frameInWords(facts),
-      badge: badge(facts, this.#target),
-    });
+  /** Show how the picture stands to the controls. @param {Shown} shown */
+  show(shown) {
+    const { state, facts, sharp, leftAt, waitsSince } = shown, stage = find(this.#root, "#stage");
+    const { badge, line } = WORDS[state] ?? wordsOf(/** @type {Facts} */ (facts), sharp, this.#target);
+    stage.dataset.state = state;
+    stage.toggleAttribute("data-busy", waitsSince < Infinity);
+    this.#write("#status-line", line);
+    this.#write("#badge", badge);
+    this.#write("#announce", facts ? announcement(facts, sharp) : "");
     this.#fill(facts);
-    if (!draft) this.#announce(announcement(facts));
+    this.#old(leftAt + OLD_MS);
+    this.#late(waitsSince + LATE_MS);
   }
 
-  /** No new frame came: what is shown belongs to an earlier view. */
-  stale() {
-    this.#write({ state: "trouble", line: "Not up to date: the picture is the last one received", badge: "" });
+  /** @param {string} selector @param {string} text */
+  #write(selector, text) {
+    const node = find(this.#root, selector);
+    if (node.textContent !== text) node.textContent = text; // or screen readers say it again
   }
 
-  /** @param {{state: string, line: string, badge: string}} texts */
-  #write({ state, line, badge }) {
-    find(this.#root, "#stage").dataset.state = state;
-    find(this.#root, "#status-line").textContent = line;
-    find(this.#root, "#badge").textContent = badge;
+  /** @param {Facts|null} facts */
+  #fill(facts) {
+    const bar = find(this.#root, "#progress"), shares = facts && sharesOf(facts);
+    for (const state of STATES) find(bar, `.${state}`).style.width = `${shares ? 100 * shares[state] : 0}%`;
+    bar.ariaValueNow = shares && String(Math.floor(100 * shares.final));
+    bar.ariaValueText = shares ? `${shareInWords(shares.final)} done` : "not known yet";
   }
+}
 
-  /** @param {Facts} facts */
-  #fill({ coverage, provisional }) {
-    const bar = find(this.#root, "#progress");
-    const whole = provisional || showsSurface(coverage) ? coverage : { final: 1, converging: 0, provisional: 0 };
-    for (const state of STATES) find(bar, `.${state}`).style.width = `${100 * whole[state]}%`;
-    bar.setAttribute("aria-valuenow", String(Math.floor(100 * whole.final)));
-    bar.setAttribute("aria-valuetext", `${shareInWords(whole.final)} done`);
-  }
+/** What a bar shows: all of it where there is no surface to wait for. @param {Facts} facts */
+function sharesOf({ coverage, provisional }) {
+  return provisional || showsSurface(coverage) ? coverage : { final: 1, converging: 0, provisional: 0 };
+}
 
-  /** @param {string} text */
-  #announce(text) {
-    if (text !== this.#announced) find(this.#root, "#announce").textContent = text;
-    this.#announced = text;
-  }
+/**
+ * Mark a node from a moment on that may be still to come.
+ * @param {HTMLElement} node
+ * @param {string} name of an attribute
+ * @param {Clock} clock
+ * @returns {(moment: number) => void} Infinity takes the mark away
+ */
+function markedFrom(node, name, clock) {
+  let [due, timer] = [Infinity, 0];
+  return (moment) => {
+    if (moment === due) return;
+    const wait = moment - clock.now();
+    due = moment;
+    clock.cancel(timer);
+    node.toggleAttribute(name, wait <= 0);
+    if (wait > 0 && wait < Infinity) timer = clock.after(wait, () => node.toggleAttribute(name, true));
+  };
+}
+
+/**
+ * What is said of the full picture of a view. One that was done, and becomes sharp, has no badge.
+ * @param {Facts} facts
+ * @param {boolean} sharp whether it has all of the screen's pixels
+ * @param {number} target relative error
+ * @returns {{badge: string, line: string}}
+ */
+export function wordsOf(facts, sharp, target) {
+  return sharp
+    ? { badge: "", line: frameInWords(facts).replace(/^(Refining|Preview)/, "Sharpening") }
+    : { badge: badge(facts, target), line: frameInWords(facts) };
 }
 
 /**
@@ -78,11 +120,13 @@ export function badge({ provisional, error }, target) {
 /**
  * What screen readers say: it changes at quarters and at the end, not at every frame.
  * @param {Facts} facts
+ * @param {boolean} [sharp] whether the picture has all of the screen's pixels
  * @returns {string}
  */
-export function announcement(facts) {
+export function announcement(facts, sharp = false) {
   const quarter = Math.floor(4 * facts.coverage.final) * 25;
-  return facts.provisional ? `Refining, ${quarter} percent done` : frameInWords(facts);
+  if (!facts.provisional) return frameInWords(facts);
+  return sharp ? "Sharpening" : `Refining, ${quarter} percent done`;
 }
 
 const READ_MS = 10_000; // a sentence is read long before

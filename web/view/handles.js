@@ -137,8 +137,10 @@ export class Handles {
  */
 export function attachGrip(element, view, { plane, draggedBy: by, sign = () => 1, onRest }) {
   const move = (/** @type {number} */ value) => view.set({ planes: moved(plane(), value) });
+  const stage = () => /** @type {HTMLElement|null} */ (element.closest("#stage"));
   /** @type {{x: number, y: number, value: number}|null} */
   let held = null; // where the pointer was, and the value, which is not rounded
+  let dragged = false;
   element.setAttribute("role", "slider");
   element.addEventListener("keydown", (event) => {
     const to = steppedTo(plane(), event, sign());
@@ -150,14 +152,17 @@ export function attachGrip(element, view, { plane, draggedBy: by, sign = () => 1
   element.addEventListener("pointerdown", ({ pointerId, clientX: x, clientY: y }) => {
     element.setPointerCapture(pointerId);
     held = { x, y, value: plane().value };
+    dragged = false;
   });
   element.addEventListener("pointermove", ({ clientX: x, clientY: y }) => {
     if (!held) return;
     held = { x, y, value: held.value + by(x - held.x, y - held.y) };
+    dragged = true;
     move(held.value);
   });
   const release = () => {
     if (held) onRest();
+    if (held && dragged) stage()?.focus({ preventScroll: true }); // there arrows turn the object again
     held = null;
   };
   element.addEventListener("pointerup", release);

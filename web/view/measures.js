@@ -68,12 +68,27 @@ export function angleOf(a, b, c) {
 }
 
 /**
- * The unit of a volume's lengths, for a person.
+ * A length with its unit, for a person: voxels or units, where the volume has none.
  * @param {Pick<Volume, "unit"|"spacing">} volume
+ * @param {number} length
  * @returns {string}
  */
-export function unitOf({ unit, spacing }) {
-  return unit || (spacing.every((step) => step === 1) ? "voxels" : "units");
+export function lengthInWords({ unit, spacing }, length) {
+  const own = `${spacing.every((step) => step === 1) ? "voxel" : "unit"}${length === 1 ? "" : "s"}`;
+  return `${length} ${unit || own}`;
+}
+
+/**
+ * A quantity as exactly as it is known, such as "1614 ± 15 mm³".
+ * @param {number} value
+ * @param {number} error
+ * @param {string} unit
+ * @returns {string}
+ */
+export function knownInWords(value, error, unit) {
+  const digits = error > 0 ? Math.ceil(Math.log10(value / error) + 1e-9) + 1 : 6;
+  const shown = Number(value.toPrecision(Math.min(6, Math.max(1, digits))));
+  return `${shown}${error > 0 ? ` ± ${Number(error.toPrecision(2))}` : ""} ${unit}`;
 }
 
 /**
@@ -83,7 +98,7 @@ export function unitOf({ unit, spacing }) {
  * @returns {string}
  */
 export function measureInWords(volume, [a, b, c]) {
-  if (c === undefined) return `${Number(distanceOf(a, b).toPrecision(4))} ${unitOf(volume)}`;
+  if (c === undefined) return lengthInWords(volume, Number(distanceOf(a, b).toPrecision(4)));
   const angle = angleOf(a, b, c);
   return Number.isNaN(angle) ? "no angle" : `${angle.toFixed(1)}°`;
 }

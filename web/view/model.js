@@ -2,6 +2,7 @@
 
 import { isTint, startAlbedo } from "./albedo.js";
 import { PROJECTIONS, limitTarget } from "./camera.js";
+import { niceStep, showNumber } from "./format.js";
 import { limitMeasures } from "./measures.js";
 import { arePlanes } from "./planes.js";
 import { RULERS } from "./rulers.js";
@@ -176,8 +177,9 @@ export class ViewModel {
     if (fallback.tint) limited.tint = isTint(wanted.tint) ? wanted.tint.toLowerCase() : fallback.tint;
     for (const name of NUMBERS.filter((each) => each in fallback)) {
       const value = /** @type {number} */ (Number.isFinite(wanted[name]) ? wanted[name] : fallback[name]);
-      const isDefault = value === this.defaults[name]; // not rounded: the server's picture without this knob
-      limited[name] = isDefault ? value : limit(rounded(value, name), name, allowed(this.#scene, name));
+      const usual = /** @type {number} */ (this.defaults[name]); // not rounded: the server's picture without this knob
+      const isDefault = inShort(this.#scene, name, value) === inShort(this.#scene, name, usual);
+      limited[name] = isDefault ? usual : limit(rounded(value, name), name, allowed(this.#scene, name));
     }
     return limited;
   }
@@ -220,6 +222,18 @@ function allowed(scene, name) {
 function handy(scene, name) {
   if (name !== "exposure") return FALLBACK[name];
   return [scene.defaults.exposure / 16, scene.defaults.exposure * 16];
+}
+
+/**
+ * A knob's value with as few digits as its slider can tell apart, and one more.
+ * @param {Scene} scene
+ * @param {NumberKnob} name
+ * @param {number} value
+ * @returns {number}
+ */
+export function inShort(scene, name, value) {
+  const { min, max } = allowed(scene, name);
+  return name === "isovalue" && max > min ? Number(showNumber(value, niceStep(max - min))) : rounded(value, name);
 }
 
 /**

@@ -49,11 +49,12 @@ export class Picture {
   /**
    * Pixels to ask for: those of the box on this screen.
    * @param {number} scale 1 for the full picture, less for drafts
+   * @param {boolean} [sharp]
    * @returns {{width: number, height: number}}
    */
-  size(scale) {
+  size(scale, sharp = this.sharp) {
     const { width, height } = sizeOf(this.#stage);
-    return pictureSize(width, height, window.devicePixelRatio || 1, scale, this.sharp);
+    return pictureSize(width, height, window.devicePixelRatio || 1, scale, sharp);
   }
 
   /** Ask for all of the screen's pixels from now on. @returns {boolean} whether that is more */

@@ -3,13 +3,14 @@
 import { find, sizeOf, svgElement } from "../dom.js";
 import { boxOf, sidesOf } from "./camera.js";
 import { errorInWords } from "./format.js";
-import { unitOf } from "./measures.js";
+import { lengthInWords } from "./measures.js";
 import { cameraAxes } from "./rotation.js";
 import { readHidden } from "./surfaces.js";
 
 /** @typedef {import("./model.js").Knobs} Knobs */
 /** @typedef {import("./model.js").ViewModel} ViewModel */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
+/** @typedef {{readonly values: Knobs, subscribe: (listener: () => void) => void}} Seen the picture on the stage: its knobs, and what is called when it is another */
 /** @typedef {[number, number]} Place right and up of the lower left corner, pixels */
 /** @typedef {{kind: string, points: Place[]}} Line */
 /** @typedef {{at: Place, text: string, size: number, middle: boolean, end?: boolean}} Words `middle`: centred there, both ways; `end`: that is where they end */
@@ -90,7 +91,7 @@ export function rulerShapes(scene, values, size) {
     ],
     words: [
       ...axes.map((axis) => ({ at: end(axis, LETTER), text: axis.letter, size: 13, middle: true })),
-      { at: [left, BAR_UP + 9], text: `${length} ${unitOf(scene.volume)}`, size: 13, middle: false },
+      { at: [left, BAR_UP + 9], text: lengthInWords(scene.volume, length), size: 13, middle: false },
       ...where,
     ],
   };
@@ -163,37 +164,39 @@ export function legendNumbers(low, high) {
 }
 
 /**
- * Keep scale bar and axes up with the view and with the size of the picture.
+ * Keep scale bar and axes up with the picture on the stage and with its size, and with whether they are wanted.
  * @param {SVGElement} root in the lower left corner
  * @param {Scene} scene
  * @param {ViewModel} view
+ * @param {Seen} shown
  */
-export function attachRulers(root, scene, view) {
+export function attachRulers(root, scene, view, shown) {
   const stage = /** @type {HTMLElement} */ (root.parentElement);
   const draw = () => {
-    const { values } = view;
-    root.toggleAttribute("hidden", values.rulers === "off");
-    if (values.rulers === "off") return;
-    const { lines, words } = rulerShapes(scene, values, sizeOf(stage));
+    const off = view.values.rulers === "off";
+    root.toggleAttribute("hidden", off);
+    if (off) return;
+    const { lines, words } = rulerShapes(scene, shown.values, sizeOf(stage));
     root.replaceChildren(...lines.flatMap(lineOf), ...words.map(wordsOf));
   };
-  view.subscribe(draw);
+  view.watch(({ rulers }) => rulers, draw);
+  shown.subscribe(draw);
   new ResizeObserver(draw).observe(stage);
 }
 
 /**
- * Keep the letters of a patient's sides at the picture's edges as the camera turns; none where the volume is of no patient.
+ * Keep the letters of a patient's sides at the edges of the picture on the stage; none where the volume is of no patient.
  * @param {HTMLElement} root holds an element for each side
  * @param {Scene} scene
- * @param {ViewModel} view
+ * @param {Seen} shown
  */
-export function attachSides(root, scene, view) {
+export function attachSides(root, scene, shown) {
   root.hidden = !scene.volume.letters;
-  const draw = (/** @type {Knobs} */ values) => {
-    for (const [side, letter] of Object.entries(sidesOf(scene, values))) find(root, `.${side}`).textContent = letter;
+  const draw = () => {
+    for (const [side, letter] of Object.entries(sidesOf(scene, shown.values))) find(root, `.${side}`).textContent = letter;
   };
-  view.subscribe(draw);
-  draw(view.values);
+  shown.subscribe(draw);
+  draw();
 }
 
 /** @param {Line} line */

@@ -97,7 +97,7 @@ class Live(BaseModel):
 
 
 class Compiling(BaseModel):
-    """Kernels that are compiled, once on this machine: ``done`` of ``total``; about ``seconds`` left, null at first."""
+    """Kernels that are compiled, once on this machine: ``done`` of ``total``; about ``seconds`` left, once known."""
 
     done: int
     total: int
@@ -107,7 +107,7 @@ class Compiling(BaseModel):
 class Ready(BaseModel):
     """Whether frames can be served, and if not, why not; if so, what one should know all the same.
 
-    While kernels of light are ``compiling`` they are served without light.
+    While kernels of light are ``compiling`` they are served without light; else that is left out.
     """
 
     ready: bool = True
@@ -121,7 +121,9 @@ async def livez(request: Request) -> Live:
     return Live(version=request.app.version)
 
 
-@health_router.get("/readyz", response_model=Ready, responses=documented_problems(503))
+@health_router.get(
+    "/readyz", response_model=Ready, response_model_exclude_none=True, responses=documented_problems(503)
+)
 def readyz(request: Request, service: ServiceDep) -> Response | Ready:
     """Ready: pictures can be drawn, the store takes light, workers are alive, no stop is asked; 503 with reasons."""
     stopping = ["isogi is stopping."] if request.app.state.closing.begun else []
@@ -131,7 +133,7 @@ def readyz(request: Request, service: ServiceDep) -> Response | Ready:
     compiling = None if progress is None else Compiling(**progress._asdict())
     if not reasons:
         return Ready(reasons=[*service.engine.notes(), *service.uploads.notes()], compiling=compiling)
-    more = {"compiling": compiling.model_dump()} if compiling else {}
+    more = {"compiling": compiling.model_dump(exclude_none=True)} if compiling else {}
     return problem(503, " ".join(reasons), request.url.path, ready=False, reasons=reasons, **more)
 
 

@@ -223,7 +223,7 @@ def test_it_says_at_once_what_it_does(
 
     monkeypatch.setattr(RenderEngine, "start", slow)
     warmed(blocks, tmp_path, "0.5", dry=True)
-    assert said == ["\rloading kernels, which are compiled once on a machine, 00:00"]
+    assert said == ["\rloading kernels, 00:00"]
     error = capsys.readouterr().err
     assert "planning, 00:00" in error and "looking:   0%" in error
 

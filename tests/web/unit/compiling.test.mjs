@@ -1,10 +1,10 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { CompilingLine, compilingWords } from "../../../web/panels/compiling.js";
+import { CompilingLine, compilingWords } from "../../../web/net/compiling.js";
 
 test("what is compiled is said with its count and the time left, once it is known", () => {
-  assert.equal(compilingWords({ done: 0, total: 24, seconds: null }, false), "Compiling, once on this machine: 0 of 24");
+  assert.equal(compilingWords({ done: 0, total: 24, seconds: undefined }, false), "Compiling, once on this machine: 0 of 24");
   assert.equal(compilingWords({ done: 7, total: 24, seconds: 39.6 }, false), "Compiling, once on this machine: 7 of 24, about 40 s left");
   assert.match(compilingWords({ done: 7, total: 24, seconds: 0.2 }, true), /^Light comes when isogi is compiled, .* about 1 s left$/);
   assert.match(compilingWords({ done: 7, total: 24, seconds: 130 }, true), /about 2 min left$/);

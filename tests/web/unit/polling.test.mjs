@@ -7,7 +7,8 @@ import { lost, troubleOf } from "../../../web/net/trouble.js";
 import { FakeClock, facts, settled } from "./fixtures.mjs";
 
 const PICTURE = new Blob(["a picture"]);
-const frame = (values = {}) => ({ blob: PICTURE, etag: '"a"', facts: facts(), ...values });
+const VIEW = { query: { isovalue: 1 }, of: { key: "a" } };
+const frame = (values = {}) => ({ blob: PICTURE, etag: '"a"', facts: facts(), of: VIEW.of, ...values });
 const FINAL = frame({ etag: '"z"', facts: facts({ provisional: false }) });
 
 let clock;
@@ -34,12 +35,11 @@ class Requests {
 
 /** What a page does with pictures: it notes them. */
 function hooks() {
-  const note = { shown: [], troubles: [], busy: [], moving: [] };
+  const note = { shown: [], troubles: [], moving: [] };
   frames = note;
   return {
     frame: async (shown, draft) => { note.shown.push({ ...shown, draft }); },
     trouble: (error) => note.troubles.push(error),
-    busy: (busy) => note.busy.push(busy),
     moving: (moving) => note.moving.push(moving),
   };
 }
@@ -95,8 +95,8 @@ test("an unchanged picture keeps the facts of the last", async () => {
   new Polling(server.ask, hooks(), clock).show(false);
   await server.answer(frame());
   await clock.pass(60);
-  await server.answer({ blob: null, etag: '"a"', facts: null });
-  assert.deepEqual(frames.shown.at(-1), { blob: null, facts: facts(), draft: false });
+  await server.answer({ blob: null, etag: '"a"', facts: null, of: VIEW.of });
+  assert.deepEqual(frames.shown.at(-1), { blob: null, facts: facts(), of: VIEW.of, draft: false });
   assert.deepEqual(clock.waits, [100]);
 });
 
@@ -154,7 +154,7 @@ test("a view that cannot be drawn is not asked for again", async () => {
   const server = new Requests();
   new Polling(server.ask, hooks(), clock).show(false);
   await server.answer(troubleOf({ status: 422, detail: "no" }));
-  assert.deepEqual([clock.waits, frames.troubles[0].detail, frames.busy], [[], "no", [true, false]]);
+  assert.deepEqual([clock.waits, frames.troubles[0].detail], [[], "no"]);
 });
 
 test("a page that is hidden asks no more until it is seen", async () => {
@@ -260,10 +260,11 @@ class FakeSocket {
   }
 }
 
-function streaming(refused = () => assert.fail("a stream can be had")) {
+function streaming(view = () => VIEW) {
   const sockets = [];
   const open = () => (sockets.push(new FakeSocket()), sockets.at(-1));
-  return { sockets, stream: new Streaming(open, () => ({ isovalue: 1 }), hooks(), refused, clock) };
+  const refused = () => assert.fail("a stream can be had");
+  return { sockets, stream: new Streaming(open, view, hooks(), refused, clock) };
 }
 
 test("a stream sends the view once it is open", () => {
@@ -283,23 +284,35 @@ test("a moving view is sent once for each frame of the screen", async () => {
   assert.deepEqual(sockets[0].sent.map(({ moving }) => moving), [false, true]);
 });
 
-test("a picture is shown, acknowledged, and ends the wait", async () => {
+test("a picture is shown, and acknowledged", async () => {
   const { sockets, stream } = streaming();
   stream.show(false);
   sockets[0].connect();
   await sockets[0].picture({ id: 1 });
   assert.equal(frames.shown[0].draft, false);
-  assert.deepEqual(frames.busy, [true, false]);
   assert.deepEqual(sockets[0].sent.at(-1), { shown: 1, took: 0 });
 });
 
-test("a picture of an earlier view does not end the wait", async () => {
+test("a picture carries the view that it was asked for", async () => {
+  let count = 0;
+  const { sockets, stream } = streaming(() => ({ query: {}, of: { key: `view ${++count}` } }));
+  stream.show(false);
+  sockets[0].connect();
+  for (let i = 0; i < 3; i++) stream.show(false);
+  for (const id of [1, 3, 3, 4]) await sockets[0].picture({ id });
+  assert.deepEqual(frames.shown.map(({ of }) => of.key), ["view 1", "view 3", "view 3", "view 4"]);
+});
+
+test("a problem with an earlier view is none of the newest", async () => {
   const { sockets, stream } = streaming();
   stream.show(false);
   sockets[0].connect();
   stream.show(false);
-  await sockets[0].picture({ id: 1 });
-  assert.equal(frames.busy.at(-1), true);
+  const problem = { status: 422, detail: "out of range" };
+  sockets[0].onmessage({ data: JSON.stringify({ id: 1, problem }) });
+  assert.deepEqual(frames.troubles, []);
+  sockets[0].onmessage({ data: JSON.stringify({ id: 2, problem }) });
+  assert.equal(frames.troubles.length, 1);
 });
 
 test("a lost stream is opened again, later each time", async () => {
@@ -336,7 +349,7 @@ test("a problem on the stream is reported", () => {
 test("where no stream can be had single requests take over", async () => {
   const server = new Requests();
   const open = () => { throw new ReferenceError("no sockets"); };
-  const loop = new FrameLoop({ open, view: () => ({}), ask: server.ask }, hooks(), clock);
+  const loop = new FrameLoop({ open, view: () => VIEW, ask: server.ask }, hooks(), clock);
   loop.settle();
   await server.answer(FINAL);
   assert.equal(frames.shown.length, 1);
@@ -344,7 +357,7 @@ test("where no stream can be had single requests take over", async () => {
 
 test("a view rests 200 ms after its last change", async () => {
   const server = new Requests();
-  const loop = new FrameLoop({ open: () => new FakeSocket(), view: () => ({}), ask: server.ask }, hooks(), clock);
+  const loop = new FrameLoop({ open: () => new FakeSocket(), view: () => VIEW, ask: server.ask }, hooks(), clock);
   loop.change();
   await clock.pass(150);
   loop.change();

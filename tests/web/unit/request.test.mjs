@@ -74,6 +74,24 @@ test("a frame is asked for by all knobs and its size", () => {
   });
 });
 
+test("a link is short, and shows what the scene starts with exactly", () => {
+  const digits = (text) => text.replace(/\D/g, "").replace(/^0+/, "").length;
+  for (const [isovalue, min, max] of [[1136.4285714285713, -1024, 3071], [0.20312500000000003, 0, 0.8], [1.5000000000000003e-7, 0, 2e-6]]) {
+    const scene = { ...SCENE, defaults: { ...SCENE.defaults, isovalue, exposure: 2.295855113204665 }, ranges: { ...SCENE.ranges, isovalue: { min, max } } };
+    const { values } = new ViewModel(scene), link = writeAddress(scene, values);
+    assert.ok(!link.includes("exposure"), link);
+    assert.ok([...new URLSearchParams(link).values()].every((text) => digits(text) <= 6), link);
+    assert.deepEqual(new ViewModel(scene, readAddress(link).start).values, values);
+    const other = new ViewModel(scene, { ...readAddress(link).start, exposure: 2.2958551 * 2 });
+    assert.equal(new URLSearchParams(writeAddress(scene, other.values)).get("exposure"), "4.592");
+  }
+});
+
+test("an isovalue that is typed keeps its digits in a link", () => {
+  const { values } = new ViewModel(SCENE, { isovalue: 70.123456 });
+  assert.equal(new URLSearchParams(writeAddress(SCENE, values)).get("isovalue"), "70.123456");
+});
+
 test("the light's own exposure is left to the server, another is asked for", () => {
   assert.ok(!("exposure" in frameQuery(SCENE, knobs({ environment: "studio" }), SIZE)));
   assert.equal(frameQuery(SCENE, knobs({ environment: "studio", exposure: 2 }), SIZE).exposure, 2);

@@ -1,20 +1,20 @@
 /** How far kernels are compiled, at the first start on a machine: a line over the picture. */
 
 import { find } from "../dom.js";
-import { CLOCK } from "../net/trouble.js";
+import { CLOCK } from "./trouble.js";
 
 const LOOK_MS = 500;
 
-/** @typedef {import("../net/api.js").Readiness} Readiness */
+/** @typedef {import("./api.js").Readiness} Readiness */
 
 /**
  * What a person reads of a compilation.
- * @param {{done: number, total: number, seconds: number|null}} compiling
+ * @param {{done: number, total: number, seconds?: number}} compiling
  * @param {boolean} drawn whether pictures are drawn already, without light
  * @returns {string}
  */
 export function compilingWords({ done, total, seconds }, drawn) {
-  const left = seconds === null ? "" : `, about ${timeLeft(seconds)} left`;
+  const left = seconds === undefined ? "" : `, about ${timeLeft(seconds)} left`;
   return `${drawn ? "Light comes when isogi is compiled" : "Compiling"}, once on this machine: ${done} of ${total}${left}`;
 }
 
@@ -32,7 +32,7 @@ export class CompilingLine {
   /**
    * @param {HTMLElement} root
    * @param {() => Promise<Readiness|null>} ask how ready the server is; null where it does not answer
-   * @param {import("../net/trouble.js").Clock} [clock]
+   * @param {import("./trouble.js").Clock} [clock]
    */
   constructor(root, ask, clock = CLOCK) {
     this.#root = root;
