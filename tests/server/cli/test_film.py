@@ -203,4 +203,4 @@ def test_mp4_is_what_players_read(small_scene: Path, tmp_path: Path) -> None:
         reading = [ffmpeg.get_ffmpeg_exe(), "-i", tmp_path / name, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
         pixels = subprocess.run(reading, capture_output=True, check=True).stdout
         frames = np.frombuffer(pixels, np.uint8).reshape(4, 20, 24, 3)
-        assert frames.max() > 100 > frames.min()
+        assert frames.max() > 200 and frames.min() < 150  # the light ground, and shades of the surface
