@@ -13,6 +13,7 @@ from numba import config
 from isogi_core.kernels import _compilation, _jit
 from isogi_core.kernels._compilation import Compilation, KernelProgress, in_order, warm, with_callees
 from isogi_core.kernels._jit import entries_of, load
+from tests.compile_kernels import entry_kernels
 from tests.scale import COMPILED
 
 pytestmark = COMPILED
@@ -146,3 +147,15 @@ def test_what_is_missing_is_compiled_by_others_and_loaded_here(tmp_path):
     hits = "[1, 1]" if config.NUMBA_DEFAULT_NUM_THREADS > 1 else "[0, 0]"
     assert answers[0] == f"(False, False) True True {hits} 2.0 3.0 False False"
     assert answers[1] == "(True, True) True True [1, 1] 2.0 3.0 False False"
+
+
+def test_what_a_kernel_calls_by_address_is_known_before_it_is_loaded():
+    """A name in its object file that nobody has told the address of would end the process."""
+    entries = entry_kernels()
+    for entry in entries:
+        entry.ready  # noqa: B018
+        module, name = entry.name.split(".")[-2:]
+        (code,) = [path.read_bytes() for path in _jit.FOLDER.glob(f"*/{module}.{name}-*.nbc")]
+        called = {each.name for each in entries if b"\0" + each.name.encode() + b"\0" in code}
+        assert called == {each.name for each in entry.callees}, entry.name
+    assert sum(bool(entry.callees) for entry in entries) > 10
