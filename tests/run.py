@@ -1,7 +1,7 @@
 """Run tests at the same time, and run a test that failed once more, alone: ``python -m tests.run [options of pytest]``.
 
 Tests wait for servers and browsers on a machine that is full of each other, so a test may fail only there. Such a
-test is named and counted. One is forgiven, two fail the run. ``RECORD`` counts over the runs of one ``make``.
+test is named and counted. Three are forgiven, more fail the run. ``RECORD`` counts over the runs of one ``make``.
 """
 
 import subprocess
