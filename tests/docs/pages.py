@@ -24,6 +24,7 @@ ELSEWHERE = {
     "isogi serve": "serves until it is stopped: tests/cluster/test_tls.py holds its options",
     "dask scheduler": "runs until it is stopped: tests/cluster/test_tls.py holds its options",
     "dask worker": "runs until it is stopped: tests/cluster/test_tls.py holds its options",
+    "isogi prewarm engine.toml --continue": "needs one that was stopped: tests/server/prewarm/test_kill.py kills some",
     "docker compose": "needs Docker: tests/cluster/test_compose.py holds its services",
 }
 """How lines begin that are not run here, and why."""
