@@ -589,6 +589,15 @@ class Isogi:
         document = self._json("GET", f"{scene_path(scene)}/point", params=query({"x": x, "y": y, **view}))
         return Point.of_document(document) if document["hit"] else None
 
+    def size(self, scene: str, **surface: Values) -> dict[str, Any]:
+        """Area of an isosurface and volume of what it encloses, each with its error; ``unit`` is that of lengths.
+
+        ``surface`` may hold isovalue, cut, time and hide. ``is_open``: whether the solid reaches a side of the volume.
+
+        >>> isogi.size("casting", isovalue=0.4)["area"]
+        """
+        return self._json("GET", f"{scene_path(scene)}/size", params=query(surface))
+
     def frame(
         self,
         scene: str,

@@ -25,7 +25,9 @@ from isogi_core.plan.left_out import S1_BYTES
 from isogi_core.plan.materials import material_settings
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import find_materials
+from isogi_core.prepared.surface_size import surface_size
 from server.parameters import FrameParams
+from server.point_schemas import PointSchema, SizeSchema
 from server.schemas import (
     CameraSchema,
     ChunkCounts,
@@ -42,7 +44,6 @@ from server.schemas import (
     Omission,
     PixelCounts,
     PlanSchema,
-    PointSchema,
     PresetSchema,
     Range,
     SceneSchema,
@@ -294,6 +295,15 @@ def point_schema(scene: Scene, frame: Frame, pixel: tuple[int, int], exposure: f
         state=point.state,
         error=point.error,
     )
+
+
+def size_schema(renderer: Renderer, isovalue: float) -> SizeSchema:
+    """The size of a scene's surface, in the world; an area of 0 where there is none."""
+    prepared = renderer.prepared
+    volume, place = prepared.scene.volume, prepared.scene.volume.orientation
+    steps = place.affine(volume.spacing)[:, :3]
+    size = surface_size(volume.voxels, prepared.surface(isovalue).isovalue, steps)
+    return SizeSchema(isovalue=isovalue, unit=place.unit, **asdict(size))
 
 
 def coverage_schema(frame: Frame, time_left: TimeLeft | None) -> Coverage:

@@ -1,4 +1,4 @@
-"""The parameters of points of a picture, and of slices through a volume."""
+"""The parameters of points of a picture, of slices through a volume, and of the size of a surface."""
 
 import sys
 from typing import Annotated
@@ -6,7 +6,7 @@ from typing import Annotated
 from pydantic import Field
 
 from server.errors import ParameterError
-from server.parameters import LONGEST_SIDE, NoParams, ViewParams, reader
+from server.parameters import LONGEST_SIDE, Isovalue, NoParams, VariantParams, ViewParams, reader
 from server.values import Choice, Span
 
 AXES, MOST = ("x", "y", "z"), sys.float_info.max
@@ -52,5 +52,17 @@ class SliceParams(NoParams):
         return low, high
 
 
+class SizeParams(VariantParams):
+    """A surface that is measured."""
+
+    isovalue: Isovalue = None
+
+    @property
+    def view(self) -> ViewParams:
+        """A view of that surface."""
+        return ViewParams.model_validate({"isovalue": self.isovalue})
+
+
 PointParamsDep = Annotated[PointParams, reader(PointParams)]
 SliceParamsDep = Annotated[SliceParams, reader(SliceParams)]
+SizeParamsDep = Annotated[SizeParams, reader(SizeParams)]

@@ -325,30 +325,6 @@ class CameraSchema(BaseModel):
     target: Triple
 
 
-class PointSchema(BaseModel):
-    """What one pixel shows; all but ``hit`` and ``unit`` is null where it shows no surface.
-
-    ``position`` and the outward unit ``normal`` are in the world, whose lengths have the ``unit``, empty where
-    unknown; ``sides`` are the sides of a patient on which the coordinates lie, "LAS", empty elsewhere. ``voxel`` are
-    voxel indices, x first. ``value`` is the volume's there, null on the ``wall`` with that number. ``light`` is linear
-    RGB, ``displayed`` the same as a picture shows it, sRGB; ``state`` is final, converging or provisional, and
-    ``error`` the relative error of this pixel.
-    """
-
-    hit: bool
-    unit: str
-    position: Triple | None = None
-    sides: str | None = None
-    voxel: Triple | None = None
-    value: float | None = None
-    wall: int | None = None
-    normal: Triple | None = None
-    light: Triple | None = None
-    displayed: str | None = None
-    state: str | None = None
-    error: float | None = None
-
-
 class ChunkCounts(BaseModel):
     """Chunks that the view reads, and how many of them are final."""
 

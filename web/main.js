@@ -2,7 +2,7 @@
 
 import { find } from "./dom.js";
 import { complaints, followAddress, readAddress } from "./net/address.js";
-import { listScenes, openStream, readFrame, readLight, readPoint, readReadiness, readScene, readSurfacePoint, sliceAddress } from "./net/api.js";
+import { listScenes, openStream, readFrame, readLight, readPoint, readReadiness, readScene, readSize, readSurfacePoint, sliceAddress } from "./net/api.js";
 import { CompilingLine } from "./net/compiling.js";
 import { Exporter } from "./net/export.js";
 import { FrameLoop } from "./net/loop.js";
@@ -20,7 +20,7 @@ import { attachHistogram } from "./panels/histogram.js";
 import { attachKnobs } from "./panels/knobs.js";
 import { attachLight } from "./panels/light.js";
 import { PointCard } from "./panels/point.js";
-import { Reading, attachMeasures } from "./panels/reading.js";
+import { Reading, attachMeasures, attachSize } from "./panels/reading.js";
 import { attachPresets } from "./panels/presets.js";
 import { showScene } from "./panels/scene.js";
 import { Notice, Status, TroublePanel } from "./panels/status.js";
@@ -108,6 +108,7 @@ function assemble(scene, knobs, trouble) {
   attachMaterial($("material"), scene, view);
   attachCutting(scene, view, card, options.onRest);
   attachMeasures($("measures"), scene, view);
+  attachSize($("size", HTMLDetailsElement), scene, view, (values, signal) => readSize(scene, values, signal));
   const showLight = attachLight($("light"), scene, view, options.onRest);
   const follow = () => followView(view, picture, shown, loop);
   attachEnvironments($("light"), scene, view, () => { showLight(); showScene(form, scene); follow(); }, say);
@@ -213,10 +214,11 @@ function toggleRulers(view) {
   view.set({ rulers: view.values.rulers === "on" ? "off" : "on" });
 }
 
-/** Open a folded part where it can be seen, or fold it. @param {HTMLDetailsElement} part */
+/** Open a folded part, where it can be seen unless the picture would go for it; or fold it. @param {HTMLDetailsElement} part */
 function unfold(part) {
   part.open = !part.open;
-  if (part.open) part.scrollIntoView({ block: "nearest" });
+  const stays = getComputedStyle(find(document, ".picture")).position === "sticky";
+  if (part.open && stays) part.scrollIntoView({ block: "nearest" });
 }
 
 /** Show the picture alone on the whole screen, or the page again. */

@@ -39,7 +39,7 @@ def isosurface_mesh(voxels: np.ndarray, isovalue: Isovalue) -> Mesh:
 
     Solid is what lies above. Cells beside a voxel that is NaN have no surface.
     """
-    level, cells = float(isovalue), _passed(voxels, float(isovalue))
+    level, (cells, _) = float(isovalue), cells_of(voxels, float(isovalue))
     corners = np.stack([voxels[tuple((cells + corner).T[::-1])] for corner in CORNERS], axis=1).astype(np.float64)
     starts = range(0, len(cells), CELLS)
     inside = [_settled(corners[start : start + CELLS], level) for start in starts]
@@ -53,18 +53,22 @@ def isosurface_mesh(voxels: np.ndarray, isovalue: Isovalue) -> Mesh:
 
 def vertex_count(voxels: np.ndarray, isovalue: Isovalue) -> int:
     """How many vertices the mesh of a surface has, and about as many quadrilaterals; see ``isosurface_mesh``."""
-    return len(_passed(voxels, float(isovalue)))
+    return len(cells_of(voxels, float(isovalue))[0])
 
 
-def _passed(voxels: np.ndarray, level: float) -> np.ndarray:
-    """Indices (n, 3; x, y, z) of the cells that the surface passes, z ascending."""
-    found = []
+def cells_of(voxels: np.ndarray, level: float) -> tuple[np.ndarray, int]:
+    """Indices (n, 3; x, y, z) of the cells that a surface passes, z ascending; and how many lie above it as a whole.
+
+    Cells beside a voxel that is NaN are neither.
+    """
+    found, solid = [], 0
     for z in range(len(voxels) - 1):
         slab = voxels[z : z + 2]
         inside, gone = _around(slab > level), _around(np.isnan(slab))
         y, x = np.nonzero((inside > 0) & (inside < 8) & (gone == 0))
         found.append(np.column_stack([x, y, np.full(len(x), z)]))
-    return np.concatenate(found)
+        solid += int((inside == 8).sum())
+    return np.concatenate(found), solid
 
 
 def _around(slab: np.ndarray) -> np.ndarray:

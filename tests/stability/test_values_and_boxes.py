@@ -11,11 +11,12 @@ import pytest
 
 from isogi_core.bake.bake_spec import SPECS
 from isogi_core.errors import VolumeError
+from isogi_core.frame.film import develop
 from isogi_core.model.view import Camera, View
 from isogi_core.model.volume import CORE, make_volume
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps
-from tests.stability.scenes import grey_levels, picture_of, renderer_of, scene_of, view_of
+from tests.stability.scenes import frame_of, grey_levels, picture_of, renderer_of, scene_of, view_of
 from tests.stability.volumes import RANGES, REFUSED, SIDE, grid, soft, spoiled
 
 HOT = (SIDE // 2 - 2, SIDE // 2, SIDE - 8)
@@ -209,5 +210,6 @@ def turned(axes: Axes, shading: str) -> np.ndarray:
     scene = scene_of(make_volume(field), 0.5, **({} if shading == "gi" else {"lights": [lamp]}))
     eye = np.array(scene.volume.centre) + move @ EYE
     camera = Camera(tuple(eye), scene.volume.centre, tuple(move @ (0.1, 0.2, 1.0)), 26.0)
-    picture = picture_of(scene, View(0.5, camera, width=10, height=10, shading=shading), 2048)
+    frame = frame_of(scene, View(0.5, camera, width=10, height=10, shading=shading), 2048)
+    picture = develop(frame, 1.0)  # a scene's exposure is found from its front, which is mirrored here
     return picture if np.linalg.det(move) > 0.0 else picture[:, ::-1]

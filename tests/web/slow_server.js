@@ -66,6 +66,7 @@
       const message = JSON.parse(text);
       if ("shown" in message) return;
       this.#newest = { ...message, controls: controls(), step: 0 };
+      leave(this.#newest.controls); // at the earliest now, also where no look falls between two changes
       if (!(this.#drawn?.moving && message.moving)) this.#draw();
     }
 
@@ -104,12 +105,13 @@
 
   /** When the controls left what they were, by what they were. */
   const left = new Map();
+  const leave = (text) => left.set(text, { moment: performance.now(), looks: report.looks });
   let before = "";
 
   /** What is untrue of what is seen now: names, and what shows it. */
   function lies() {
     const now = controls();
-    if (before !== now) left.set(before, { moment: performance.now(), looks: report.looks });
+    if (before !== now) leave(before);
     left.delete(now);
     before = now;
     const { node, picture } = seen() ?? {};

@@ -14,7 +14,8 @@ import { Trouble, lost, retryDelay, troubleOf } from "./trouble.js";
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 
 const ONE_PIXEL = { f: "npy", shading: "lambert", width: 1, height: 1 };
-const OF_SURFACE = ["isovalue", "window", "cut", "time", "surfaces", "hide"]; // parameters of a view that say where its surface is
+const OF_SIZE = ["isovalue", "cut", "time", "hide"]; // parameters of a view that say what its surface is
+const OF_SURFACE = [...OF_SIZE, "window", "surfaces"]; // and what of it is seen, and what is beside it
 const PIXEL_BYTES = 36; // nine floats: three of light, hit, state, error, three of position
 const [HIT, POSITION] = [12, 24]; // bytes from the pixel's first
 
@@ -175,6 +176,18 @@ export async function readPoint(scene, query) {
     const { hit, ...point } = await (await ask(sceneAddress(scene, "point", query))).json();
     return hit ? point : null;
   });
+}
+
+/**
+ * How large a view's surface is.
+ * @param {Scene} scene
+ * @param {Knobs} values knobs of the view
+ * @param {AbortSignal} signal
+ * @returns {Promise<import("./schemas.js").Size>}
+ */
+export async function readSize(scene, values, signal) {
+  const query = Object.entries(frameQuery(scene, values, ONE_PIXEL)).filter(([name]) => OF_SIZE.includes(name));
+  return (await ask(sceneAddress(scene.id, "size", Object.fromEntries(query)), { signal })).json();
 }
 
 /**

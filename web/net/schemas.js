@@ -169,6 +169,16 @@
  * @property {number} error relative
  */
 
+/**
+ * @typedef {object} Size of a surface, in squares and cubes of the unit
+ * @property {string} unit of lengths; "" where unknown
+ * @property {number} area 0 where there is no surface
+ * @property {number} area_error
+ * @property {number} volume that it encloses
+ * @property {number} volume_error
+ * @property {boolean} is_open whether the solid reaches a side of the volume
+ */
+
 /** @typedef {Record<State, number>} Coverage shares of the surface pixels */
 
 /**

@@ -1,9 +1,12 @@
-/** Reading the picture: clicks show a point, or measure between points; the list of what was measured. */
+/** Reading the picture: clicks show a point, or measure between points; the list of what was measured; a surface's size. */
 
 import { find, textElement } from "../dom.js";
-import { MOST, measureInWords } from "../view/measures.js";
+import { retryDelay } from "../net/trouble.js";
+import { MOST, knownInWords, measureInWords } from "../view/measures.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
+/** @typedef {import("../net/schemas.js").Size} Size */
+/** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/marks.js").Marks} Marks */
 /** @typedef {import("../view/marks.js").FindSurface} FindSurface */
 /** @typedef {import("../view/measures.js").Measure} Measure */
@@ -131,4 +134,58 @@ export function attachMeasures(panel, { volume }, view) {
   };
   view.watch(({ measures }) => measures, draw);
   draw();
+}
+
+const REST_MS = 400; // that a surface stays as it is before it is measured
+const AGAIN_MS = [500, 1000, 2000, 4000]; // before a server that does not answer, or is busy, is asked again
+const WHOLE = "Of the whole surface, faces of a cut too. ± is what the size of the voxels leaves open.";
+const OPEN = "The solid reaches a side of the volume, and is taken to end there.";
+
+/**
+ * Keep the size of the surface up with the view, while it is unfolded; none is shown of another surface.
+ * @param {HTMLDetailsElement} panel holds a `dl` and a `.note`
+ * @param {Pick<Scene, "volume">} scene
+ * @param {ViewModel} view
+ * @param {(values: Knobs, signal: AbortSignal) => Promise<Size>} ask
+ */
+export function attachSize(panel, { volume }, view, ask) {
+  const [list, note] = [find(panel, "dl"), find(panel, ".note")];
+  let [timer, controller] = [0, new AbortController()];
+  const show = (/** @type {[string, string][]} */ rows, /** @type {string} */ words) => {
+    list.replaceChildren(...rows.flatMap(([name, text]) => [textElement("dt", name), textElement("dd", text)]));
+    note.textContent = words;
+  };
+  const measure = async (/** @type {AbortSignal} */ signal) => {
+    for (let failures = 0; ; failures += 1) {
+      const found = await ask(view.values, signal).catch((/** @type {Error} */ error) => error);
+      if (signal.aborted) return;
+      if (!(found instanceof Error)) return show(sizeRows(volume, found), found.is_open ? `${WHOLE} ${OPEN}` : WHOLE);
+      show([], found.message);
+      const delay = retryDelay(found, failures, AGAIN_MS);
+      if (delay === null) return;
+      await new Promise((done) => { setTimeout(done, delay); });
+      if (signal.aborted) return;
+    }
+  };
+  const follow = () => {
+    controller.abort();
+    controller = new AbortController();
+    clearTimeout(timer);
+    show([], "Measuring…");
+    if (panel.open) timer = setTimeout(measure, REST_MS, controller.signal);
+  };
+  panel.addEventListener("toggle", follow);
+  view.watch(({ isovalue, planes, opened, time, hide }) => [isovalue, planes, opened, time, hide], follow);
+}
+
+/**
+ * How large a surface is, for a person.
+ * @param {Pick<Scene["volume"], "spacing">} volume
+ * @param {Size} size
+ * @returns {[string, string][]}
+ */
+export function sizeRows({ spacing }, { unit, area, area_error: areaError, volume, volume_error: volumeError }) {
+  const own = unit || (spacing.every((step) => step === 1) ? "voxel" : "unit");
+  if (area === 0) return [["Area", "no surface"]];
+  return [["Area", knownInWords(area, areaError, `${own}²`)], ["Volume", knownInWords(volume, volumeError, `${own}³`)]];
 }

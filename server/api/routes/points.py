@@ -1,22 +1,31 @@
-"""Points of a picture, and slices through the volume: what is in one pixel of a view, and beside it."""
+"""Points of a picture, slices through the volume, and the size of the surface: what is measured beside pictures."""
 
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
 from isogi_core.plan.scene import Scene
-from server.answers import point_schema
+from server.answers import point_schema, size_schema
 from server.api.headers import PreferencesDep, matches, tag_of
 from server.api.service import SceneDep, ServiceDep
 from server.errors import ParameterError
 from server.parameters import documented
 from server.pictures import MEDIA_TYPES, compress, grey
-from server.point_parameters import AXES, PointParams, PointParamsDep, SliceParams, SliceParamsDep
+from server.point_parameters import (
+    AXES,
+    PointParams,
+    PointParamsDep,
+    SizeParams,
+    SizeParamsDep,
+    SliceParams,
+    SliceParamsDep,
+)
+from server.point_schemas import PointSchema, SizeSchema
 from server.problems import documented_problems
-from server.schemas import PointSchema
 
 router = APIRouter(prefix="/v1/scenes/{scene}", tags=["frames"])
 SLICE: dict[int | str, dict[str, Any]] = {
@@ -42,6 +51,19 @@ async def read_point(
     exposure = lit.default_exposure if params.exposure is None else params.exposure
     response.headers.update(applied | {"Cache-Control": "no-cache", "Vary": "Prefer"})
     return await service.render(request, lit, params, lambda shown: point_schema(lit, shown.frame, pixel, exposure))
+
+
+@router.get("/size", openapi_extra=documented(SizeParams), responses=documented_problems(404, 422, 429, 503))
+async def read_size(request: Request, scene: SceneDep, params: SizeParamsDep, service: ServiceDep) -> SizeSchema:
+    """Area of the whole surface and volume of what it encloses, in the volume's unit, with how exact both are.
+
+    Faces of a cut belong to the surface. Surfaces that are pinned beside do not, and windows take nothing away.
+    """
+    shown = await service.variant(scene, params)
+    picture = service.picture_of(shown, params.view)
+    return await service.compute(
+        request, partial(size_schema, service.engine.renderer(shown.id), picture.view.isovalue)
+    )
 
 
 @router.get(

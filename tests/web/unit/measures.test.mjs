@@ -1,7 +1,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { complaints, readAddress, writeAddress } from "../../../web/net/address.js";
-import { MOST, angleOf, arcOf, distanceOf, limitMeasures, measureInWords, readMeasure, unitOf, writeMeasure } from "../../../web/view/measures.js";
+import { MOST, angleOf, arcOf, distanceOf, knownInWords, lengthInWords, limitMeasures, measureInWords, readMeasure, writeMeasure } from "../../../web/view/measures.js";
+import { sizeRows } from "../../../web/panels/reading.js";
 import { ViewModel } from "../../../web/view/model.js";
 import { SCENE, knobs } from "./fixtures.mjs";
 
@@ -12,7 +13,23 @@ test("a distance has the unit of the volume", () => {
   assert.equal(distanceOf(A, C), 5);
   assert.equal(measureInWords({ unit: "mm", spacing: [1, 1, 2] }, [A, C]), "5 mm");
   assert.equal(measureInWords(VOXELS, [[0, 0, 0], [1, 1, 1]]), "1.732 voxels");
-  assert.equal(unitOf({ unit: "", spacing: [1, 1, 2] }), "units");
+  assert.equal(lengthInWords({ unit: "", spacing: [1, 1, 2] }, 3), "3 units");
+  assert.equal(lengthInWords(VOXELS, 1), "1 voxel");
+});
+
+test("a quantity has as many digits as its error leaves", () => {
+  assert.equal(knownInWords(1614.2083, 15.262, "mm³"), "1614 ± 15 mm³");
+  assert.equal(knownInWords(0.0031416, 0.00000213, "mm²"), "0.0031416 ± 0.0000021 mm²");
+  assert.equal(knownInWords(12.34, 40, "mm²"), "10 ± 40 mm²");
+  assert.equal(knownInWords(6600, 0, "voxel³"), "6600 voxel³");
+});
+
+test("a surface's size has squares and cubes of its unit", () => {
+  const size = { unit: "mm", area: 50, area_error: 1, volume: 20, volume_error: 0.5, is_open: false };
+  assert.deepEqual(sizeRows(VOXELS, size), [["Area", "50 ± 1 mm²"], ["Volume", "20 ± 0.5 mm³"]]);
+  assert.equal(sizeRows(VOXELS, { ...size, unit: "" })[0][1], "50 ± 1 voxel²");
+  assert.equal(sizeRows({ spacing: [1, 1, 2] }, { ...size, unit: "" })[1][1], "20 ± 0.5 unit³");
+  assert.deepEqual(sizeRows(VOXELS, { ...size, area: 0 }), [["Area", "no surface"]]);
 });
 
 test("an angle is that at the second point", () => {
