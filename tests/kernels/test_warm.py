@@ -149,7 +149,7 @@ def test_what_is_missing_is_compiled_by_others_and_loaded_here(tmp_path):
     assert answers[1] == "(True, True) True True [1, 1] 2.0 3.0 False False"
 
 
-def test_what_a_kernel_calls_by_address_is_known_before_it_is_loaded():
+def test_what_a_kernel_calls_by_address_is_known_before():
     """A name in its object file that nobody has told the address of would end the process."""
     entries = entry_kernels()
     for entry in entries:
