@@ -4,7 +4,7 @@ import os
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
@@ -22,7 +22,7 @@ from distributed.utils import LoopRunner
 
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.cache.chunk_store import ChunkStore
-from isogi_core.kernels._compilation import warm
+from isogi_core.kernels._compilation import warm, with_callees
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
@@ -200,6 +200,11 @@ def kernels_of_this_process() -> dict[str, bool]:
     return {name: bool(x.ready.stats.cache_misses) for name, x in entries.items() if x.loaded}
 
 
+def named(kernels: Iterable[Any]) -> set[str]:
+    """The names of entry kernels, and of those that they call."""
+    return {kernel.name for kernel in with_callees(kernels)}
+
+
 def test_kernels_are_loaded_and_not_compiled_again(
     compiled: dict[str, tuple[int, int]], pool: WorkerPool, tmp_path: Path
 ) -> None:
@@ -220,7 +225,7 @@ def test_missing_kernels_are_compiled_by_a_worker_meanwhile(monkeypatch: pytest.
     fresh = WorkerPool(1, kinds=("irradiance",))
     try:
         assert fresh.preparing == "The workers compile their kernels."
-        wait_for(lambda: set(*fresh._client.run(kernels_of_this_process).values()) == {k.name for k in IRRADIANCE})
+        wait_for(lambda: set(*fresh._client.run(kernels_of_this_process).values()) == named(IRRADIANCE))
         missing.remove("irradiance")
         assert fresh.preparing == ""
         assert {layer.kind for layer in SPEC.plan.layers} <= missing
