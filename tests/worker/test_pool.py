@@ -253,7 +253,7 @@ def test_joined_workers_have_loaded_kernels_and_stay_as_nice(
         joined.step_back(1e-3)
         sessions = [os.getsid(pid) for pid in joined.pids()]
         joined.close()
-    assert kernels == [{kernel.name: False for kernel in BAKE}]
+    assert kernels == [dict.fromkeys(named(BAKE), False)]
     assert sessions == [os.getsid(0)]
 
 
