@@ -11,7 +11,7 @@ EXTRAS := --extra formats --extra report --extra s3 --extra client --extra film
 # Every process would compile all modules anew: a server with two workers starts three times as fast without it.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install serve shell test-fast test test-all test-docs kernels bytecode test-bounds test-python check lock format pictures \
+.PHONY: install serve shell test-fast test test-all test-long kernels bytecode test-bounds test-python check lock format pictures \
   figures reports clean
 
 install: $(BIN)/.installed
@@ -47,7 +47,7 @@ check: $(BIN)/.tools
 
 # Tests in tiers, by what they need (the markers of pyproject.toml): `test-fast` while you work, `test` before each
 # commit, `test-all` before a landing. `test-all` runs `test` first, and then only what that leaves out.
-LATE := benchmark or browser or campaign or cluster or documented or kill or s3 or slow or stability
+LATE := benchmark or browser or campaign or cluster or kill or long or s3 or slow or stability
 SOON := journey or not ($(LATE))
 RUN := $(BIN)/python -m tests.run --durations 20
 TOGETHER := -n auto --dist worksteal
@@ -68,12 +68,12 @@ test:
 
 # Campaigns measure times: nothing runs beside them.
 test-all: test
-	$(RUN) $(TOGETHER) -m "not ($(SOON) or campaign or documented)"
+	$(RUN) $(TOGETHER) -m "not ($(SOON) or campaign or long)"
 	$(RUN) -m campaign
 
-# Every line of README and docs as it stands, films at full length too: half an hour.
-test-docs: $(BIN)/.tools
-	$(BIN)/python -m pytest -m documented $(TESTS)
+# Every line of README and docs as it stands, films at full length too, and a thousand changes of the page: an hour.
+test-long: $(BIN)/.tools
+	$(BIN)/python -m pytest -m long $(TESTS)
 
 kernels: $(BIN)/.installed
 	$(BIN)/python -m tests.compile_kernels

@@ -30,7 +30,7 @@ ELSEWHERE = {
 """How lines begin that are not run here, and why."""
 
 LONG = tuple(f"isogi {name}" for name in ("export", "film", "prewarm", "publish", "reference", "report"))
-"""How lines begin that may take minutes: `make test-docs` runs them."""
+"""How lines begin that may take minutes: `make test-long` runs them."""
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ def test_short_commands_run_in_the_order_of_their_page(page: Path, folder: Path,
 
 
 @needs_tools
-@pytest.mark.documented
+@pytest.mark.long
 @by_page
 def test_every_command_runs_in_the_order_of_its_page(page: Path, folder: Path, server: str) -> None:
     for block in blocks_of(page):

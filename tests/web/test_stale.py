@@ -192,7 +192,7 @@ def test_random_changes_are_followed_by_no_lie(fresh: Page, live_server: str) ->
     assert not report["lies"], summary(report)
 
 
-@pytest.mark.campaign
+@pytest.mark.long
 def test_a_thousand_random_changes_have_no_lie(fresh: Page, live_server: str) -> None:
     report = tried(fresh, live_server, 1000, seed=1)
     SHOTS.mkdir(parents=True, exist_ok=True)
