@@ -158,17 +158,20 @@ FIRST = (
 
 def first_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     """The entry kernels of first pictures of the ``scenes``: by a local shading without shadows, edges not smoothed."""
-    called = {*frame_kernels(scenes)}
+    called = {*frame_kernels(scenes, surveyed=False)}
     return (*(kernel for kernel in FIRST if kernel in called), shade_local)
 
 
-def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
+def frame_kernels(scenes: Iterable[Scene], surveyed: bool = True) -> tuple[Any, ...]:
     """Those that frames of any of the ``scenes`` call: ROOM where one has walls, COLOURED where one has colours,
     MATTER where light passes one, AMONG where one has several surfaces, GLOW where something glows, SHINE where one
     shines, then in the order of FRAME.
+
+    Whether a scene projects texels is asked of a survey of its volume, which calls kernels itself: those that are not
+    ``surveyed`` count as if they did.
     """
     shown = tuple(scenes)
-    uncalled = set.intersection({*FRAME}, *map(uncalled_by, shown))
+    uncalled = set.intersection({*FRAME}, *(uncalled_by(scene, surveyed) for scene in shown))
     rooms = ROOM if any(scene.room.any and not scene.several for scene in shown) else ()
     rooms += (light_walls,) if any(scene.room.any and scene.several for scene in shown) else ()
     shining = [scene for scene in shown if scene.shine]
@@ -197,12 +200,12 @@ def glow_of(scene: Scene) -> Any:
     return glow_among_surfaces if scene.several else glow_in_room
 
 
-def uncalled_by(scene: Scene) -> set[Any]:
-    """Those that frames of a ``scene`` never call."""
+def uncalled_by(scene: Scene, surveyed: bool) -> set[Any]:
+    """Those that frames of a ``scene`` never call; for ``surveyed`` see ``frame_kernels``."""
     names = {*uncalled(scene.rotating, scene.environment, scene.lamps, scene.plan.lobes)}
     never = {kernel for kernel in FRAME if kernel.__name__ in names}
     never |= set() if scene.projected is None else {count_stiffness}
-    projects = scene.projection.any
+    projects = not surveyed or scene.projection.any
     never |= set() if projects else {measure_distances}
     never |= {trace_pixels, trace_places} if scene.room.any or scene.several else set()
     if carries_irradiance_ratios(scene, "gi", False):

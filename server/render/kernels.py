@@ -21,7 +21,8 @@ class SceneKernels:
         """Compile nothing yet. ``scenes`` gives those that are shown at the moment."""
         self._scenes, self._stopped = scenes, stopped
         self.kinds = {kind for each in scenes() for kind in each.bakes}
-        self._lit = (*first_kernels(scenes()), *frame_kernels(scenes()), *bake_kernels(self.kinds))
+        lit = *frame_kernels(scenes(), surveyed=False), *bake_kernels(self.kinds)
+        self._lit = (*first_kernels(scenes()), *lit)
         self._all = Compilation(first_kernels(scenes()), self._lit)
 
     @property
