@@ -55,9 +55,9 @@ class Compilation:
 
     def wait(self, kernels: Iterable[Any]) -> None:
         """Returns once ``kernels`` are compiled, or nobody is at it any more: it was stopped, or there is one core."""
-        entries = with_callees(kernels)
-        while self._work and self._work.is_alive() and not all(each.stored for each in entries):
-            self._work.join(LOOK)
+        for entry in with_callees(kernels):
+            while self._work and self._work.is_alive() and not entry.stored:  # a look at a folder: one at a time
+                self._work.join(LOOK)
 
     def progress(self, kernels: Iterable[Any]) -> KernelProgress | None:
         """How far the compilation of ``kernels`` is; None where this machine has them all."""

@@ -51,6 +51,7 @@ class Startup:
 
     async def ready(self) -> None:
         """Returns once the service is ready, or has failed to start."""
+        await self.settled.wait()
         while not self.failure and await asyncio.to_thread(self.reasons) != []:
             await asyncio.sleep(LOOK)
 
