@@ -98,7 +98,8 @@ NOTHING = Effort(0, 0.0, 0.0)
 
 @dataclass(eq=False)
 class Interest:
-    """The interest of a ``viewer`` in a chunk: texels ``offsets``, seen by their ``footprints``, until ``target``.
+    """The interest of a ``viewer`` in a chunk: texels ``offsets``, seen by their ``footprints``, until ``target``, or
+    ``enough`` samples.
 
     ``priority`` is the squared visible error of the light, over the paths taken. ``view`` numbers the view that asked
     last, the newest being the highest, at the time ``asked``; the first request came at ``since``. ``ticket`` marks its
@@ -113,27 +114,31 @@ class Interest:
     view: int
     asked: float
     since: float
+    enough: int = MOST
     ticket: int = 0
 
-    def covers(self, offsets: np.ndarray, target: float) -> bool:
-        """Whether texels at ``offsets`` until a ``target`` are wanted already."""
-        return self.target <= target and contained(offsets, self.offsets)
+    def covers(self, offsets: np.ndarray, target: float, enough: int) -> bool:
+        """Whether texels at ``offsets`` until a ``target``, or ``enough`` samples, are wanted already."""
+        return self.target <= target and self.enough >= enough and contained(offsets, self.offsets)
 
     def joined(self, newer: "Interest") -> "Interest":
         """Merge with a ``newer`` interest; priority and age are those of the newer."""
-        both, since = merged((self, newer)), min(self.since, newer.since)
-        return Interest(newer.viewer, *both, newer.priority, newer.view, newer.asked, since)
+        offsets, footprints, target, enough = merged((self, newer))
+        both, since = (offsets, footprints, target), min(self.since, newer.since)
+        return Interest(newer.viewer, *both, newer.priority, newer.view, newer.asked, since, enough)
 
 
 class MergedInterest(NamedTuple):
-    """Several interests as one: texels ``offsets``, the largest ``footprints`` of each, the strictest ``target``."""
+    """Several interests as one: texels ``offsets``, the largest ``footprints`` of each, the strictest ``target``, and
+    the most samples that are ``enough``."""
 
     offsets: np.ndarray
     footprints: np.ndarray
     target: float
+    enough: int
 
 
-NO_INTEREST = MergedInterest(np.empty(0, np.int32), np.empty(0, np.float32), np.inf)
+NO_INTEREST = MergedInterest(np.empty(0, np.int32), np.empty(0, np.float32), np.inf, 0)
 
 
 @dataclass(eq=False)
@@ -204,6 +209,11 @@ class BakeRequest:
         return min((interest.target for interest in self.interests.values()), default=self._merged.target)
 
     @property
+    def enough(self) -> int:
+        """The most samples that are enough for anybody."""
+        return max((interest.enough for interest in self.interests.values()), default=self._merged.enough)
+
+    @property
     def least_priority(self) -> float | None:
         """The priority from which on paths are taken next; None until each texel has its first light."""
         self._merge()
@@ -234,15 +244,18 @@ class BakeRequest:
         """Whether a task for it may begin now."""
         return not (self.in_flight or self.postponed or self.given_up)
 
-    def add_interest(self, demand: Demand, target: float, viewer: Viewer, view: int, now: float) -> None:
+    def add_interest(
+        self, demand: Demand, target: float, viewer: Viewer, view: int, now: float, enough: int = MOST
+    ) -> None:
         """Add the demand of a ``viewer``'s newest ``view``.
 
         It may be of a frame that was drawn before the last task ended: that one knows better what its texels lack.
         """
         older = self.interests.get(viewer.client)
-        known = self._least_priority is not None and older is not None and older.covers(demand.offsets, target)
+        known = self._least_priority is not None and older is not None and older.covers(demand.offsets, target, enough)
         since = now if older is None else older.since
-        interest = Interest(viewer, demand.offsets, demand.footprints, target, priority_of(demand), view, now, since)
+        seen = demand.offsets, demand.footprints, target, priority_of(demand)
+        interest = Interest(viewer, *seen, view, now, since, enough)
         self.interests[viewer.client] = interest if older is None or viewer.single else older.joined(interest)
         self._change_priority(interest.priority - (0.0 if older is None else older.priority))
         self.effort, self._stale = self.effort if known else demand.effort, True
@@ -253,9 +266,9 @@ class BakeRequest:
         self._change_priority(-self.interests.pop(client).priority)
         self._stale = True
 
-    def exceeds(self, offsets: np.ndarray, target: float) -> bool:
-        """Whether more is wanted than texels ``offsets`` until ``target``."""
-        return exceeds(self._merge(), offsets, target)
+    def exceeds(self, offsets: np.ndarray, target: float, enough: int) -> bool:
+        """Whether more is wanted than texels ``offsets`` until ``target``, or ``enough`` samples."""
+        return exceeds(self._merge(), offsets, target, enough)
 
     def advance(self, result: BakeResult, grown: bool) -> None:
         """Take over the result of a task; the next one samples texels of lower priority.
@@ -284,7 +297,7 @@ class BakeRequest:
         """
         if self._stale and self.interests:
             before, self._merged, self._stale = self._merged, merged(self.interests.values()), False
-            if exceeds(self._merged, before.offsets, before.target):
+            if exceeds(self._merged, before.offsets, before.target, before.enough):
                 self._least_priority = None
         return self._merged
 
@@ -303,17 +316,18 @@ def merged(interests: Collection[Interest]) -> MergedInterest:
     """The texels of all ``interests``, ascending, the largest footprint of each, and the strictest target."""
     if len(interests) == 1:
         (alone,) = interests
-        return MergedInterest(alone.offsets, alone.footprints, alone.target)
+        return MergedInterest(alone.offsets, alone.footprints, alone.target, alone.enough)
     wanted = np.concatenate([interest.offsets for interest in interests])
     seen = np.full(1 + int(wanted.max(initial=-1)), -1.0, np.float32)
     np.maximum.at(seen, wanted, np.concatenate([interest.footprints for interest in interests]))
     offsets = np.flatnonzero(seen >= 0.0).astype(np.int32)
-    return MergedInterest(offsets, seen[offsets], min(interest.target for interest in interests))
+    target, enough = min(each.target for each in interests), max(each.enough for each in interests)
+    return MergedInterest(offsets, seen[offsets], target, enough)
 
 
-def exceeds(wanted: MergedInterest, offsets: np.ndarray, target: float) -> bool:
-    """Whether more is ``wanted`` than texels ``offsets`` until ``target``."""
-    return wanted.target < target or not contained(wanted.offsets, offsets)
+def exceeds(wanted: MergedInterest, offsets: np.ndarray, target: float, enough: int) -> bool:
+    """Whether more is ``wanted`` than texels ``offsets`` until ``target``, or ``enough`` samples."""
+    return wanted.target < target or wanted.enough > enough or not contained(wanted.offsets, offsets)
 
 
 def contained(offsets: np.ndarray, others: np.ndarray) -> bool:

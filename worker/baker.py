@@ -15,7 +15,7 @@ from isogi_core.errors import StoreAwayError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.view_texels import Demand
-from isogi_core.model.scene_plan import ScenePlan
+from isogi_core.model.scene_plan import MOST, ScenePlan
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.url import StoreUrl
@@ -120,7 +120,9 @@ class Baker:
         """Call ``listener`` for every chunk that has new light, or whose task failed."""
         self._listeners.append(listener)
 
-    def request(self, scene: str, demands: Iterable[Demand], target: float, viewer: Viewer = GUEST) -> frozenset[Index]:
+    def request(
+        self, scene: str, demands: Iterable[Demand], target: float, viewer: Viewer = GUEST, enough: int = MOST
+    ) -> frozenset[Index]:
         """Request the light that a viewer's newest view lacks. Returns the chunks that will be baked.
 
         There are none where the scene was dropped.
@@ -129,7 +131,7 @@ class Baker:
         with self._changed:
             if scene not in self._bakes:
                 return frozenset()
-            self._queue.request(wanted, target, viewer)
+            self._queue.request(wanted, target, viewer, enough)
             self._feed()
             return frozenset(request.key[1] for request in self._queue.open(key for key, _ in wanted))
 
@@ -193,8 +195,10 @@ class Baker:
             if scene not in self._bakes:
                 return None
             open_now = self._queue.open((scene, index) for index in indices)
-            work = [Work(each.key[1], each.effort, each.target) for each in open_now]
-            work += [Work(each.index, each.effort, stage.target) for stage in later for each in stage.demands]
+            work = [Work(each.key[1], each.effort, each.target, each.enough) for each in open_now]
+            work += [
+                Work(each.index, each.effort, stage.target, stage.enough) for stage in later for each in stage.demands
+            ]
             seconds = work_seconds(work, self._bakes[scene].costs)
             workers = self._expected if self._pool is None else self._pool.workers
             if seconds is None or workers is None:
@@ -273,7 +277,8 @@ class Baker:
         index = request.key[1]
         place = (bake.source, bake.plan, bake.digest, bake.store_url, index)
         what = (*request.next, request.until, request.least_priority or 0.0, request.target)
-        return BakeTask(*place, *what, bake.assets, self._name, request.waited >= LONGEST_REST, bake.shown, bake.whole)
+        insists = request.waited >= LONGEST_REST
+        return BakeTask(*place, *what, bake.assets, self._name, insists, bake.shown, bake.whole, request.enough)
 
     def _done(
         self, scene: str, bake: Bake, tasks: Sequence[BakeTask], outcomes: Sequence[BakeResult | BaseException | None]
@@ -309,7 +314,7 @@ class Baker:
             self._duplicate += outcome.duplicate
             self._healed += outcome.healed
             self._kept += outcome.kept
-            self._queue.finish(key, task.offsets, task.target, outcome)
+            self._queue.finish(key, task.offsets, task.target, outcome, task.enough)
         elif isinstance(outcome, WorkersAwayError):
             self._queue.put_off(key)
         elif isinstance(outcome, StoreAwayError):

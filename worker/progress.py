@@ -13,7 +13,7 @@ import numpy as np
 from isogi_core.bake.noise import RATE, Effort
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.costs import Costs
-from isogi_core.model.scene_plan import FEWEST, most_samples
+from isogi_core.model.scene_plan import FEWEST, MOST, most_samples
 from isogi_core.prepared.prepared_scene import Index
 
 
@@ -194,11 +194,14 @@ class Pace:
 
 
 class Work(NamedTuple):
-    """Work at a ``chunk``: the ``effort`` that its texels want to come to the relative error ``target``."""
+    """Work at a ``chunk``: the ``effort`` that its texels want to come to the relative error ``target``, or to
+    ``enough`` samples.
+    """
 
     chunk: Index
     effort: Effort
     target: float
+    enough: int = MOST
 
 
 def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
@@ -219,7 +222,7 @@ def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
         unlit, stricter = each.effort.unlit, (work[0].target / each.target) ** RATE
         if unlit and each.effort.expected:
             return each.effort.left + each.effort.expected - FIRST_LEVEL * unlit
-        return each.effort.left + paths_after_first(stricter * usual, each.target) * unlit
+        return each.effort.left + paths_after_first(stricter * usual, each) * unlit
 
     return [
         rate * _paths(each) + first * each.effort.unlit
@@ -228,9 +231,9 @@ def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
     ]
 
 
-def paths_after_first(usual: float, target: float) -> float:
+def paths_after_first(usual: float, work: Work) -> float:
     """Paths after its first light of a texel without light, where others take ``usual`` paths."""
-    return min(max(usual, FEWEST), most_samples(target)) - FIRST_LEVEL
+    return min(max(usual, FEWEST), most_samples(work.target), work.enough) - FIRST_LEVEL
 
 
 # --- cost of a whole bake, by a rehearsal

@@ -17,6 +17,7 @@ import numpy as np
 
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.view_texels import Demand
+from isogi_core.model.scene_plan import MOST
 from isogi_core.prepared.prepared_scene import Index
 from worker.bake_requests import GUEST, SHORT, BakeRequest, Key, Shares, Viewer
 from worker.client_queues import ClientQueues, Rank
@@ -61,7 +62,9 @@ class BakeQueue:
     _alone: bool = False
     _turn: tuple[bool, Hashable] = (False, "")
 
-    def request(self, demands: Iterable[tuple[Key, Demand]], target: float, viewer: Viewer = GUEST) -> None:
+    def request(
+        self, demands: Iterable[tuple[Key, Demand]], target: float, viewer: Viewer = GUEST, enough: int = MOST
+    ) -> None:
         """Add the demands of a ``viewer``'s newest view."""
         self._forget()
         self.views += 1
@@ -69,7 +72,7 @@ class BakeQueue:
         for key, demand in demands:
             request = self.requests.get(key) or self.requests.setdefault(key, BakeRequest(key))
             if not request.given_up:
-                request.add_interest(demand, target, viewer, self.views, now)
+                request.add_interest(demand, target, viewer, self.views, now, enough)
                 self._add_for(request, viewer.client)
         if viewer.single:
             self._release(viewer, self.views)
@@ -136,12 +139,12 @@ class BakeQueue:
         """The rank of a request among those of a view."""
         return request.stage, -request.priority / (self.rate(request.key) or 1.0), request.effort.left
 
-    def finish(self, key: Key, offsets: np.ndarray, target: float, result: BakeResult) -> None:
+    def finish(self, key: Key, offsets: np.ndarray, target: float, result: BakeResult, enough: int = MOST) -> None:
         """Take over the result of a task for ``offsets`` of a chunk; the request stays where work is left."""
         request = self.requests[key]
         self._end_task(request, result.cost.seconds)
         request.failures, request.suspect, request.waited = 0, False, 0.0
-        grown = request.exceeds(offsets, target)
+        grown = request.exceeds(offsets, target, enough)
         if not request.interests:
             del self.requests[key]
         elif result.unfinished == 0 and not grown:
@@ -326,7 +329,7 @@ class BakeQueue:
 
 def alike(one: BakeRequest, other: BakeRequest) -> bool:
     """Whether one task can bake both."""
-    same = (one.key[0], one.target, one.until) == (other.key[0], other.target, other.until)
+    same = (one.key[0], one.target, one.enough, one.until) == (other.key[0], other.target, other.enough, other.until)
     return same and not other.suspect
 
 

@@ -29,7 +29,7 @@ from isogi_core.files.scene_changes import MATERIAL_NUMBERS
 from isogi_core.files.scene_file import FOLLOWED, SceneSource
 from isogi_core.kernels._jit import load
 from isogi_core.kernels.transport.texel_points import project_texels
-from isogi_core.model.scene_plan import ScenePlan
+from isogi_core.model.scene_plan import MOST, ScenePlan
 from isogi_core.model.value_survey import no_progress
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.assembly import build_scene
@@ -45,7 +45,8 @@ class BakeTask:
     """Bring the texels at ``offsets`` of a chunk to ``until`` samples, as long as their next path has priority enough.
 
     Paths of less than ``least_priority`` are not taken, see ``path_priorities``, with texels seen by their
-    ``footprints``. Texels are to be final in pictures of the relative error ``target``. ``plan`` is what is baked.
+    ``footprints``. Texels are to be good for pictures of the relative error
+    ``target``, or to have ``enough`` samples. ``plan`` is what is baked.
     ``digest`` names the light that the server means, as the scene's files may have changed since. Where there are
     ``assets``, these are read in place of the scene's files. ``owner`` names the baker, which claims the chunk while
     others are at work too; where it ``insists``, whoever claimed it before. Texels lie on the isosurface that is
@@ -68,6 +69,7 @@ class BakeTask:
     insists: bool = False
     shown: Isovalue | None = None
     whole: Whole | None = None
+    enough: int = MOST
 
 
 @dataclass(frozen=True)
@@ -320,10 +322,10 @@ def keep_light(light: Light, texels: np.ndarray, spec: BakeSpec, tasks: Sequence
     if lender is None:
         return np.zeros(len(light), np.bool_)
     places = [(task.index, task.offsets) for task in tasks]
-    kept = lender.lend(light, next_samples(light, spec, first.target) == 0, places, walks=False)
+    kept = lender.lend(light, next_samples(light, spec, first.target, first.enough) == 0, places, walks=False)
     sample_texels(light, texels, spec, *(replace(task, until=min(task.until, FIRST_LEVEL)) for task in tasks))
     going_on = np.repeat([task.until > FIRST_LEVEL for task in tasks], [len(task.offsets) for task in tasks])
-    waiting = going_on & (next_samples(light, spec, first.target) == FIRST_LEVEL)
+    waiting = going_on & (next_samples(light, spec, first.target, first.enough) == FIRST_LEVEL)
     return kept | lender.lend(light, waiting, places, walks=True)
 
 
@@ -332,10 +334,11 @@ def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: Bake
 
     Level by level; ``light`` is in place. How far a texel goes depends on its own task alone.
     """
-    target, counts = tasks[0].target, [len(task.offsets) for task in tasks]
+    counts = [len(task.offsets) for task in tasks]
+    target, enough = tasks[0].target, tasks[0].enough
     chunks, footprints = np.repeat(np.arange(len(tasks)), counts), np.concatenate([task.footprints for task in tasks])
     until, least = (np.array([(task.until, task.least_priority) for task in tasks])[chunks]).T
-    waiting, priority = next_samples(light, spec, target), path_priorities(light, spec, footprints, chunks)
+    waiting, priority = next_samples(light, spec, target, enough), path_priorities(light, spec, footprints, chunks)
     located: Located | None = None
     while (worthy := (waiting >= 0) & (waiting < until) & (priority >= least)).any():
         lowest = int(waiting[worthy].min())
@@ -343,7 +346,7 @@ def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: Bake
         part, located = light.rows(rows), located or locate(texels, spec.prepared, spec.shown)
         refine(part, texels[rows], spec, lowest + 1, target, some_located(located, rows))
         light.put(rows, part)
-        waiting[rows] = next_samples(part, spec, target)
+        waiting[rows] = next_samples(part, spec, target, enough)
         priority = path_priorities(light, spec, footprints, chunks)
 
 
@@ -359,14 +362,14 @@ def results_of(light: Light, spec: BakeSpec, tasks: Sequence[BakeTask]) -> list[
 
     What they cost is still to be told.
     """
-    target, count = tasks[0].target, len(tasks)
+    target, enough, count = tasks[0].target, tasks[0].enough, len(tasks)
     numbers = np.repeat(np.arange(count), [len(task.offsets) for task in tasks])
-    error, waiting = standard_error(light, spec), next_samples(light, spec, target) >= 0
+    error, waiting = standard_error(light, spec), next_samples(light, spec, target, enough) >= 0
     visible = np.concatenate([task.footprints for task in tasks]) * error**2
     lacking, seen, taken = (
         np.bincount(numbers[waiting], some, count) for some in (None, visible[waiting], light.samples[waiting])
     )
-    work = efforts(numbers, count, error / level(light, spec), light.samples, target)
+    work = efforts(numbers, count, error / level(light, spec), light.samples, target, enough)
     priorities = (seen / np.maximum(taken, 1)).tolist()
     return [
         BakeResult(texels, priority, Effort(*each), Cost())

@@ -6,7 +6,6 @@ from benchmarks.accuracy.calibration import calibration
 from benchmarks.accuracy.checking import checking
 from benchmarks.accuracy.choices import choices
 from benchmarks.accuracy.colours import colours
-from benchmarks.accuracy.converging import converging
 from benchmarks.accuracy.cuts import cuts
 from benchmarks.accuracy.equal_error import equal_error
 from benchmarks.accuracy.filtering import filtering
@@ -35,7 +34,6 @@ main = suite(
     totals,
     furnace,
     checking,
-    converging,
     cuts,
     colours,
     surfaces,

@@ -10,7 +10,7 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec, band_of
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.shading.lattice import LEAST_SPREAD
-from isogi_core.model.scene_plan import FEWEST, GlowLayer, Layer, most_samples, texel_target
+from isogi_core.model.scene_plan import FEWEST, MOST, GlowLayer, Layer, most_samples, texel_target
 from isogi_core.plan.albedos import mixing_weights
 
 FLOOR = 0.5
@@ -114,17 +114,26 @@ def path_priorities(light: Light, spec: BakeSpec, footprints: np.ndarray, chunks
     return np.asarray(np.where(lit, seen / np.maximum(samples, 1), np.inf))
 
 
-def finished(light: Light, spec: BakeSpec, target: float) -> np.ndarray:
-    """Whether each texel is final in pictures of a ``target`` error: good enough, or void; (texels,) bool."""
-    return light.void | good_enough(relative_error(light, spec), light.samples, target)
+def finished(light: Light, spec: BakeSpec, target: float, enough: int = MOST) -> np.ndarray:
+    """Whether each texel needs no more for pictures of a ``target`` error: good enough, or void; (texels,) bool."""
+    return light.void | good_enough(relative_error(light, spec), light.samples, target, enough)
 
 
-def good_enough(error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
-    """Whether texels of this relative ``error`` after so many ``samples`` are final in pictures of a ``target``; bool.
+class Until(NamedTuple):
+    """When texels need no more samples: at the ``target`` error of pictures, or once they have ``enough`` of them."""
 
-    Their error is within ``texel_target``, or their samples are spent.
+    target: float
+    enough: int = MOST
+
+
+def good_enough(error: np.ndarray, samples: np.ndarray, target: float, enough: int = MOST) -> np.ndarray:
+    """Whether texels of this relative ``error`` need no more samples for pictures of a ``target`` error; bool.
+
+    Their error is within ``texel_target``, or their ``samples`` are spent: those of the target, or as many as are
+    ``enough`` for the picture that reads them.
     """
-    return (error <= texel_target(target)) & (samples >= FEWEST) | (samples >= most_samples(target))
+    spent = samples >= min(most_samples(target), enough)
+    return (error <= texel_target(target)) & (samples >= FEWEST) | spent
 
 
 def noise_of_halves(halves: np.ndarray, samples: int, order: int, evenness: np.ndarray | float = 1.0) -> np.ndarray:
@@ -223,44 +232,47 @@ class Effort(NamedTuple):
     expected: float = 0.0
 
     @classmethod
-    def of(cls, error: np.ndarray, samples: np.ndarray, target: float) -> Self:
+    def of(cls, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MOST) -> Self:
         """The effort of texels by their relative ``error`` and their ``samples``, void ones left out."""
-        unlit, *rest = efforts(np.zeros(len(error), np.intp), 1, error, samples, target)[0].tolist()
+        unlit, *rest = efforts(np.zeros(len(error), np.intp), 1, error, samples, target, enough)[0].tolist()
         return cls(int(unlit), *rest)
 
 
-def samples_left(error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
+def samples_left(error: np.ndarray, samples: np.ndarray, target: float, enough: int = MOST) -> np.ndarray:
     """The samples that texels of this relative ``error`` take until pictures are at a ``target``; (texels,) float64.
 
     They must be lit and not final: each climbs one sample level at least.
     """
-    return np.asarray(np.maximum(samples_needed(error, samples, target), 2.0 * samples) - samples)
+    return np.asarray(np.maximum(samples_needed(error, samples, target, enough), 2.0 * samples) - samples)
 
 
-def samples_needed(error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
-    """The sample level at which lit texels of this relative ``error`` are final for a ``target``; (texels,) float64."""
-    needed = np.clip(samples * (error / texel_target(target)) ** RATE, FEWEST, most_samples(target))
+def samples_needed(error: np.ndarray, samples: np.ndarray, target: float, enough: int = MOST) -> np.ndarray:
+    """The sample level at which lit texels of this relative ``error`` are good enough; (texels,) float64."""
+    most = min(most_samples(target), enough)
+    needed = np.clip(samples * (error / texel_target(target)) ** RATE, min(FEWEST, most), most)
     return np.asarray(2.0 ** np.ceil(np.log2(needed)))
 
 
-def efforts(chunks: np.ndarray, count: int, error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
+def efforts(
+    chunks: np.ndarray, count: int, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MOST
+) -> np.ndarray:
     """``Effort.of`` the texels of each of ``count`` chunks, (count, 4) float64; ``chunks`` is where each texel is."""
-    unlit, waiting = samples == 0, (samples > 0) & ~good_enough(error, samples, target)
-    left = samples_left(error[waiting], samples[waiting], target)
+    unlit, waiting = samples == 0, (samples > 0) & ~good_enough(error, samples, target, enough)
+    left = samples_left(error[waiting], samples[waiting], target, enough)
     columns = ((unlit, None), (waiting, samples[waiting]), (waiting, left))
     sums = [np.bincount(chunks[rows], weights=weights, minlength=count) for rows, weights in columns]
     return np.stack([*sums, np.zeros(count)], axis=1).astype(np.float64)
 
 
 def expected_samples(
-    chunks: np.ndarray, count: int, error: np.ndarray, samples: np.ndarray, target: float
+    chunks: np.ndarray, count: int, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MOST
 ) -> np.ndarray:
     """What texels of each of ``count`` chunks will take that are like others of this ``error`` after ``samples``.
 
     Where these are unlit, as many as the rest of the chunk's; 0 where all are. (count,) float64.
     """
     lit = samples > 0
-    needed = samples_needed(error[lit], samples[lit], target)
+    needed = samples_needed(error[lit], samples[lit], target, enough)
     sums = np.bincount(chunks[lit], weights=needed, minlength=count)
     known, every = (np.bincount(some, minlength=count) for some in (chunks[lit], chunks))
     return np.asarray(sums * every / np.maximum(known, 1))

@@ -20,7 +20,7 @@ from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRang
 from isogi_core.kernels.transport.room_paths import fill_seeds
 from isogi_core.kernels.transport.texel_points import PROJECTED, project_texels
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
-from isogi_core.model.scene_plan import GLOW, Layer, most_samples
+from isogi_core.model.scene_plan import GLOW, MOST, Layer, most_samples
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import PreparedScene
 
@@ -56,7 +56,7 @@ def refine(
             climb(parts, rows[(level == pattern[:, None]).all(axis=0)], located, spec)
 
 
-def next_samples(light: Light, spec: BakeSpec, target: float) -> np.ndarray:
+def next_samples(light: Light, spec: BakeSpec, target: float, enough: int = MOST) -> np.ndarray:
     """Samples of the parts of each texel that climb next; -1 where the texel is finished and none lags; (texels,) int.
 
     A part that was lost, or not written before a kill, catches up with the others, and so has the samples it had.
@@ -64,7 +64,7 @@ def next_samples(light: Light, spec: BakeSpec, target: float) -> np.ndarray:
     """
     most = np.max([part.samples for part in light.parts], axis=0)
     lags = ~light.void & (light.samples < np.minimum(most, most_samples(target)))
-    return np.where(finished(light, spec, target) & ~lags, -1, light.samples)
+    return np.where(finished(light, spec, target, enough) & ~lags, -1, light.samples)
 
 
 def climb(parts: Sequence[Part], rows: np.ndarray, located: Located, spec: BakeSpec) -> None:

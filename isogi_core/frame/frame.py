@@ -12,7 +12,6 @@ from isogi_core.frame.projected_texels import Projection
 from isogi_core.frame.rays.control_pixels import (
     ControlPixels,
     TotalError,
-    measure_surplus,
     measure_total,
     predict_total,
     spread_errors,
@@ -68,13 +67,13 @@ class Frame:
     wants more of, None where it reads no texels; ``seconds`` the time of each stage. ``projection`` tells of
     texels projected onto the view's isosurface, None where its scene has none there. ``target`` is the total error that
     control pixels are to show, None of frames that have none; ``controls`` are those drawn so far, by the
-    ``uncertainty`` (m,) of surface points, and it may be ``given_up``; ``early`` are those drawn while its light
-    converged. ``rays`` names those of shine that it shows. ``expected`` is what it errs by besides its noise, as the
-    plan expects. Of a view that is smooth, ``edges`` have more samples. So many pixels of walls, or of what is seen
-    through glass, are ``walls_waiting``: not final yet. So many pixels have light of their ``own``. Of surfaces that
-    let rays pass ``left`` (h, w) is the share of what lies behind. Its texels are finer than the plan's by ``fineness``
-    steps, see ``plan.finer``; a ``finer`` frame is coming, and waits for its light. What glows adds ``glow`` (pixels,
-    3) float32 to the radiance; None where nothing does.
+    ``uncertainty`` (m,) of surface points, and it may be ``given_up``; its texels are to have ``enough`` samples, and
+    controls are ``outdated`` that were drawn when fewer were. ``rays`` names those of shine that it shows. ``expected``
+    is what it errs by besides its noise, as the plan expects. Of a view that is smooth, ``edges`` have more samples. So
+    many pixels of walls, or of what is seen through glass, are ``walls_waiting``: not final yet. So many pixels have
+    light of their ``own``. Of surfaces that let rays pass ``left`` (h, w) is the share of what lies behind. Its texels
+    are finer than the plan's by ``fineness`` steps, see ``plan.finer``; a ``finer`` frame is coming, and waits for its
+    light. What glows adds ``glow`` (pixels, 3) float32 to the radiance; None where nothing does.
     """
 
     view: View
@@ -92,7 +91,8 @@ class Frame:
     controls: ControlPixels | None = None
     uncertainty: np.ndarray | None = None
     given_up: bool = False
-    early: ControlPixels | None = None
+    enough: int = 0
+    outdated: bool = False
     rays: bytes = b""
     expected: float = 0.0
     edges: EdgeSamples | None = None
@@ -120,7 +120,11 @@ class Frame:
 
     @cached_property
     def reported_state(self) -> np.ndarray:
-        """The ``state``, and 4 where a final pixel reads a texel that cannot be projected; (h, w)."""
+        """The ``state``, as far as the whole picture is; 4 where a final pixel reads a texel that cannot be projected;
+        (h, w).
+        """
+        if self.improving:
+            return np.where(self.state == FINAL, CONVERGING, self.state).astype(np.uint8)
         if self.projection is None:
             return self.state
         kept = (self.state == FINAL) & self.projection.unreachable
@@ -172,13 +176,20 @@ class Frame:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Surface pixels in each state."""
-        return {name: int(self._tally[0][state]) for name, state in STATES.items()}
+        """Surface pixels in each state, as far as the whole picture is: none is final that may become better."""
+        settled = 0 if self.improving else self.settled
+        converging = int(self._tally[0][CONVERGING]) + self.settled - settled
+        return {"final": settled, "converging": converging, "provisional": int(self._tally[0][PROVISIONAL])}
+
+    @property
+    def settled(self) -> int:
+        """Surface pixels whose texels have the light that they are to have."""
+        return int(self._tally[0][FINAL])
 
     @property
     def surface(self) -> int:
         """Pixels that show the surface."""
-        return sum(self.counts.values())
+        return int(self._tally[0][PROVISIONAL:].sum())
 
     @property
     def coverage(self) -> dict[str, float]:
@@ -190,33 +201,38 @@ class Frame:
     @property
     def provisional(self) -> bool:
         """Whether any surface pixel is not final."""
-        return self.counts["final"] < self.surface
+        return self.settled < self.surface
 
     @property
     def final(self) -> bool:
-        """Whether nothing becomes better: every surface pixel is final, and the total error measured at the target."""
-        settled = self.target is None or (self.measured is not None and self.measured.high <= self.target)
-        return not self.provisional and (settled or not len(self.gbuffer.pixels))
+        """Whether nothing becomes better: all light is as it is to be, and the total error measured at the target."""
+        return not self.provisional and (self._reached or not len(self.gbuffer.pixels))
+
+    @property
+    def _reached(self) -> bool:
+        """Whether the total error is at the target, by controls of its texels as they are."""
+        if self.target is None:
+            return True
+        return self.measured is not None and not self.outdated and self.measured.high <= self.target
+
+    @property
+    def improving(self) -> bool:
+        """Whether its check goes on, so that any pixel may become better."""
+        return not (self.final or (self.given_up and not self.provisional))
 
     @property
     def checkable(self) -> bool:
         """Whether texels in the store are final, and walls or control pixels are still to bring it to its target."""
         if self.walls_waiting:
-            return self.surface - self.counts["final"] == self.walls_waiting
+            return self.surface - self.settled == self.walls_waiting
         return not (self.provisional or self.final or self.given_up)
 
     @property
     def refinable(self) -> bool:
-        """Whether a step of refining makes it better or better known now: it is checkable or unmeasured, or its walls
-        lag behind its texels.
+        """Whether a step of refining makes it better or better known now: it is checkable, or its walls lag behind its
+        texels.
         """
-        return self.checkable or self.unmeasured or (self.walls_lag and not self.view.moving)
-
-    @property
-    def unmeasured(self) -> bool:
-        """Whether its light converges everywhere, and no controls have told yet what it errs by besides noise."""
-        converges = self.provisional and not self.counts["provisional"]
-        return converges and self.target is not None and self.lacking is not None and self.early is None
+        return self.checkable or (self.walls_lag and not self.view.moving)
 
     @cached_property
     def walls_lag(self) -> bool:
@@ -269,7 +285,7 @@ class Frame:
             return self.error
         error, pixels = self.error.copy(), self.gbuffer.pixels
         if self.measured is None or self.controls is None or self.uncertainty is None:
-            other = np.float32(self.beside_noise)
+            other = np.float32(self.expected)
         else:
             errors = spread_errors(self.uncertainty, self.controls, self.controlled)
             other = np.sqrt(np.maximum(errors**2 - self.pixel_noise**2, 0.0)) / np.maximum(
@@ -297,25 +313,7 @@ class Frame:
         """The total relative RMSE of the frame: measured or predicted; without global illumination all noise."""
         if self.view.shading != "gi":
             return TotalError(self.noise, self.noise, self.noise)
-        return self.measured or predict_total(self.noise, self.beside_noise)
-
-    @property
-    def lasting_total(self) -> TotalError:
-        """The same as any restart tells it: without early controls, which follow from when they were drawn."""
         return self.measured or predict_total(self.noise, self.expected)
-
-    @cached_property
-    def beside_noise(self) -> float:
-        """What it errs by besides its noise, relative: as the plan expects, where early controls do not know better.
-
-        It is no less than these find, and no more than a standard error above.
-        """
-        if self.early is None:
-            return self.expected
-        places, light = self.early.places, float(self._tally[1][0])
-        found, most = measure_surplus(self.early, self._shown_at(places), self.pixel_noise[places])
-        among_all = math.sqrt(len(self.gbuffer.pixels) * self.surface) / light if light > 0.0 else 0.0
-        return min(max(self.expected, found * among_all), most * among_all, 1.0)
 
     @property
     def framebuffer(self) -> Framebuffer:

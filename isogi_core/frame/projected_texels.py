@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.noise import good_enough
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.errors import StoreError
@@ -30,9 +30,6 @@ Texels that are nearer than the target error over this are left as they are. Und
 quarter of a voxel; projecting the others too changes the interpolation error from 0.39 to 0.34 % (engine at 180), from
 0.77 to 0.40 % (at 170), and takes half as many texels again (``docs/measurements/accuracy-interpolation.md``).
 """
-
-STAND_IN = 0.1
-"""Relative error that light may have at most while it stands in for that of projected texels."""
 
 PIECE = 16384
 """Texels whose distances one thread estimates in one go."""
@@ -94,15 +91,6 @@ class ProjectedReading(Reading):
     dark: np.ndarray
     distances: Distances
 
-    @cached_property
-    def stand_in(self) -> float:
-        """The relative error at which light is good enough that stands in for projected texels.
-
-        It is what interpolation between those is expected to err by.
-        """
-        errors = self.distances.errors[self.wanted]
-        return max(self.target, min(STAND_IN, float(np.median(errors)) if len(errors) else 0.0))
-
     @property
     def whole(self) -> bool:
         """Whether every texel holds light."""
@@ -129,19 +117,20 @@ class ProjectedReading(Reading):
     def projected_demands(self, lacking: Lacking) -> tuple[Demand, ...]:
         """What it wants of projected texels, whatever the base still lacks."""
         shown = lacking.texels.gbuffer.isovalue
-        return lacking.of(self.projected, self.pending, self.target, self.wanted, shown, like=self.base)
+        return lacking.of(self.projected, self.pending, self.wanted, shown, like=self.base)
 
     def stages(self, lacking: Lacking) -> tuple[Stage, ...]:
-        """All texels on their own isosurfaces, as good as they must be to stand in; those to be projected; the rest.
+        """First light of all texels on their own isosurfaces; those to be projected; the rest.
 
-        Light that is soon replaced need not be better than what interpolation errs by while it stands in.
+        What is soon replaced need not be any better.
         """
-        base, lit = self.base, good_enough(self.base.error, self.base.samples, self.stand_in)
-        rest = lacking.of(base, (base.grade < FINAL) & ~self.wanted, self.target, ~self.wanted)
+        base, until = self.base, (self.target, self.enough)
+        unlit = (base.grade < FINAL) & (base.samples < FIRST_LEVEL)
+        rest = lacking.of(base, (base.grade < FINAL) & ~self.wanted, ~self.wanted)
         return (
-            Stage(lacking.of(base, (base.grade < FINAL) & ~lit, self.stand_in), self.stand_in),
-            Stage(self.projected_demands(lacking), self.target),
-            Stage(rest, self.target),
+            Stage(lacking.of(base, unlit, enough=FIRST_LEVEL), self.target, FIRST_LEVEL),
+            Stage(self.projected_demands(lacking), *until),
+            Stage(rest, *until),
         )
 
     @property
@@ -182,12 +171,13 @@ def join_readings(base: Reading, projected: Reading, distances: Distances, pool:
     return ProjectedReading(
         rows=np.where(fit | dark, UNLIT, base.rows).astype(np.int32),
         grade=grade,
-        version=base.version + projected.version + repr(base.target).encode(),
+        version=base.version + projected.version + repr((base.target, base.enough)).encode(),
         samples=np.where(fit, projected.samples, base.samples),
         error=np.where(fit, projected.error, base.error),
         bounds=base.bounds,
         short=short,
         target=base.target,
+        enough=base.enough,
         base=base,
         projected=projected,
         pool=pool,

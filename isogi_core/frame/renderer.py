@@ -26,6 +26,8 @@ from typing import Any
 import numpy as np
 
 from isogi_core.bake.bake_spec import spec_name
+from isogi_core.bake.noise import Until
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.wall_store import WallStore
 from isogi_core.frame.antialiasing import smooth_edges
@@ -36,6 +38,7 @@ from isogi_core.frame.gbuffer import GBuffer, to_index, trace
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
 from isogi_core.frame.rays.lobe_light import LobeLight, ShadowStarts, find_lobes, find_starts
+from isogi_core.frame.rays.picture_check import PictureState
 from isogi_core.frame.rays.shine import ShineRays
 from isogi_core.frame.rays.shine_light import SHARE as SHINE_SHARE
 from isogi_core.frame.rays.shine_light import SeenLight, ShineLight, add_lobes_seen, walls_seen
@@ -60,6 +63,7 @@ from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.lru_cache import LruCache
+from isogi_core.model.scene_plan import MOST
 from isogi_core.model.shine import DULL
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
@@ -111,43 +115,45 @@ class Renderer:
         target: float | None = None,
         cancelled: threading.Event | None = None,
         watch: Stopwatch | None = None,
+        enough: int = FIRST_LEVEL,
     ) -> Frame:
         """The frame of ``view`` with the light that is there now.
 
-        ``target`` is the relative error at which light counts as final, the scene's own by default; ``watch`` goes
-        on with this frame's stages. Raises Cancelled once ``cancelled`` is set, and ViewError where the scene's light
-        is not of the albedo that the view asks for, or the camera stands in a wall.
+        ``target`` is the relative error that it is to reach, the scene's own by default: its texels are final there
+        each alone, or with as many samples as its check found ``enough``, or those given; where these are MOST, nothing
+        checks it. ``watch`` goes on with this frame's stages. Raises Cancelled once ``cancelled`` is set, and ViewError
+        where the scene's light is not of the albedo that the view asks for, or the camera stands in a wall.
         """
         tiles = self.tiles.cancelled_by(cancelled) if cancelled else self.tiles
-        target, watch = target or self.prepared.scene.target_error, watch or Stopwatch()
-        frame = self._draw(view, target, tiles, watch)
+        until, watch = Until(target or self.prepared.scene.target_error, enough), watch or Stopwatch()
+        frame = self._draw(view, until, tiles, watch)
         if view.moving or not view.smooth:
             return frame
         with watch.stage("edges"):
             return self._composer.smooth(frame, tiles) if self._composer else smooth_edges(frame, self.prepared, tiles)
 
-    def _draw(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
+    def _draw(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of a view with what glows before it, drawn on the threads of ``tiles``."""
-        lit = self._draw_lit(view, target, tiles, watch)
+        lit = self._draw_lit(view, until, tiles, watch)
         return with_glow(lit, self._kept, surface_key(view), self.prepared, tiles, watch)
 
-    def _draw_lit(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
+    def _draw_lit(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of what is lit in a view."""
         self.prepared.scene.albedo_for(view.albedo)
         self.prepared.scene.room.refuse_camera(view.camera, self.prepared.scene.volume.radius)
         if self._composer is not None:
-            return self._composer.draw(view, target, tiles, watch)
+            return self._composer.draw(view, until, tiles, watch)
         with watch.stage("primary"):
             gbuffer = self.gbuffer(view, tiles)
-        return self.draw_on(gbuffer, view, target, tiles, watch)
+        return self.draw_on(gbuffer, view, until, tiles, watch)
 
-    def draw_on(self, gbuffer: GBuffer, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
+    def draw_on(self, gbuffer: GBuffer, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of a view of the surface points in a G-buffer. Raises Cancelled."""
-        light = self._light(view)
+        light, target = self._light(view), until.target
         if view.shading == "gi" and self.prepared.scene.material.refracts:
             return self._through.draw(gbuffer, light, target, tiles, watch)
         if view.shading in ("gi", "vicinity"):
-            return self._render_texels(gbuffer, light, target, tiles, watch)
+            return self._render_texels(gbuffer, light, until, tiles, watch)
         frame = frame_of(gbuffer, light, shade(gbuffer, light, target, tiles, watch), watch)
         return self._walls.add(frame, light, target, tiles, watch)
 
@@ -166,22 +172,23 @@ class Renderer:
         target, tiles = target or self.prepared.scene.target_error, tiles or self.tiles
         if self._composer is not None:
             return self._composer.refine(view, target, tiles)
-        return self.refine_frame(self._draw(view, target, tiles, Stopwatch()), target, tiles, finer)
+        frame = self._draw(view, Until(target, FIRST_LEVEL), tiles, Stopwatch())
+        return self.refine_frame(frame, target, tiles, finer)
 
     def refine_frame(self, frame: Frame, target: float, tiles: Tiles, finer: bool) -> bool:
         """``refine`` of a view with this ``frame``."""
         if not frame.refinable:
             return False
-        light, measured = self._light(frame.view), not frame.unmeasured
-        if measured and frame.walls_waiting:
+        light = self._light(frame.view)
+        if frame.walls_waiting:
             return self._through.grow(frame.gbuffer, light, target, tiles)
-        if measured and self._grow_shine(frame, light, target, tiles):
+        if self._grow_shine(frame, light, target, tiles):
             return True
         check = self.checks.of(light, frame.gbuffer, target)
 
         def uncertainty() -> np.ndarray:
             texels = self.texels(light.view, frame.gbuffer, tiles)
-            found = self._texels.lit(texels, light, target, tiles, Stopwatch())
+            found = self._texels.lit(texels, light, Until(target, check.known.enough), tiles, Stopwatch())
             between = light.spec.unit * texel_disagreement(texels, *found)
             if light.coloured:
                 between *= light.tints(frame.gbuffer, tiles) @ LUMINANCE
@@ -206,15 +213,20 @@ class Renderer:
         row, surface = replace(row, shine=DULL), self.prepared.surface(view.isovalue)  # points in a row are far apart
         gbuffer = GBuffer.of_points(surface, to_index(np.array(view.camera.eye), surface.field.spacing), points)
         light, target = self._light(row), self.prepared.scene.target_error
-        return self._render_texels(gbuffer, light, target, self.tiles, Stopwatch()), gbuffer.normals(self.tiles)
+        until = Until(target)
+        return self._render_texels(gbuffer, light, until, self.tiles, Stopwatch()), gbuffer.normals(self.tiles)
 
     def _render_texels(
-        self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
+        self, gbuffer: GBuffer, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> Frame:
         """The frame out of the illumination cache: global illumination, or vicinity shading (S1, section 4.2)."""
+        target = until.target
+        checked = is_checked(light.view) and until.enough < MOST
+        known = self.checks.of(light, gbuffer, target).known if checked else None
         with watch.stage("texels"):
             texels = self.texels(light.view, gbuffer, tiles)
-        (reading, framebuffer), shine = self._texels.picture(texels, light, target, tiles, watch), b""
+        until, shine = texels_until(until, light.view, known), b""
+        reading, framebuffer = self._texels.picture(texels, light, until, tiles, watch)
         if light.spec.lobes:
             with watch.stage("lobes"):
                 straight = self.lobes(light, gbuffer, tiles)
@@ -223,7 +235,6 @@ class Renderer:
         if light.shine is not None and spec_name(light.view.shading) == "gi":
             with watch.stage("shine"):
                 shine = self._add_shine(gbuffer, light, target, framebuffer, tiles)
-        known = self.checks.of(light, gbuffer, target).known if is_checked(light.view) else None
         if known is not None:
             known.own.put(framebuffer, gbuffer.pixels, light.spec.unit)
         frame = frame_of(gbuffer, light, framebuffer, watch, texels, reading, known, shine)
@@ -261,7 +272,9 @@ class Renderer:
         """What rays of shine see by texels and walls as they are lit now; unshadowed light where nothing is lit yet."""
         hits, seen = rays.hits, RotatedLight(light.spec, rays.view(light.view))
         texels = self.texels(seen.view, hits, tiles)
-        reading, framebuffer = self._texels.picture(texels, seen, target, tiles, Stopwatch())
+        known = self.checks.held(light.view, target)
+        until = texels_until(Until(target, FIRST_LEVEL), light.view, known.known if known else None)
+        reading, framebuffer = self._texels.picture(texels, seen, until, tiles, Stopwatch())
         add_lobes_seen(rays, seen, framebuffer, tiles)
         colour_surface(hits, seen, framebuffer, tiles)
         version = self._walls.put_seen(walls_seen(rays, seen), target, framebuffer, tiles)
@@ -301,3 +314,12 @@ class Renderer:
     def forget_views(self) -> None:
         """Keep nothing of views, as if every one were new."""
         self._kept.clear()
+
+
+def texels_until(until: Until, view: View, known: PictureState | None) -> Until:
+    """When texels of a ``view`` need no more samples: once they have as many as are enough for its check, where that is
+    ``known``; each at the target alone where nothing checks pictures, as of vicinity shading.
+    """
+    if view.shading != "gi":
+        return Until(until.target)
+    return Until(until.target, max(until.enough, known.enough if known else 0))

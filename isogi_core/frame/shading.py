@@ -166,6 +166,8 @@ def filter_texel_light(
 ) -> tuple[Reading, np.ndarray]:
     """Texels' light ``lit`` (texels, LIT), filtered where it is noisy; see ``kernels.shading.filtering``.
 
+    Final light is filtered too: how much a texel takes over follows from its noise.
+
     Texels without light have that of their neighbours, in which the ``reading`` that is returned is converging. Where
     none of these faces their way, ``lend_light`` does, and at rest all of that light may be wrong. ``normals``
     (texels, 3) are those that they are lit about. Of a view that moves one step along the axes has to do, to the next
@@ -174,7 +176,8 @@ def filter_texel_light(
     records, positions = fill_texel_records(reading.grade, lit, normals, light, tiles), texels.positions
     records[:, PATHS], records[:, VARIANCE] = reading.samples, records[:, NOISE] ** 2
     noisy = reading.noisy
-    records[~noisy & (reading.grade == CONVERGING), GRADE] = FINAL
+    lit_texels = (reading.grade == CONVERGING) | (reading.grade == FINAL)
+    records[lit_texels, GRADE] = np.where(noisy[lit_texels], CONVERGING, FINAL)
     moving, lattice = light.view.moving, texels.lattice
     for step in (STEPS[texels.coarse],) if moving else STEPS:
         before, after, reach = records, np.empty_like(records), (step, FACES if moving else ALL)

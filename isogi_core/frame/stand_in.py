@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from isogi_core.bake.noise import Until
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.shading import light_sources
@@ -44,7 +45,7 @@ class StandIn:
         loader = caches.of(light.view.shading)
         loader.ensure(texels.chunks, tiles.check)
         with loader.pool.hold(texels.chunks) as held:
-            other = read_texels(texels, held.slots, loader.pool, reading.target, tiles)
+            other = read_texels(texels, held.slots, loader.pool, Until(reading.target, reading.enough), tiles)
             fit = waiting & np.isin(other.grade, (CONVERGING, FINAL, BURIED)) & self._is_far(texels, caches)
             rows = np.where(fit, other.rows, -1).astype(np.int32)
             borrowed = light_sources(((rows, loader.pool),), light, tiles)

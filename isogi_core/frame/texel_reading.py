@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.noise import RATE, Effort, efforts, expected_samples, good_enough
+from isogi_core.bake.noise import RATE, Effort, Until, efforts, expected_samples, good_enough
 from isogi_core.cache.page_pool import PagePool, fewest_samples
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.tiles import Tiles
@@ -14,6 +14,7 @@ from isogi_core.frame.view_texels import Demand, ViewTexels
 from isogi_core.kernels.shading.chunks import Pages, find_rows
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
+from isogi_core.model.scene_plan import MOST
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index
 
@@ -29,7 +30,8 @@ class Reading:
     UNBAKED, PARTIAL, CONVERGING, FINAL, BURIED or VOID. ``version`` says how far each texel is baked: a
     texel's light follows from its numbers of samples; ``samples`` int32 are the fewest of any part, ``error``
     float32 is relative. Texels of chunk i are ``bounds[i]`` … ``bounds[i + 1]``; ``short`` (chunks,) says which chunks
-    are not final at the relative error ``target``.
+    have texels that lack light for a picture of the relative error ``target``, whose texels need no more samples than
+    are ``enough``.
     """
 
     rows: np.ndarray
@@ -40,6 +42,7 @@ class Reading:
     bounds: np.ndarray
     short: np.ndarray
     target: float
+    enough: int
 
     @property
     def nbytes(self) -> int:
@@ -63,8 +66,9 @@ class Reading:
 
     @property
     def noisy(self) -> np.ndarray:
-        """Which texels' light is still noisy, whatever else they lack; (texels,) bool."""
-        return np.asarray((self.grade == CONVERGING) & ~good_enough(self.error, self.samples, self.target))
+        """Which texels' light is noisier than a picture's target allows each alone; (texels,) bool."""
+        lit = (self.grade == CONVERGING) | (self.grade == FINAL)
+        return np.asarray(lit & (self.samples > 0) & ~good_enough(self.error, self.samples, self.target))
 
     @cached_property
     def effort(self) -> float:
@@ -91,15 +95,15 @@ class Reading:
 
     def demands(self, lacking: "Lacking") -> tuple[Demand, ...]:
         """The light on texels' own isosurfaces that is not final, for a picture that is ``lacking`` it."""
-        return lacking.of(self, self.grade < FINAL, self.target)
+        return lacking.of(self, self.grade < FINAL)
 
     def stages(self, lacking: "Lacking") -> tuple["Stage", ...]:
         """What a picture wants, stage after stage."""
-        return (Stage(self.demands(lacking), self.target),)
+        return (Stage(self.demands(lacking), self.target, self.enough),)
 
 
-def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, target: float, tiles: Tiles) -> Reading:
-    """Look a view's texels up in the pool; ``slots`` are those of its chunks, ``target`` is final light's error."""
+def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, until: Until, tiles: Tiles) -> Reading:
+    """Look a view's texels up in the pool; ``slots`` are those of its chunks. They are baked ``until`` then."""
     places = texels.places
     rows, grade = np.empty(len(places), np.int32), np.empty(len(places), np.uint8)
     samples, error = np.empty(len(places), np.int32), np.empty(len(places), np.float32)
@@ -110,24 +114,25 @@ def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, target: f
         stamp = np.empty(b - a, np.float32)
         find_rows(texels.lattice, places[a:b], slots, pages, rows[a:b], error[a:b], stamp)
         samples[a:b] = fewest_samples(stamp, len(pool.spec.plan.layers))
-        grade[a:b] = grade_rows(rows[a:b], error[a:b], samples[a:b], target)
+        grade[a:b] = grade_rows(rows[a:b], error[a:b], samples[a:b], *until)
         digests[a] = hashlib.sha256(stamp.data).digest()
 
     tiles.run(_piece, len(places), PIECE)
     short = np.minimum.reduceat(grade, texels.bounds[:-1]) < FINAL if len(grade) else np.zeros(0, np.bool_)
     version = b"".join(digests[a] for a in sorted(digests))
-    return Reading(rows, grade, version, samples, error, texels.bounds, short, target)
+    return Reading(rows, grade, version, samples, error, texels.bounds, short, *until)
 
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """A stage of what a picture wants: ``demands`` of one bake, until the relative error ``target``.
+    """A stage of what a picture wants: ``demands`` of one bake, until a ``target`` error or ``enough`` samples.
 
     Of one of several surfaces' sides, but the outer one of that which slides, the light is that of ``caches``.
     """
 
     demands: tuple[Demand, ...]
     target: float
+    enough: int = MOST
     caches: Caches | None = None
 
     @property
@@ -173,23 +178,26 @@ class Lacking:
         self,
         reading: Reading,
         lacking: np.ndarray,
-        target: float,
         wanted: np.ndarray | None = None,
         shown: Isovalue | None = None,
         like: "Reading | None" = None,
+        enough: int | None = None,
     ) -> tuple[Demand, ...]:
         """The demands of the chunks that have texels ``lacking`` light, by what a ``reading`` says of these.
 
         All texels of such a chunk that are ``wanted`` are demanded. Both are (texels,) bool; None stands for all.
-        Texels without light are expected to need what those of a reading that they are ``like`` do.
+        Texels without light are expected to need what those of a reading that they are ``like`` do. With ``enough``
+        samples, by default those of the reading, a texel needs no more.
         """
+        until = reading.target, enough or reading.enough
         texels, rows = self.texels, np.flatnonzero(lacking)
         chunks = np.searchsorted(reading.bounds, rows, side="right") - 1
         touched = np.unique(chunks)
-        sums = efforts(chunks, len(texels.chunks), reading.error[rows], reading.samples[rows], target)
+        sums = efforts(chunks, len(texels.chunks), reading.error[rows], reading.samples[rows], *until)
         if like is not None:
             rows, chunks = (each[reading.samples[rows] == 0] for each in (rows, chunks))
-            sums[:, 3] = expected_samples(chunks, len(texels.chunks), like.error[rows], like.samples[rows], target)
+            known = like.error[rows], like.samples[rows]
+            sums[:, 3] = expected_samples(chunks, len(texels.chunks), *known, *until)
 
         def _demand(i: int) -> Demand:
             own = slice(*reading.bounds[i : i + 2].tolist())
@@ -205,9 +213,11 @@ GRADES = {UNLIT: UNBAKED, VOID_ROW: VOID, BURIED_ROW: BURIED}
 """Grades of texels that have no row of light."""
 
 
-def grade_rows(rows: np.ndarray, error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
+def grade_rows(
+    rows: np.ndarray, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MOST
+) -> np.ndarray:
     """How good the light in each row is, after at least so many ``samples`` in each part; (texels,) uint8."""
-    grade = good_enough(error, samples, target).view(np.uint8)
+    grade = good_enough(error, samples, target, enough).view(np.uint8)
     grade += CONVERGING
     grade[samples == 0] = PARTIAL
     if (rows < 0).any():

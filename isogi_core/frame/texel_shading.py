@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.bake.bake_spec import spec_name
+from isogi_core.bake.noise import Until
 from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.gbuffer import GBuffer
@@ -76,11 +77,11 @@ class TexelShading:
         return self._kept.get((ViewTexels, surface_key(view), coarse), make)
 
     def picture(
-        self, texels: ViewTexels, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
+        self, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> tuple[Reading, Framebuffer]:
-        """The reading of a view's texels, and the picture of their light."""
-        if (recalled := self._recall(texels, light, target, tiles, watch)) is None:
-            reading, lit = self.lit(texels, light, target, tiles, watch)
+        """The reading of a view's texels, and the picture of their light, which is to be baked ``until`` then."""
+        if (recalled := self._recall(texels, light, until, tiles, watch)) is None:
+            reading, lit = self.lit(texels, light, until, tiles, watch)
             return reading, self._carry(texels, reading, lit, light, tiles, watch)
         reading, records = recalled
         with watch.stage("normals"):
@@ -89,11 +90,11 @@ class TexelShading:
             return reading, carry_irradiance_ratios(texels, records, normals, light, tiles)
 
     def _recall(
-        self, texels: ViewTexels, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
+        self, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> tuple[Reading, np.ndarray] | None:
         """The reading of a view's texels, and their records, most as they were kept; None where they are not to be.
 
-        They are of texels on their own isosurfaces, by one light in the store, none of which changes any more.
+        They are of texels on their own isosurfaces, by one light in the store, none of which changes or is filtered.
         """
         view, caches = light.view, self._levels[0].caches
         ratios = carries_irradiance_ratios(self.prepared.scene, view.shading, False)
@@ -102,7 +103,7 @@ class TexelShading:
         key = caches.of(view.shading).pool, light.spec, view.light, view.albedo, view.glow
         if not self._records.stays(key):
             return None
-        with self._read(caches, texels, view, target, tiles, watch) as (reading, pool, held):
+        with self._read(caches, texels, view, until, tiles, watch) as (reading, pool, held):
 
             def fill(new: np.ndarray) -> np.ndarray:
                 lit = light_sources([(reading.rows[new], pool)], light, tiles)
@@ -110,21 +111,32 @@ class TexelShading:
                 return fill_texel_records(reading.grade[new], lit, about, light, tiles)
 
             with watch.stage("light"):
-                kept = self._records.of(key, reading, pool, held, fill, tiles) if reading.settled else None
+                stays = reading.settled and not self._is_filtered(view, reading)
+                kept = self._records.of(key, reading, pool, held, fill, tiles) if stays else None
         return None if kept is None else (reading, kept)
 
     def lit(
-        self, texels: ViewTexels, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
+        self, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> tuple[Reading, np.ndarray]:
-        """The reading of a view's texels, and their light (texels, LIT)."""
-        found = [self._lit_by(each.caches, texels, light, target, tiles, watch) for each in self._levels]
-        return mixed(self._levels, found)
+        """The reading of a view's texels, and their light (texels, LIT), filtered where it is noisy."""
+        found = [self._lit_by(each.caches, texels, light, until, tiles, watch) for each in self._levels]
+        reading, lit = mixed(self._levels, found)
+        if not self._is_filtered(light.view, reading):
+            return reading, lit
+        with watch.stage("normals"):
+            about = self._texel_normals(light.view, texels, reading, tiles)
+        with watch.stage("filter"):
+            return filter_texel_light(texels, reading, lit, about, light, tiles)
+
+    def _is_filtered(self, view: View, reading: Reading) -> bool:
+        """Whether the texels of a view are filtered: global illumination that is noisy."""
+        return self._filters and spec_name(view.shading) == "gi" and bool(reading.noisy.any())
 
     def _lit_by(
-        self, caches: Caches, texels: ViewTexels, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
+        self, caches: Caches, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> tuple[Reading, np.ndarray]:
         """The reading of a view's texels, and their light, by some ``caches``."""
-        with self._read(caches, texels, light.view, target, tiles, watch) as (base, pool, _), ExitStack() as stack:
+        with self._read(caches, texels, light.view, until, tiles, watch) as (base, pool, _), ExitStack() as stack:
             with watch.stage("read"):
                 reading = stack.enter_context(self._project(light.view, texels, base, caches, tiles))
             with watch.stage("light"):
@@ -136,20 +148,11 @@ class TexelShading:
     def _carry(
         self, texels: ViewTexels, reading: Reading, lit: np.ndarray, light: RotatedLight, tiles: Tiles, watch: Stopwatch
     ) -> Framebuffer:
-        """Bring the light of texels, ``lit`` (texels, LIT), to the picture: as irradiance ratios, or as it is.
-
-        Global illumination that is noisy is filtered before.
-        """
-        gbuffer, records, shading = texels.gbuffer, None, light.view.shading
-        ratios = carries_irradiance_ratios(self.prepared.scene, shading, reading.projects)
-        filtered = self._filters and spec_name(shading) == "gi" and bool(reading.noisy.any())
-        if ratios or filtered:
+        """Bring the light of texels, ``lit`` (texels, LIT), to the picture: as irradiance ratios, or as it is."""
+        gbuffer, records = texels.gbuffer, None
+        if carries_irradiance_ratios(self.prepared.scene, light.view.shading, reading.projects):
             with watch.stage("normals"):
                 about = self._texel_normals(light.view, texels, reading, tiles)
-        if filtered:
-            with watch.stage("filter"):
-                reading, lit = filter_texel_light(texels, reading, lit, about, light, tiles)
-        if ratios:
             with watch.stage("light"):
                 records = fill_texel_records(reading.grade, lit, about, light, tiles)
         normals = gbuffer.points  # as good as any where they are not read
@@ -163,7 +166,7 @@ class TexelShading:
 
     @contextmanager
     def _read(
-        self, caches: Caches, texels: ViewTexels, view: View, target: float, tiles: Tiles, watch: Stopwatch
+        self, caches: Caches, texels: ViewTexels, view: View, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> Iterator[tuple[Reading, PagePool, Held]]:
         """What the pool of some ``caches`` has of a view's texels, looked up anew where it has changed; held meanwhile.
 
@@ -174,8 +177,8 @@ class TexelShading:
             loader.ensure(texels.chunks, tiles.check)
         with loader.pool.hold(texels.chunks) as held:
             with watch.stage("read"):
-                key = (Reading, surface_key(view), texels.coarse, loader.pool.spec.digest, target, held.age)
-                make = partial(read_texels, texels, held.slots, loader.pool, target, tiles)
+                key = (Reading, surface_key(view), texels.coarse, loader.pool.spec.digest, until, held.age)
+                make = partial(read_texels, texels, held.slots, loader.pool, until, tiles)
                 reading = self._kept.get(key, make)
             yield reading, loader.pool, held
 
@@ -199,7 +202,7 @@ class TexelShading:
             if held is None:
                 yield base
             else:
-                projected = read_texels(texels, held.slots, loader.pool, base.target, tiles)
+                projected = read_texels(texels, held.slots, loader.pool, Until(base.target, base.enough), tiles)
                 yield join_readings(base, projected, distances, loader.pool)
 
     def _texel_normals(self, view: View, texels: ViewTexels, reading: Reading, tiles: Tiles) -> np.ndarray:

@@ -5,6 +5,8 @@ import threading
 import numpy as np
 
 from isogi_core.bake.bake_spec import SPECS
+from isogi_core.bake.noise import Until
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.lighting import RotatedLight
@@ -35,7 +37,7 @@ def unlit_frame(renderer: Renderer, view: View, target: float, cancelled: thread
     with loader.pool.hold(texels.chunks) as held:
         if not len(held.slots) or (held.slots >= 0).any():
             return None
-        reading = read_texels(texels, held.slots, loader.pool, target, tiles)
+        reading = read_texels(texels, held.slots, loader.pool, Until(target, FIRST_LEVEL), tiles)
     count = view.width * view.height
     white = Framebuffer(np.ones((count, 3), np.float32), np.zeros(count, np.uint8), np.ones(count, np.float32))
     white.state[gbuffer.pixels] = PROVISIONAL

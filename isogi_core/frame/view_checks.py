@@ -4,22 +4,27 @@ import math
 from typing import Any, NamedTuple
 
 from isogi_core.bake.noise import RATE
+from isogi_core.bake.precision import FIRST_LEVEL, next_level
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.own_light import foreseen_paths
 from isogi_core.frame.rays.picture_check import PictureCheck, PictureState
+from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.view_keys import check_key, is_checked
 from isogi_core.lru_cache import LruCache
+from isogi_core.model.scene_plan import most_samples
 from isogi_core.model.view import View
 
-SETTLED = (1.0 + 2.0 ** (-1.0 / RATE)) / 2.0
-"""The noise of a picture whose texels are final, over its target: they are so at it, or at what twice the samples make
-of it, or between."""
+FILTERED = 4.0
+"""A texel's noise over the noise of pixels that mix it and its neighbours, filtered: 3 to 5 after 16 samples."""
 
 
 class PathsLeft(NamedTuple):
-    """Paths that pixels have left to take of their own, at a ``pace`` of so many seconds each; None if unknown."""
+    """Paths that a picture has left to take after its texels' present samples: of pixels, and of further samples.
+
+    At a ``pace`` of so many seconds each; None if that is unknown.
+    """
 
     paths: float
     pace: float | None = None
@@ -51,18 +56,26 @@ class ViewChecks:
             check.decline()
 
     def left(self, frame: Frame, target: float) -> PathsLeft:
-        """The paths that pixels of a ``frame`` have left to take of their own: as they grow, or as they are foreseen.
+        """The paths that a ``frame`` has left to take: as pixels' light grows, as its check expects, or as foreseen.
 
-        Before it is measured they are by the error that is predicted, and by the paths of its texels.
+        Before it is measured they are foreseen by the error that the plan expects, and by the noise of its texels.
         """
         check = self.held(frame.view, target)
-        growth = check.growing if check else None
-        if check and growth:
-            return PathsLeft(growth.left, check.pace)
-        begun = check is not None and check.known.attempt > 0
-        if frame.target is None or frame.lacking is None or frame.finer or (begun and not frame.measured):
+        if check and check.growing:
+            return PathsLeft(check.growing.left, check.pace)
+        if check and check.ahead is not None:
+            return PathsLeft(check.ahead if frame.provisional or not check.known.attempt else 0.0)
+        if frame.target is None or frame.lacking is None or frame.finer:
             return PathsLeft(0.0)
-        noise = min(frame.noise, SETTLED * target) if frame.provisional else frame.noise
-        error = frame.measured.likely if frame.measured else math.hypot(noise, frame.beside_noise)
-        points = len(frame.gbuffer.pixels)
-        return PathsLeft(foreseen_paths(points, error, target, frame.lacking.reading.effort))
+        return PathsLeft(foreseen_work(frame, frame.lacking.reading, target))
+
+
+def foreseen_work(frame: Frame, reading: Reading, target: float) -> float:
+    """Paths that a ``frame`` will take after its first ones, by the noise of its texels' ``reading``: the fewest."""
+    points, effort, rung, least = len(frame.gbuffer.pixels), reading.effort, FIRST_LEVEL, math.inf
+    while rung <= most_samples(target):
+        noise = (effort / rung) ** (1.0 / RATE) / FILTERED
+        own = foreseen_paths(points, math.hypot(noise, frame.expected), target, effort)
+        least = min(least, own + float(rung - FIRST_LEVEL) * len(reading.samples))
+        rung = next_level(rung)
+    return least

@@ -115,7 +115,7 @@ def entity_tag(frame: Frame, form: str, exposure: float, params: FrameParams) ->
     """A strong ETag: equal where the frame's content and its representation are, with errors where it shows them."""
     overlay, target, background = params.overlay, params.max_error, params.background
     measured = len(frame.controls.places) if frame.controls else 0
-    known = (measured, not measured and frame.early is not None) if form == "npy" or overlay == "error" else None
+    known = (measured, frame.improving) if form == "npy" or overlay == "error" else None
     return tag_of(frame.version, form, exposure, overlay, target, known, background)
 
 

@@ -19,6 +19,7 @@ from typing import TypeVar
 from isogi_core.errors import Cancelled, IsogiError, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
+from isogi_core.model.scene_plan import MOST
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from server.api.service import Service
@@ -169,7 +170,7 @@ class Prewarm:
     async def _frame(self, view: View) -> Frame:
         """The frame of a view; where clients wait for frames, they have as much time as it took."""
         begun, target = time.monotonic(), self.order.target_error or self.scene.target_error
-        picture, rank = PictureRequest(self.scene.id, view, target), self.service.rank(BACKGROUND, LATER)
+        picture, rank = PictureRequest(self.scene.id, view, target, MOST), self.service.rank(BACKGROUND, LATER)
         frame = await self.service.frame(picture, rank, Stopwatch())
         if self.service.attended:
             await asyncio.sleep(time.monotonic() - begun)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from isogi_core.errors import Cancelled, SceneError
+from isogi_core.model.scene_plan import MOST
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.prewarm.context import PrewarmContext, Step
@@ -94,7 +95,7 @@ def desk_of(
         scene,
         target,
         COMMAND,
-        lambda view: engine.survey(scene.id, view, target),
+        lambda view: engine.survey(scene.id, view, target, enough=MOST),
         report,
         deadline,
         PATIENCE,

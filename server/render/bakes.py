@@ -18,6 +18,7 @@ from isogi_core.cache.upkeep.prune import trim_projected
 from isogi_core.errors import StoreFullError, StoreReadOnlyError
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.view_texels import Demand
+from isogi_core.model.scene_plan import MOST as SAMPLES
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
@@ -80,13 +81,19 @@ class BackgroundBake:
     """Light that is baked while no frame waits: the ``demands`` of one ``bake``, by its name, to a ``target`` error."""
 
     def __init__(
-        self, baker: Baker, bake: str, demands: Iterable[Demand], target: float, viewer: Viewer = BACKGROUND
+        self,
+        baker: Baker,
+        bake: str,
+        demands: Iterable[Demand],
+        target: float,
+        viewer: Viewer = BACKGROUND,
+        enough: int = SAMPLES,
     ) -> None:
         """Request it from the ``baker``, for a ``viewer``; ``coming`` are the chunks that were not given up before."""
         wanted = tuple(demands)
         self._baker, self._viewer = baker, viewer
         self.bake, self.chunks = bake, [demand.index for demand in wanted]
-        self.coming = baker.request(bake, wanted, target, viewer)
+        self.coming = baker.request(bake, wanted, target, viewer, enough)
 
     def waiting(self) -> int:
         """How many of its ``chunks`` are neither baked nor given up. Asked now and then, it stays wanted."""

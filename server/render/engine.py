@@ -7,6 +7,7 @@ from contextlib import suppress
 from functools import partial
 
 from isogi_core.bake.bake_spec import SPECS, spec_name
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.chunk_store import default_store
 from isogi_core.cache.costs import Cost
 from isogi_core.errors import StoreFullError, StoreReadOnlyError
@@ -17,6 +18,7 @@ from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.unlit_view import unlit_frame
 from isogi_core.frame.view_keys import surface_key
 from isogi_core.frame.view_texels import Demand
+from isogi_core.model.scene_plan import MOST
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
@@ -167,9 +169,8 @@ class RenderEngine:
             left = deadline - time.monotonic()
             if left <= 0.0:
                 break
-            checks = frame.checkable or frame.unmeasured
-            with watch.stage("check" if checks else "bake"):
-                if checks:
+            with watch.stage("check" if frame.checkable else "bake"):
+                if frame.checkable:
                     self.check(scene, view, target, cancelled)
                 else:
                     self._baker.wait(*self._chunks(scene, frame), left)
@@ -183,13 +184,14 @@ class RenderEngine:
         target: float,
         cancelled: threading.Event | None = None,
         watch: Stopwatch | None = None,
+        enough: int = FIRST_LEVEL,
     ) -> Frame:
-        """The frame of a view with the light baked so far; none that it lacks is requested.
+        """The frame of a view with the light baked so far; none that it lacks is requested: see ``Renderer.render``.
 
         Raises as ``frame`` does, and UnknownSceneError where the scene was dismissed.
         """
         try:
-            return self._find(scene).render(view, target, cancelled, watch or Stopwatch())
+            return self._find(scene).render(view, target, cancelled, watch or Stopwatch(), enough)
         finally:
             self._loaded.settle()
 
@@ -215,7 +217,7 @@ class RenderEngine:
         if frame.checkable or self.store.only_read():
             return beside
         bake, stage = self.lacking(scene, frame)
-        return beside | self._baker.request(bake, stage.demands, stage.target, viewer)
+        return beside | self._baker.request(bake, stage.demands, stage.target, viewer, stage.enough)
 
     def lacking(self, scene: str, frame: Frame) -> tuple[str, Stage]:
         """The bake that a ``frame`` lacks light of next, and what of it: see ``Frame.stages``.
@@ -284,9 +286,13 @@ class RenderEngine:
             left = baking.plus(time_of_paths(own, spent, self._checking.threads))
         return left if left.high > 0.0 else None
 
-    def bake(self, bake: str, demands: Iterable[Demand], target: float, viewer: Viewer = BACKGROUND) -> BackgroundBake:
-        """Have what ``demands`` want of a ``bake`` (see ``bake_of``) baked to a ``target`` error, for a ``viewer``."""
-        return BackgroundBake(self._baker, bake, () if self.store.only_read() else demands, target, viewer)
+    def bake(
+        self, bake: str, demands: Iterable[Demand], target: float, viewer: Viewer = BACKGROUND, enough: int = MOST
+    ) -> BackgroundBake:
+        """Have what ``demands`` want of a ``bake`` (see ``bake_of``) baked to a ``target`` error or ``enough`` samples,
+        for a ``viewer``.
+        """
+        return BackgroundBake(self._baker, bake, () if self.store.only_read() else demands, target, viewer, enough)
 
     def spent(self, bake: str, indices: Iterable[Index]) -> Cost:
         """What tasks at these chunks of a bake took so far."""

@@ -11,6 +11,7 @@ from functools import partial
 
 import numpy as np
 
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.scene_assets import SceneAssets
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import Cancelled, NoRoomError
@@ -18,6 +19,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.stand_in import StandIn
 from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.model.scene_plan import MOST
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.finer import finer, has_finer
@@ -180,16 +182,23 @@ class LoadedScene:
         """The same, where it is loaded."""
         return self if fineness == self.fineness else self._finer and self._finer.held(fineness)
 
-    def render(self, view: View, target: float, cancelled: threading.Event | None, watch: Stopwatch) -> Frame:
+    def render(
+        self,
+        view: View,
+        target: float,
+        cancelled: threading.Event | None,
+        watch: Stopwatch,
+        enough: int = FIRST_LEVEL,
+    ) -> Frame:
         """The frame of a view with the light baked so far; prefetching stops meanwhile. Raises as Renderer does.
 
         Finer texels are shown once all of them are final, and until then those of this scene.
         """
         with self.prefetch.frame(self.renderer.prepared.surface(view.isovalue).isovalue):
-            coming = self._render_finer(view, target, cancelled, watch)
+            coming = self._render_finer(view, target, cancelled, watch) if enough < MOST else None
             if coming is not None and not coming.provisional:
                 return coming
-            frame = self.renderer.render(view, target, cancelled, watch)
+            frame = self.renderer.render(view, target, cancelled, watch, enough)
         if coming is None:
             return replace(frame, fineness=self.fineness)
         last = coming.finer or coming

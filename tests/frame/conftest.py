@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.bake.refine import refine
 from isogi_core.cache.loader import Loader
@@ -22,6 +23,7 @@ from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.latlong import pixel_directions
+from isogi_core.model.scene_plan import MOST
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.model.volume import Volume, make_volume
@@ -67,23 +69,23 @@ class Workbench:
 
     def bake(self, view: View, target: float | None = None) -> Frame:
         """Bake rung by rung all that `view` demands, and render its final frame."""
-        rung, frame = FIRST_LEVEL, self.renderer.render(view, target)
+        rung, frame = FIRST_LEVEL, self.renderer.render(view, target, enough=MOST)
         with ThreadPoolExecutor(os.cpu_count()) as threads:
             while frame.demands:
                 loader = self.caches.of(view.shading)
                 list(threads.map(partial(refine_chunk, loader, rung, target or self.scene.target_error), frame.demands))
-                rung, frame = 2 * rung, self.renderer.render(view, target)
-        return frame
+                rung, frame = 2 * rung, self.renderer.render(view, target, enough=MOST)
+        return self.renderer.render(view, target)
 
     def project(self, view: View, target: float | None = None) -> Frame:
         """Bake rung by rung all projected texels that a baked view demands, and render it."""
-        rung, frame = FIRST_LEVEL, self.renderer.render(view, target)
+        rung, frame = FIRST_LEVEL, self.renderer.render(view, target, enough=MOST)
         while frame.projection and frame.projection.demands:
             loader = self.caches.projected(frame.gbuffer.isovalue)
             given = partial(refine_chunk, loader, rung, target or self.scene.target_error)
             list(map(given, frame.projection.demands))
-            rung, frame = 2 * rung, self.renderer.render(view, target)
-        return frame
+            rung, frame = 2 * rung, self.renderer.render(view, target, enough=MOST)
+        return self.renderer.render(view, target)
 
     @property
     def layers(self) -> set[str]:
@@ -110,7 +112,7 @@ def reading_of(bench: Workbench, view: View, tiles: Tiles) -> Reading:
     loader = bench.caches.of(view.shading)
     loader.ensure(texels.chunks)
     with loader.pool.hold(texels.chunks) as held:
-        return read_texels(texels, held.slots, loader.pool, bench.scene.target_error, tiles)
+        return read_texels(texels, held.slots, loader.pool, Until(bench.scene.target_error), tiles)
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Until
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.texel_reading import read_texels
 from isogi_core.frame.tiles import Tiles
@@ -179,7 +180,7 @@ def test_buried_texels_under_a_lit_surface_do_not_darken_it(
     texels = bench.renderer.texels(view, gbuffer)
     pool = bench.caches.of(shading).pool
     with pool.hold(texels.chunks) as held:
-        grade = read_texels(texels, held.slots, pool, bench.scene.target_error, Tiles(1)).grade
+        grade = read_texels(texels, held.slots, pool, Until(bench.scene.target_error), Tiles(1)).grade
     roof = np.abs(gbuffer.points[:, :2] - 16.0).max(axis=1) < 7.0
     assert roof.sum() > 50 and ((grade[texels.corners[roof]] == BURIED).sum(axis=1) == 4).all()
     np.testing.assert_allclose(frame.radiance.reshape(-1, 3)[gbuffer.pixels[roof]], 0.5, rtol=0.002)

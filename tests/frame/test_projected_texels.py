@@ -19,6 +19,7 @@ from isogi_core.frame.projected_texels import Distances, join_readings
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
 from isogi_core.kernels.shading.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
+from isogi_core.model.scene_plan import MOST
 from isogi_core.model.view import View
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
 from tests.loaded import load_scene
@@ -196,4 +197,4 @@ def reading(rng: np.random.Generator, count: int, bounds: np.ndarray) -> Reading
         rows[grade == kind] = row
     short = np.minimum.reduceat(grade, bounds[:-1]) < FINAL
     error = rng.random(count).astype(np.float32)
-    return Reading(rows, grade, b"", np.full(count, 16, np.int32), error, bounds, short, LOOSE)
+    return Reading(rows, grade, b"", np.full(count, 16, np.int32), error, bounds, short, LOOSE, MOST)

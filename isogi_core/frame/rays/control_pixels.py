@@ -31,9 +31,6 @@ FIRST, ENOUGH, MOST = 256, 1024, 4096
 seems to reach it, whose interval costs less to narrow than better light. Each further round doubles what there is.
 """
 
-EARLY = 1 << 15
-"""In place of an attempt: the controls of a picture whose light converges."""
-
 EVEN = 0.5
 """Share of the controls that is drawn evenly from the picture; the others where it is uncertain."""
 
@@ -79,17 +76,6 @@ class ControlPixels:
         """The squared error of each control's luminance, ``shown`` (k,), right on the average; (k,)."""
         wrong = shown[:, None] - self.halves
         return np.asarray(wrong[:, 0] * wrong[:, 1])
-
-
-def measure_surplus(controls: ControlPixels, shown: np.ndarray, noise: np.ndarray) -> tuple[float, float]:
-    """What the luminance of all points errs by besides its noise, root mean square; and one standard error more.
-
-    The picture shows the luminance ``shown`` (k,) at the controls, with so much ``noise`` (k,). The square is right on
-    the average; below 0 it counts as 0.
-    """
-    squares = controls.weights * (controls.squares(shown) - noise**2)
-    square, spread = max(float(squares.mean()), 0.0), float(squares.std()) / math.sqrt(len(squares))
-    return math.sqrt(square), math.sqrt(square + spread)
 
 
 BINS = 8
@@ -163,7 +149,7 @@ def spread_bits(words: np.ndarray) -> np.ndarray:
 
 
 def paths_for(target: float) -> int:
-    """Paths of each half for pictures of a ``target`` error: a power of two, whose noise is about the target."""
+    """Paths of each half for pictures of about a ``target`` error: a power of two, whose noise is about as large."""
     return int(np.clip(2 ** math.ceil(math.log2(8.0 / target)), FEWEST_PATHS, MOST_PATHS))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from isogi_core.bake.noise import RATE
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.control_pixels import ControlPixels, bounces_of_truth, spread_errors, variance_of_halves
+from isogi_core.frame.rays.control_pixels import bounces_of_truth
 from isogi_core.frame.rays.pixel_rays import Paths, variance_of_mean
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
@@ -111,6 +111,11 @@ class Choice:
     variance: float
     count: float
 
+    @property
+    def paths(self) -> float:
+        """Paths of all its points together."""
+        return REPLICAS * self.count * len(self.places)
+
 
 @dataclass(eq=False)
 class Growth:
@@ -164,30 +169,26 @@ class Growth:
             self.traced += paths
 
 
-def choose(
-    uncertainty: np.ndarray, controls: ControlPixels, shown: np.ndarray, paths: int, own: np.ndarray, allowed: float
-) -> Choice:
+def choose(errors: np.ndarray, variance: np.ndarray, paths: int, own: np.ndarray, allowed: float) -> Choice:
     """The points that are to have light of their own, so that a picture's mean squared error is ``allowed``.
 
-    The points that err most come first, after those that have their ``own``, (k,); ``controls`` of so many ``paths`` a
-    half, whose luminance is ``shown`` (c,), tell by the ``uncertainty`` (m,) of all how much each errs and how noisy
-    paths are there. What the others err by leaves so much to the noise of these: the number of points is that which
-    takes fewest paths.
+    The points with the largest squared ``errors`` (m,) come first, after those that have their ``own``, (k,); so
+    many ``paths`` leave the ``variance`` (m,) of each. What the others err by leaves so much to the noise of these: the
+    number of points is that which takes fewest paths.
     """
-    errors = spread_errors(uncertainty, controls, shown) ** 2
     rest = np.ones(len(errors), bool)
     rest[own] = False
     others = np.flatnonzero(rest)
     order = np.concatenate([own, others[np.argsort(-errors[others], kind="stable")]])
     left = np.append(errors[order][::-1].cumsum()[::-1], 0.0)[len(own) :]
-    variance = allowed * len(errors) - left
-    noise = np.append(0.0, variance_of_halves(uncertainty, controls)[order].cumsum())[len(own) :] / REPLICAS
+    room = allowed * len(errors) - left
+    noise = np.append(0.0, variance[order].cumsum())[len(own) :] / REPLICAS
     many = np.arange(len(own), len(errors) + 1)
-    counts = np.clip(paths * times_as_many(noise, variance), FIRST_PATHS, MOST_PATHS)
-    costs = np.where(variance > 0.0, many * counts, np.inf)
+    counts = np.clip(paths * times_as_many(noise, room), FIRST_PATHS, MOST_PATHS)
+    costs = np.where(room > 0.0, many * counts, np.inf)
     costs[-1] = many[-1] * counts[-1]  # of all points also where nothing is allowed, as in the dark
     best = int(np.argmin(costs))
-    return Choice(np.sort(order[: many[best]]), float(variance[best]), float(counts[best]))
+    return Choice(np.sort(order[: many[best]]), float(room[best]), float(counts[best]))
 
 
 SHARES = 64

@@ -7,6 +7,8 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from isogi_core.bake.noise import Until
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import NoRoomError
 from isogi_core.frame.eye_glow import EyeGlow
@@ -37,7 +39,7 @@ class SideRenderer(Protocol):
     def nbytes(self) -> int:
         """Bytes of memory that it takes."""
 
-    def draw_on(self, gbuffer: GBuffer, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
+    def draw_on(self, gbuffer: GBuffer, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of what a view shows of the side."""
 
     def draw_walls(self, gbuffer: GBuffer, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
@@ -76,17 +78,17 @@ class Composer:
             views = sum(each.nbytes - each.caches.nbytes for each in self._sides.values())
             return views + sum(each.nbytes for each in self._held.values())
 
-    def draw(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> SurfacesFrame:
+    def draw(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> SurfacesFrame:
         """The frame of a view with the light that is there now. Raises Cancelled, and NoRoomError where the light of
         one view takes more than the budget.
         """
         try:
-            return self._drawn(view, target, tiles, watch)
+            return self._drawn(view, until, tiles, watch)
         except NoRoomError:  # light of other isovalues takes the room: what this view reads is read anew
             self._let_go()
-            return self._drawn(view, target, tiles, watch)
+            return self._drawn(view, until, tiles, watch)
 
-    def _drawn(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> SurfacesFrame:
+    def _drawn(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> SurfacesFrame:
         """The frame of a view, where its light has room beside what is held."""
         with watch.stage("primary"):
             peels = self.peels(view, tiles)
@@ -94,14 +96,14 @@ class Composer:
         for side, layers in peels.sides.items():
             renderer = self.renderer(side, view.isovalue)
             if side == WALLS:
-                frame = renderer.draw_walls(peels.walls, view, target, tiles, watch)
+                frame = renderer.draw_walls(peels.walls, view, until.target, tiles, watch)
             else:
                 tall = self._view_of(side, view, layers.layers)
-                frame = renderer.draw_on(layers.gbuffer, tall, target, tiles, watch)
+                frame = renderer.draw_on(layers.gbuffer, tall, until, tiles, watch)
                 self._check_room()
             parts.append(Part(side, layers, frame, renderer.caches))
         with watch.stage("compose"):
-            return compose(view, peels, parts, watch, target, self._scene)
+            return compose(view, peels, parts, watch, until.target, self._scene)
 
     def smooth(self, frame: Frame, tiles: Tiles) -> Frame:
         """A ``frame`` that was drawn, with more samples where it has edges. Raises Cancelled."""
@@ -126,12 +128,10 @@ class Composer:
 
         The side that errs most, as far as is known, comes first.
         """
-        frame = self.draw(view, target, tiles, Stopwatch())
+        frame = self.draw(view, Until(target, FIRST_LEVEL), tiles, Stopwatch())
         if not frame.refinable:
             return False
-        waiting = [part for part in frame.parts if part.side != WALLS and part.frame.unmeasured] or [
-            part for part in frame.parts if part.frame.checkable and (frame.checkable or part.side == WALLS)
-        ]
+        waiting = [part for part in frame.parts if part.frame.checkable and (frame.checkable or part.side == WALLS)]
         waiting.sort(key=wrong_of, reverse=True)
         return any(
             self.renderer(part.side, view.isovalue).refine_frame(part.frame, target, tiles, False) for part in waiting

@@ -73,6 +73,7 @@ def mixed(levels: Sequence[Level], found: Sequence[tuple[Reading, np.ndarray]]) 
         bounds=readings[0].bounds,
         short=np.logical_or.reduce([reading.short for reading in readings]),
         target=readings[0].target,
+        enough=readings[0].enough,
         parts=tuple((reading, level.caches) for reading, level in zip(readings, levels, strict=True)),
     )
     return reading, np.ascontiguousarray(light, np.float32)

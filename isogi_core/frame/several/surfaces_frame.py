@@ -90,11 +90,6 @@ class SurfacesFrame(Frame):
         lit = not any(part.frame.provisional for part in self.parts if part.side != WALLS)
         return lit and not self.final and any(part.frame.checkable for part in self.parts)
 
-    @property
-    def unmeasured(self) -> bool:
-        """See ``Frame``: that of any side."""
-        return any(part.frame.unmeasured for part in self.parts if part.side != WALLS)
-
     @cached_property
     def walls_lag(self) -> bool:
         """See ``Frame``: more wrong than the side that errs most."""
@@ -120,11 +115,6 @@ class SurfacesFrame(Frame):
         return TotalError(likely, low, high, sum(each.controls for each in every)).at_least(self.noise)
 
     @cached_property
-    def beside_noise(self) -> float:
-        """What it errs by besides its noise, relative: as the plan expects, or more where its parts know it."""
-        return max(self.expected, self._sum([part.frame.beside_noise for part in self.parts]))
-
-    @cached_property
     def total_error(self) -> np.ndarray:
         """The relative error of each pixel, whatever its causes, at most 1; (h, w) float32."""
         return summed_errors([(part, part.frame.total_error) for part in self.parts], self.radiance)
@@ -137,8 +127,8 @@ class SurfacesFrame(Frame):
 
 
 def wrong_of(part: Part) -> float:
-    """How much a part errs in the picture, as far as is known, and again after any restart."""
-    return part.frame.lasting_total.likely * part.frame.true_mean * part.weight**0.5
+    """How much a part errs in the picture, as far as is known."""
+    return part.frame.total.likely * part.frame.true_mean * part.weight**0.5
 
 
 def summed_errors(errors: Sequence[tuple[Part, np.ndarray]], radiance: np.ndarray) -> np.ndarray:
@@ -189,6 +179,7 @@ def compose(
         version=hashlib.blake2b(versions.encode(), digest_size=12).hexdigest(),
         seconds=watch.seconds,
         target=target if checked else None,
+        outdated=any(part.frame.outdated for part in parts),
         given_up=bool(parts) and all(part.frame.given_up or part.frame.final for part in parts),
         own=sum(part.frame.own for part in parts),
         walls_waiting=sum(part.frame.walls_waiting for part in parts),
