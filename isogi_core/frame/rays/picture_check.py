@@ -7,9 +7,10 @@ view has the same numbers whoever asks, and after any restart.
 """
 
 import hashlib
+import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -33,7 +34,6 @@ from isogi_core.frame.rays.control_pixels import (
     variance_of_halves,
 )
 from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Choice, Growth, PixelLight, choose
-from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.plan.finer import DENSER
@@ -44,7 +44,7 @@ STRICTER = 0.9
 QUIETER = 0.5
 """What one rung leaves of the variance of a filtered picture: 0.35 to 0.7 on the engine, the bonsai and the chest."""
 
-SHARED = 0.5
+SHARED = 0.25
 """What a path of a texel counts beside one of a pixel: other views, and other lights, read the texel too."""
 
 AGAIN = DENSER**2
@@ -140,12 +140,13 @@ class PictureCheck:
             return self._grow(self.growing, tiles)
         if self.known.outdated or frame.measured is None:
             return self._begin_rung(frame, uncertainty(), tiles)
+        climbs = self._climbs(frame)
         if not self._decided(frame.measured):
-            return self._add_controls(uncertainty(), tiles)
-        rungs, choice = self._cheapest(frame, frame.measured, uncertainty())
+            more = 2.0 * self.known.paths * frame.measured.controls
+            return self._climb(frame) if more > climbs[1] else self._add_controls(uncertainty(), tiles)
+        rungs, choice = self._cheapest(frame, frame.measured, uncertainty(), climbs)
         if rungs:
-            self.known = replace(self.known, enough=next_level(self._rung(frame)))
-            return True
+            return self._climb(frame)
         self.coarse = finer and not self.declined and finer_pays(frame, len(choice.places))
         return not self.coarse and self._grow(Growth(choice, self.known.own), tiles)
 
@@ -179,25 +180,31 @@ class PictureCheck:
         halves = trace_controls(self.light, self.gbuffer, places, paths, attempt, tiles)
         return ControlPixels(places, 1.0 / (len(uncertainty) * chances(uncertainty)[places]), halves)
 
-    def _cheapest(self, frame: Frame, measured: TotalError, uncertainty: np.ndarray) -> tuple[int, Choice]:
+    def _climb(self, frame: Frame) -> bool:
+        """Have texels take twice as many samples."""
+        self.known = replace(self.known, enough=next_level(self._rung(frame)))
+        return True
+
+    def _cheapest(
+        self, frame: Frame, measured: TotalError, uncertainty: np.ndarray, climbs: Sequence[float]
+    ) -> tuple[int, Choice]:
         """How many rungs texels are to climb until pixels get light of their own, and which pixels then do.
 
         They bring the picture to what is aimed at, and nearer by STRICTER at least, with the fewest paths. Pixels with
-        light of their own keep it, and no texel climbs once there are any.
+        light of their own keep it.
         """
         known, noise = self.known, frame.pixel_noise**2
         aim = min(AIM * STRICTER**known.attempt * known.target, STRICTER * measured.likely)
         errors = spread_errors(uncertainty, known.controls, frame.controlled) ** 2
         variance, allowed = variance_of_halves(uncertainty, known.controls), (aim * frame.true_mean) ** 2
-        costs = [0.0] if known.attempt or frame.lacking is None else self._climbs(frame, frame.lacking.reading)
         noise = np.minimum(noise, errors)
         choices = [
             choose(errors - (1.0 - QUIETER**rungs) * noise, variance, known.paths, known.own.places, allowed)
-            for rungs in range(len(costs))
+            for rungs in range(len(climbs))
         ]
-        totals = [climb + choice.paths for climb, choice in zip(costs, choices, strict=True)]
+        totals = [climb + choice.paths for climb, choice in zip(climbs, choices, strict=True)]
         best = int(np.argmin(totals))
-        self.ahead = totals[best] - (costs[1] if best else 0.0)
+        self.ahead = totals[best] - (climbs[1] if best else 0.0)
         return best, choices[best]
 
     def _rung(self, frame: Frame) -> int:
@@ -206,13 +213,19 @@ class PictureCheck:
         lit = samples[samples > 0]
         return max(self.known.enough, int(lit.min()) if len(lit) else 0)
 
-    def _climbs(self, frame: Frame, reading: Reading) -> list[float]:
-        """What it costs that its texels climb no rung, one, two, and so on to the last, in paths of pixels."""
+    def _climbs(self, frame: Frame) -> list[float]:
+        """What it costs that its texels climb no rung, one, two, and so on to the last, in paths of pixels.
+
+        The list ends with what is impossible: none climbs once pixels have light of their own.
+        """
+        if self.known.attempt or frame.lacking is None:
+            return [0.0, math.inf]
+        reading = frame.lacking.reading
         wanting = (reading.samples > 0) & ~good_enough(reading.error, reading.samples, self.known.target)
         samples, rung, paths = reading.samples[wanting].astype(np.float64), self._rung(frame), [0.0]
         while (rung := next_level(rung)) <= most_samples(self.known.target) and len(samples):
             paths.append(SHARED * float(np.maximum(rung - samples, 0.0).sum()))
-        return paths
+        return [*paths, math.inf]
 
     def _grow(self, growth: Growth, tiles: Tiles) -> bool:
         """Trace further paths from the points of a ``growth``; they are shown, and controls drawn anew, once that will
