@@ -218,7 +218,7 @@ class Frame:
     @property
     def improving(self) -> bool:
         """Whether its check goes on, so that any pixel may become better."""
-        return not (self.final or (self.given_up and not self.provisional))
+        return self.target is not None and not (self.final or (self.given_up and not self.provisional))
 
     @property
     def checkable(self) -> bool:

@@ -166,8 +166,7 @@ class RenderEngine:
         target = max_error or self._find(scene).scene.target_error
         frame = self.survey(scene, view, target, cancelled, watch)
         while frame.checkable or self._coming(scene, frame, target, watch):
-            left = deadline - time.monotonic()
-            if left <= 0.0:
+            if (left := deadline - time.monotonic()) <= 0.0:
                 break
             with watch.stage("check" if frame.checkable else "bake"):
                 if frame.checkable:
@@ -234,10 +233,7 @@ class RenderEngine:
         return self.bake_onto(scene, stage.shown, frame.fineness), stage
 
     def bake_onto(self, scene: str, shown: Isovalue | None, fineness: int = 0) -> str:
-        """The name of a scene's own bake, or of that of its texels projected onto the isosurface ``shown``.
-
-        They are finer than its own by ``fineness`` steps.
-        """
+        """The name of the bake of a scene's texels, finer by ``fineness`` steps, projected onto the isosurface ``shown``."""
         if shown is None and not fineness:
             return bake_name(scene, "gi")
         loaded, arrived = self._find(scene).level(fineness), partial(self._arrived, scene, fineness)
@@ -246,8 +242,7 @@ class RenderEngine:
 
     def _chunks(self, scene: str, frame: Frame) -> tuple[str, list[Index]]:
         """The bake that a ``frame`` lacks light of, and the chunks of it."""
-        bake, stage = self.lacking(scene, frame)
-        return bake, [demand.index for demand in stage.demands]
+        return (found := self.lacking(scene, frame))[0], [demand.index for demand in found[1].demands]
 
     def waiting(self, scene: str, frame: Frame, viewer: Viewer) -> int:
         """How many chunks that a ``frame`` lacks are still to be baked; what the ``viewer`` wants stays wanted."""
@@ -280,18 +275,16 @@ class RenderEngine:
         baking = self._baker.time_left(bake, subject, chunks, later)
         if baking is None:
             return None
-        own, left = loaded.level(frame.fineness).renderer.checks.left(frame, target), baking
+        own = loaded.level(frame.fineness).renderer.checks.left(frame, target)
         if own.paths and frame.lacking:
             spent = self.spent(bake, frame.lacking.texels.chunks)
-            left = baking.plus(time_of_paths(own, spent, self._checking.threads))
-        return left if left.high > 0.0 else None
+            baking = baking.plus(time_of_paths(own, spent, self._checking.threads))
+        return baking if baking.high > 0.0 else None
 
     def bake(
         self, bake: str, demands: Iterable[Demand], target: float, viewer: Viewer = BACKGROUND, enough: int = MOST
     ) -> BackgroundBake:
-        """Have what ``demands`` want of a ``bake`` (see ``bake_of``) baked to a ``target`` error or ``enough`` samples,
-        for a ``viewer``.
-        """
+        """Have what a ``viewer`` ``demands`` of a ``bake`` baked to a ``target`` error, or to ``enough`` samples."""
         return BackgroundBake(self._baker, bake, () if self.store.only_read() else demands, target, viewer, enough)
 
     def spent(self, bake: str, indices: Iterable[Index]) -> Cost:

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.accuracy.converging import converging
 from benchmarks.accuracy.filtering import filtering
 from benchmarks.accuracy.formulas import KINDS, made
 from benchmarks.accuracy.furnace import furnace
@@ -31,12 +30,6 @@ def test_filtered_light_is_nearer_to_the_truth() -> None:
     assert len(found) == 4
     assert found[f"{case}, 16 samples: filtered / alone"] < 0.95
     assert found[f"{case}, 16 samples in a quarter: provisional"] < 0.02
-
-
-def test_light_that_converges_tells_its_whole_error() -> None:
-    found = figures(converging, "--size", "24", "--paths", "256", "--only", "nested shells 1 under constant light")
-    assert found["pictures"] >= 1
-    assert 0.6 < found["told by early controls / true, median"] < 1.7
 
 
 def test_a_white_furnace_is_white() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.noise import RATE
-from isogi_core.frame.rays.control_pixels import ControlPixels, spread_errors
+from isogi_core.frame.rays.control_pixels import ControlPixels, spread_errors, variance_of_halves
 from isogi_core.frame.rays.own_light import (
     AIM,
     FIRST_PATHS,
@@ -37,7 +37,8 @@ def controls(wrong: np.ndarray) -> ControlPixels:
 
 
 def chosen(wrong: np.ndarray, controls: ControlPixels, allowed: float, own: np.ndarray = NONE) -> Choice:
-    return choose(wrong, controls, np.zeros(POINTS), PATHS, own, allowed)
+    errors = spread_errors(wrong, controls, np.zeros(POINTS)) ** 2
+    return choose(errors, variance_of_halves(wrong, controls), PATHS, own, allowed)
 
 
 def light_of(places: np.ndarray, count: int, deviation: float) -> PixelLight:
@@ -121,6 +122,7 @@ def test_no_paths_are_foreseen_where_light_is_good_enough() -> None:
 def test_in_the_dark_all_points_are_traced_once() -> None:
     """Nothing is allowed there, as the true light is 0, and no path brings any."""
     dark = ControlPixels(np.arange(POINTS), np.ones(POINTS), np.zeros((POINTS, 2)))
-    choice = choose(np.ones(POINTS), dark, np.full(POINTS, 0.3), PATHS, NONE, 0.0)
+    errors = spread_errors(np.ones(POINTS), dark, np.full(POINTS, 0.3)) ** 2
+    choice = choose(errors, np.zeros(POINTS), PATHS, NONE, 0.0)
     assert len(choice.places) == POINTS and choice.count == FIRST_PATHS
     assert Growth(choice, light_of(choice.places, FIRST_PATHS, 0.0)).enough

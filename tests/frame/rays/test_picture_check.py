@@ -4,27 +4,30 @@ import math
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import Cancelled
+from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.control_pixels import (
     FIRST,
     ControlPixels,
     chances,
     draw_places,
-    measure_surplus,
     measure_total,
 )
+from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.assembly import load_scene
 from isogi_core.report.reference import Reference, trace_reference
-from tests.frame.conftest import CONSTANT, SKY, Workbench, luminance, scene_of
+from tests.frame.conftest import CONSTANT, SKY, Workbench, luminance, refine_chunk, scene_of
 
 Make = Callable[..., Workbench]
 TARGET = 0.05
@@ -77,20 +80,6 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     assert np.median([each.likely for each in totals]) == pytest.approx(true / 2.0, rel=0.05)
 
 
-@pytest.mark.parametrize("bias", [0.0, 0.05, 0.5])
-def test_what_is_wrong_besides_noise_is_told_apart(bias: float) -> None:
-    """The picture has noise that is known, pixel by pixel, and errs by a ``bias`` besides; so do halves of paths."""
-    rng, points, count = np.random.default_rng(5), 200_000, 50_000
-    noise = rng.uniform(0.05, 0.3, points)
-    shown = bias * rng.choice([-1.0, 1.0], points) + noise * rng.normal(size=points)
-    chance = chances(noise)
-    places = rng.choice(points, count, p=chance)
-    controls = ControlPixels(places, 1.0 / (points * chance[places]), rng.normal(0.0, 0.2, (count, 2)))
-    found, most = measure_surplus(controls, shown[places], noise[places])
-    assert found**2 == pytest.approx(bias**2, abs=0.001, rel=0.02)
-    assert found**2 < most**2 < found**2 + 0.002
-
-
 def test_controls_are_drawn_where_it_is_uncertain(coarse: Workbench) -> None:
     gbuffer = coarse.renderer.gbuffer(coarse.view(size=48))
     points = len(gbuffer.points)
@@ -128,23 +117,87 @@ def test_a_picture_reaches_its_target_by_light_of_its_pixels(coarse: Workbench) 
     assert not coarse.renderer.refine(view)
 
 
+def climbed(bench: Workbench, view: View, target: float) -> list[Frame]:
+    """The frames of a view whose texels take as many samples as its check asks for, step by step to the end."""
+    frames = [baked_so_far(bench, view, target)]
+    while bench.renderer.refine(view, target):
+        frames.append(baked_so_far(bench, view, target))
+    return frames
+
+
+def baked_so_far(bench: Workbench, view: View, target: float) -> Frame:
+    """The frame of a view once its texels have as many samples as are enough for now."""
+    while (frame := bench.renderer.render(view, target)).demands:
+        loader, until = bench.caches.of(view.shading), max(frame.enough, 1)
+        for demand in frame.demands:
+            refine_chunk(loader, until, target, demand)
+    return frame
+
+
+def samples_of(frame: Frame) -> int:
+    """The samples of all texels of a frame."""
+    assert frame.lacking is not None
+    return int(frame.lacking.reading.samples.clip(0).sum())
+
+
+def lamps(folder: Path) -> dict[str, Any]:
+    """A dark sky with forty small lamps: light from it is noisy, and smooth on a surface."""
+    rng, image = np.random.default_rng(7), np.full((32, 64, 3), 0.02, np.float32)
+    image[rng.integers(0, 32, 40), rng.integers(0, 64, 40)] = 20.0
+    write_hdr(folder / "lamps.hdr", image)
+    return {"type": "probe", "file": str(folder / "lamps.hdr")}
+
+
 @pytest.mark.slow
-def test_light_that_converges_tells_more_than_its_noise(coarse: Workbench) -> None:
-    """Early controls find what texels err by besides; they are drawn once, and what is final knows nothing of them."""
-    bench, view = coarse.again(), coarse.view(azimuth=110.0, size=48)
-    bench.bake(view, 0.4)
-    lit = bench.renderer.render(view)
-    assert lit.counts["provisional"] == 0 and lit.unmeasured and lit.refinable and not lit.checkable
-    true = true_error(lit, trace_reference(bench.renderer, view, 512))
-    assert lit.total.likely < 0.7 * true, "the plan expects less than there is"
-    assert bench.renderer.refine(view)
-    told = bench.renderer.render(view)
-    assert told.total.predicted and told.total.likely == pytest.approx(true, rel=0.15)
-    assert told.version == lit.version and told.noise == lit.noise
-    assert np.mean(told.total_error[told.state > 0]) > 1.3 * np.mean(lit.total_error[lit.state > 0])
-    assert not told.refinable and not bench.renderer.refine(view)
-    one, other = checked(bench, view), checked(coarse, view)
-    assert (one.version, one.total) == (other.version, other.total)
+def test_texels_climb_no_further_than_their_picture_asks(workbench: Make, tmp_path: Path) -> None:
+    """Light of many lamps is noisy, and even between texels: rung by rung the picture comes nearer to its target."""
+    bench = workbench(load_scene("demo:orbital", lights=[lamps(tmp_path)], bounces=1, lattice=0.5))
+    view = bench.view(size=72)
+    frames = climbed(bench, view, 0.03)
+    rungs = [frame.enough for frame in frames]
+    assert rungs == sorted(rungs) and rungs[0] == FIRST_LEVEL and rungs[-1] > FIRST_LEVEL
+    assert all(frame.lacking and frame.lacking.reading.samples.max() <= frame.enough for frame in frames)
+    last = frames[-1]
+    assert last.final and last.total.high <= 0.03 and last.counts["final"] == last.surface
+    true = trace_reference(bench.renderer, view, 1024)
+    assert true_error(last, true) < 1.1 * 0.03 < true_error(frames[0], true)
+    bench.bake(view, 0.03)
+    assert samples_of(last) < samples_of(bench.renderer.render(view, 0.03)), "each texel alone would have taken more"
+
+
+def test_no_pixel_is_final_while_its_picture_may_become_better(coarse: Workbench) -> None:
+    bench, view = coarse.again(), coarse.view(azimuth=200.0, size=32)
+    frames = climbed(bench, view, TARGET)
+    assert not frames[0].provisional and frames[0].improving
+    for frame in frames[:-1]:
+        assert frame.final or (frame.counts["final"] == 0 and not (frame.reported_state == FINAL).any())
+    assert frames[-1].final and frames[-1].coverage["final"] == 1.0
+
+
+def test_controls_of_a_rung_tell_of_the_next_one_first(workbench: Make) -> None:
+    bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1))
+    view, target = bench.view(size=32), 0.015
+    frame = baked_so_far(bench, view, target)
+    while frame.enough == FIRST_LEVEL:
+        assert bench.renderer.refine(view, target)
+        frame = bench.renderer.render(view, target)
+    assert frame.outdated and frame.measured is not None and frame.demands and not frame.final
+    above = baked_so_far(bench, view, target)
+    assert above.controls is frame.controls and above.measured != frame.measured and not above.final
+    assert bench.renderer.refine(view, target)
+    renewed = bench.renderer.render(view, target)
+    assert not renewed.outdated and renewed.controls is not frame.controls and renewed.version == above.version
+
+
+def test_pictures_end_the_same_wherever_their_texels_began(workbench: Make) -> None:
+    """A server that is started again finds texels on a rung, and between two; another finds none."""
+    bench, target = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1)), 0.02
+    view = bench.view(size=32)
+    last = climbed(bench, view, target)[-1]
+    again = bench.again()
+    same = climbed(again, view, target)[-1]
+    assert (same.version, same.total) == (last.version, last.total)
+    assert same.radiance.tobytes() == last.radiance.tobytes()
 
 
 def test_the_same_view_tells_the_same_after_a_restart(coarse: Workbench) -> None:

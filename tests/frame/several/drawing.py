@@ -27,7 +27,8 @@ def bake(bench: Workbench, view: View, rungs: int | None = None) -> SurfacesFram
 
 
 def check(bench: Workbench, view: View) -> SurfacesFrame:
-    """Bring the picture of a view that is baked to its target."""
+    """Bring the picture of a view to its target, with all the light that this takes."""
+    frame = bake(bench, view)
     while bench.renderer.refine(view):
-        pass
-    return drawn(bench, view)
+        frame = bake(bench, view)
+    return frame

@@ -47,38 +47,15 @@ def test_a_picture_becomes_final_and_is_what_paths_say(halo: Workbench) -> None:
     assert not traced.stages and not traced.checkable
 
 
-@pytest.mark.slow
-def test_light_that_converges_tells_more_than_its_noise(halo: Workbench) -> None:
-    """Early controls of each side are drawn once, and the picture tells what all of them find."""
-    bench, view = halo.again(), halo.view(azimuth=130.0, size=24)
-    lit = bake(bench, view, 2)
-    assert lit.counts["provisional"] == 0 and lit.unmeasured and lit.refinable and not lit.checkable
-    steps = 0
-    while bench.renderer.refine(view):
-        steps += 1
-    told = drawn(bench, view)
-    assert steps == len(told.parts) and not told.unmeasured and not told.refinable
-    assert all(part.frame.early is not None for part in told.parts)
-    assert told.total.predicted and told.total.likely == pytest.approx(np.hypot(told.noise, told.beside_noise))
-    assert told.beside_noise >= lit.beside_noise == lit.expected
-    assert told.version == lit.version
-    other = halo.again()
-    ended = []
-    for each in (bench, other):
-        bake(each, view)
-        ended.append(check(each, view))
-    assert other.renderer.render(view).final and len({(frame.version, frame.total) for frame in ended}) == 1
-
-
 def test_one_cache_of_what_slides_serves_all_isovalues(halo: Workbench) -> None:
     """Slid beyond its level, the picture asks for texels of its own layer, and of the pinned surface at another one."""
     before, folders = drawn(halo, halo.view(size=SIZE)), {*halo.folder.iterdir()}
     slid = drawn(halo, halo.view(size=SIZE, isovalue=0.0601))
     kept, moved = (next(part for part in each.parts if part.side == OUTER) for each in (before, slid))
     assert kept.caches is moved.caches
-    assert moved.frame.coverage["final"] > 0.5
+    assert moved.frame.settled > 0.5 * moved.frame.surface
     others = [part for part in slid.parts if part.side.number]
-    assert others and all(part.frame.coverage["final"] == 0.0 for part in others)
+    assert others and not any(part.frame.settled for part in others)
     assert {*halo.folder.iterdir()} == folders  # nothing is made before there is light
     again = drawn(halo, halo.view(size=SIZE))
     assert again.version == before.version
@@ -127,7 +104,7 @@ def test_between_two_levels_nothing_is_baked_anew(halo: Workbench) -> None:
     folders, view = {*halo.folder.iterdir()}, halo.view(size=SIZE // 2, isovalue=other)
     slid = drawn(halo, view)
     pinned = [part for part in slid.parts if part.side.number]
-    assert pinned and all(part.frame.coverage["final"] > 0.6 for part in pinned)
+    assert pinned and all(part.frame.settled > 0.6 * part.frame.surface for part in pinned)
     frame = bake(halo, view)
     assert {*halo.folder.iterdir()} == folders
     assert not frame.provisional

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -45,10 +46,12 @@ def picture(answer: httpx.Response) -> np.ndarray:
 
 def test_another_albedo_is_final_at_once_and_brighter(ask: Ask) -> None:
     own, bright, warm = ask(), ask(albedo=0.9), ask(albedo="0.9,0.5,0.1")
-    assert "final=1.000" in bright.headers["isogi-coverage"] and "final=1.000" in warm.headers["isogi-coverage"]
+    for answer in (bright, warm):
+        needed, final = re.findall(r"\d+", answer.headers["isogi-chunks"])
+        assert needed == final and "provisional=0.000" in answer.headers["isogi-coverage"], "nothing is baked again"
     assert picture(bright).mean() == pytest.approx(3.0 * picture(own).mean(), rel=0.05), "two balls reflect little"
     reds = [picture(answer)[..., 0] for answer in (warm, bright)]
-    np.testing.assert_allclose(*reds, rtol=1e-5, err_msg="red is as bright as grey of that share")
+    np.testing.assert_allclose(*reds, rtol=1e-3, err_msg="red is as bright as grey of that share")
     assert picture(warm)[..., 2].max() < picture(bright)[..., 2].max() / 5.0
 
 

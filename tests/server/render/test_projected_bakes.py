@@ -14,7 +14,6 @@ from isogi_core.cache.upkeep import prune as pruning
 from isogi_core.cache.upkeep.census import census_of
 from isogi_core.cache.upkeep.prune import trim_projected
 from isogi_core.frame import projected_texels
-from isogi_core.frame.projected_texels import STAND_IN
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels.shading.framebuffer import FINAL
@@ -161,7 +160,7 @@ def places_of(demands: tuple[Demand, ...]) -> list[tuple[Index, bytes]]:
 @pytest.mark.slow
 def test_light_that_is_replaced_is_not_brought_to_the_target(begin: Open, scene: Scene) -> None:
     """Light on texels' own isosurfaces that only stands in stays as it is; the picture is the same."""
-    engine, view, strict = begin(), view_of(scene), STAND_IN / 4
+    engine, view, strict = begin(), view_of(scene), 0.025
     lazy = engine.frame(scene.id, view, max_error=strict, wait=LONG)
     assert not lazy.provisional and lazy.projection and lazy.demands
     wanted = lazy.projection.reading.wanted

@@ -106,7 +106,7 @@ def test_light_comes_from_a_bucket_as_from_a_folder(small_scene: Path, s3: S3Ser
     with server(small_scene, s3.url) as client:
         assert final(client, VIEW) == pictures[0]
     with server(small_scene, s3.url) as client:
-        assert "final=1.000" in frame(client, VIEW).headers["isogi-coverage"]
+        assert "provisional=0.000" in frame(client, VIEW).headers["isogi-coverage"]
         assert client.get("/v1/scenes/small").json()["read_only"] is False
 
 
