@@ -233,7 +233,7 @@ class RenderEngine:
         return self.bake_onto(scene, stage.shown, frame.fineness), stage
 
     def bake_onto(self, scene: str, shown: Isovalue | None, fineness: int = 0) -> str:
-        """The name of the bake of a scene's texels, finer by ``fineness`` steps, projected onto the isosurface ``shown``."""
+        """The name of the bake of a scene's texels, finer by ``fineness`` steps, projected where one is ``shown``."""
         if shown is None and not fineness:
             return bake_name(scene, "gi")
         loaded, arrived = self._find(scene).level(fineness), partial(self._arrived, scene, fineness)

@@ -104,6 +104,6 @@ def test_a_stream_takes_numbers_and_lists(server: str, ask: Ask) -> None:
         for number, albedo in enumerate((0.9, [0.9, 0.5, 0.1], "0.9")):
             socket.send(json.dumps({"id": number, "view": {**view, "albedo": albedo}}))
             told = json.loads(socket.recv(timeout=60))
-            assert told.get("problem") is None and told["id"] == number and told["final"]
+            assert told.get("problem") is None and told["id"] == number and not told["draft"]
             socket.recv(timeout=60)
             socket.send(json.dumps({"shown": number}))
