@@ -14,7 +14,6 @@ from statistics import median
 import click
 
 from benchmarks.accuracy.benches import benches
-from benchmarks.accuracy.totals import changed
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import SIX
 from benchmarks.common.suite import part
@@ -61,7 +60,7 @@ def measure(bench: Bench) -> dict[str, float]:
         "told at first": told.likely,
         "told": last.total.likely,
         "final": float(last.final),
-        "own light": changed(lit, last),
+        "own light": last.own / max(last.surface, 1),
         "bake, s": bake,
         "first step, s": first.processor,
         "first step / bake": first.processor / bake,

@@ -30,9 +30,11 @@ from benchmarks.common.suite import part
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.control_pixels import TotalError
-from isogi_core.model.view import quaternion_from_angles
+from isogi_core.frame.renderer import Renderer
+from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
+from isogi_core.report.bake import ViewBake, dark
 from isogi_core.report.bench import Bench
 from isogi_core.report.metrics import score
 from isogi_core.report.reference import Reference
@@ -56,7 +58,7 @@ NOISE, MOST = 0.005, 64
 
 HEAD = (
     *("view", "told before", "noise", "true", "first told (95 %)", "told / true"),
-    *("told at the end", "true at the end, 99 %", "pixels' own light", "bake, s", "check, s"),
+    *("told at the end", "true at the end, 99 %", "pixels' own light", "samples", "bake, s", "check, s"),
 )
 
 
@@ -64,7 +66,8 @@ HEAD = (
 class Found:
     """A view: what was ``predicted``, and first told, of a picture whose true error is ``lit``; and of that at the end.
 
-    ``own`` is the share of pixels with light of their own; seconds are of the processor.
+    ``own`` is the share of pixels with light of their own; texels have so many ``samples`` then, in the
+    mean; seconds are of the processor.
     """
 
     name: str
@@ -78,7 +81,7 @@ class Found:
     p99: float
     own: float
     bake: float
-    first_seconds: float
+    samples: float
     seconds: float
 
     @classmethod
@@ -196,19 +199,16 @@ def street() -> np.ndarray:
 
 
 def measure(name: str, bench: Bench, angles: tuple[float, float, float] | None, paths: int) -> Found:
-    """Bake a view, check its picture with the light turned by ``angles``, and hold both against the truth."""
-    ours = bench.planned
-    ours.frame()
+    """Bring a view's picture, with the light turned by ``angles``, to its target, and hold it against the truth."""
     turned = replace(bench.view, light=quaternion_from_angles(*angles)) if angles else bench.view
     folder = bench.folder / (name.rsplit(maxsplit=1)[-1] if angles else "still")
     best = quiet_reference(replace(bench, view=turned, folder=folder, _made={}), paths)
-    renderer, target = bench.renderer(bench.scene), bench.scene.target_error
-    lit = renderer.render(turned, target)
-    begun, frames = time.process_time(), [lit]
-    spent = []
-    while renderer.refine(turned, target):
-        frames.append(renderer.render(turned, target))
-        spent.append(time.process_time() - begun)
+    bake, target, spent = ViewBake(bench.renderer(bench.scene), bench.view), bench.scene.target_error, [0.0]
+    bake.show(dark(bake.layers, len(bake.texels)), np.arange(len(bake.shown.places)))
+    renderer = Renderer(bake.renderer.caches, bench.tiles)
+    frames = [lit := lit_frame(bake, renderer, turned, target)]
+    while refined(renderer, turned, target, spent):
+        frames.append(lit_frame(bake, renderer, turned, target))
     first, last = frames[min(1, len(frames) - 1)], frames[-1]
     before, after = (score(frame.radiance, best, 1.0) for frame in (lit, last))
     return Found(
@@ -221,11 +221,28 @@ def measure(name: str, bench: Bench, angles: tuple[float, float, float] | None, 
         final=last.final,
         true=after.rmse,
         p99=after.p99,
-        own=changed(lit, last),
-        bake=ours.seconds,
-        first_seconds=spent[0] if spent else 0.0,
-        seconds=spent[-1] if spent else 0.0,
+        own=last.own / max(last.surface, 1),
+        bake=bake.seconds,
+        samples=bake.samples,
+        seconds=sum(spent),
     )
+
+
+def lit_frame(bake: ViewBake, renderer: Renderer, view: View, target: float) -> Frame:
+    """The frame of a view once its texels have as many samples as are enough for its check."""
+    while (frame := renderer.render(view, target)).provisional:
+        bake.grow(frame.enough, target)
+        bake.frame()
+    return frame
+
+
+def refined(renderer: Renderer, view: View, target: float, spent: list[float]) -> bool:
+    """Take a step of a view's check, whose processor seconds are noted; whether there was one."""
+    begun = time.process_time()
+    try:
+        return renderer.refine(view, target)
+    finally:
+        spent.append(time.process_time() - begun)
 
 
 def quiet_reference(bench: Bench, paths: int) -> Reference:
@@ -234,11 +251,6 @@ def quiet_reference(bench: Bench, paths: int) -> Reference:
     while best.noise > NOISE and best.samples < MOST * paths:
         best = bench.reference(2 * best.samples)
     return best
-
-
-def changed(one: Frame, other: Frame) -> float:
-    """The share of surface pixels that two frames show differently."""
-    return float((one.radiance != other.radiance).any(axis=-1).sum() / max(one.surface, 1))
 
 
 def row_of(found: Found) -> tuple[str, ...]:
@@ -254,8 +266,9 @@ def row_of(found: Found) -> tuple[str, ...]:
         f"{100 * last.likely:.2f}{'' if found.final else ' (not final)'}",
         f"{100 * found.true:.2f}, {100 * found.p99:.1f}",
         f"{found.own:.0%}",
+        f"{found.samples:.0f}",
         f"{found.bake:.1f}",
-        f"{found.first_seconds:.2f}, {found.seconds:.2f}",
+        f"{found.seconds:.2f}",
     )
 
 
@@ -264,7 +277,7 @@ def figures(found: Sequence[Found]) -> dict[str, float]:
     ratios = sorted(each.first.likely / max(each.lit, 1e-6) for each in found)
     held = [each.first.low <= each.lit <= each.first.high for each in found]
     met = [each.true <= 0.03 and each.p99 <= 0.1 for each in found]
-    idle = [each.first_seconds / each.bake for each in found if each.own == 0.0]
+    ends = sorted(each.last.likely / max(each.true, 1e-6) for each in found)
     return {
         "views": len(found),
         "told / true, median": median(ratios),
@@ -273,5 +286,8 @@ def figures(found: Sequence[Found]) -> dict[str, float]:
         "final": sum(each.final for each in found) / len(found),
         "within 3 % and 99th percentile 10 %": sum(met) / len(found),
         "worst true error told as final": max((each.true for each in found if each.final), default=0.0),
-        "check / bake where light is good enough, median": median(idle) if idle else 0.0,
+        "told / true at the end, median": median(ends),
+        "told / true at the end, least": ends[0],
+        "told / true at the end, most": ends[-1],
+        "samples of texels, median": median(each.samples for each in found),
     }
