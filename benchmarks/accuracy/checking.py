@@ -46,7 +46,8 @@ def measure(bench: Bench) -> dict[str, float]:
     """The figures of a view that is baked, and checked to its end."""
     bench.planned.frame()
     renderer, target = bench.renderer(bench.scene), bench.scene.target_error
-    lit, bytes_before = renderer.render(bench.view, target), renderer.nbytes
+    renderer.render(bench.view, target)
+    bytes_before = renderer.nbytes
     first, every = Seconds(), Seconds()
     with first.counting():
         more = renderer.refine(bench.view, target)

@@ -19,10 +19,10 @@ from isogi_core.kernels.tracing.sight import trace_places_in_sight
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.prepared.prepared_scene import PreparedScene
 
-COUNTS = (16, 8)
-"""Samples that a pixel at an edge may have: the more where the BUDGET allows that for all silhouettes."""
+COUNTS = (16, 8, 4)
+"""Samples that a pixel at an edge may have: the most that the BUDGET allows for all edges."""
 
-BUDGET = 0.4
+BUDGET = 0.8
 """Samples of a picture, at most, over its pixels: where edges are everywhere, the strongest have them."""
 
 LEAST = 12
@@ -37,9 +37,8 @@ def find_edges(picture: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, int]
     found, most = np.empty(state.shape, np.uint8), int(BUDGET * state.size)
     find_contrasts(picture, state, found)
     contrast = found.ravel()
-    silhouettes = int((contrast == SILHOUETTE).sum())
-    count = next((each for each in COUNTS if silhouettes * each <= most), COUNTS[-1])
     edges = np.flatnonzero(contrast >= LEAST)
+    count = next((each for each in COUNTS if len(edges) * each <= most), COUNTS[-1])
     if len(edges) * count > most:
         strongest = np.argsort(contrast[edges], kind="stable")[::-1][: max(most // count, 1)]
         edges = np.sort(edges[strongest])
