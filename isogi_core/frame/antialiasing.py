@@ -22,8 +22,10 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 COUNTS = (16, 8, 4)
 """Samples that a pixel at an edge may have: the most that the BUDGET allows for all edges."""
 
-BUDGET = 0.8
-"""Samples of a picture, at most, over its pixels: where edges are everywhere, the strongest have them."""
+BUDGET, FEW = 0.8, 1 << 16
+"""Samples of a picture, at most, over its pixels: where edges are everywhere, the strongest have them. So FEW are
+always allowed.
+"""
 
 LEAST = 12
 """How much neighbours differ, of 255 steps, where a pixel counts as at an edge."""
@@ -34,7 +36,7 @@ SILHOUETTE = 255
 
 def find_edges(picture: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, int]:
     """The pixels at edges of a ``picture`` (h, w, 3) uint8, by ``state`` (h, w); and samples for each of them."""
-    found, most = np.empty(state.shape, np.uint8), int(BUDGET * state.size)
+    found, most = np.empty(state.shape, np.uint8), max(int(BUDGET * state.size), FEW)
     find_contrasts(picture, state, found)
     contrast = found.ravel()
     edges = np.flatnonzero(contrast >= LEAST)
