@@ -9,6 +9,7 @@ from isogi_core.bake.noise import RATE
 from isogi_core.frame.rays.control_pixels import ControlPixels, spread_errors, variance_of_halves
 from isogi_core.frame.rays.own_light import (
     AIM,
+    FILTERED,
     FIRST_PATHS,
     REPLICAS,
     Choice,
@@ -17,6 +18,7 @@ from isogi_core.frame.rays.own_light import (
     choose,
     foreseen_paths,
 )
+from isogi_core.frame.rays.pixel_rays import variance_of_mean
 
 POINTS, PATHS, NOISE = 2000, 512, 0.02
 NONE = np.empty(0, np.int64)
@@ -44,7 +46,8 @@ def chosen(wrong: np.ndarray, controls: ControlPixels, allowed: float, own: np.n
 def light_of(places: np.ndarray, count: int, deviation: float) -> PixelLight:
     """Light whose replicas' means have this standard deviation of luminance about 1."""
     means = 1.0 + deviation * np.array([-1.0, 1.0, -1.0, 1.0]) * np.sqrt(3.0 / 4.0)
-    return PixelLight(places, np.repeat(count * means[None, :, None], len(places), axis=0) * np.ones(3), count)
+    sums = np.repeat(count * means[None, :, None], len(places), axis=0) * np.ones(3)
+    return PixelLight(places, sums, count, np.ones((len(places), 3)), variance_of_mean(sums / count))
 
 
 def test_those_that_err_most_are_chosen(wrong: np.ndarray, controls: ControlPixels) -> None:
@@ -57,7 +60,7 @@ def test_what_is_left_and_noise_make_what_is_allowed(wrong: np.ndarray, controls
     choice = chosen(wrong, controls, 0.01)
     left = np.delete(spread_errors(wrong, controls, np.zeros(POINTS)) ** 2, choice.places).sum()
     assert left + choice.variance == pytest.approx(0.01 * POINTS)
-    each = NOISE**2 / REPLICAS * (PATHS / choice.count) ** (2.0 / RATE)
+    each = FILTERED * NOISE**2 / REPLICAS * (PATHS / choice.count) ** (2.0 / RATE)
     assert len(choice.places) * each == pytest.approx(choice.variance, rel=0.1)
 
 
@@ -69,7 +72,7 @@ def test_no_other_number_of_points_takes_fewer_paths(wrong: np.ndarray, controls
         variance = allowed * POINTS - squares[many:].sum()
         if variance <= 0.0:
             return np.inf
-        return many * max(PATHS * (many * NOISE**2 / REPLICAS / variance) ** (RATE / 2.0), FIRST_PATHS)
+        return many * max(PATHS * (many * FILTERED * NOISE**2 / REPLICAS / variance) ** (RATE / 2.0), FIRST_PATHS)
 
     least = min(cost(many) for many in range(1, POINTS + 1))
     assert cost(len(choice.places)) == pytest.approx(least, rel=0.02)
