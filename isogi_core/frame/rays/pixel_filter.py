@@ -86,4 +86,4 @@ def mix(
     signal = np.maximum(apart - noise, 0.0)
     own = signal / np.maximum(signal + noise, 1e-300)
     left = own * noise / total + (1.0 - own) ** 2 * shared * taken / total**2
-    return own[:, None] * light + (1.0 - own)[:, None] * mean, left
+    return own[:, None] * light + (1.0 - own)[:, None] * mean, np.minimum(left, variance)
