@@ -124,6 +124,19 @@ def field(x: np.ndarray | float, y: np.ndarray | float, z: np.ndarray | float) -
     return np.asarray(sum(balls))
 
 
+def marked(page: Page) -> tuple[float, float]:
+    """Where a pinhole camera sees the voxel of the cross hair, which looks at the middle of the volume."""
+    left, top, width, height = stage_of(page)
+    azimuth, elevation = np.radians([float(query_of(page, name)) for name in ("azimuth", "elevation")])
+    out = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    up, length = np.cross(out, right), np.array(SIZE) - 1
+    away = np.array(cross_hair(page)[:3]) - length / 2  # this volume's spacing is 1
+    depth = float(query_of(page, "distance")) * np.linalg.norm(length) / 2 - away @ out
+    scale = height / (2 * depth * np.tan(np.radians(float(query_of(page, "fov"))) / 2))
+    return left + width / 2 + scale * (away @ right), top + height / 2 - scale * (away @ up)
+
+
 def test_a_button_and_a_key_open_slices_where_a_point_is(page: Page, live_server: str) -> None:
     asked: list[str] = []
     page.on("request", lambda request: asked.append(request.url) if "/slice?" in request.url else None)
@@ -188,6 +201,7 @@ def test_a_click_or_a_drag_moves_the_cross_hair(page: Page, live_server: str) ->
     value = values_on(live_server, "z", 8)[SIZE[1] - 1 - 14, 5]
     assert float(page.inner_text("#slices-voxel").removeprefix("value ")) == pytest.approx(value, rel=1e-5)
     expect(page.locator("#slices-place")).to_have_text("voxel 5, 14, 8")
+    assert marked(page) == pytest.approx(middle(page.locator("#marks .line.cross")), abs=0.6), "also in the picture"
     assert figure(page, "x").locator("figcaption span").inner_text() == "x 5"
     page.mouse.move(*place(page, "y", 5, 8))
     page.mouse.down()

@@ -1,11 +1,12 @@
 /** One slice of the pane: its values in grey, the contour of the isosurface, the cross hair, and what moves that. */
 
 import { find, sizeOf, svgElement, textElement } from "../dom.js";
+import { worldOf } from "../view/crosshair.js";
 import { coordinatesInWords, sidesAt } from "../view/measures.js";
 import { contourOf } from "./contour.js";
-import { sliceAt, stepped, voxelAt, worldOf } from "./geometry.js";
-import { CutLines } from "./lines.js";
+import { sliceAt, stepped, voxelAt } from "./geometry.js";
 import { attachSliceGestures } from "./gestures.js";
+import { CutLines } from "./lines.js";
 import { pixelsOf } from "./values.js";
 
 /** @typedef {import("../view/crosshair.js").CrossHair} CrossHair */

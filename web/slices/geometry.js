@@ -1,6 +1,7 @@
 /** Slices through a volume: which way they lie on the screen, where in the world, and where planes cross them. */
 
 import { OPPOSITE } from "../view/camera.js";
+import { worldOf } from "../view/crosshair.js";
 import { planesOf } from "../view/planes.js";
 import { dot, vector } from "../view/rotation.js";
 
@@ -78,16 +79,6 @@ function sidesOf(axes, right, up) {
     return sign * way > 0 ? letter : (OPPOSITE[letter] ?? "");
   };
   return [side(right, -1), side(right, 1), side(up, 1), side(up, -1)];
-}
-
-/**
- * The world's point at voxel indices, with fractions too.
- * @param {Pick<Grid, "affine">} volume
- * @param {Vec3} voxel
- * @returns {Vec3}
- */
-export function worldOf({ affine }, voxel) {
-  return vector((i) => dot(/** @type {Vec3} */ (affine[i].slice(0, 3)), voxel) + affine[i][3]);
 }
 
 /**

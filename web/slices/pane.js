@@ -1,11 +1,12 @@
 /** The pane of slices beside the picture: three of them through one cross hair, and what is black and white in them. */
 
 import { find } from "../dom.js";
+import { worldOf } from "../view/crosshair.js";
 import { niceStep, showNumber } from "../view/format.js";
 import { placeInWords, sidesAt } from "../view/measures.js";
 import { vector } from "../view/rotation.js";
 import { SliceFigure } from "./figure.js";
-import { liesOf, worldOf } from "./geometry.js";
+import { liesOf } from "./geometry.js";
 import { Shelf, usualGreys } from "./values.js";
 
 /** @typedef {import("../view/crosshair.js").CrossHair} CrossHair */
@@ -48,7 +49,7 @@ export class SlicesPane {
     this.#last = view.values.slices;
     const shelf = new Shelf(read), { volume } = scene;
     const hooks = {
-      greys: () => this.#greys, setGreys: (/** @type {Greys|null} */ greys) => this.#set({ greys: greys && this.#rounded(greys) }),
+      greys: () => this.#greys, setGreys: (/** @type {Greys|null} */ greys) => this.#set({ greys: greys && (rounded(greys, this.#step) ?? this.#greys) }),
       cutting: () => cuts.open, cut: (/** @type {Vec3} */ normal) => cut(this.#point, normal), onRest, onValues: () => this.#follow(),
     };
     this.#figures = liesOf(volume.axes).map((lie) => new SliceFigure(lie, scene, view, shelf, hooks));
@@ -80,15 +81,16 @@ export class SlicesPane {
     if (slices) this.#view.set({ slices: { ...slices, ...patch } });
   }
 
-  /** The values that are black and white; by default the volume's own. @returns {Greys} */
+  /** The values that are black and white; by default the volume's own, in round numbers. @returns {Greys} */
   get #greys() {
-    return this.#view.values.slices?.greys ?? usualGreys(this.#scene.histogram);
+    const { histogram } = this.#scene, usual = usualGreys(histogram);
+    return this.#view.values.slices?.greys ?? rounded(usual, 10 * this.#step) ?? usual;
   }
 
   /** What numbers of a window and a level are told to. */
   get #step() {
     const { edges } = this.#scene.histogram;
-    return niceStep(edges[edges.length - 1] - edges[0]) / 10;
+    return 10 * niceStep(edges[edges.length - 1] - edges[0]);
   }
 
   get #inputs() {
@@ -97,12 +99,6 @@ export class SlicesPane {
 
   get #point() {
     return worldOf(this.#scene.volume, /** @type {CrossHair} */ (this.#view.values.slices).voxel);
-  }
-
-  /** Greys with digits that an address can hold; those that there are where they would be one. @param {Greys} greys @returns {Greys} */
-  #rounded(greys) {
-    const [black, white] = greys.map((value) => Number(showNumber(value, this.#step)));
-    return black < white ? [black, white] : this.#greys;
   }
 
   #typed() {
@@ -140,6 +136,12 @@ export class SlicesPane {
     this.#inputs.forEach((input, k) => { input.value = showNumber(shown[k], this.#step); });
     find(this.#root, "#slices-reset", HTMLButtonElement).disabled = !greys;
   }
+}
+
+/** Greys with few digits; null where they would be one. @param {Greys} greys @param {number} step @returns {Greys|null} */
+function rounded(greys, step) {
+  const [black, white] = greys.map((value) => Number(showNumber(value, step)));
+  return black < white ? [black, white] : null;
 }
 
 /** @param {number|undefined} value undefined until it has come */

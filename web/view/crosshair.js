@@ -1,6 +1,6 @@
 /** The cross hair of the slices beside the picture: its voxel, and the values that are black and white in them. */
 
-import { vector } from "./rotation.js";
+import { dot, vector } from "./rotation.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {[number, number]} Greys the values that are black and white, ascending */
@@ -38,4 +38,14 @@ export function limitCrossHair({ size }, wanted) {
   if (!wanted) return null;
   const voxel = vector((i) => Math.min(size[i] - 1, Math.max(0, Math.round(wanted.voxel[i]))));
   return { voxel, greys: wanted.greys };
+}
+
+/**
+ * The world's point at voxel indices, with fractions too.
+ * @param {{affine: number[][]}} volume
+ * @param {Vec3} voxel
+ * @returns {Vec3}
+ */
+export function worldOf({ affine }, voxel) {
+  return vector((i) => dot(/** @type {Vec3} */ (affine[i].slice(0, 3)), voxel) + affine[i][3]);
 }
