@@ -1,6 +1,7 @@
 """Slices beside the picture: linked by a cross hair, with the surface's contour; what a cut takes away is hatched."""
 
 import io
+from pathlib import Path
 from urllib.parse import parse_qs, parse_qsl, urlsplit
 
 import httpx
@@ -9,6 +10,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, FloatRect, Locator, Page, expect
 
+from tests.live import serving
 from tests.web.visits import BROWSER, SHOTS, VIEWPORTS, click, findings, position, slide, stage_of, written
 
 ADDRESS = "?shading=lambert&azimuth=25&elevation=15&distance=3"
@@ -98,21 +100,21 @@ def grey(locator: Locator) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(locator.screenshot())).convert("L"), float)
 
 
-def contour(page: Page, axis: str) -> np.ndarray:
-    """Where the contour is on a slice: the x and y of its pixels, in voxels of the slice."""
+def contour(page: Page, axis: str, beside: bool = False) -> np.ndarray:
+    """Where the contour is on a slice, or those of surfaces beside: x and y of its pixels, in voxels of the slice."""
     rgba = page.evaluate(
-        """(axis) => {
+        """([axis, beside]) => {
           const canvas = document.querySelector(`#slices [data-axis=${axis}] .lines`);
           const { data, width, height } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
           const found = [];
           for (let i = 0; i < width * height; i += 1) {
             const [red, , blue, alpha] = data.subarray(4 * i, 4 * i + 4);
-            if (alpha <= 200 || blue <= 2 * red) continue;
+            if (alpha <= 200 || (beside ? red <= 150 || blue <= 220 : blue <= 2 * red)) continue;
             found.push([(i % width + 0.5) / width, 1 - (Math.floor(i / width) + 0.5) / height]);
           }
           return found;
         }""",
-        axis,
+        [axis, beside],
     )
     wide, high = {"z": SIZE[:2], "y": SIZE[::2], "x": SIZE[1:]}[axis]
     return np.array(rgba).reshape(-1, 2) * (wide, high) - 0.5
@@ -264,6 +266,21 @@ def test_the_contour_follows_the_slider_without_the_server(page: Page, live_serv
     page.wait_for_timeout(100)
     after = contour(page, "z")
     assert 0 < len(after) < 0.8 * len(before)
+
+
+def test_surfaces_beside_have_contours_of_their_own(page: Page, small_scene: Path, tmp_path: Path) -> None:
+    pinned = small_scene.with_name("pinned.toml")
+    pinned.write_text(small_scene.read_text() + "[[surfaces]]\nisovalue = 0.75\nclear = 0.5\n")
+    with serving(pinned, tmp_path) as url:
+        sliced(page, f"{url}/{ADDRESS}&isovalue=0.4", (8, 9, 7))
+        for isovalue, found in ((0.4, contour(page, "z")), (0.75, contour(page, "z", beside=True))):
+            assert len(found) > 100
+            assert np.abs(field(*found.T, 7.0) - isovalue).max() < 0.06
+        page.locator("#beside summary").click()
+        page.locator("#surface-rows input[type=checkbox]").uncheck()
+        page.wait_for_timeout(100)
+        assert len(contour(page, "z", beside=True)) == 0 < len(contour(page, "z"))
+        page.goto("about:blank")  # before the server goes
 
 
 def test_a_right_drag_sets_window_and_level(page: Page, live_server: str) -> None:

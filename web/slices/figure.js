@@ -3,6 +3,7 @@
 import { find, sizeOf, svgElement, textElement } from "../dom.js";
 import { worldOf } from "../view/crosshair.js";
 import { coordinatesInWords, sidesAt } from "../view/measures.js";
+import { readSurfaces } from "../view/surfaces.js";
 import { contourOf } from "./contour.js";
 import { sliceAt, stepped, voxelAt } from "./geometry.js";
 import { attachSliceGestures } from "./gestures.js";
@@ -32,7 +33,8 @@ import { pixelsOf } from "./values.js";
 const AGAIN_MS = 1500; // before a server that does not answer is asked again
 const ALONG = 0.999; // of a direction along an axis of the world
 const WORDS = "Arrow keys move the cross hair, page keys go through slices, with Shift by ten.";
-const [CONTOUR, CROSS] = ["#35b4ff", "#efb75ad0"];
+const [CONTOUR, BESIDE, CROSS] = ["#35b4ff", "#c39bff", "#efb75ad0"];
+const TOGETHER = 100; // lines of a contour that are drawn at once: many more, as noise has them, would take longer
 const GAP = 7; // pixels of the cross hair around its voxel
 
 /**
@@ -52,6 +54,7 @@ export function captionOf(volume, { lie, at, normal }, voxel) {
 /** Shows the slice through the cross hair, and moves that. */
 export class SliceFigure {
   #volume;
+  #pinned;
   #view;
   #shelf;
   #hooks;
@@ -60,8 +63,8 @@ export class SliceFigure {
   /** @type {{slice: Values, at: number, time: number|undefined}|null} */
   #shown = null;
   #painted = ""; // what is on the canvas of values
-  /** @type {{of: Values|null, isovalue: number, lines: number[]}} */
-  #contour = { of: null, isovalue: NaN, lines: [] };
+  /** @type {{of: Values|null, isovalues: string, contours: number[][]}} */
+  #contours = { of: null, isovalues: "", contours: [] };
   #loading = false;
 
   /**
@@ -71,7 +74,8 @@ export class SliceFigure {
    * @param {Shelf} shelf
    * @param {FigureHooks} hooks
    */
-  constructor(lie, { volume }, view, shelf, hooks) {
+  constructor(lie, { volume, surfaces = [] }, view, shelf, hooks) {
+    this.#pinned = surfaces;
     this.#volume = volume;
     this.#view = view;
     this.#shelf = shelf;
@@ -160,28 +164,38 @@ export class SliceFigure {
     if (!context || !this.#view.values.slices) return;
     Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
     context.lineWidth = 1.5 * ratio;
-    if (this.#shown) strokeContour(context, this.#shown.slice, this.#lines(this.#shown.slice));
+    if (this.#shown) strokeContours(context, this.#shown.slice, this.#contoursOn(this.#shown.slice));
     context.lineWidth = ratio;
     strokeCross(context, this.#slice(), GAP * ratio);
   }
 
-  /** The contour of the isosurface on the slice that is shown. @param {Values} slice */
-  #lines(slice) {
-    const { isovalue } = this.#view.values;
-    if (this.#contour.of !== slice || this.#contour.isovalue !== isovalue) {
-      this.#contour = { of: slice, isovalue, lines: contourOf(slice, isovalue) };
+  /** The contour of the isosurface on the slice that is shown, and those of the surfaces beside. @param {Values} slice */
+  #contoursOn(slice) {
+    const { isovalue, surfaces } = this.#view.values, beside = readSurfaces(surfaces, this.#pinned);
+    const isovalues = [isovalue, ...this.#pinned.filter((_, k) => beside[k].shown).map((each) => each.isovalue)], now = isovalues.join(" ");
+    if (this.#contours.of !== slice || this.#contours.isovalues !== now) {
+      this.#contours = { of: slice, isovalues: now, contours: isovalues.map((each) => contourOf(slice, each)) };
     }
-    return this.#contour.lines;
+    return this.#contours.contours;
   }
 }
 
-/** @param {CanvasRenderingContext2D} context @param {Values} slice @param {number[]} lines */
-function strokeContour(context, slice, lines) {
+/** Draw contours, the last one first. @param {CanvasRenderingContext2D} context @param {Values} slice @param {number[][]} contours */
+function strokeContours(context, slice, contours) {
   const [across, down] = [context.canvas.width / slice.width, context.canvas.height / slice.height];
-  context.strokeStyle = CONTOUR;
   context.lineCap = "round";
+  contours.toReversed().forEach((lines, k) => {
+    context.strokeStyle = k === contours.length - 1 ? CONTOUR : BESIDE;
+    for (let first = 0; first < lines.length; first += 4 * TOGETHER) {
+      strokeLines(context, lines, first, Math.min(lines.length, first + 4 * TOGETHER), across, down);
+    }
+  });
+}
+
+/** @param {CanvasRenderingContext2D} context @param {number[]} lines @param {number} first @param {number} end @param {number} across @param {number} down */
+function strokeLines(context, lines, first, end, across, down) {
   context.beginPath();
-  for (let i = 0; i < lines.length; i += 4) {
+  for (let i = first; i < end; i += 4) {
     context.moveTo(lines[i] * across, lines[i + 1] * down);
     context.lineTo(lines[i + 2] * across, lines[i + 3] * down);
   }

@@ -59,7 +59,7 @@ export class SlicesPane {
     find(root, "#slices-reset").addEventListener("click", () => hooks.setGreys(null));
     button.addEventListener("click", () => this.toggle());
     cuts.addEventListener("toggle", () => this.#follow());
-    view.watch(({ slices, isovalue, planes, time }) => [slices, isovalue, planes, time], () => this.#follow());
+    view.watch(({ slices, isovalue, planes, time, surfaces }) => [slices, isovalue, planes, time, surfaces], () => this.#follow());
     this.#draw();
   }
 
