@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -23,6 +24,9 @@ PLANES = 9
 
 BAND = 4 << 20
 """Bytes of such a file that are made at once."""
+
+NARROW = ("|u1", "<u2", "<i2", "<f4")
+"""Numbers that values of a slice are sent in, the narrowest first; what none of them holds is float64."""
 
 RLE = 3
 """Zlib's strategy that looks for runs alone: what a PNG filter leaves of smooth shading holds few longer repeats."""
@@ -117,6 +121,27 @@ def grey(values: np.ndarray, low: float, high: float) -> np.ndarray:
     middle = low / 2.0 + high / 2.0  # whose difference from either end is finite
     share = np.nan_to_num((values / 2.0 - middle / 2.0) / (high / 2.0 - low / 2.0) + 0.5, nan=0.0)
     return np.asarray(255.0 * np.clip(share, 0.0, 1.0) + 0.5, np.uint8)
+
+
+def values_npy(values: np.ndarray, near: float) -> bytes:
+    """An npy file of ``values`` (h, w), float64, in the narrowest of NARROW that holds them.
+
+    Whole numbers are exact in it, others are off by ``near`` at most. What is not finite is in floats alone.
+    """
+    form = next((form for form in NARROW if off(form, values) <= (near if form == "<f4" else 0.0)), "<f8")
+    buffer = io.BytesIO()
+    np.lib.format.write_array(buffer, np.ascontiguousarray(values, form), version=(1, 0))
+    return buffer.getvalue()
+
+
+def off(form: str, values: np.ndarray) -> float:
+    """How far numbers of a ``form`` of NARROW are from ``values``, at most."""
+    finite = np.isfinite(values)
+    if form != "<f4" and not finite.all():
+        return math.inf
+    known = values[finite]
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(np.abs(known.astype(form) - known).max(initial=0.0))
 
 
 def npy_parts(frame: Frame) -> Iterator[bytes]:

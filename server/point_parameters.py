@@ -6,7 +6,7 @@ from typing import Annotated
 from pydantic import Field
 
 from server.errors import ParameterError
-from server.parameters import LONGEST_SIDE, Isovalue, NoParams, VariantParams, ViewParams, reader
+from server.parameters import LONGEST_SIDE, MOST_STEPS, Isovalue, NoParams, VariantParams, ViewParams, reader
 from server.values import Choice, Span
 
 AXES, MOST = ("x", "y", "z"), sys.float_info.max
@@ -33,7 +33,7 @@ class PointParams(ViewParams):
 
 
 class SliceParams(NoParams):
-    """A plane of a scene's volume, and the values that are black and white in its picture."""
+    """A plane of a scene's volume, as values or as a picture, and the values that are black and white in that."""
 
     axis: Annotated[str, Choice(AXES)] = Field(description="The voxel axis that the plane is across: x, y or z.")
     at: Annotated[float, Span(0, 1e9)] = Field(description="Where it is, as a voxel index; linear between voxels.")
@@ -43,6 +43,23 @@ class SliceParams(NoParams):
     high: Annotated[float | None, Span(-MOST, MOST)] = Field(
         None, description="The value that is white; default: its greatest one, outliers aside."
     )
+    time: Annotated[int | None, Span(0, MOST_STEPS, whole=True)] = Field(
+        None, description="Which step of a series in time, from 0 on; default: the scene's."
+    )
+    f: Annotated[str, Choice(("png", "npy"))] = Field(
+        "png", description="A grey picture; or npy, the values themselves, in the volume's units."
+    )
+
+    @property
+    def is_picture(self) -> bool:
+        """Whether a picture is asked for; ParameterError where values are, with what black and white are in one."""
+        given = sorted({"low", "high"} & self.model_fields_set)
+        if self.f == "npy" and given:
+            names = " and ".join(given)
+            raise ParameterError(
+                f"npy holds the values themselves and does not read {names}: leave that out.", given[0]
+            )
+        return self.f == "png"
 
     def window(self, core: tuple[float, float]) -> tuple[float, float]:
         """What is black and white, by default the ends of the ``core``; ParameterError where low is not below high."""

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 from uuid import uuid4
 
 import httpx
@@ -16,6 +17,9 @@ import pytest
 from isogi_core.model.demo import demo_volume
 from tests.live import serving_with_a_worker
 from tests.s3 import BUCKET, S3Server, environment_of
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
@@ -98,6 +102,19 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real volumes at {folder}: set ISOGI_SHARED_DATA to a folder that has them")
     return folder
+
+
+@pytest.fixture(scope="module")
+def browser() -> "Iterator[Browser]":
+    """A browser, one for each file of tests."""
+    from playwright.sync_api import sync_playwright  # which few tests need, and takes a while
+
+    from tests.web.visits import CHROMIUM, FLAGS
+
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
+        yield chromium
+        chromium.close()
 
 
 @pytest.fixture

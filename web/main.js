@@ -2,7 +2,7 @@
 
 import { find } from "./dom.js";
 import { complaints, followAddress, readAddress } from "./net/address.js";
-import { listScenes, openStream, readFrame, readLight, readPoint, readReadiness, readScene, readSize, readSurfacePoint, sliceAddress } from "./net/api.js";
+import { listScenes, openStream, readFrame, readLight, readPoint, readReadiness, readScene, readSize, readSlice, readSurfacePoint } from "./net/api.js";
 import { CompilingLine } from "./net/compiling.js";
 import { Exporter } from "./net/export.js";
 import { FrameLoop } from "./net/loop.js";
@@ -26,13 +26,13 @@ import { showScene } from "./panels/scene.js";
 import { Notice, Status, TroublePanel } from "./panels/status.js";
 import { Times } from "./panels/times.js";
 import { attachViews } from "./panels/views.js";
+import { SlicesPane } from "./slices/pane.js";
 import { towardsEye } from "./view/camera.js";
 import { attachClicks, attachGestures } from "./view/gestures.js";
 import { Handles } from "./view/handles.js";
 import { attachKeys } from "./view/keys.js";
 import { Marks } from "./view/marks.js";
 import { attachRulers, attachSides, legendOf, legendShapes, rulerShapes } from "./view/rulers.js";
-import { attachSlices } from "./view/slices.js";
 import { ViewModel } from "./view/model.js";
 import { cutAt, nearestAxis } from "./view/planes.js";
 import { dot, vector } from "./view/rotation.js";
@@ -96,7 +96,7 @@ function assemble(scene, knobs, trouble) {
   const { card, reading } = attachReading(scene, view, picture, say);
   const shown = new Shown(view.values, (values) => keyOf(scene, values, picture));
   const loop = startLoop(scene, view, picture, { trouble, card, shown });
-  const keys = { f: toggleFull, p: () => reading.middle(), m: () => reading.measure(), r: () => toggleRulers(view), c: () => unfold($("cuts", HTMLDetailsElement)) };
+  const keys = { f: toggleFull, p: () => reading.middle(), m: () => reading.measure(), r: () => toggleRulers(view), c: () => unfold($("cuts", HTMLDetailsElement)), v: () => slices.toggle() };
   const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), keys };
   const form = $("controls");
   attachKnobs(form, scene, view, shown);
@@ -106,7 +106,7 @@ function assemble(scene, knobs, trouble) {
   attachSurfaces($("beside"), scene, view);
   attachCuts($("cuts"), scene, view);
   attachMaterial($("material"), scene, view);
-  attachCutting(scene, view, card, options.onRest);
+  const slices = attachCutting(scene, view, card, options.onRest);
   attachMeasures($("measures"), scene, view);
   attachSize($("size", HTMLDetailsElement), scene, view, (values, signal) => readSize(scene, values, signal));
   const showLight = attachLight($("light"), scene, view, options.onRest);
@@ -137,7 +137,7 @@ function assemble(scene, knobs, trouble) {
   $("scene-name").textContent = scene.name;
   document.title = `${scene.name} · isogi`;
   form.inert = false;
-  for (const id of ["share-button", "save-button", "reset"]) $(id, HTMLButtonElement).disabled = false;
+  for (const id of ["share-button", "save-button", "reset", "slices-button"]) $(id, HTMLButtonElement).disabled = false;
   view.subscribe(follow);
   picture.onResize(follow);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", follow);
@@ -179,34 +179,36 @@ function attachReading(scene, view, picture, say) {
 }
 
 /**
- * What moves planes of the cut: handles on the picture, shown while the folder of the cut is open, and on the card of a
- * point its button and its slices, which cut away what is before them.
+ * What moves planes of the cut: handles on the picture, shown while the folder of the cut is open, the card of a point,
+ * and slices, which cut away what is before them.
  * @param {Scene} scene
  * @param {ViewModel} view
  * @param {PointCard} card
  * @param {() => void} onRest
+ * @returns {SlicesPane}
  */
 function attachCutting(scene, view, card, onRest) {
   const folder = $("cuts", HTMLDetailsElement);
   const handles = new Handles($("handles"), scene, view, { wanted: () => folder.open, onRest });
   folder.addEventListener("toggle", () => handles.draw());
-  /** @param {(towards: Vec3) => Vec3} normalOf what is cut away, by the direction to the eye */
-  const cut = (normalOf) => {
-    const point = card.point;
+  /** @param {Vec3|null} point @param {(towards: Vec3) => Vec3} normalOf what is cut away, by the direction to the eye */
+  const cut = (point, normalOf) => {
     if (point) view.set({ planes: cutAt(view.values.planes, scene.volume.bounds, point, normalOf(towardsEye(scene, view.values, point))) });
     folder.open = true;
   };
   $("point-cut").addEventListener("click", () => {
-    cut(nearestAxis);
+    cut(card.point, nearestAxis);
     card.close();
   });
-  const showSlices = attachSlices($("slices", HTMLDetailsElement), scene, view, {
-    address: (axis, at) => sliceAddress(scene.id, axis, at).href,
-    cut: (normal) => cut((towards) => vector((i) => normal[i] * (dot(normal, towards) < 0 ? -1 : 1))),
-    onFold: () => card.place(),
+  const slices = new SlicesPane($("slices"), $("slices-button"), scene, view, {
+    read: (axis, at, time) => readSlice(scene.id, axis, at, time),
+    cuts: folder,
+    cut: (point, normal) => cut(point, (towards) => vector((i) => normal[i] * (dot(normal, towards) < 0 ? -1 : 1))),
     onRest,
   });
-  card.onOpen = ({ voxel }) => showSlices(voxel);
+  card.onOpen = ({ voxel }) => slices.follow(voxel);
+  $("point-slices").addEventListener("click", () => slices.toggle());
+  return slices;
 }
 
 /** Show scale bar and axes, or hide them. @param {ViewModel} view */

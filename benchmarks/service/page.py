@@ -1,4 +1,4 @@
-"""Pictures of the page: provisional, final, and with two shadings side by side.
+"""Pictures of the page: provisional, final, with slices, and with two shadings side by side.
 
     python -m benchmarks.service page [SCENE.toml] [-o docs/page]
 
@@ -54,6 +54,10 @@ def page(scene: str, output: Path) -> Measurement:
         for state in ("provisional", "final"):
             save(shown, output / f"{state}-1280-light.png", state)
             figures[f"{state} after, s"] = time.monotonic() - begun
+        shown.click("#slices-button")
+        shown.wait_for_selector("#slices figure:not([data-old])")
+        shown.wait_for_selector("#stage[data-sharp]", timeout=FINAL_MS)
+        save(shown, output / "slices.png", "final")
         compared = opened(browser, address + COMPARED)
         compared.wait_for_selector("#comparison[data-state=final]", timeout=FINAL_MS)
         save(compared, output / "compared.png", "final")

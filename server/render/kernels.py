@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable, Collection
+from typing import Any
 
 from isogi_core.frame.entry_kernels import first_kernels, frame_kernels, other_kernels
 from isogi_core.kernels._cache_folder import prune
@@ -24,11 +25,15 @@ class SceneKernels:
         lit = *frame_kernels(scenes(), surveyed=False), *bake_kernels(self.kinds)
         self._lit = (*first_kernels(scenes()), *lit)
         self._all = Compilation(first_kernels(scenes()), self._lit)
+        self._admitted: tuple[Compilation, list[Any]] | None = None
 
     @property
     def progress(self) -> KernelProgress | None:
-        """How far the kernels of pictures and their light are compiled; None where this machine has them all."""
-        return self._all.progress(self._lit)
+        """How far the kernels of pictures and their light are compiled, or else of the scene that was admitted last;
+        None where this machine has them all.
+        """
+        own, admitted = self._all.progress(self._lit), self._admitted
+        return own or (admitted[0].progress(admitted[1]) if admitted else None)
 
     @property
     def compiling(self) -> str:
@@ -57,4 +62,9 @@ class SceneKernels:
 
     def admit(self, scene: Scene) -> None:
         """Have kernels of pictures of one more scene in this process."""
-        warm(frame_kernels([scene]), self._stopped)
+        kernels = list(frame_kernels([scene]))
+        work = Compilation(kernels)
+        self._admitted = work, kernels
+        work.begin(self._stopped)
+        work.wait(kernels)
+        load(kernels, self._stopped)

@@ -13,7 +13,17 @@ from isogi_core.plan.assembly import load_scene
 from server import pictures
 from server.errors import NotAcceptableError, ParameterError
 from server.parameters import FrameParams, read
-from server.pictures import ENCODER_OPTIONS, encode, format_for, grey, media_range, negotiate, npy_bytes, npy_parts
+from server.pictures import (
+    ENCODER_OPTIONS,
+    encode,
+    format_for,
+    grey,
+    media_range,
+    negotiate,
+    npy_bytes,
+    npy_parts,
+    values_npy,
+)
 
 CHROMIUM = "image/avif,image/webp,image/apng,image/svg+xml,image/*,*/*;q=0.8"
 
@@ -117,3 +127,23 @@ def test_grey_goes_from_low_to_high_and_holes_are_black() -> None:
     assert grey(values, 3.0, 3.0).tolist() == [[128, 128, 128], [128, 128, 0]]
     most = np.finfo(np.float64).max
     assert grey(np.array([[-most, 0.0, most]]), -most, most).tolist() == [[0, 128, 255]]
+
+
+@pytest.mark.parametrize(
+    ("values", "near", "form"),
+    [
+        ([[0.0, 255.0]], 1e-4, "|u1"),
+        ([[0.0, 256.0]], 1e-4, "<u2"),
+        ([[-1.0, 300.0]], 1e-4, "<i2"),
+        ([[-1.0, 40000.0]], 1e-2, "<f4"),
+        ([[0.5, 0.1]], 1e-6, "<f4"),
+        ([[1e9, 1e9 + 0.001]], 1e-9, "<f8"),
+        ([[1e300, 0.0]], 1e294, "<f8"),
+        ([[3.0, np.nan]], 1e-6, "<f4"),
+        ([[np.nan, np.nan]], 0.0, "<f4"),
+    ],
+)
+def test_values_take_the_narrowest_numbers(values: list[list[float]], near: float, form: str) -> None:
+    told = np.load(io.BytesIO(values_npy(np.array(values), near)))
+    assert told.dtype == np.dtype(form)
+    np.testing.assert_allclose(told, values, rtol=0, atol=near)

@@ -1,24 +1,15 @@
-"""A browser, and a page in it."""
+"""Pages in the browser."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from playwright.sync_api import Browser, Page, ViewportSize, expect, sync_playwright
+from playwright.sync_api import Browser, Page, ViewportSize, expect
 
 from tests.server.uploads.site import site  # noqa: F401 (a fixture)
-from tests.web.visits import CHROMIUM, FLAGS
 
 VIEWPORT: ViewportSize = {"width": 900, "height": 640}
 PATIENCE_MS = 30_000  # for what a page does at once on an idle machine
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
-        yield chromium
-        chromium.close()
 
 
 def heard(page: Page) -> list[str]:

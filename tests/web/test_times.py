@@ -1,5 +1,6 @@
 """Time on the page: a slider of steps where the volume is a series, kept in the address."""
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -41,6 +42,15 @@ def test_a_slider_leafs_through_the_steps(page: Page, series: str) -> None:
 def test_a_link_opens_at_its_step(page: Page, series: str) -> None:
     open_final(page, f"{series}/?time=2")
     expect(page.locator("output[for=time]")).to_have_text("step 2")
+
+
+def test_slices_are_of_the_step_that_is_shown(page: Page, series: str) -> None:
+    page.goto(f"{series}/?shading=lambert&slices=9,9,7")
+    for share, places in ((0.0, (9.5, 13.5)), (1.0, (6.5, 16.5))):
+        slide(page, "time", share)
+        told = sum(np.exp(-(((9 - at) / 5) ** 2) - 0.25 / 25 - 0.25 / 16) for at in places)
+        expect(page.locator("#slices-voxel")).to_have_text(re.compile(f"value {told:.4f}"[:-1]))
+    expect(page.locator("#slices figure[data-old]")).to_have_count(0)
 
 
 def test_what_is_no_series_has_no_slider(page: Page, live_server: str) -> None:

@@ -12,6 +12,15 @@ from tests.web.visits import BROWSER, DROP, FINAL_MS, SHOTS, give
 pytestmark = BROWSER
 
 
+SENT = """() => {
+  XMLHttpRequest.prototype.send = function () {
+    this.upload.dispatchEvent(new ProgressEvent("progress", { loaded: 9, total: 9 }));
+    window.fail = () => this.dispatchEvent(new Event("error"));
+  };
+}"""
+"""A file is sent at once, and the answer is late: a request that a test holds back tells nothing of its progress."""
+
+
 @pytest.fixture
 def shown(page: Page, site: Site) -> Page:
     page.goto(str(site.client.base_url))
@@ -46,6 +55,20 @@ def test_a_file_can_be_dropped_on_the_picture(shown: Page, site: Site) -> None:
     assert kept["name"] == "Dropped"
     shown.goto("about:blank")  # a page that asks on for what is deleted complains
     site.client.delete(kept["href"])
+
+
+def test_what_is_compiled_for_a_file_is_said(shown: Page) -> None:
+    shown.evaluate(SENT)
+    give(shown, "My ball.nrrd", ball(8))
+    note = shown.locator("#upload-note p")
+    expect(note).to_have_text("The server reads My ball.nrrd…")
+    compiling = {"done": 3, "total": 12, "seconds": 21}
+    shown.route("**/readyz", lambda route: route.fulfill(json={"ready": True, "reasons": [], "compiling": compiling}))
+    expect(note).to_have_text("Compiling what draws My ball.nrrd, once on this machine: 3 of 12, about 21 s left")
+    expect(shown.locator("#upload-note progress")).to_have_js_property("value", 0.25)
+    shown.evaluate("fail()")
+    expect(note).to_contain_text("when the server is back")
+    expect(shown.locator("#upload-note progress")).to_be_hidden()
 
 
 def test_a_scene_keeps_its_name_on_a_narrow_screen(shown: Page) -> None:

@@ -1,6 +1,7 @@
 /** The view in the address bar: read on load, written shortly after a change, so a link shows the same picture. */
 
 import { WHITE, startAlbedo } from "../view/albedo.js";
+import { readCrossHair, writeCrossHair } from "../view/crosshair.js";
 import { readMeasure, writeMeasure } from "../view/measures.js";
 import { NUMBERS, inShort } from "../view/model.js";
 import { arePlanes } from "../view/planes.js";
@@ -12,7 +13,7 @@ import { cutQuery } from "./request.js";
 /** @typedef {import("./schemas.js").Scene} Scene */
 
 const CHOICES = ["shading", "overlay", "compare", "tint", "background", "environment", "shine", "rulers", "projection"];
-const KNOWN = new Set([...CHOICES, "scene", "target", "token", "measure", "cut", "window", "surfaces", "hide", "material"]);
+const KNOWN = new Set([...CHOICES, "scene", "target", "token", "measure", "slices", "cut", "window", "surfaces", "hide", "material"]);
 const PAUSE_MS = 150;
 const REST_MS = 1000; // a view that was at rest for so long is one to come back to
 
@@ -34,6 +35,8 @@ export function readAddress(search) {
   for (const name of ["surfaces", "hide", "material"]) if (query.get(name)) start[name] = query.get(name);
   const measures = query.getAll("measure").map(readMeasure).filter((points) => points !== null);
   if (measures.length) start.measures = measures;
+  const slices = readCrossHair(query.get("slices") ?? "");
+  if (slices) start.slices = slices;
   return { scene: query.get("scene"), start };
 }
 
@@ -65,6 +68,7 @@ export function writeAddress(scene, values) {
   if (values.rulers !== "on") query.set("rulers", values.rulers);
   if (values.compare) query.set("compare", values.compare);
   for (const points of values.measures) query.append("measure", writeMeasure(points));
+  if (values.slices) query.set("slices", writeCrossHair(values.slices));
   return `?${query}`;
 }
 
@@ -109,6 +113,7 @@ function choiceComplaint({ shadings, environments = [], surfaces = [], colours, 
   if (!lit) return `There is no light “${value}” here.`;
   if (["cut", "window"].includes(name) && !arePlanes(value)) return `“${value}” is no ${name}: it is planes such as x>40.`;
   if (name === "measure" && !readMeasure(value)) return `“${value}” is no measure: it has two or three points.`;
+  if (name === "slices" && !readCrossHair(value)) return `“${value}” is no place of slices: it is a voxel such as 12,30,5.`;
   if (name === "surfaces" && !areSurfaces(value, surfaces.length)) return `“${value}” does not fit the surfaces beside.`;
   if (name === "hide" && !areHidden(value, colours?.labels ?? [])) return `“${value}” does not fit the labels.`;
   if (name === "material" && value && !isMaterial(value, materials)) return materialComplaint(materials, value);

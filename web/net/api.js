@@ -224,14 +224,16 @@ export function frameAddress(scene, query) {
 }
 
 /**
- * The address of a slice through a scene's volume.
+ * The values on a slice through a scene's volume, as an `npy` file; null where the server does not answer.
  * @param {string} scene
  * @param {"x"|"y"|"z"} axis of the voxels, that the plane is across
  * @param {number} at voxel index
- * @returns {URL}
+ * @param {number|undefined} time step of a series in time
+ * @returns {Promise<ArrayBuffer|null>}
  */
-export function sliceAddress(scene, axis, at) {
-  return sceneAddress(scene, "slice", { axis, at: at.toFixed(2) });
+export async function readSlice(scene, axis, at, time) {
+  const query = { f: "npy", axis, at, ...(time === undefined ? {} : { time }) };
+  return persistently(async () => (await ask(sceneAddress(scene, "slice", query))).arrayBuffer());
 }
 
 /**

@@ -6,16 +6,27 @@ import { CLOCK } from "./trouble.js";
 const LOOK_MS = 500;
 
 /** @typedef {import("./api.js").Readiness} Readiness */
+/** @typedef {NonNullable<Readiness["compiling"]>} Progress */
 
 /**
- * What a person reads of a compilation.
- * @param {{done: number, total: number, seconds?: number}} compiling
+ * What a person reads of a compilation at the start of a server.
+ * @param {Progress} compiling
  * @param {boolean} drawn whether pictures are drawn already, without light
  * @returns {string}
  */
-export function compilingWords({ done, total, seconds }, drawn) {
+export function compilingWords(compiling, drawn) {
+  return progressWords(drawn ? "Light comes when isogi is compiled" : "Compiling", compiling);
+}
+
+/**
+ * What is compiled, and how far that is.
+ * @param {string} what
+ * @param {Progress} compiling
+ * @returns {string}
+ */
+export function progressWords(what, { done, total, seconds }) {
   const left = seconds === undefined ? "" : `, about ${timeLeft(seconds)} left`;
-  return `${drawn ? "Light comes when isogi is compiled" : "Compiling"}, once on this machine: ${done} of ${total}${left}`;
+  return `${what}, once on this machine: ${done} of ${total}${left}`;
 }
 
 /** @param {number} seconds */

@@ -1,11 +1,13 @@
 /** Volumes and light probes of one's own: a file that is opened or dropped goes to the server, and is shown; or deleted. */
 
 import { find } from "../dom.js";
-import { deleteUpload, sendFile } from "./api.js";
+import { deleteUpload, readReadiness, sendFile } from "./api.js";
+import { progressWords } from "./compiling.js";
 
 /** @typedef {import("./schemas.js").UploadLimits} UploadLimits */
 
 const MEGABYTE = 1 << 20;
+const LOOK_MS = 500; // between two looks at what the server compiles for a file
 
 /**
  * Offer to open files, and to delete what was uploaded. Does nothing where the server takes no uploads.
@@ -95,15 +97,38 @@ function upload(file, limits, note) {
   const refusal = tooLarge(file, limits);
   if (refusal) return reporting(note, Promise.reject(new Error(refusal)));
   const bar = find(note, "progress", HTMLProgressElement);
+  let [sent, done] = [false, false];
   /** @param {number} share */
   const progress = (share) => {
+    if (sent) return;
     bar.hidden = false;
     if (share < 1) bar.value = share;
     else bar.removeAttribute("value"); // sent: the server reads it
     say(note, share < 1 ? `Sending ${file.name}: ${Math.floor(100 * share)} %` : `The server reads ${file.name}…`);
+    sent = share >= 1;
+    if (sent) watchCompiling(file, note, bar, () => done);
   };
   progress(0);
-  return reporting(note, sendFile(isProbe(file.name) ? "environments" : "volumes", file, volumeName(file.name), progress)).finally(() => { bar.hidden = true; });
+  return reporting(note, sendFile(isProbe(file.name) ? "environments" : "volumes", file, volumeName(file.name), progress)).finally(() => {
+    done = true;
+    bar.hidden = true;
+  });
+}
+
+/**
+ * Say how far the server compiles what draws a file, where it must.
+ * @param {File} file
+ * @param {HTMLElement} note
+ * @param {HTMLProgressElement} bar
+ * @param {() => boolean} done whether the file is there, or was refused
+ */
+async function watchCompiling(file, note, bar, done) {
+  for (; !done(); await new Promise((resolve) => { setTimeout(resolve, LOOK_MS); })) {
+    const compiling = (await readReadiness())?.compiling;
+    if (!compiling || done()) continue;
+    bar.value = compiling.done / compiling.total;
+    say(note, progressWords(`Compiling what draws ${file.name}`, compiling));
+  }
 }
 
 /**

@@ -2,6 +2,7 @@
 
 import { find, textElement } from "../dom.js";
 import { errorInWords } from "../view/format.js";
+import { placeInWords } from "../view/measures.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {import("../net/schemas.js").SurfacePoint} SurfacePoint */
@@ -9,7 +10,7 @@ import { errorInWords } from "../view/format.js";
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 /** @typedef {Record<string, string>} Rows names and values; what is "" is left out */
 
-const DIGITS = 2; // decimals of a voxel that coordinates tell apart
+const DIGITS = 2; // decimals of a voxel's indices
 const OFF = 14; // pixels between a mark and its card
 const EDGE = 8; // pixels between a card and the edge of the stage
 const REST_MS = 600; // between two questions about the same point
@@ -134,14 +135,11 @@ export class PointCard {
  * @returns {Rows}
  */
 export function pointRows({ volume }, { position, sides, unit, voxel, value, wall, normal, light, displayed, state, error }) {
-  const decimals = Math.min(20, Math.max(0, Math.ceil(-Math.log10(Math.min(...volume.spacing))) + DIGITS));
-  const coordinate = (/** @type {number} */ x) => minus(String(Number(x.toFixed(decimals))));
-  const sided = position.map((x, i) => `${sides[i]} ${coordinate(Math.abs(x))}`);
-  const places = (sides ? sided : position.map(coordinate)).join(sides ? " · " : ", ");
+  const place = placeInWords({ ...volume, unit }, position, sides);
   const indices = voxel.map((x) => minus(String(Number(x.toFixed(DIGITS))))).join(", ");
   return {
-    Position: `${places} ${unit}`.trim(),
-    Voxel: indices === places ? "" : indices,
+    Position: place,
+    Voxel: indices === placeInWords({ ...volume, unit: "" }, position, sides) ? "" : indices,
     Value: value === null ? "" : minus(String(Number(value.toPrecision(6)))),
     Wall: wall === null ? "" : String(wall + 1),
     Normal: normal.map((x) => minus(x.toFixed(2).replace("-0.00", "0.00"))).join(", "),

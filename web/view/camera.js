@@ -133,7 +133,8 @@ export function placeOf(scene, values, point) {
   return { right: dot(from, axes.right) / height, up: dot(from, axes.up) / height, depth };
 }
 
-const OPPOSITE = /** @type {Record<string, string>} */ ({ R: "L", L: "R", A: "P", P: "A", S: "I", I: "S" });
+/** The other side of a patient, by the letter of a side. */
+export const OPPOSITE = /** @type {Record<string, string>} */ ({ R: "L", L: "R", A: "P", P: "A", S: "I", I: "S" });
 
 /**
  * The sides of a patient that the picture's edges show; "" where the volume is of none.

@@ -2,6 +2,7 @@
 
 import { sizeOf, svgElement } from "../dom.js";
 import { placeOf } from "./camera.js";
+import { worldOf } from "./crosshair.js";
 import { arcOf, measureInWords } from "./measures.js";
 
 /** @typedef {import("./camera.js").Vec3} Vec3 */
@@ -15,6 +16,7 @@ import { arcOf, measureInWords } from "./measures.js";
 
 const NEARER = 0.5; // voxels by which a surface must be before a point to hide it
 const RADIUS = 5; // pixels
+const [CROSS, GAP] = [11, 4]; // pixels from the middle of a cross hair to the ends of its lines
 const LABEL_UP = 8; // pixels from a line to the words about it
 const BEYOND = 24; // pixels from an arc to the words about it
 
@@ -114,8 +116,17 @@ export class Marks {
   #draw() {
     const shown = this.#points.filter((point) => !this.hides(point)).map((point) => this.spot(point));
     const lines = this.#measures.flatMap((points) => this.#lines(points));
-    this.#root.replaceChildren(...lines, ...shown.filter(({ inside }) => inside).map(ring));
+    this.#root.replaceChildren(...lines, ...this.#cross(), ...shown.filter(({ inside }) => inside).map(ring));
     this.onDraw();
+  }
+
+  /** The cross hair of the slices, also behind the surface: most of what they cross is inside. @returns {SVGElement[]} */
+  #cross() {
+    const { slices } = this.#view.values;
+    if (!slices) return [];
+    const { x, y, inside } = this.spot(worldOf(this.#scene.volume, slices.voxel));
+    const d = `M${x - CROSS} ${y}H${x - GAP}M${x + GAP} ${y}H${x + CROSS}M${x} ${y - CROSS}V${y - GAP}M${x} ${y + GAP}V${y + CROSS}`;
+    return inside ? ["under", "line"].map((kind) => svgElement("path", { class: `${kind} cross`, d })) : [];
   }
 
   /** The lines of a measure and its words; dashed where an end is hidden, none where one is behind the eye. @param {Measure} points */

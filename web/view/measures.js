@@ -1,5 +1,6 @@
 /** Measures between points of the world: a distance of two, the angle at the second of three. */
 
+import { OPPOSITE } from "./camera.js";
 import { vector } from "./rotation.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
@@ -7,6 +8,7 @@ import { vector } from "./rotation.js";
 /** @typedef {Vec3[]} Measure two points, or three */
 
 const DIGITS = 6; // of a coordinate: what an address can hold, and a voxel of any volume needs
+const COORDINATE_DIGITS = 2; // decimals of a voxel that coordinates tell apart
 const FURTHEST = 1e12;
 const ARC_SHARE = 0.3; // of the shorter side of an angle
 const ARC_STEPS = 16;
@@ -76,6 +78,40 @@ export function angleOf(a, b, c) {
 export function lengthInWords({ unit, spacing }, length) {
   const own = `${spacing.every((step) => step === 1) ? "voxel" : "unit"}${length === 1 ? "" : "s"}`;
   return `${length} ${unit || own}`;
+}
+
+/**
+ * The coordinates of a place in the world, with digits that tell a hundredth of a voxel.
+ * @param {Pick<Volume, "spacing">} volume
+ * @param {Vec3} place
+ * @param {string} sides of a patient on which the coordinates lie, such as "LAS"; "" elsewhere
+ * @returns {string[]}
+ */
+export function coordinatesInWords({ spacing }, place, sides) {
+  const decimals = Math.min(20, Math.max(0, Math.ceil(-Math.log10(Math.min(...spacing))) + COORDINATE_DIGITS));
+  const shown = (/** @type {number} */ x) => String(Number(x.toFixed(decimals))).replace("-", "−");
+  return place.map((x, i) => (sides ? `${sides[i]} ${shown(Math.abs(x))}` : shown(x)));
+}
+
+/**
+ * A place in the world with its unit, for a person, such as "L 12 · A 3.5 · S 40 mm".
+ * @param {Pick<Volume, "spacing"|"unit">} volume
+ * @param {Vec3} place
+ * @param {string} sides of a patient on which the coordinates lie; "" elsewhere
+ * @returns {string}
+ */
+export function placeInWords(volume, place, sides) {
+  return `${coordinatesInWords(volume, place, sides).join(sides ? " · " : ", ")} ${volume.unit}`.trim();
+}
+
+/**
+ * The sides of a patient on which a place of the world lies, such as "LAS"; "" where the volume is of none.
+ * @param {Pick<Volume, "letters">} volume
+ * @param {Vec3} place
+ * @returns {string}
+ */
+export function sidesAt({ letters }, place) {
+  return [...letters].map((letter, i) => (place[i] >= 0 ? letter : OPPOSITE[letter])).join("");
 }
 
 /**

@@ -2,6 +2,7 @@
 
 import { isTint, startAlbedo } from "./albedo.js";
 import { PROJECTIONS, limitTarget } from "./camera.js";
+import { limitCrossHair } from "./crosshair.js";
 import { niceStep, showNumber } from "./format.js";
 import { limitMeasures } from "./measures.js";
 import { arePlanes } from "./planes.js";
@@ -39,6 +40,7 @@ import { areHidden, areSurfaces, isMaterial } from "./surfaces.js";
  * @property {string} background one of BACKGROUNDS
  * @property {string} rulers one of RULERS: whether a scale bar and the axes are shown
  * @property {import("./measures.js").Measure[]} measures what was measured between points of the world
+ * @property {import("./crosshair.js").CrossHair|null} slices where the slices beside the picture cross; null for no slices
  * @property {string} environment the id of one of the scene's environments; "" for its own light
  * @property {string} planes what is cut away, as `planes.js` reads it; "" for nothing
  * @property {boolean} opened whether light comes in there
@@ -107,7 +109,7 @@ export class ViewModel {
     const shading = defaults.shading ?? this.#scene.shadings[0];
     const shine = defaults.shine === undefined ? {} : { shine: defaults.shine };
     const projection = this.#scene.defaults.projection ?? PROJECTIONS[0];
-    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, projection, shading, overlay: "none", compare: "", background: "page", environment: "", rulers: "on", measures: [], planes: "", opened: this.#scene.cuts, surfaces: "", hide: "", material: "" };
+    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, projection, shading, overlay: "none", compare: "", background: "page", environment: "", rulers: "on", measures: [], slices: null, planes: "", opened: this.#scene.cuts, surfaces: "", hide: "", material: "" };
   }
 
   /** The knobs as they are now (a copy). @returns {Knobs} */
@@ -128,9 +130,10 @@ export class ViewModel {
     this.#listeners.forEach((listener) => listener(this.values, follows));
   }
 
-  /** Go back to where the scene starts; what was measured stays. */
+  /** Go back to where the scene starts; what was measured stays, and so do slices. */
   reset() {
-    this.set({ ...this.defaults, measures: this.#values.measures });
+    const { measures, slices } = this.#values;
+    this.set({ ...this.defaults, measures, slices });
   }
 
   /**
@@ -173,6 +176,7 @@ export class ViewModel {
     const made = wanted.material === "" || isMaterial(wanted.material, this.#scene.materials ?? []);
     limited.material = made ? /** @type {string} */ (wanted.material) : fallback.material;
     limited.measures = limitMeasures(wanted.measures ?? fallback.measures);
+    limited.slices = limitCrossHair(this.#scene.volume, wanted.slices === undefined ? fallback.slices : wanted.slices);
     if (fallback.shine) limited.shine = this.#scene.shines.find((each) => each === wanted.shine) ?? fallback.shine;
     if (fallback.tint) limited.tint = isTint(wanted.tint) ? wanted.tint.toLowerCase() : fallback.tint;
     for (const name of NUMBERS.filter((each) => each in fallback)) {

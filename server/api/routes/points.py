@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gzip
 from functools import partial
 from typing import Any
 
@@ -13,8 +14,8 @@ from server.answers import point_schema, size_schema
 from server.api.headers import PreferencesDep, matches, tag_of
 from server.api.service import SceneDep, ServiceDep
 from server.errors import ParameterError
-from server.parameters import documented
-from server.pictures import MEDIA_TYPES, compress, grey
+from server.parameters import VariantParams, documented
+from server.pictures import MEDIA_TYPES, compress, grey, media_range, quality, values_npy
 from server.point_parameters import (
     AXES,
     PointParams,
@@ -29,11 +30,20 @@ from server.problems import documented_problems
 
 router = APIRouter(prefix="/v1/scenes/{scene}", tags=["frames"])
 SLICE: dict[int | str, dict[str, Any]] = {
-    200: {"description": "The picture, grey.", "content": {MEDIA_TYPES["png"]: {}}},
-    304: {"description": "The picture is the one that If-None-Match names."},
+    200: {
+        "description": "The picture, grey; or the values.",
+        "content": {MEDIA_TYPES["png"]: {}, MEDIA_TYPES["npy"]: {}},
+    },
+    304: {"description": "The slice is the one that If-None-Match names."},
 }
 DRAWN = 1
 """Version of how slices are drawn."""
+
+NEAR = 1e-6
+"""How far values that are sent may be off, of their range: what is smaller is seen in no picture, and no contour."""
+
+PACKED = 1
+"""Level of gzip: a slice of 256 × 256 bytes takes a millisecond."""
 
 
 @router.get("/point", openapi_extra=documented(PointParams), responses=documented_problems(404, 422, 429, 503))
@@ -72,24 +82,38 @@ async def read_size(request: Request, scene: SceneDep, params: SizeParamsDep, se
     openapi_extra=documented(SliceParams),
     responses=SLICE | documented_problems(404, 422),
 )
-async def read_slice(request: Request, scene: SceneDep, params: SliceParamsDep) -> Response:
+async def read_slice(request: Request, scene: SceneDep, params: SliceParamsDep, service: ServiceDep) -> Response:
     """The volume's values on a plane across one of its voxel axes, as a grey picture: one pixel for each voxel.
 
-    Columns go along the first of the other two axes, and rows down the second, whose end is at the top.
+    Columns go along the first of the other two axes, and rows down the second, whose end is at the top. With `f=npy`
+    the values themselves, in the volume's units: whole numbers exactly, others as float32 where that is near enough,
+    else as float64. They are packed where the request accepts gzip.
     """
-    return await asyncio.to_thread(sliced, request, scene, params)
+    step = VariantParams.model_validate(params.model_dump(include={"time"}, exclude_none=True))
+    return await asyncio.to_thread(sliced, request, await service.variant(scene, step), params)
 
 
 def sliced(request: Request, scene: Scene, params: SliceParams) -> Response:
-    """The picture of a plane of a scene's volume, or that it is the one that the client has."""
+    """The slice of a scene's volume, or that it is the one that the client has."""
     volume, axis = scene.volume, AXES.index(params.axis)
     if params.at > volume.size[axis] - 1:
         beyond = f"at={params.at:g} is outside the volume: {params.axis} goes from 0 to {volume.size[axis] - 1}."
         raise ParameterError(beyond, "at")
-    window = params.window(volume.core)
-    tag = tag_of(DRAWN, volume.digest, axis, params.at, *window)
-    headers = {"ETag": tag, "Cache-Control": "no-cache"}
+    window = params.window(volume.core) if params.is_picture else ()
+    packed = not params.is_picture and accepts_gzip(request.headers.get("accept-encoding", ""))
+    tag = tag_of(DRAWN, volume.digest, axis, params.at, *window, packed)
+    headers = {"ETag": tag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}
     if matches(request.headers.get("if-none-match"), tag):
         return Response(status_code=304, headers=headers)
-    picture = grey(volume.plane(axis, params.at), *window)
-    return Response(compress(picture, "png"), 200, headers, MEDIA_TYPES["png"])
+    plane = volume.plane(axis, params.at)
+    if params.is_picture:
+        return Response(compress(grey(plane, *window), "png"), 200, headers, MEDIA_TYPES["png"])
+    values = values_npy(plane, NEAR * volume.core[1] - NEAR * volume.core[0])
+    if packed:
+        values, headers = gzip.compress(values, PACKED), headers | {"Content-Encoding": "gzip"}
+    return Response(values, 200, headers, MEDIA_TYPES["npy"])
+
+
+def accepts_gzip(header: str) -> bool:
+    """Whether an Accept-Encoding header takes gzip."""
+    return quality("gzip", dict(map(media_range, header.split(",")))) > 0

@@ -109,9 +109,34 @@ def test_a_slice_that_is_known_is_not_sent_again(client: httpx.Client) -> None:
     assert tag not in {cut(client, **other).headers["etag"] for other in others}  # type: ignore[arg-type]
 
 
+def test_the_values_of_a_slice_are_told_as_they_are(client: httpx.Client) -> None:
+    for axis, plane in {"z": values()[5], "y": values()[:, 7], "x": values()[:, :, 23]}.items():
+        at = {"z": 5, "y": 7, "x": 23}[axis]
+        answer = cut(client, axis=axis, at=at, f="npy")
+        assert (answer.status_code, answer.headers["content-type"]) == (200, "application/x-npy")
+        told = np.load(io.BytesIO(answer.content))
+        assert told.dtype == np.dtype("<f4") and np.abs(told - plane[::-1]).max() < 1e-6
+    tags = [cut(client, axis="x", at=3, f=form).headers["etag"] for form in ("png", "npy")]
+    assert len(set(tags)) == 2
+    assert cut(client, {"If-None-Match": tags[1]}, axis="x", at=3, f="npy").status_code == 304
+
+
+def test_values_are_packed_where_the_client_takes_that(client: httpx.Client) -> None:
+    answers = [
+        cut(client, {"Accept-Encoding": header}, axis="z", at=2, f="npy") for header in ("gzip, br", "gzip;q=0", "br")
+    ]
+    assert [answer.headers.get("content-encoding") for answer in answers] == ["gzip", None, None]
+    assert len({answer.content for answer in answers}) == 1, "unpacked by the client"
+    assert answers[0].headers["etag"] != answers[1].headers["etag"] == answers[2].headers["etag"]
+    assert {answer.headers["vary"] for answer in answers} == {"Accept-Encoding"}
+
+
 @pytest.mark.parametrize(
     ("asked", "parameter", "words"),
     [
+        ({"axis": "z", "at": 1, "f": "npy", "high": 9}, "high", "does not read high"),
+        ({"axis": "z", "at": 1, "f": "jpeg"}, "f", "png, npy"),
+        ({"axis": "z", "at": 1, "time": 1}, "time", "no series in time"),
         ({"axis": "z", "at": 16}, "at", "z goes from 0 to 15"),
         ({"axis": "w", "at": 1}, "axis", "x, y"),
         ({"axis": "z"}, "at", "is missing"),

@@ -64,6 +64,14 @@ def test_the_document_tells_the_steps(server: str) -> None:
     assert other["histogram"]["counts"] != facts["histogram"]["counts"]
 
 
+def test_a_slice_is_of_its_step(server: str, scene: Path) -> None:
+    steps = np.load(scene.with_name("series.npy"))
+    for time in (None, 2):
+        query = {"axis": "z", "at": 7, "f": "npy"} | ({} if time is None else {"time": time})
+        told = np.load(io.BytesIO(httpx.get(f"{server}/slice", params=query).content))
+        np.testing.assert_allclose(told, steps[time or 0, 7, ::-1], atol=1e-6)
+
+
 @pytest.mark.parametrize("time", ["4", "-1", "1.5"])
 def test_there_are_no_other_steps(server: str, time: str) -> None:
     answer = httpx.get(f"{server}/frame", params={"time": time})

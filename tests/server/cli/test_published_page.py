@@ -1,34 +1,22 @@
 """A published page in a real browser: whether all of it is seen at once, on which ground, and where it begins."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
 from server.cli.publish import page_of, shots_of, sliders_of
 from server.cli.reel import Reel
 from tests.loaded import load_scene
-from tests.web.visits import CHROMIUM, FLAGS
+from tests.web.visits import BROWSER
 
 WINDOWS = ((1280, 800), (1920, 1080), (390, 844), (844, 390))
 GRID = {"isovalue": "0.01:0.03:0.02", "azimuth": "0:315:45", "elevation": "5:45:20", "yaw": "0:180:180"}
 SIZE = {"width": "96", "height": "72"}
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no Chromium at {CHROMIUM}: install Debian's chromium"),
-]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
-        yield chromium
-        chromium.close()
+pytestmark = BROWSER
 
 
 def published(folder: Path, **knobs: str) -> str:

@@ -1,32 +1,23 @@
 """A report's page in a real browser: what it asks for, and whether it can be read in both schemes and on a phone."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
 from server.report.bundle import write_report
 from server.report.journal import Entry
 from tests.server.report.samples import report_of, sections
-from tests.web.visits import BROWSER, CHROMIUM, FLAGS
+from tests.web.visits import BROWSER
 
 SHOTS = Path(__file__).resolve().parents[3] / "test-results" / "report"
 Scheme = Literal["light", "dark"]
 WIDTHS = {"wide": 1100, "phone": 390}
 
 pytestmark = BROWSER
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
-        yield chromium
-        chromium.close()
 
 
 @pytest.fixture(scope="module")

@@ -1,13 +1,17 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { CompilingLine, compilingWords } from "../../../web/net/compiling.js";
+import { CompilingLine, compilingWords, progressWords } from "../../../web/net/compiling.js";
 
 test("what is compiled is said with its count and the time left, once it is known", () => {
   assert.equal(compilingWords({ done: 0, total: 24, seconds: undefined }, false), "Compiling, once on this machine: 0 of 24");
   assert.equal(compilingWords({ done: 7, total: 24, seconds: 39.6 }, false), "Compiling, once on this machine: 7 of 24, about 40 s left");
   assert.match(compilingWords({ done: 7, total: 24, seconds: 0.2 }, true), /^Light comes when isogi is compiled, .* about 1 s left$/);
   assert.match(compilingWords({ done: 7, total: 24, seconds: 130 }, true), /about 2 min left$/);
+});
+
+test("what is compiled is named", () => {
+  assert.equal(progressWords("Compiling what draws it", { done: 1, total: 2 }), "Compiling what draws it, once on this machine: 1 of 2");
 });
 
 test("the line is shown while the server compiles, and no longer", async () => {

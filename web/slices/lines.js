@@ -1,0 +1,95 @@
+/** What planes take away of a slice: it is hatched there, and lines that are dragged move the planes. */
+
+import { resize, svgElement } from "../dom.js";
+import { attachGrip, tell } from "../view/handles.js";
+import { movablePlanes } from "../view/planes.js";
+import { around, isUpright, lineAcross, partLeft, slopeOf } from "./geometry.js";
+
+/** @typedef {import("../view/model.js").ViewModel} ViewModel */
+/** @typedef {import("../view/planes.js").Movable} Movable */
+/** @typedef {import("../net/schemas.js").Scene} Scene */
+/** @typedef {import("./geometry.js").Slice} Slice */
+
+const DOT = 4; // pixels
+
+/** Draws what planes take away of one slice, and the lines that move them. */
+export class CutLines {
+  #gone;
+  #lines;
+  #volume;
+  #view;
+  #onRest;
+  /** @type {SVGGElement[]} */
+  #grips = [];
+
+  /**
+   * @param {HTMLElement} gone fills the slice, and is hatched
+   * @param {SVGElement} lines fills it, too
+   * @param {Scene["volume"]} volume
+   * @param {ViewModel} view
+   * @param {() => void} onRest is called when a line is let go
+   */
+  constructor(gone, lines, volume, view, onRest) {
+    this.#gone = gone;
+    this.#lines = lines;
+    this.#volume = volume;
+    this.#view = view;
+    this.#onRest = onRest;
+  }
+
+  /**
+   * Draw them on a slice.
+   * @param {() => Slice} slice as it is now
+   * @param {boolean} movable whether lines are there
+   */
+  draw(slice, movable) {
+    const { planes } = this.#view.values, all = movable ? movablePlanes(this.#volume, planes) : [];
+    this.#gone.style.clipPath = around(partLeft(slice(), planes));
+    resize(this.#grips, all.length, (k) => {
+      const plane = () => movablePlanes(this.#volume, this.#view.values.planes)[k];
+      return this.#lines.appendChild(gripOf(slice, plane, this.#gone, this.#view, this.#onRest));
+    });
+    all.forEach((plane, k) => place(this.#grips[k], slice(), plane));
+  }
+}
+
+/**
+ * The line of a plane in a slice, which moves it: it follows the pointer, and arrows as they point.
+ * @param {() => Slice} slice as it is now
+ * @param {() => Movable} plane
+ * @param {HTMLElement} box that the slice fills
+ * @param {ViewModel} view
+ * @param {() => void} onRest
+ */
+function gripOf(slice, plane, box, view, onRest) {
+  const grip = svgElement("g", { tabindex: 0 });
+  grip.append(...["hit", "under", "line"].map((kind) => svgElement("line", { class: kind })), svgElement("circle", { r: DOT }));
+  const slope = () => slopeOfMovable(slice(), plane());
+  attachGrip(grip, view, {
+    plane,
+    draggedBy: (right, down) => (slope().right * right) / box.clientWidth - (slope().up * down) / box.clientHeight,
+    sign: () => Math.sign(isUpright(slice(), slope()) ? slope().right : slope().up),
+    onRest,
+  });
+  return grip;
+}
+
+/** Put a line where its plane crosses a slice; it is hidden where it does not. @param {SVGGElement} grip @param {Slice} slice @param {Movable} plane */
+function place(grip, slice, plane) {
+  const slope = slopeOfMovable(slice, plane), [a, b] = lineAcross(slope);
+  tell(grip, plane);
+  grip.toggleAttribute("hidden", !a);
+  if (!a) return;
+  grip.toggleAttribute("data-open", plane.value === plane.open);
+  grip.style.cursor = isUpright(slice, slope) ? "ew-resize" : "ns-resize";
+  const [[x1, y1], [x2, y2], [cx, cy]] = [a, b, [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2]].map(([x, y]) => [`${100 * x}%`, `${100 * (1 - y)}%`]);
+  for (const part of grip.children) {
+    const at = part.tagName === "circle" ? { cx, cy } : { x1, y1, x2, y2 };
+    Object.entries(at).forEach(([name, value]) => part.setAttribute(name, value));
+  }
+}
+
+/** @param {Slice} slice @param {Movable} plane */
+function slopeOfMovable(slice, { normal, value }) {
+  return slopeOf(slice, { normal, limit: value });
+}

@@ -1,0 +1,167 @@
+/** The pane of slices beside the picture: three of them through one cross hair, and what is black and white in them. */
+
+import { find } from "../dom.js";
+import { worldOf } from "../view/crosshair.js";
+import { niceStep, showNumber } from "../view/format.js";
+import { placeInWords, sidesAt } from "../view/measures.js";
+import { vector } from "../view/rotation.js";
+import { SliceFigure } from "./figure.js";
+import { liesOf } from "./geometry.js";
+import { Shelf, usualGreys } from "./values.js";
+
+/** @typedef {import("../view/crosshair.js").CrossHair} CrossHair */
+/** @typedef {import("../view/crosshair.js").Greys} Greys */
+/** @typedef {import("../view/model.js").ViewModel} ViewModel */
+/** @typedef {import("../view/rotation.js").Vec3} Vec3 */
+/** @typedef {import("../net/schemas.js").Scene} Scene */
+
+/**
+ * @typedef {object} PaneHooks
+ * @property {import("./values.js").Read} read gives the values on a slice
+ * @property {HTMLDetailsElement} cuts while it is open planes are moved in slices, too
+ * @property {(point: Vec3, normal: Vec3) => void} cut along a plane through a point of the world
+ * @property {() => void} onRest is called when the line of a plane is let go
+ */
+
+/** Shows slices where the view has a cross hair. */
+export class SlicesPane {
+  #root;
+  #button;
+  #scene;
+  #view;
+  #figures;
+  /** @type {CrossHair|null} */
+  #last; // of a pane that was closed
+  #due = false; // whether it is drawn in the next frame
+
+  /**
+   * @param {HTMLElement} root
+   * @param {HTMLElement} button opens and closes it
+   * @param {Scene} scene
+   * @param {ViewModel} view
+   * @param {PaneHooks} hooks
+   */
+  constructor(root, button, scene, view, { read, cuts, cut, onRest }) {
+    this.#root = root;
+    this.#button = button;
+    this.#scene = scene;
+    this.#view = view;
+    this.#last = view.values.slices;
+    const shelf = new Shelf(read), { volume } = scene;
+    const hooks = {
+      greys: () => this.#greys, setGreys: (/** @type {Greys|null} */ greys) => this.#set({ greys: greys && (rounded(greys, this.#step) ?? this.#greys) }),
+      cutting: () => cuts.open, cut: (/** @type {Vec3} */ normal) => cut(this.#point, normal), onRest, onValues: () => this.#follow(),
+    };
+    this.#figures = liesOf(volume.axes).map((lie) => new SliceFigure(lie, scene, view, shelf, hooks));
+    root.prepend(...this.#figures.map((figure) => figure.root));
+    shareRoom(volume, this.#figures);
+    for (const input of this.#inputs) input.addEventListener("change", () => this.#typed());
+    find(root, "#slices-reset").addEventListener("click", () => hooks.setGreys(null));
+    button.addEventListener("click", () => this.toggle());
+    cuts.addEventListener("toggle", () => this.#follow());
+    view.watch(({ slices, isovalue, planes, time, surfaces }) => [slices, isovalue, planes, time, surfaces], () => this.#follow());
+    this.#draw();
+  }
+
+  /** Open it where it was last, else in the middle of the volume; or close it. */
+  toggle() {
+    const middle = vector((i) => (this.#scene.volume.size[i] - 1) / 2);
+    this.#view.set({ slices: this.#view.values.slices ? null : this.#last ?? { voxel: middle, greys: null } });
+  }
+
+  /** Move the cross hair, where there is one; else it is where the pane will be opened. @param {Vec3} voxel indices, with fractions too */
+  follow(voxel) {
+    this.#set({ voxel });
+    if (!this.#view.values.slices) this.#last = { voxel, greys: this.#last?.greys ?? null };
+  }
+
+  /** @param {Partial<CrossHair>} patch */
+  #set(patch) {
+    const { slices } = this.#view.values;
+    if (slices) this.#view.set({ slices: { ...slices, ...patch } });
+  }
+
+  /** The values that are black and white; by default the volume's own, in round numbers. @returns {Greys} */
+  get #greys() {
+    const { histogram } = this.#scene, usual = usualGreys(histogram);
+    return this.#view.values.slices?.greys ?? rounded(usual, 10 * this.#step) ?? usual;
+  }
+
+  /** What numbers of a window and a level are told to. */
+  get #step() {
+    const { edges } = this.#scene.histogram;
+    return 10 * niceStep(edges[edges.length - 1] - edges[0]);
+  }
+
+  get #inputs() {
+    return ["#slices-window", "#slices-level"].map((id) => find(this.#root, id, HTMLInputElement));
+  }
+
+  get #point() {
+    return worldOf(this.#scene.volume, /** @type {CrossHair} */ (this.#view.values.slices).voxel);
+  }
+
+  #typed() {
+    const [window, level] = this.#inputs.map(({ valueAsNumber }) => valueAsNumber);
+    const sound = window > 0 && Number.isFinite(level);
+    this.#set({ greys: sound ? [level - window / 2, level + window / 2] : this.#view.values.slices?.greys ?? null });
+    this.#write();
+  }
+
+  #follow() {
+    if (this.#due) return;
+    this.#due = true;
+    requestAnimationFrame(() => this.#draw());
+  }
+
+  #draw() {
+    this.#due = false;
+    const { slices } = this.#view.values;
+    this.#root.hidden = !slices;
+    this.#button.ariaExpanded = String(Boolean(slices));
+    if (!slices) return;
+    this.#last = slices;
+    this.#figures.forEach((figure) => figure.draw());
+    this.#write();
+  }
+
+  /** Say where the cross hair is, what is there, and what is black and white. */
+  #write() {
+    const { volume } = this.#scene, { voxel, greys } = /** @type {CrossHair} */ (this.#view.values.slices);
+    const place = placeInWords(volume, this.#point, sidesAt(volume, this.#point)), indices = voxel.join(", ");
+    const value = this.#figures.map((figure) => figure.value).find((each) => each !== null);
+    find(this.#root, "#slices-place").textContent = place === indices ? `voxel ${indices}` : place;
+    find(this.#root, "#slices-voxel").textContent = `${place === indices ? "" : `voxel ${indices} · `}${valueInWords(value)}`;
+    const [black, white] = this.#greys, shown = [white - black, (black + white) / 2];
+    this.#inputs.forEach((input, k) => { input.value = showNumber(shown[k], this.#step); });
+    find(this.#root, "#slices-reset", HTMLButtonElement).disabled = !greys;
+  }
+}
+
+/** Greys with few digits; null where they would be one. @param {Greys} greys @param {number} step @returns {Greys|null} */
+function rounded(greys, step) {
+  const [black, white] = greys.map((value) => Number(showNumber(value, step)));
+  return black < white ? [black, white] : null;
+}
+
+/** @param {number|undefined} value undefined until it has come */
+function valueInWords(value) {
+  if (value === undefined) return "value …";
+  return Number.isNaN(value) ? "a hole" : `value ${String(Number(value.toPrecision(6))).replace("-", "−")}`;
+}
+
+/**
+ * Give slices one scale: the widest one fills the width of its place, or the highest one its height.
+ * @param {Scene["volume"]} volume
+ * @param {SliceFigure[]} figures
+ */
+function shareRoom({ size, spacing }, figures) {
+  const lengths = size.map((n, i) => n * spacing[i]);
+  const extents = figures.map(({ lie }) => [lengths[lie.right.axis], lengths[lie.up.axis]]);
+  const [widest, highest] = [0, 1].map((k) => Math.max(...extents.map((extent) => extent[k])));
+  figures.forEach(({ root }, k) => {
+    const [wide, high] = extents[k];
+    root.style.setProperty("--width", `calc(${wide / widest} * min(100cqw, ${widest / highest} * 100cqh))`);
+    root.style.setProperty("--ratio", String(wide / high));
+  });
+}
