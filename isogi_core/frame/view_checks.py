@@ -16,6 +16,9 @@ from isogi_core.lru_cache import LruCache
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.model.view import View
 
+PIXELS = 0.25
+"""Paths that a pixel takes to an error over those that a texel takes, which is to hold for all turns of its light."""
+
 FILTERED = 4.0
 """A texel's noise over the noise of pixels that mix it and its neighbours, filtered: 3 to 5 after 16 samples."""
 
@@ -75,7 +78,7 @@ def foreseen_work(frame: Frame, reading: Reading, target: float) -> float:
     points, effort, rung, least = len(frame.gbuffer.pixels), reading.effort, FIRST_LEVEL, math.inf
     while rung <= most_samples(target):
         noise = (effort / rung) ** (1.0 / RATE) / FILTERED
-        own = foreseen_paths(points, math.hypot(noise, frame.expected), target, effort)
+        own = foreseen_paths(points, math.hypot(noise, frame.expected), target, PIXELS * effort)
         least = min(least, own + float(rung - FIRST_LEVEL) * len(reading.samples))
         rung = next_level(rung)
     return least

@@ -109,11 +109,16 @@ def format_of(output: Path) -> str:
 
 
 def refine(engine: RenderEngine, scene: str, view: View, max_error: float | None, seconds: float | None) -> Frame:
-    """As ``awaited``, with the chunks on a bar meanwhile."""
-    with Progress("baking", "chunk") as bar:
+    """As ``awaited``, with the seconds that it takes on a bar meanwhile; it never runs back."""
+    begun, shown = time.monotonic(), 0.0
+    with Progress("lighting", "%") as bar:
 
         def show(frame: Frame) -> None:
-            bar.show(frame.chunks_final, frame.chunks_needed, engine.time_left(scene, frame, max_error))
+            nonlocal shown
+            left, passed = engine.time_left(scene, frame, max_error), time.monotonic() - begun
+            done = 1.0 if frame.final else passed / (passed + left.likely) if left and passed else 0.0
+            shown = max(shown, done)
+            bar.show(int(100 * shown), 100, left)
 
         return awaited(engine, scene, view, max_error, seconds, show)
 

@@ -140,7 +140,7 @@ export class Saver {
     const refined = async () => {
       for await (const picture of untilFinal(ask, over, ({ detail }) => this.#say(detail))) {
         best = picture;
-        find(this.#panel, "#save-progress", HTMLProgressElement).value = (n + picture.facts.coverage.final) / strips;
+        find(this.#panel, "#save-progress", HTMLProgressElement).value = (n + (1 - picture.facts.coverage.provisional) / 2) / strips;
         find(this.#panel, "#save-now").hidden = hurry.signal.aborted;
         this.#say(`${part}${frameInWords(picture.facts)}.`);
         if (hurry.signal.aborted) break;

@@ -24,8 +24,10 @@ const WORDS = {
 export class Status {
   #root;
   #target;
+  #clock;
   #old;
   #late;
+  #bar = { since: -1, done: 0 }; // what it showed of the present picture
 
   /**
    * @param {ParentNode} root holds `#stage`, `#badge`, `#progress`, `#status-line`, `#announce`
@@ -35,6 +37,7 @@ export class Status {
   constructor(root, target, clock = CLOCK) {
     this.#root = root;
     this.#target = target;
+    this.#clock = clock;
     const stage = find(root, "#stage");
     this.#old = markedFrom(stage, "data-old", clock);
     this.#late = markedFrom(stage, "data-late", clock); // what moves there costs frames of the screen
@@ -49,7 +52,7 @@ export class Status {
     this.#write("#status-line", line);
     this.#write("#badge", badge);
     this.#write("#announce", facts ? announcement(facts, sharp) : "");
-    this.#fill(facts);
+    this.#fill(facts, shown.asked.since);
     this.#old(leftAt + OLD_MS);
     this.#late(waitsSince + LATE_MS);
   }
@@ -60,18 +63,35 @@ export class Status {
     if (node.textContent !== text) node.textContent = text; // or screen readers say it again
   }
 
-  /** @param {Facts|null} facts */
-  #fill(facts) {
-    const bar = find(this.#root, "#progress"), shares = facts && sharesOf(facts);
+  /**
+   * Fill the bar; it never runs back while the controls rest.
+   * @param {Facts|null} facts
+   * @param {number} since when they came to this view, milliseconds
+   */
+  #fill(facts, since) {
+    const done = facts ? doneOf(facts, (this.#clock.now() - since) / 1000) : 0;
+    this.#bar = { since, done: since === this.#bar.since ? Math.max(done, this.#bar.done) : done };
+    const bar = find(this.#root, "#progress"), shares = facts && sharesOf(facts, this.#bar.done);
     for (const state of STATES) find(bar, `.${state}`).style.width = `${shares ? 100 * shares[state] : 0}%`;
     bar.ariaValueNow = shares && String(Math.floor(100 * shares.final));
     bar.ariaValueText = shares ? `${shareInWords(shares.final)} done` : "not known yet";
   }
 }
 
-/** What a bar shows: all of it where there is no surface to wait for. @param {Facts} facts */
-function sharesOf({ coverage, provisional }) {
-  return provisional || showsSurface(coverage) ? coverage : { final: 1, converging: 0, provisional: 0 };
+/**
+ * How much of the time to the final picture is over: all of it where nothing is left to wait for.
+ * @param {Pick<Facts, "provisional"|"timeLeft">} facts
+ * @param {number} seconds since the view was asked for
+ */
+export function doneOf({ provisional, timeLeft }, seconds) {
+  if (!provisional) return 1;
+  return timeLeft ? seconds / Math.max(seconds + timeLeft.likely, 1e-3) : 0;
+}
+
+/** What a bar shows: what is done, and of the rest how much has light. @param {Facts} facts @param {number} done */
+function sharesOf({ coverage }, done) {
+  const lit = showsSurface(coverage) ? 1 - coverage.provisional : 1;
+  return { final: done, converging: (1 - done) * lit, provisional: (1 - done) * (1 - lit) };
 }
 
 /**
@@ -118,15 +138,14 @@ export function badge({ provisional, error }, target) {
 }
 
 /**
- * What screen readers say: it changes at quarters and at the end, not at every frame.
+ * What screen readers say: it changes once light is everywhere and at the end, not at every frame.
  * @param {Facts} facts
  * @param {boolean} [sharp] whether the picture has all of the screen's pixels
  * @returns {string}
  */
 export function announcement(facts, sharp = false) {
-  const quarter = Math.floor(4 * facts.coverage.final) * 25;
   if (!facts.provisional) return frameInWords(facts);
-  return sharp ? "Sharpening" : `Refining, ${quarter} percent done`;
+  return sharp ? "Sharpening" : `Refining, ${facts.coverage.provisional ? "not lit everywhere yet" : "lit everywhere"}`;
 }
 
 const READ_MS = 10_000; // a sentence is read long before

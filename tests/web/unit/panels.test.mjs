@@ -12,7 +12,7 @@ import { knobInWords } from "../../../web/panels/knobs.js";
 import { pointRows } from "../../../web/panels/point.js";
 import { parseKept, scenePresets, toggled } from "../../../web/panels/presets.js";
 import { layerInWords, planRows, savingInWords, volumeRows } from "../../../web/panels/scene.js";
-import { announcement, badge } from "../../../web/panels/status.js";
+import { announcement, badge, doneOf } from "../../../web/panels/status.js";
 import { rateOf, timeRows } from "../../../web/panels/times.js";
 import { PAINTED, SCENE, facts } from "./fixtures.mjs";
 
@@ -225,9 +225,16 @@ test("a volume says its size, its values and its holes", () => {
   assert.deepEqual([rows.Transmission, volumeRows({ ...SCENE, transmission: [0.3, 0.2, 0] }).Transmission], [null, "0.3, 0.2, 0"]);
 });
 
-test("screen readers hear of quarters, not of every frame", () => {
-  const said = [0.26, 0.49, 0.51].map((final) => announcement(facts({ coverage: { final, converging: 0, provisional: 1 - final } })));
-  assert.deepEqual(said, ["Refining, 25 percent done", said[0], "Refining, 50 percent done"]);
+test("the bar tells how much of the time is over", () => {
+  const timeLeft = { low: 1, likely: 6, high: 9 };
+  assert.equal(doneOf(facts({ timeLeft }), 2), 0.25);
+  assert.equal(doneOf(facts({ timeLeft: null }), 2), 0);
+  assert.equal(doneOf(facts({ provisional: false, timeLeft: null }), 2), 1);
+});
+
+test("screen readers hear of light everywhere, not of every frame", () => {
+  const said = [0.9, 0.1, 0].map((provisional) => announcement(facts({ coverage: { final: 0, converging: 1 - provisional, provisional } })));
+  assert.deepEqual(said, ["Refining, not lit everywhere yet", said[0], "Refining, lit everywhere"]);
   assert.equal(announcement(facts({ provisional: false })), "Done, about 3.4 % error");
 });
 
