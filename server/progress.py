@@ -54,7 +54,7 @@ class Progress:
     """
 
     def __init__(self, what: str = "", unit: str = "step") -> None:
-        """Draw nothing yet: ``what`` is done, counted in ``unit``s."""
+        """Draw nothing yet: ``what`` is done, counted in ``unit``s; without a name they are not counted."""
         self._what, self._unit = what, unit
         self._begun = time.monotonic()
         self._bar: Any = None
@@ -95,7 +95,7 @@ class Progress:
 
     def _draw(self, done: int, total: int, postfix: str) -> None:
         if self._bar is None:
-            self._open(ITEMS, total)
+            self._open(ITEMS if self._unit else WEIGHTS, total)
         self._bar.total, self._bar.n = total, done
         self._bar.set_postfix_str(postfix, refresh=False)
         self._bar.refresh()

@@ -111,7 +111,7 @@ def format_of(output: Path) -> str:
 def refine(engine: RenderEngine, scene: str, view: View, max_error: float | None, seconds: float | None) -> Frame:
     """As ``awaited``, with the seconds that it takes on a bar meanwhile; it never runs back."""
     begun, shown = time.monotonic(), 0.0
-    with Progress("lighting", "%") as bar:
+    with Progress("lighting", "") as bar:
 
         def show(frame: Frame) -> None:
             nonlocal shown

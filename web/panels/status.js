@@ -82,6 +82,7 @@ export class Status {
  * How much of the time to the final picture is over: all of it where nothing is left to wait for.
  * @param {Pick<Facts, "provisional"|"timeLeft">} facts
  * @param {number} seconds since the view was asked for
+ * @returns {number} from 0 to 1
  */
 export function doneOf({ provisional, timeLeft }, seconds) {
   if (!provisional) return 1;

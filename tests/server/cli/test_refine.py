@@ -60,7 +60,7 @@ def test_it_asks_until_the_frame_is_final(capsys: pytest.CaptureFixture[str]) ->
     assert refine(engine, max_error=0.1).version == "final"
     assert engine.asked == [{"max_error": 0.1, "wait": render.STEP}] * 4
     bar = capsys.readouterr().err
-    assert "baking" in bar and "about 3.3 min left (1 min to 2 h)" in bar
+    assert "lighting" in bar and "about 3.3 min left (1 min to 2 h)" in bar
 
 
 def test_it_ends_when_the_time_is_spent() -> None:
