@@ -1,0 +1,168 @@
+/** A scene on a card: its volume, texels and programs, and the pictures that these make. All of it goes with the context. */
+
+import { codeOf } from "./document.js";
+import { turnLight } from "./light.js";
+import { compile, joined, run } from "./programs.js";
+import { raysOf } from "./rays.js";
+import { discOf, jitterOf } from "./samples.js";
+import { isRaw } from "./texels.js";
+import { drawInto, fillTexture, makeTexture } from "./textures.js";
+
+/** @typedef {import("./document.js").CardDocument} CardDocument */
+/** @typedef {import("./programs.js").Program} Program */
+/** @typedef {import("./textures.js").Texture} Texture */
+/** @typedef {{texture: Texture, target: WebGLFramebuffer}} Picture */
+
+/**
+ * @typedef {object} View
+ * @property {number} isovalue in the file's units
+ * @property {import("./rays.js").Camera} camera in the world
+ * @property {import("./light.js").Quaternion} light the light's turn in the world
+ * @property {number} exposure
+ * @property {import("./document.js").Vec3} ground linear light behind the surface
+ * @property {boolean} [lambert] whether the local model is drawn in place of the light of texels
+ */
+
+/** Names the turn of a light. @param {import("./light.js").Quaternion} light @returns {string} */
+export const keyOf = (light) => light.map((x) => x.toFixed(9)).join(" ");
+
+/**
+ * The programs that draw a scene, once the driver has compiled them.
+ * @param {WebGL2RenderingContext} gl
+ * @param {CardDocument} document
+ * @param {string} sampler GLSL's type of the voxels
+ * @param {(name: string) => Promise<string>} read text of a shader's file
+ * @returns {Promise<{lit: Program, local: Program, fold: Program, show: Program}>}
+ */
+export async function programsOf(gl, { grid, plan, light }, sampler, read) {
+  const common = { VOXELS: sampler, SMOOTH: Number(grid.smooth), RATIOS: Number(plan.ratios), LOBES: light.lobes.length };
+  const numbers = { NUMBERS: plan.channels * plan.columns, COLUMNS: plan.columns, STRAIGHT: plan.straight, WHOLE: Number(plan.whole) };
+  const [view, fold, show] = await Promise.all(["view.frag.glsl", "fold.frag.glsl", "show.frag.glsl"].map((name) => joined(name, read)));
+  const texts = /** @type {const} */ ([[view, { ...common, SHADING: 1 }], [view, { ...common, SHADING: 0 }], [fold, { ...common, ...numbers }], [show, {}]]);
+  const [lit, local, folding, showing] = await Promise.all(texts.map(([text, defines]) => compile(gl, text, defines)));
+  return { lit, local, fold: folding, show: showing };
+}
+
+/** What is drawn of a scene. */
+export class Drawing {
+  /**
+   * @param {import("./device.js").Device} device
+   * @param {CardDocument} document
+   * @param {import("./volume.js").Volume} volume
+   * @param {import("./texels.js").Texels} texels
+   * @param {Awaited<ReturnType<typeof programsOf>>} programs
+   */
+  constructor({ gl }, document, volume, texels, programs) {
+    this.gl = gl;
+    this.document = document;
+    this.volume = volume;
+    this.texels = texels;
+    this.programs = programs;
+    this.turned = makeTexture(gl, "RGBA32F", [document.plan.channels * document.plan.columns, 1]);
+    /** @type {Picture|null} */
+    this.picture = null;
+    /** @type {{key: string, light: import("./light.js").TurnedLight}|null} */
+    this.light = null;
+    this.folded = "";
+  }
+
+  /** Have the texels folded once more before the next picture: some are new. */
+  refold() {
+    this.folded = "";
+  }
+
+  /**
+   * Draw sample n of a view into the picture: the first one replaces it, and the others join its mean.
+   * @param {View} view
+   * @param {readonly [number, number]} size pixels
+   * @param {number} n
+   */
+  sample(view, size, n) {
+    const { gl, document } = this, light = this.#turn(view.light), records = this.#fold(light, keyOf(view.light));
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.#pictureOf(size).target);
+    gl.viewport(0, 0, size[0], size[1]);
+    if (n > 0) gl.enable(gl.BLEND);
+    gl.blendFunc(gl.CONSTANT_ALPHA, gl.ONE_MINUS_CONSTANT_ALPHA);
+    gl.blendColor(0, 0, 0, 1 / (n + 1));
+    run(gl, view.lambert ? this.programs.local : this.programs.lit, {
+      ...this.volume.at(codeOf(document, view.isovalue)),
+      ...raysOf(document.grid, view.camera, size[0], size[1]),
+      ...lightOf(document, light),
+      ...latticeOf(document),
+      bricks: this.texels.bricks,
+      records,
+      rows: size[1],
+      jitter: jitterOf(n),
+      place: discOf(n),
+      resting: Number(n > 0),
+    });
+    gl.disable(gl.BLEND);
+  }
+
+  /**
+   * Show the picture on the canvas.
+   * @param {View} view
+   * @param {readonly [number, number]} size pixels that are drawn of it
+   */
+  show({ exposure, ground }, size) {
+    const { gl, picture } = this, screen = [gl.drawingBufferWidth, gl.drawingBufferHeight], { gain, toe, shoulder } = this.document.tone;
+    if (!picture) return;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.viewport(0, 0, screen[0], screen[1]);
+    run(gl, this.programs.show, { picture: picture.texture, drawn: size, screen, exposure, ground, curve: [gain, toe, shoulder] });
+  }
+
+  /** The light as it is turned now. @param {import("./light.js").Quaternion} rotation */
+  #turn(rotation) {
+    const key = keyOf(rotation);
+    if (this.light?.key !== key) this.light = { key, light: turnLight(this.document, rotation) };
+    return this.light.light;
+  }
+
+  /** The records under a light: as the server folded them where it was all by that, else folded here. @param {import("./light.js").TurnedLight} light @param {string} key @returns {Texture} */
+  #fold(light, key) {
+    const { texels } = this;
+    if (texels.runs.every((each) => each.lightKey === key)) return texels.records;
+    if (this.folded !== key) this.#foldRuns(light);
+    this.folded = key;
+    return texels.turned;
+  }
+
+  /** @param {import("./light.js").TurnedLight} light */
+  #foldRuns({ columns, quadric }) {
+    const { gl, texels, document } = this, { least } = document.light, { channels } = document.plan;
+    const numbers = Array.from({ length: channels }, (_, c) => columns.map((light) => [...light.map((x, i) => (channels === 1 || i === c ? x : 0)), 0]));
+    fillTexture(gl, this.turned, new Float32Array(numbers.flat(2)));
+    const framebuffer = drawInto(gl, texels.turned);
+    for (const each of texels.runs) {
+      gl.viewport(0, each.row, texels.turned.size[0], each.rows);
+      const raw = texels.takesRaw && isRaw(each);
+      run(gl, this.programs.fold, { records: texels.records, transfer: texels.transfer, turned: this.turned, raw: Number(raw), quadric, quadric_then: each.quadric, least });
+    }
+    gl.deleteFramebuffer(framebuffer);
+  }
+
+  /** The picture, as large as this at least. @param {readonly [number, number]} size @returns {Picture} */
+  #pictureOf(size) {
+    const { gl, picture } = this;
+    if (picture && picture.texture.size[0] >= size[0] && picture.texture.size[1] >= size[1]) return picture;
+    if (picture) {
+      gl.deleteTexture(picture.texture.id);
+      gl.deleteFramebuffer(picture.target);
+    }
+    const texture = makeTexture(gl, "RGBA16F", size, { smooth: true });
+    this.picture = { texture, target: drawInto(gl, texture) };
+    return this.picture;
+  }
+}
+
+/** Uniforms of the light. @param {CardDocument} document @param {import("./light.js").TurnedLight} light */
+function lightOf({ light, lambert, plan, grid }, { quadric, towards, edges }) {
+  const least = plan.ratios ? light.least : [0, 0, 0], [east, north] = [0, 1].map((i) => edges.flatMap((edge) => edge[i]));
+  return { quadric, least, unit: light.unit, towards: towards.flat(), east, north, shine: light.lobes.flatMap((lobe) => lobe.shine), offset: grid.offset, ...lambert };
+}
+
+/** Uniforms of the lattice. @param {CardDocument} document */
+function latticeOf({ lattice }) {
+  return { lattice: lattice.size, density: lattice.density };
+}
