@@ -77,12 +77,16 @@ class Receipt(NoParams):
 
 
 class ViewRequest(NoParams):
-    """The client's view is now this one, and whether it is still ``moving``; at rest it may ask for ``chunks``."""
+    """The client's view is now this one, and whether it is still ``moving``; at rest it may ask for ``chunks``.
+
+    A client that draws what moves by itself wants no ``pictures`` of it.
+    """
 
     id: Id
     view: dict[str, Any] = Field(default_factory=dict)
     moving: StrictBool = False
     chunks: StrictBool = False
+    pictures: StrictBool = True
 
     def params(self) -> FrameParams:
         """The view's parameters; ParameterError where they are not those of a frame."""
@@ -208,7 +212,7 @@ class Session:
             return
         self._still = self._still if message.moving else message.id
         older, self._newest = self._newest, (message, message.params())
-        self._motion.took(message.moving)
+        self._motion.took(message.moving and message.pictures)
         self._changed.set()
         if self._showing and not (older and older[0].moving and message.moving):
             self._showing.cancel()
@@ -232,6 +236,8 @@ class Session:
 
     async def _show(self, request: ViewRequest, params: FrameParams) -> None:
         """Answer a view request, or send what is wrong with it."""
+        if not request.pictures:
+            return
         try:
             form = format_for(params, None)
             self._lit = await self._service.variant(self._scene, params)

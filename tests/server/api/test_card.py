@@ -255,6 +255,21 @@ def test_a_stream_names_the_chunks_of_a_view_at_rest(client: httpx.Client) -> No
     assert "chunks" not in asyncio.run(heard(chunks=True, moving=True))
 
 
+def test_a_stream_sends_no_pictures_that_nobody_wants(client: httpx.Client) -> None:
+    async def heard() -> list[dict[str, Any]]:
+        address = str(client.base_url).replace("http", "ws").rstrip("/") + "/v1/scenes/card/stream"
+        async with connect(address, max_size=None) as socket:
+            for number in (1, 2, 3):
+                view = {**VIEW, "azimuth": 40 + number}
+                await socket.send(json.dumps({"id": number, "view": view, "moving": True, "pictures": False}))
+                with pytest.raises(TimeoutError):
+                    await asyncio.wait_for(socket.recv(), 0.5)
+            await socket.send(json.dumps({"id": 4, "view": VIEW}))
+            return [json.loads(await socket.recv())]
+
+    assert [each["id"] for each in asyncio.run(heard())] == [4]
+
+
 def test_the_addresses_are_documented(client: httpx.Client) -> None:
     paths = client.get("/openapi.json").json()["paths"]
     for name in ("", "/chunks", "/volume/{layers}", "/light/{chunks}", "/transfer/{chunks}"):
