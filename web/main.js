@@ -1,5 +1,6 @@
 /** Puts the page together: one scene, one view, one frame loop, and the controls around them. */
 
+import { Card } from "./card/card.js";
 import { find } from "./dom.js";
 import { Live } from "./live/live.js";
 import { complaints, followAddress, readAddress } from "./net/address.js";
@@ -250,7 +251,9 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
     ask: ask(() => ({})),
     drafts: () => !live.draws(shown.asked.values),
   };
-  const live = new Live($("live", HTMLCanvasElement), scene, cardSource(scene), {
+  const canvas = $("live", HTMLCanvasElement);
+  const live = new Live(canvas, scene, cardSource(scene), {
+    open: (allowed) => Card.open(canvas, allowed),
     size: () => picture.size(1, true),
     drawn() {
       if (shown.pictureOf !== shown.asked) shown.show({ of: shown.asked, draft: true, sharp: true, facts: null });

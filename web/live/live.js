@@ -1,11 +1,11 @@
 /** Who draws: the visitor's card what moves, as far as it can; the server what rests, and all else. Nobody chooses. */
 
-import { Card } from "../card/card.js";
 import { Refusal } from "../card/device.js";
 import { Trouble } from "../net/trouble.js";
 import { Feed } from "./feed.js";
 import { anglesOf, cardView, chunksQuery, documentQuery, lightQuery } from "./view.js";
 
+/** @typedef {import("../card/card.js").Card} Card */
 /** @typedef {import("../net/schemas.js").CardFacts} CardFacts */
 /** @typedef {import("../net/schemas.js").FrameQuery} FrameQuery */
 /** @typedef {import("../net/schemas.js").ListedChunk} ListedChunk */
@@ -28,6 +28,7 @@ const SLOW_PICTURES = 4; // in a row, after which the server draws
  *   that depends on
  *
  * @typedef {object} LiveHooks
+ * @property {(allowed: {software: boolean}) => Card} open opens the card; throws a Refusal where there is none
  * @property {() => {width: number, height: number}} size of the card's picture, pixels
  * @property {() => void} drawn the card's picture of the newest view is on the stage
  * @property {() => void} lost the card draws no more: the server is to draw the view that moves
@@ -142,7 +143,7 @@ export class Live {
   }
 
   #open() {
-    const card = (this.#card = Card.open(this.#canvas, { software: this.#choice === "card" }));
+    const card = (this.#card = this.#hooks.open({ software: this.#choice === "card" }));
     card.onlost = () => this.#lose();
     card.onrestored = () => this.#refresh();
     return card;
