@@ -17,8 +17,6 @@ pytestmark = BROWSER
 SHOWN = "#live:not([hidden], [data-faded])"
 FADED = "#live[data-faded]"
 LOSE = "() => document.querySelector('#live').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()"
-    "() => (window.loss = document.querySelector('#live').getContext('webgl2').getExtension('WEBGL_lose_context')).{}()"
-)
 
 
 class Wire:

@@ -1,8 +1,7 @@
-/**
- * Draws a scene on the visitor's graphics card: a class with few methods, which knows no server and no page.
+/** Draws a scene on the visitor's graphics card: a class with few methods, which knows no server and no page.
  *
  *     const card = await Card.open(canvas);                    // throws a Refusal: let the server draw
- *     await card.load(document, slabs);                        // GET …/card, and the voxels that it links to
+ *     await card.load(document.scene, slabs);                  // GET …/card, and the voxels that it links to
  *     card.onlost = () => …; card.onrestored = () => …;        // the server draws between
  *     const { light, transfer } = card.lacking(chunks, turn);  // of GET …/card/chunks: what to ask the server for
  *     card.take(answer, turn);                                 // an answer of …/card/light or …/card/transfer
@@ -18,8 +17,8 @@ import { BUDGET, openDevice } from "./device.js";
 import { Drawing, keyOf, programsOf } from "./drawing.js";
 import { turnLight } from "./light.js";
 import { Pace } from "./pace.js";
+import { SAMPLES } from "./picture.js";
 import { readShader } from "./programs.js";
-import { SAMPLES } from "./samples.js";
 import { Texels } from "./texels.js";
 import { Volume, joinSlabs } from "./volume.js";
 
@@ -61,7 +60,7 @@ export class Card {
 
   /**
    * Load a scene in place of the one before.
-   * @param {CardDocument} document a drawable one
+   * @param {CardDocument} document `scene` of a drawable one
    * @param {ArrayBuffer[]} slabs of its volume, in the order of the document
    * @throws {import("./device.js").Refusal} where the card's textures are too small for it
    */

@@ -1,5 +1,4 @@
-/**
- * The active-cell map: which cells of a volume may hold an isosurface, and how far rays may skip from where none does.
+/** The active-cell map: which cells of a volume may hold an isosurface, and how far rays may skip from where none does.
  *
  * Bricks of 4 cells a side; of one that holds the isovalue 64 bits, of the others their Chebyshev distance to the next
  * that does. Kernel: isogi_core/kernels/tracing/active_cells.py.

@@ -1,11 +1,9 @@
-/** The document that says all a card needs to draw a scene: `GET /v1/scenes/{scene}/card`; see docs/card.md. */
+/** All that a card needs to draw a scene: the object `scene` of `GET /v1/scenes/{scene}/card`; see docs/card.md. */
 
 /** @typedef {[number, number, number]} Vec3 */
 
 /**
  * @typedef {object} CardDocument
- * @property {boolean} drawable
- * @property {string} reason a sentence, where it is not
  * @property {{size: Vec3, spacing: Vec3, rotation: [Vec3, Vec3, Vec3], origin: Vec3, offset: number, smooth: boolean}} grid
  * @property {{offset: number, scale: number}} values value of the file = offset + scale · voxel
  * @property {{type: "uint8"|"uint16"|"float32", gain: number, base: number, hole: number|null, slabs: {first: number, last: number, href: string}[]}} volume

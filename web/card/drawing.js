@@ -2,16 +2,16 @@
 
 import { codeOf } from "./document.js";
 import { turnLight } from "./light.js";
+import { Picture, discOf, jitterOf } from "./picture.js";
 import { compile, joined, run } from "./programs.js";
 import { raysOf } from "./rays.js";
-import { discOf, jitterOf } from "./samples.js";
 import { isRaw } from "./texels.js";
 import { drawInto, fillTexture, makeTexture } from "./textures.js";
 
 /** @typedef {import("./document.js").CardDocument} CardDocument */
 /** @typedef {import("./programs.js").Program} Program */
 /** @typedef {import("./textures.js").Texture} Texture */
-/** @typedef {{texture: Texture, target: WebGLFramebuffer}} Picture */
+/** @typedef {import("./picture.js").Size} Size */
 
 /**
  * @typedef {object} View
@@ -38,7 +38,7 @@ export async function programsOf(gl, { grid, plan, light }, sampler, read) {
   const common = { VOXELS: sampler, SMOOTH: Number(grid.smooth), RATIOS: Number(plan.ratios), LOBES: light.lobes.length };
   const numbers = { NUMBERS: plan.channels * plan.columns, COLUMNS: plan.columns, STRAIGHT: plan.straight, WHOLE: Number(plan.whole) };
   const [view, fold, show] = await Promise.all(["view.frag.glsl", "fold.frag.glsl", "show.frag.glsl"].map((name) => joined(name, read)));
-  const texts = /** @type {const} */ ([[view, { ...common, SHADING: 1 }], [view, { ...common, SHADING: 0 }], [fold, { ...common, ...numbers }], [show, {}]]);
+  const texts = /** @type {const} */ ([[view, { ...common, SHADING: 1 }], [view, { ...common, SHADING: 0, LOBES: 0 }], [fold, { ...common, ...numbers }], [show, {}]]);
   const [lit, local, folding, showing] = await Promise.all(texts.map(([text, defines]) => compile(gl, text, defines)));
   return { lit, local, fold: folding, show: showing };
 }
@@ -74,42 +74,42 @@ export class Drawing {
   /**
    * Draw sample n of a view into the picture: the first one replaces it, and the others join its mean.
    * @param {View} view
-   * @param {readonly [number, number]} size pixels
+   * @param {Size} size pixels
    * @param {number} n
    */
   sample(view, size, n) {
-    const { gl, document } = this, light = this.#turn(view.light), records = this.#fold(light, keyOf(view.light));
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.#pictureOf(size).target);
-    gl.viewport(0, 0, size[0], size[1]);
-    if (n > 0) gl.enable(gl.BLEND);
-    gl.blendFunc(gl.CONSTANT_ALPHA, gl.ONE_MINUS_CONSTANT_ALPHA);
-    gl.blendColor(0, 0, 0, 1 / (n + 1));
-    run(gl, view.lambert ? this.programs.local : this.programs.lit, {
+    const { document } = this, light = this.#turn(view.light), records = this.#fold(light, keyOf(view.light));
+    const picture = this.#pictureOf(size);
+    picture.begin(n, size);
+    run(this.gl, view.lambert ? this.programs.local : this.programs.lit, {
       ...this.volume.at(codeOf(document, view.isovalue)),
       ...raysOf(document.grid, view.camera, size[0], size[1]),
       ...lightOf(document, light),
       ...latticeOf(document),
       bricks: this.texels.bricks,
       records,
-      rows: size[1],
+      ...filmOf(document, view.exposure),
+      first: n === 0 ? picture.mean : picture.first, // no card reads what it draws into
+      drawn: size,
+      again: Number(n > 0),
       jitter: jitterOf(n),
       place: discOf(n),
       resting: Number(n > 0),
     });
-    gl.disable(gl.BLEND);
+    picture.end(n);
   }
 
   /**
    * Show the picture on the canvas.
    * @param {View} view
-   * @param {readonly [number, number]} size pixels that are drawn of it
+   * @param {Size} size pixels that are drawn of it
    */
   show({ exposure, ground }, size) {
-    const { gl, picture } = this, screen = [gl.drawingBufferWidth, gl.drawingBufferHeight], { gain, toe, shoulder } = this.document.tone;
+    const { gl, picture } = this, screen = [gl.drawingBufferWidth, gl.drawingBufferHeight];
     if (!picture) return;
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, screen[0], screen[1]);
-    run(gl, this.programs.show, { picture: picture.texture, drawn: size, screen, exposure, ground, curve: [gain, toe, shoulder] });
+    run(gl, this.programs.show, { picture: picture.texture, drawn: size, screen, ground, ...filmOf(this.document, exposure) });
   }
 
   /** The light as it is turned now. @param {import("./light.js").Quaternion} rotation */
@@ -142,16 +142,11 @@ export class Drawing {
     gl.deleteFramebuffer(framebuffer);
   }
 
-  /** The picture, as large as this at least. @param {readonly [number, number]} size @returns {Picture} */
+  /** The picture, as large as this at least. @param {Size} size @returns {Picture} */
   #pictureOf(size) {
-    const { gl, picture } = this;
-    if (picture && picture.texture.size[0] >= size[0] && picture.texture.size[1] >= size[1]) return picture;
-    if (picture) {
-      gl.deleteTexture(picture.texture.id);
-      gl.deleteFramebuffer(picture.target);
-    }
-    const texture = makeTexture(gl, "RGBA16F", size, { smooth: true });
-    this.picture = { texture, target: drawInto(gl, texture) };
+    if (this.picture?.holds(size)) return this.picture;
+    this.picture?.release();
+    this.picture = new Picture(this.gl, size);
     return this.picture;
   }
 }
@@ -165,4 +160,9 @@ function lightOf({ light, lambert, plan, grid }, { quadric, towards, edges }) {
 /** Uniforms of the lattice. @param {CardDocument} document */
 function latticeOf({ lattice }) {
   return { lattice: lattice.size, density: lattice.density };
+}
+
+/** Uniforms of the film. @param {CardDocument} document @param {number} exposure */
+function filmOf({ tone }, exposure) {
+  return { curve: [tone.gain, tone.toe, tone.shoulder], exposure };
 }

@@ -1,5 +1,4 @@
-/**
- * Rotation of real spherical harmonics: orthonormal, without the Condon-Shortley phase, index l(l + 1) + m.
+/** Rotation of real spherical harmonics: orthonormal, without the Condon-Shortley phase, index l(l + 1) + m.
  * Kernel: isogi_core/kernels/transport/harmonics.py.
  */
 

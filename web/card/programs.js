@@ -113,7 +113,7 @@ function put(gl, place, kind, value) {
   else if (kind === gl.FLOAT_VEC2) gl.uniform2fv(place, numbers);
   else if (kind === gl.FLOAT_VEC3) gl.uniform3fv(place, numbers);
   else if (kind === gl.FLOAT_VEC4) gl.uniform4fv(place, numbers);
-  else if (kind === gl.INT) gl.uniform1iv(place, numbers);
+  else if (kind === gl.INT || kind === gl.BOOL) gl.uniform1iv(place, numbers);
   else if (kind === gl.INT_VEC2) gl.uniform2iv(place, numbers);
   else if (kind === gl.INT_VEC3) gl.uniform3iv(place, numbers);
   else throw new Error(`A uniform of the kind ${kind} has no way to the card.`);

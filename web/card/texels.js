@@ -1,5 +1,4 @@
-/**
- * The texels on the card: which there are, and what each shows.
+/** The texels on the card: which there are, and what each shows.
  *
  * A table of bricks, RGBA32UI: two words which of 64 texels are there, the number of the first record, and how far away
  * the brick is, in bricks, whose mean stands in where there are none. Records, ROW in a row of RGBA32UI, as the server

@@ -78,9 +78,9 @@ export async function loaded({ document: name, slabs, answers = [] }, [width, he
 /** The linear light of a view, in full size: that of its first sample, or of all of them. */
 export async function pictureOf(card, view, { rest = false } = {}) {
   const size = [card.canvas.width, card.canvas.height];
-  card.last = null;
+  while (card.pace.busy) await new Promise((done) => setTimeout(done, 5));
   card.pace.share = 1;
-  while (!card.draw(view)) await new Promise((done) => setTimeout(done, 5));
+  card.draw(view);
   while (rest && card.refine()) await new Promise((done) => setTimeout(done, 5));
-  return packed(readFloats(card.device.gl, card.drawing.picture.target, ...size));
+  return packed(readFloats(card.device.gl, card.drawing.picture.targets[rest ? 1 : 0], ...size));
 }

@@ -4,7 +4,7 @@ uniform vec3 east[LOBES + 1];       // radii of a lobe's disc, as long as the si
 uniform vec3 north[LOBES + 1];
 uniform vec3 shine[LOBES + 1];      // light of a cosine of 1
 uniform vec2 place;                 // of this picture's rays on all discs, in radii; (0, 0) is the middle
-uniform bool resting;               // whether pictures are summed whose rays meet places all over the discs
+uniform bool resting;               // whether the rays of this picture are one sample of many, all over the discs
 uniform float offset;               // voxels along the normal from which rays start
 
 const float PI = 3.14159265358979;
