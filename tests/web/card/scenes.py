@@ -92,7 +92,9 @@ def developed(light: np.ndarray, covers: np.ndarray, exposure: float) -> np.ndar
     y = 1.7 * peak * (peak / (peak + 0.16))
     y = np.where(y <= 0.6, y, 1.0 - 0.4 * np.exp((0.6 - y) / 0.4))
     shown = np.where(covers[..., None] & (peak > 0.0), light * y / np.maximum(peak, 1e-30), 0.0)
-    return np.rint(255.0 * np.where(shown <= 0.0031308, 12.92 * shown, 1.055 * np.maximum(shown, 1e-12) ** (1 / 2.4) - 0.055))
+    return np.rint(
+        255.0 * np.where(shown <= 0.0031308, 12.92 * shown, 1.055 * np.maximum(shown, 1e-12) ** (1 / 2.4) - 0.055)
+    )
 
 
 @dataclass(frozen=True)
