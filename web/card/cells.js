@@ -20,7 +20,7 @@ export function brickShape(size) {
 }
 
 /**
- * Least and greatest voxel of each brick's cells, which serve every isovalue; voxels without value count for nothing.
+ * Least and greatest voxel of each brick's cells, which serve every isovalue; all values where some voxel has none.
  * @param {Voxels} voxels
  * @param {Shape} size voxels along x, y, z
  * @returns {{low: Float32Array, high: Float32Array}} by brick, x fastest
@@ -55,6 +55,7 @@ function widenRow(voxels, row, nx, brick, low, high) {
       const v = voxels[i];
       if (v < least) least = v;
       if (v > most) most = v;
+      if (v !== v) [least, most] = [-Infinity, Infinity];
     }
     low[brick] = least;
     high[brick] = most;
@@ -84,27 +85,27 @@ export function markCells(voxels, size, ranges, isovalue) {
   return { tops, cells: cells.subarray(0, 2 * marked), marked };
 }
 
-const OUT = 1, SOLID = 2, HOLE = 4;
+const OUT = 1, SOLID = 2, HOLE = 4, BEYOND = 8;
 
 /**
- * What the 5 × 5 × 5 voxels of a brick's cells are: OUT, SOLID, or HOLE where there is no value, also beyond the volume.
+ * What the 5 × 5 × 5 voxels of a brick's cells are: OUT, SOLID, HOLE where there is no value, or BEYOND the volume.
  * @param {Voxels} voxels @param {Shape} size @param {number} i @param {number} j @param {number} k @param {number} isovalue @param {Uint8Array} solid
  */
 function readBrick(voxels, [nx, ny, nz], i, j, k, isovalue, solid) {
   let at = 0;
   for (let z = k; z <= k + BRICK; z++) {
     for (let y = j; y <= j + BRICK; y++) {
-      const row = (z * ny + y) * nx, within = z < nz && y < ny;
+      const row = (z * ny + y) * nx, end = z < nz && y < ny ? nx : 0;
       for (let x = i; x <= i + BRICK; x++) {
-        const v = within && x < nx ? voxels[row + x] : NaN;
-        solid[at++] = v > isovalue ? SOLID : v <= isovalue ? OUT : HOLE;
+        const v = voxels[row + x];
+        solid[at++] = x >= end ? BEYOND : v > isovalue ? SOLID : v <= isovalue ? OUT : HOLE;
       }
     }
   }
 }
 
 /**
- * Write the two words of a brick: a bit for each cell with corners on both sides, and none without value.
+ * Write the two words of a brick: a bit for each cell that has corners of two kinds, all in the volume.
  * @param {Uint8Array} solid of its voxels @param {Uint32Array} cells @param {number} place of the words @returns {boolean} whether any is set
  */
 function markBrick(solid, cells, place) {
@@ -112,7 +113,7 @@ function markBrick(solid, cells, place) {
   for (let bit = 0; bit < BRICK ** 3; bit++) {
     const p = (bit & 3) + row * ((bit >> 2) & 3) + layer * (bit >> 4), q = p + layer;
     const corners = solid[p] | solid[p + 1] | solid[p + row] | solid[p + row + 1] | solid[q] | solid[q + 1] | solid[q + row] | solid[q + row + 1];
-    if (corners === (OUT | SOLID)) words[bit >> 5] |= 1 << (bit & 31);
+    if (corners < BEYOND && (corners & (corners - 1)) !== 0) words[bit >> 5] |= 1 << (bit & 31);
   }
   cells[place] = words[0];
   cells[place + 1] = words[1];

@@ -33,13 +33,16 @@ class Shown:
 
 
 class CardScene:
-    """A scene in a lab: the voxels, and what light the ``renderer`` has for some views."""
+    """A scene in a lab: the voxels, and what light the ``renderer`` has for views; with its ``lobes`` or without."""
 
-    def __init__(self, lab: Lab, renderer: Renderer, view: View, size: tuple[int, int]) -> None:
+    def __init__(self, lab: Lab, renderer: Renderer, view: View, size: tuple[int, int], lobes: bool = False) -> None:
         self.lab, self.renderer, self.size = lab, renderer, size
         codes = renderer.prepared.voxel_codes
         slabs = [codes.code(renderer.prepared.scene.volume.voxels[a:b]).tobytes() for a, b in codes.slabs]
-        document = lab.put("document", card_scene(renderer, view, ()).model_dump(mode="json"))
+        scene = card_scene(renderer, view, ()).model_dump(mode="json")
+        if not lobes:
+            scene["light"]["lobes"] = []
+        document = lab.put("document", scene)
         names = [lab.put(f"slab{i}", slab) for i, slab in enumerate(slabs)]
         given = {"files": {"document": document, "slabs": names}, "size": size}
         lab.ask("window.card = await bench.loaded(given.files, given.size);", given)
@@ -92,7 +95,9 @@ def developed(light: np.ndarray, covers: np.ndarray, exposure: float) -> np.ndar
     y = 1.7 * peak * (peak / (peak + 0.16))
     y = np.where(y <= 0.6, y, 1.0 - 0.4 * np.exp((0.6 - y) / 0.4))
     shown = np.where(covers[..., None] & (peak > 0.0), light * y / np.maximum(peak, 1e-30), 0.0)
-    return np.rint(255.0 * np.where(shown <= 0.0031308, 12.92 * shown, 1.055 * np.maximum(shown, 1e-12) ** (1 / 2.4) - 0.055))
+    return np.rint(
+        255.0 * np.where(shown <= 0.0031308, 12.92 * shown, 1.055 * np.maximum(shown, 1e-12) ** (1 / 2.4) - 0.055)
+    )
 
 
 @dataclass(frozen=True)
