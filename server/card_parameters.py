@@ -10,7 +10,7 @@ from isogi_core.frame.card.chunk_texels import is_inside
 from isogi_core.model.view import Vec3
 from isogi_core.prepared.prepared_scene import Index
 from server.errors import ParameterError, UnknownPartError
-from server.parameters import VERSION, LightTurn, Pitch, Roll, VariantParams, ViewParams, Yaw, reader
+from server.parameters import VERSION, LightTurn, Pitch, Roll, VariantParams, ViewParams, Yaw, read, reader
 from server.values import Colour, Span
 
 CHUNK = re.compile(r"(\d{1,6})\.(\d{1,6})\.(\d{1,6})(?:-([0-9a-f]{16}))?", re.ASCII)
@@ -89,8 +89,8 @@ class FoldParams(TransferParams):
 
     @property
     def view(self) -> ViewParams:
-        """A view in that light."""
-        return ViewParams.model_validate(self.model_dump(include=self.model_fields_set - {"max_error"}))
+        """A view in that light; ParameterError where the light is turned in two ways."""
+        return read(ViewParams, self.model_dump(include=self.model_fields_set - {"max_error"}).items())
 
 
 VoxelParamsDep = Annotated[VoxelParams, reader(VoxelParams)]

@@ -87,7 +87,7 @@ def read_raw(body: bytes, records: int, columns: int) -> tuple[np.ndarray, np.nd
     """Numbers (records, columns) and words."""
     words = np.frombuffer(body, "<u4", records)
     halves = np.frombuffer(body, "<f2", offset=4 * (records + records % 2)).reshape(-(-columns // 4), records, 4)
-    numbers = halves.transpose(1, 0, 2).reshape(records, -1)
+    numbers = halves.transpose(1, 0, 2).reshape(records, 4 * len(halves))
     assert not numbers[:, columns:].any()
     return numbers[:, :columns].astype(np.float64), words
 

@@ -102,9 +102,10 @@ def folded_body(words: np.ndarray, light: np.ndarray) -> bytes:
 
 def raw_body(words: np.ndarray, numbers: np.ndarray) -> bytes:
     """Records of transfer, ``numbers`` (r, n), after their ``words`` (r,): four numbers of each in every layer."""
-    layers = np.pad(halves(numbers), ((0, 0), (0, -numbers.shape[1] % 4))).reshape(len(words), -1, 4)
+    layers = -(-numbers.shape[1] // 4)
+    quads = np.pad(halves(numbers), ((0, 0), (0, -numbers.shape[1] % 4))).reshape(len(words), layers, 4)
     padded = np.pad(words.astype("<u4"), (0, len(words) % 2))
-    return padded.tobytes() + np.ascontiguousarray(layers.transpose(1, 0, 2)).tobytes()
+    return padded.tobytes() + np.ascontiguousarray(quads.transpose(1, 0, 2)).tobytes()
 
 
 BODIES = {FOLDED: folded_body, RAW: raw_body}

@@ -61,7 +61,8 @@ def transfer_chunks(renderer: Renderer, chunks: Sequence[Index], target: float, 
     with hold_texels(renderer.caches.of("gi"), chunks, target, tiles) as (found, pool):
         rows = found.reading.rows
         numbers = np.where((rows >= 0)[:, None, None], pool.transfer[rows], np.float32(0.0))
-    scaled = numbers.reshape(len(rows), -1) / np.float32(raw_scale(renderer.caches.spec("gi")))
+    spec = renderer.caches.spec("gi")
+    scaled = numbers.reshape(len(rows), spec.channels * spec.columns) / np.float32(raw_scale(spec))
     return Packed(tuple(pack(found, normals_of(renderer, found, tiles), scaled, RAW)), found.versions, True)
 
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
-from isogi_core.frame.card.chunk_light import Packed, fold_chunks, seen_chunks, transfer_chunks
+from isogi_core.frame.card.chunk_light import Packed, fold_chunks, transfer_chunks
 from isogi_core.frame.renderer import Renderer
 from isogi_core.plan.scene import Scene
 from server.api.binary import BINARY, binary_answer
 from server.api.headers import matches, tag_of
 from server.api.service import SceneDep, Service, ServiceDep
-from server.api.shown import PictureRequest, Shown
+from server.api.shown import Shown
 from server.card_answers import card_schema, chunk_list, voxel_version
 from server.card_parameters import (
     ChunkName,
@@ -90,16 +89,14 @@ async def read_chunks(
     The size of the picture is how finely the view is looked at.
     """
     lit = await service.variant(scene, params)
-    picture = service.picture_of(lit, params)
     response.headers["Cache-Control"] = "no-cache"
-    return await service.render(request, lit, params, partial(chunks_of, service, picture))
 
+    def finish(shown: Shown) -> CardChunks:
+        frame = shown.frame
+        chunks = chunk_list(service.engine.renderer(lit.id), frame)
+        return CardChunks(chunks=chunks, final=frame.final, error=frame.total.likely, coming=len(shown.coming))
 
-def chunks_of(service: Service, picture: PictureRequest, shown: Shown) -> CardChunks:
-    """The chunks that a picture reads; none where it is drawn without light."""
-    renderer, frame = service.engine.renderer(picture.scene), shown.frame
-    seen = seen_chunks(renderer, picture.view, picture.target, renderer.tiles) if frame.lacking else []
-    return CardChunks(chunks=chunk_list(seen), final=frame.final, error=frame.total.likely, coming=len(shown.coming))
+    return await service.render(request, lit, params, finish)
 
 
 @router.get("/light/{chunks}", response_class=Response, openapi_extra=documented(FoldParams), responses=PARTS)

@@ -132,8 +132,13 @@ def test_versions_change_with_light_alone(workbench: Make) -> None:
     view = bench.view(size=24)
     before = seen_chunks(bench.renderer, view, LOOSE, TILES)
     assert before and {each.version for each in before} == {NOTHING} and not any(each.final for each in before)
-    empty = blocks_in(b"".join(fold_chunks(bench.renderer, view, [before[0].at], LOOSE, TILES).blocks))[0]
-    assert (len(empty.masks), len(empty.records), empty.version) == (0, 0, "00" * 8)
+    at, columns = [before[0].at], bench.caches.spec("gi").columns
+    for packed in (
+        fold_chunks(bench.renderer, view, at, LOOSE, TILES),
+        transfer_chunks(bench.renderer, at, LOOSE, TILES),
+    ):
+        (empty,) = blocks_in(packed.blocks[0], 3 * columns)
+        assert (len(empty.masks), len(empty.records), empty.version) == (0, 0, "00" * 8)
     bench.bake(view)
     after = seen_chunks(bench.renderer, view, LOOSE, TILES)
     assert [each.at for each in after] == [each.at for each in before]
