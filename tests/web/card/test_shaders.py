@@ -105,7 +105,8 @@ def run_in(lab: Lab, scene: Scene, includes: list[str], body: str, inputs: np.nd
     }
     script = """const { codeOf } = await import("/web/card/document.js"), { volume, document } = card.drawing;
       const uniforms = { ...volume.at(codeOf(document, given.isovalue)), offset: document.grid.offset };
-      const defines = { VOXELS: "highp usampler3D", SMOOTH: 1, LOBES: 1, SHADING: 0 };
+      const sampler = document.volume.type === "float32" ? "sampler3D" : "usampler3D";
+      const defines = { VOXELS: `highp ${sampler}`, SMOOTH: 1, LOBES: 1, SHADING: 0 };
       return bench.evaluate(card.device, { ...given, uniforms, defines });"""
     return lab.floats(script, given).reshape(-1, 4)
 
