@@ -39,6 +39,7 @@ export class Card {
     this.onlost = () => {};
     this.onrestored = () => {};
     this.pace = new Pace(device.gl);
+    this.loads = 0;
     /** @type {Drawing|null} */
     this.drawing = null;
     /** @type {{view: View, size: [number, number], samples: number}|null} */
@@ -59,13 +60,14 @@ export class Card {
   }
 
   /**
-   * Load a scene in place of the one before.
+   * Load a scene in place of the one before, which is drawn until then.
    * @param {CardDocument} document `scene` of a drawable one
-   * @param {ArrayBuffer[]} slabs of its volume, in the order of the document
+   * @param {ArrayBuffer[]|Promise<ArrayBuffer[]>} slabs of its volume, in the order of the document; programs are compiled
+   *   while they come
    * @throws {import("./device.js").Refusal} where the card's textures are too small for it
    */
   async load(document, slabs) {
-    await this.#load(document, joinSlabs(document, slabs));
+    await this.#load(document, Promise.resolve(slabs).then((all) => joinSlabs(document, all)));
   }
 
   /**
@@ -100,10 +102,10 @@ export class Card {
   /**
    * Draw a view that moves, in as many pixels as the card draws quickly.
    * @param {View} view
-   * @returns {boolean} whether it was drawn; else the card is lost, or busy with the view before
+   * @returns {boolean} whether it was drawn; else the card is lost, compiles, or is busy with the view before
    */
   draw(view) {
-    if (!this.drawing || this.lost || this.pace.busy) return false;
+    if (!this.drawing || this.lost || this.pace.busy || !this.drawing.isReady(view)) return false;
     this.#sample(view, this.#sizeAt(this.pace.share), 0);
     this.pace.time();
     return true;
@@ -137,11 +139,14 @@ export class Card {
     return [Math.max(Math.round(share * this.canvas.width), 1), Math.max(Math.round(share * this.canvas.height), 1)];
   }
 
-  /** @param {CardDocument} document @param {import("./cells.js").Voxels} codes @param {import("./texels.js").Run[]} [runs] */
+  /** @param {CardDocument} document @param {Promise<import("./cells.js").Voxels>} codes @param {import("./texels.js").Run[]} [runs] */
   async #load(document, codes, runs) {
-    const { gl } = this.device, volume = new Volume(this.device, document, codes);
-    const programs = await programsOf(gl, document, volume.sampler, readShader);
-    this.drawing = new Drawing(this.device, document, volume, new Texels(this.device, document, BUDGET, runs), programs);
+    const { gl } = this.device, load = ++this.loads;
+    const [programs, voxels] = await Promise.all([programsOf(gl, document, readShader), codes]);
+    if (load !== this.loads) return; // another scene was asked for meanwhile
+    const volume = new Volume(this.device, document, voxels), texels = new Texels(this.device, document, BUDGET, runs);
+    this.drawing?.release();
+    this.drawing = new Drawing(this.device, document, volume, texels, programs);
     this.last = null;
   }
 
@@ -156,7 +161,7 @@ export class Card {
     const { drawing } = this, shown = this.last;
     this.device = openDevice(this.canvas, { software: this.device.software });
     this.pace = new Pace(this.device.gl);
-    if (drawing) await this.#load(drawing.document, drawing.volume.source, drawing.texels.runs);
+    if (drawing) await this.#load(drawing.document, Promise.resolve(drawing.volume.source), drawing.texels.runs);
     this.lost = false;
     if (shown) this.draw(shown.view);
     this.onrestored();

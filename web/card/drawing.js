@@ -27,20 +27,20 @@ import { drawInto, fillTexture, makeTexture } from "./textures.js";
 export const keyOf = (light) => light.map((x) => x.toFixed(9)).join(" ");
 
 /**
- * The programs that draw a scene, once the driver has compiled them.
+ * The programs that draw a scene, once the driver has compiled them; that of the local model once it is asked for.
  * @param {WebGL2RenderingContext} gl
  * @param {CardDocument} document
- * @param {string} sampler GLSL's type of the voxels
  * @param {(name: string) => Promise<string>} read text of a shader's file
- * @returns {Promise<{lit: Program, local: Program, fold: Program, show: Program}>}
+ * @returns {Promise<{lit: Program, fold: Program, show: Program, makeLocal: () => Promise<Program>}>}
  */
-export async function programsOf(gl, { grid, plan, light }, sampler, read) {
+export async function programsOf(gl, { grid, volume, plan, light }, read) {
+  const sampler = volume.type === "float32" ? "highp sampler3D" : "highp usampler3D";
   const common = { VOXELS: sampler, SMOOTH: Number(grid.smooth), RATIOS: Number(plan.ratios), LOBES: light.lobes.length };
   const numbers = { NUMBERS: plan.channels * plan.columns, COLUMNS: plan.columns, STRAIGHT: plan.straight, WHOLE: Number(plan.whole) };
   const [view, fold, show] = await Promise.all(["view.frag.glsl", "fold.frag.glsl", "show.frag.glsl"].map((name) => joined(name, read)));
-  const texts = /** @type {const} */ ([[view, { ...common, SHADING: 1 }], [view, { ...common, SHADING: 0, LOBES: 0 }], [fold, { ...common, ...numbers }], [show, {}]]);
-  const [lit, local, folding, showing] = await Promise.all(texts.map(([text, defines]) => compile(gl, text, defines)));
-  return { lit, local, fold: folding, show: showing };
+  const compiled = [compile(gl, view, { ...common, SHADING: 1 }), compile(gl, fold, { ...common, ...numbers }), compile(gl, show)];
+  const [lit, folding, showing] = await Promise.all(compiled);
+  return { lit, fold: folding, show: showing, makeLocal: () => compile(gl, view, { ...common, SHADING: 0, LOBES: 0 }) };
 }
 
 /** What is drawn of a scene. */
@@ -64,11 +64,30 @@ export class Drawing {
     /** @type {{key: string, light: import("./light.js").TurnedLight}|null} */
     this.light = null;
     this.folded = "";
+    /** @type {Program|null} */
+    this.local = null;
+    this.compiling = false;
+  }
+
+  /** Whether a view can be drawn; else its program is compiled meanwhile. @param {View} view @returns {boolean} */
+  isReady({ lambert }) {
+    if (!lambert || this.local) return true;
+    if (!this.compiling) this.programs.makeLocal().then((program) => { this.local = program; });
+    this.compiling = true;
+    return false;
   }
 
   /** Have the texels folded once more before the next picture: some are new. */
   refold() {
     this.folded = "";
+  }
+
+  /** Give the card's memory back: another scene is drawn. */
+  release() {
+    const { gl, volume, texels, programs } = this;
+    this.picture?.release();
+    for (const { id } of [this.turned, ...volume.textures, ...texels.textures]) gl.deleteTexture(id);
+    for (const program of [programs.lit, programs.fold, programs.show, this.local]) if (program) gl.deleteProgram(program.id);
   }
 
   /**
@@ -81,7 +100,7 @@ export class Drawing {
     const { document } = this, light = this.#turn(view.light), records = this.#fold(light, keyOf(view.light));
     const picture = this.#pictureOf(size);
     picture.begin(n, size);
-    run(this.gl, view.lambert ? this.programs.local : this.programs.lit, {
+    run(this.gl, (view.lambert && this.local) || this.programs.lit, {
       ...this.volume.at(codeOf(document, view.isovalue)),
       ...raysOf(document.grid, view.camera, size[0], size[1]),
       ...lightOf(document, light),

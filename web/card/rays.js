@@ -17,8 +17,6 @@ const AFAR = 1e7;
 
 const DEGREE = Math.PI / 180;
 
-/** @param {Vec3} a @param {Vec3} b @returns {number} */
-const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
 /** a + s b. @param {Vec3} a @param {number} s @param {Vec3} b @returns {Vec3} */
 const along = (a, s, b) => [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]];
@@ -73,12 +71,12 @@ export function pinhole(grid, camera, width, height) {
  */
 export function raysOf(grid, camera, width, height) {
   const { eye, corner, right, down } = pinhole(grid, camera, width, height);
-  const middle = along(along(corner, width / 2, right), height / 2, down), way = dot(middle, middle);
+  const forward = along(along(corner, width / 2, right), height / 2, down), { size, spacing } = grid;
   let before = Infinity;
   for (let n = 0; n < 8; n++) {
-    const vertex = /** @type {Vec3} */ ([0, 1, 2].map((i) => ((n >> i) & 1) * (grid.size[i] - 1)));
-    before = Math.min(before, dot(along(vertex, -1, eye), middle) / way);
+    const depths = size.map((count, i) => (((n >> i) & 1) * (count - 1) - eye[i]) * forward[i] * spacing[i] ** 2);
+    before = Math.min(before, depths[0] + depths[1] + depths[2]);
   }
-  const s = Math.max(before - 1 / Math.sqrt(way), 0), from = (/** @type {Vec3} */ v) => along([0, 0, 0], s, v);
+  const s = Math.max(before - Math.min(...spacing), 0), from = (/** @type {Vec3} */ v) => along([0, 0, 0], s, v);
   return { start: along(eye, s, corner), startRight: from(right), startDown: from(down), corner, right, down };
 }

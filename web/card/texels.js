@@ -49,6 +49,11 @@ export class Texels {
     this.#layOut();
   }
 
+  /** All of its textures. @returns {Texture[]} */
+  get textures() {
+    return [this.bricks, this.records, this.turned, this.transfer];
+  }
+
   /** Versions of the chunks that are here, and whether with raw transfer. @returns {Map<string, {version: string, lightKey: string, raw: boolean}>} */
   get chunks() {
     const entries = this.runs.flatMap(({ blocks, lightKey, raw }) => blocks.map((block) => /** @type {const} */ ([block.at, { version: block.version, lightKey, raw: raw.has(block.at) }])));

@@ -36,12 +36,16 @@ export class Volume {
     this.source = codes;
     this.texture = makeTexture(gl, FORMATS[volume.type], grid.size);
     fillTexture(gl, this.texture, codes);
-    this.sampler = volume.type === "float32" ? "highp sampler3D" : "highp usampler3D";
     this.codes = volume.hole === null ? codes : codes.map((code) => (code === volume.hole ? NaN : code));
     this.ranges = findRanges(this.codes, grid.size);
     this.tops = makeTexture(gl, "R32UI", brickShape(grid.size));
     this.cells = makeTexture(gl, "RG32UI", [MAP_ROW, 1]);
     this.isovalue = NaN;
+  }
+
+  /** All of its textures. @returns {Texture[]} */
+  get textures() {
+    return [this.texture, this.tops, this.cells];
   }
 
   /**

@@ -78,7 +78,7 @@ export async function loaded({ document: name, slabs, answers = [] }, [width, he
 /** The linear light of a view, in full size: that of its first sample, or of all of them. */
 export async function pictureOf(card, view, { rest = false } = {}) {
   const size = [card.canvas.width, card.canvas.height];
-  while (card.pace.busy) await new Promise((done) => setTimeout(done, 5));
+  while (card.pace.busy || !card.drawing.isReady(view)) await new Promise((done) => setTimeout(done, 5));
   card.pace.share = 1;
   card.draw(view);
   while (rest && card.refine()) await new Promise((done) => setTimeout(done, 5));

@@ -33,13 +33,16 @@ class Shown:
 
 
 class CardScene:
-    """A scene in a lab: the voxels, and what light the ``renderer`` has for some views."""
+    """A scene in a lab: the voxels, and what light the ``renderer`` has for views; with its ``lobes`` or without."""
 
-    def __init__(self, lab: Lab, renderer: Renderer, view: View, size: tuple[int, int]) -> None:
+    def __init__(self, lab: Lab, renderer: Renderer, view: View, size: tuple[int, int], lobes: bool = False) -> None:
         self.lab, self.renderer, self.size = lab, renderer, size
         codes = renderer.prepared.voxel_codes
         slabs = [codes.code(renderer.prepared.scene.volume.voxels[a:b]).tobytes() for a, b in codes.slabs]
-        document = lab.put("document", card_scene(renderer, view, ()).model_dump(mode="json"))
+        scene = card_scene(renderer, view, ()).model_dump(mode="json")
+        if not lobes:
+            scene["light"]["lobes"] = []
+        document = lab.put("document", scene)
         names = [lab.put(f"slab{i}", slab) for i, slab in enumerate(slabs)]
         given = {"files": {"document": document, "slabs": names}, "size": size}
         lab.ask("window.card = await bench.loaded(given.files, given.size);", given)

@@ -43,8 +43,16 @@ float side_of(ivec3 c) {
 
 // First crossing in cell c between t = near and far: its t, or MISS; `side` becomes that at the exit.
 float cross_cell(Ray ray, ivec3 c, float near, float far, inout float side) {
-  float corners[8];
-  for (int k = 0; k < 8; k++) corners[k] = voxel(c + ivec3(k & 1, (k >> 1) & 1, k >> 2)) - isovalue;
+  float corners[8], least = 0.0;
+  for (int k = 0; k < 8; k++) {
+    float v = voxel(c + ivec3(k & 1, (k >> 1) & 1, k >> 2));
+    corners[k] = v - isovalue;
+    least = min(least, v);
+  }
+  if (least < HOLE) {
+    side = UNKNOWN;
+    return MISS;
+  }
   float span = far - near;
   vec4 q = cubic_along(corners, ray.o + near * ray.d - vec3(c), span * ray.d);
   if (side == UNKNOWN) {

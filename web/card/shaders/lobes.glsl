@@ -26,30 +26,30 @@ float irradiance(float cosine, float s) {
   return s / PI * (x * (0.5 * PI + x * root + asin(x)) + 2.0 / 3.0 * root * root * root);
 }
 
-// Whether the direction w of the world is free above the surface.
-bool unoccluded(vec3 start, vec3 w) { return cast_ray(start, w / spacing, OUTSIDE) < 0.0; }
-
-// The share of lobe k by a ray to the middle of what of it is above the horizon.
-float see_middle(int k, vec3 start, vec3 n) {
+// The way to the middle of what of lobe k is above the horizon of n, and what it brings where it is free.
+vec3 way_to_middle(int k, vec3 n, out float brought) {
   float cosine = dot(n, towards[k]), s = length(east[k]);
   if (s <= SHARP) s = 0.0;
-  if (cosine <= -s) return 0.0;
-  vec3 w = towards[k] + 0.5 * max(s - cosine, 0.0) * n;
-  return unoccluded(start, w) ? irradiance(cosine, s) : 0.0;
+  brought = cosine <= -s ? 0.0 : irradiance(cosine, s);
+  return towards[k] + 0.5 * max(s - cosine, 0.0) * n;
 }
 
-// The share of lobe k by a ray to a place of its disc: its part of a mean over all places.
-float see_disc(int k, vec3 start, vec3 n) {
+// The way to a place of lobe k's disc, and what it brings where it is free: a part of the mean over all places.
+vec3 way_to_disc(int k, vec3 n, out float brought) {
   vec3 across = place.x * east[k] + place.y * north[k];
   float up = sqrt(max(1.0 - dot(across, across), 0.0));
   vec3 w = across + up * towards[k];
-  float cosine = dot(n, w);
-  return cosine > 0.0 && unoccluded(start, w) ? cosine / up : 0.0;
+  brought = max(dot(n, w), 0.0) / up;
+  return w;
 }
 
 // E / pi straight from all lobes at p of normal n.
 vec3 lobe_light(vec3 p, vec3 n) {
   vec3 start = launch(p, n), light = vec3(0.0);
-  for (int k = 0; k < LOBES; k++) light += (resting ? see_disc(k, start, n) : see_middle(k, start, n)) * shine[k];
+  for (int k = 0; k < LOBES; k++) {
+    float brought;
+    vec3 w = resting ? way_to_disc(k, n, brought) : way_to_middle(k, n, brought);
+    if (brought > 0.0 && cast_ray(start, w / spacing, OUTSIDE) < 0.0) light += brought * shine[k];
+  }
   return light;
 }

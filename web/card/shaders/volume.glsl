@@ -14,7 +14,8 @@ const float HOLE = -1e38;        // codes below stand for no value: NaN may be a
 float voxel(ivec3 c) { return float(texelFetch(voxels, c, 0).r); }
 
 // Whether cell c may hold the surface; else [low, low + edge) is a cube of idle cells about it.
-// Empty-space skipping by Chebyshev distances: Zuiderveld, Koning and Viergever 1992.
+// Empty-space skipping by distances: Zuiderveld, Koning and Viergever, "Acceleration of Ray-Casting Using 3-D Distance
+// Transforms", 1992.
 bool look_up(ivec3 c, out ivec3 low, out int edge) {
   uint top = texelFetch(tops, c >> 2, 0).r;
   low = c;
