@@ -1,4 +1,4 @@
-"""The shaders in Mesa's compiler, a second one beside the browser's: a context of EGL, without a window or a browser."""
+"""The shaders in Mesa's compiler, a second one beside the browser's: in a context without window or browser."""
 
 import ctypes
 import re
