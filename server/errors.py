@@ -15,6 +15,10 @@ class UnknownSceneError(IsogiError):
     """No scene has this id."""
 
 
+class UnknownPartError(IsogiError):
+    """A scene has no such chunk of texels, or layers of voxels."""
+
+
 class UnknownJobError(IsogiError):
     """No job has this id, or it is forgotten."""
 

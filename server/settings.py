@@ -136,6 +136,11 @@ class Settings(BaseSettings):
         le=1 << 16,
         description="Megabytes of exported files, each and in all, the newest kept; 0: no exports.",
     )
+    hand_out_voxels: bool | None = Field(
+        None,
+        description="Whether pages may have the voxels and the light of scenes, to draw by themselves; default: yes,"
+        " but where a token is asked for.",
+    )
     max_connections: int = Field(512, ge=1, description="Connections at once.")
     max_client_connections: int = Field(256, ge=1, description="Connections at once from one address.")
     head_seconds: int = Field(10, ge=1, description="Time for the head of a request.")
@@ -247,6 +252,11 @@ class Settings(BaseSettings):
         if self.uploads_mb is not None:
             return self.uploads_mb
         return 0 if self.exposed or self.allowed_hosts is not None else UPLOADS_MB
+
+    @property
+    def hands_out_voxels(self) -> bool:
+        """Whether pages may have voxels: as set, else where anybody may ask who reaches the server."""
+        return not self.bearers if self.hand_out_voxels is None else self.hand_out_voxels
 
     def hosts(self) -> tuple[str, ...] | None:
         """Host names that requests may use, in lower case; None for any."""

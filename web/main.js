@@ -1,8 +1,10 @@
 /** Puts the page together: one scene, one view, one frame loop, and the controls around them. */
 
+import { Card } from "./card/card.js";
 import { find } from "./dom.js";
+import { Live } from "./live/live.js";
 import { complaints, followAddress, readAddress } from "./net/address.js";
-import { listScenes, openStream, readFrame, readLight, readPoint, readReadiness, readScene, readSize, readSlice, readSurfacePoint } from "./net/api.js";
+import { listScenes, openStream, readBlocks, readCard, readCardBytes, readChunks, readFrame, readLight, readPoint, readReadiness, readScene, readSize, readSlice, readSurfacePoint } from "./net/api.js";
 import { CompilingLine } from "./net/compiling.js";
 import { Exporter } from "./net/export.js";
 import { FrameLoop } from "./net/loop.js";
@@ -95,7 +97,7 @@ function assemble(scene, knobs, trouble) {
   const { say } = new Notice($("notice"));
   const { card, reading } = attachReading(scene, view, picture, say);
   const shown = new Shown(view.values, (values) => keyOf(scene, values, picture));
-  const loop = startLoop(scene, view, picture, { trouble, card, shown });
+  const { loop, live } = startLoop(scene, view, picture, { trouble, card, shown, say });
   const keys = { f: toggleFull, p: () => reading.middle(), m: () => reading.measure(), r: () => toggleRulers(view), c: () => unfold($("cuts", HTMLDetailsElement)), v: () => slices.toggle() };
   const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), keys };
   const form = $("controls");
@@ -110,7 +112,7 @@ function assemble(scene, knobs, trouble) {
   attachMeasures($("measures"), scene, view);
   attachSize($("size", HTMLDetailsElement), scene, view, (values, signal) => readSize(scene, values, signal));
   const showLight = attachLight($("light"), scene, view, options.onRest);
-  const follow = () => followView(view, picture, shown, loop);
+  const follow = () => followView(view, picture, shown, loop, live);
   attachEnvironments($("light"), scene, view, () => { showLight(); showScene(form, scene); follow(); }, say);
   attachGestures($("stage"), scene, view, options);
   attachKeys(scene, view, options);
@@ -233,9 +235,9 @@ function toggleFull() {
  * @param {Scene} scene
  * @param {ViewModel} view
  * @param {Picture} picture
- * @param {{trouble: TroublePanel, card: PointCard, shown: Shown}} parts
+ * @param {{trouble: TroublePanel, card: PointCard, shown: Shown, say: (words: string) => void}} parts
  */
-function startLoop(scene, view, picture, { trouble, card, shown }) {
+function startLoop(scene, view, picture, { trouble, card, shown, say }) {
   const status = new Status(document, scene.target_error);
   const panel = new ErrorPanel($("error"), scene.target_error);
   const times = new Times($("times", HTMLDetailsElement));
@@ -247,19 +249,32 @@ function startLoop(scene, view, picture, { trouble, card, shown }) {
   };
   const server = {
     open: () => openStream(scene.id),
-    view: (/** @type {boolean} */ moving) => ({ query: query(shown.asked.values, 1, moving), of: shown.asked }),
+    view: (/** @type {boolean} */ moving) => ({ query: query(shown.asked.values, 1, moving), chunks: live.draws(shown.asked.values), of: shown.asked }),
     ask: ask(() => ({})),
+    drafts: () => !live.draws(shown.asked.values),
   };
+  const canvas = $("live", HTMLCanvasElement);
+  const live = new Live(canvas, scene, cardSource(scene), {
+    open: (allowed) => Card.open(canvas, allowed),
+    size: () => picture.size(1, true),
+    drawn() {
+      if (shown.pictureOf !== shown.asked) shown.show({ of: shown.asked, draft: true, sharp: true, facts: null });
+      $("stage").dataset.ground = ground(shown.asked.values);
+    },
+    lost: () => loop.redraw(),
+    refused: (reason) => say(reason),
+  }, readAddress(location.search).draw);
   const other = ask(() => ({ shading: view.values.compare }));
   const comparison = new Comparison($("comparison"), new Picture($("stage"), $("other", HTMLImageElement)), other, view);
   const loop = new FrameLoop(server, {
-    async frame({ blob, facts, of }, draft) {
+    async frame({ blob, facts, chunks, of }, draft) {
       const { sharp } = picture, words = describe(scene, of.values);
       if (shown.surpasses(of) || (blob && !(await (draft ? picture.sketch(blob, words) : picture.show(blob, words))))) return;
       trouble.hide();
       shown.show({ of, draft, sharp, facts });
       $("stage").dataset.ground = ground(of.values);
       if (facts) times.show(facts, draft);
+      if (!draft) live.rest(of.values, facts, chunks);
       const done = shown.state === "final";
       const more = done && !picture.sharp && picture.sharpen();
       $("stage").toggleAttribute("data-sharp", done && !more);
@@ -279,6 +294,7 @@ function startLoop(scene, view, picture, { trouble, card, shown }) {
     },
     moving(moving) {
       shown.move(moving);
+      live.move(moving);
       comparison.moving(moving);
     },
   });
@@ -290,7 +306,17 @@ function startLoop(scene, view, picture, { trouble, card, shown }) {
   shown.subscribe(tell);
   tell();
   trouble.onRetry = () => loop.settle();
-  return loop;
+  return { loop, live };
+}
+
+/** What a graphics card draws a scene from, as the server has it. @param {Scene} scene @returns {import("./live/live.js").Source} */
+function cardSource({ id }) {
+  return {
+    document: (query) => readCard(id, query),
+    bytes: (href) => readCardBytes(id, href),
+    chunks: (query) => readChunks(id, query),
+    blocks: (what, chunks, query) => readBlocks(id, what, chunks, query),
+  };
 }
 
 /**
@@ -321,9 +347,11 @@ function keyOf(scene, values, picture) {
  * @param {Picture} picture
  * @param {Shown} shown
  * @param {FrameLoop} loop
+ * @param {Live} live
  */
-function followView(view, picture, shown, loop) {
+function followView(view, picture, shown, loop, live) {
   if (!shown.ask(view.values)) return;
+  live.show(view.values);
   picture.sharp = false;
   $("stage").removeAttribute("data-sharp");
   loop.change();

@@ -53,7 +53,7 @@ from isogi_core.frame.shading import (
     texel_disagreement,
 )
 from isogi_core.frame.stand_in import StandIn
-from isogi_core.frame.texel_normals import TexelNormals
+from isogi_core.frame.texel_normals import OwnNormals, TexelNormals
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.texel_shading import TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
@@ -291,6 +291,11 @@ class Renderer:
     def texels(self, view: View, gbuffer: GBuffer, tiles: Tiles | None = None) -> ViewTexels:
         """The texels under a view; they hold its G-buffer, so that both are kept, or neither."""
         return self._texels.under(view, gbuffer, tiles or self.tiles)
+
+    @property
+    def known_normals(self) -> OwnNormals:
+        """The normals of texels at their own points, as far as views or chunks have asked for them."""
+        return self._texels.normals
 
     def knows(self, view: View) -> bool:
         """Whether the texels under a view are kept."""

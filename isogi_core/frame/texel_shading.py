@@ -62,13 +62,13 @@ class TexelShading:
         """
         self.prepared, self._levels, self._kept = prepared, levels, kept
         self._filters, self._stand_in = filters, stand_in
-        self._normals = OwnNormals(min(most // 2, 4 * ENTRY * math.prod(self.prepared.shape)))
+        self.normals = OwnNormals(min(most // 2, 4 * ENTRY * math.prod(self.prepared.shape)))
         self._records = RowRecords(most // 2)
 
     @property
     def nbytes(self) -> int:
         """Bytes that normals and records of texels take."""
-        return self._normals.nbytes + self._records.nbytes
+        return self.normals.nbytes + self._records.nbytes
 
     def under(self, view: View, gbuffer: GBuffer, tiles: Tiles) -> ViewTexels:
         """The texels under a view; they hold its G-buffer, so that both are kept, or neither."""
@@ -107,7 +107,7 @@ class TexelShading:
 
             def fill(new: np.ndarray) -> np.ndarray:
                 lit = light_sources([(reading.rows[new], pool)], light, tiles)
-                about = own_normals(texels, texels.places[new], self._normals, self.prepared, tiles)
+                about = own_normals(texels, texels.places[new], self.normals, self.prepared, tiles)
                 return fill_texel_records(reading.grade[new], lit, about, light, tiles)
 
             with watch.stage("light"):
@@ -209,6 +209,6 @@ class TexelShading:
         """The normals that a view's texels are lit about, as they are read; such as are near where none has light."""
         if reading.unbaked:
             return nearby_normals(texels, tiles)
-        make = partial(find_texel_normals, texels, self._normals, self.prepared, tiles)
+        make = partial(find_texel_normals, texels, self.normals, self.prepared, tiles)
         normals = self._kept.get((TexelNormals, surface_key(view), texels.coarse), make)
         return normals.where(reading.on_surface, texels, self.prepared, tiles)

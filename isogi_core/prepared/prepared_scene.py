@@ -25,6 +25,7 @@ from isogi_core.plan.bands import project_environment
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.active_cell_maps import KEPT, ActiveCellMaps, Survey, anew
 from isogi_core.prepared.surface import Surface
+from isogi_core.prepared.voxel_codes import VoxelCodes, find_codes
 from isogi_core.runs import Run, serially
 
 AROUND = 3
@@ -53,6 +54,11 @@ class PreparedScene:
     def maps(self) -> ActiveCellMaps:
         """The active-cell maps of the volume."""
         return ActiveCellMaps(self.scene.volume.voxels, self.most, survey_of(self.scene.volume))
+
+    @cached_property
+    def voxel_codes(self) -> VoxelCodes:
+        """The volume's voxels as graphics cards take them."""
+        return find_codes(self.scene.volume)
 
     def beside(self, scene: Scene) -> "PreparedScene":
         """A ``scene`` of the same volume in finer or other light: what was worked out of the voxels serves both."""

@@ -16,7 +16,7 @@ from server import problems
 from server.api.access import KnownHosts, KnownOrigins, TokenBearers
 from server.api.prewarm_jobs import resume
 from server.api.requests import HeadAsGet, Requests, SafeHeaders, SmallBodies
-from server.api.routes import events, frames, jobs, pages, points, scenes
+from server.api.routes import card, events, frames, jobs, pages, points, scenes
 from server.api.service import Service
 from server.api.shutdown import Closing, GracefulShutdown
 from server.api.stream import router as stream_router
@@ -31,6 +31,7 @@ GUARDED = problems.documented_problems(401, 403, 413, 421)
 
 ROUTERS = (
     *(pages.router, pages.health_router, scenes.router, scenes.sky_router, frames.router, points.router, events.router),
+    card.router,
     *(
         stream_router,
         jobs.prewarm_router,

@@ -19,6 +19,8 @@ from server.answers import coverage_schema
 from server.api.pacing import Drafts, Motion, Window
 from server.api.service import Service, ServiceDep
 from server.api.shown import PictureRequest, Shown
+from server.card_answers import chunks_in
+from server.card_schemas import CardChunk
 from server.errors import ParameterError, StreamError
 from server.parameters import FrameParams, NoParams, read
 from server.pictures import MEDIA_TYPES, encode, format_for, smoothed
@@ -75,11 +77,16 @@ class Receipt(NoParams):
 
 
 class ViewRequest(NoParams):
-    """The client's view is now this one, and whether it is still ``moving``."""
+    """The client's view is now this one, and whether it is still ``moving``; at rest it may ask for ``chunks``.
+
+    A client that draws what moves by itself wants no ``pictures`` of it.
+    """
 
     id: Id
     view: dict[str, Any] = Field(default_factory=dict)
     moving: StrictBool = False
+    chunks: StrictBool = False
+    pictures: StrictBool = True
 
     def params(self) -> FrameParams:
         """The view's parameters; ParameterError where they are not those of a frame."""
@@ -107,9 +114,10 @@ def read_message(message: dict[str, Any]) -> ViewRequest | Receipt:
     return read(Receipt, message.items()) if "shown" in message else read(ViewRequest, message.items())
 
 
-def answer(request: int, shown: Shown, form: str, draft: bool) -> str:
-    """The facts of the picture that follows, an answer to the ``request`` of this id."""
+def answer(request: int, shown: Shown, form: str, draft: bool, chunks: list[CardChunk] | None = None) -> str:
+    """The facts of the picture that follows, an answer to the ``request`` of this id, and the chunks that it reads."""
     frame = shown.frame
+    named = {} if chunks is None else {"chunks": [each.model_dump() for each in chunks]}
     return json.dumps(
         {
             "id": request,
@@ -121,6 +129,7 @@ def answer(request: int, shown: Shown, form: str, draft: bool) -> str:
             "facts": coverage_schema(frame, shown.time_left).model_dump(),
             "timing": {stage: round(1000.0 * seconds, 2) for stage, seconds in shown.watch.seconds.items()},
         }
+        | named
     )
 
 
@@ -203,7 +212,7 @@ class Session:
             return
         self._still = self._still if message.moving else message.id
         older, self._newest = self._newest, (message, message.params())
-        self._motion.took(message.moving)
+        self._motion.took(message.moving and message.pictures)
         self._changed.set()
         if self._showing and not (older and older[0].moving and message.moving):
             self._showing.cancel()
@@ -227,6 +236,8 @@ class Session:
 
     async def _show(self, request: ViewRequest, params: FrameParams) -> None:
         """Answer a view request, or send what is wrong with it."""
+        if not request.pictures:
+            return
         try:
             form = format_for(params, None)
             self._lit = await self._service.variant(self._scene, params)
@@ -265,7 +276,7 @@ class Session:
         def made() -> tuple[str, bytes]:
             with shown.watch.stage("encode"):
                 picture = encode(shown.frame, form, exposure, params)
-            return answer(request.id, shown, form, request.moving), picture
+            return answer(request.id, shown, form, request.moving, self._chunks(request, shown)), picture
 
         facts, picture = await self._service.threads.of(shown.frame.view).run(made, rank)
         self._window.sent(request.id)
@@ -274,6 +285,12 @@ class Session:
             self._metrics.ages.observe(self._motion.sent(self._shows, request.moving))
             self._shows = None
         await self._send(facts, picture)
+
+    def _chunks(self, request: ViewRequest, shown: Shown) -> list[CardChunk] | None:
+        """The chunks that a full picture reads, where the client asks for them."""
+        if request.moving or not request.chunks:
+            return None
+        return chunks_in(self._service.engine.renderer(self._lit.id), shown.frame)
 
     async def _send(self, text: str, data: bytes | None = None) -> None:
         """Send all of it or nothing, also where the sender is cancelled on the way."""

@@ -13,14 +13,16 @@ import { cutQuery } from "./request.js";
 /** @typedef {import("./schemas.js").Scene} Scene */
 
 const CHOICES = ["shading", "overlay", "compare", "tint", "background", "environment", "shine", "rulers", "projection"];
-const KNOWN = new Set([...CHOICES, "scene", "target", "token", "measure", "slices", "cut", "window", "surfaces", "hide", "material"]);
+const KNOWN = new Set([...CHOICES, "scene", "target", "token", "measure", "slices", "cut", "window", "surfaces", "hide", "material", "draw"]);
+/** Who may be made to draw, by an address of those who compare. */
+const DRAWS = ["card", "server"];
 const PAUSE_MS = 150;
 const REST_MS = 1000; // a view that was at rest for so long is one to come back to
 
 /**
  * Read knobs from an address. What is no number is left out; the view then takes the scene's default.
  * @param {string} search the part of the address from `?` on
- * @returns {{scene: string|null, start: Partial<Knobs>}}
+ * @returns {{scene: string|null, draw: string|null, start: Partial<Knobs>}} `draw` names who draws: "card" or "server"
  */
 export function readAddress(search) {
   const query = new URLSearchParams(search);
@@ -37,7 +39,7 @@ export function readAddress(search) {
   if (measures.length) start.measures = measures;
   const slices = readCrossHair(query.get("slices") ?? "");
   if (slices) start.slices = slices;
-  return { scene: query.get("scene"), start };
+  return { scene: query.get("scene"), draw: DRAWS.find((each) => each === query.get("draw")) ?? null, start };
 }
 
 /**
@@ -117,6 +119,7 @@ function choiceComplaint({ shadings, environments = [], surfaces = [], colours, 
   if (name === "surfaces" && !areSurfaces(value, surfaces.length)) return `“${value}” does not fit the surfaces beside.`;
   if (name === "hide" && !areHidden(value, colours?.labels ?? [])) return `“${value}” does not fit the labels.`;
   if (name === "material" && value && !isMaterial(value, materials)) return materialComplaint(materials, value);
+  if (name === "draw" && !DRAWS.includes(value)) return `“${value}” draws nothing here: choose card or server.`;
   const shading = ["shading", "compare"].includes(name);
   if (shading && value && !shadings.includes(value)) return `There is no shading “${value}”.`;
   return KNOWN.has(name) ? "" : `The link says ${name}, which this page does not know.`;
@@ -137,11 +140,12 @@ function materialComplaint(materials, value) {
  */
 export function followAddress(scene, view) {
   let [timer, changed] = [0, -Infinity]; // the latter is when the view last did
+  const { draw } = readAddress(location.search), kept = draw ? `&draw=${draw}` : "";
   /** @type {"replaceState"|"pushState"} */
   let entry = "replaceState";
   const write = () => {
     clearTimeout(timer);
-    const address = writeAddress(scene, view.values);
+    const address = writeAddress(scene, view.values) + kept;
     if (address !== location.search) history[entry](null, "", address);
     entry = "replaceState";
     return location.href;

@@ -237,6 +237,48 @@ export async function readSlice(scene, axis, at, time) {
 }
 
 /**
+ * Whether a graphics card can draw a view of a scene, and what it takes.
+ * @param {string} scene
+ * @param {FrameQuery} query
+ * @returns {Promise<import("./schemas.js").CardFacts>}
+ */
+export async function readCard(scene, query) {
+  return (await ask(sceneAddress(scene, "card", query))).json();
+}
+
+/**
+ * Bytes at an address of that document.
+ * @param {string} scene
+ * @param {string} href
+ * @returns {Promise<ArrayBuffer>}
+ */
+export async function readCardBytes(scene, href) {
+  return (await ask(new URL(href, sceneAddress(scene, "card", {})))).arrayBuffer().catch(failed);
+}
+
+/**
+ * The chunks of texels that a view reads, most visible first.
+ * @param {string} scene
+ * @param {FrameQuery} query
+ * @returns {Promise<import("./schemas.js").ListedChunk[]>}
+ */
+export async function readChunks(scene, query) {
+  return (await (await ask(sceneAddress(scene, "card/chunks", query))).json()).chunks;
+}
+
+/**
+ * Light of some chunks, or the transfer that it is made of.
+ * @param {string} scene
+ * @param {"light"|"transfer"} what
+ * @param {string[]} chunks by their places and versions
+ * @param {FrameQuery} query
+ * @returns {Promise<ArrayBuffer>}
+ */
+export async function readBlocks(scene, what, chunks, query) {
+  return (await ask(sceneAddress(scene, `card/${what}/${chunks.join(",")}`, query))).arrayBuffer().catch(failed);
+}
+
+/**
  * Have a file made of the surface, or the volume, with its light: the address of the job.
  * @param {string} scene
  * @param {FrameQuery} query

@@ -8,13 +8,16 @@ import { CLOCK } from "./trouble.js";
 /** @typedef {import("./schemas.js").Facts} Facts */
 /** @typedef {import("./schemas.js").Frame} Frame */
 /** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
+/** @typedef {import("./schemas.js").ListedChunk} ListedChunk */
 /** @typedef {import("./shown.js").Asked} Asked */
 
 const SETTLE_MS = 200; // a view that has not changed for this long is at rest
 
 /**
- * @typedef {{query: FrameQuery, of: Asked}} View the parameters of a picture, and the view that they are of
- * @typedef {{blob: Blob|null, facts: Facts|null, of: Asked}} Answer a picture, where it is a new one, and its view
+ * @typedef {{query: FrameQuery, chunks?: boolean, of: Asked}} View the parameters of a picture, whether to name the
+ *   chunks that it reads, and the view that they are of
+ * @typedef {{blob: Blob|null, facts: Facts|null, chunks?: ListedChunk[], of: Asked}} Answer a picture, where it is a new
+ *   one, the chunks that it reads, where they were asked for, and its view
  *
  * @typedef {object} Hooks what the loop calls
  * @property {(answer: Answer, draft: boolean) => Promise<void>} frame a picture came; `facts` are the latest also where
@@ -26,6 +29,7 @@ const SETTLE_MS = 200; // a view that has not changed for this long is at rest
  * @property {() => WebSocket} open opens a socket
  * @property {(moving: boolean) => View} view as it is now, which goes over it
  * @property {(options: FrameOptions, signal: AbortSignal) => Promise<Frame & Pick<View, "of">>} ask sends one request
+ * @property {() => boolean} [drafts] whether the view is drawn by the server while it moves
  */
 
 /** Shows a view that may change at any time. */
@@ -34,6 +38,7 @@ export class FrameLoop {
   #transport;
   #hooks;
   #clock;
+  #drafts;
   #moving = false;
   #timer = 0;
 
@@ -42,12 +47,13 @@ export class FrameLoop {
    * @param {Hooks} hooks
    * @param {import("./trouble.js").Clock} [clock]
    */
-  constructor({ open, view, ask }, hooks, clock = CLOCK) {
+  constructor({ open, view, ask, drafts = () => true }, hooks, clock = CLOCK) {
     this.#hooks = hooks;
     this.#clock = clock;
+    this.#drafts = drafts;
     this.#transport = new Streaming(open, view, hooks, () => {
       this.#transport = new Polling(ask, hooks, clock);
-      this.#transport.show(this.#moving);
+      this.#show();
     }, clock);
     document.addEventListener("visibilitychange", () => document.hidden || this.#transport.resume());
     window.addEventListener("online", () => this.#transport.resume());
@@ -59,7 +65,12 @@ export class FrameLoop {
     this.#hooks.moving(true);
     this.#clock.cancel(this.#timer);
     this.#timer = this.#clock.after(SETTLE_MS, () => this.settle());
-    this.#transport.show(true);
+    this.#show();
+  }
+
+  /** The page no longer draws what moves: the server is to. */
+  redraw() {
+    this.#show();
   }
 
   /** The view is as it was, but more is asked of its picture. */
@@ -72,6 +83,12 @@ export class FrameLoop {
     this.#clock.cancel(this.#timer);
     this.#moving = false;
     this.#hooks.moving(false);
-    this.#transport.show(false);
+    this.#show();
+  }
+
+  /** Have the view drawn: one that moves by the page itself, where the server need not. */
+  #show() {
+    if (this.#moving && !this.#drafts()) this.#transport.pause();
+    else this.#transport.show(this.#moving);
   }
 }

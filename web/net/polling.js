@@ -69,6 +69,12 @@ export class Polling {
     else this.#send();
   }
 
+  /** The view moves, and the page draws it by itself: ask for none until the next is shown. */
+  pause() {
+    this.#shown = null;
+    this.stop();
+  }
+
   /** Give up the request in flight, and send no other. */
   stop() {
     this.#clock.cancel(this.#timer);

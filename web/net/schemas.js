@@ -199,6 +199,15 @@
  * @property {Facts|null} facts
  */
 
+/** @typedef {{at: string, version: string, final: boolean}} ListedChunk texels that a view reads, and how far they are baked */
+
+/**
+ * @typedef {object} CardFacts whether a graphics card can draw a view, and what it takes
+ * @property {boolean} drawable
+ * @property {string} reason in sentences, where it cannot
+ * @property {(import("../card/document.js").CardDocument & {grounds: Record<string, Vec3>})|null} scene null where it cannot
+ */
+
 /**
  * @typedef {object} StreamMessage the JSON that comes before a picture over a stream
  * @property {number} id of the view that it answers
@@ -206,6 +215,7 @@
  * @property {string} media_type
  * @property {Record<string, number>} timing
  * @property {Omit<Facts, "timeLeft"|"timing"> & {time_left: Facts["timeLeft"]}} facts
+ * @property {ListedChunk[]} [chunks] that the picture reads, where they were asked for
  * @property {{status?: number, detail?: string}} [problem] in place of all others
  */
 
@@ -235,12 +245,12 @@ export function readFacts(headers) {
 
 /**
  * A picture that came over a stream, with the facts of the message before it.
- * @param {Pick<StreamMessage, "media_type"|"timing"|"facts">} message
+ * @param {Pick<StreamMessage, "media_type"|"timing"|"facts"|"chunks">} message
  * @param {Blob} data
- * @returns {{blob: Blob, facts: Facts}}
+ * @returns {{blob: Blob, facts: Facts, chunks?: ListedChunk[]}}
  */
-export function streamedFrame({ media_type: type, timing, facts: { time_left: timeLeft, ...facts } }, data) {
-  return { blob: new Blob([data], { type }), facts: { ...facts, timeLeft, timing } };
+export function streamedFrame({ media_type: type, timing, chunks, facts: { time_left: timeLeft, ...facts } }, data) {
+  return { blob: new Blob([data], { type }), facts: { ...facts, timeLeft, timing }, ...(chunks && { chunks }) };
 }
 
 /**

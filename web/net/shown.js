@@ -57,6 +57,11 @@ export class Shown {
     return (this.#picture?.of ?? this.#asked).values;
   }
 
+  /** The view that the picture on the stage is of; null before the first one. @returns {Asked|null} */
+  get pictureOf() {
+    return this.#picture?.of ?? null;
+  }
+
   /** @returns {State} */
   get state() {
     if (this.#lost) return "trouble";

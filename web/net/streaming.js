@@ -25,6 +25,7 @@ export class Streaming {
   #socket = null;
   #known = false;
   #moving = false;
+  #paused = false;
   #drawing = 0;
   #timer = 0;
   #failures = 0;
@@ -52,9 +53,19 @@ export class Streaming {
   /** The view is now another one; show it. @param {boolean} moving whether it goes on changing */
   show(moving) {
     this.#moving = moving;
+    this.#paused = false;
     cancelAnimationFrame(this.#drawing);
     if (moving) this.#drawing = requestAnimationFrame(() => this.#send()); // no more often than the screen changes
     else this.#send();
+  }
+
+  /** The view moves, and the page draws it by itself: the server is to draw none until the next is shown. */
+  pause() {
+    if (this.#paused) return;
+    this.#paused = true;
+    this.#moving = true;
+    cancelAnimationFrame(this.#drawing);
+    if (this.#socket) this.#send();
   }
 
   /** The page is seen again, or has a network: try at once, if there is no stream. */
@@ -66,9 +77,10 @@ export class Streaming {
     this.#clock.cancel(this.#timer);
     if (!this.#socket) this.#connect();
     else if (this.#socket.readyState === OPEN) {
-      const { query, of } = this.#view(this.#moving);
+      const { query, chunks, of } = this.#view(this.#moving);
       this.#asked.set(++this.#sent, of);
-      this.#socket.send(JSON.stringify({ id: this.#sent, view: query, moving: this.#moving }));
+      const wishes = { ...(chunks && { chunks }), ...(this.#paused && { pictures: false }) };
+      this.#socket.send(JSON.stringify({ id: this.#sent, view: query, moving: this.#moving, ...wishes }));
     }
   }
 

@@ -366,3 +366,55 @@ test("a view rests 200 ms after its last change", async () => {
   await clock.pass(1);
   assert.deepEqual(frames.moving, [true, true, false]);
 });
+
+test("a view that the page draws by itself is asked for at rest alone", async () => {
+  const socket = new FakeSocket();
+  const loop = new FrameLoop({ open: () => socket, view: () => ({ ...VIEW, chunks: true }), ask: () => assert.fail("there is a stream"), drafts: () => false }, hooks(), clock);
+  loop.settle();
+  socket.connect();
+  for (let i = 0; i < 20; i++) {
+    loop.change();
+    await clock.pass(50);
+  }
+  await clock.pass(200);
+  const [first, paused, last, ...others] = socket.sent;
+  assert.deepEqual([first.moving, first.chunks, "pictures" in first], [false, true, false]);
+  assert.deepEqual([paused.moving, paused.pictures], [true, false]);
+  assert.deepEqual([last.moving, "pictures" in last, others], [false, false, []]);
+});
+
+test("drafts come from the server as soon as the page draws none", async () => {
+  const socket = new FakeSocket();
+  let own = true;
+  const loop = new FrameLoop({ open: () => socket, view: () => VIEW, ask: () => assert.fail("there is a stream"), drafts: () => !own }, hooks(), clock);
+  loop.settle();
+  socket.connect();
+  loop.change();
+  own = false;
+  loop.redraw();
+  await clock.pass(16);
+  assert.deepEqual(socket.sent.map(({ moving, pictures = true }) => [moving, pictures]), [[false, true], [true, false], [true, true]]);
+});
+
+test("without a stream no drafts are asked for either", async () => {
+  const server = new Requests();
+  const open = () => { throw new ReferenceError("no sockets"); };
+  const loop = new FrameLoop({ open, view: () => VIEW, ask: server.ask, drafts: () => false }, hooks(), clock);
+  loop.settle();
+  assert.equal(server.requests.length, 1);
+  loop.change();
+  assert.equal(server.last.signal.aborted, true, "nor is the picture of the former view waited for");
+  await clock.pass(150);
+  loop.change();
+  await clock.pass(250);
+  assert.deepEqual(server.requests.map(({ options }) => options.draft), [false, false]);
+});
+
+test("the chunks that a picture reads come with it", async () => {
+  const { sockets, stream } = streaming(() => ({ ...VIEW, chunks: true }));
+  stream.show(false);
+  sockets[0].connect();
+  const chunks = [{ at: "0.1.2", version: "a1", final: true }];
+  await sockets[0].picture({ id: 1, chunks });
+  assert.deepEqual(frames.shown[0].chunks, chunks);
+});

@@ -322,3 +322,9 @@ test("a click is answered also where the server is busy", async () => {
   const { asked, result } = await asking([busy, new TypeError("away"), { body: pixel }], () => readSurfacePoint(SCENE, knobs(), 0, 0));
   assert.deepEqual([result.value, asked.length], [[1, 2, 3], 3]);
 });
+
+test("an address may say who draws", () => {
+  assert.deepEqual(["?draw=card", "?draw=server", "?draw=me", ""].map((search) => readAddress(search).draw), ["card", "server", null, null]);
+  assert.deepEqual(complaints("?draw=me", SCENE), ["“me” draws nothing here: choose card or server."]);
+  assert.deepEqual(complaints("?draw=card", SCENE), []);
+});

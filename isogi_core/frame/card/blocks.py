@@ -1,0 +1,137 @@
+"""Blocks: the light of one chunk as bytes that a page puts into textures; docs/card.md has the layout."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from isogi_core.frame.card.chunk_texels import ChunkTexels
+from isogi_core.frame.view_texels import ViewTexels
+from isogi_core.kernels.shading.framebuffer import FINAL
+from isogi_core.kernels.shading.lattice import BURIED, PARTIAL, VOID
+
+MARK = b"ISOB"
+"""What a block begins with."""
+
+HEADER = np.dtype(
+    [("mark", "S4"), ("bytes", "<u4"), ("at", "<u2", 3), ("kind", "<u2"), ("counts", "<u4", 2), ("version", "V8")]
+)
+BRICK = np.dtype([("mask", "<u8"), ("first", "<u4"), ("place", "<u4")])
+
+FOLDED, RAW = 0, 1
+"""Kinds of blocks: records of light, and transfer that a page puts under the light by itself."""
+
+EDGE = 2
+"""Texels along each side of a brick, as a power of two."""
+
+CODES = {BURIED: 0x80008001, VOID: 0x80008002}
+"""Words of texels without light in place of a normal, by their grade; no part of a normal is -32768."""
+
+FLAT = 0x80008003
+"""The word of a texel with light whose normal is (0, 0, 0)."""
+
+MOST = float(np.finfo(np.float16).max)
+
+
+class Order(NamedTuple):
+    """The order of records in blocks: the chunk ``owners`` and ``places`` of bricks, their ``masks`` and where in the
+    order each ``begins``, (bricks,); ``texels`` (texels,) lists the numbers of texels, brick by brick.
+    """
+
+    owners: np.ndarray
+    places: np.ndarray
+    masks: np.ndarray
+    begins: np.ndarray
+    texels: np.ndarray
+
+
+def order_texels(texels: ViewTexels) -> Order:
+    """Order texels by chunk, then by brick, then by their place in it."""
+    bits = texels.lattice.bits
+    z, y, x = (texels.places >> bits * axis & texels.lattice.chunk - 1 for axis in (2, 1, 0))
+    bricks = (z >> EDGE) << 16 | (y >> EDGE) << 8 | x >> EDGE
+    bit = (z & 3) << 4 | (y & 3) << 2 | x & 3
+    keys = ((texels.places >> 3 * bits).astype(np.int64) << 24 | bricks) << 6 | bit
+    order = np.argsort(keys)
+    own, begins = np.unique(keys[order] >> 6, return_index=True)
+    masks = np.bitwise_or.reduceat(np.uint64(1) << bit[order].astype(np.uint64), begins)
+    return Order(own >> 24, own & 0xFFFFFF, masks, begins, order)
+
+
+def words_of(normals: np.ndarray, grade: np.ndarray) -> np.ndarray:
+    """Normals (m, 3) of texels with this ``grade`` (m,) as words, or the codes of those without; (m,) uint32.
+
+    A normal is projected onto an octahedron, whose lower half is folded over the upper one (Meyer and others, "On
+    Floating-Point Normal Vectors", 2010); x is in the lower 16 bits, y in the upper ones.
+    """
+    size = np.abs(normals).sum(axis=1)
+    x, y, z = (normals / np.maximum(size, 1e-30)[:, None]).T
+    u = np.where(z < 0.0, (1.0 - np.abs(y)) * np.where(x >= 0.0, 1.0, -1.0), x)
+    v = np.where(z < 0.0, (1.0 - np.abs(x)) * np.where(y >= 0.0, 1.0, -1.0), y)
+    low, high = (np.rint(32767.0 * each).astype(np.int16).view(np.uint16).astype(np.uint32) for each in (u, v))
+    words = np.where(size > 0.0, low | high << 16, FLAT).astype(np.uint32)
+    for each, code in CODES.items():
+        words[grade == each] = code
+    return words
+
+
+def with_means(order: Order, grade: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The ``grade`` (m,) and ``values`` (m, n) of texels in their order, with the mean of each brick behind its texels.
+
+    A mean is of the texels with light, or buried or void where there are none.
+    """
+    grade, values, bricks = grade[order.texels], values[order.texels], np.arange(len(order.begins))
+    ends, fit = np.append(order.begins[1:], len(grade)), (grade >= PARTIAL) & (grade <= FINAL)
+    if not len(bricks):
+        return grade, values
+    count = np.add.reduceat(fit, order.begins, dtype=np.int64)
+    means = np.add.reduceat(np.where(fit[:, None], values, 0.0), order.begins) / np.maximum(count, 1)[:, None]
+    kinds = np.where(count > 0, FINAL, np.minimum.reduceat(grade, order.begins))
+    return np.insert(grade, ends, kinds), np.insert(values, ends, means, axis=0)
+
+
+def halves(values: np.ndarray) -> np.ndarray:
+    """Numbers as half floats, those beyond these at their ends."""
+    return np.clip(values, -MOST, MOST).astype("<f2")
+
+
+def folded_body(words: np.ndarray, light: np.ndarray) -> bytes:
+    """Records of light (r, 6), direct and reflected linear RGB, with their ``words`` (r,)."""
+    return np.column_stack([halves(light).view("<u4"), words]).astype("<u4").tobytes()
+
+
+def raw_body(words: np.ndarray, numbers: np.ndarray) -> bytes:
+    """Records of transfer, ``numbers`` (r, n), after their ``words`` (r,): four numbers of each in every layer."""
+    layers = -(-numbers.shape[1] // 4)
+    quads = np.pad(halves(numbers), ((0, 0), (0, -numbers.shape[1] % 4))).reshape(len(words), layers, 4)
+    padded = np.pad(words.astype("<u4"), (0, len(words) % 2))
+    return padded.tobytes() + np.ascontiguousarray(quads.transpose(1, 0, 2)).tobytes()
+
+
+BODIES = {FOLDED: folded_body, RAW: raw_body}
+
+
+def pack(chunks: ChunkTexels, normals: np.ndarray, values: np.ndarray, kind: int) -> Iterator[bytes]:
+    """The block of each chunk, of a ``kind``, from the ``normals`` (m, 3) and ``values`` (m, n) of its texels."""
+    order = order_texels(chunks.texels)
+    grade, found = with_means(order, chunks.reading.grade, np.column_stack([normals, values]))
+    words, numbers = words_of(found[:, :3], grade), found[:, 3:]
+    firsts = order.begins + np.arange(len(order.begins))
+    owners = {index: number for number, index in enumerate(chunks.texels.chunks)}
+    for index, version in zip(chunks.chunks, chunks.versions, strict=True):
+        a, b = np.searchsorted(order.owners, [number := owners.get(index, -1), number + 1]).tolist()
+        ends = [int(firsts[i]) if i < len(firsts) else len(words) for i in (a, b)]
+        bricks = np.zeros(b - a, BRICK)
+        bricks["mask"], bricks["place"] = order.masks[a:b], order.places[a:b]
+        bricks["first"] = firsts[a:b] - ends[0]
+        some = slice(*ends)
+        yield block_of(index, version, bricks, ends[1] - ends[0], BODIES[kind](words[some], numbers[some]), kind)
+
+
+def block_of(index: Sequence[int], version: bytes, bricks: np.ndarray, records: int, body: bytes, kind: int) -> bytes:
+    """A block: its header, its table of ``bricks``, and its records."""
+    header = np.zeros(1, HEADER)
+    size = HEADER.itemsize + bricks.nbytes + len(body)
+    header["mark"], header["bytes"], header["at"], header["kind"] = MARK, size, index, kind
+    header["counts"], header["version"] = (len(bricks), records), np.void(version)
+    return header.tobytes() + bricks.tobytes() + body

@@ -1,0 +1,109 @@
+"""The light of whole chunks as a visitor's graphics card reads it: under one light, or as transfer for any."""
+
+from collections.abc import Sequence
+from itertools import islice
+from typing import NamedTuple
+
+import numpy as np
+
+from isogi_core.bake.bake_spec import BakeSpec
+from isogi_core.bake.noise import Until
+from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.frame.card.blocks import FOLDED, RAW, pack
+from isogi_core.frame.card.chunk_texels import ChunkTexels, hold_texels, with_neighbours
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.shading import fill_texel_records, filter_texel_light, light_sources
+from isogi_core.frame.texel_normals import own_normals
+from isogi_core.frame.texel_reading import read_texels
+from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.unlit_view import undrawn_frame
+from isogi_core.kernels.shading.irradiance_ratio import DIRECT, REFLECTED
+from isogi_core.model.view import View
+from isogi_core.prepared.prepared_scene import Index
+
+CHUNKS = 64
+"""Chunks that are packed together at most."""
+
+
+class Packed(NamedTuple):
+    """The ``blocks`` of chunks, and their ``versions``; whether each version stands for its block ``alone``.
+
+    What was filtered depends on chunks beside it, too.
+    """
+
+    blocks: tuple[bytes, ...]
+    versions: tuple[bytes, ...]
+    alone: bool
+
+
+def fold_chunks(renderer: Renderer, view: View, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
+    """``chunks`` under the light of a ``view``, filtered where it is noisy; final at the ``target`` error.
+
+    Records are those that ``carry_irradiance_ratios`` is given. Raises Cancelled, and what ``Loader.ensure`` does.
+    """
+    light, some = RotatedLight(renderer.caches.spec("gi"), view), tuple(chunks)
+    with hold_texels(renderer.caches.of("gi"), some, target, tiles) as (found, pool):
+        if not (noisy := bool(found.reading.noisy.any())):
+            lit = light_sources(found.reading.sources(pool), light, tiles)
+    if noisy:
+        with hold_texels(renderer.caches.of("gi"), with_neighbours(some, renderer.prepared), target, tiles) as held:
+            found, pool = held
+            lit = light_sources(found.reading.sources(pool), light, tiles)
+    about, reading = normals_of(renderer, found, tiles), found.reading
+    if noisy:
+        reading, lit = filter_texel_light(found.texels, reading, lit, about, light, tiles)
+    records = fill_texel_records(reading.grade, lit, about, light, tiles)
+    values = np.column_stack([records[:, DIRECT : DIRECT + 3], records[:, REFLECTED : REFLECTED + 3]])
+    blocks = tuple(islice(pack(found, about, values, FOLDED), len(some)))
+    return Packed(blocks, found.versions[: len(some)], not noisy)
+
+
+def transfer_chunks(renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
+    """``chunks`` with what their texels keep, for any light: see ``raw_scale``. Raises as ``fold_chunks``."""
+    with hold_texels(renderer.caches.of("gi"), chunks, target, tiles) as (found, pool):
+        rows = found.reading.rows
+        numbers = np.where((rows >= 0)[:, None, None], pool.transfer[rows], np.float32(0.0))
+    spec = renderer.caches.spec("gi")
+    scaled = numbers.reshape(len(rows), spec.channels * spec.columns) / np.float32(raw_scale(spec))
+    return Packed(tuple(pack(found, normals_of(renderer, found, tiles), scaled, RAW)), found.versions, True)
+
+
+def raw_scale(spec: BakeSpec) -> float:
+    """What transfer is divided by so that half floats hold it: irradiance has met its light, and is as bright."""
+    return spec.unit if spec.plan.representation == "irradiance" else 1.0
+
+
+class SeenChunk(NamedTuple):
+    """A chunk that a view reads: its place ``at``, its ``version``, and whether all that is read of it is ``final``."""
+
+    at: Index
+    version: bytes
+    final: bool
+
+
+def seen_chunks(renderer: Renderer, view: View, target: float, tiles: Tiles) -> list[SeenChunk]:
+    """The chunks that a ``view`` reads, those first that most of its pixels do. Raises as ``fold_chunks``."""
+    return look_at(renderer, view, target, tiles)[0]
+
+
+def look_at(renderer: Renderer, view: View, target: float, tiles: Tiles) -> tuple[list[SeenChunk], Frame]:
+    """The same, and a frame that is not drawn, which tells what light the ``view`` lacks."""
+    texels, loader = renderer.texels(view, renderer.gbuffer(view, tiles), tiles), renderer.caches.of("gi")
+    loader.ensure(texels.chunks, tiles.check)
+    with loader.pool.hold(texels.chunks) as held:
+        check = renderer.checks.held(view, target)
+        until = Until(target, check.known.enough if check else FIRST_LEVEL)
+        reading = read_texels(texels, held.slots, loader.pool, until, tiles)
+        versions = list(map(loader.pool.version, held.slots.tolist()))
+    read = texels.places[texels.corners].ravel() >> 3 * texels.lattice.bits
+    order = np.argsort(-np.bincount(read, minlength=len(versions)), kind="stable").tolist()
+    seen = [SeenChunk(texels.chunks[i], versions[i], not reading.short[i]) for i in order]
+    return seen, undrawn_frame(renderer, view, texels, reading)
+
+
+def normals_of(renderer: Renderer, found: ChunkTexels, tiles: Tiles) -> np.ndarray:
+    """The normals that texels of chunks are lit about, (m, 3) float32."""
+    texels = found.texels
+    return own_normals(texels, texels.places, renderer.known_normals, renderer.prepared, tiles)

@@ -1,0 +1,109 @@
+"""The texels of whole chunks that hold something, whichever views they were baked for, and how far they are baked."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from isogi_core.bake.noise import Until
+from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.cache.loader import Loader
+from isogi_core.cache.page_pool import PagePool
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.texel_reading import Reading, read_texels
+from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.view_texels import ViewTexels
+from isogi_core.kernels.shading.filtering import Numbering
+from isogi_core.kernels.shading.lattice import UNLIT
+from isogi_core.prepared.prepared_scene import Index, PreparedScene
+
+
+@dataclass(frozen=True, eq=False)
+class ChunkTexels:
+    """All texels of ``chunks`` that hold light, or are known to have none, and what is read of them.
+
+    ``texels`` are of those chunks alone that have any, in the same order; ``versions`` of all, 8 bytes each: they say
+    how far each chunk is baked.
+    """
+
+    chunks: tuple[Index, ...]
+    versions: tuple[bytes, ...]
+    texels: ViewTexels
+    reading: Reading
+
+
+class Occupied(NamedTuple):
+    """Chunks that have any texels, their ``slots`` in a pool, and which texels are ``there``, (chunks, texels) bool."""
+
+    chunks: tuple[Index, ...]
+    slots: np.ndarray
+    there: np.ndarray
+
+
+@contextmanager
+def hold_texels(
+    loader: Loader, chunks: Sequence[Index], target: float, tiles: Tiles
+) -> Iterator[tuple[ChunkTexels, PagePool]]:
+    """The texels of ``chunks``, in the pool that holds them while the block runs; final at the ``target`` error.
+
+    Raises what ``Loader.ensure`` does.
+    """
+    loader.ensure(chunks, tiles.check)
+    pool, prepared = loader.pool, loader.chunk_store.spec.prepared
+    with pool.hold(chunks) as held:
+        versions = tuple(map(pool.version, held.slots.tolist()))
+        occupied = find_occupied(pool, tuple(chunks), held.slots)
+        texels = number_texels(occupied, prepared)
+        yield (
+            ChunkTexels(
+                tuple(chunks),
+                versions,
+                texels,
+                read_texels(texels, occupied.slots, pool, Until(target, FIRST_LEVEL), tiles),
+            ),
+            pool,
+        )
+
+
+def find_occupied(pool: PagePool, chunks: tuple[Index, ...], slots: np.ndarray) -> Occupied:
+    """Which ``chunks`` in ``slots`` of a pool, -1 where absent, hold any texels, and which."""
+    there = np.where(slots[:, None] >= 0, pool.table[slots] != UNLIT, False)
+    some = np.flatnonzero(there.any(axis=1))
+    return Occupied(tuple(chunks[i] for i in some.tolist()), slots[some], there[some])
+
+
+def number_texels(occupied: Occupied, prepared: PreparedScene) -> ViewTexels:
+    """The texels that are there, numbered as a view that shows no point of the surface would number them."""
+    lattice, (chunks, _, there) = prepared.lattice, occupied
+    read = words_of(there.reshape(-1, lattice.chunk))
+    first = np.zeros(len(read) + 1, np.uint32)
+    np.cumsum(np.bitwise_count(read), out=first[1:])
+    slots = np.full(prepared.chunks, -1, np.int32)
+    slots[tuple(np.array(chunks, np.int64).reshape(-1, 3).T)] = np.arange(len(chunks))
+    places, bounds = np.flatnonzero(there).astype(np.uint32), first[:: lattice.rows].copy()
+    corners, nowhere = np.empty((0, 8), np.uint32), np.empty((0, 3), np.float32)
+    points = GBuffer.of_points(prepared.surface(prepared.scene.isovalue), (0.0, 0.0, 0.0), nowhere)
+    return ViewTexels(points, lattice, chunks, places, bounds, corners, Numbering(slots, read, first))
+
+
+def words_of(rows: np.ndarray) -> np.ndarray:
+    """Rows (m, n) bool of at most 32 as the bits of words, the first one lowest; (m,) uint32."""
+    bits = np.packbits(rows, axis=1, bitorder="little")
+    return np.pad(bits, ((0, 0), (0, 4 - bits.shape[1]))).view("<u4")[:, 0].astype(np.uint32)
+
+
+def with_neighbours(chunks: Sequence[Index], prepared: PreparedScene) -> tuple[Index, ...]:
+    """The ``chunks``, in their order, and after them all others that touch one of them."""
+    found = dict.fromkeys(chunks)
+    for z, y, x in chunks:
+        around = ((z + k, y + j, x + i) for k, j, i in product((-1, 0, 1), repeat=3))
+        found.update(dict.fromkeys(each for each in around if is_inside(each, prepared.chunks)))
+    return tuple(found)
+
+
+def is_inside(index: Index, shape: tuple[int, int, int]) -> bool:
+    """Whether there is a chunk of this ``index`` in a lattice of so many chunks."""
+    return all(0 <= i < n for i, n in zip(index, shape, strict=True))

@@ -1,0 +1,54 @@
+"""What keeps a visitor's graphics card from drawing a view, so that the server draws it."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from isogi_core.model.view import View
+from isogi_core.plan.scene import Scene
+
+BYTES = 64 << 20
+"""Bytes of voxels that are sent at most: small cards have room for them, and networks bring them in some seconds."""
+
+SHADINGS = ("gi", "lambert")
+"""Shadings that a card draws."""
+
+
+class Obstacle(NamedTuple):
+    """One thing that a card does not draw: its ``name``, and ``why`` in a sentence."""
+
+    name: str
+    why: str
+
+
+Test = Callable[[Scene, View], bool]
+TESTS: tuple[tuple[Obstacle, Test], ...] = (
+    (Obstacle("rooms", "Walls are lit by paths of the server."), lambda scene, _: scene.room.any),
+    (Obstacle("glass", "Rays through glass are followed by the server."), lambda scene, _: scene.material.refracts),
+    (
+        Obstacle("subsurface", "Light from inside the surface is mixed by the server."),
+        lambda scene, _: scene.material.scatters,
+    ),
+    (Obstacle("several surfaces", "Several surfaces are composed by the server."), lambda scene, _: scene.several),
+    (
+        Obstacle("shine", "Rays of shine are cast by the server."),
+        lambda scene, view: scene.shine_for(view.shine) is not None,
+    ),
+    (Obstacle("glow", "What glows is gathered by the server."), lambda scene, _: scene.glowing.any),
+    (Obstacle("colours", "Colours by data are found by the server."), lambda scene, _: scene.colours is not None),
+    (Obstacle("window", "Faces of a window are painted by the server."), lambda _, view: view.window is not None),
+    (
+        Obstacle("shading", "This shading is drawn by the server: a card draws gi and lambert."),
+        lambda _, view: view.shading not in SHADINGS,
+    ),
+)
+
+LARGE = Obstacle("volume too large", f"The volume takes more than {BYTES >> 20} MB: the server draws it.")
+
+
+def find_obstacles(scene: Scene, view: View, nbytes: int) -> list[Obstacle]:
+    """What keeps a card from drawing a ``view`` of a ``scene`` whose voxels take so many bytes; nothing where it can.
+
+    ViewError where views of the scene may not ask for the view's shine.
+    """
+    found = [obstacle for obstacle, meets in TESTS if meets(scene, view)]
+    return found + ([LARGE] if nbytes > BYTES else [])

@@ -1,0 +1,164 @@
+"""What a page needs to draw by itself, on its visitor's graphics card: the scene, voxels, and light of chunks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from fastapi import APIRouter, Request, Response
+
+from isogi_core.frame.card.chunk_light import Packed, SeenChunk, fold_chunks, look_at, transfer_chunks
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.renderer import Renderer
+from isogi_core.plan.scene import Scene
+from server.api.binary import BINARY, binary_answer
+from server.api.headers import matches, tag_of
+from server.api.service import SceneDep, Service, ServiceDep
+from server.card_answers import card_schema, chunk_list, voxel_version
+from server.card_parameters import (
+    ChunkName,
+    FoldParams,
+    FoldParamsDep,
+    TransferParams,
+    TransferParamsDep,
+    VoxelParams,
+    VoxelParamsDep,
+    chunk_names,
+    layers_of,
+)
+from server.card_schemas import CardChunks, CardSchema
+from server.errors import ForbiddenError, ParameterError
+from server.parameters import VariantParams, ViewParams, ViewParamsDep, documented
+from server.problems import documented_problems
+from server.render.updates import request_viewer
+
+router = APIRouter(prefix="/v1/scenes/{scene}/card", tags=["card"])
+PROBLEMS = documented_problems(403, 404, 422, 429, 503)
+DOCUMENT: dict[int | str, dict[str, Any]] = {
+    200: {"model": CardSchema},
+    304: {"description": "The document is the one that If-None-Match names."},
+}
+PARTS = BINARY | PROBLEMS
+KEPT = "This server hands out no voxels, and no light of chunks: ask for pictures, or have hand_out_voxels set."
+
+
+@router.get("", response_class=Response, openapi_extra=documented(ViewParams), responses=DOCUMENT | PROBLEMS)
+async def read_card(request: Request, scene: SceneDep, params: ViewParamsDep, service: ServiceDep) -> Response:
+    """Whether a page may draw a view by itself, and all that this takes besides voxels and texels.
+
+    Nothing in it changes with the light's turn, but ``lambert``; nor with the camera.
+    """
+    lit = await service.variant(scene, params)
+    picture = service.picture_of(lit, params)
+    query = [pair for pair in request.query_params.multi_items() if pair[0] in VariantParams.model_fields]
+
+    def work() -> CardSchema:
+        return card_schema(service.engine.renderer(lit.id), picture.view, query, service.settings.hands_out_voxels)
+
+    document = await service.compute(request, work)
+    tag = tag_of(document.model_dump_json())
+    headers = {"ETag": tag, "Cache-Control": "no-cache"}
+    if matches(request.headers.get("if-none-match"), tag):
+        return Response(status_code=304, headers=headers)
+    named = document.model_copy(update={"version": tag.strip('"')})
+    return Response(named.model_dump_json(), 200, headers, "application/json")
+
+
+@router.get("/volume/{layers}", response_class=Response, openapi_extra=documented(VoxelParams), responses=PARTS)
+async def read_voxels(
+    request: Request, scene: SceneDep, layers: str, params: VoxelParamsDep, service: ServiceDep
+) -> Response:
+    """Codes of voxels in some layers along z, x fastest; the document says what they stand for."""
+    shown = await open_scene(service, scene, params)
+
+    def work() -> Response:
+        prepared = service.engine.renderer(shown.id).prepared
+        codes = prepared.voxel_codes
+        first, last = layers_of(layers, codes.shape[0], max(b - a for a, b in codes.slabs))
+        body = codes.code(shown.volume.voxels[first:last]).tobytes()
+        return binary_answer(request, body, params.version == voxel_version(shown))
+
+    return await service.compute(request, work)
+
+
+@router.get("/chunks", openapi_extra=documented(ViewParams), responses=PROBLEMS)
+async def read_chunks(
+    request: Request, response: Response, scene: SceneDep, params: ViewParamsDep, service: ServiceDep
+) -> CardChunks:
+    """The chunks of texels that a view reads, most visible first; the light that it lacks is requested.
+
+    Nothing is drawn: the size of the picture is how finely the view is looked at.
+    """
+    if "wait_ms" in params.model_fields_set:
+        raise ParameterError("wait_ms is for pictures, a list comes at once: leave it out.", "wait_ms")
+    lit = await service.variant(scene, params)
+    picture, viewer = service.picture_of(lit, params), request_viewer(request)
+    response.headers["Cache-Control"] = "no-cache"
+    if picture.view.shading != "gi" or not service.startup.lit.is_set():
+        return CardChunks(chunks=[], coming=0)
+
+    def work() -> tuple[list[SeenChunk], Frame]:
+        renderer = service.engine.renderer(lit.id)
+        renderer.prepared.scene.require_texels()
+        return look_at(renderer, picture.view, picture.target, renderer.tiles)
+
+    seen, frame = await service.compute(request, work)
+    coming = await service.request_light(picture, frame, viewer)
+    return CardChunks(chunks=chunk_list(seen), coming=len(coming))
+
+
+@router.get("/light/{chunks}", response_class=Response, openapi_extra=documented(FoldParams), responses=PARTS)
+async def read_light(
+    request: Request, scene: SceneDep, chunks: str, params: FoldParamsDep, service: ServiceDep
+) -> Response:
+    """Records of the texels of some chunks under the light of the request, filtered where they are noisy."""
+    lit = await open_scene(service, scene, params)
+    picture = service.picture_of(lit, params.view)
+
+    def pack(renderer: Renderer, named: list[ChunkName], target: float) -> Packed:
+        return fold_chunks(renderer, picture.view, [each.at for each in named], target, renderer.tiles)
+
+    return await packed(request, service, lit, chunks, params, pack)
+
+
+@router.get("/transfer/{chunks}", response_class=Response, openapi_extra=documented(TransferParams), responses=PARTS)
+async def read_transfer(
+    request: Request, scene: SceneDep, chunks: str, params: TransferParamsDep, service: ServiceDep
+) -> Response:
+    """What the texels of some chunks keep, for a page that turns the light by itself."""
+    lit = await open_scene(service, scene, params)
+
+    def pack(renderer: Renderer, named: list[ChunkName], target: float) -> Packed:
+        return transfer_chunks(renderer, [each.at for each in named], target, renderer.tiles)
+
+    return await packed(request, service, lit, chunks, params, pack)
+
+
+async def open_scene(service: Service, scene: Scene, params: VariantParams) -> Scene:
+    """The scene that is asked for, once the engine is up. Raises ForbiddenError where voxels are kept, and as
+    ``Service.variant``.
+    """
+    if not service.settings.hands_out_voxels:
+        raise ForbiddenError(KEPT)
+    service.startup.check()
+    return await service.variant(scene, params)
+
+
+Pack = Callable[[Renderer, list[ChunkName], float], Packed]
+
+
+async def packed(
+    request: Request, service: Service, scene: Scene, chunks: str, params: TransferParams, pack: Pack
+) -> Response:
+    """The blocks of the named chunks; to be kept for ever where their versions are named, and stand for them alone."""
+    await service.startup.lit.wait()
+
+    def work() -> Response:
+        renderer = service.engine.renderer(scene.id)
+        renderer.prepared.scene.require_texels()
+        named = chunk_names(chunks, renderer.prepared.chunks)
+        found = pack(renderer, named, params.max_error or scene.target_error)
+        current = tuple(each.version for each in named) == found.versions
+        return binary_answer(request, b"".join(found.blocks), current and found.alone)
+
+    return await service.compute(request, work)

@@ -1,0 +1,302 @@
+"""What a page draws from by itself, over a real socket: the document, voxels, and light of chunks."""
+
+import asyncio
+import gzip
+import io
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from websockets.asyncio.client import connect
+
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
+from server.api.app import create_app
+from server.settings import Settings
+from tests.card_twin import Twin, blocks_in, voxels_of
+from tests.live import live, serving
+from tests.server.inline import EngineWithoutWorkers
+
+CARD = "/v1/scenes/card/card"
+VIEW: dict[str, Any] = {"width": 56, "height": 50, "azimuth": 40, "max_error": 0.5}
+FOR_EVER = "max-age=31536000, immutable"
+ZERO = "0" * 16
+
+
+@pytest.fixture(scope="module")
+def scene_file(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small scene without lobes, so that its frames show nothing but light of texels."""
+    folder = tmp_path_factory.mktemp("card")
+    (folder / "small.nrrd").write_bytes((small_scene.parent / "small.nrrd").read_bytes())
+    text = small_scene.read_text().replace("bounces = 1", "bounces = 1\nlobes = 0\nprojected = false")
+    (folder / "card.toml").write_text(text)
+    return folder / "card.toml"
+
+
+@pytest.fixture(scope="module")
+def client(scene_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
+    """A client of a server whose first view is baked."""
+    with serving(scene_file, tmp_path_factory.mktemp("store")) as url, httpx.Client(base_url=url, timeout=300) as found:
+        while found.get("/v1/scenes/card/frame", params={**VIEW, "wait_ms": 5000}).headers["isogi-provisional"] != "?0":
+            pass
+        yield found
+
+
+@pytest.fixture(scope="module")
+def scene(scene_file: Path) -> Scene:
+    return load_scene(scene_file)
+
+
+def document(client: httpx.Client, **more: Any) -> dict[str, Any]:
+    answer = client.get(CARD, params={**VIEW, **more})
+    assert answer.status_code == 200, answer.text
+    found: dict[str, Any] = answer.json()
+    return found
+
+
+def voxels(client: httpx.Client, facts: dict[str, Any]) -> bytes:
+    """The codes of all slabs, by the addresses in the document."""
+    return b"".join(client.get(f"/v1/scenes/card/{slab['href']}").content for slab in facts["volume"]["slabs"])
+
+
+def chunks(client: httpx.Client, **more: Any) -> list[dict[str, Any]]:
+    answer = client.get(f"{CARD}/chunks", params={**VIEW, **more})
+    assert answer.status_code == 200, answer.text
+    found: list[dict[str, Any]] = answer.json()["chunks"]
+    return found
+
+
+def gradient(values: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """The gradient of the tricubic B-spline through voxels at points (m, 3), x first, by its 64 weights."""
+    last = np.array(values.shape[::-1]) - 1
+    base = np.clip(np.floor(points), 0, last - 1).astype(int)
+    f = points - base
+    weight = np.array([(1 - f) ** 3, 4 - 6 * f**2 + 3 * f**3, 4 - 6 * (1 - f) ** 2 + 3 * (1 - f) ** 3, f**3]) / 6
+    slope = np.array([-0.5 * (1 - f) ** 2, 1.5 * f**2 - 2 * f, -1.5 * (1 - f) ** 2 + 2 * (1 - f), 0.5 * f**2])
+    found = np.zeros_like(points)
+    for k, j, i in np.ndindex(4, 4, 4):
+        x, y, z = np.clip(base + np.array([i, j, k]) - 1, 0, last).T
+        w, s = [weight[n][:, a] for a, n in enumerate((i, j, k))], [slope[n][:, a] for a, n in enumerate((i, j, k))]
+        value = values[z, y, x]
+        found += value[:, None] * np.stack([s[0] * w[1] * w[2], w[0] * s[1] * w[2], w[0] * w[1] * s[2]], axis=1)
+    return found
+
+
+@pytest.mark.parametrize("what", ["light", "transfer"])
+@pytest.mark.parametrize("turn", [{}, {"yaw": 70, "pitch": -20}], ids=["as it is", "turned"])
+def test_a_twin_draws_the_frame_of_the_answers_alone(client: httpx.Client, what: str, turn: dict[str, int]) -> None:
+    facts = document(client)["scene"]
+    query = turn if what == "light" else {}
+    named = ",".join(f"{each['at']}-{each['version']}" for each in chunks(client))
+    twin = Twin(facts, matrix_of(turn))
+    twin.take(client.get(f"/v1/scenes/card/{facts['links'][what]}{named}", params={**query, "max_error": 0.5}).content)
+    planes = np.load(io.BytesIO(client.get("/v1/scenes/card/frame", params={**VIEW, **turn, "f": "npy"}).content))
+    on = planes[..., 3] > 0
+    points = planes[on][:, 6:9].astype(float) / facts["grid"]["spacing"]
+    normals = -gradient(voxels_of(facts, voxels(client, facts)), points) / facts["grid"]["spacing"]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    found = np.array([twin.shade(p, n) for p, n in zip(points, normals, strict=True)])
+    apart = np.abs(twin.develop(found) - twin.develop(planes[on][:, :3].astype(float))).max(axis=1)
+    assert len(apart) > 200 and apart.max() <= 2
+
+
+def matrix_of(turn: dict[str, int]) -> np.ndarray:
+    """The rotation by yaw about z, then pitch about y."""
+    (cy, sy), (cp, sp) = ((np.cos(a), np.sin(a)) for a in np.radians([turn.get("yaw", 0), turn.get("pitch", 0)]))
+    yaw = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return np.asarray(yaw @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]]))
+
+
+def test_the_document_tells_the_scenes_own_numbers(client: httpx.Client, scene: Scene) -> None:
+    found = document(client)
+    assert (found["drawable"], found["because"], found["reason"], found["format"]) == (True, [], "", 1)
+    facts, volume = found["scene"], scene.volume
+    assert facts["grid"]["size"] == [24, 20, 16] and facts["grid"]["spacing"] == list(volume.spacing)
+    assert facts["lattice"]["size"] == list(scene.lattice_shape[::-1]) and facts["lattice"]["chunk"] == scene.chunk
+    assert (facts["exposure"], facts["target"]) == (scene.default_exposure, scene.target_error)
+    assert facts["isovalues"] == list(scene.isovalues)
+    level = np.float32((0.5 - facts["values"]["offset"]) / facts["values"]["scale"])
+    assert level == np.float32(float(volume.normalise_isovalue(0.5)))
+    assert [layer["kind"] for layer in facts["plan"]["layers"]] == [layer.kind for layer in scene.plan.layers]
+    assert facts["plan"]["columns"] == sum(term["order"] ** 2 for term in facts["light"]["terms"])
+    assert facts["light"]["lobes"] == [] and len(facts["light"]["sky"][0]) == 9
+
+
+def test_the_light_of_the_document_does_not_turn(client: httpx.Client) -> None:
+    one, other = document(client), document(client, yaw=90, azimuth=10, isovalue=0.6)
+    assert one["scene"]["light"] == other["scene"]["light"]
+    assert one["scene"]["lambert"] != other["scene"]["lambert"]
+    assert one["version"] != other["version"]
+    assert document(client, environment="studio")["scene"]["light"] != one["scene"]["light"]
+
+
+def test_the_document_is_not_sent_again(client: httpx.Client) -> None:
+    answer = client.get(CARD)
+    tag = answer.headers["etag"]
+    assert tag.strip('"') == answer.json()["version"] and answer.headers["cache-control"] == "no-cache"
+    assert client.get(CARD, headers={"If-None-Match": tag}).status_code == 304
+    assert client.get(CARD, params={"yaw": 90}, headers={"If-None-Match": tag}).status_code == 200
+
+
+def test_voxels_are_those_of_the_kernels(client: httpx.Client, scene: Scene) -> None:
+    facts = document(client)["scene"]
+    data = voxels(client, facts)
+    assert len(data) == facts["volume"]["bytes"] and facts["volume"]["type"] == "float32"
+    assert np.array_equal(voxels_of(facts, data).astype(np.float32), scene.volume.voxels)
+    part = client.get(f"{CARD}/volume/3-5").content
+    assert part == scene.volume.voxels[3:5].astype("<f4").tobytes()
+
+
+def test_voxels_of_a_cut_are_its_own(client: httpx.Client) -> None:
+    whole, cut = document(client)["scene"], document(client, cut="x>12")["scene"]
+    assert cut["volume"]["slabs"][0]["href"] != whole["volume"]["slabs"][0]["href"]
+    assert voxels(client, cut) != voxels(client, whole)
+
+
+@pytest.mark.parametrize("what", ["volume", "light", "transfer"])
+def test_bytes_at_a_versions_address_are_kept_for_ever(client: httpx.Client, what: str) -> None:
+    facts = document(client)["scene"]
+    first = chunks(client)[0]
+    if what == "volume":
+        named, other = facts["volume"]["slabs"][0]["href"], f"card/volume/0-4?version={'0' * 32}"
+    else:
+        named, other = (f"card/{what}/{first['at']}-{version}?max_error=0.5" for version in (first["version"], ZERO))
+    assert client.get(f"/v1/scenes/card/{named}").headers["cache-control"] == FOR_EVER
+    assert client.get(f"/v1/scenes/card/{other}").headers["cache-control"] == "no-cache"
+    plain = other.partition("-0" if what != "volume" else "?")[0]
+    assert client.get(f"/v1/scenes/card/{plain}").headers["cache-control"] == "no-cache"
+
+
+@pytest.mark.parametrize("what", ["volume/0-16", "light/0.0.0", "transfer/0.0.0"])
+def test_bytes_are_compressed_and_not_sent_again(client: httpx.Client, what: str) -> None:
+    packed = client.get(f"{CARD}/{what}", headers={"Accept-Encoding": "gzip"})
+    plain = client.get(f"{CARD}/{what}", headers={"Accept-Encoding": "gzip;q=0"})
+    assert packed.headers["content-encoding"] == "gzip" and "content-encoding" not in plain.headers
+    assert int(packed.headers["content-length"]) < len(plain.content)
+    assert packed.content == plain.content and gzip.decompress(gzip.compress(plain.content)) == plain.content
+    assert packed.headers["etag"] != plain.headers["etag"] and plain.headers["vary"] == "Accept-Encoding"
+    for answer, encoding in ((packed, "gzip"), (plain, "identity")):
+        headers = {"Accept-Encoding": encoding, "If-None-Match": answer.headers["etag"]}
+        again = client.get(f"{CARD}/{what}", headers=headers)
+        assert (again.status_code, again.content) == (304, b"")
+
+
+def test_several_chunks_come_in_the_order_asked_for(client: httpx.Client) -> None:
+    names = [each["at"] for each in chunks(client)]
+    both = client.get(f"{CARD}/light/{','.join(reversed(names))}").content
+    assert [".".join(map(str, each.at)) for each in blocks_in(both)] == names[::-1]
+    assert both == b"".join(client.get(f"{CARD}/light/{name}").content for name in reversed(names))
+
+
+def test_records_and_transfer_have_the_same_order(client: httpx.Client) -> None:
+    facts, first = document(client)["scene"], chunks(client)[0]["at"]
+    folded, raw = (client.get(f"{CARD}/{what}/{first}").content for what in ("light", "transfer"))
+    (one,), (other,) = blocks_in(folded), blocks_in(raw, facts["plan"]["channels"] * facts["plan"]["columns"])
+    assert (one.masks, one.version, one.at) == (other.masks, other.version, other.at)
+    assert np.array_equal(one.words, other.words) and (one.kind, other.kind) == (0, 1)
+    assert len(one.words) > 10
+
+
+def test_a_view_that_was_not_baked_has_its_light_requested(client: httpx.Client) -> None:
+    view = {"isovalue": 0.31, "azimuth": 200}
+    before = chunks(client, **view)
+    assert not all(each["final"] for each in before)
+    for _ in range(60):
+        now = chunks(client, **view)
+        if all(each["final"] for each in now):
+            break
+        time.sleep(0.5)
+    assert all(each["final"] for each in now) and {each["at"] for each in now} == {each["at"] for each in before}
+    versions = {each["at"]: each["version"] for each in before}
+    assert any(each["version"] != versions[each["at"]] for each in now)
+
+
+@pytest.mark.parametrize(
+    ("path", "status", "words"),
+    [
+        ("light/9.0.0", 404, "There is no chunk 9.0.0"),
+        ("transfer/0.0.9", 404, "There is no chunk 0.0.9"),
+        ("light/0.0", 422, "names no chunk"),
+        ("light/0.0.0-12", 422, "names no chunk"),
+        ("light/" + ",".join(["0.0.0"] * 65), 422, "ask for 64 at most"),
+        ("volume/0-17", 404, "There are no layers '0-17'"),
+        ("volume/4-4", 404, "There are no layers"),
+        ("volume/all", 404, "There are no layers 'all'"),
+        ("volume/0-4?azimuth=3", 422, "no parameter 'azimuth'"),
+        ("transfer/0.0.0?yaw=3", 422, "no parameter 'yaw'"),
+        ("light/0.0.0?yaw=3&light=1,0,0,0", 422, "given twice"),
+        ("chunks?isovalue=7", 422, "isovalue"),
+        ("chunks?wait_ms=7", 422, "a list comes at once"),
+    ],
+)
+def test_what_is_not_there_is_refused_in_a_sentence(client: httpx.Client, path: str, status: int, words: str) -> None:
+    answer = client.get(f"{CARD}/{path}")
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json" and words in answer.json()["detail"]
+
+
+def test_an_unknown_scene_has_no_card(client: httpx.Client) -> None:
+    for path in ("card", "card/chunks", "card/volume/0-1", "card/light/0.0.0", "card/transfer/0.0.0"):
+        assert client.get(f"/v1/scenes/none/{path}").status_code == 404
+
+
+def test_a_stream_names_the_chunks_of_a_view_at_rest(client: httpx.Client) -> None:
+    async def heard(**more: Any) -> dict[str, Any]:
+        address = str(client.base_url).replace("http", "ws").rstrip("/") + "/v1/scenes/card/stream"
+        async with connect(address, max_size=None) as socket:
+            await socket.send(json.dumps({"id": 1, "view": VIEW, **more}))
+            found: dict[str, Any] = json.loads(await socket.recv())
+            return found
+
+    assert asyncio.run(heard(chunks=True))["chunks"] == chunks(client)
+    assert "chunks" not in asyncio.run(heard())
+    assert "chunks" not in asyncio.run(heard(chunks=True, moving=True))
+
+
+def test_a_stream_sends_no_pictures_that_nobody_wants(client: httpx.Client) -> None:
+    async def heard() -> list[dict[str, Any]]:
+        address = str(client.base_url).replace("http", "ws").rstrip("/") + "/v1/scenes/card/stream"
+        async with connect(address, max_size=None) as socket:
+            for number in (1, 2, 3):
+                view = {**VIEW, "azimuth": 40 + number}
+                await socket.send(json.dumps({"id": number, "view": view, "moving": True, "pictures": False}))
+                with pytest.raises(TimeoutError):
+                    await asyncio.wait_for(socket.recv(), 0.5)
+            await socket.send(json.dumps({"id": 4, "view": VIEW}))
+            return [json.loads(await socket.recv())]
+
+    assert [each["id"] for each in asyncio.run(heard())] == [4]
+
+
+def test_the_addresses_are_documented(client: httpx.Client) -> None:
+    paths = client.get("/openapi.json").json()["paths"]
+    for name in ("", "/chunks", "/volume/{layers}", "/light/{chunks}", "/transfer/{chunks}"):
+        operation = paths[f"/v1/scenes/{{scene}}/card{name}"]["get"]
+        assert operation["summary"] and {"200", "403", "404", "422", "429", "503"} <= set(operation["responses"])
+
+
+@pytest.mark.parametrize(("own", "handed"), [({}, False), ({"hand_out_voxels": True}, True)])
+def test_a_server_with_a_token_keeps_its_voxels(
+    scene_file: Path, tmp_path: Path, own: dict[str, bool], handed: bool
+) -> None:
+    settings = Settings(token="correct horse battery", **own)  # type: ignore[arg-type]
+    app = create_app(EngineWithoutWorkers([load_scene(scene_file)], str(tmp_path)), settings)
+    headers = {"Authorization": "Bearer correct horse battery"}
+    with live(app) as url, httpx.Client(base_url=url, headers=headers, timeout=300) as found:
+        facts = found.get(CARD).json()
+        assert (facts["drawable"], facts["because"]) == ((True, []) if handed else (False, ["voxels kept"]))
+        assert (facts["scene"] is not None) == handed
+        for path in ("volume/0-1", "light/0.0.0", "transfer/0.0.0"):
+            answer = found.get(f"{CARD}/{path}")
+            assert answer.status_code == (200 if handed else 403)
+            assert handed or "hand_out_voxels" in answer.json()["detail"]
+
+
+def test_voxels_are_handed_out_unless_it_says_otherwise() -> None:
+    assert Settings().hands_out_voxels
+    assert not Settings(hand_out_voxels=False).hands_out_voxels

@@ -1,0 +1,176 @@
+"""A card's life in a page: what it refuses, how it is lost and comes back, and what it does while it is slow."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser
+
+from isogi_core.frame.card.chunk_light import seen_chunks
+from isogi_core.model.view import View
+from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench
+from tests.loaded import load_scene
+from tests.web.card.conftest import Make
+from tests.web.card.lab import Lab, lab_in
+from tests.web.card.scenes import IDENTITY, TURN, CardScene, difference, plain_light, view_of
+
+SIZE = (48, 48)
+
+
+@pytest.fixture(scope="module")
+def bench(make_bench: Make) -> Workbench:
+    """The orbital under a sky; ``view_at`` is baked."""
+    bench = make_bench(load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=0.3, projected=False))
+    bench.bake(view_at(bench))
+    return bench
+
+
+def view_at(bench: Workbench, **settings: Any) -> View:
+    return bench.view(size=SIZE[0], **settings)
+
+
+REFUSAL = """const { Refusal, openDevice } = await import("/web/card/device.js");
+  try { openDevice(document.createElement("canvas")); }
+  catch (error) { return [error instanceof Refusal, error.message]; }"""
+
+
+def test_a_processor_is_refused_by_its_name(lab: Lab) -> None:
+    refused, reason = lab.ask(REFUSAL)
+    assert refused and "SwiftShader" in reason and reason.endswith("draws.")
+
+
+def test_without_webgl_the_reason_is_a_sentence(browser: Browser) -> None:
+    with lab_in(browser) as lab:
+        lab.ask("HTMLCanvasElement.prototype.getContext = () => null;")
+        refused, reason = lab.ask(REFUSAL)
+        assert refused and reason == "This browser has no WebGL 2: the server draws."
+
+
+def test_a_card_with_small_textures_refuses_a_volume(lab: Lab, bench: Workbench) -> None:
+    scene = CardScene(lab, bench.renderer, view_at(bench), SIZE)
+    longest = max(bench.scene.volume.size)
+    found = lab.ask(
+        """card.device.most3d = given - 1;
+        const { document, volume } = card.drawing;
+        try { await card.load(document, [volume.source.buffer]); } catch (error) { return error.message; }""",
+        longest,
+    )
+    assert str(longest) in found and "server draws" in found
+    assert scene.picture(view_at(bench)).covers.sum() > 100, "the scene before is still drawn"
+
+
+LOSE = """const context = card.device.gl.getExtension("WEBGL_lose_context"), said = [];
+  card.onlost = () => said.push("lost");
+  const restored = new Promise((done) => { card.onrestored = () => { said.push("restored"); done(); }; });
+  const lost = new Promise((done) => card.canvas.addEventListener("webglcontextlost", done));
+  context.loseContext();
+  await lost;
+  said.push(card.draw(given), card.refine());
+  await new Promise((done) => setTimeout(done, 50));
+  context.restoreContext();
+  await restored;
+  return said;"""
+
+
+def test_a_lost_card_comes_back_with_all_it_had(lab: Lab, bench: Workbench) -> None:
+    view = view_at(bench)
+    card = CardScene(lab, bench.renderer, view, SIZE)
+    card.light(view, 0.3, raw=True)
+    before, turned = card.picture(view), card.picture(replace(view, light=TURN))
+    assert lab.ask(LOSE, view_of(view)) == ["lost", False, False, "restored"]
+    after = card.picture(view)
+    assert np.array_equal(after.light, before.light) and np.array_equal(after.covers, before.covers)
+    assert np.array_equal(card.picture(replace(view, light=TURN)).light, turned.light)
+
+
+def test_only_what_lacks_is_asked_for(lab: Lab, bench: Workbench) -> None:
+    view = view_at(bench)
+    card = CardScene(lab, bench.renderer, view, SIZE)
+    seen = seen_chunks(bench.renderer, view, 0.3, bench.renderer.tiles)
+    listed = [{"at": ".".join(map(str, each.at)), "version": each.version.hex()} for each in seen]
+    listed.append({"at": "0.0.0", "version": "0" * 16})
+
+    def lacking(turn: tuple[float, ...] = IDENTITY) -> dict[str, list[str]]:
+        return lab.ask("return card.lacking(given.listed, given.turn);", {"listed": listed, "turn": turn})
+
+    names = [f"{each['at']}-{each['version']}" for each in listed[:-1]]
+    assert lacking() == {"light": names, "transfer": []}
+    card.light(view, 0.3)
+    assert lacking() == {"light": [], "transfer": names}
+    assert lacking(TURN) == {"light": names, "transfer": names}, "what was folded by another light"
+    card.light(view, 0.3, raw=True)
+    assert lacking() == lacking(TURN) == {"light": [], "transfer": []}
+    listed[0]["version"] = "f" * 16
+    assert lacking()["light"] == [f"{listed[0]['at']}-{'f' * 16}"], "what has grown"
+
+
+def test_an_isovalue_slides_without_new_data(lab: Lab, bench: Workbench) -> None:
+    view = view_at(bench, shading="lambert")
+    card = CardScene(lab, bench.renderer, view, SIZE)
+    low, high = bench.scene.isovalues
+    for share in (0.2, 0.3, 0.15):
+        shown = replace(view, isovalue=low + share * (high - low))
+        frame = bench.renderer.render(shown)
+        found = difference(card.picture(shown), frame.radiance, frame.state > 0)
+        assert found.surface > 50 and found.within > 0.998, (share, found)
+
+
+def test_a_slow_card_draws_fewer_pixels(lab: Lab, bench: Workbench) -> None:
+    view = view_at(bench)
+    CardScene(lab, bench.renderer, view, SIZE)
+    script = """let time = 0;
+      card.pace.now = () => time;
+      const widths = [];
+      for (let i = 0; i < 6; i++) {
+        while (!card.draw(given.view)) { time += given.ms; await new Promise((done) => setTimeout(done, 5)); }
+        widths.push(card.last.size[0]);
+        time += given.ms;
+      }
+      card.refine();
+      return [...widths, card.last.size[0]];"""
+    slow = lab.ask(script, {"view": view_of(view), "ms": 400})
+    assert slow[0] == SIZE[0] and min(slow[:-1]) < 0.5 * SIZE[0]
+    assert slow == [*sorted(slow[:-1], reverse=True), slow[-1]]
+
+
+def test_a_still_view_is_drawn_in_all_pixels(lab: Lab, bench: Workbench) -> None:
+    view = view_at(bench)
+    card = CardScene(lab, bench.renderer, view, SIZE)
+    card.light(view, 0.3)
+    whole = card.picture(view, rest=True)
+    script = """const pause = () => new Promise((done) => setTimeout(done, 5));
+      while (card.pace.busy) await pause();
+      card.pace.share = 0.4;
+      card.draw(given);
+      const size = card.last.size;
+      while (card.refine()) await pause();
+      return [size, card.last.size, card.last.samples, card.refine()];"""
+    small, large, samples, more = lab.ask(script, view_of(view))
+    assert (small, large, more) == ([19, 19], list(SIZE), False) and samples == 17
+    again = lab.floats(
+        "return bench.packed(bench.readFloats(card.device.gl, card.drawing.picture.targets[1], 48, 48));"
+    )
+    np.testing.assert_array_equal(again.reshape(48, 48, 4)[..., :3], whole.light)
+
+
+def test_the_screen_shows_what_isogi_develops(lab: Lab, make_bench: Make) -> None:
+    """Exposure, tone curve, sRGB and ground, on the canvas itself."""
+    from isogi_core.frame.film import develop, ground_of
+
+    bench = make_bench(load_scene("demo:orbital", lights=[CONSTANT], bounces=1, target_error=LOOSE, projected=False))
+    view = view_at(bench)
+    frame = bench.bake(view)
+    card = CardScene(lab, bench.renderer, view, SIZE)
+    card.light(view, LOOSE)
+    for exposure, ground in ((1.0, "dark"), (2.5, "light")):
+        card.picture(view, exposure=exposure, ground=ground_of(ground))
+        script = """card.drawing.show(card.last.view, card.last.size);
+          const { gl } = card.device, found = new Uint8Array(4 * 48 * 48), rows = new Float32Array(found.length);
+          gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+          gl.readPixels(0, 0, 48, 48, gl.RGBA, gl.UNSIGNED_BYTE, found);
+          for (let y = 0; y < 48; y++) rows.set(found.subarray(192 * y, 192 * (y + 1)), 192 * (47 - y));
+          return bench.packed(rows);"""
+        shown = lab.floats(script).reshape(48, 48, 4)[..., :3]
+        plain = replace(frame, radiance=plain_light(bench.renderer, view, LOOSE)[0], edges=None)
+        assert np.abs(shown - develop(plain, exposure, background=ground)).max() <= 2

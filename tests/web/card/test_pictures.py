@@ -1,0 +1,226 @@
+"""Pictures that a page's card draws beside isogi's, before pixels get light of their own."""
+
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isogi_core.model.view import View, orthographic
+from isogi_core.model.volume import make_volume
+from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, scene_of
+from tests.loaded import load_scene
+from tests.web.card.conftest import Make
+from tests.web.card.lab import Lab
+from tests.web.card.scenes import (
+    TURN,
+    CardScene,
+    Difference,
+    Shown,
+    developed,
+    difference,
+    light_of,
+    orthographic_camera,
+    plain_light,
+)
+
+SIZE = (72, 56)
+WITHIN, RMSE = 0.999, 0.002
+
+
+def view_at(bench: Workbench, **settings: Any) -> View:
+    """A view of the bench's scene in a picture that is wider than it is high."""
+    return replace(bench.view(**settings), width=SIZE[0], height=SIZE[1])
+
+
+def assert_same(found: Difference) -> None:
+    """A card's picture is isogi's, but for rounding."""
+    assert found.surface > 500
+    assert found.within >= WITHIN and found.rmse <= RMSE, found
+
+
+def lit_bench(make_bench: Make, demo: str = "orbital", **settings: Any) -> Workbench:
+    """A scene whose ``view_at`` is baked."""
+    bench = make_bench(
+        load_scene(f"demo:{demo}", **{"bounces": 2, "target_error": LOOSE, "projected": False, **settings})
+    )
+    bench.bake(view_at(bench))
+    return bench
+
+
+@pytest.mark.parametrize("demo", ["orbital", "casting"])
+def test_the_local_model_is_isogis(lab: Lab, make_bench: Make, demo: str) -> None:
+    bench = make_bench(load_scene(f"demo:{demo}", lights=[SKY], target_error=LOOSE))
+    view = view_at(bench, shading="lambert")
+    frame = bench.renderer.render(view)
+    card = CardScene(lab, bench.renderer, view, SIZE)
+    assert_same(difference(card.picture(view), frame.radiance, frame.state > 0))
+
+
+KINDS = {
+    "uint16": (np.uint16, 1000.0, (1.0, 1.0, 1.0)),
+    "float32": (np.float32, 1e-3, (0.5, 1.0, 2.0)),
+    "uint8": (np.uint8, 40.0, (1.0, 0.7, 1.0)),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_voxels_of_any_kind_and_spacing_are_drawn(lab: Lab, make_bench: Make, kind: str) -> None:
+    dtype, scale, spacing = KINDS[kind]
+    z, y, x = np.mgrid[:24, :30, :36]
+    field = 3.0 + np.sin(0.4 * x) + np.cos(0.5 * y) * np.sin(0.6 * z) + 0.05 * x
+    scene = scene_of(make_volume((scale * field).astype(dtype), spacing), 3.9 * scale, target_error=LOOSE)
+    bench = make_bench(scene)
+    view = view_at(bench, shading="lambert", azimuth=200.0)
+    frame = bench.renderer.render(view)
+    card = CardScene(lab, bench.renderer, view, SIZE)
+    assert bench.prepared.voxel_codes.kind == kind
+    assert_same(difference(card.picture(view), frame.radiance, frame.state > 0))
+
+
+@pytest.mark.parametrize("solid", ["above", "below"])
+def test_holes_in_the_values_are_no_surface(lab: Lab, make_bench: Make, solid: str) -> None:
+    z, y, x = np.mgrid[:20, :24, :28]
+    field = (8.0 - np.sqrt((x - 13.5) ** 2 + (y - 11.5) ** 2 + (z - 9.5) ** 2)).astype(np.float32)
+    field[6:11, 4:9, 12:20] = np.nan
+    sign = 1.0 if solid == "above" else -1.0
+    scene = scene_of(make_volume(sign * field, (1.0, 1.0, 1.0), solid=solid), 0.0, target_error=LOOSE)
+    bench = make_bench(scene)
+    view = view_at(bench, shading="lambert", azimuth=-60.0)
+    frame = bench.renderer.render(view)
+    card = CardScene(lab, bench.renderer, view, SIZE)
+    assert bench.prepared.voxel_codes.hole is not None
+    found = difference(card.picture(view), frame.radiance, frame.state > 0)
+    assert found.surface > 500 and found.within > 0.99, found
+
+
+SCENES: dict[str, dict[str, Any]] = {
+    "constant": {"lights": [CONSTANT]},
+    "colours": {"lights": [SKY], "albedo": [0.8, 0.6, 0.4]},
+    "irradiance": {"lights": [SKY], "rotating": False},
+    "fine": {"lights": [SKY], "lattice": 1.5, "chunk": 8},
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_light_of_texels_is_isogis(lab: Lab, make_bench: Make, name: str) -> None:
+    bench = lit_bench(make_bench, **SCENES[name])
+    view = view_at(bench)
+    card = CardScene(lab, bench.renderer, view, SIZE)
+    card.light(view, LOOSE)
+    assert_same(difference(card.picture(view), *plain_light(bench.renderer, view, LOOSE)))
+
+
+@pytest.fixture(scope="module")
+def under_sky(make_bench: Make) -> Workbench:
+    """The orbital under a sky, baked."""
+    return lit_bench(make_bench, **SCENES["colours"])
+
+
+def test_a_turned_light_is_folded_on_the_card(lab: Lab, under_sky: Workbench) -> None:
+    view = view_at(under_sky)
+    card = CardScene(lab, under_sky.renderer, view, SIZE)
+    card.light(view, LOOSE, raw=True)
+    turned = replace(view, light=TURN)
+    light, on = plain_light(under_sky.renderer, turned, LOOSE)
+    assert difference(card.picture(view), light, on).rmse > 0.05, "the light makes a difference"
+    assert_same(difference(card.picture(turned), light, on))
+    assert_same(difference(card.picture(view), *plain_light(under_sky.renderer, view, LOOSE)))
+
+
+def test_without_transfer_a_turned_light_keeps_its_ratios(lab: Lab, under_sky: Workbench) -> None:
+    view = view_at(under_sky)
+    card = CardScene(lab, under_sky.renderer, view, SIZE)
+    card.light(view, LOOSE)
+    turned = replace(view, light=TURN)
+    light, on = plain_light(under_sky.renderer, turned, LOOSE)
+    near, far = difference(card.picture(turned), light, on), difference(card.picture(view), light, on)
+    assert near.rmse < 0.5 * far.rmse
+
+
+def test_folded_light_of_several_turns_goes_together(lab: Lab, under_sky: Workbench) -> None:
+    """What was folded by another light, of which there is transfer, is folded once more; the rest is as it came."""
+    view = view_at(under_sky)
+    turned = replace(view, light=TURN)
+    card = CardScene(lab, under_sky.renderer, view, SIZE)
+    card.light(view, LOOSE, raw=True)
+    card.light(replace(turned, width=8, height=8), LOOSE)
+    light, on = plain_light(under_sky.renderer, turned, LOOSE)
+    assert_same(difference(card.picture(turned), light, on))
+    keys = lab.ask("return card.drawing.texels.runs.map((run) => run.lightKey);")
+    assert len(set(keys)) == 2
+
+
+def test_parallel_rays_are_isogis(lab: Lab, under_sky: Workbench) -> None:
+    view = view_at(under_sky)
+    flat = replace(view, camera=orthographic(view.camera, under_sky.scene.volume.radius))
+    under_sky.bake(flat)
+    card = CardScene(lab, under_sky.renderer, view, SIZE)
+    card.light(flat, LOOSE)
+    found = card.picture(view, camera=orthographic_camera(view.camera))
+    assert_same(difference(found, *plain_light(under_sky.renderer, flat, LOOSE)))
+
+
+def test_texels_that_lack_show_the_mean_around(lab: Lab, under_sky: Workbench) -> None:
+    """Of a view turned by 7 degrees, with the light of the view before alone."""
+    view = view_at(under_sky)
+    card = CardScene(lab, under_sky.renderer, view, SIZE)
+    card.light(view, LOOSE)
+    other = view_at(under_sky, azimuth=47.0)
+    under_sky.bake(other)
+    found = difference(card.picture(other), *plain_light(under_sky.renderer, other, LOOSE))
+    assert found.rmse < 0.04, found
+    lab.ask("""const { texels } = card.drawing;
+      for (let b = 0; b < texels.table.length; b += 4) if (texels.table[b + 3] > 0) texels.table[b + 2] = 0xffffffff;
+      (await import("/web/card/textures.js")).fillTexture(card.device.gl, texels.bricks, texels.table);""")
+    bare = difference(card.picture(other), *plain_light(under_sky.renderer, other, LOOSE))
+    assert bare.rmse > 1.3 * found.rmse, "unshadowed light in place of the means of bricks"
+
+
+def test_light_that_grows_replaces_what_was_there(lab: Lab, make_bench: Make) -> None:
+    bench = make_bench(load_scene("demo:orbital", lights=[SKY], bounces=2, target_error=0.05, projected=False))
+    view = view_at(bench)
+    bench.bake(view, 0.6)
+    card = CardScene(lab, bench.renderer, view, SIZE)
+    for target in (0.6, 0.3, 0.1):
+        bench.bake(view, target)
+        card.light(view, 0.05)
+    assert_same(difference(card.picture(view), *plain_light(bench.renderer, view, 0.05)))
+
+
+def test_lobes_cast_shadows_while_the_view_moves(lab: Lab, make_bench: Make) -> None:
+    bench = lit_bench(make_bench, "casting", lights=[SKY], target_error=0.05)
+    view = view_at(bench)
+    assert len(light_of(bench.renderer, view).lobes.kinds) > 0
+    card = CardScene(lab, bench.renderer, view, SIZE, lobes=True)
+    card.light(view, LOOSE)
+    light, on = bench.renderer.render(view, LOOSE).radiance, plain_light(bench.renderer, view, LOOSE)[1]
+    found = difference(card.picture(view), light, on)
+    assert found.within >= 0.98 and found.rmse <= 0.02, found
+
+
+def test_samples_at_rest_make_edges_smooth(lab: Lab, under_sky: Workbench) -> None:
+    view = view_at(under_sky)
+    card = CardScene(lab, under_sky.renderer, view, SIZE)
+    card.light(view, LOOSE)
+    first, rest = card.picture(view), card.picture(view, rest=True)
+    assert set(np.unique(first.covers)) == {0.0, 1.0}
+    between = (rest.covers > 0.01) & (rest.covers < 0.99)
+    assert between.sum() > 0.2 * np.sqrt(first.covers.sum())
+    np.testing.assert_allclose(rest.covers.mean(), first.covers.mean(), rtol=0.02)
+    flat = (contrast_of(first) < 10) & (first.covers > 0.5)
+    assert flat.sum() > 50
+    np.testing.assert_allclose(
+        rest.light[flat], first.light[flat], rtol=2e-3, err_msg="what is at no edge stays as it is"
+    )
+
+
+def contrast_of(shown: Shown) -> np.ndarray:
+    """How much pixels differ from those around, of 255 steps; 255 where one of two shows the surface alone."""
+    on = shown.covers > 0.5
+    codes, most = developed(shown.light, on, 1.0), np.zeros(on.shape)
+    for dy, dx in product((-1, 0, 1), repeat=2):
+        beside, there = (np.roll(each, (dy, dx), axis=(0, 1)) for each in (codes, on))
+        most = np.maximum(most, np.where(on != there, 255.0, np.abs(codes - beside).max(axis=2)))
+    return most

@@ -1,0 +1,269 @@
+import assert from "node:assert/strict";
+import { beforeEach, test } from "node:test";
+import { Refusal } from "../../../web/card/device.js";
+import { Live } from "../../../web/live/live.js";
+import { cardView, chunksQuery, documentQuery, lightQuery } from "../../../web/live/view.js";
+import { troubleOf } from "../../../web/net/trouble.js";
+import { SCENE, FakeClock, knobs, settled } from "./fixtures.mjs";
+
+const DOCUMENT = { grounds: { dark: [0, 0, 0], light: [1, 1, 1] }, volume: { slabs: [{ href: "card/volume/0-2" }, { href: "card/volume/2-4" }] } };
+const [A, B] = [knobs({ azimuth: 10 }), knobs({ azimuth: 20 })];
+const LIT = { coverage: { provisional: 0 } };
+
+let clock;
+let card;
+let asked;
+let said;
+let canvas;
+let live;
+
+/** A card that notes what it is told; `busy` of one that still draws. */
+class FakeCard {
+  lost = false;
+  busy = false;
+  left = 2; // samples until the picture at rest is smooth
+  loaded = [];
+  drawn = [];
+  refined = 0;
+  async load(document, slabs) { this.loaded.push([document, slabs]); }
+  lacking() { return { light: [], transfer: [] }; }
+  take() {}
+  draw(view) {
+    if (!this.busy) this.drawn.push(view);
+    return !this.busy;
+  }
+  refine() {
+    this.refined += 1;
+    return this.refined < this.left;
+  }
+}
+
+/** A canvas, as far as it is asked. */
+class FakeCanvas {
+  hidden = true;
+  width = 300;
+  height = 150;
+  #attributes = new Set();
+  hasAttribute = (name) => this.#attributes.has(name);
+  setAttribute = (name) => this.#attributes.add(name);
+  removeAttribute = (name) => this.#attributes.delete(name);
+}
+
+function makeLive({ choice = null, document = { drawable: true, reason: "", scene: DOCUMENT }, open = () => card } = {}) {
+  const source = {
+    document: async (query) => { asked.push(["document", query]); return document; },
+    bytes: async (href) => { asked.push(["bytes", href]); return new ArrayBuffer(4); },
+    chunks: async (query) => { asked.push(["chunks", query]); return []; },
+    blocks: async () => assert.fail("there is no light"),
+  };
+  const hooks = {
+    open,
+    size: () => ({ width: 80, height: 60 }),
+    drawn: () => said.push("drawn"),
+    lost: () => said.push("lost"),
+    refused: (reason) => said.push(reason),
+  };
+  return new Live(canvas, SCENE, source, hooks, choice);
+}
+
+/** What was asked of the server. */
+const kinds = () => asked.map(([kind]) => kind);
+
+/** A page whose card has loaded what view A takes. */
+async function ready(values = {}) {
+  live = makeLive(values);
+  live.rest(A, LIT);
+  await settled();
+  return live;
+}
+
+beforeEach(() => {
+  [clock, card, asked, said, canvas] = [new FakeClock(), new FakeCard(), [], [], new FakeCanvas()];
+  globalThis.requestAnimationFrame = (run) => clock.after(16, run);
+  Object.defineProperty(globalThis, "performance", { value: clock, configurable: true });
+});
+
+test("the server draws until the card has what it takes", async () => {
+  live = makeLive();
+  live.show(A);
+  await clock.pass(100);
+  assert.deepEqual([live.draws(A), asked, canvas.hidden], [false, [], true]);
+  await ready();
+  assert.deepEqual([live.draws(A), live.draws(B), kinds()], [true, true, ["document", "bytes", "bytes", "chunks"]]);
+  assert.deepEqual([card.loaded[0][0], card.loaded[0][1].length], [DOCUMENT, 2]);
+});
+
+test("what moves is drawn once a frame of the screen, the newest view", async () => {
+  await ready();
+  live.move(true);
+  for (let i = 0; i < 10; i++) live.show(knobs({ azimuth: i }));
+  await clock.pass(16);
+  assert.deepEqual([card.drawn.length, canvas.hidden, [canvas.width, canvas.height], said], [1, false, [80, 60], ["drawn"]]);
+  const eye = cardView(SCENE, DOCUMENT, knobs({ azimuth: 9 })).camera.eye;
+  assert.deepEqual(card.drawn[0].camera.eye, eye);
+});
+
+test("a card that is busy draws the newest view a frame later", async () => {
+  await ready();
+  card.busy = true;
+  live.show(A);
+  await clock.pass(48);
+  assert.deepEqual([card.drawn.length, canvas.hidden], [0, true]);
+  card.busy = false;
+  live.show(B);
+  await clock.pass(16);
+  assert.deepEqual([card.drawn.length, canvas.hidden], [1, false]);
+});
+
+test("a view at rest becomes smooth, until it is", async () => {
+  await ready();
+  live.move(true);
+  live.show(A);
+  await clock.pass(100);
+  assert.equal(card.refined, 0);
+  live.move(false);
+  await clock.pass(1000);
+  assert.deepEqual([card.refined, clock.waits], [2, []]);
+});
+
+test("the server's picture is laid open where it is lit all over", async () => {
+  await ready();
+  live.show(B);
+  await clock.pass(16);
+  live.rest(B, { coverage: { provisional: 0.1 } }, []);
+  assert.equal(live.shows, true);
+  live.rest(B, LIT, []);
+  assert.deepEqual([live.shows, canvas.hidden], [false, false]);
+  live.show(A);
+  await clock.pass(16);
+  assert.equal(live.shows, true, "what moves again is there at once");
+});
+
+test("marks that the server draws are shown before all is lit", async () => {
+  await ready();
+  const marked = knobs({ overlay: "error" });
+  live.show(marked);
+  await clock.pass(16);
+  live.rest(marked, { coverage: { provisional: 1 } }, []);
+  assert.equal(live.shows, false);
+});
+
+test("chunks are listed now and then while a view moves", async () => {
+  await ready();
+  asked.length = 0;
+  live.move(true);
+  for (let i = 0; i < 100; i++) {
+    live.show(knobs({ azimuth: i / 10 }));
+    await clock.pass(16);
+  }
+  assert.ok(kinds().length >= 2 && kinds().length <= 4, String(kinds().length));
+  assert.deepEqual([...new Set(kinds())], ["chunks"]);
+});
+
+test("a card that is lost leaves what moves to the server", async () => {
+  await ready();
+  live.show(A);
+  await clock.pass(16);
+  card.lost = true;
+  card.onlost();
+  assert.deepEqual([said.at(-1), canvas.hidden, live.draws(B)], ["lost", true, false]);
+  card.lost = false;
+  card.onrestored();
+  live.show(B);
+  await clock.pass(16);
+  assert.deepEqual([live.draws(B), canvas.hidden], [true, false]);
+});
+
+test("a card that is slow leaves all to the server", async () => {
+  await ready();
+  live.move(true);
+  for (let i = 0; i < 4; i++) {
+    card.busy = true;
+    live.show(knobs({ azimuth: i }));
+    await clock.pass(300);
+    card.busy = false;
+    await clock.pass(16);
+  }
+  assert.deepEqual([live.draws(A), canvas.hidden, said.at(-1)], [false, true, "lost"]);
+});
+
+test("a hand that pauses is no slow card", async () => {
+  await ready();
+  live.move(true);
+  for (let i = 0; i < 9; i++) {
+    live.show(knobs({ azimuth: i }));
+    await clock.pass(400);
+  }
+  assert.equal(live.draws(A), true);
+});
+
+test("another light is drawn by the server, until the card has it", async () => {
+  await ready();
+  const other = { ...A, environment: "studio" };
+  live.show(A);
+  await clock.pass(16);
+  live.show(other);
+  assert.deepEqual([live.draws(other), canvas.hidden], [false, true]);
+  live.rest(other, LIT, []);
+  await settled();
+  assert.deepEqual([live.draws(other), live.draws(A), card.loaded.length], [true, false, 2]);
+});
+
+test("views that a card cannot draw stay with the server", async () => {
+  await ready({ document: { drawable: false, reason: "Walls are lit by the server.", scene: null } });
+  assert.deepEqual([live.draws(A), said], [false, []]);
+  live.rest(knobs({ shading: "phong" }), LIT, []);
+  await settled();
+  assert.deepEqual(kinds(), ["document"], "nor is the server asked for other shadings");
+});
+
+test("why a card does not draw is told to those who want it", async () => {
+  const open = () => { throw new Refusal("This browser draws by its processor."); };
+  await ready({ choice: "card", open });
+  await ready({ open });
+  assert.deepEqual([said, asked], [["This browser draws by its processor."], []]);
+  assert.equal(live.draws(A), false);
+});
+
+test("who asks for the server's pictures gets them", async () => {
+  await ready({ choice: "server", open: () => assert.fail("no card is wanted") });
+  assert.deepEqual([live.draws(A), asked], [false, []]);
+});
+
+test("a server that is away is asked again at the next rest", async () => {
+  let away = true;
+  live = makeLive({ open: () => { if (away) throw troubleOf({ status: 503, detail: "away" }); return card; } });
+  live.rest(A, LIT);
+  await settled();
+  assert.equal(live.draws(A), false);
+  away = false;
+  live.rest(A, LIT);
+  await settled();
+  assert.equal(live.draws(A), true);
+});
+
+test("the document is asked for by what it depends on", () => {
+  const values = knobs({ environment: "studio", planes: "x>4;1,1,0<3", azimuth: 7, yaw: 20, isovalue: 80 });
+  assert.deepEqual(documentQuery(SCENE, values), { environment: "studio", cut: "x>4", window: "1,1,0<3", shading: "gi" });
+  assert.deepEqual(documentQuery(SCENE, knobs({ azimuth: 1, exposure: 3 })), documentQuery(SCENE, knobs({ yaw: 5 })));
+});
+
+test("chunks and light are asked for without what does not count", () => {
+  const values = knobs({ environment: "studio", yaw: 20, exposure: 3, overlay: "error" });
+  const chunks = chunksQuery(SCENE, values, { width: 1280, height: 640 });
+  assert.deepEqual([chunks.width, chunks.height, chunks.yaw, chunks.environment], [256, 128, 20, "studio"]);
+  for (const name of ["f", "overlay", "background", "exposure"]) assert.equal(name in chunks, false, name);
+  const turn = { yaw: 20, pitch: 0, roll: 0 };
+  assert.deepEqual(lightQuery(SCENE, values, turn), { environment: "studio", ...turn });
+  assert.deepEqual(lightQuery(SCENE, values, null), { environment: "studio" });
+});
+
+test("a card's camera is the server's", () => {
+  const { camera, light, ground, isovalue } = cardView(SCENE, DOCUMENT, knobs({ azimuth: 0, elevation: 0, distance: 2, background: "light" }));
+  const radius = Math.hypot(10, 10, 10) / 2;
+  assert.deepEqual(camera.target, [5, 5, 5]);
+  assert.ok(Math.abs(camera.eye[0] - (5 + 2 * radius)) < 1e-9 && Math.abs(camera.eye[1] - 5) < 1e-9);
+  assert.deepEqual([camera.parallel, light, ground, isovalue], [false, [1, 0, 0, 0], [1, 1, 1], 70]);
+  const parallel = cardView(SCENE, DOCUMENT, knobs({ azimuth: 0, elevation: 0, distance: 2, projection: "orthographic" })).camera;
+  assert.deepEqual([parallel.parallel, parallel.eye], [true, camera.eye]);
+});

@@ -1,0 +1,24 @@
+// Edges of a picture: where neighbours differ. Kernel: isogi_core/kernels/shading/edges.py.
+#include "film.glsl"
+uniform highp sampler2D first;    // linear light of the pixels' middles, and in alpha whether they show the surface
+uniform ivec2 drawn;              // pixels of the picture
+
+const float LEAST = 12.0 / 255.0;    // how much neighbours differ where a pixel counts as at an edge
+
+// How much two pixels differ on a screen, of 1; 1 where one of them alone shows the surface.
+float difference(vec4 one, vec4 other) {
+  if (one.a != other.a) return 1.0;
+  if (one.a == 0.0) return 0.0;
+  vec3 apart = abs(srgb(toned(one.rgb)) - srgb(toned(other.rgb)));
+  return max(max(apart.r, apart.g), apart.b);
+}
+
+// Whether a pixel differs from one of the eight around it.
+bool is_edge(ivec2 pixel) {
+  vec4 own = texelFetch(first, pixel, 0);
+  for (int k = 0; k < 9; k++) {
+    ivec2 beside = clamp(pixel + ivec2(k % 3, k / 3) - 1, ivec2(0), drawn - 1);
+    if (difference(own, texelFetch(first, beside, 0)) >= LEAST) return true;
+  }
+  return false;
+}

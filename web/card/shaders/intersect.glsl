@@ -1,0 +1,98 @@
+// Rays against the isosurface of the trilinear field.
+// Kernels: isogi_core/kernels/tracing/intersect.py (rules), slabs.py (boxes), traversal.py (skipping). Four rules keep the
+// surface closed: solid is value > isovalue; a cell whose corners agree has no surface; the side on which a ray leaves a
+// cell is the side on which it enters the next; a ray that starts on its own surface is given its side.
+#include "volume.glsl"
+#include "cubic.glsl"
+
+const float OUTSIDE = 1.0, SOLID = -1.0, UNKNOWN = 0.0;
+const float MISS = -1.0;
+const float SKIN = 2e-5;     // voxels that a ray of unknown side may begin behind the surface and still be outside
+const int STEPS = 2048;      // of a ray at most: no ray of a volume of 512 cells a side needs more
+
+struct Ray { vec3 o, d, inv; };
+
+// A ray whose direction has no component that vanishes.
+Ray ray_of(vec3 o, vec3 d) {
+  vec3 safe = mix(d, vec3(1e-20), lessThan(abs(d), vec3(1e-20)));
+  return Ray(o, d, 1.0 / safe);
+}
+
+// Part (near, far) of the ray, t >= 0, inside the volume's box; empty where near > far.
+vec2 clip_box(Ray ray) {
+  vec3 a = -ray.o * ray.inv, b = (vec3(size - 1) - ray.o) * ray.inv;
+  vec3 first = min(a, b), last = max(a, b);
+  return vec2(max(max(max(first.x, first.y), first.z), 0.0), min(min(last.x, last.y), last.z));
+}
+
+// Where the ray leaves [low, low + edge): its t; c becomes the next cell. Faces decide, and no rounded place.
+float leave(Ray ray, ivec3 low, int edge, inout ivec3 c) {
+  ivec3 ahead = ivec3(step(0.0, ray.d)), high = low + edge - 1;
+  vec3 t = (vec3(low + ahead * edge) - ray.o) * ray.inv;
+  float nearest = min(min(t.x, t.y), t.z);
+  ivec3 there = clamp(ivec3(floor(ray.o + nearest * ray.d)), low, high);
+  c = ivec3(mix(vec3(there), vec3(mix(vec3(low - 1), vec3(high + 1), vec3(ahead))), lessThanEqual(t, vec3(nearest))));
+  return nearest;
+}
+
+// The side of voxel c; UNKNOWN where it has no value.
+float side_of(ivec3 c) {
+  float v = voxel(c);
+  return v < HOLE ? UNKNOWN : v > isovalue ? SOLID : OUTSIDE;
+}
+
+// First crossing in cell c between t = near and far: its t, or MISS; `side` becomes that at the exit.
+float cross_cell(Ray ray, ivec3 c, float near, float far, inout float side) {
+  float corners[8], least = 0.0;
+  for (int k = 0; k < 8; k++) {
+    float v = voxel(c + ivec3(k & 1, (k >> 1) & 1, k >> 2));
+    corners[k] = v - isovalue;
+    least = min(least, v);
+  }
+  if (least < HOLE) {
+    side = UNKNOWN;
+    return MISS;
+  }
+  float span = far - near;
+  vec4 q = cubic_along(corners, ray.o + near * ray.d - vec3(c), span * ray.d);
+  if (side == UNKNOWN) {
+    float through = span * max(max(abs(ray.d.x), abs(ray.d.y)), abs(ray.d.z));
+    side = q.w * through > SKIN * abs(q.z) ? SOLID : OUTSIDE;
+  }
+  float t = first_crossing(q, side == SOLID);
+  if (t >= 0.0) return near + t * span;
+  side = ends_solid(q) ? SOLID : OUTSIDE;
+  return MISS;
+}
+
+// First crossing of the isosurface by the ray o + t d, 0 <= t: its t, or MISS. `side` is where the start is known.
+// Kernel: cast, which is a word that GLSL keeps for itself.
+// Places are counted from where the ray enters the box, as single floats hold those near 0 best.
+float cast_ray(vec3 o, vec3 d, float side) {
+  Ray ray = ray_of(o, d);
+  vec2 part = clip_box(ray);
+  if (!(part.x < part.y)) return MISS;
+  if (part.x > 0.0) side = UNKNOWN;
+  ray.o += part.x * d;
+  float t = 0.0, far = part.y - part.x;
+  ivec3 last = size - 2, c = clamp(ivec3(floor(ray.o)), ivec3(0), last);
+  bool asked = side == UNKNOWN;
+  for (int i = 0; i < STEPS; i++) {
+    ivec3 here = c, low;
+    int edge;
+    bool marked = look_up(c, low, edge);
+    float end = max(t, min(leave(ray, low, edge, c), far));
+    if (marked && end > t) {
+      float hit = cross_cell(ray, here, t, end, side);
+      if (hit >= 0.0) return part.x + hit;
+    } else if (!marked && asked) {
+      float agreed = side_of(here);
+      if (agreed != UNKNOWN && side == -agreed) return part.x + t;    // a surface lost at the face before
+      side = agreed;
+    }
+    asked = marked || side == UNKNOWN;
+    t = end;
+    if (t >= far || any(lessThan(c, ivec3(0))) || any(greaterThan(c, last))) return MISS;
+  }
+  return MISS;
+}

@@ -1,0 +1,197 @@
+/** The texels on the card: which there are, and what each shows.
+ *
+ * A table of bricks, RGBA32UI: two words which of 64 texels are there, the number of the first record, and how far away
+ * the brick is, in bricks, whose mean stands in where there are none. Records, ROW in a row of RGBA32UI, as the server
+ * sends them; those of one answer begin a row of their own, a *run*, so that each run has one light. Raw transfer lies at
+ * the same places in the layers of an array. What grows too large is laid out once more.
+ */
+
+import { ones, readBlocks } from "./blocks.js";
+import { bytesOf, fillTexture, makeTexture } from "./textures.js";
+
+/** @typedef {import("./blocks.js").Block} Block */
+/** @typedef {import("./document.js").CardDocument} CardDocument */
+/** @typedef {import("./textures.js").Texture} Texture */
+/** @typedef {{blocks: Block[], row: number, rows: number, lightKey: string, quadric: number[], raw: Map<string, Block>}} Run */
+
+const ROW = 2048; // records in a row: ROW in bricks.glsl
+const BRICK = 4, NONE = 0xffffffff, NOWHERE = 255;
+
+/** How far bricks without texels look for one whose mean they show, in bricks. */
+const REACH = 2;
+
+/** Share of rows by which a texture is larger than it must be, so that it need not grow at once. */
+const SPARE = 1.5;
+
+/** Texels of a scene on a card. */
+export class Texels {
+  /**
+   * @param {import("./device.js").Device} device
+   * @param {CardDocument} document
+   * @param {number} budget bytes for raw transfer
+   * @param {Run[]} [runs] what was taken before the card was lost
+   */
+  constructor({ gl, most2d, layers }, { lattice, plan }, budget, runs = /** @type {Run[]} */ ([])) {
+    this.gl = gl;
+    this.most = most2d;
+    this.lattice = lattice;
+    this.layers = Math.ceil((plan.channels * plan.columns) / 4);
+    this.budget = plan.turns && this.layers <= layers ? budget : 0;
+    this.shape = lattice.size.map((n) => Math.ceil(n / BRICK));
+    this.table = new Uint32Array(4 * this.shape[0] * this.shape[1] * this.shape[2]);
+    this.bricks = makeTexture(gl, "RGBA32UI", this.shape);
+    this.records = makeTexture(gl, "RGBA32UI", [ROW, 1]);
+    this.turned = makeTexture(gl, "RGBA32UI", [ROW, 1]);
+    this.transfer = makeTexture(gl, "RGBA16F", [ROW, 1, 1], { layered: true });
+    this.takesRaw = false;
+    this.rows = 0;
+    this.runs = runs;
+    this.#layOut();
+  }
+
+  /** All of its textures. @returns {Texture[]} */
+  get textures() {
+    return [this.bricks, this.records, this.turned, this.transfer];
+  }
+
+  /** Versions of the chunks that are here, and whether with raw transfer. @returns {Map<string, {version: string, lightKey: string, raw: boolean}>} */
+  get chunks() {
+    const entries = this.runs.flatMap(({ blocks, lightKey, raw }) => blocks.map((block) => /** @type {const} */ ([block.at, { version: block.version, lightKey, raw: raw.has(block.at) }])));
+    return new Map(entries);
+  }
+
+  /**
+   * Take an answer of folded light, or of raw transfer of texels whose folded light is here.
+   * @param {ArrayBuffer} answer
+   * @param {string} lightKey names the turn of the light that it was folded by
+   * @param {number[]} quadric of that light
+   */
+  take(answer, lightKey, quadric) {
+    const blocks = readBlocks(answer), folded = blocks.filter((block) => !block.raw);
+    if (folded.length) this.#append(folded, lightKey, quadric);
+    for (const block of blocks) if (block.raw) this.#addRaw(block);
+  }
+
+  /** @param {Block[]} blocks @param {string} lightKey @param {number[]} quadric */
+  #append(blocks, lightKey, quadric) {
+    const fresh = new Set(blocks.map((block) => block.at));
+    for (const run of this.runs) run.blocks = run.blocks.filter((block) => !fresh.has(block.at));
+    const run = { blocks, row: this.rows, rows: neededRows(blocks), lightKey, quadric, raw: new Map() };
+    this.runs = [...this.runs.filter((each) => each.blocks.length), run];
+    if (this.rows + run.rows > this.records.size[1]) this.#layOut();
+    else this.#place(run);
+    this.#finish();
+  }
+
+  /** Lay all runs out in textures of their size, one for each light: what chunks had before goes. */
+  #layOut() {
+    this.runs = joinedRuns(this.runs);
+    const { gl } = this, rows = this.runs.reduce((sum, run) => sum + neededRows(run.blocks), 0);
+    for (const old of [this.records, this.turned, this.transfer]) gl.deleteTexture(old.id);
+    const height = Math.min(Math.ceil(SPARE * rows) + 16, this.most);
+    if (rows > height) throw new Error("The graphics card takes no more texels.");
+    this.records = makeTexture(gl, "RGBA32UI", [ROW, height]);
+    this.turned = makeTexture(gl, "RGBA32UI", [ROW, height]);
+    const size = [ROW, height, this.layers];
+    this.takesRaw = bytesOf("RGBA16F", size) <= this.budget;
+    this.transfer = makeTexture(gl, "RGBA16F", this.takesRaw ? size : [ROW, 1, 1], { layered: true });
+    this.rows = 0;
+    for (let b = 0; b < this.table.length; b += 4) this.table.set([0, 0, NONE, NOWHERE], b);
+    for (const run of this.runs) this.#place(run);
+    this.#finish();
+  }
+
+  /** Put a run at the end of what is used. @param {Run} run */
+  #place(run) {
+    run.row = this.rows;
+    run.rows = neededRows(run.blocks);
+    const words = new Uint32Array(4 * ROW * run.rows);
+    let first = 0;
+    for (const block of run.blocks) {
+      block.first = first;
+      words.set(block.records, 4 * first);
+      this.#list(block, run.row * ROW + first);
+      first += block.count;
+    }
+    if (run.rows) fillTexture(this.gl, this.records, words, [0, run.row], [ROW, run.rows]);
+    this.rows += run.rows;
+    this.#fillRaw(run);
+  }
+
+  /** Enter a block's bricks into the table, whose records begin at `first`, and lend means to bricks without texels. @param {Block} block @param {number} first */
+  #list(block, first) {
+    const side = this.lattice.chunk / BRICK;
+    for (let i = 0; i < block.bricks.length; i += 4) {
+      const [low, high, own, place] = block.bricks.subarray(i, i + 4);
+      const at = [place & 255, (place >> 8) & 255, (place >> 16) & 255].map((x, axis) => block.index[axis] * side + x);
+      this.table.set([low, high, first + own, 0], 4 * this.#number(at));
+      this.#lend(at, first + own + ones(low) + ones(high));
+    }
+  }
+
+  /** Lend the mean of the brick at a place, record number `mean`, to bricks about it that have no nearer one. @param {number[]} at @param {number} mean */
+  #lend([x, y, z], mean) {
+    const [bx, by, bz] = this.shape;
+    for (let k = Math.max(z - REACH, 0); k <= Math.min(z + REACH, bz - 1); k++) {
+      for (let j = Math.max(y - REACH, 0); j <= Math.min(y + REACH, by - 1); j++) {
+        for (let i = Math.max(x - REACH, 0); i <= Math.min(x + REACH, bx - 1); i++) {
+          const away = Math.max(Math.abs(i - x), Math.abs(j - y), Math.abs(k - z)), b = 4 * this.#number([i, j, k]);
+          if (away === 0 || away > this.table[b + 3]) continue;
+          this.table[b + 2] = mean;
+          this.table[b + 3] = away;
+        }
+      }
+    }
+  }
+
+  /** @param {number[]} at x, y, z @returns {number} */
+  #number([x, y, z]) {
+    return (z * this.shape[1] + y) * this.shape[0] + x;
+  }
+
+  /** Have the card know what the table says. */
+  #finish() {
+    fillTexture(this.gl, this.bricks, this.table);
+  }
+
+  /** Keep the raw transfer of a chunk whose folded light is here, and hand all of a run on once it is whole. @param {Block} block */
+  #addRaw(block) {
+    const run = this.runs.find(({ blocks }) => blocks.some((each) => each.at === block.at && each.version === block.version && each.count === block.count));
+    if (!run || !this.takesRaw) return;
+    run.raw.set(block.at, block);
+    this.#fillRaw(run);
+  }
+
+  /** Fill the layers of a run, if there is raw transfer of all of it. @param {Run} run */
+  #fillRaw(run) {
+    if (!this.takesRaw || !isRaw(run) || !run.rows) return;
+    for (let layer = 0; layer < this.layers; layer++) {
+      const halves = new Uint16Array(4 * ROW * run.rows);
+      for (const { at, count, first } of run.blocks) {
+        const own = /** @type {Block} */ (run.raw.get(at)).layers;
+        halves.set(own.subarray(4 * count * layer, 4 * count * (layer + 1)), 4 * first);
+      }
+      fillTexture(this.gl, this.transfer, halves, [0, run.row, layer], [ROW, run.rows, 1]);
+    }
+  }
+}
+
+/** Whether all of a run has raw transfer. @param {Run} run @returns {boolean} */
+export function isRaw(run) {
+  return run.blocks.every((block) => run.raw.has(block.at));
+}
+
+/** Runs with all that has one light, and raw transfer or none, side by side. @param {Run[]} runs @returns {Run[]} */
+function joinedRuns(runs) {
+  const groups = new Map();
+  for (const run of runs) {
+    const key = `${isRaw(run)} ${run.lightKey}`, { blocks = [], raw = new Map() } = groups.get(key) ?? {};
+    groups.set(key, { ...run, blocks: [...blocks, ...run.blocks], raw: new Map([...raw, ...run.raw]) });
+  }
+  return [...groups.values()];
+}
+
+/** Rows that the records of some blocks take. @param {Block[]} blocks @returns {number} */
+function neededRows(blocks) {
+  return Math.ceil(blocks.reduce((sum, block) => sum + block.count, 0) / ROW);
+}

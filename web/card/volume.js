@@ -1,0 +1,75 @@
+/** The volume on the card: its voxels, whole, and the active-cell map of the isovalue at hand. */
+
+import { brickShape, findRanges, markCells } from "./cells.js";
+import { Refusal } from "./device.js";
+import { fillTexture, makeTexture } from "./textures.js";
+
+/** @typedef {import("./cells.js").Voxels} Voxels */
+/** @typedef {import("./document.js").CardDocument} CardDocument */
+/** @typedef {import("./textures.js").Texture} Texture */
+
+const FORMATS = /** @type {const} */ ({ uint8: "R8UI", uint16: "R16UI", float32: "R32F" });
+const ARRAYS = { uint8: Uint8Array, uint16: Uint16Array, float32: Float32Array };
+const MAP_ROW = 2048; // marked bricks in a row of `cells`: ROW in volume.glsl
+
+/** Codes of a volume, as the document's slabs hold them side by side. @param {CardDocument} document @param {ArrayBuffer[]} slabs @returns {Voxels} */
+export function joinSlabs({ grid: { size }, volume }, slabs) {
+  const codes = new ARRAYS[volume.type](size[0] * size[1] * size[2]);
+  volume.slabs.forEach(({ first }, i) => codes.set(new ARRAYS[volume.type](slabs[i]), first * size[0] * size[1]));
+  return codes;
+}
+
+/** The voxels of a scene on a card. */
+export class Volume {
+  /**
+   * @param {import("./device.js").Device} device
+   * @param {CardDocument} document
+   * @param {Voxels} codes x fastest, then y
+   * @throws {Refusal} where the card's textures are too small
+   */
+  constructor({ gl, most3d }, { grid, volume }, codes) {
+    if (Math.max(...grid.size) > most3d) {
+      throw new Refusal(`The volume has ${Math.max(...grid.size)} voxels along a side, and the graphics card takes ${most3d}: the server draws.`);
+    }
+    this.gl = gl;
+    this.grid = grid;
+    this.source = codes;
+    this.texture = makeTexture(gl, FORMATS[volume.type], grid.size);
+    fillTexture(gl, this.texture, codes);
+    this.codes = volume.hole === null ? codes : codes.map((code) => (code === volume.hole ? NaN : code));
+    this.ranges = findRanges(this.codes, grid.size);
+    this.tops = makeTexture(gl, "R32UI", brickShape(grid.size));
+    this.cells = makeTexture(gl, "RG32UI", [MAP_ROW, 1]);
+    this.isovalue = NaN;
+  }
+
+  /** All of its textures. @returns {Texture[]} */
+  get textures() {
+    return [this.texture, this.tops, this.cells];
+  }
+
+  /**
+   * What shaders read of the volume at an isovalue; its map is made where that has changed.
+   * @param {number} isovalue as a code
+   * @returns {Record<string, import("./programs.js").Value>}
+   */
+  at(isovalue) {
+    if (isovalue !== this.isovalue) this.#map(isovalue);
+    const { size, spacing } = this.grid;
+    return { voxels: this.texture, size, spacing, isovalue, tops: this.tops, cells: this.cells };
+  }
+
+  /** @param {number} isovalue as a code */
+  #map(isovalue) {
+    const { gl } = this, map = markCells(this.codes, this.grid.size, this.ranges, isovalue);
+    const rows = Math.max(Math.ceil(map.marked / MAP_ROW), 1), words = new Uint32Array(2 * MAP_ROW * rows);
+    words.set(map.cells);
+    if (this.cells.size[1] < rows) {
+      gl.deleteTexture(this.cells.id);
+      this.cells = makeTexture(gl, "RG32UI", [MAP_ROW, rows + (rows >> 1)]);
+    }
+    fillTexture(gl, this.tops, map.tops);
+    fillTexture(gl, this.cells, words, [0, 0], [MAP_ROW, rows]);
+    this.isovalue = isovalue;
+  }
+}

@@ -1,0 +1,248 @@
+/** Who draws: the visitor's card what moves, as far as it can; the server what rests, and all else. Nobody chooses. */
+
+import { Refusal } from "../card/device.js";
+import { Trouble } from "../net/trouble.js";
+import { Feed } from "./feed.js";
+import { anglesOf, cardView, chunksQuery, documentQuery, lightQuery } from "./view.js";
+
+/** @typedef {import("../card/card.js").Card} Card */
+/** @typedef {import("../net/schemas.js").CardFacts} CardFacts */
+/** @typedef {import("../net/schemas.js").FrameQuery} FrameQuery */
+/** @typedef {import("../net/schemas.js").ListedChunk} ListedChunk */
+/** @typedef {import("../net/schemas.js").Scene} Scene */
+/** @typedef {import("../view/model.js").Knobs} Knobs */
+/** @typedef {import("../view/rotation.js").Angles} Angles */
+
+const LIST_MS = 500; // between two lists of chunks that a moving view reads
+const SLOW_MS = 250; // that a card of no use is busy with a picture, of as few pixels as it draws
+const SLOW_PICTURES = 4; // in a row, after which the server draws
+
+/**
+ * @typedef {object} Source what the server is asked for
+ * @property {(query: FrameQuery) => Promise<CardFacts>} document
+ * @property {(href: string) => Promise<ArrayBuffer>} bytes
+ * @property {(query: FrameQuery) => Promise<ListedChunk[]>} chunks
+ * @property {(what: "light"|"transfer", chunks: string[], query: FrameQuery) => Promise<ArrayBuffer>} blocks
+ *
+ * @typedef {{key: string, facts: NonNullable<CardFacts["scene"]>, feed: Feed}} Loaded what the card has, and what of a view
+ *   that depends on
+ *
+ * @typedef {object} LiveHooks
+ * @property {(allowed: {software: boolean}) => Card} open opens the card; throws a Refusal where there is none
+ * @property {() => {width: number, height: number}} size of the card's picture, pixels
+ * @property {() => void} drawn the card's picture of the newest view is on the stage
+ * @property {() => void} lost the card draws no more: the server is to draw the view that moves
+ * @property {(reason: string) => void} refused why the card, which was asked for by force, does not draw
+ */
+
+/** Draws the views of one scene by the card, as far as it can. */
+export class Live {
+  #canvas;
+  #scene;
+  #source;
+  #hooks;
+  #choice;
+  /** @type {Card|null} */
+  #card = null;
+  /** @type {Loaded|null} */
+  #loaded = null;
+  #preparing = "";
+  #refused = false;
+  /** @type {Knobs|null} */
+  #values = null;
+  #moving = false;
+  #waiting = false; // for a picture of the newest view
+  #frame = 0;
+  #listed = -LIST_MS;
+  #busy = Infinity; // since when
+  #slow = 0;
+
+  /**
+   * @param {HTMLCanvasElement} canvas over the server's picture
+   * @param {Scene} scene
+   * @param {Source} source
+   * @param {LiveHooks} hooks
+   * @param {string|null} choice "card", "server", or null for the page's own
+   */
+  constructor(canvas, scene, source, hooks, choice) {
+    this.#canvas = canvas;
+    this.#scene = scene;
+    this.#source = source;
+    this.#hooks = hooks;
+    this.#choice = choice;
+    this.#refused = choice === "server";
+  }
+
+  /** Whether the card draws this view while it moves. @param {Knobs} values @returns {boolean} */
+  draws(values) {
+    return !this.#refused && !this.#card?.lost && this.#loaded !== null && this.#loaded.key === this.#keyOf(values);
+  }
+
+  /** Whether the card's picture is on the stage. @returns {boolean} */
+  get shows() {
+    return !this.#canvas.hidden && !this.#canvas.hasAttribute("data-faded");
+  }
+
+  /** The view is now this one. @param {Knobs} values */
+  show(values) {
+    this.#values = values;
+    if (!this.draws(values)) {
+      this.#hide();
+      return;
+    }
+    this.#waiting = true;
+    this.#animate();
+    this.#list();
+  }
+
+  /** The view goes on changing, or rests. @param {boolean} moving */
+  move(moving) {
+    this.#moving = moving;
+    if (!moving && this.shows) this.#animate();
+  }
+
+  /**
+   * The server's picture of a view at rest is there, under the card's: lay it open where it shows light all over, and
+   * have the card ready for what comes next.
+   * @param {Knobs} values
+   * @param {{coverage: {provisional: number}}|null} facts
+   * @param {ListedChunk[]} [chunks] that it reads, where the server named them
+   */
+  rest(values, facts, chunks) {
+    const card = this.draws(values);
+    this.#values = values;
+    if (values.overlay !== "none" || facts?.coverage.provisional === 0) this.#fade();
+    if (card && chunks) this.#bring(chunks);
+    else if (card) this.#list(true);
+    else this.#prepare(values);
+  }
+
+  /** Have the card take on what a view shows. @param {Knobs} values */
+  async #prepare(values) {
+    const key = this.#keyOf(values);
+    if (values.shading !== "gi" || this.#refused || this.#preparing === key || this.#card?.lost) return;
+    this.#preparing = key;
+    try {
+      const card = this.#card ?? this.#open();
+      const { scene: facts, reason } = await this.#source.document(documentQuery(this.#scene, values));
+      if (!facts) return this.#decline(reason);
+      const slabs = await Promise.all(facts.volume.slabs.map(({ href }) => this.#source.bytes(href)));
+      if (this.#preparing !== key) return;
+      this.#loaded?.feed.close();
+      this.#loaded = null;
+      await card.load(facts, slabs);
+      const ask = (/** @type {"light"|"transfer"} */ what, /** @type {string[]} */ chunks, /** @type {Angles} */ turn) =>
+        this.#source.blocks(what, chunks, lightQuery(this.#scene, values, what === "light" ? turn : null));
+      this.#loaded = { key, facts, feed: new Feed(card, ask, anglesOf(values), () => this.#refresh()) };
+      this.#list(true);
+    } catch (error) {
+      this.#preparing = "";
+      if (error instanceof Refusal) this.#refuse(error.message);
+      else if (!(error instanceof Trouble)) throw error; // the server's pictures say what is wrong with it
+    }
+  }
+
+  #open() {
+    const card = (this.#card = this.#hooks.open({ software: this.#choice === "card" }));
+    card.onlost = () => this.#lose();
+    card.onrestored = () => this.#refresh();
+    return card;
+  }
+
+  /** This card does not draw, now and later. @param {string} reason */
+  #refuse(reason) {
+    this.#refused = true;
+    this.#hide();
+    this.#decline(reason);
+  }
+
+  /** Say why the card does not draw, to those who asked for it. @param {string} reason */
+  #decline(reason) {
+    if (this.#choice === "card") this.#hooks.refused(reason);
+  }
+
+  #lose() {
+    this.#hide();
+    this.#hooks.lost();
+  }
+
+  /** Draw the view once more: there is more light. */
+  #refresh() {
+    if (!this.shows || !this.#values) return;
+    this.#waiting = true;
+    this.#animate();
+  }
+
+  #animate() {
+    if (!this.#frame) this.#frame = requestAnimationFrame(() => this.#draw());
+  }
+
+  /** One frame of the screen: the newest view, or the one at rest a little better. */
+  #draw() {
+    this.#frame = 0;
+    if (!this.#values || !this.#card || !this.#loaded || !this.draws(this.#values)) return;
+    if (!this.#waiting) {
+      if (this.shows && !this.#moving && this.#card.refine()) this.#animate();
+      return;
+    }
+    this.#fit();
+    if (this.#card.draw(cardView(this.#scene, this.#loaded.facts, this.#values))) this.#put();
+    else this.#busy = Math.min(this.#busy, performance.now());
+    this.#animate();
+  }
+
+  /** The newest view is drawn: show it. */
+  #put() {
+    this.#waiting = false;
+    this.#canvas.hidden = false;
+    this.#canvas.removeAttribute("data-faded");
+    this.#hooks.drawn();
+    this.#time();
+  }
+
+  /** Leave pictures to the server where the card takes long for many in a row. */
+  #time() {
+    this.#slow = performance.now() - this.#busy > SLOW_MS ? this.#slow + 1 : 0;
+    this.#busy = Infinity;
+    if (this.#slow < SLOW_PICTURES || this.#choice === "card") return;
+    this.#refuse("The graphics card is too slow.");
+    this.#hooks.lost();
+  }
+
+  /** Give the canvas the pixels of the stage. */
+  #fit() {
+    const { width, height } = this.#hooks.size();
+    if (this.#canvas.width !== width || this.#canvas.height !== height) Object.assign(this.#canvas, { width, height });
+  }
+
+  /** Ask which chunks the view reads: of one that moves now and then. @param {boolean} [now] */
+  async #list(now = false) {
+    const values = this.#values, time = performance.now();
+    if (!values || (!now && time - this.#listed < LIST_MS)) return;
+    this.#listed = time;
+    try {
+      this.#bring(await this.#source.chunks(chunksQuery(this.#scene, values, this.#hooks.size())));
+    } catch (error) {
+      if (!(error instanceof Trouble)) throw error;
+    }
+  }
+
+  /** @param {ListedChunk[]} chunks */
+  #bring(chunks) {
+    if (this.#loaded && this.#values) this.#loaded.feed.bring(chunks, this.#values, this.#moving).catch(() => {}); // the next list asks again
+  }
+
+  /** What the card has depends on it. @param {Knobs} values */
+  #keyOf(values) {
+    return JSON.stringify(documentQuery(this.#scene, values));
+  }
+
+  /** Let the server's picture through, softly. */
+  #fade() {
+    this.#canvas.setAttribute("data-faded", "");
+  }
+
+  #hide() {
+    this.#canvas.hidden = true;
+  }
+}

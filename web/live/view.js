@@ -1,0 +1,79 @@
+/** The view of the page's knobs, as the graphics card draws it, and as the server is asked for what that takes. */
+
+import { ground, frameQuery } from "../net/request.js";
+import { rayThrough } from "../view/camera.js";
+import { fromAngles } from "../view/rotation.js";
+
+/** @typedef {import("../card/document.js").CardDocument} CardDocument */
+/** @typedef {import("../net/schemas.js").FrameQuery} FrameQuery */
+/** @typedef {import("../net/schemas.js").Scene} Scene */
+/** @typedef {import("../view/model.js").Knobs} Knobs */
+/** @typedef {import("../view/rotation.js").Angles} Angles */
+
+const VARIANT = ["environment", "cut", "time", "surfaces", "hide", "material"];
+const OF_DOCUMENT = [...VARIANT, "albedo", "window", "shading", "shine", "roughness", "strength", "glow"];
+const OF_PICTURE = ["f", "overlay", "background", "exposure"]; // what a list of chunks does not depend on
+const WIDEST = 256; // pixels across, of a view whose chunks are asked for
+
+/** @param {FrameQuery} query @param {string[]} names @returns {FrameQuery} */
+function only(query, names) {
+  return Object.fromEntries(Object.entries(query).filter(([name]) => names.includes(name)));
+}
+
+/**
+ * The parameters that a scene's document is asked for by: all on which it depends.
+ * @param {Scene} scene
+ * @param {Knobs} values
+ * @returns {FrameQuery}
+ */
+export function documentQuery(scene, values) {
+  return only(frameQuery(scene, values, { width: 1, height: 1 }), OF_DOCUMENT);
+}
+
+/**
+ * The parameters that the chunks of a view are asked for by: it is looked at coarsely.
+ * @param {Scene} scene
+ * @param {Knobs} values
+ * @param {{width: number, height: number}} size of the picture
+ * @returns {FrameQuery}
+ */
+export function chunksQuery(scene, values, { width, height }) {
+  const size = { width: WIDEST, height: Math.max(Math.round((WIDEST * height) / width), 1) };
+  return Object.fromEntries(Object.entries(frameQuery(scene, values, size)).filter(([name]) => !OF_PICTURE.includes(name)));
+}
+
+/**
+ * The parameters that records of texels are asked for by, or their transfer.
+ * @param {Scene} scene
+ * @param {Knobs} values
+ * @param {Angles|null} turn of the light; null for transfer, which is of none
+ * @returns {FrameQuery}
+ */
+export function lightQuery(scene, values, turn) {
+  const query = only(frameQuery(scene, values, { width: 1, height: 1 }), turn ? [...VARIANT, "albedo"] : VARIANT);
+  return turn && scene.turns ? { ...query, ...anglesOf(turn) } : query;
+}
+
+/** How the light is turned, and nothing else. @param {Angles} values @returns {Angles} degrees */
+export function anglesOf({ yaw, pitch, roll }) {
+  return { yaw, pitch, roll };
+}
+
+/**
+ * The view as a card draws it.
+ * @param {Scene} scene
+ * @param {CardDocument & {grounds: Record<string, import("../view/rotation.js").Vec3>}} document
+ * @param {Knobs} values
+ * @returns {import("../card/drawing.js").View}
+ */
+export function cardView(scene, document, values) {
+  const { eye, target, up } = rayThrough(scene, { ...values, projection: "perspective" }, 0, 0);
+  const parallel = values.projection === "orthographic";
+  return {
+    isovalue: values.isovalue,
+    camera: { eye, target, up, fov: values.fov, parallel },
+    light: fromAngles(scene.turns ? values : { yaw: 0, pitch: 0, roll: 0 }),
+    exposure: values.exposure,
+    ground: document.grounds[ground(values)],
+  };
+}
