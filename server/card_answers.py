@@ -71,7 +71,7 @@ def card_scene(renderer: Renderer, view: View, query: Sequence[tuple[str, str]])
     model = RotatedLight(spec, view).local_model("lambert", (0.0, 0.0))
     return CardScene(
         grid=grid_of(scene),
-        values=CardValues(offset=volume.offset, scale=volume.scale),
+        values=CardValues(offset=volume.offset, scale=volume.scale, core=volume.core),
         volume=volume_of(prepared, query),
         lattice=CardLattice(size=prepared.shape[::-1], density=prepared.lattice.density, chunk=prepared.lattice.chunk),
         plan=plan_of(renderer),

@@ -27,6 +27,7 @@ class CardValues(BaseModel):
 
     offset: float
     scale: float
+    core: tuple[float, float]
 
 
 class CardSlab(BaseModel):

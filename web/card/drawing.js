@@ -1,10 +1,10 @@
 /** A scene on a card: its volume, texels and programs, and the pictures that these make. All of it goes with the context. */
 
-import { codeOf } from "./document.js";
+import { codeOf, facesOf } from "./document.js";
 import { turnLight } from "./light.js";
 import { Picture, discOf, jitterOf } from "./picture.js";
 import { compile, joined, run } from "./programs.js";
-import { raysOf } from "./rays.js";
+import { raysOf, windowOf } from "./rays.js";
 import { isRaw } from "./texels.js";
 import { drawInto, fillTexture, makeTexture } from "./textures.js";
 
@@ -20,6 +20,7 @@ import { drawInto, fillTexture, makeTexture } from "./textures.js";
  * @property {import("./light.js").Quaternion} light the light's turn in the world
  * @property {number} exposure
  * @property {import("./document.js").Vec3} ground linear light behind the surface
+ * @property {readonly import("./rays.js").Plane[]} [window] what planes take away for the eye, in the world; 12 at most
  * @property {boolean} [lambert] whether the local model is drawn in place of the light of texels
  */
 
@@ -105,6 +106,7 @@ export class Drawing {
       ...raysOf(document.grid, view.camera, size[0], size[1]),
       ...lightOf(document, light),
       ...latticeOf(document),
+      ...sightOf(document, view.window ?? []),
       bricks: this.texels.bricks,
       records,
       ...filmOf(document, view.exposure),
@@ -174,6 +176,11 @@ export class Drawing {
 function lightOf({ light, lambert, plan, grid }, { quadric, towards, edges }) {
   const least = plan.ratios ? light.least : [0, 0, 0], [east, north] = [0, 1].map((i) => edges.flatMap((edge) => edge[i]));
   return { quadric, least, unit: light.unit, towards: towards.flat(), east, north, shine: light.lobes.flatMap((lobe) => lobe.shine), offset: grid.offset, ...lambert };
+}
+
+/** Uniforms of a window. @param {CardDocument} document @param {readonly import("./rays.js").Plane[]} planes */
+function sightOf(document, planes) {
+  return { planes: planes.length, window: planes.length ? windowOf(document.grid, planes) : [0, 0, 0, 1], ...facesOf(document) };
 }
 
 /** Uniforms of the lattice. @param {CardDocument} document */

@@ -12,6 +12,8 @@
  * @property {boolean} [parallel] whether rays are parallel: what is at the target is as large as else
  */
 
+/** @typedef {{normal: Vec3, limit: number}} Plane takes away the points p with normal · p > limit */
+
 /** Radii of the volume from which a camera of parallel rays looks: AFAR in isogi_core/model/view.py. */
 const AFAR = 1e7;
 
@@ -79,4 +81,17 @@ export function raysOf(grid, camera, width, height) {
   }
   const s = Math.max(before - Math.min(...spacing), 0), from = (/** @type {Vec3} */ v) => along([0, 0, 0], s, v);
   return { start: along(eye, s, corner), startRight: from(right), startDown: from(down), corner, right, down };
+}
+
+/**
+ * The planes of a window in index space: what is left to see has n · p + w ≥ 0.
+ * @param {CardDocument["grid"]} grid
+ * @param {readonly Plane[]} planes in the world
+ * @returns {number[]} four numbers of each, n and w
+ */
+export function windowOf({ rotation, origin, spacing }, planes) {
+  return planes.flatMap(({ normal, limit }) => {
+    const n = turnedBack(rotation, normal), w = limit - normal.reduce((sum, x, i) => sum + x * origin[i], 0);
+    return [...n.map((x, i) => -x * spacing[i]), w];
+  });
 }

@@ -1,7 +1,8 @@
 /** The view of the page's knobs, as the graphics card draws it, and as the server is asked for what that takes. */
 
-import { ground, frameQuery } from "../net/request.js";
+import { cutQuery, frameQuery, ground } from "../net/request.js";
 import { rayThrough } from "../view/camera.js";
+import { planesOf } from "../view/planes.js";
 import { fromAngles } from "../view/rotation.js";
 
 /** @typedef {import("../card/document.js").CardDocument} CardDocument */
@@ -11,7 +12,7 @@ import { fromAngles } from "../view/rotation.js";
 /** @typedef {import("../view/rotation.js").Angles} Angles */
 
 const VARIANT = ["environment", "cut", "time", "surfaces", "hide", "material"];
-const OF_DOCUMENT = [...VARIANT, "albedo", "window", "shading", "shine", "roughness", "strength", "glow"];
+const OF_DOCUMENT = [...VARIANT, "albedo", "shading", "shine", "roughness", "strength", "glow"];
 const OF_PICTURE = ["f", "overlay", "background", "exposure"]; // what a list of chunks does not depend on
 const WIDEST = 256; // pixels across, of a view whose chunks are asked for
 
@@ -75,5 +76,6 @@ export function cardView(scene, document, values) {
     light: fromAngles(scene.turns ? values : { yaw: 0, pitch: 0, roll: 0 }),
     exposure: values.exposure,
     ground: document.grounds[ground(values)],
+    window: planesOf(cutQuery(values).window ?? ""),
   };
 }

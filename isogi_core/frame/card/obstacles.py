@@ -35,7 +35,6 @@ TESTS: tuple[tuple[Obstacle, Test], ...] = (
     ),
     (Obstacle("glow", "What glows is gathered by the server."), lambda scene, _: scene.glowing.any),
     (Obstacle("colours", "Colours by data are found by the server."), lambda scene, _: scene.colours is not None),
-    (Obstacle("window", "Faces of a window are painted by the server."), lambda _, view: view.window is not None),
     (
         Obstacle("shading", "This shading is drawn by the server: a card draws gi and lambert."),
         lambda _, view: view.shading not in SHADINGS,

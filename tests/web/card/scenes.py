@@ -21,6 +21,8 @@ def view_of(view: View, exposure: float = 1.0, **more: Any) -> dict[str, Any]:
     """A view as a card takes it: camera and light in the world."""
     camera = {"eye": view.camera.eye, "target": view.camera.target, "up": view.camera.up, "fov": view.camera.fov}
     shown = {"isovalue": view.isovalue, "camera": camera, "light": view.light, "ground": [0.01, 0.01, 0.02]}
+    planes = view.window.planes if view.window else ()
+    shown["window"] = [{"normal": [-x, -y, -z], "limit": w} for x, y, z, w in planes]
     return {**shown, "exposure": exposure, "lambert": view.shading == "lambert", **more}
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from isogi_core.model.view import View, orthographic
 from isogi_core.model.volume import make_volume
+from isogi_core.model.window import read_window
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, scene_of
 from tests.loaded import load_scene
 from tests.web.card.conftest import Make
@@ -160,6 +161,28 @@ def test_parallel_rays_are_isogis(lab: Lab, under_sky: Workbench) -> None:
     card.light(flat, LOOSE)
     found = card.picture(view, camera=orthographic_camera(view.camera))
     assert_same(difference(found, *plain_light(under_sky.renderer, flat, LOOSE)))
+
+
+WINDOWS = {"a side": "x>34", "a slope": "1,0.3,-0.5>14;z<6", "nothing left": "x>-5"}
+
+
+@pytest.mark.parametrize("name", WINDOWS)
+def test_windows_show_the_faces_that_they_open(lab: Lab, under_sky: Workbench, name: str) -> None:
+    view = replace(view_at(under_sky), window=read_window(WINDOWS[name]))
+    under_sky.bake(view)
+    frame = under_sky.renderer.render(view)
+    card = CardScene(lab, under_sky.renderer, view, SIZE)
+    card.light(view, LOOSE)
+    faces, (light, on) = under_sky.renderer.gbuffer(view).faces, plain_light(under_sky.renderer, view, LOOSE)
+    light.reshape(-1, 3)[faces.pixels] = frame.radiance.reshape(-1, 3)[faces.pixels]
+    on.reshape(-1)[faces.pixels] = True
+    shown = card.picture(view)
+    if name == "nothing left":
+        assert not on.any() and not shown.covers.any()
+        return
+    found = difference(shown, light, on)
+    assert len(faces.pixels) > 20 and found.surface > 100
+    assert found.within > 0.995 and found.rmse <= 0.01, found
 
 
 def test_texels_that_lack_show_the_mean_around(lab: Lab, under_sky: Workbench) -> None:

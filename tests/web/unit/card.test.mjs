@@ -2,13 +2,13 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { ones, readBlocks } from "../../../web/card/blocks.js";
 import { EMPTY, brickShape, findRanges, markCells } from "../../../web/card/cells.js";
-import { codeOf } from "../../../web/card/document.js";
+import { codeOf, facesOf } from "../../../web/card/document.js";
 import { bandRotations, turned } from "../../../web/card/harmonics.js";
 import { quadricOf, rotationMatrix, turnLight } from "../../../web/card/light.js";
 import { nextShare } from "../../../web/card/pace.js";
 import { SAMPLES, discOf, jitterOf } from "../../../web/card/picture.js";
 import { joined } from "../../../web/card/programs.js";
-import { pinhole, raysOf } from "../../../web/card/rays.js";
+import { pinhole, raysOf, windowOf } from "../../../web/card/rays.js";
 import { fromAngles, turnVector } from "../../../web/view/rotation.js";
 
 function close(actual, expected, within = 1e-9) {
@@ -156,6 +156,22 @@ test("parallel rays keep what is at the target as large", () => {
     return eye.map((a, i) => a + depth * d[i]);
   });
   span(near).forEach((point, i) => close(point, span(far)[i], 1e-5));
+});
+
+test("a window's planes are brought into index space", () => {
+  const rotation = rotationMatrix(fromAngles({ yaw: 90, pitch: 0, roll: 0 })), plane = { normal: [0.6, 0, 0.8], limit: 40 };
+  const [x, y, z, w] = windowOf({ ...GRID, rotation, origin: [10, 20, 30] }, [plane]);
+  for (const index of [[3, 4, 5], [20, 0, 1]]) {
+    const box = index.map((i, axis) => i * GRID.spacing[axis]), world = rotation.map((row, i) => row[0] * box[0] + row[1] * box[1] + row[2] * box[2] + [10, 20, 30][i]);
+    close([x * index[0] + y * index[1] + z * index[2] + w], [40 - 0.6 * world[0] - 0.8 * world[2]]);
+  }
+});
+
+test("faces are grey from end to end of the core", () => {
+  const document = { values: { offset: 10, scale: -256, core: [-40, 60] }, volume: { gain: 1 / 128, base: -0.25 }, exposure: 2 };
+  const { greys, paper } = facesOf(document), value = (code) => 10 - 256 * (-0.25 + code / 128);
+  for (const code of [0, 20, 57]) close([greys[0] * code + greys[1]], [(value(code) + 40) / 100]);
+  assert.equal(paper, 0.4);
 });
 
 /** A block as the server packs it: two bricks with two and one texels. */

@@ -73,6 +73,7 @@ test("light that converges is brought once, and when it is final", async () => {
   feed.bring([chunk("0.0.1", { version: "a1", final: false })], knobs(), false);
   await answer();
   feed.bring([chunk("0.0.1", { version: "b2", final: false })], knobs(), false);
+  await settled();
   assert.deepEqual(asked, []);
   feed.bring([chunk("0.0.1", { version: "c3" })], knobs(), true);
   assert.deepEqual(asked.map(({ chunks }) => chunks), [["0.0.1-c3"]]);

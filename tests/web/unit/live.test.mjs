@@ -244,7 +244,7 @@ test("a server that is away is asked again at the next rest", async () => {
 
 test("the document is asked for by what it depends on", () => {
   const values = knobs({ environment: "studio", planes: "x>4;1,1,0<3", azimuth: 7, yaw: 20, isovalue: 80 });
-  assert.deepEqual(documentQuery(SCENE, values), { environment: "studio", cut: "x>4", window: "1,1,0<3", shading: "gi" });
+  assert.deepEqual(documentQuery(SCENE, values), { environment: "studio", cut: "x>4", shading: "gi" });
   assert.deepEqual(documentQuery(SCENE, knobs({ azimuth: 1, exposure: 3 })), documentQuery(SCENE, knobs({ yaw: 5 })));
 });
 
@@ -256,6 +256,12 @@ test("chunks and light are asked for without what does not count", () => {
   const turn = { yaw: 20, pitch: 0, roll: 0 };
   assert.deepEqual(lightQuery(SCENE, values, turn), { environment: "studio", ...turn });
   assert.deepEqual(lightQuery(SCENE, values, null), { environment: "studio" });
+});
+
+test("planes along no axis are a window of the card", () => {
+  const { window } = cardView(SCENE, DOCUMENT, knobs({ planes: "x>4;0,3,4<10" }));
+  assert.deepEqual(window, [{ normal: [-0, -0.6, -0.8], limit: -2 }]);
+  assert.deepEqual(cardView(SCENE, DOCUMENT, knobs({})).window, []);
 });
 
 test("a card's camera is the server's", () => {

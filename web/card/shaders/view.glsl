@@ -2,6 +2,7 @@
 // Kernels: isogi_core/kernels/tracing/camera.py, isogi_core/kernels/shading/local_models.py; rays: web/card/rays.js.
 #include "intersect.glsl"
 #include "field.glsl"
+#include "sight.glsl"
 #if SHADING == 1
 #include "irradiance_ratio.glsl"
 #include "lobes.glsl"
@@ -34,12 +35,16 @@ vec3 shade(vec3 p, vec3 n, out float lacking) {
 // What the picture shows at a place, in pixels from its upper left corner.
 Seen see(vec2 at) {
   vec3 o = start + at.x * startRight + at.y * startDown, d = corner + at.x * right + at.y * down;
-  float t = cast_ray(o, d, UNKNOWN);
+  vec2 part = look_through(o, d);
   Seen seen = Seen(vec3(0.0), vec3(0.0), vec3(0.0), 0.0, 0.0);
-  if (t < 0.0) return seen;
+  if (part.x > part.y) return seen;
+  o += part.x * d;
+  bool opened = part.x > 0.0 && is_solid(o);
+  float t = opened ? 0.0 : cast_ray(o, d, UNKNOWN);
+  if (t < 0.0 || part.x + t > part.y) return seen;
   seen.point = o + t * d;
-  seen.normal = find_normal(seen.point, d);
-  seen.light = shade(seen.point, seen.normal, seen.lacking);
+  if (!opened) seen.normal = find_normal(seen.point, d);
+  seen.light = opened ? paint(seen.point) : shade(seen.point, seen.normal, seen.lacking);
   seen.cover = 1.0;
   return seen;
 }
