@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.bake.noise import Until
 from isogi_core.cache.page_pool import NOTHING
 from isogi_core.frame.card.chunk_light import fold_chunks, seen_chunks, transfer_chunks
 from isogi_core.frame.lighting import RotatedLight
@@ -55,7 +56,7 @@ def drawn(bench: Workbench, view: View, target: float = LOOSE) -> tuple[np.ndarr
     gbuffer = bench.renderer.gbuffer(view)
     light = RotatedLight(bench.caches.spec("gi"), view)
     texels = bench.renderer.texels(view, gbuffer)
-    _, framebuffer = bench.renderer._texels.picture(texels, light, target, TILES, Stopwatch())
+    _, framebuffer = bench.renderer._texels.picture(texels, light, Until(target), TILES, Stopwatch())
     return gbuffer.points, gbuffer.normals(TILES), framebuffer.radiance[gbuffer.pixels]
 
 
@@ -106,7 +107,7 @@ def kernels_inputs(bench: Workbench, view: View, light: RotatedLight) -> tuple[A
     from isogi_core.frame.shading import fill_texel_records
 
     texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
-    reading, lit = bench.renderer._texels.lit(texels, light, LOOSE, TILES, Stopwatch())
+    reading, lit = bench.renderer._texels.lit(texels, light, Until(LOOSE), TILES, Stopwatch())
     normals = bench.renderer._texels._texel_normals(view, texels, reading, TILES)
     return reading, fill_texel_records(reading.grade, lit, normals, light, TILES)
 

@@ -245,7 +245,7 @@ def test_render_writes_a_final_picture_and_tells_so(small_scene: Path, store: Pa
     assert (facts["target_error"], facts["final"], facts["stopped"]) == (0.5, 1.0, "target")
     assert facts["paths"] >= 64 and 0.0 < facts["error"] <= 0.5
     assert (facts["provisional"], facts["format"], facts["file"]) == (False, "npy", str(output))
-    assert "100%" in done.stderr
+    assert "100 %" in done.stderr
     assert [each.name for each in tmp_path.iterdir()] == ["a.npy"]
     assert any("/c/" in path.as_posix() for path in store.rglob("*"))
 

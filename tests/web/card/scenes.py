@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from isogi_core.bake.noise import Until
 from isogi_core.frame.card.chunk_light import CHUNKS, fold_chunks, seen_chunks, transfer_chunks
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
@@ -75,7 +76,7 @@ def plain_light(renderer: Renderer, view: View, target: float) -> tuple[np.ndarr
     """What isogi's frame has before lobes and own light: radiance (h, w, 3), and where the surface is seen (h, w)."""
     gbuffer, light = renderer.gbuffer(view), renderer._light(view)
     texels = renderer.texels(view, gbuffer)
-    _, framebuffer = renderer._texels.picture(texels, light, target, renderer.tiles, Stopwatch())
+    _, framebuffer = renderer._texels.picture(texels, light, Until(target), renderer.tiles, Stopwatch())
     size = (view.height, view.width)
     return framebuffer.radiance.reshape(*size, 3), framebuffer.state.reshape(size) > 0
 
