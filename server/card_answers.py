@@ -6,7 +6,7 @@ from urllib.parse import urlencode
 
 import numpy as np
 
-from isogi_core.frame.card.chunk_light import CHUNKS, raw_scale, seen_chunks
+from isogi_core.frame.card.chunk_light import CHUNKS, SeenChunk, raw_scale, seen_chunks
 from isogi_core.frame.card.obstacles import BYTES, Obstacle, find_obstacles
 from isogi_core.frame.film import ground_of
 from isogi_core.frame.frame import Frame
@@ -156,12 +156,16 @@ def colours_of(rows: np.ndarray) -> Colours:
     return red, green, blue
 
 
-def chunk_list(renderer: Renderer, frame: Frame) -> list[CardChunk]:
+def chunk_list(seen: Sequence[SeenChunk]) -> list[CardChunk]:
+    """The chunks that a view reads."""
+    return [CardChunk(at=".".join(map(str, each.at)), version=each.version.hex(), final=each.final) for each in seen]
+
+
+def chunks_in(renderer: Renderer, frame: Frame) -> list[CardChunk]:
     """The chunks that the view of a ``frame`` reads, most visible first; none where it is drawn without texels.
 
     Raises what ``seen_chunks`` does.
     """
     if frame.lacking is None or frame.view.shading != "gi":
         return []
-    seen = seen_chunks(renderer, frame.view, frame.lacking.reading.target, renderer.tiles)
-    return [CardChunk(at=".".join(map(str, each.at)), version=each.version.hex(), final=each.final) for each in seen]
+    return chunk_list(seen_chunks(renderer, frame.view, frame.lacking.reading.target, renderer.tiles))

@@ -184,9 +184,7 @@ class CardChunk(BaseModel):
 
 
 class CardChunks(BaseModel):
-    """The chunks that a view reads, most visible first; how far its light is, and how many chunks are coming."""
+    """The chunks that a view reads, most visible first, and how many of them are going to have more light."""
 
     chunks: list[CardChunk]
-    final: bool
-    error: float
     coming: int

@@ -1,5 +1,6 @@
 """The page pool: decoded light in a texel table of fixed size, which kernels read through an indirection table."""
 
+import hashlib
 import threading
 from collections import OrderedDict
 from collections.abc import Collection, Iterator, Sequence
@@ -26,6 +27,10 @@ PAGE = 64
 
 FEWEST_CHUNKS = 8
 """Least number of chunks in the indirection table."""
+
+
+NOTHING = b"\0" * 8
+"""The version of a chunk without light."""
 
 
 @dataclass(eq=False)
@@ -96,6 +101,7 @@ class PagePool:
         self._free_pages = Numbers(pages)
         self._free_slots = Numbers(slots)
         self._entries: OrderedDict[Index, Entry] = OrderedDict()
+        self._versions: dict[int, bytes] = {}
         self._age = 0
         self._lock = threading.Lock()
 
@@ -127,6 +133,8 @@ class PagePool:
             entries = self._allocate(-(-counts // PAGE), {*keep} - {*chunks.indices})
             rows = rows_in([entry.pages for entry in entries], counts)
             slots = np.array([entry.slot for entry in entries], np.int32)
+            for slot in slots.tolist():
+                self._versions.pop(slot, None)
             self.table[slots], self.written[rows] = UNLIT, self._age
             self.table[np.repeat(slots, counts), chunks.offsets] = fill_rows(self.rows, rows, chunks.light, self.spec)
             if self.spec.plan.nodes:
@@ -155,6 +163,16 @@ class PagePool:
                     if entry is not None:
                         entry.held -= 1
                         self._give_back(entry)
+
+    def version(self, slot: int) -> bytes:
+        """What names how far the held chunk in a ``slot`` is baked, by which plan; NOTHING where it has no light."""
+        if slot < 0 or not (self.table[slot] != UNLIT).any():
+            return NOTHING
+        if slot not in self._versions:
+            rows = self.table[slot]
+            stamps = np.where(rows >= 0, self.stamp[rows], rows.astype(np.float32))
+            self._versions[slot] = hashlib.blake2b(self.spec.digest.encode() + stamps.tobytes(), digest_size=8).digest()
+        return self._versions[slot]
 
     def transfer_at(self, slot: int, offsets: np.ndarray) -> np.ndarray:
         """The transfer of a held chunk's texels at ``offsets`` (m,), 0 where unlit; (m, channels, columns) float32."""

@@ -9,8 +9,9 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.texel_reading import read_texels
+from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch
+from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL, Framebuffer
 from isogi_core.model.view import View
 
@@ -36,7 +37,12 @@ def unlit_frame(renderer: Renderer, view: View, target: float, cancelled: thread
         if not len(held.slots) or (held.slots >= 0).any():
             return None
         reading = read_texels(texels, held.slots, loader.pool, target, tiles)
-    count = view.width * view.height
+    return undrawn_frame(renderer, view, texels, reading)
+
+
+def undrawn_frame(renderer: Renderer, view: View, texels: ViewTexels, reading: Reading) -> Frame:
+    """The frame of a view by what its ``texels`` hold, before it is drawn: white, and provisional all over."""
+    gbuffer, count = texels.gbuffer, view.width * view.height
     white = Framebuffer(np.ones((count, 3), np.float32), np.zeros(count, np.uint8), np.ones(count, np.float32))
     white.state[gbuffer.pixels] = PROVISIONAL
     light = RotatedLight(renderer.caches.spec(view.shading), view)

@@ -19,7 +19,7 @@ from server.answers import coverage_schema
 from server.api.pacing import Drafts, Motion, Window
 from server.api.service import Service, ServiceDep
 from server.api.shown import PictureRequest, Shown
-from server.card_answers import chunk_list
+from server.card_answers import chunks_in
 from server.card_schemas import CardChunk
 from server.errors import ParameterError, StreamError
 from server.parameters import FrameParams, NoParams, read
@@ -290,7 +290,7 @@ class Session:
         """The chunks that a full picture reads, where the client asks for them."""
         if request.moving or not request.chunks:
             return None
-        return chunk_list(self._service.engine.renderer(self._lit.id), shown.frame)
+        return chunks_in(self._service.engine.renderer(self._lit.id), shown.frame)
 
     async def _send(self, text: str, data: bytes | None = None) -> None:
         """Send all of it or nothing, also where the sender is cancelled on the way."""

@@ -21,7 +21,7 @@ import { anglesOf } from "./view.js";
  * @property {(answer: ArrayBuffer, turn: import("../card/light.js").Quaternion) => void} take
  */
 
-const TOGETHER = 16; // chunks of one request: the first ones are soon on the screen
+const [FIRST, TOGETHER] = [16, 64]; // chunks of a request: the most visible ones are soon on the screen
 
 /** Keeps the light on a card up with the views that it draws. */
 export class Feed {
@@ -32,6 +32,8 @@ export class Feed {
   #turn;
   /** @type {Wanted|null} */
   #wanted = null;
+  /** Places of chunks that some light was brought of. @type {Set<string>} */
+  #here = new Set();
   #working = false;
   #closed = false;
 
@@ -80,25 +82,37 @@ export class Feed {
     next.chunks.forEach((name) => wanted.asked.add(`${next.what} ${name}`));
     const answer = await this.#ask(next.what, next.chunks, this.#turn);
     if (this.#closed) return;
+    next.chunks.forEach((name) => this.#here.add(placeOf(name)));
     this.#card.take(answer, fromAngles(this.#turn));
     this.#onLight();
   }
 
   /**
-   * What to ask for next. Light that converges is filtered as it is folded, and so a view at rest in a turned light has it
-   * folded once more; of light that is final transfer serves all turns.
+   * What to ask for next: chunks of which nothing is here, and others once they are final. Light that converges is
+   * filtered as it is folded, and so a view at rest in a turned light has it folded once more; of light that is final
+   * transfer serves all turns.
    * @param {Wanted} wanted
    * @returns {{what: "light"|"transfer", chunks: string[]}|null}
    */
   #next({ chunks, values, moving, asked }) {
     const isTurned = JSON.stringify(anglesOf(values)) !== JSON.stringify(this.#turn);
-    if (isTurned && !moving && chunks.some(({ final }) => !final)) this.#turn = anglesOf(values);
+    if (isTurned && !moving && chunks.some(({ final }) => !final)) {
+      this.#turn = anglesOf(values);
+      this.#here.clear();
+    }
     const { light, transfer } = this.#card.lacking(chunks, fromAngles(this.#turn));
     const final = new Set(chunks.filter((each) => each.final).map(({ at, version }) => `${at}-${version}`));
-    for (const [what, names] of /** @type {const} */ ([["light", light], ["transfer", isTurned ? transfer : []]])) {
-      const left = names.filter((name) => !asked.has(`${what} ${name}`) && (what === "light" || final.has(name)));
-      if (left.length) return { what, chunks: left.slice(0, TOGETHER) };
+    const due = light.filter((name) => final.has(name) || !this.#here.has(placeOf(name)));
+    const lasting = isTurned ? transfer.filter((name) => final.has(name)) : [];
+    for (const [what, names] of /** @type {const} */ ([["light", due], ["transfer", lasting]])) {
+      const left = names.filter((name) => !asked.has(`${what} ${name}`));
+      if (left.length) return { what, chunks: left.slice(0, asked.size ? TOGETHER : FIRST) };
     }
     return null;
   }
+}
+
+/** The place of a chunk that is named with its version. @param {string} name @returns {string} */
+function placeOf(name) {
+  return name.split("-")[0];
 }

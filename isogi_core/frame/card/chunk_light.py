@@ -8,13 +8,15 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.frame.card.blocks import FOLDED, RAW, pack
-from isogi_core.frame.card.chunk_texels import ChunkTexels, hold_texels, version_of, with_neighbours
+from isogi_core.frame.card.chunk_texels import ChunkTexels, hold_texels, with_neighbours
+from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.shading import fill_texel_records, filter_texel_light, light_sources
 from isogi_core.frame.texel_normals import own_normals
 from isogi_core.frame.texel_reading import read_texels
 from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.unlit_view import undrawn_frame
 from isogi_core.kernels.shading.irradiance_ratio import DIRECT, REFLECTED
 from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import Index
@@ -81,14 +83,20 @@ class SeenChunk(NamedTuple):
 
 def seen_chunks(renderer: Renderer, view: View, target: float, tiles: Tiles) -> list[SeenChunk]:
     """The chunks that a ``view`` reads, those first that most of its pixels do. Raises as ``fold_chunks``."""
+    return look_at(renderer, view, target, tiles)[0]
+
+
+def look_at(renderer: Renderer, view: View, target: float, tiles: Tiles) -> tuple[list[SeenChunk], Frame]:
+    """The same, and a frame that is not drawn, which tells what light the ``view`` lacks."""
     texels, loader = renderer.texels(view, renderer.gbuffer(view, tiles), tiles), renderer.caches.of("gi")
     loader.ensure(texels.chunks, tiles.check)
     with loader.pool.hold(texels.chunks) as held:
         reading = read_texels(texels, held.slots, loader.pool, target, tiles)
-        versions = [version_of(loader.pool, slot) for slot in held.slots.tolist()]
+        versions = list(map(loader.pool.version, held.slots.tolist()))
     read = texels.places[texels.corners].ravel() >> 3 * texels.lattice.bits
     order = np.argsort(-np.bincount(read, minlength=len(versions)), kind="stable").tolist()
-    return [SeenChunk(texels.chunks[i], versions[i], not reading.short[i]) for i in order]
+    seen = [SeenChunk(texels.chunks[i], versions[i], not reading.short[i]) for i in order]
+    return seen, undrawn_frame(renderer, view, texels, reading)
 
 
 def normals_of(renderer: Renderer, found: ChunkTexels, tiles: Tiles) -> np.ndarray:

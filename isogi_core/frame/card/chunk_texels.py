@@ -1,6 +1,5 @@
 """The texels of whole chunks that hold something, whichever views they were baked for, and how far they are baked."""
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,9 +17,6 @@ from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.filtering import Numbering
 from isogi_core.kernels.shading.lattice import UNLIT
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
-
-NOTHING = b"\0" * 8
-"""The version of a chunk without light."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,22 +52,13 @@ def hold_texels(
     loader.ensure(chunks, tiles.check)
     pool, prepared = loader.pool, loader.chunk_store.spec.prepared
     with pool.hold(chunks) as held:
-        versions = tuple(version_of(pool, slot) for slot in held.slots.tolist())
+        versions = tuple(map(pool.version, held.slots.tolist()))
         occupied = find_occupied(pool, tuple(chunks), held.slots)
         texels = number_texels(occupied, prepared)
         yield (
             ChunkTexels(tuple(chunks), versions, texels, read_texels(texels, occupied.slots, pool, target, tiles)),
             pool,
         )
-
-
-def version_of(pool: PagePool, slot: int) -> bytes:
-    """What names how far the chunk in a ``slot`` of the pool is baked, by which plan; NOTHING where it has no light."""
-    rows = pool.table[slot] if slot >= 0 else np.empty(0, np.int32)
-    if not (rows != UNLIT).any():
-        return NOTHING
-    stamps = np.where(rows >= 0, pool.stamp[rows], rows.astype(np.float32))
-    return hashlib.blake2b(pool.spec.digest.encode() + stamps.tobytes(), digest_size=8).digest()
 
 
 def find_occupied(pool: PagePool, chunks: tuple[Index, ...], slots: np.ndarray) -> Occupied:

@@ -7,13 +7,13 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
-from isogi_core.frame.card.chunk_light import Packed, fold_chunks, transfer_chunks
+from isogi_core.frame.card.chunk_light import Packed, SeenChunk, fold_chunks, look_at, transfer_chunks
+from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.plan.scene import Scene
 from server.api.binary import BINARY, binary_answer
 from server.api.headers import matches, tag_of
 from server.api.service import SceneDep, Service, ServiceDep
-from server.api.shown import Shown
 from server.card_answers import card_schema, chunk_list, voxel_version
 from server.card_parameters import (
     ChunkName,
@@ -27,9 +27,10 @@ from server.card_parameters import (
     layers_of,
 )
 from server.card_schemas import CardChunks, CardSchema
-from server.errors import ForbiddenError
+from server.errors import ForbiddenError, ParameterError
 from server.parameters import VariantParams, ViewParams, ViewParamsDep, documented
 from server.problems import documented_problems
+from server.render.updates import request_viewer
 
 router = APIRouter(prefix="/v1/scenes/{scene}/card", tags=["card"])
 PROBLEMS = documented_problems(403, 404, 422, 429, 503)
@@ -86,17 +87,24 @@ async def read_chunks(
 ) -> CardChunks:
     """The chunks of texels that a view reads, most visible first; the light that it lacks is requested.
 
-    The size of the picture is how finely the view is looked at.
+    Nothing is drawn: the size of the picture is how finely the view is looked at.
     """
+    if "wait_ms" in params.model_fields_set:
+        raise ParameterError("wait_ms is for pictures, a list comes at once: leave it out.", "wait_ms")
     lit = await service.variant(scene, params)
+    picture, viewer = service.picture_of(lit, params), request_viewer(request)
     response.headers["Cache-Control"] = "no-cache"
+    if picture.view.shading != "gi" or not service.startup.lit.is_set():
+        return CardChunks(chunks=[], coming=0)
 
-    def finish(shown: Shown) -> CardChunks:
-        frame = shown.frame
-        chunks = chunk_list(service.engine.renderer(lit.id), frame)
-        return CardChunks(chunks=chunks, final=frame.final, error=frame.total.likely, coming=len(shown.coming))
+    def work() -> tuple[list[SeenChunk], Frame]:
+        renderer = service.engine.renderer(lit.id)
+        renderer.prepared.scene.require_texels()
+        return look_at(renderer, picture.view, picture.target, renderer.tiles)
 
-    return await service.render(request, lit, params, finish)
+    seen, frame = await service.compute(request, work)
+    coming = await service.request_light(picture, frame, viewer)
+    return CardChunks(chunks=chunk_list(seen), coming=len(coming))
 
 
 @router.get("/light/{chunks}", response_class=Response, openapi_extra=documented(FoldParams), responses=PARTS)

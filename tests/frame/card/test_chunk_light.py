@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.cache.page_pool import NOTHING
 from isogi_core.frame.card.chunk_light import fold_chunks, seen_chunks, transfer_chunks
-from isogi_core.frame.card.chunk_texels import NOTHING
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.kernels.shading.irradiance_ratio import DIRECT, REFLECTED

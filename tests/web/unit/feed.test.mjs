@@ -51,7 +51,7 @@ test("the most visible chunks come first, a few together", async () => {
     sizes.push(asked[0].chunks.length);
     await answer();
   }
-  assert.deepEqual([sizes, lit], [[16, 16, 8], 3]);
+  assert.deepEqual([sizes, lit], [[16, 24], 2]);
 });
 
 test("what the card has is not asked for again", async () => {
@@ -66,6 +66,16 @@ test("a chunk that grew on its way is asked for once a list", async () => {
   await answer({ chunks: ["0.0.1-b2"] });
   assert.deepEqual(asked, []);
   feed.bring([chunk("0.0.1", { version: "c3" })], knobs(), false);
+  assert.deepEqual(asked.map(({ chunks }) => chunks), [["0.0.1-c3"]]);
+});
+
+test("light that converges is brought once, and when it is final", async () => {
+  feed.bring([chunk("0.0.1", { version: "a1", final: false })], knobs(), false);
+  await answer();
+  feed.bring([chunk("0.0.1", { version: "b2", final: false })], knobs(), false);
+  await settled();
+  assert.deepEqual(asked, []);
+  feed.bring([chunk("0.0.1", { version: "c3" })], knobs(), true);
   assert.deepEqual(asked.map(({ chunks }) => chunks), [["0.0.1-c3"]]);
 });
 
