@@ -274,7 +274,7 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
       shown.show({ of, draft, sharp, facts });
       $("stage").dataset.ground = ground(of.values);
       if (facts) times.show(facts, draft);
-      if (!draft) live.rest(of.values, facts, chunks);
+      if (!draft && of === shown.asked) live.rest(of.values, facts, chunks);
       const done = shown.state === "final";
       const more = done && !picture.sharp && picture.sharpen();
       $("stage").toggleAttribute("data-sharp", done && !more);

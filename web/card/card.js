@@ -13,7 +13,7 @@
  * that its `width` and `height` say; to draw is all that may change its content.
  */
 
-import { BUDGET, openDevice } from "./device.js";
+import { BUDGET, Refusal, openDevice } from "./device.js";
 import { Drawing, keyOf, programsOf } from "./drawing.js";
 import { turnLight } from "./light.js";
 import { Pace } from "./pace.js";
@@ -64,7 +64,7 @@ export class Card {
    * @param {CardDocument} document `scene` of a drawable one
    * @param {ArrayBuffer[]|Promise<ArrayBuffer[]>} slabs of its volume, in the order of the document; programs are compiled
    *   while they come
-   * @throws {import("./device.js").Refusal} where the card's textures are too small for it
+   * @throws {import("./device.js").Refusal} where the card's textures or its memory are too small for it
    */
   async load(document, slabs) {
     await this.#load(document, Promise.resolve(slabs).then((all) => joinSlabs(document, all)));
@@ -145,8 +145,13 @@ export class Card {
     const [programs, voxels] = await Promise.all([programsOf(gl, document, readShader), codes]);
     if (load !== this.loads) return; // another scene was asked for meanwhile
     const volume = new Volume(this.device, document, voxels), texels = new Texels(this.device, document, BUDGET, runs);
+    const drawing = new Drawing(this.device, document, volume, texels, programs);
+    if (gl.getError() === gl.OUT_OF_MEMORY) {
+      drawing.release();
+      throw new Refusal("The graphics card has no memory left for this scene: the server draws.");
+    }
     this.drawing?.release();
-    this.drawing = new Drawing(this.device, document, volume, texels, programs);
+    this.drawing = drawing;
     this.last = null;
   }
 

@@ -1,5 +1,6 @@
 /** Light of texels for the card: what its view reads, most visible first, and as transfer once the light is turned. */
 
+import { CLOCK } from "../net/trouble.js";
 import { fromAngles } from "../view/rotation.js";
 import { anglesOf } from "./view.js";
 
@@ -22,6 +23,7 @@ import { anglesOf } from "./view.js";
  */
 
 const [FIRST, TOGETHER] = [16, 64]; // chunks of a request: the most visible ones are soon on the screen
+const AGAIN_MS = 2000; // until light that converges is brought again; each time twice as long
 
 /** Keeps the light on a card up with the views that it draws. */
 export class Feed {
@@ -32,8 +34,9 @@ export class Feed {
   #turn;
   /** @type {Wanted|null} */
   #wanted = null;
-  /** Places of chunks that some light was brought of. @type {Set<string>} */
-  #here = new Set();
+  #clock;
+  /** When light of a chunk may be brought again that is not final, and how long that waited, by its place. @type {Map<string, {due: number, wait: number}>} */
+  #here = new Map();
   #working = false;
   #closed = false;
 
@@ -42,12 +45,14 @@ export class Feed {
    * @param {(what: "light"|"transfer", chunks: string[], turn: Angles) => Promise<ArrayBuffer>} ask
    * @param {Angles} turn of the light at first
    * @param {() => void} onLight is called when the card has new light
+   * @param {import("../net/trouble.js").Clock} [clock]
    */
-  constructor(card, ask, turn, onLight) {
+  constructor(card, ask, turn, onLight, clock = CLOCK) {
     this.#card = card;
     this.#ask = ask;
     this.#turn = anglesOf(turn);
     this.#onLight = onLight;
+    this.#clock = clock;
   }
 
   /**
@@ -82,15 +87,15 @@ export class Feed {
     next.chunks.forEach((name) => wanted.asked.add(`${next.what} ${name}`));
     const answer = await this.#ask(next.what, next.chunks, this.#turn);
     if (this.#closed) return;
-    next.chunks.forEach((name) => this.#here.add(placeOf(name)));
+    next.chunks.forEach((name) => this.#note(placeOf(name)));
     this.#card.take(answer, fromAngles(this.#turn));
     this.#onLight();
   }
 
   /**
-   * What to ask for next: chunks of which nothing is here, and others once they are final. Light that converges is
-   * filtered as it is folded, and so a view at rest in a turned light has it folded once more; of light that is final
-   * transfer serves all turns.
+   * What to ask for next: chunks of which nothing is here, or that are final, and others ever more rarely. Light that
+   * converges is filtered as it is folded, and so a view at rest in a turned light has it folded once more; of light that
+   * is final transfer serves all turns.
    * @param {Wanted} wanted
    * @returns {{what: "light"|"transfer", chunks: string[]}|null}
    */
@@ -102,13 +107,24 @@ export class Feed {
     }
     const { light, transfer } = this.#card.lacking(chunks, fromAngles(this.#turn));
     const final = new Set(chunks.filter((each) => each.final).map(({ at, version }) => `${at}-${version}`));
-    const due = light.filter((name) => final.has(name) || !this.#here.has(placeOf(name)));
+    const due = light.filter((name) => final.has(name) || this.#isDue(placeOf(name)));
     const lasting = isTurned ? transfer.filter((name) => final.has(name)) : [];
     for (const [what, names] of /** @type {const} */ ([["light", due], ["transfer", lasting]])) {
       const left = names.filter((name) => !asked.has(`${what} ${name}`));
       if (left.length) return { what, chunks: left.slice(0, asked.size ? TOGETHER : FIRST) };
     }
     return null;
+  }
+
+  /** Whether light that converges is to be brought. @param {string} place */
+  #isDue(place) {
+    return this.#clock.now() >= (this.#here.get(place)?.due ?? -Infinity);
+  }
+
+  /** Light of a chunk was brought. @param {string} place */
+  #note(place) {
+    const wait = 2 * (this.#here.get(place)?.wait ?? AGAIN_MS / 2);
+    this.#here.set(place, { due: this.#clock.now() + wait, wait });
   }
 }
 

@@ -13,7 +13,7 @@ import { anglesOf, cardView, chunksQuery, documentQuery, lightQuery } from "./vi
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/rotation.js").Angles} Angles */
 
-const LIST_MS = 500; // between two lists of chunks that a moving view reads
+const LIST_MS = 1000; // between two lists of chunks that a moving view reads
 const SLOW_MS = 250; // that a card of no use is busy with a picture, of as few pixels as it draws
 const SLOW_PICTURES = 4; // in a row, after which the server draws
 

@@ -14,7 +14,7 @@ import { fromAngles } from "../view/rotation.js";
 const VARIANT = ["environment", "cut", "time", "surfaces", "hide", "material"];
 const OF_DOCUMENT = [...VARIANT, "albedo", "shading", "shine", "roughness", "strength", "glow"];
 const OF_PICTURE = ["f", "overlay", "background", "exposure"]; // what a list of chunks does not depend on
-const WIDEST = 256; // pixels across, of a view whose chunks are asked for
+const WIDEST = 160; // pixels across, of a view whose chunks are asked for: a chunk is seldom smaller
 
 /** @param {FrameQuery} query @param {string[]} names @returns {FrameQuery} */
 function only(query, names) {

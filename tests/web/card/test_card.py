@@ -60,6 +60,32 @@ def test_a_card_with_small_textures_refuses_a_volume(lab: Lab, bench: Workbench)
     assert scene.picture(view_at(bench)).covers.sum() > 100, "the scene before is still drawn"
 
 
+def test_a_card_without_memory_refuses_a_scene(lab: Lab, bench: Workbench) -> None:
+    scene = CardScene(lab, bench.renderer, view_at(bench), SIZE)
+    found = lab.ask("""const { gl } = card.device, { document, volume } = card.drawing;
+        const { Refusal } = await import("/web/card/device.js");
+        gl.getError = () => gl.OUT_OF_MEMORY;
+        try { await card.load(document, [volume.source.buffer]); }
+        catch (error) { return [error instanceof Refusal, error.message]; }
+        finally { delete gl.getError; }""")
+    assert found == [True, "The graphics card has no memory left for this scene: the server draws."]
+    assert scene.picture(view_at(bench)).covers.sum() > 100, "the scene before is still drawn"
+
+
+def test_the_newest_scene_is_the_one_that_is_drawn(lab: Lab, bench: Workbench) -> None:
+    """Voxels of a scene that was asked for before may come late."""
+    CardScene(lab, bench.renderer, view_at(bench), SIZE)
+    script = """const { document, volume } = card.drawing, slabs = [volume.source.buffer];
+        let come;
+        const late = new Promise((done) => { come = () => done(slabs); });
+        const first = card.load({ ...document, isovalues: "first" }, late);
+        await card.load({ ...document, isovalues: "second" }, slabs);
+        come();
+        await first;
+        return card.drawing.document.isovalues;"""
+    assert lab.ask(script) == "second"
+
+
 LOSE = """const context = card.device.gl.getExtension("WEBGL_lose_context"), said = [];
   card.onlost = () => said.push("lost");
   const restored = new Promise((done) => { card.onrestored = () => { said.push("restored"); done(); }; });

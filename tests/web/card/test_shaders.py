@@ -69,7 +69,7 @@ def test_cubics_turn_where_the_kernel_has_it(lab: Lab) -> None:
 
 def test_cubics_cross_where_the_kernel_has_it(lab: Lab) -> None:
     q = cubics(2000)
-    found = run(lab, ["cubic.glsl"], "return vec4(first_crossing(given(0), given(0).w > 0.0));", q[:, None])[:, 0]
+    found = run(lab, ["cubic.glsl"], "return vec4(first_crossing(given(0), given(0).w > 0.0, 0.0));", q[:, None])[:, 0]
     pairs = [first_crossing(tuple(each), each[3] > 0.0, 0.0, True) for each in q.astype(float).tolist()]
     expected = np.array([t if crosses else -1.0 for t, crosses in pairs])
     assert 0.3 < (expected >= 0.0).mean() < 0.9

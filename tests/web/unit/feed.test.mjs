@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { beforeEach, test } from "node:test";
 import { Feed } from "../../../web/live/feed.js";
 import { fromAngles } from "../../../web/view/rotation.js";
-import { knobs, settled } from "./fixtures.mjs";
+import { FakeClock, knobs, settled } from "./fixtures.mjs";
 
 const STRAIGHT = { yaw: 0, pitch: 0, roll: 0 };
 const TURNED = { yaw: 30, pitch: 0, roll: 0 };
@@ -10,6 +10,7 @@ const chunk = (at, values = {}) => ({ at, version: "a1", final: true, ...values 
 
 let asked; // requests that wait for their answers
 let card;
+let clock;
 let feed;
 let lit;
 
@@ -37,9 +38,9 @@ async function answer(values = {}) {
 }
 
 beforeEach(() => {
-  [asked, card, lit] = [[], new FakeCard(), 0];
+  [asked, card, clock, lit] = [[], new FakeCard(), new FakeClock(), 0];
   const ask = (what, chunks, turn) => new Promise((resolve, reject) => asked.push({ what, chunks, turn, resolve, reject }));
-  feed = new Feed(card, ask, STRAIGHT, () => { lit += 1; });
+  feed = new Feed(card, ask, STRAIGHT, () => { lit += 1; }, clock);
 });
 
 test("the most visible chunks come first, a few together", async () => {
@@ -69,14 +70,20 @@ test("a chunk that grew on its way is asked for once a list", async () => {
   assert.deepEqual(asked.map(({ chunks }) => chunks), [["0.0.1-c3"]]);
 });
 
-test("light that converges is brought once, and when it is final", async () => {
-  feed.bring([chunk("0.0.1", { version: "a1", final: false })], knobs(), false);
-  await answer();
-  feed.bring([chunk("0.0.1", { version: "b2", final: false })], knobs(), false);
-  await settled();
-  assert.deepEqual(asked, []);
-  feed.bring([chunk("0.0.1", { version: "c3" })], knobs(), true);
-  assert.deepEqual(asked.map(({ chunks }) => chunks), [["0.0.1-c3"]]);
+test("light that converges is brought ever more rarely, and when it is final", async () => {
+  const brought = [];
+  for (let i = 0; i < 32; i++) {
+    feed.bring([chunk("0.0.1", { version: `a${i}`, final: false })], knobs(), false);
+    await settled();
+    if (asked.length) {
+      brought.push(i / 2);
+      await answer();
+    }
+    await clock.pass(500);
+  }
+  assert.deepEqual(brought, [0, 2, 6, 14], "seconds");
+  feed.bring([chunk("0.0.1", { version: "z9" })], knobs(), true);
+  assert.deepEqual(asked.map(({ chunks }) => chunks), [["0.0.1-z9"]]);
 });
 
 test("the newest list counts", async () => {

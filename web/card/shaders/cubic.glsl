@@ -49,20 +49,21 @@ float refine(vec4 q, float lo, float hi, bool solid) {
   return t;
 }
 
-// Whether the cubic is above 0 at t = 1.
-bool ends_solid(vec4 q) { return q.x + q.y + q.z + q.w > 0.0; }
+// Whether the cubic is above 0 at t = 1, by more than what rounding makes of 0.
+bool ends_solid(vec4 q, float blur) { return q.x + q.y + q.z + q.w > blur; }
 
-// Whether a value lies on the other side than `solid`.
-bool beyond(float f, bool solid) { return (solid ? -f : f) > 0.0; }
+// Whether a value lies on the other side than `solid` by more than `blur`.
+bool beyond(float f, bool solid, float blur) { return (solid ? -f : f) > blur; }
 
-// Smallest t in [0, 1] at which the cubic leaves the side `solid`; -1 where it stays.
-float first_crossing(vec4 q, bool solid) {
-  bool across = ends_solid(q) != solid;
+// Smallest t in [0, 1] at which the cubic leaves the side `solid`; -1 where it stays. Where it turns within `blur` of 0 it
+// only touches the surface, and stays on its side.
+float first_crossing(vec4 q, bool solid, float blur) {
+  bool across = ends_solid(q, blur) != solid;
   float b1 = q.w + q.z / 3.0, b2 = q.w + (2.0 * q.z + q.y) / 3.0;
   if (!across && (b1 > 0.0) == solid && (b2 > 0.0) == solid) return -1.0;
   vec2 r = turning_points(q);
   float after = r.x > 0.0 ? r.x : 0.0;
-  if (r.x > 0.0 && beyond(horner(q, r.x), solid)) return refine(q, 0.0, r.x, solid);
-  if (r.y > after && beyond(horner(q, r.y), solid)) return refine(q, after, r.y, solid);
+  if (r.x > 0.0 && beyond(horner(q, r.x), solid, blur)) return refine(q, 0.0, r.x, solid);
+  if (r.y > after && beyond(horner(q, r.y), solid, blur)) return refine(q, after, r.y, solid);
   return across ? refine(q, max(r.y > after && r.y < 1.0 ? r.y : after, 0.0), 1.0, solid) : -1.0;
 }

@@ -8,6 +8,7 @@
 const float OUTSIDE = 1.0, SOLID = -1.0, UNKNOWN = 0.0;
 const float MISS = -1.0;
 const float SKIN = 2e-5;     // voxels that a ray of unknown side may begin behind the surface and still be outside
+const float BLUR = 5e-7;     // rounding of a cubic's values, over the largest corner value
 const int STEPS = 2048;      // of a ray at most: no ray of a volume of 512 cells a side needs more
 
 struct Ray { vec3 o, d, inv; };
@@ -25,13 +26,15 @@ vec2 clip_box(Ray ray) {
   return vec2(max(max(max(first.x, first.y), first.z), 0.0), min(min(last.x, last.y), last.z));
 }
 
-// Where the ray leaves [low, low + edge): its t; c becomes the next cell. Faces decide, and no rounded place.
-float leave(Ray ray, ivec3 low, int edge, inout ivec3 c) {
+// Where the ray leaves [low, low + edge): its t; c becomes the next cell. Faces decide, and no rounded place: `left` says
+// of which axes.
+float leave(Ray ray, ivec3 low, int edge, inout ivec3 c, out bvec3 left) {
   ivec3 ahead = ivec3(step(0.0, ray.d)), high = low + edge - 1;
   vec3 t = (vec3(low + ahead * edge) - ray.o) * ray.inv;
   float nearest = min(min(t.x, t.y), t.z);
   ivec3 there = clamp(ivec3(floor(ray.o + nearest * ray.d)), low, high);
-  c = ivec3(mix(vec3(there), vec3(mix(vec3(low - 1), vec3(high + 1), vec3(ahead))), lessThanEqual(t, vec3(nearest))));
+  left = lessThanEqual(t, vec3(nearest));
+  c = ivec3(mix(vec3(there), mix(vec3(low - 1), vec3(high + 1), vec3(ahead)), left));
   return nearest;
 }
 
@@ -42,26 +45,31 @@ float side_of(ivec3 c) {
 }
 
 // First crossing in cell c between t = near and far: its t, or MISS; `side` becomes that at the exit.
-float cross_cell(Ray ray, ivec3 c, float near, float far, inout float side) {
-  float corners[8], least = 0.0;
+// The ray has entered by faces across some axes, and left by others: there its places are on these, without rounding.
+float cross_cell(Ray ray, ivec3 c, float near, float far, bvec3 entered, bvec3 left, inout float side) {
+  float corners[8], least = 0.0, largest = 0.0;
   for (int k = 0; k < 8; k++) {
     float v = voxel(c + ivec3(k & 1, (k >> 1) & 1, k >> 2));
     corners[k] = v - isovalue;
     least = min(least, v);
+    largest = max(largest, abs(corners[k]));
   }
   if (least < HOLE) {
     side = UNKNOWN;
     return MISS;
   }
   float span = far - near;
-  vec4 q = cubic_along(corners, ray.o + near * ray.d - vec3(c), span * ray.d);
+  vec3 ahead = step(0.0, ray.d), local = ray.o - vec3(c);
+  vec3 a = mix(clamp(local + near * ray.d, 0.0, 1.0), 1.0 - ahead, entered);
+  vec3 b = mix(clamp(local + far * ray.d, 0.0, 1.0), ahead, left);
+  vec4 q = cubic_along(corners, a, b - a);
   if (side == UNKNOWN) {
     float through = span * max(max(abs(ray.d.x), abs(ray.d.y)), abs(ray.d.z));
     side = q.w * through > SKIN * abs(q.z) ? SOLID : OUTSIDE;
   }
-  float t = first_crossing(q, side == SOLID);
+  float t = first_crossing(q, side == SOLID, BLUR * largest);
   if (t >= 0.0) return near + t * span;
-  side = ends_solid(q) ? SOLID : OUTSIDE;
+  side = ends_solid(q, BLUR * largest) ? SOLID : OUTSIDE;
   return MISS;
 }
 
@@ -77,13 +85,18 @@ float cast_ray(vec3 o, vec3 d, float side) {
   float t = 0.0, far = part.y - part.x;
   ivec3 last = size - 2, c = clamp(ivec3(floor(ray.o)), ivec3(0), last);
   bool asked = side == UNKNOWN;
+  bvec3 entered = bvec3(false), left;
   for (int i = 0; i < STEPS; i++) {
     ivec3 here = c, low;
     int edge;
     bool marked = look_up(c, low, edge);
-    float end = max(t, min(leave(ray, low, edge, c), far));
+    float end = max(t, leave(ray, low, edge, c, left));
+    if (end > far) {
+      end = far;
+      left = bvec3(false);
+    }
     if (marked && end > t) {
-      float hit = cross_cell(ray, here, t, end, side);
+      float hit = cross_cell(ray, here, t, end, entered, left, side);
       if (hit >= 0.0) return part.x + hit;
     } else if (!marked && asked) {
       float agreed = side_of(here);
@@ -92,6 +105,7 @@ float cast_ray(vec3 o, vec3 d, float side) {
     }
     asked = marked || side == UNKNOWN;
     t = end;
+    entered = left;
     if (t >= far || any(lessThan(c, ivec3(0))) || any(greaterThan(c, last))) return MISS;
   }
   return MISS;
