@@ -142,7 +142,7 @@ class PictureCheck:
             return self._begin_rung(frame, uncertainty(), tiles)
         climbs = self._climbs(frame)
         if not self._decided(frame.measured):
-            more = 2.0 * self.known.paths * frame.measured.controls
+            self.ahead = more = 2.0 * self.known.paths * frame.measured.controls
             return self._climb(frame) if more > climbs[1] else self._add_controls(uncertainty(), tiles)
         rungs, choice = self._cheapest(frame, frame.measured, uncertainty(), climbs)
         if rungs:
