@@ -205,7 +205,12 @@ export class Live {
     this.#slow = performance.now() - this.#busy > SLOW_MS ? this.#slow + 1 : 0;
     this.#busy = Infinity;
     if (this.#slow < SLOW_PICTURES || this.#choice === "card") return;
-    this.#refuse("The graphics card is too slow.");
+    this.#leave("The graphics card is too slow.");
+  }
+
+  /** Leave all pictures to the server, also that of the view that moves. @param {string} reason */
+  #leave(reason) {
+    this.#refuse(reason);
     this.#hooks.lost();
   }
 
@@ -229,7 +234,10 @@ export class Live {
 
   /** @param {ListedChunk[]} chunks */
   #bring(chunks) {
-    if (this.#loaded && this.#values) this.#loaded.feed.bring(chunks, this.#values, this.#moving).catch(() => {}); // the next list asks again
+    if (!this.#loaded || !this.#values) return;
+    this.#loaded.feed.bring(chunks, this.#values, this.#moving).catch((error) => {
+      if (!(error instanceof Trouble)) this.#leave(error.message); // of trouble, the next list asks again
+    });
   }
 
   /** What the card has depends on it. @param {Knobs} values */

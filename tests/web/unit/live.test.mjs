@@ -187,6 +187,16 @@ test("a card that is slow leaves all to the server", async () => {
   assert.deepEqual([live.draws(A), canvas.hidden, said.at(-1)], [false, true, "lost"]);
 });
 
+test("a card that takes no more light leaves all to the server", async () => {
+  await ready();
+  live.show(A);
+  await clock.pass(16);
+  card.lacking = () => { throw new Error("The graphics card takes no more texels."); };
+  live.rest(A, { coverage: { provisional: 0.5 } }, []);
+  await settled();
+  assert.deepEqual([live.draws(A), canvas.hidden, said.at(-1)], [false, true, "lost"]);
+});
+
 test("a hand that pauses is no slow card", async () => {
   await ready();
   live.move(true);
