@@ -37,6 +37,15 @@ def test_edges_are_silhouettes_and_contrasts_and_nothing_else() -> None:
     assert np.array_equal(found.reshape(state.shape), wanted) and count == max(COUNTS)
 
 
+@pytest.mark.parametrize("place", [(1, 1), (1, 2), (2, 1), (2, 2)])
+def test_a_brighter_pixel_is_an_edge_on_all_sides(place: tuple[int, int]) -> None:
+    picture = np.full((4, 4, 3), 100, np.uint8)
+    picture[place] = 130
+    edges, _ = find_edges(picture, np.full((4, 4), 3, np.uint8))
+    beside = {place, *((place[0] + y, place[1] + x) for y, x in ((0, 1), (1, 0), (0, -1), (-1, 0)))}
+    assert {divmod(int(each), 4) for each in edges} >= beside
+
+
 def test_strongest_edges_come_first_and_the_budget_holds() -> None:
     picture = np.random.default_rng(1).integers(0, 256, (400, 400, 3)).astype(np.uint8)
     picture[:, 200:] //= 4

@@ -38,7 +38,8 @@ def difference(picture, state, one, other):
     most = 0
     if state[one]:
         for c in range(3):
-            most = max(most, abs(int(picture[one[0], one[1], c]) - int(picture[other[0], other[1], c])))
+            here, there = np.int64(picture[one[0], one[1], c]), np.int64(picture[other[0], other[1], c])
+            most = max(most, abs(here - there))
     return np.uint8(most)
 
 
