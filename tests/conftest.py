@@ -19,7 +19,7 @@ from tests.live import serving_with_a_worker
 from tests.s3 import BUCKET, S3Server, environment_of
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, BrowserType
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
@@ -104,17 +104,23 @@ def shared_data() -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def browser() -> "Iterator[Browser]":
-    """A browser, one for each file of tests."""
+@pytest.fixture(scope="session")
+def browsers() -> "Iterator[BrowserType]":
+    """What opens browsers, once in a process: there can be no second one."""
     from playwright.sync_api import sync_playwright  # which few tests need, and takes a while
 
+    with sync_playwright() as playwright:
+        yield playwright.chromium
+
+
+@pytest.fixture(scope="module")
+def browser(browsers: "BrowserType") -> "Iterator[Browser]":
+    """A browser, one for each file of tests."""
     from tests.web.visits import CHROMIUM, FLAGS
 
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
-        yield chromium
-        chromium.close()
+    chromium = browsers.launch(executable_path=str(CHROMIUM), args=FLAGS)
+    yield chromium
+    chromium.close()
 
 
 @pytest.fixture

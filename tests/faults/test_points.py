@@ -6,6 +6,7 @@ from pathlib import Path
 import httpx
 import pytest
 
+from tests.baking import bake_each_texel
 from tests.faults.bench import LONG, Bench, bake_here, objects_in
 from tests.faults.failpoints import FAULTS, POINTS
 from worker.bake_requests import MOST_FAILURES
@@ -26,7 +27,7 @@ def test_every_fault_at_every_point_costs_time_and_nothing_else(bench: Bench, tm
             bench.arm(point, f"{fault}@{'_'.join(map(str, demand.index))}")
             for fault, demand in zip(FAULTS, demands, strict=False)
         ]
-        frame = bench.engine.frame(bench.scene.id, view, wait=LONG)
+        frame = bake_each_texel(bench.engine, bench.scene.id, view)
         assert not [token.name for token in tokens if token.exists()], "they were not reached"
         assert not frame.provisional, f"{point}: {bench.engine.trouble()}"
         bake_here(bench, demands, tmp_path)

@@ -18,11 +18,13 @@ import pytest
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.frame.frame import Frame
+from isogi_core.model.scene_plan import MOST
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from server.render.engine import RenderEngine
+from tests.baking import bake_each_texel
 from tests.server.inline import EngineWithoutWorkers, InlinePool
 from worker import pool
 from worker.fork_server import WORKER
@@ -71,7 +73,7 @@ def bake_views(
         engine.start()
         killer = threading.Thread(target=lambda: [killing.do(store, others) for killing in killings])
         killer.start()
-        frames = [engine.frame(scene.id, view, wait=LONG) for view in views]
+        frames = [bake_each_texel(engine, scene.id, view) for view in views]
         killer.join()
     assert not any(frame.provisional for frame in frames)
     return frames
@@ -136,7 +138,7 @@ def test_after_a_restart_the_same_view_is_final_at_once(
 ) -> None:
     with closing(EngineWithoutWorkers([scene], str(undisturbed.store))) as engine:
         engine.start()
-        after = engine.frame(scene.id, views[0])
+        after = engine.survey(scene.id, views[0], scene.target_error, enough=MOST)
     assert not after.provisional
     assert after.version == undisturbed.frames[0].version
     assert after.radiance.tobytes() == undisturbed.frames[0].radiance.tobytes()

@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.upkeep import prune as pruning
 from isogi_core.cache.upkeep.census import census_of
@@ -159,15 +159,13 @@ def places_of(demands: tuple[Demand, ...]) -> list[tuple[Index, bytes]]:
 
 @pytest.mark.slow
 def test_light_that_is_replaced_is_not_brought_to_the_target(begin: Open, scene: Scene) -> None:
-    """Light on texels' own isosurfaces that only stands in stays as it is; the picture is the same."""
+    """Light on texels' own isosurfaces that only stands in stays as it is."""
     engine, view, strict = begin(), view_of(scene), 0.025
     lazy = engine.frame(scene.id, view, max_error=strict, wait=LONG)
-    assert not lazy.provisional and lazy.projection and lazy.demands
-    wanted = lazy.projection.reading.wanted
-    assert (lazy.projection.reading.base.grade[~wanted] >= FINAL).all()
-    engine.bake(engine.bake_of(scene.id, view), lazy.demands, strict).wait(LONG)
-    whole = engine.frame(scene.id, view, max_error=strict)
-    assert not whole.demands and np.array_equal(whole.radiance, lazy.radiance)
+    assert not lazy.provisional and lazy.projection
+    wanted, base = lazy.projection.reading.wanted, lazy.projection.reading.base
+    assert wanted.any() and (base.grade[~wanted] >= FINAL).all()
+    assert base.samples[wanted].max() == FIRST_LEVEL
 
 
 @pytest.mark.slow

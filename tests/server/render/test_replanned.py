@@ -14,7 +14,8 @@ from isogi_core.model.scene_plan import FEWEST, ScenePlan, most_samples
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from server.render.engine import RenderEngine
-from tests.server.inline import LONG, InlinePool, chunks_in, view_of
+from tests.baking import bake_each_texel
+from tests.server.inline import InlinePool, chunks_in, view_of
 from worker import pool
 
 SKY = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
@@ -34,7 +35,7 @@ class Shown:
             engine.start()
             self.plan = engine.scenes[self.scene.id].plan
             self.first = engine.frame(self.scene.id, view_of(self.scene))
-            self.final = engine.frame(self.scene.id, view_of(self.scene), wait=LONG)
+            self.final = bake_each_texel(engine, self.scene.id, view_of(self.scene))
         self.after = chunks_in(store)
         assert not self.final.provisional
 

@@ -27,7 +27,7 @@ def test_an_upload_is_a_scene_like_any_other(site: Site) -> None:
     again = site.send(12)
     assert again["id"] == facts["id"]
     shown = site.client.get(f"{facts['scene']}/frame", params=VIEW | {"wait_ms": 0})
-    assert "final=1.000" in shown.headers["isogi-coverage"], "the light of what came again is found in the store"
+    assert "provisional=0.000" in shown.headers["isogi-coverage"], "the light of what came again is found in the store"
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser, BrowserType
 
 from isogi_core.plan.scene import Scene
 from tests.frame.conftest import Workbench
@@ -15,15 +15,14 @@ from tests.web.visits import CHROMIUM
 Make = Callable[[Scene], Workbench]
 
 
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
+@pytest.fixture(scope="module")
+def browser(browsers: BrowserType) -> Iterator[Browser]:
     """Chromium with SwiftShader in a card's place."""
     if not CHROMIUM.exists():
         pytest.skip(f"no Chromium at {CHROMIUM}: install Debian's chromium")
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=str(CHROMIUM), args=["--no-sandbox", *CARD_FLAGS])
-        yield chromium
-        chromium.close()
+    chromium = browsers.launch(executable_path=str(CHROMIUM), args=["--no-sandbox", *CARD_FLAGS])
+    yield chromium
+    chromium.close()
 
 
 @pytest.fixture(scope="module")
