@@ -118,7 +118,7 @@
     if (!picture) return [];
     const said = told(), bar = $("#progress").getAttribute("aria-valuenow");
     const found = [];
-    const { error, coverage } = picture.facts, percent = `${Number((100 * error).toPrecision(2))} %`;
+    const { error, provisional } = picture.facts, percent = `${Number((100 * error).toPrecision(2))} %`;
     const ofThese = picture.controls === now;
     if (!ofThese || picture.draft) {
       for (const [where, text] of Object.entries(said)) if (CLAIM.test(text)) found.push([picture.draft && ofThese ? "claim for a draft" : "claim for an old picture", `${where}: ${text}`]);
@@ -128,7 +128,7 @@
       for (const where of ["#badge", "#status-line", "#error .value"]) {
         if (/\d %/.test(said[where]) && !said[where].includes(percent)) found.push(["another's error", `${where}: ${said[where]}, it is ${percent}`]);
       }
-      if (bar !== null && Number(bar) !== Math.floor(100 * coverage.final)) found.push(["another's bar", bar]);
+      if (bar !== null && (Number(bar) === 100) === provisional) found.push(["another's bar", bar]);
     }
     const { moment = Infinity, looks = Infinity } = ofThese ? {} : left.get(picture.controls) ?? {};
     const old = performance.now() - moment;

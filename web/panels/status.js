@@ -10,6 +10,7 @@ import { PREVIEW, errorInWords, frameInWords, shareInWords, showsSurface } from 
 /** @typedef {import("../net/shown.js").State} State */
 /** @typedef {import("../net/trouble.js").Clock} Clock */
 
+const ALMOST = 0.99; // the most that a bar shows of what is not done
 const OLD_MS = 300; // after which a picture that the controls have left is dimmed
 const LATE_MS = 600; // after which a person is told that a picture is still to come
 /** @type {Partial<Record<State, {badge: string, line: string}>>} */
@@ -86,7 +87,7 @@ export class Status {
  */
 export function doneOf({ provisional, timeLeft }, seconds) {
   if (!provisional) return 1;
-  return timeLeft ? seconds / Math.max(seconds + timeLeft.likely, 1e-3) : 0;
+  return timeLeft ? Math.min(seconds / Math.max(seconds + timeLeft.likely, 1e-3), ALMOST) : 0;
 }
 
 /** What a bar shows: what is done, and of the rest how much has light. @param {Facts} facts @param {number} done */
