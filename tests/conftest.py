@@ -104,9 +104,9 @@ def shared_data() -> Path:
     return folder
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browsers() -> "Iterator[BrowserType]":
-    """What opens browsers, once in a process: there can be no second one."""
+    """What opens browsers: one at a time in a process, whose event loop stops with it, so that other files have theirs."""
     from playwright.sync_api import sync_playwright  # which few tests need, and takes a while
 
     with sync_playwright() as playwright:
