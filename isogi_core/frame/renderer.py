@@ -7,15 +7,16 @@ step and the surface that a view shows, by isovalue, camera and size (``surface_
 |---|---|
 | ``GBuffer``, ``ViewTexels``, ``Distances``, ``TexelNormals``, ``ShadowStarts``, ``EyeGlow`` | a surface |
 | ``Reading`` | a surface, a bake spec, a target error, and the age of the page pool |
+| ``FilteredLight`` | a view's texels, what is read of them, the rotation of the light, an albedo and a glow |
 | ``LobeLight`` | a surface, the rotation of the light, and whether it moves |
 | ``PictureCheck`` | a surface, the rotation of the light, an albedo, a shine, a glow and a target error |
 | ``RoomLight`` | an isovalue, an albedo and a glow |
 | ``SeenThrough`` | a surface, and the rotation of the light |
 | ``ShineLight`` | a surface, its shine and albedo, the rotation of the light, a glow, and whether it moves |
 
-``Reading``, ``LobeLight`` and ``ShineLight`` have a SHARE of its bytes each, so that a light that turns, or a bake that
-goes on, drives out no surface. What views have in common of texels is kept by ``TexelShading``: see ``OwnNormals`` and
-``RowRecords``.
+``Reading``, ``FilteredLight``, ``LobeLight`` and ``ShineLight`` have a SHARE of its bytes each, so that a light that
+turns, or a bake that goes on, drives out no surface. What views have in common of texels is kept by ``TexelShading``:
+see ``OwnNormals`` and ``RowRecords``.
 """
 
 import threading
@@ -55,7 +56,7 @@ from isogi_core.frame.shading import (
 from isogi_core.frame.stand_in import StandIn
 from isogi_core.frame.texel_normals import OwnNormals, TexelNormals
 from isogi_core.frame.texel_reading import Reading
-from isogi_core.frame.texel_shading import TexelShading
+from isogi_core.frame.texel_shading import FilteredLight, TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_checks import ViewChecks
 from isogi_core.frame.view_keys import check_key, is_checked, surface_key
@@ -93,7 +94,7 @@ class Renderer:
         surfaces one is shown alone, as the others light it, where there are ``levels`` to mix its light of.
         """
         self.prepared, self.caches, self.tiles = caches.prepared, caches, tiles
-        changing = dict.fromkeys((Reading, LobeLight, ShineLight), int(SHARE * most))
+        changing = dict.fromkeys((Reading, FilteredLight, LobeLight, ShineLight), int(SHARE * most))
         self._kept: LruCache[Any] = LruCache(most - int(COMMON * most), changing)
         shown = levels or (Level(caches),)
         self._texels = TexelShading(self.prepared, shown, self._kept, int(COMMON * most), filters, stand_in)

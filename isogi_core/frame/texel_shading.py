@@ -1,8 +1,10 @@
 """Views shaded by their texels: from the illumination cache to the picture."""
 
 import math
+import weakref
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -41,6 +43,19 @@ from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import PreparedScene
+
+
+@dataclass(frozen=True, eq=False)
+class FilteredLight:
+    """The light of a view's texels once it is filtered, ``lit`` (texels, LIT), and their ``grade`` (texels,) then."""
+
+    grade: np.ndarray
+    lit: np.ndarray
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return self.grade.nbytes + self.lit.nbytes
 
 
 class TexelShading:
@@ -123,10 +138,18 @@ class TexelShading:
         reading, lit = mixed(self._levels, found)
         if not self._is_filtered(light.view, reading):
             return reading, lit
-        with watch.stage("normals"):
-            about = self._texel_normals(light.view, texels, reading, tiles)
-        with watch.stage("filter"):
-            return filter_texel_light(texels, reading, lit, about, light, tiles)
+        view, until = light.view, (reading.target, reading.enough)
+        key = (FilteredLight, weakref.ref(texels), view.light, view.albedo, view.glow, view.moving, until)
+
+        def make() -> FilteredLight:
+            with watch.stage("normals"):
+                about = self._texel_normals(view, texels, reading, tiles)
+            with watch.stage("filter"):
+                found, calm = filter_texel_light(texels, reading, lit, about, light, tiles)
+            return FilteredLight(found.grade, calm)
+
+        filtered = self._kept.get((*key, reading.version), make)
+        return replace(reading, grade=filtered.grade), filtered.lit
 
     def _is_filtered(self, view: View, reading: Reading) -> bool:
         """Whether the texels of a view are filtered: global illumination that is noisy."""
