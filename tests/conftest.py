@@ -106,7 +106,7 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="module")
 def browsers() -> "Iterator[BrowserType]":
-    """What opens browsers: one at a time in a process, whose event loop stops with it, so that other files have theirs."""
+    """What opens browsers: one at a time in a process. Its event loop ends with it, so that other files have theirs."""
     from playwright.sync_api import sync_playwright  # which few tests need, and takes a while
 
     with sync_playwright() as playwright:

@@ -1,5 +1,6 @@
 """Bake requests: light of a chunk that clients wait for, its priority, and the state of its task."""
 
+import math
 from collections.abc import Collection, Hashable
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -80,15 +81,10 @@ Key = tuple[str, Index]
 MOST_FAILURES = 3
 """Failed tries after which a chunk is given up, until its request expires."""
 
-STEP = 1.0 / 8.0
-"""Share of the texels' mean priority down to which a task samples.
-
-Small steps follow the error more closely, large ones waste less on tasks of few texels each: to the end of a view of
-82 texels a chunk (the engine at 96 pixels a side) 1/8 took 1.35 times, and 1/32 1.25 times, what single tasks took.
+LONG = 1 << 14
+"""Paths beyond which what is left of a chunk is not one task, but one level of samples more: about a tenth of a second,
+for which others may have to wait.
 """
-
-WHOLE = 0.5
-"""Longest task for patient viewers, in processor seconds: others may have to wait for it."""
 
 SHORT = 0.1
 """Processor seconds below which a task is not split: each part costs up to 0.02 to hand out, read and write."""
@@ -170,7 +166,7 @@ class BakeRequest:
     bits: int = 0
     _merged: MergedInterest = NO_INTEREST
     _stale: bool = False
-    _least_priority: float | None = None
+    _known: bool = False
 
     @property
     def offsets(self) -> np.ndarray:
@@ -214,12 +210,6 @@ class BakeRequest:
         return max((interest.enough for interest in self.interests.values()), default=self._merged.enough)
 
     @property
-    def least_priority(self) -> float | None:
-        """The priority from which on paths are taken next; None until each texel has its first light."""
-        self._merge()
-        return self._least_priority
-
-    @property
     def asked(self) -> float:
         """The time of the last request."""
         return max(interest.asked for interest in self.interests.values())
@@ -232,7 +222,15 @@ class BakeRequest:
     @property
     def until(self) -> int:
         """The sample count beyond which no texel is taken next."""
-        return FIRST_LEVEL if self.least_priority is None else MOST
+        return next_until(self.effort)
+
+    @property
+    def paths(self) -> float:
+        """How many paths its next task takes, as far as is known."""
+        unlit, taken, left, *_ = self.effort
+        if unlit:
+            return FIRST_LEVEL * (len(self.next[0]) if self.sparse else unlit)
+        return left if left <= LONG else min(left, taken)
 
     @property
     def given_up(self) -> bool:
@@ -252,7 +250,7 @@ class BakeRequest:
         It may be of a frame that was drawn before the last task ended: that one knows better what its texels lack.
         """
         older = self.interests.get(viewer.client)
-        known = self._least_priority is not None and older is not None and older.covers(demand.offsets, target, enough)
+        known = self._known and older is not None and older.covers(demand.offsets, target, enough)
         since = now if older is None else older.since
         seen = demand.offsets, demand.footprints, target, priority_of(demand)
         interest = Interest(viewer, *seen, view, now, since, enough)
@@ -271,19 +269,16 @@ class BakeRequest:
         return exceeds(self._merge(), offsets, target, enough)
 
     def advance(self, result: BakeResult, grown: bool) -> None:
-        """Take over the result of a task; the next one samples texels of lower priority.
+        """Take over the result of a task.
 
-        Where newer views made the request grow meanwhile (``grown``), their facts stand, and new texels come first.
+        Where newer views made the request grow meanwhile (``grown``), their facts stand.
         """
-        self.begun = self.begun or self.sparse
+        self.begun, self._known = self.begun or self.sparse, not grown
         if grown:
-            self._least_priority = None
             return
         for interest in self.interests.values():
             interest.priority = result.priority / len(self.interests)
-        patient = all(interest.viewer.patient for interest in self.interests.values())
         self.priority, self.effort = result.priority, result.effort
-        self._least_priority = next_least_priority(result, patient)
 
     def _change_priority(self, change: float) -> None:
         """Add a change of one interest to the sum; summing anew would be slow with a thousand clients."""
@@ -293,23 +288,24 @@ class BakeRequest:
     def _merge(self) -> MergedInterest:
         """All interests as one, merged on use: most of them change again before that.
 
-        New texels, or a stricter target, begin with their first light.
+        Of new texels, or a stricter target, the last result knows nothing.
         """
         if self._stale and self.interests:
             before, self._merged, self._stale = self._merged, merged(self.interests.values()), False
             if exceeds(self._merged, before.offsets, before.target, before.enough):
-                self._least_priority = None
+                self._known = False
         return self._merged
 
 
-def next_least_priority(result: BakeResult, patient: bool) -> float:
-    """The priority from which on the task after one with this ``result`` samples.
+def next_until(effort: Effort) -> int:
+    """The sample count beyond which a task takes no texel, of a chunk that wants this ``effort``.
 
-    Where the rest of the chunk is short, one task does all of it. The rest may be longer where only patient viewers
-    wait.
+    It is the first while some have no light, and then all that there are, or where that is LONG, the next one.
     """
-    rest = result.effort.left * result.cost.seconds / max(result.cost.paths, 1)
-    return 0.0 if rest <= (WHOLE if patient else SHORT) else STEP * result.priority
+    if effort.unlit:
+        return FIRST_LEVEL
+    mean = effort.taken / max(effort.lit, 1.0)
+    return MOST if effort.left <= LONG else max(FIRST_LEVEL, 2 ** (math.floor(math.log2(max(mean, 1.0))) + 1))
 
 
 def merged(interests: Collection[Interest]) -> MergedInterest:

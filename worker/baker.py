@@ -276,7 +276,7 @@ class Baker:
     def _task(self, bake: Bake, request: BakeRequest) -> BakeTask:
         index = request.key[1]
         place = (bake.source, bake.plan, bake.digest, bake.store_url, index)
-        what = (*request.next, request.until, request.least_priority or 0.0, request.target)
+        what = (*request.next, request.until, request.target)
         insists = request.waited >= LONGEST_REST
         return BakeTask(*place, *what, bake.assets, self._name, insists, bake.shown, bake.whole, request.enough)
 

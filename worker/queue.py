@@ -15,19 +15,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MOST
 from isogi_core.prepared.prepared_scene import Index
 from worker.bake_requests import GUEST, SHORT, BakeRequest, Key, Shares, Viewer
 from worker.client_queues import ClientQueues, Rank
 from worker.tasks import BakeResult
-
-CLIMB = 3.0
-"""Paths that a task takes for each that its texels have taken: two levels, each twice the one before.
-
-A level makes a texel's priority about a fifth, half of the variance over twice the paths, and a task goes down to STEP.
-"""
 
 FORGET_AFTER, LOOK = 60.0, 1.0
 """Seconds after which a request that was not renewed expires, and between two checks for these."""
@@ -122,14 +115,8 @@ class BakeQueue:
         return taken
 
     def seconds(self, request: BakeRequest) -> float:
-        """The seconds that the next task of a request is predicted to take; 0 where that is unknown.
-
-        After first light a task takes what its priority allows: see CLIMB.
-        """
-        unlit, taken, left, _ = request.effort
-        unlit = len(request.next[0]) if request.sparse else unlit
-        paths = FIRST_LEVEL * unlit if request.until == FIRST_LEVEL else min(left, CLIMB * taken)
-        return paths * (self.rate(request.key) or 0.0)
+        """The seconds that the next task of a request is predicted to take; 0 where that is unknown."""
+        return request.paths * (self.rate(request.key) or 0.0)
 
     def rank(self, request: BakeRequest, client: Hashable) -> Rank:
         """The rank of a request among those of a client; the smallest comes first."""

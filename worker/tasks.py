@@ -14,7 +14,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.noise import Effort, efforts, level, path_priorities, standard_error
+from isogi_core.bake.noise import Effort, efforts, level, standard_error
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.bake.refine import Located, locate, next_samples, refine, some_located
 from isogi_core.bake.texel_light import Light
@@ -42,11 +42,10 @@ from worker.kernels import KINDS, load_kernels
 
 @dataclass(frozen=True, eq=False)
 class BakeTask:
-    """Bring the texels at ``offsets`` of a chunk to ``until`` samples, as long as their next path has priority enough.
+    """Bring the texels at ``offsets`` of a chunk, which are seen by their ``footprints``, to ``until`` samples.
 
-    Paths of less than ``least_priority`` are not taken, see ``path_priorities``, with texels seen by their
-    ``footprints``. Texels are to be good for pictures of the relative error
-    ``target``, or to have ``enough`` samples. ``plan`` is what is baked.
+    Texels need no more once they are good for pictures of the relative error ``target``, or have ``enough`` samples.
+    ``plan`` is what is baked.
     ``digest`` names the light that the server means, as the scene's files may have changed since. Where there are
     ``assets``, these are read in place of the scene's files. ``owner`` names the baker, which claims the chunk while
     others are at work too; where it ``insists``, whoever claimed it before. Texels lie on the isosurface that is
@@ -62,7 +61,6 @@ class BakeTask:
     offsets: np.ndarray
     footprints: np.ndarray
     until: int
-    least_priority: float
     target: float
     assets: SceneAssets | None = None
     owner: str = ""
@@ -330,24 +328,21 @@ def keep_light(light: Light, texels: np.ndarray, spec: BakeSpec, tasks: Sequence
 
 
 def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: BakeTask) -> None:
-    """Sample the ``texels`` (m, 3; z, y, x) of tasks of one target, one task's after the other's, where they allow it.
+    """Sample the ``texels`` (m, 3; z, y, x) of tasks of one target, one task's after the other's, as far as they go.
 
     Level by level; ``light`` is in place. How far a texel goes depends on its own task alone.
     """
-    counts = [len(task.offsets) for task in tasks]
     target, enough = tasks[0].target, tasks[0].enough
-    chunks, footprints = np.repeat(np.arange(len(tasks)), counts), np.concatenate([task.footprints for task in tasks])
-    until, least = (np.array([(task.until, task.least_priority) for task in tasks])[chunks]).T
-    waiting, priority = next_samples(light, spec, target, enough), path_priorities(light, spec, footprints, chunks)
+    until = np.repeat([task.until for task in tasks], [len(task.offsets) for task in tasks])
+    waiting = next_samples(light, spec, target, enough)
     located: Located | None = None
-    while (worthy := (waiting >= 0) & (waiting < until) & (priority >= least)).any():
-        lowest = int(waiting[worthy].min())
-        rows = np.flatnonzero(worthy & (waiting == lowest))
+    while (climbing := (waiting >= 0) & (waiting < until)).any():
+        lowest = int(waiting[climbing].min())
+        rows = np.flatnonzero(climbing & (waiting == lowest))
         part, located = light.rows(rows), located or locate(texels, spec.prepared, spec.shown)
         refine(part, texels[rows], spec, lowest + 1, target, some_located(located, rows))
         light.put(rows, part)
         waiting[rows] = next_samples(part, spec, target, enough)
-        priority = path_priorities(light, spec, footprints, chunks)
 
 
 def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:

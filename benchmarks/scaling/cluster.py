@@ -65,7 +65,7 @@ def tasks_of(scene: Scene, size: int, most: int, store: str) -> list[BakeTask]:
         demands = engine.survey(scene.id, view_of(scene, size), scene.target_error).demands
     some = sorted(demands[:: max(len(demands) // most, 1)][:most], key=lambda demand: -len(demand.offsets))
     what = scene.source, spec.plan, spec.digest, StoreUrl(store)
-    return [BakeTask(*what, d.index, d.offsets, d.footprints, MOST, 0.0, scene.target_error) for d in some]
+    return [BakeTask(*what, d.index, d.offsets, d.footprints, MOST, scene.target_error) for d in some]
 
 
 def pooled(pool: WorkerPool, tasks: Sequence[BakeTask]) -> Speed:

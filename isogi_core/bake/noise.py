@@ -99,21 +99,6 @@ def relative_error(light: Light, spec: BakeSpec) -> np.ndarray:
     return np.asarray(standard_error(light, spec) / level(light, spec))
 
 
-def path_priorities(light: Light, spec: BakeSpec, footprints: np.ndarray, chunks: np.ndarray) -> np.ndarray:
-    """The priority of each texel's next path: its visible variance over the paths it took; (texels,) float64.
-
-    Variance falls with a power of the samples, so the next path reduces it in proportion to this. A frame's error is
-    least for all paths together where the next paths of all texels have the same priority. With equal errors instead,
-    noisy and hardly seen texels would have taken too many. A few paths may agree by chance and show no variance:
-    half of what is counted is therefore the mean over the lit texels of its chunk; ``chunks`` (texels,) are these.
-    """
-    variance, samples = standard_error(light, spec) ** 2, light.samples
-    lit = samples > 0
-    usual = np.bincount(chunks, weights=variance * lit) / np.maximum(np.bincount(chunks, weights=lit), 1.0)
-    seen = footprints * (variance + usual[chunks]) / 2.0
-    return np.asarray(np.where(lit, seen / np.maximum(samples, 1), np.inf))
-
-
 def finished(light: Light, spec: BakeSpec, target: float, enough: int = MOST) -> np.ndarray:
     """Whether each texel needs no more for pictures of a ``target`` error: good enough, or void; (texels,) bool."""
     return light.void | good_enough(relative_error(light, spec), light.samples, target, enough)
@@ -222,14 +207,15 @@ RATE = 1.5
 class Effort(NamedTuple):
     """What texels that are not final want: ``unlit`` of them hold no light yet.
 
-    The others have ``taken`` so many samples together, and are predicted to take ``left`` more. The unlit ones are
-    ``expected`` to take so many; 0 where nothing is known of them.
+    The others, so many ``lit``, have ``taken`` so many samples together, and are predicted to take ``left`` more. The
+    unlit ones are ``expected`` to take so many; 0 where nothing is known of them.
     """
 
     unlit: int
     taken: float
     left: float
     expected: float = 0.0
+    lit: float = 0.0
 
     @classmethod
     def of(cls, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MOST) -> Self:
@@ -256,12 +242,12 @@ def samples_needed(error: np.ndarray, samples: np.ndarray, target: float, enough
 def efforts(
     chunks: np.ndarray, count: int, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MOST
 ) -> np.ndarray:
-    """``Effort.of`` the texels of each of ``count`` chunks, (count, 4) float64; ``chunks`` is where each texel is."""
+    """``Effort.of`` the texels of each of ``count`` chunks, (count, 5) float64; ``chunks`` is where each texel is."""
     unlit, waiting = samples == 0, (samples > 0) & ~good_enough(error, samples, target, enough)
     left = samples_left(error[waiting], samples[waiting], target, enough)
-    columns = ((unlit, None), (waiting, samples[waiting]), (waiting, left))
-    sums = [np.bincount(chunks[rows], weights=weights, minlength=count) for rows, weights in columns]
-    return np.stack([*sums, np.zeros(count)], axis=1).astype(np.float64)
+    columns = ((unlit, None), (waiting, samples[waiting]), (waiting, left), (waiting, None))
+    *sums, lit = (np.bincount(chunks[rows], weights=weights, minlength=count) for rows, weights in columns)
+    return np.stack([*sums, np.zeros(count), lit], axis=1).astype(np.float64)
 
 
 def expected_samples(

@@ -138,8 +138,8 @@ class TexelShading:
         reading, lit = mixed(self._levels, found)
         if not self._is_filtered(light.view, reading):
             return reading, lit
-        view, until = light.view, (reading.target, reading.enough)
-        key = (FilteredLight, weakref.ref(texels), view.light, view.albedo, view.glow, view.moving, until)
+        view, wanted = light.view, Until(reading.target, reading.enough)
+        key = (FilteredLight, weakref.ref(texels), view.light, view.albedo, view.glow, view.moving, wanted)
 
         def make() -> FilteredLight:
             with watch.stage("normals"):

@@ -21,10 +21,9 @@ from isogi_core.cache.chunk import Chunk
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.view_texels import Demand
-from isogi_core.model.scene_plan import MOST
 from isogi_core.storage.url import StoreUrl
 from server.settings import cores
-from worker.bake_requests import next_least_priority
+from worker.bake_requests import next_until
 from worker.kernels import load_kernels
 from worker.progress import (
     PER_TASK,
@@ -81,10 +80,10 @@ def climb_all(
     limit: tuple[float, threading.Event],
 ) -> tuple[int, int]:
     """Do the tasks of a chunk to its ``light``, in place: how many, and their paths. Ends at its ``limit``."""
-    until, least_priority, tasks, paths = FIRST_LEVEL if demand.effort.unlit else MOST, 0.0, 0, 0
+    effort, tasks, paths = demand.effort, 0, 0
     while True:
         place = (spec.prepared.scene.source, spec.plan, spec.digest, StoreUrl(""), demand.index)
-        task = BakeTask(*place, demand.offsets, demand.footprints, until, least_priority, target)
+        task = BakeTask(*place, demand.offsets, demand.footprints, next_until(effort), target)
         before, since = light.samples, time.thread_time()
         sample_texels(light, texels, spec, task)
         cost = cost_of(light.samples, before, time.thread_time() - since)
@@ -92,7 +91,7 @@ def climb_all(
         tasks, paths = tasks + 1, paths + cost.paths
         if not result.unfinished or time.perf_counter() > limit[0] or limit[1].is_set():
             return tasks, paths
-        until, least_priority = MOST, next_least_priority(result, patient=True)
+        effort = result.effort
 
 
 def first_light(spec: BakeSpec, texels: np.ndarray) -> float:

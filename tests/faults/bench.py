@@ -49,7 +49,7 @@ def bake_here(bench: Bench, demands: tuple[Demand, ...], store: Path) -> None:
     Store(store).open()
     for demand in demands:
         what = (bench.scene.source, spec.plan, spec.digest, StoreUrl(str(store)), demand.index)
-        bake(BakeTask(*what, demand.offsets, demand.footprints, MOST, 0.0, bench.scene.target_error))
+        bake(BakeTask(*what, demand.offsets, demand.footprints, MOST, bench.scene.target_error))
 
 
 def objects_in(store: Path) -> dict[str, bytes]:

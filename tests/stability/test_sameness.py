@@ -82,7 +82,7 @@ class Site:
         what = (self.scene.source, spec.plan, spec.digest, StoreUrl.of(self.store))
         most = until or most_samples(target)
         demands = self.renderer.render(view, enough=MOST).demands
-        return [BakeTask(*what, each.index, each.offsets, each.footprints, most, 0.0, target) for each in demands]
+        return [BakeTask(*what, each.index, each.offsets, each.footprints, most, target) for each in demands]
 
     def bake(self, view: View, do: DoTasks, until: int | None = None) -> None:
         """Have the tasks of a view done, and look at what they left."""

@@ -12,10 +12,10 @@ from isogi_core.cache.costs import Cost, Costs
 from isogi_core.errors import StoreAwayError, StoreError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.view_texels import Demand
-from isogi_core.model.scene_plan import Layer, ScenePlan
+from isogi_core.model.scene_plan import MOST, Layer, ScenePlan
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.url import StoreUrl
-from worker.bake_requests import GUEST, MOST_FAILURES, STEP, Viewer
+from worker.bake_requests import GUEST, MOST_FAILURES, Viewer
 from worker.baker import LONGEST_REST, REST, WAY, Bake, Baker, after
 from worker.errors import WorkersAwayError
 from worker.pause import LONGEST, SHORTEST
@@ -104,13 +104,7 @@ def test_a_task_holds_all_that_a_worker_must_know(bench: Bench) -> None:
     bench.request(3)
     task = pool.in_flight[0][0]
     assert (task.source, task.plan, task.digest, task.store_url) == (SOURCE, PLAN, "digest", StoreUrl("store"))
-    assert (task.index, task.offsets.tolist(), task.until, task.least_priority, task.target) == (
-        (0, 0, 3),
-        [1, 2],
-        16,
-        0.0,
-        0.1,
-    )
+    assert (task.index, task.offsets.tolist(), task.until, task.target) == ((0, 0, 3), [1, 2], 16, 0.1)
     assert task.footprints.tolist() == [1.0, 0.5]
 
 
@@ -130,7 +124,7 @@ def test_each_chunk_is_reported_and_refined_until_final(bench: Bench) -> None:
     bench.request(1)
     assert pool.end(left(2, 0.8, 100.0)).until == 16
     assert bench.arrived == [(0, 0, 1)]
-    assert pool.end().least_priority == 0.8 * STEP
+    assert pool.end().until == MOST
     assert bench.arrived == [(0, 0, 1)] * 2
     assert pool.tasks() == []
 

@@ -33,7 +33,7 @@ def do(root: Path, scene: Scene, spec: BakeSpec, until: int = 1 << 14, whole: Wh
     """Bake the chunk for a scene, in a store of its own or one that others use."""
     Store(root).open()
     place = StoreUrl(str(root)), INDEX, TEXELS, np.ones(len(TEXELS), np.float32)
-    return bake(BakeTask(scene.source, spec.plan, spec.digest, *place, until, 0.0, 0.05, whole=whole))
+    return bake(BakeTask(scene.source, spec.plan, spec.digest, *place, until, 0.05, whole=whole))
 
 
 def stored(root: Path, scene: Scene, spec: BakeSpec) -> list[bytes | None]:

@@ -97,7 +97,7 @@ def made(root: Path) -> StoreUrl:
 def tasks_for(store: Path, digest: str = SPEC.digest) -> list[BakeTask]:
     indices = [(z, y, 0) for z in (0, 1) for y in (0, 1)]
     what, seen = (SCENE.source, SPEC.plan, digest, made(store)), np.ones(len(TEXELS), np.float32)
-    return [BakeTask(*what, index, TEXELS, seen, 64, 0.0, 0.5) for index in indices]
+    return [BakeTask(*what, index, TEXELS, seen, 64, 0.5) for index in indices]
 
 
 def test_workers_are_processes_of_their_own(pool: WorkerPool) -> None:

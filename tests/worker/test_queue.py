@@ -8,7 +8,7 @@ from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MOST
 from tests.worker.clock import Clock
 from worker import bake_requests
-from worker.bake_requests import GUEST, MOST_FAILURES, SHORT, STEP, Key, Viewer, next_least_priority
+from worker.bake_requests import GUEST, LONG, MOST_FAILURES, SHORT, Key, Viewer
 from worker.queue import FORGET_AFTER, LOOK, BakeQueue
 from worker.tasks import BakeResult
 
@@ -112,20 +112,30 @@ def test_converged_chunks_wait_for_noisy_ones(queue: BakeQueue) -> None:
     assert [take(queue) for _ in range(2)] == [2, 1]
 
 
-def test_each_task_samples_lower_priorities_until_final(queue: BakeQueue) -> None:
+def test_each_task_climbs_one_level_until_the_rest_is_short(queue: BakeQueue) -> None:
     request(queue, (1, 1.0), target=0.1)
     steps = []
-    for priority in (0.8, 0.08, 0.0):
+    for samples, more in ((16, 2.0 * LONG), (32, LONG + 1.0), (64, LONG), (0, 0.0)):
         taken = queue.take()
         assert taken is not None
-        steps.append((taken.until, taken.least_priority))
-        end(queue, 1, left(2, priority))
-    assert steps == [(FIRST_LEVEL, None), (MOST, STEP * 0.8), (MOST, STEP * 0.08)]
-    assert queue.requests[key(1)].least_priority == 0.0
+        steps.append(taken.until)
+        end(queue, 1, BakeResult(2, 0.5, Effort(0, 2.0 * samples, more, lit=2), Cost(0.01, 100)))
+    assert steps == [FIRST_LEVEL, 2 * FIRST_LEVEL, 4 * FIRST_LEVEL, MOST]
     assert take(queue) == 1
     end(queue, 1, DONE)
     assert queue.take() is None
     assert queue.open([key(1)]) == []
+
+
+def test_more_samples_of_lit_texels_are_one_task(queue: BakeQueue) -> None:
+    """Nothing is without light, so no task looks for what is."""
+    request(queue, (1, 1.0), target=0.1, effort=Effort(0, 48.0, 48.0, lit=3))
+    taken = queue.take()
+    assert taken is not None and taken.until == MOST
+    request(queue, (1, 1.0), target=0.05, effort=Effort(0, 48.0, 480.0, lit=3))
+    queue.finish(key(1), taken.offsets, 0.1, DONE)
+    taken = queue.take()
+    assert taken is not None and taken.until == MOST
 
 
 def test_a_request_in_flight_is_not_taken_twice(queue: BakeQueue) -> None:
@@ -160,9 +170,9 @@ def test_new_texels_start_from_the_first_level(queue: BakeQueue) -> None:
     take(queue)
     end(queue, 1, left(1, 0.6))
     request(queue, (1, 1.0), texels=(1,))
-    assert queue.requests[key(1)].least_priority == STEP * 0.6
+    assert queue.requests[key(1)].until > FIRST_LEVEL
     request(queue, (1, 1.0), texels=(1, 3))
-    assert queue.requests[key(1)].least_priority is None
+    assert queue.requests[key(1)].until == FIRST_LEVEL
 
 
 def test_a_stricter_target_starts_from_the_first_level(queue: BakeQueue) -> None:
@@ -170,7 +180,7 @@ def test_a_stricter_target_starts_from_the_first_level(queue: BakeQueue) -> None
     take(queue)
     end(queue, 1, left(1, 0.6))
     request(queue, (1, 1.0), target=0.01)
-    assert queue.requests[key(1)].least_priority is None
+    assert queue.requests[key(1)].until == FIRST_LEVEL
 
 
 @pytest.mark.parametrize(("texels", "target"), [((1, 2, 3, 4), 0.1), ((7,), 0.1), ((1, 2, 3), 0.01)])
@@ -185,7 +195,7 @@ def test_a_request_that_grew_in_flight_stays(queue: BakeQueue, texels: tuple[int
     assert again is not None and again.key == key(1)
     assert set(again.offsets.tolist()) == {1, 2, 3, *texels}
     assert again.target == min(0.1, target)
-    assert again.least_priority is None
+    assert again.until == FIRST_LEVEL
 
 
 def test_a_request_that_did_not_grow_in_flight_is_done(queue: BakeQueue) -> None:
@@ -440,12 +450,6 @@ def test_given_up_chunks_are_not_retried_by_short_visits(queue: BakeQueue) -> No
     assert queue.trouble() == "failure 2"
 
 
-@pytest.mark.parametrize(("left", "people", "patient"), [(900.0, 0.0, 0.0), (4e3, 0.25, 0.0), (6e3, 0.25, 0.25)])
-def test_a_short_rest_of_a_chunk_is_one_task(left: float, people: float, patient: float) -> None:
-    result = BakeResult(3, 2.0, Effort(0, 64.0, left), Cost(0.01, 100, 0, 0.0))
-    assert (next_least_priority(result, False), next_least_priority(result, True)) == (people, patient)
-
-
 def test_what_goes_with_a_request_is_alike_and_not_too_much(clock: Clock) -> None:
     queue = BakeQueue(clock, rate=lambda _: SHORT / 200.0)
     request(queue, (4, 1.0), target=0.2)
@@ -463,15 +467,16 @@ def test_what_goes_with_a_request_is_alike_and_not_too_much(clock: Clock) -> Non
 
 
 def test_later_tasks_are_joined_by_what_they_will_take(clock: Clock) -> None:
-    """Not by all that their texels will ever take: these stop where others are more worth it."""
-    queue, lit = BakeQueue(clock, rate=lambda _: SHORT / 450.0), BakeResult(3, 1.0, Effort(0, 48.0, 1e6), Cost(9.0, 48))
+    """Not by all that their texels will ever take: where that is long, a task climbs one level."""
+    effort = Effort(0, 48.0, 1e6, lit=3)
+    queue, lit = BakeQueue(clock, rate=lambda _: SHORT / 150.0), BakeResult(3, 1.0, effort, Cost(9.0, 48))
     request(queue, *((x, 1.0) for x in range(4)))
     assert sum(take(queue) is not None for _ in range(4)) == 4
     for x in range(4):
         end(queue, x, lit)
     first = queue.take()
-    assert first is not None and first.until == MOST
-    assert len(queue.take_along(first, 100)) == 3  # 144 paths each of 450
+    assert first is not None and first.until == 2 * FIRST_LEVEL
+    assert len(queue.take_along(first, 100)) == 3  # 48 paths each of 150
 
 
 def test_what_may_have_killed_a_worker_is_taken_alone(queue: BakeQueue) -> None:

@@ -54,7 +54,7 @@ def made(root: Path) -> StoreUrl:
 
 def do(root: Path, texels: np.ndarray = TEXELS, until: int = UNTIL, target: float = 0.05) -> BakeResult:
     seen = np.ones(len(texels), np.float32)
-    return bake(BakeTask(SCENE.source, SPEC.plan, SPEC.digest, made(root), INDEX, texels, seen, until, 0.0, target))
+    return bake(BakeTask(SCENE.source, SPEC.plan, SPEC.digest, made(root), INDEX, texels, seen, until, target))
 
 
 def store_of(root: Path) -> ChunkStore:
@@ -102,7 +102,7 @@ def test_a_finished_task_says_so(tmp_path: Path) -> None:
 def test_a_layer_that_takes_no_samples_is_not_written_again(tmp_path: Path) -> None:
     do(tmp_path, until=64)
     before = stored(tmp_path)
-    bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, made(tmp_path), INDEX, TEXELS, SEEN, 256, 0.0, 1e-4))
+    bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, made(tmp_path), INDEX, TEXELS, SEEN, 256, 1e-4))
     ahead = stored(tmp_path)
     assert [now == old for now, old in zip(ahead, before, strict=True)] == [False, True]
     do(tmp_path, until=256, target=1e-4)
@@ -126,7 +126,7 @@ def test_chunks_baked_together_have_the_bytes_of_single_ones(tmp_path: Path) -> 
         do(root, TEXELS[::2], until=32)
         what = SCENE.source, SPEC.plan, SPEC.digest, made(root)
         wanted = [(INDEX, TEXELS, SEEN), ((1, 1, 1), TEXELS[::3], 100.0 * SEEN[::3])]
-        tasks = [BakeTask(*what, *each, 256, 2e-7, 0.01) for each in wanted]
+        tasks = [BakeTask(*what, *each, 256, 0.01) for each in wanted]
         results = bake_all(tasks) if together else [bake(task) for task in tasks]
         assert all(isinstance(result, BakeResult) and result.cost.paths for result in results)
     paths = [path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("c/*/*/*/0")]
@@ -135,8 +135,8 @@ def test_chunks_baked_together_have_the_bytes_of_single_ones(tmp_path: Path) -> 
 
 
 def test_a_chunk_that_fails_harms_none_beside_it(tmp_path: Path) -> None:
-    task = BakeTask(SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
-    sound, broken = bake_all([task, replace(task, index=(1, 1, 1), footprints=SEEN[:3])])
+    task = BakeTask(SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path), INDEX, TEXELS, SEEN, 16, 0.05)
+    sound, broken = bake_all([task, replace(task, index=(1, 1))])
     assert isinstance(sound, BakeResult) and sound.cost.paths == 16 * len(TEXELS)
     assert isinstance(broken, ValueError)
 
@@ -144,7 +144,7 @@ def test_a_chunk_that_fails_harms_none_beside_it(tmp_path: Path) -> None:
 def test_a_baker_claims_chunks_after_contention(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two bake the same at the same time; afterwards each claims its chunks."""
     what = SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path), INDEX, TEXELS, SEEN
-    task = BakeTask(*what, 16, 0.0, 0.05, owner="one")
+    task = BakeTask(*what, 16, 0.05, owner="one")
     seen: list[list[bytes]] = []
 
     def meanwhile(*arguments: Any) -> None:
@@ -163,7 +163,7 @@ def test_a_baker_claims_chunks_after_contention(tmp_path: Path, monkeypatch: pyt
 
 def test_a_chunk_that_another_baker_claimed_is_left(tmp_path: Path) -> None:
     what = SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path), INDEX, TEXELS, SEEN
-    task = BakeTask(*what, 16, 0.0, 0.05, owner="one")
+    task = BakeTask(*what, 16, 0.05, owner="one")
     claims_of(task.store_url).note_contention()
     claim = tmp_path / "claims" / ".".join(map(str, (store_of(tmp_path).layers[0].digest, *INDEX)))
     claim.parent.mkdir()
@@ -175,26 +175,13 @@ def test_a_chunk_that_another_baker_claimed_is_left(tmp_path: Path) -> None:
 
 def test_in_one_go_or_in_many_is_the_same(tmp_path: Path) -> None:
     do(tmp_path / "a")
-    task = BakeTask(SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path / "b"), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
-    steps, result = 1, bake(task)
+    task = BakeTask(SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path / "b"), INDEX, TEXELS, SEEN, 16, 0.05)
+    until, result = 16, bake(task)
     while result.unfinished:
-        result, steps = bake(replace(task, until=UNTIL, least_priority=result.priority / 2)), steps + 1
-    assert steps > 2
+        until *= 2
+        result = bake(replace(task, until=until))
+    assert until > 32
     assert stored(tmp_path / "a") == stored(tmp_path / "b")
-
-
-def test_a_task_samples_texels_down_to_its_least_priority(tmp_path: Path) -> None:
-    seen = np.where(np.arange(len(TEXELS)) % 2 == 0, 1.0, 0.01).astype(np.float32)
-    task = BakeTask(SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path), INDEX, TEXELS, seen, 16, 0.0, 0.005)
-    result = bake(task)
-    least_priority = result.priority / 4
-    left, spec = bake(replace(task, until=UNTIL, least_priority=least_priority)), store_of(tmp_path).spec
-    light = store_of(tmp_path).load(INDEX).light
-    variance = standard_error(light, spec) ** 2
-    priority = seen * (variance + variance.mean()) / 2 / light.samples
-    assert (priority[~finished(light, spec, 0.005)] < least_priority).all()
-    assert 0.0 < left.priority < least_priority
-    assert light.samples[0::2].mean() > 2 * light.samples[1::2].mean()
 
 
 def test_the_order_of_views_does_not_matter(tmp_path: Path) -> None:
@@ -224,9 +211,7 @@ def test_texels_that_are_not_asked_for_stay_as_they_are(tmp_path: Path) -> None:
 def test_vicinity_shading_reads_the_layer_that_is_there(tmp_path: Path) -> None:
     do(tmp_path)
     before = stored(tmp_path)
-    result = bake(
-        BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, made(tmp_path), INDEX, TEXELS, SEEN, 64, 0.0, 0.5)
-    )
+    result = bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, made(tmp_path), INDEX, TEXELS, SEEN, 64, 0.5))
     assert result.unfinished == 0
     assert stored(tmp_path) == before
     light = open_spec(SCENE.source, VICINITY.plan, VICINITY.digest, made(tmp_path))[1].load(INDEX).light
@@ -272,7 +257,7 @@ def test_what_is_void_in_one_layer_is_so_in_all(tmp_path: Path, layer: int, rest
 
 
 def test_a_scene_whose_files_changed_is_refused(tmp_path: Path) -> None:
-    task = BakeTask(SCENE.source, SPEC.plan, "0" * 20, made(tmp_path), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
+    task = BakeTask(SCENE.source, SPEC.plan, "0" * 20, made(tmp_path), INDEX, TEXELS, SEEN, 16, 0.05)
     with pytest.raises(SceneError, match=r"'orbital' have changed since the server began: restart it\.$"):
         bake(task)
     assert [path.name for path in tmp_path.iterdir()] == [SENTINEL]
@@ -280,7 +265,7 @@ def test_a_scene_whose_files_changed_is_refused(tmp_path: Path) -> None:
 
 def test_a_store_that_no_server_has_made_is_away(tmp_path: Path) -> None:
     """An empty mount point, say: what is baked there would be lost when the disk is back."""
-    task = BakeTask(SCENE.source, SPEC.plan, SPEC.digest, StoreUrl(str(tmp_path)), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
+    task = BakeTask(SCENE.source, SPEC.plan, SPEC.digest, StoreUrl(str(tmp_path)), INDEX, TEXELS, SEEN, 16, 0.05)
     with pytest.raises(StoreAwayError, match="is gone") as reported:
         bake(task)
     assert not list(tmp_path.iterdir())
@@ -318,7 +303,7 @@ def test_a_worker_without_the_files_leaves_the_same_bytes(
     scene = load_scene(tmp_path / "away" / small_scene.name)
     spec = spec_for(PreparedScene(scene), "gi")
     task = BakeTask(
-        scene.source, spec.plan, spec.digest, made(tmp_path / "own"), (0, 0, 0), TEXELS[:40], SEEN[:40], 64, 0.0, 0.5
+        scene.source, spec.plan, spec.digest, made(tmp_path / "own"), (0, 0, 0), TEXELS[:40], SEEN[:40], 64, 0.5
     )
     bake(task)
     assets = send_assets(scene, Store(tmp_path / "other"))
@@ -342,7 +327,7 @@ def test_projected_texels_have_the_same_bytes_in_any_order(tmp_path: Path) -> No
 
     def stored_after(name: str, *untils: int) -> list[bytes | None]:
         what = SCENE.source, spec.plan, spec.digest, made(tmp_path / name), INDEX, TEXELS, SEEN
-        results = [bake(BakeTask(*what, until, 0.0, 0.05, shown=spec.shown)) for until in untils]
+        results = [bake(BakeTask(*what, until, 0.05, shown=spec.shown)) for until in untils]
         assert results[-1].unfinished == 0
         return [layer.read(INDEX) for layer in ChunkStore(made(tmp_path / name), spec).layers]
 
