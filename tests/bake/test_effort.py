@@ -34,7 +34,7 @@ def test_efforts_are_summed_chunk_by_chunk() -> None:
         own = [(e, n) for e, n, at in zip(error, samples, chunks, strict=True) if at == chunk]
         lit = [(e, n) for e, n in own if n > 0 and not good_enough(np.array(e), np.array(n), TARGET)]
         left = sum(float(samples_left(np.array([e]), np.array([n]), TARGET)[0]) for e, n in lit)
-        expected = sum(n == 0 for _, n in own), sum(n for _, n in lit), left, 0.0
+        expected = sum(n == 0 for _, n in own), sum(n for _, n in lit), left, 0.0, len(lit)
         assert found[chunk].tolist() == pytest.approx(expected)
         mine = chunks == chunk
         assert Effort.of(error[mine], samples[mine], TARGET) == pytest.approx(expected)
