@@ -47,10 +47,14 @@ class Compilation:
         self._begun = time.monotonic()
         self._work: threading.Thread | None = None
 
-    def begin(self, stopped: threading.Event, niceness: int = 0) -> None:
-        """Have all compiled by processes whose ``niceness`` is so much higher than this one's, until ``stopped``."""
+    def begin(self, stopped: threading.Event, niceness: int = 0, start: str = "spawn") -> None:
+        """Have all compiled by processes whose ``niceness`` is so much higher than this one's, until ``stopped``.
+
+        They ``start`` by that method of multiprocessing.
+        """
         names, self._begun = [each.name for each in self._lacking], time.monotonic()
-        self._work = threading.Thread(target=compile_beside, args=[names, stopped, niceness], name="compiling")
+        work = [names, stopped, niceness, start]
+        self._work = threading.Thread(target=compile_beside, args=work, name="compiling")
         self._work.start()
 
     def wait(self, kernels: Iterable[Any]) -> None:
@@ -98,13 +102,13 @@ def in_order(entries: Iterable[Entry], before: Collection[Entry] = ()) -> list[E
     return sorted(entries, key=lambda entry: (any(each not in before for each in entry.callees), -entry.size))
 
 
-def compile_beside(names: list[str], stopped: threading.Event, niceness: int = 0) -> None:
+def compile_beside(names: list[str], stopped: threading.Event, niceness: int = 0, start: str = "spawn") -> None:
     """Compile kernels in processes, one for each core, until ``stopped``; none where that would be one process."""
     processes = min(numba.config.NUMBA_DEFAULT_NUM_THREADS, len(names))
     if processes < 2:
         return
-    spawn = get_context("spawn")
-    helpers = [spawn.Process(target=compile_named, args=[names, niceness], daemon=True) for _ in range(processes)]
+    context: Any = get_context(start)
+    helpers = [context.Process(target=compile_named, args=[names, niceness], daemon=True) for _ in range(processes)]
     for helper in helpers:
         helper.start()
     for helper in helpers:

@@ -10,6 +10,7 @@ from isogi_core.kernels._compilation import NICENESS, Compilation, KernelProgres
 from isogi_core.kernels._jit import FOLDER, load
 from isogi_core.plan.scene import Scene
 from server.progress import about_left
+from worker.fork_server import START_METHOD, start_fork_server
 from worker.kernels import bake_kernels
 
 COMPILING = "Compiling, once on this machine: {done} of {total}"
@@ -46,7 +47,8 @@ class SceneKernels:
 
     def first(self) -> None:
         """Have kernels of pictures without light in this process; the others begin to be compiled."""
-        self._all.begin(self._stopped, NICENESS)
+        start_fork_server()
+        self._all.begin(self._stopped, NICENESS, START_METHOD)
         self._all.wait(first_kernels(self._scenes()))
         load(first_kernels(self._scenes()), self._stopped)
 
