@@ -83,7 +83,7 @@ class PagePool:
 
     A row has the ``transfer`` (channels, columns of all terms), the ``scatter``, the relative ``error`` and the
     ``stamp``: see ``fill_rows``. Where light is kept for several albedos it also has the share of its variance that is
-    ``reflected``. It was ``written`` at that age of the pool, 0 where never.
+    ``reflected``.
     """
 
     def __init__(self, spec: BakeSpec, budget: int) -> None:
@@ -96,7 +96,6 @@ class PagePool:
         self.rows = new_rows(spec, pages * PAGE)
         self.transfer, self.scatter, self.error, self.stamp = self.rows
         self.reflected = np.empty(pages * PAGE if spec.plan.nodes else 0, np.float32)
-        self.written = np.zeros(pages * PAGE, np.int32)
         self.table = np.empty((slots, texels), np.int32)
         self._free_pages = Numbers(pages)
         self._free_slots = Numbers(slots)
@@ -135,7 +134,7 @@ class PagePool:
             slots = np.array([entry.slot for entry in entries], np.int32)
             for slot in slots.tolist():
                 self._versions.pop(slot, None)
-            self.table[slots], self.written[rows] = UNLIT, self._age
+            self.table[slots] = UNLIT
             self.table[np.repeat(slots, counts), chunks.offsets] = fill_rows(self.rows, rows, chunks.light, self.spec)
             if self.spec.plan.nodes:
                 self.reflected[rows] = reflected_share(chunks.light, self.spec)
@@ -236,7 +235,7 @@ def page_bytes(spec: BakeSpec) -> int:
 
 def row_bytes(spec: BakeSpec) -> int:
     """Bytes that a row takes."""
-    return 4 * (spec.channels * spec.columns + (5 if spec.plan.nodes else 4))
+    return 4 * (spec.channels * spec.columns + (4 if spec.plan.nodes else 3))
 
 
 def rows_in(pages: Sequence[np.ndarray], counts: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from isogi_core.kernels.shading.chunks import (
 from isogi_core.kernels.shading.edges import borrow_light, find_contrasts
 from isogi_core.kernels.shading.filtering import filter_texels, lend_texels, take_filtered
 from isogi_core.kernels.shading.framebuffer import develop_rows, fill_curve, tally
-from isogi_core.kernels.shading.irradiance_ratio import carry_ratios, fill_records, recall_records
+from isogi_core.kernels.shading.irradiance_ratio import carry_ratios, fill_records
 from isogi_core.kernels.shading.lattice import carry_light, light_texels
 from isogi_core.kernels.shading.lobes import (
     add_halves,
@@ -105,7 +105,6 @@ FRAME = (
     fill_texel_normals,
     carry_light,
     carry_ratios,
-    recall_records,
     rotate,
     fill_ranges,
     find_normals,
@@ -210,4 +209,4 @@ def uncalled_by(scene: Scene, surveyed: bool) -> set[Any]:
     never |= {trace_pixels, trace_places} if scene.room.any or scene.several else set()
     if carries_irradiance_ratios(scene, "gi", False):
         return never | {carry_light}
-    return never | {recall_records} if projects else never | {recall_records, carry_ratios}
+    return never if projects else never | {carry_ratios}

@@ -16,7 +16,7 @@ step and the surface that a view shows, by isovalue, camera and size (``surface_
 
 ``Reading``, ``FilteredLight``, ``LobeLight`` and ``ShineLight`` have a SHARE of its bytes each, so that a light that
 turns, or a bake that goes on, drives out no surface. What views have in common of texels is kept by ``TexelShading``:
-see ``OwnNormals`` and ``RowRecords``.
+see ``OwnNormals``.
 """
 
 import threading

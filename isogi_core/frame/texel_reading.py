@@ -59,11 +59,6 @@ class Reading:
         """Whether every texel holds light."""
         return not (self.rows < 0).any()
 
-    @cached_property
-    def settled(self) -> bool:
-        """Whether no texel's light changes any more."""
-        return bool((self.grade >= FINAL).all())
-
     @property
     def noisy(self) -> np.ndarray:
         """Which texels' light is noisier than a picture's target allows each alone; (texels,) bool."""

@@ -17,7 +17,6 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.projected_texels import Distances, find_distances, held_chunks, join_readings
-from isogi_core.frame.row_records import RowRecords
 from isogi_core.frame.several.mixing import Level, mixed
 from isogi_core.frame.shading import (
     carry_irradiance_ratios,
@@ -33,7 +32,6 @@ from isogi_core.frame.texel_normals import (
     TexelNormals,
     find_texel_normals,
     nearby_normals,
-    own_normals,
 )
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
@@ -77,13 +75,12 @@ class TexelShading:
         """
         self.prepared, self._levels, self._kept = prepared, levels, kept
         self._filters, self._stand_in = filters, stand_in
-        self.normals = OwnNormals(min(most // 2, 4 * ENTRY * math.prod(self.prepared.shape)))
-        self._records = RowRecords(most // 2)
+        self.normals = OwnNormals(min(most, 4 * ENTRY * math.prod(self.prepared.shape)))
 
     @property
     def nbytes(self) -> int:
-        """Bytes that normals and records of texels take."""
-        return self.normals.nbytes + self._records.nbytes
+        """Bytes that normals of texels take."""
+        return self.normals.nbytes
 
     def under(self, view: View, gbuffer: GBuffer, tiles: Tiles) -> ViewTexels:
         """The texels under a view; they hold its G-buffer, so that both are kept, or neither."""
@@ -95,40 +92,8 @@ class TexelShading:
         self, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> tuple[Reading, Framebuffer]:
         """The reading of a view's texels, and the picture of their light, which is to be baked ``until`` then."""
-        if (recalled := self._recall(texels, light, until, tiles, watch)) is None:
-            reading, lit = self.lit(texels, light, until, tiles, watch)
-            return reading, self._carry(texels, reading, lit, light, tiles, watch)
-        reading, records = recalled
-        with watch.stage("normals"):
-            normals = texels.gbuffer.normals(tiles)
-        with watch.stage("shade"):
-            return reading, carry_irradiance_ratios(texels, records, normals, light, tiles)
-
-    def _recall(
-        self, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
-    ) -> tuple[Reading, np.ndarray] | None:
-        """The reading of a view's texels, and their records, most as they were kept; None where they are not to be.
-
-        They are of texels on their own isosurfaces, by one light in the store, none of which changes or is filtered.
-        """
-        view, caches = light.view, self._levels[0].caches
-        ratios = carries_irradiance_ratios(self.prepared.scene, view.shading, False)
-        if len(self._levels) > 1 or not ratios or self._projects(texels, view):
-            return None
-        key = caches.of(view.shading).pool, light.spec, view.light, view.albedo, view.glow
-        if not self._records.stays(key):
-            return None
-        with self._read(caches, texels, view, until, tiles, watch) as (reading, pool, held):
-
-            def fill(new: np.ndarray) -> np.ndarray:
-                lit = light_sources([(reading.rows[new], pool)], light, tiles)
-                about = own_normals(texels, texels.places[new], self.normals, self.prepared, tiles)
-                return fill_texel_records(reading.grade[new], lit, about, light, tiles)
-
-            with watch.stage("light"):
-                stays = reading.settled and not self._is_filtered(view, reading)
-                kept = self._records.of(key, reading, pool, held, fill, tiles) if stays else None
-        return None if kept is None else (reading, kept)
+        reading, lit = self.lit(texels, light, until, tiles, watch)
+        return reading, self._carry(texels, reading, lit, light, tiles, watch)
 
     def lit(
         self, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from isogi_core.frame.entry_kernels import COLOURED, FRAME, GLOW, LOBES, OTHERS, frame_kernels, other_kernels
-from isogi_core.kernels.shading.irradiance_ratio import carry_ratios, recall_records
+from isogi_core.kernels.shading.irradiance_ratio import carry_ratios
 from isogi_core.kernels.shading.lattice import carry_light
 from isogi_core.kernels.tracing.stiffness import count_stiffness
 from isogi_core.kernels.transport.glow_paths import glow_in_room
@@ -144,7 +144,7 @@ def test_kernels_are_left_out_by_what_a_scene_lacks() -> None:
     soft, lamp = {project_lamps} | lobes | far | survey, {rotate} | lobes | far | survey
     turning = {project_lamps} | far | survey | plain
     projected = (lamp | plain) - far
-    assert spared[:4] == [still | {carry_ratios, recall_records}, still | plain, turning, soft | plain]
+    assert spared[:4] == [still | {carry_ratios}, still | plain, turning, soft | plain]
     assert spared[4:] == [lamp | plain, projected, projected - survey]
 
 

@@ -106,25 +106,6 @@ def fill_records(grade, lit, normals, unshadowed, whole, texels):
         texels[t, GRADE] = np.float32(grade[t])
 
 
-@kernel(
-    types.void(
-        types.int32[::1], types.uint8[::1], types.int32[::1], types.int32[::1], TEXELS, TEXELS, types.boolean[::1]
-    )
-)
-def recall_records(rows, grade, written, filled, kept, texels, lacking):
-    """Fill the records ``texels`` (m, RECORD) from those ``kept`` of ``rows``; which are ``lacking`` (m,).
-
-    A row's record holds where it was ``filled`` (kept rows,) since the row was ``written`` (rows,), by the pool's age.
-    Texels without a row, void or buried, have a ``grade`` (m,) and no light.
-    """
-    for t in range(rows.shape[0]):
-        row = rows[t]
-        lacking[t] = row >= filled.shape[0] or (row >= 0 and filled[row] < written[row])
-        for i in range(RECORD):
-            texels[t, i] = kept[row, i] if row >= 0 and not lacking[t] else NONE
-        texels[t, GRADE] = np.float32(grade[t])
-
-
 @kernel()
 def agree(texels, t, n):
     """What texel ``t`` counts by the cosine c between its normal and ``n``: (c / (1 + (1 - c) / TURNED))².

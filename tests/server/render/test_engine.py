@@ -22,7 +22,7 @@ from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.entry_kernels import FRAME, LOBES
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels._compilation import Compilation, with_callees
-from isogi_core.kernels.shading.irradiance_ratio import carry_ratios, recall_records
+from isogi_core.kernels.shading.irradiance_ratio import carry_ratios
 from isogi_core.kernels.shading.lattice import carry_light
 from isogi_core.kernels.shading.local_models import shade_local
 from isogi_core.kernels.tracing.active_cells import ActiveCells
@@ -519,7 +519,7 @@ def test_kernels_that_a_scene_never_calls_are_never_loaded(tmp_path: Path, light
     done = subprocess.run(
         command, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True, capture_output=True, text=True
     )
-    uncalled = {carry_ratios, recall_records, rotate, *LOBES} if light == "constant" else {carry_light}
+    uncalled = {carry_ratios, rotate, *LOBES} if light == "constant" else {carry_light}
     called = {*FRAME} - uncalled - {project_lamps, measure_distances, count_stiffness}
     assert set(json.loads(done.stdout)) == {kernel.name for kernel in with_callees([*called, shade_local])}
 
