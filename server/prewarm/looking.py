@@ -80,7 +80,8 @@ class Pictures:
     """The pictures of ``views``, which say how many samples texels are to have: each is checked as a server checks
     those that it shows. Those in ``waiting`` are not through: they lack light, or their check goes on.
 
-    ``rung`` is how many samples the texels of any of them have, or are to have. Where they are a ``sample`` of whole
+    ``rung`` is how many samples the texels of any of them have, or are to have; ``read`` counts texels that lacked
+    light at the first look, as often as pictures read them. Where they are a ``sample`` of whole
     isosurfaces, none has finer texels, and one whose camera stands in a wall is left out.
     """
 
@@ -88,7 +89,7 @@ class Pictures:
         """Look at none yet."""
         self.waiting = set(range(len(views)))
         self.seen: dict[int, Seen] = {}
-        self.rung = rung
+        self.rung, self.read = rung, 0
         self._context, self._views, self._sample = context, views, sample
 
     def look(self, span: Span, end: float) -> Survey:
@@ -111,15 +112,17 @@ class Pictures:
     def _checked(self, view: View, end: float) -> Frame:
         """The frame of a view once its check has no step to take, or wants light of texels first."""
         context = self._context
-        frame = context.frame_of(view)
-        while frame.checkable and not context.late(end) and context.refine(view):
+        frame, more = context.frame_of(view), True
+        while more and frame.checkable and not context.late(end):
+            more = context.refine(view)
             frame = context.frame_of(view)
         return frame
 
     def _take(self, number: int, frame: Frame, found: Survey) -> None:
         """Note how good a picture is, and what it lacks."""
-        self.seen[number] = Seen(frame.surface, frame.counts["final"], frame.total.likely)
         wishes = [wish for wish in lacking_of(frame) if not (self._sample and wish[0].fineness)]
+        self.read += 0 if number in self.seen else sum(len(demand.offsets) for _, demand in wishes)
+        self.seen[number] = Seen(frame.surface, frame.counts["final"], frame.total.likely)
         for wish in wishes:
             found.add(*wish)
         self.rung = max(self.rung, *(batch.enough for batch, _ in wishes), 0 if wishes else rung_of(frame))

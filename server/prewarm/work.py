@@ -35,6 +35,11 @@ BAKED = 0.8
 TRIAL, DRY_TRIAL = 3.0, 10.0
 """Seconds that a forecast may take, before baking and in a dry run."""
 
+CHECKING = 0.25
+"""What the check of a picture takes over what the light of all its texels does: pixels get light of their own while
+that costs less than the next rung.
+"""
+
 USUAL = 1 / 64
 """At how many samples pictures end, over those at which the last of their texels would: 16 to 64 at 2 %."""
 
@@ -66,7 +71,7 @@ def wanted(context: PrewarmContext, order: PrewarmOrder, settings: Settings) -> 
 @dataclass(eq=False)
 class Rounds:
     """What a prewarm has done so far, round by round: the ``places`` that it baked at, what that ``spent``, and its
-    ``failures``.
+    ``failures``. Checks of all pictures are expected to take so many seconds of all workers (``checks``).
     """
 
     context: PrewarmContext
@@ -75,6 +80,7 @@ class Rounds:
     failures: dict[Index, str] = field(default_factory=dict)
     spent: Cost = field(default_factory=Cost)
     done: float = BEFORE[1]
+    checks: float = 0.0
 
     def __post_init__(self) -> None:
         """Look at no picture yet."""
@@ -110,9 +116,8 @@ class Rounds:
             coming = max(coming - found.paths, 0.0)
             first, last = self.done, (self.done + END) / 2.0
             baked = first + BAKED * (last - first)
-            baking = Baking(
-                self.context, found.wishes, Expected(pace * found.paths, pace * coming, (first, baked)), end
-            )
+            expected = Expected(pace * found.paths, pace * coming + self.checks, (first, baked))
+            baking = Baking(self.context, found.wishes, expected, end)
             baking.run()
             self._note(baking)
             left, self.done = self.look((baked, last), end), last
@@ -183,10 +188,11 @@ def look_ahead(rounds: Rounds, found: Survey, looked: float, budget: float) -> t
     ahead = forecast(context.renderer, usual, until, workers, budget, context.cancelled)
     texels, others = (sum(len(demand.offsets) for demand in each) for each in (usual, found.demands.values()))
     ahead = ahead.times(others / max(texels, 1))
+    rounds.checks = CHECKING * ahead.seconds * max(rounds.pictures.read / max(others, 1), float(rounds.what.whole))
     context.check()
     around = passed + min(context.seconds - passed, TRIAL) + looked if found.demands else passed
     around += START if found.demands and not context.engine.manned else 0.0
-    return summary_of(rounds, found, ahead, around), ahead
+    return summary_of(rounds, found, ahead, around + rounds.checks / workers), ahead
 
 
 def summary_of(rounds: Rounds, found: Survey, ahead: CostEstimate, around: float) -> Summary:
