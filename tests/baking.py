@@ -14,5 +14,5 @@ def bake_each_texel(engine: RenderEngine, scene: str, view: View) -> Frame:
     target = engine.planned(scene).target_error
     while (frame := engine.survey(scene, view, target, enough=MOST)).stages:
         bake, stage = engine.lacking(scene, frame)
-        engine.bake(bake, stage.demands, stage.target, enough=stage.enough).wait(LONG)
+        engine.bake(bake, stage).wait(LONG)
     return frame

@@ -5,7 +5,7 @@ import statistics
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -258,8 +258,8 @@ class ChunkCost:
 PER_TASK = 0.008
 """Processor seconds of a worker that a task takes beside its paths."""
 
-UNKNOWN = 0.2
-"""Spread of true over estimated times that no rehearsal shows, relative (measured by ``benchmarks.prewarm``)."""
+UNKNOWN = math.log(2.0)
+"""Spread of true over estimated times that no rehearsal shows, relative: pictures end a rung sooner or later."""
 
 
 @dataclass(frozen=True)
@@ -275,6 +275,11 @@ class CostEstimate:
     unsure: float = 0.0
     maps: float = 0.0
     stored: int = 0
+
+    def times(self, more: float) -> "CostEstimate":
+        """The cost of so many times as many texels."""
+        seconds, processor, stored = more * self.seconds, more * self.processor, round(more * self.stored)
+        return replace(self, seconds=seconds, processor=processor, stored=stored)
 
     def time_left(self, workers: int, around: float) -> TimeLeft:
         """The time of the whole bake with so many ``workers``, and of the seconds spent ``around`` it."""

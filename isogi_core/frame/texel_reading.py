@@ -65,6 +65,14 @@ class Reading:
         lit = (self.grade == CONVERGING) | (self.grade == FINAL)
         return np.asarray(lit & (self.samples > 0) & ~good_enough(self.error, self.samples, self.target))
 
+    @property
+    def rung(self) -> int:
+        """The samples that all texels have whose light is noisier than a picture's target allows each alone; the most
+        of any where there is none.
+        """
+        noisy = self.samples[self.noisy]
+        return int(noisy.min() if len(noisy) else self.samples.max(initial=0))
+
     @cached_property
     def effort(self) -> float:
         """Samples by which a texel comes to the relative error 1, at the median: an error e takes 1 / e^RATE of them.

@@ -16,10 +16,10 @@ from datetime import datetime
 from itertools import count
 from typing import TypeVar
 
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import Cancelled, IsogiError, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
-from isogi_core.model.scene_plan import MOST
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from server.api.service import Service
@@ -70,7 +70,8 @@ def begin(service: Service, scene: Scene, order: PrewarmOrder, dry: bool = False
 class Prewarm:
     """One order on its way: what is between the event loop, where the job lives, and the thread that works.
 
-    One that is not ``recorded`` is not taken up by the next server.
+    One that is not ``recorded`` is not taken up by the next server. Texels of whole isosurfaces are to have as many
+    samples as ``rung`` at least, those that are not good enough with fewer.
     """
 
     service: Service
@@ -79,6 +80,7 @@ class Prewarm:
     dry: bool = False
     owner: str = ""
     recorded: bool = True
+    rung: int = FIRST_LEVEL
     cancelled: threading.Event = field(default_factory=threading.Event)
     begun: float = field(default_factory=time.monotonic)
 
@@ -114,19 +116,23 @@ class Prewarm:
                 record.report(step)
 
         def frame_of(view: View) -> Frame:
-            return self._frame_of(loop, view)
+            return self._frame_of(loop, PictureRequest(self.scene.id, view, target))
+
+        def refine(view: View) -> bool:
+            return self._refine(view, target)
 
         target = self.order.target_error or self.scene.target_error
         deadline = math.inf if self.order.deadline is None else self.begun + self.order.deadline
         viewer = Viewer(("prewarm", next(_visits)), patient=True)
-        place = (self.service.engine, self.scene, target, viewer, frame_of, report, deadline)
-        context = PrewarmContext(*place, cancelled=self.cancelled, begun=self.begun)
+        place = (self.service.engine, self.scene, target, viewer, frame_of, refine, report, deadline)
+        context = PrewarmContext(*place, cancelled=self.cancelled, begun=self.begun, rung=self.rung)
         if self.dry:
             return carry_out_dry(context, wanted(context, self.order, self.service.settings))
         return self._carried_out(context) if record is None else self._recorded(context, record)
 
     def _recorded(self, context: PrewarmContext, record: Record) -> Summary:
         """Carry it out, and keep a record of it; what a stopping server leaves is taken up by the next."""
+        record.follow(context)
         record.keep(status=Status.RUNNING)
         try:
             summary = self._carried_out(context, lambda ahead: record.keep(ahead=ahead))
@@ -155,9 +161,17 @@ class Prewarm:
                 self.cancelled.wait(AGAIN)
                 context.check()
 
-    def _frame_of(self, loop: asyncio.AbstractEventLoop, view: View) -> Frame:
-        """The frame of a view, asked of the event loop by the thread. Raises Cancelled soon once it is."""
-        coming = asyncio.run_coroutine_threadsafe(self._frame(view), loop)
+    def _refine(self, view: View, target: float) -> bool:
+        """Check the picture of a view, one step further, and leave as much time to clients that wait for frames."""
+        begun = time.monotonic()
+        more = self.service.engine.check(self.scene.id, view, target, self.cancelled)
+        if self.service.attended:
+            self.cancelled.wait(time.monotonic() - begun)
+        return more
+
+    def _frame_of(self, loop: asyncio.AbstractEventLoop, picture: PictureRequest) -> Frame:
+        """The frame of a picture, asked of the event loop by the thread. Raises Cancelled soon once it is."""
+        coming = asyncio.run_coroutine_threadsafe(self._frame(picture), loop)
         try:
             while True:
                 with suppress(TimeoutError):
@@ -167,10 +181,9 @@ class Prewarm:
         finally:
             coming.cancel()
 
-    async def _frame(self, view: View) -> Frame:
-        """The frame of a view; where clients wait for frames, they have as much time as it took."""
-        begun, target = time.monotonic(), self.order.target_error or self.scene.target_error
-        picture, rank = PictureRequest(self.scene.id, view, target, MOST), self.service.rank(BACKGROUND, LATER)
+    async def _frame(self, picture: PictureRequest) -> Frame:
+        """The frame of a picture; where clients wait for frames, they have as much time as it took."""
+        begun, rank = time.monotonic(), self.service.rank(BACKGROUND, LATER)
         frame = await self.service.frame(picture, rank, Stopwatch())
         if self.service.attended:
             await asyncio.sleep(time.monotonic() - begun)

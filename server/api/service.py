@@ -234,7 +234,7 @@ class Service:
             await self.startup.others(picture.view.shading, self.settings.queue_seconds)
 
         def work(cancelled: threading.Event) -> Frame:
-            return self.engine.survey(picture.scene, picture.view, picture.target, cancelled, watch, picture.enough)
+            return self.engine.survey(picture.scene, picture.view, picture.target, cancelled, watch)
 
         with watch.stage("queue"):
             return await self.threads.of(picture.view).share((picture, self._newest(picture)), work, rank)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
-from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.model.view import View
@@ -17,15 +16,11 @@ ONCE = ("queue", "primary", "texels", "normals", "lobes")  # what they find is k
 
 @dataclass(frozen=True)
 class PictureRequest:
-    """A picture: a ``view`` of a scene, by its id, which is to reach the relative error ``target``.
-
-    Where so many samples are ``enough`` that each texel reaches it alone, nothing checks the picture.
-    """
+    """A picture: a ``view`` of a scene, by its id, which is to reach the relative error ``target``."""
 
     scene: str
     view: View
     target: float
-    enough: int = FIRST_LEVEL
 
     def draft(self, scale: float) -> Self:
         """The same of a view that moves, in a picture of ``scale`` times the width and the height."""

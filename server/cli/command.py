@@ -176,7 +176,7 @@ def report(
 @click.option("--orbit", "orbits", multiple=True, metavar="36@20", help="So many directions at an elevation.")
 @click.option("--all-directions", is_flag=True, default=None, help="Whole isosurfaces, from whatever side.")
 @options({name: VIEW_OPTIONS[name] for name in ("distance", "fov", "width", "height")})
-@click.option("--target-error", help="Relative error at which light is final.")
+@click.option("--target-error", help="Relative error of pictures at which light is final.")
 @click.option("--deadline", callback=duration, help="End by then, with what is baked: 90, 90s, 10m or 1h.")
 @options(WORK_OPTIONS)
 @click.option("--dry-run", is_flag=True, help="Say what there is to bake and how long it takes; bake nothing.")
@@ -238,7 +238,7 @@ def inspect(target: str, plan: bool, picture: Path | None, as_json: bool) -> Non
 @click.option("--isovalue", "isovalues", multiple=True, help="One; of a volume also more, or first:last.")
 @options({name: GRID_OPTIONS[name] for name in ("albedo", "yaw", "pitch", "roll", "light")})
 @click.option("--exposure", callback=number(1e-36, 1e36), help="Factor on radiance; default: the scene's.")
-@click.option("--target-error", help="Relative error at which light is final.")
+@click.option("--target-error", help="Relative error of pictures at which light is final.")
 @click.option("--coefficients", is_flag=True, help="Harmonics of the light too, into a .vti: see docs/export.md.")
 @options(WORK_OPTIONS)
 @AS_JSON

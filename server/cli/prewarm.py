@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import Cancelled, SceneError
-from isogi_core.model.scene_plan import MOST
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.prewarm.context import PrewarmContext, Step
@@ -46,9 +46,17 @@ def prewarm(target: str, order: PrewarmOrder, settings: Settings, dry: bool = Fa
 
 
 def prewarm_scene(
-    scene: Scene, order: PrewarmOrder, settings: Settings, dry: bool = False, begun: float | None = None
+    scene: Scene,
+    order: PrewarmOrder,
+    settings: Settings,
+    dry: bool = False,
+    begun: float | None = None,
+    rung: int = FIRST_LEVEL,
 ) -> Summary:
-    """``prewarm`` of a scene that is open; time is counted from when it was ``begun``."""
+    """``prewarm`` of a scene that is open; time is counted from when it was ``begun``.
+
+    Texels of whole isosurfaces are to have as many samples as ``rung`` at least, those not good enough with fewer.
+    """
     begun = time.monotonic() if begun is None else begun
     Views(order, scene, settings)
 
@@ -61,6 +69,7 @@ def prewarm_scene(
             engine.start(hire=not dry)
         bar.begin("planning")
         context = desk_of(engine, scene, order, partial(show, bar), begun)
+        context.rung = rung
         what = wanted(context, order, settings)
         if dry:
             return carry_out_dry(context, what)
@@ -95,7 +104,8 @@ def desk_of(
         scene,
         target,
         COMMAND,
-        lambda view: engine.survey(scene.id, view, target, enough=MOST),
+        lambda view: engine.survey(scene.id, view, target),
+        lambda view: engine.check(scene.id, view, target),
         report,
         deadline,
         PATIENCE,
@@ -106,6 +116,7 @@ def desk_of(
 @contextmanager
 def recorded(record: Record, context: PrewarmContext) -> Iterator[None]:
     """Keep the record of what is done meanwhile, and of how it ended where that is early."""
+    record.follow(context)
     record.keep(status=Status.RUNNING)
     draw = context.report
 

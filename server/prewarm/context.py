@@ -5,16 +5,21 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import groupby, islice
 
+from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.costs import Cost
+from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import Cancelled
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.view import View
+from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from server.render.bakes import BackgroundBake, Patience
@@ -28,7 +33,7 @@ from worker.progress import Pace, TimeEstimator, TimeLeft
 class Step:
     """How far a prewarm is: ``done`` of ``total`` ``unit``s of ``what`` it does now, and the time that the rest takes.
 
-    ``share`` is that of all its work.
+    ``share`` is the share of all its work that is done.
     """
 
     what: str
@@ -43,13 +48,40 @@ class Step:
         return f"{self.what}: {self.done:,} of {self.total:,} {self.unit}s."
 
 
+@dataclass(frozen=True)
+class Batch:
+    """What is baked together: texels of one bake, until they have ``enough`` samples.
+
+    They are projected onto an isosurface where one is ``shown``, finer than the plan's by ``fineness`` steps, and of
+    the ``side`` of several surfaces whose light has this digest, kept in ``caches``; of the scene's own where it is
+    empty.
+    """
+
+    shown: Isovalue | None
+    enough: int = FIRST_LEVEL
+    fineness: int = 0
+    side: str = ""
+    caches: Caches | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def order(self) -> tuple[bool, float, int, str, int]:
+        """Sorts batches: texels on their own isosurfaces first, and the fewest samples first."""
+        return self.shown is not None, float(self.shown or 0.0), self.fineness, self.side, self.enough
+
+    @property
+    def usual(self) -> bool:
+        """Whether the texels are the scene's own."""
+        return not (self.fineness or self.side)
+
+
 @dataclass(eq=False)
 class PrewarmContext:
     """What a prewarm of one ``scene`` to a ``target`` error works with, for a ``viewer``.
 
-    ``frame_of`` makes the frame of a view with the light baked so far, ``report`` takes each step, and ``cancelled``
-    stops it. Baking ends at ``deadline``, and the workers are taken for broken after ``patience`` seconds without
-    anything new.
+    ``frame_of`` makes the frame of a view with the light baked so far; ``refine`` takes one step of the check of its
+    picture, and says whether there was one. ``report`` takes each step, and ``cancelled`` stops it. Baking ends at
+    ``deadline``, and the workers are taken for broken after ``patience`` seconds without anything new. Texels of whole
+    isosurfaces are to have as many samples as ``rung`` at least; ``climbed`` is told when they are to have more.
     """
 
     engine: RenderEngine
@@ -57,20 +89,29 @@ class PrewarmContext:
     target: float
     viewer: Viewer
     frame_of: Callable[[View], Frame]
+    refine: Callable[[View], bool]
     report: Callable[[Step], None]
     deadline: float = math.inf
     patience: float = math.inf
     cancelled: threading.Event = field(default_factory=threading.Event)
     begun: float = field(default_factory=time.monotonic)
+    rung: int = FIRST_LEVEL
+    climbed: Callable[[int], None] = lambda _: None
 
     @property
     def renderer(self) -> Renderer:
         """The renderer of the scene."""
         return self.engine.renderer(self.scene.id)
 
-    def bake_of(self, demand: Demand) -> str:
-        """The name of the bake that a demand is of."""
-        return self.engine.bake_onto(self.scene.id, demand.shown)
+    def store_of(self, batch: Batch) -> ChunkStore:
+        """The chunk store that a batch is baked into."""
+        caches = batch.caches or self.engine.renderer(self.scene.id, batch.fineness).caches
+        return caches.chunk_store_of(batch.shown)
+
+    def bake_of(self, batch: Batch, demands: Iterable[Demand]) -> tuple[str, Stage]:
+        """The name of the bake that a batch is of, and the stage that has these ``demands`` of it baked."""
+        stage = Stage(tuple(demands), self.target, batch.enough, batch.caches)
+        return self.engine.bake_at(self.scene.id, "gi", stage, batch.fineness), stage
 
     @property
     def seconds(self) -> float:
@@ -102,40 +143,46 @@ CHUNKS, OPEN = 64, 3
 PRIOR = (0.6, 0.8, 1.0, 1.25, 1.6)
 """Times that baking takes over those forecast, before any is known."""
 
+Wish = tuple[Batch, Demand]
+"""A chunk's texels that are to be baked, and the batch that they are of."""
 
-def onto(demand: Demand) -> tuple[bool, float]:
-    """Orders demands by the isosurface that their texels are projected onto, those that are not first."""
-    return demand.shown is not None, float(demand.shown or 0.0)
+
+@dataclass(frozen=True)
+class Expected:
+    """How long a round of baking is expected to take, and the rounds ``later``: seconds of all workers together.
+
+    ``span`` is where in all of the work the round begins and ends, as shares of it.
+    """
+
+    seconds: float
+    later: float
+    span: tuple[float, float]
 
 
 class Baking:
-    """Has ``demands`` baked, those first of which most is seen; all of it is ``expected`` to take so many seconds.
+    """One round: has what is wanted baked, chunks first of which most is seen, batch after batch.
 
-    Projected texels come last, isosurface by isosurface.
-
-    ``span`` is where in all of the work this begins and ends, as shares of it. It ends at ``end``, by the monotonic
-    clock; ``done`` chunks are baked or given up by then, and ``failures`` says why the latter were.
+    It ends at ``end``, by the monotonic clock; ``done`` chunks are baked or given up by then, and ``failures`` says why
+    the latter were.
     """
 
-    def __init__(
-        self, context: PrewarmContext, demands: list[Demand], expected: float, span: tuple[float, float], end: float
-    ) -> None:
+    def __init__(self, context: PrewarmContext, wishes: Iterable[Wish], expected: Expected, end: float) -> None:
         """Ask for nothing yet."""
-        self.demands = sorted(demands, key=lambda demand: (*onto(demand), -demand.weight))
+        self.wishes = sorted(wishes, key=lambda wish: (wish[0].order, -wish[1].weight))
         self.failures: dict[Index, str] = {}
         self.done = 0
-        self._context, self._end, self._span = context, end, span
-        self._expected = expected
+        self._context, self._end, self._expected = context, end, expected
         self._estimator, self._pace = TimeEstimator(prior=PRIOR), Pace(time.monotonic)
         self._worked = 0.0
-        self._open: list[BackgroundBake] = []
+        self._open: list[tuple[Batch, BackgroundBake]] = []
+        self._held: tuple[Batch, list[Demand]] | None = None
         self._patience = Patience(context.patience)
         self._before = self._cost()
 
     @property
     def late(self) -> bool:
         """Whether the time is over, and not all chunks are baked or given up."""
-        return self.done < len(self.demands) and time.monotonic() >= self._end
+        return self.done < len(self.wishes) and time.monotonic() >= self._end
 
     @property
     def spent(self) -> Cost:
@@ -155,17 +202,22 @@ class Baking:
         finally:
             self._context.engine.leave(self._context.viewer)
 
-    def _parts(self) -> Iterator[list[Demand]]:
+    def _parts(self) -> Iterator[tuple[Batch, list[Demand]]]:
         size = max(CHUNKS, 2 * self._context.engine.workers)
-        for _, group in groupby(self.demands, onto):
-            while part := list(islice(group, size)):
-                yield part
+        for batch, group in groupby(self.wishes, lambda wish: wish[0]):
+            while part := [demand for _, demand in islice(group, size)]:
+                yield batch, part
 
-    def _filled(self, parts: Iterator[list[Demand]]) -> bool:
-        """Ask for more where there is room; whether anything is asked for."""
+    def _filled(self, parts: Iterator[tuple[Batch, list[Demand]]]) -> bool:
+        """Ask for more where there is room; whether anything is asked for.
+
+        A batch begins when the one before has ended: together, texels of a chunk would be taken to the samples of that
+        which wants more.
+        """
         context = self._context
-        while len(self._open) < OPEN and (part := next(parts, None)):
-            self._open.append(context.engine.bake(context.bake_of(part[0]), part, context.target, context.viewer))
+        while len(self._open) < OPEN and (part := self._next(parts)):
+            bake, stage = context.bake_of(*part)
+            self._open.append((part[0], context.engine.bake(bake, stage, context.viewer)))
         return bool(self._open)
 
     def _wait(self) -> None:
@@ -176,36 +228,46 @@ class Baking:
         if engine.workforce.missing:
             raise WorkersError(engine.workforce.missing)
         self._patience.check(engine.paths, engine.workforce.preparing, engine.unready())
-        self._open[0].wait(max(min(LOOK, self._end - now), 0.0))
+        self._open[0][1].wait(max(min(LOOK, self._end - now), 0.0))
+
+    def _next(self, parts: Iterator[tuple[Batch, list[Demand]]]) -> tuple[Batch, list[Demand]] | None:
+        """The part to ask for next; None where it is of another batch than those at work, or there is none."""
+        part = self._held or next(parts, None)
+        waits = part is not None and bool(self._open) and part[0] != self._open[0][0]
+        self._held = part if waits else None
+        return None if waits else part
 
     def _settle(self) -> None:
         """Count what is baked or given up."""
-        for part in [each for each in self._open if not each.waiting()]:
+        for part in [each for each in self._open if not each[1].waiting()]:
             self._open.remove(part)
-            self.done += len(part.chunks)
-            self.failures |= part.failures()
+            self.done += len(part[1].chunks)
+            self.failures |= part[1].failures()
 
     def _report(self) -> None:
         """Say how far it is, and what the rest takes."""
-        total = len(self.demands)
-        coming = total - self.done - sum(len(part.chunks) for part in self._open)
-        done = total - coming - sum(part.waiting() for part in self._open)
-        first, last = self._span
-        share = done / max(total, 1)
+        total, open_now = len(self.wishes), [baking for _, baking in self._open]
+        done = self.done + sum(len(each.chunks) - each.waiting() for each in open_now)
+        (first, last), share = self._expected.span, done / max(total, 1)
         self._context.report(Step("Baking", "chunk", done, total, first + (last - first) * share, self._left(share)))
 
     def _left(self, share: float) -> TimeLeft:
         """The time that the rest takes once a ``share`` is done, at the pace of late."""
-        worked = share * self._expected
+        workers = self._context.engine.workers
+        round_seconds, later = self._expected.seconds / workers, self._expected.later / workers
+        worked = share * round_seconds
         self._pace.working(1)
         self._pace.spent(worked - self._worked)
         self._worked = worked
-        return self._estimator.estimate("baking", self._expected - worked, worked).times(self._pace.value)
+        return self._estimator.estimate("baking", round_seconds - worked + later, worked).times(self._pace.value)
 
     def _cost(self) -> Cost:
-        context, total = self._context, Cost()
-        for _, group in groupby(self.demands, onto):
-            first, *others = group
-            spent = context.engine.spent(context.bake_of(first), [each.index for each in (first, *others)])
-            total = total.plus(spent)
+        chunks: dict[str, set[Index]] = {}
+        for batch, group in groupby(self.wishes, lambda wish: wish[0]):
+            demands = [demand for _, demand in group]
+            bake, _ = self._context.bake_of(batch, demands)
+            chunks.setdefault(bake, set()).update(each.index for each in demands)
+        total = Cost()
+        for bake, indices in chunks.items():
+            total = total.plus(self._context.engine.spent(bake, indices))
         return total

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.noise import Effort, relative_error
+from isogi_core.bake.noise import Effort, Until, relative_error
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import Light
@@ -42,8 +42,8 @@ SCHEDULED = Path("/proc/thread-self/schedstat")
 """Where Linux counts the nanoseconds that a thread ran, and those that it could have run but had no core."""
 
 
-def rehearse(renderer: Renderer, demand: Demand, target: float, most: float, cancelled: threading.Event) -> ChunkCost:
-    """Bake what a chunk lacks until ``target``, and measure it; beyond ``most`` seconds the cost is extrapolated."""
+def rehearse(renderer: Renderer, demand: Demand, until: Until, most: float, cancelled: threading.Event) -> ChunkCost:
+    """Bake what a chunk lacks ``until`` then, and measure it; beyond ``most`` seconds the cost is extrapolated."""
     store = renderer.caches.chunk_store_of(demand.shown)
     spec = store.spec
     texels = spec.prepared.lattice.positions(demand.index, demand.offsets)
@@ -52,8 +52,8 @@ def rehearse(renderer: Renderer, demand: Demand, target: float, most: float, can
     rows = chunk.rows_of(demand.offsets)
     light = chunk.light.rows(rows)
     begun, processor = ready_time(), time.thread_time()
-    tasks, paths = climb_all(light, texels, spec, demand, target, (time.perf_counter() + most, cancelled))
-    more = 1.0 + Effort.of(relative_error(light, spec), light.samples, target).left / max(paths, 1)
+    tasks, paths = climb_all(light, texels, spec, demand, until, (time.perf_counter() + most, cancelled))
+    more = 1.0 + Effort.of(relative_error(light, spec), light.samples, *until).left / max(paths, 1)
     seconds, processor = ready_time() - begun, time.thread_time() - processor
     chunk.light.put(rows, light)
     begun = ready_time()
@@ -76,14 +76,15 @@ def climb_all(
     texels: np.ndarray,
     spec: BakeSpec,
     demand: Demand,
-    target: float,
+    until: Until,
     limit: tuple[float, threading.Event],
 ) -> tuple[int, int]:
     """Do the tasks of a chunk to its ``light``, in place: how many, and their paths. Ends at its ``limit``."""
     effort, tasks, paths = demand.effort, 0, 0
     while True:
         place = (spec.prepared.scene.source, spec.plan, spec.digest, StoreUrl(""), demand.index)
-        task = BakeTask(*place, demand.offsets, demand.footprints, next_until(effort), target)
+        what = demand.offsets, demand.footprints, next_until(effort), until.target
+        task = BakeTask(*place, *what, enough=until.enough)
         before, since = light.samples, time.thread_time()
         sample_texels(light, texels, spec, task)
         cost = cost_of(light.samples, before, time.thread_time() - since)
@@ -123,12 +124,12 @@ START = 1.5
 def forecast(
     renderer: Renderer,
     demands: Sequence[Demand],
-    target: float,
+    until: Until,
     workers: int,
     budget: float,
     cancelled: threading.Event,
 ) -> CostEstimate:
-    """Estimate the cost of the demands to a ``target`` error, within about ``budget`` seconds.
+    """Estimate the cost of the demands, baked ``until`` then, within about ``budget`` seconds.
 
     As many chunks are rehearsed at once as there are workers, for these share what a core has.
     """
@@ -138,7 +139,7 @@ def forecast(
     threads, chosen = min(workers, cores()), stratified(demands)
     tried = Tried(budget, cancelled)
     with ThreadPoolExecutor(threads, "rehearsal") as pool:
-        for ended in [pool.submit(tried.go_through, renderer, chosen, target) for _ in range(threads)]:
+        for ended in [pool.submit(tried.go_through, renderer, chosen, until) for _ in range(threads)]:
             ended.result()
     texels, per_task = sum(len(demand.offsets) for demand in demands), PER_TASK + DISPATCH * (workers >= cores())
     return extrapolated(tried.all, texels, len(tried.all) == len(demands), per_task)
@@ -153,10 +154,10 @@ class Tried:
         self._each, self._end, self._cancelled = budget / 4.0, time.monotonic() + budget, cancelled
         self._lock = threading.Lock()
 
-    def go_through(self, renderer: Renderer, demands: Iterator[Demand], target: float) -> None:
+    def go_through(self, renderer: Renderer, demands: Iterator[Demand], until: Until) -> None:
         """Rehearse what comes next until it is enough; several threads may."""
         while not self._enough() and (demand := self._next(demands)):
-            one = rehearse(renderer, demand, target, self._each, self._cancelled)
+            one = rehearse(renderer, demand, until, self._each, self._cancelled)
             with self._lock:
                 self.all.append(one)
 

@@ -194,7 +194,7 @@ class PrewarmOrder(NoParams):
     width: Annotated[int, Span(1, 16383, whole=True)] = as_of_a_view("width")
     height: Annotated[int, Span(1, 16383, whole=True)] = as_of_a_view("height")
     target_error: Annotated[float, Span(0.0001, 1)] | None = Field(
-        None, description="Relative error at which light is final; default: the scene's target_error."
+        None, description="Total relative error that pictures are to reach; default: the scene's target_error."
     )
     deadline: Annotated[float, Span(0, LONGEST)] | None = Field(
         None, description="Seconds after which it ends, whatever is baked by then; default: none."
@@ -284,6 +284,19 @@ class Views:
         place = {"isovalue": level, "azimuth": direction[0], "elevation": direction[1]}
         view = view_of(self._scene, read(ViewParams, [*place.items(), *self._knobs.items()]), self._settings)
         return view if self._scene.shine is None else replace(view, shine=DULL)  # nothing is baked for shine
+
+
+SIDES, SIDE, AMONG = 6, 192, 4
+"""Views that stand for a whole isosurface, from all sides, their pixels a side, and of how many isovalues at most."""
+
+
+def views_around(order: PrewarmOrder, levels: Levels, scene: Scene, settings: Settings) -> Views:
+    """The views that stand for the whole isosurfaces of ``levels``: of the lowest, the highest and some between."""
+    every = sorted(set(levels.all))
+    chosen = {every[round(n * (len(every) - 1) / (AMONG - 1))] for n in range(AMONG)}
+    isovalues = tuple(map(repr, sorted(chosen)))
+    around = {"all_directions": False, "views": SIDES, "directions": (), "orbits": (), "isovalues": isovalues}
+    return Views(order_of(order.model_dump() | around | {"width": SIDE, "height": SIDE}), scene, settings)
 
 
 def order_of(fields: dict[str, Any]) -> PrewarmOrder:

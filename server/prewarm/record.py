@@ -13,11 +13,12 @@ from uuid import uuid4
 
 from pydantic import BaseModel, Field, ValidationError
 
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import StoreError
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.documents import Documents
 from isogi_core.storage.store import StoreLike
-from server.prewarm.context import Step
+from server.prewarm.context import PrewarmContext, Step
 from server.prewarm.order import PrewarmOrder
 from server.progress import left_text
 from server.render.jobs import Status, now
@@ -30,7 +31,7 @@ MOST_FAILURES = 100
 
 
 class Errors(BaseModel):
-    """The estimated relative errors of the views, or of the texels where whole isosurfaces were asked for."""
+    """The total relative errors of the pictures: of the views, or of those that stand for whole isosurfaces."""
 
     worst: float
     mean: float
@@ -48,7 +49,8 @@ class Summary(BaseModel):
 
     ``chunks``, ``texels`` without light, ``refined`` texels with some and ``bytes`` before compression are what was
     lacking at the start; ``stored_bytes`` is what these chunks take in the store. ``final`` is the share of the views'
-    surface that is final, or that of the texels of whole isosurfaces; ``error`` is the worst of ``errors``. ``paths``
+    surface that is final, or the share of the texels of whole isosurfaces that have as many samples as pictures of it
+    need; ``error`` is the worst of ``errors``. ``paths``
     and ``processor_seconds`` were spent on these chunks, ``seconds`` passed meanwhile; ``time_left`` is the
     forecast at the start. ``stopped`` says what ended it. A dry run forecasts ``stored_bytes`` and
     ``processor_seconds``.
@@ -124,7 +126,8 @@ class RecordDocument(BaseModel):
     ``owner`` names the token that asked for it.
 
     ``scene_digest`` names all that the light depends on; ``progress`` is in percent, and ``spent`` are the seconds that
-    this worker has worked on it.
+    this worker has worked on it. Texels of whole isosurfaces are to have as many samples as ``rung``, as far as
+    pictures have told.
     """
 
     format: Literal[1] = 1
@@ -138,6 +141,7 @@ class RecordDocument(BaseModel):
     message: str = "This begins soon."
     progress: int = 0
     spent: float = 0.0
+    rung: int = FIRST_LEVEL
     created: datetime = Field(default_factory=now)
     updated: datetime = Field(default_factory=now)
     worker: str = Field(default=WORKER, pattern=r"^[^/]*/\d+/\w+$")
@@ -194,13 +198,20 @@ class Record:
         self.document = RecordDocument(
             id=digest, scene=scene.id, scene_digest=scene.digest, by=by, owner=owner, order=order
         )
-        self._documents = Documents(store, FOLDER)
+        self._store, self._documents = store, Documents(store, FOLDER)
         self._begun, self._written = time.monotonic(), -BEAT
 
     @property
     def place(self) -> str:
         """StoreLike it is."""
         return self._documents.path_of(self.document.id)
+
+    def follow(self, context: PrewarmContext) -> None:
+        """Go on where an earlier prewarm of this order was, and keep how far this one climbs. Raises StoreError."""
+        former = [each.rung for each in recorded_prewarms(self._store) if each.id == self.document.id]
+        context.rung = max(context.rung, *former, FIRST_LEVEL)
+        context.climbed = lambda rung: self.keep(rung=rung)
+        self.document = self.document.model_copy(update={"rung": context.rung})
 
     def report(self, step: Step) -> None:
         """Say how far it is; kept when some time has passed. A store that does not take it costs no more than that."""

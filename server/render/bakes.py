@@ -17,8 +17,6 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.upkeep.prune import trim_projected
 from isogi_core.errors import StoreFullError, StoreReadOnlyError
 from isogi_core.frame.texel_reading import Stage
-from isogi_core.frame.view_texels import Demand
-from isogi_core.model.scene_plan import MOST as SAMPLES
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
@@ -78,22 +76,13 @@ BACKGROUND = Viewer("background", patient=True)
 
 
 class BackgroundBake:
-    """Light that is baked while no frame waits: the ``demands`` of one ``bake``, by its name, to a ``target`` error."""
+    """Light that is baked while no frame waits: what a ``stage`` demands of one ``bake``, by its name."""
 
-    def __init__(
-        self,
-        baker: Baker,
-        bake: str,
-        demands: Iterable[Demand],
-        target: float,
-        viewer: Viewer = BACKGROUND,
-        enough: int = SAMPLES,
-    ) -> None:
+    def __init__(self, baker: Baker, bake: str, stage: Stage, viewer: Viewer = BACKGROUND) -> None:
         """Request it from the ``baker``, for a ``viewer``; ``coming`` are the chunks that were not given up before."""
-        wanted = tuple(demands)
         self._baker, self._viewer = baker, viewer
-        self.bake, self.chunks = bake, [demand.index for demand in wanted]
-        self.coming = baker.request(bake, wanted, target, viewer, enough)
+        self.bake, self.chunks = bake, [demand.index for demand in stage.demands]
+        self.coming = baker.request(bake, stage.demands, stage.target, viewer, stage.enough)
 
     def waiting(self) -> int:
         """How many of its ``chunks`` are neither baked nor given up. Asked now and then, it stays wanted."""

@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 
 from isogi_core.bake.bake_spec import SPECS, spec_name
@@ -17,8 +18,6 @@ from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.unlit_view import unlit_frame
 from isogi_core.frame.view_keys import surface_key
-from isogi_core.frame.view_texels import Demand
-from isogi_core.model.scene_plan import MOST
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
@@ -226,19 +225,17 @@ class RenderEngine:
         """
         frame = frame.finer or frame
         stage = next(iter(frame.stages), Stage((), self.planned(scene).target_error))
-        if stage.caches is not None and scene in self.scenes:
-            return self._beside.side(scene, spec_name(frame.view.shading), stage, self.workforce.joins), stage
-        if scene not in self.scenes or (stage.shown is None and not frame.fineness):
-            return self.bake_of(scene, frame.view), stage
-        return self.bake_onto(scene, stage.shown, frame.fineness), stage
+        return self.bake_at(scene, spec_name(frame.view.shading), stage, frame.fineness), stage
 
-    def bake_onto(self, scene: str, shown: Isovalue | None, fineness: int = 0) -> str:
-        """The name of the bake of a scene's texels, finer by ``fineness`` steps, projected where one is ``shown``."""
-        if shown is None and not fineness:
-            return bake_name(scene, "gi")
+    def bake_at(self, scene: str, spec: str, stage: Stage, fineness: int = 0) -> str:
+        """The name of the bake, by a ``spec``, that a ``stage`` is of, with texels finer by ``fineness`` steps."""
+        if stage.caches is not None and scene in self.scenes:
+            return self._beside.side(scene, spec, stage, self.workforce.joins)
+        if scene not in self.scenes or (stage.shown is None and not fineness):
+            return bake_name(scene, spec)
         loaded, arrived = self._find(scene).level(fineness), partial(self._arrived, scene, fineness)
-        make = partial(make_bake, loaded.renderer.caches, "gi", loaded.assets, arrived, shown)
-        return self._beside.name(scene, shown, fineness, make)
+        make = partial(make_bake, loaded.renderer.caches, "gi", loaded.assets, arrived, stage.shown)
+        return self._beside.name(scene, stage.shown, fineness, make)
 
     def _chunks(self, scene: str, frame: Frame) -> tuple[str, list[Index]]:
         """The bake that a ``frame`` lacks light of, and the chunks of it."""
@@ -281,19 +278,18 @@ class RenderEngine:
             baking = baking.plus(time_of_paths(own, spent, self._checking.threads))
         return baking if baking.high > 0.0 else None
 
-    def bake(
-        self, bake: str, demands: Iterable[Demand], target: float, viewer: Viewer = BACKGROUND, enough: int = MOST
-    ) -> BackgroundBake:
-        """Have what a ``viewer`` ``demands`` of a ``bake`` baked to a ``target`` error, or to ``enough`` samples."""
-        return BackgroundBake(self._baker, bake, () if self.store.only_read() else demands, target, viewer, enough)
+    def bake(self, bake: str, stage: Stage, viewer: Viewer = BACKGROUND) -> BackgroundBake:
+        """Have what a ``stage`` demands of a ``bake`` baked for a ``viewer``; nothing where the store is only read."""
+        wanted = replace(stage, demands=()) if self.store.only_read() else stage
+        return BackgroundBake(self._baker, bake, wanted, viewer)
 
     def spent(self, bake: str, indices: Iterable[Index]) -> Cost:
         """What tasks at these chunks of a bake took so far."""
         return self._baker.spent(bake, indices)
 
-    def renderer(self, scene: str) -> Renderer:
-        """The renderer of a scene; UnknownSceneError where it was dismissed."""
-        return self._find(scene).renderer
+    def renderer(self, scene: str, fineness: int = 0) -> Renderer:
+        """The renderer of a scene, its texels finer by ``fineness`` steps; UnknownSceneError where it was dismissed."""
+        return self._find(scene).level(fineness).renderer
 
     @property
     def workers(self) -> int:

@@ -202,9 +202,7 @@ async def complete(service: Service, picture: PictureRequest, job: Job) -> Frame
             lacking, stage = await asyncio.to_thread(service.engine.lacking, picture.scene, frame)
             if not stage.demands:
                 return frame
-            baking = await asyncio.to_thread(
-                service.engine.bake, lacking, stage.demands, stage.target, viewer, stage.enough
-            )
+            baking = await asyncio.to_thread(service.engine.bake, lacking, stage, viewer)
             needed = frame.chunks_needed
             del frame, stage  # they may be large, and the rest long
             if not baking.coming:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame import projected_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING
 from isogi_core.plan.assembly import load_scene
@@ -65,7 +66,7 @@ def test_what_was_prewarmed_is_final_at_once(blocks: Path, tmp_path: Path) -> No
     assert (summary.views, summary.isovalues) == (9, pytest.approx((0.4, 0.5, 0.6)))
     assert (summary.final, summary.stopped, summary.target_error) == (1.0, "target", 0.1)
     assert summary.errors.mean <= summary.error <= 0.1
-    assert summary.paths >= 64 * summary.texels > 0 and summary.processor_seconds > 0
+    assert summary.paths >= FIRST_LEVEL * summary.texels > 0 and summary.processor_seconds > 0
     assert f"{summary.paths:,} paths" in str(summary)
     assert document_of(summary).summary == summary
     scene, kept = load_scene(blocks), chunks_in(tmp_path)
@@ -208,7 +209,7 @@ def test_a_chunk_that_cannot_be_baked_is_told_and_the_others_are(
     assert (summary.stopped, summary.failed) == ("failures", 1)
     assert summary.failures[0].chunk == (0, 1, 1)
     assert "cursed" in summary.failures[0].reason and "cursed" in str(summary)
-    assert 0.5 < summary.final < 1.0
+    assert 0.0 < summary.final < 1.0, "a picture that lacks a chunk is not final, the others are"
     assert len(chunks_in(tmp_path)) == summary.chunks - 1
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isogi_core.bake.noise import Effort
+from isogi_core.bake.noise import Effort, Until
+from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MOST
 from isogi_core.plan.assembly import load_scene
@@ -55,20 +56,20 @@ def test_a_rehearsal_does_the_tasks_of_a_bake_and_keeps_nothing(
         patient = Viewer("a test", patient=True)
         view, renderer = view_of(scene), engine.renderer("blocks")
         demands = engine.survey("blocks", view, 0.1, enough=MOST).demands
-        tried = [rehearse(renderer, each, 0.1, math.inf, threading.Event()) for each in demands]
-        cut = rehearse(renderer, demands[0], 0.1, 0.0, threading.Event())
+        tried = [rehearse(renderer, each, Until(0.1, 128), math.inf, threading.Event()) for each in demands]
+        cut = rehearse(renderer, demands[0], Until(0.1, 128), 0.0, threading.Event())
         before = engine.survey("blocks", view, 0.1, enough=MOST)
         assert before.counts["provisional"] == before.surface > 0
-        engine.bake("blocks", demands, 0.1, patient).wait(LONG)
+        engine.bake("blocks", Stage(demands, 0.1, 128), patient).wait(LONG)
         assert sum(one.tasks for one in tried) == Counting.tasks
         stored = sum(path.stat().st_size for path in tmp_path.glob("*/c/**/*") if path.is_file())
         assert sum(one.stored for one in tried) == stored
         assert all(one.seconds > 0.0 for one in tried)
         assert cut.tasks == pytest.approx(tried[0].tasks, rel=5.0)
-        assert not engine.survey("blocks", view, 0.1, enough=MOST).provisional
+        assert not engine.survey("blocks", view, 0.1, enough=128).provisional
         rest = engine.survey("blocks", view, 0.002, enough=MOST).demands
-        assert rehearse(renderer, rest[0], 0.002, math.inf, threading.Event()).tasks >= 1.0
-        assert forecast(renderer, (), 0.1, 1, 1.0, threading.Event()).seconds == 0.0
+        assert rehearse(renderer, rest[0], Until(0.002), math.inf, threading.Event()).tasks >= 1.0
+        assert forecast(renderer, (), Until(0.1), 1, 1.0, threading.Event()).seconds == 0.0
 
 
 def test_the_sample_is_spread_over_all_texels() -> None:

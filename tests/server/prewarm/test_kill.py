@@ -6,25 +6,27 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
 import pytest
 
 from isogi_core.bake.bake_spec import spec_for
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from server.cli.command import run
 from server.cli.prewarm import prewarm
 from server.prewarm.order import order_of
-from server.prewarm.record import Summary
+from server.prewarm.record import Summary, recorded_prewarms
 from server.settings import Settings
 from tests.server.inline import LONG, InlinePool, chunks_in
 from worker import pool
 
 ROOT = Path(__file__).resolve().parents[3]
-TARGET = "0.002"
+TARGET = "0.0005"
 
 
 def paths_in(scene: Path, store: Path) -> int:
@@ -36,13 +38,23 @@ def paths_in(scene: Path, store: Path) -> int:
     return sum(int(chunk.light.samples.clip(0).sum()) for chunk in chunks if chunk is not None)
 
 
-def kill_half_way(scene: Path, store: Path) -> None:
-    """Begin a prewarm as a process, and kill it once it has baked something; its workers end with it."""
+def has_begun(store: Path) -> bool:
+    """Whether a prewarm has baked some chunks."""
+    return len(chunks_in(store)) >= 6
+
+
+def has_climbed(store: Path) -> bool:
+    """Whether pictures have asked for more samples than texels have at first."""
+    return any(each.rung > FIRST_LEVEL for each in recorded_prewarms(store))
+
+
+def kill_once(reached: Callable[[Path], bool], scene: Path, store: Path) -> None:
+    """Begin a prewarm as a process, and kill it once it has ``reached`` something; its workers end with it."""
     command = [sys.executable, "-m", "server", "prewarm", str(scene), "--store", str(store), "--workers", "1"]
     order = ["--all-directions", "--target-error", TARGET]
     process = subprocess.Popen([*command, *order], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + LONG
-    while len(chunks_in(store)) < 6 and time.monotonic() < deadline:
+    while not reached(store) and time.monotonic() < deadline:
         assert process.poll() is None
         time.sleep(0.02)
     family = psutil.Process(process.pid).children(recursive=True)
@@ -52,15 +64,20 @@ def kill_half_way(scene: Path, store: Path) -> None:
 
 
 @pytest.mark.kill
+@pytest.mark.parametrize("reached", [has_begun, has_climbed])
 def test_a_prewarm_that_is_killed_goes_on(
-    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    blocks: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    reached: Callable[[Path], bool],
 ) -> None:
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
     order = order_of({"all_directions": True, "target_error": TARGET})
     whole = prewarm(str(blocks), order, Settings(store=str(tmp_path / "whole"), workers=1))
     assert whole.paths == paths_in(blocks, tmp_path / "whole")
     killed = tmp_path / "killed"
-    kill_half_way(blocks, killed)
+    kill_once(reached, blocks, killed)
     before = paths_in(blocks, killed)
     assert 0 < before < whole.paths
     (record,) = (killed / "jobs").glob("*.json")

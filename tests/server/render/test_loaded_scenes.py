@@ -60,7 +60,7 @@ def test_a_scene_makes_way_and_is_the_same_when_it_is_back(engine: RenderEngine,
     gc.collect()
     assert engine._loaded.held(one.id) is None and renderer() is None
     bake, stage = engine.lacking(one.id, lacking)
-    engine.bake(bake, stage.demands, stage.target, enough=stage.enough).wait(LONG)
+    engine.bake(bake, stage).wait(LONG)
     again = engine.frame(one.id, view_of(one), wait=LONG)
     assert again.version == first.version and again.radiance.tobytes() == first.radiance.tobytes()
     assert not engine.frame(one.id, view_of(one, 120.0)).demands, "light that came meanwhile is seen"

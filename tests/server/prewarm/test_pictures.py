@@ -1,0 +1,186 @@
+"""Prewarms go by the measured error of pictures: they bake what a server would for the views, and nothing more."""
+
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.model.view import View
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.reachable_texels import surface_texels
+from server.api.prewarm_jobs import Prewarm
+from server.cli import prewarm as command
+from server.cli.prewarm import prewarm
+from server.prewarm.context import Step
+from server.prewarm.order import Views, order_of
+from server.prewarm.record import Record, Summary
+from server.progress import Progress
+from server.render.engine import RenderEngine
+from server.settings import Settings
+from tests.baking import bake_each_texel
+from tests.server.inline import LONG, InlinePool, chunks_in
+from worker import pool
+
+VIEWS: dict[str, Any] = {"isovalues": [0.5], "views": 3, "width": 40, "height": 32}
+WHOLE: dict[str, Any] = {"isovalues": ["0.5"], "all_directions": True}
+RANGE: dict[str, Any] = WHOLE | {"isovalues": ["0.45:0.55"]}
+
+
+@pytest.fixture(autouse=True)
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+
+
+@pytest.fixture(scope="module")
+def lit(blocks: Path) -> Path:
+    """The scene whose pictures need more than first light: a sky, and a target that 16 samples do not reach."""
+    path = blocks.with_name("lit.toml")
+    dim = blocks.read_text().replace('"constant"', '"sky"').replace("error = 0.1", "error = 0.005")
+    path.write_text(dim)
+    return path
+
+
+@contextmanager
+def engine_of(scene: Path, store: Path, hire: bool) -> Iterator[RenderEngine]:
+    with closing(RenderEngine([load_scene(scene)], str(store), workers=1)) as engine:
+        engine.start(hire=hire)
+        yield engine
+
+
+def views_of(scene: Path, order: dict[str, Any]) -> list[View]:
+    return list(Views(order_of(order), load_scene(scene), Settings()))
+
+
+def warmed(scene: Path, store: Path, order: dict[str, Any]) -> Summary:
+    return prewarm(str(scene), order_of(order), Settings(store=str(store), workers=1))
+
+
+def rungs_in(scene: Path, store: Path, low: float, high: float) -> np.ndarray:
+    """The samples of all lit texels of the isosurfaces from one isovalue to another."""
+    with engine_of(scene, store, hire=False) as engine:
+        renderer = engine.renderer(scene.stem)
+        prepared, volume = renderer.prepared, renderer.prepared.scene.volume
+        ends = volume.normalise_isovalue(low), volume.normalise_isovalue(high)
+        found = []
+        for index, offsets in surface_texels(volume.voxels, prepared.shape, prepared.lattice.chunk, [ends]):
+            chunk = renderer.caches.chunk_store("gi").read(index)
+            assert chunk is not None
+            light = chunk.with_texels(offsets).light.rows(chunk.with_texels(offsets).rows_of(offsets))
+            found.append(light.samples[~light.void])
+    return np.concatenate(found)
+
+
+def test_a_prewarm_bakes_what_serving_the_view_would(lit: Path, tmp_path: Path) -> None:
+    one = VIEWS | {"views": 1}
+    summary = warmed(lit, tmp_path / "warmed", one)
+    (view,) = views_of(lit, one)
+    with engine_of(lit, tmp_path / "served", hire=True) as engine:
+        frame = engine.frame("lit", view, wait=LONG)
+        assert frame.final
+    assert chunks_in(tmp_path / "warmed") == chunks_in(tmp_path / "served")
+    assert summary.paths > FIRST_LEVEL * summary.texels > 0
+    assert summary.error == pytest.approx(frame.total.likely)
+
+
+def test_views_are_final_without_a_texel_baked(lit: Path, tmp_path: Path) -> None:
+    summary, views = warmed(lit, tmp_path / "warmed", VIEWS), views_of(lit, VIEWS)
+    kept = chunks_in(tmp_path / "warmed")
+    assert (summary.final, summary.stopped) == (1.0, "target")
+    with engine_of(lit, tmp_path / "warmed", hire=False) as engine:
+        for view in views:
+            frame = engine.frame("lit", view, wait=LONG)
+            assert frame.final and not frame.stages
+            assert frame.measured is not None and frame.measured.high <= 0.005
+    assert warmed(lit, tmp_path / "warmed", VIEWS).paths == 0
+    assert chunks_in(tmp_path / "warmed") == kept
+    with engine_of(lit, tmp_path / "each", hire=True) as engine:
+        for view in views:
+            bake_each_texel(engine, "lit", view)
+        assert summary.paths < 0.7 * engine.paths
+
+
+def test_whole_isosurfaces_have_the_samples_pictures_need(lit: Path, tmp_path: Path) -> None:
+    summary, rungs = warmed(lit, tmp_path, WHOLE), rungs_in(lit, tmp_path, 0.5, 0.5)
+    assert (summary.final, summary.stopped) == (1.0, "target") and summary.errors.worst <= 0.005
+    assert rungs.min() == rungs.max() > FIRST_LEVEL
+    assert summary.texels >= len(rungs) and summary.paths >= rungs.sum()
+    with engine_of(lit, tmp_path, hire=False) as engine:
+        for view in views_of(lit, VIEWS):
+            assert engine.frame("lit", view, wait=LONG).final
+    assert warmed(lit, tmp_path, WHOLE).paths == 0
+
+
+def test_ranges_have_the_samples_that_their_ends_need(lit: Path, tmp_path: Path) -> None:
+    summary, rungs = warmed(lit, tmp_path, RANGE), rungs_in(lit, tmp_path, 0.45, 0.55)
+    assert (summary.final, summary.stopped) == (1.0, "target") and summary.errors.worst <= 0.005
+    assert rungs.min() == rungs.max() > FIRST_LEVEL
+    assert warmed(lit, tmp_path, RANGE).paths == 0
+
+
+def test_the_rung_of_whole_isosurfaces_is_recorded(lit: Path, tmp_path: Path) -> None:
+    warmed(lit, tmp_path, WHOLE)
+    rung = int(np.median(rungs_in(lit, tmp_path, 0.5, 0.5)))
+    record, context = Record(str(tmp_path), load_scene(lit), order_of(WHOLE), "command"), SimpleNamespace(rung=0)
+    record.follow(context)  # type: ignore[arg-type]
+    assert context.rung == record.document.rung == rung
+    context.climbed(2 * rung)
+    record.follow(context)  # type: ignore[arg-type]
+    assert context.rung == 2 * rung
+
+
+def test_checks_end_with_the_deadline(lit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    warmed(lit, tmp_path, VIEWS)
+    check, taken = RenderEngine.check, list[float]()
+
+    def slow(engine: RenderEngine, *what: Any) -> bool:
+        taken.append(time.monotonic())
+        time.sleep(0.3)
+        return check(engine, *what)
+
+    monkeypatch.setattr(RenderEngine, "check", slow)
+    summary = warmed(lit, tmp_path, VIEWS | {"deadline": 0})
+    assert (summary.stopped, summary.paths, taken) == ("deadline", 0, [])
+    assert summary.final < 1.0
+
+
+def test_a_check_can_be_cancelled_and_yields(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+
+    def check(*what: Any) -> bool:
+        asked.append(what)
+        time.sleep(0.05)
+        return True
+
+    service = SimpleNamespace(engine=SimpleNamespace(check=check), attended=False)
+    work = Prewarm(service, SimpleNamespace(id="a scene"), order_of({}))  # type: ignore[arg-type]
+    rests: list[float] = []
+    monkeypatch.setattr(work.cancelled, "wait", rests.append)
+    assert work._refine("a view", 0.1) and not rests  # type: ignore[arg-type]
+    service.attended = True
+    assert work._refine("a view", 0.1) and rests[0] >= 0.05  # type: ignore[arg-type]
+    assert asked == [("a scene", "a view", 0.1, work.cancelled)] * 2
+
+
+@pytest.mark.parametrize("order", [VIEWS, WHOLE], ids=["views", "whole isosurfaces"])
+def test_progress_never_goes_back(
+    lit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, order: dict[str, Any]
+) -> None:
+    steps: list[Step] = []
+
+    def show(_: Progress, step: Step) -> None:
+        steps.append(step)
+
+    monkeypatch.setattr(command, "show", show)
+    warmed(lit, tmp_path, order)
+    shares = [step.share for step in steps]
+    assert shares == sorted(shares) and shares[0] >= 0.0 and shares[-1] <= 1.0
+    baking = [step for step in steps if step.what == "Baking"]
+    assert len({step.total for step in baking}) >= 1 and all(step.left is not None for step in baking)
+    rounds = sum(step.done == 0 for step in baking)
+    assert rounds >= 2, "one for each rung"
