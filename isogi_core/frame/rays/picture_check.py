@@ -233,16 +233,15 @@ class PictureCheck:
     def _climbs(self, frame: Frame) -> list[float]:
         """What it costs that its texels climb no rung, one, two, and so on to the last, in paths of pixels.
 
-        Each rung has controls of its own. The list ends with what is impossible: none climbs once pixels have light of
-        their own.
+        The list ends with what is impossible: none climbs once pixels have light of their own.
         """
         if self.known.attempt or frame.lacking is None:
             return [0.0, math.inf]
-        reading, check = frame.lacking.reading, 2.0 * FIRST * self.known.paths
+        reading = frame.lacking.reading
         samples = reading.samples[climbers(reading, self.known.target)].astype(np.float64)
         rung, paths = self._rung(frame), [0.0]
         while (rung := next_level(rung)) <= most_samples(self.known.target) and len(samples):
-            paths.append(SHARED * float(np.maximum(rung - samples, 0.0).sum()) + check * len(paths))
+            paths.append(SHARED * float(np.maximum(rung - samples, 0.0).sum()))
         return [*paths, math.inf]
 
     def _grow(self, growth: Growth, tiles: Tiles) -> bool:

@@ -42,13 +42,13 @@ def rehearsal(texels: int, seconds: float) -> ChunkCost:
     return ChunkCost(texels, seconds, seconds / 2, 0.0, 0.1, 3 * texels)
 
 
-@pytest.mark.parametrize("whole", [0.0, math.inf], ids=["in steps", "at once"])
+@pytest.mark.parametrize("long", [0.0, math.inf], ids=["in steps", "at once"])
 def test_a_rehearsal_does_the_tasks_of_a_bake_and_keeps_nothing(
-    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: float
+    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, long: float
 ) -> None:
-    """How long a task took decides whether the rest is split: here it always is, or never, however fast the machine."""
+    """What is long is split: here all that is left of a chunk is, or nothing."""
     monkeypatch.setattr(pool, "WorkerPool", Counting)
-    monkeypatch.setattr(bake_requests, "WHOLE", whole)
+    monkeypatch.setattr(bake_requests, "LONG", long)
     monkeypatch.setattr(Counting, "tasks", 0)
     scene = load_scene(blocks)
     with closing(RenderEngine([scene], str(tmp_path), workers=1)) as engine:
