@@ -50,7 +50,7 @@ def has_climbed(store: Path) -> bool:
 def kill_once(reached: Callable[[Path], bool], scene: Path, store: Path) -> None:
     """Begin a prewarm as a process, and kill it once it has ``reached`` something; its workers end with it."""
     command = [sys.executable, "-m", "server", "prewarm", str(scene), "--store", str(store), "--workers", "1"]
-    order = ["--all-directions", "--target-error", TARGET]
+    order = ["--isovalue", "0.5", "--all-directions", "--target-error", TARGET]
     process = subprocess.Popen([*command, *order], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + LONG
     while not reached(store) and time.monotonic() < deadline:
@@ -73,8 +73,9 @@ def test_a_prewarm_that_is_killed_goes_on(
 ) -> None:
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
     scene = blocks.with_name("sky.toml")
-    scene.write_text(blocks.read_text().replace('"constant"', '"sky"'))
-    order = order_of({"all_directions": True, "target_error": TARGET})
+    settings = blocks.read_text().replace('"constant"', '"sky"').replace("error = 0.1", f"error = {TARGET}")
+    scene.write_text(f"projected = false\n{settings}")
+    order = order_of({"isovalues": ["0.5"], "all_directions": True, "target_error": TARGET})
     whole = prewarm(str(scene), order, Settings(store=str(tmp_path / "whole"), workers=1))
     assert whole.paths == paths_in(scene, tmp_path / "whole")
     killed = tmp_path / "killed"
