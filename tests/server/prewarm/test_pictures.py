@@ -186,6 +186,8 @@ def test_progress_never_goes_back(
     assert rounds >= 2, "one for each rung"
 
 
+AT = {"azimuth": 30, "elevation": 20}
+
 COARSE = """\
 volume = "demo:casting"
 lattice = 0.125
@@ -201,7 +203,7 @@ SEVERAL = "[[surfaces]]\nisovalue = 0.7\nclear = 0.5\n[[lights]]"
 
 @pytest.mark.slow
 def test_finer_texels_are_prewarmed_too(tmp_path: Path) -> None:
-    scene, order = tmp_path / "coarse.toml", {"views": 1, "width": 128, "height": 128}
+    scene, order = tmp_path / "coarse.toml", {"directions": [AT], "distance": 3.0, "width": 128, "height": 128}
     scene.write_text(COARSE)
     summary = warmed(scene, tmp_path / "light", order)
     assert (summary.final, summary.stopped) == (1.0, "target") and summary.error <= 0.05
