@@ -185,3 +185,44 @@ def test_progress_never_goes_back(
     assert len({step.total for step in baking}) >= 1 and all(step.left is not None for step in baking)
     rounds = sum(step.done == 0 for step in baking)
     assert rounds >= 2, "one for each rung"
+
+
+AT = {"azimuth": 30, "elevation": 20}
+
+COARSE = """\
+volume = "demo:casting"
+lattice = 0.125
+bounces = 1
+projected = false
+target_error = 0.05
+[[lights]]
+type = "constant"
+"""
+
+SEVERAL = "[[surfaces]]\nisovalue = 0.7\nclear = 0.5\n[[lights]]"
+
+
+@pytest.mark.slow
+def test_finer_texels_are_prewarmed_too(tmp_path: Path) -> None:
+    scene, order = tmp_path / "coarse.toml", {"directions": [AT], "distance": 3.0, "width": 128, "height": 128}
+    scene.write_text(COARSE)
+    summary = warmed(scene, tmp_path / "light", order)
+    assert (summary.final, summary.stopped) == (1.0, "target") and summary.error <= 0.05
+    (view,) = views_of(scene, order)
+    with engine_of(scene, tmp_path / "light", hire=False) as engine:
+        frame = engine.frame("coarse", view, wait=LONG)
+        assert frame.final and frame.fineness > 0
+    assert warmed(scene, tmp_path / "light", order).paths == 0
+
+
+@pytest.mark.slow
+def test_all_sides_of_several_surfaces_are_prewarmed(blocks: Path, tmp_path: Path) -> None:
+    scene = blocks.with_name("several.toml")
+    scene.write_text(blocks.read_text().replace("[[lights]]", SEVERAL))
+    summary, views = warmed(scene, tmp_path, VIEWS), views_of(scene, VIEWS)
+    assert (summary.final, summary.stopped) == (1.0, "target")
+    with engine_of(scene, tmp_path, hire=False) as engine:
+        for view in views:
+            frame = engine.frame("several", view, wait=LONG)
+            assert frame.final and not frame.stages
+    assert warmed(scene, tmp_path, VIEWS).paths == 0
