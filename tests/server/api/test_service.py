@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from fastapi import FastAPI
 
-from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import Cancelled, NoRoomError, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
@@ -104,9 +103,7 @@ class FakeEngine:
     def unlit_frame(self, scene: str, view: View, target: float, cancelled: threading.Event) -> Frame | None:
         return None
 
-    def survey(
-        self, scene: str, view: View, target: float, cancelled: threading.Event, watch: Stopwatch, enough: int
-    ) -> Frame:
+    def survey(self, scene: str, view: View, target: float, cancelled: threading.Event, watch: Stopwatch) -> Frame:
         self.views.append((view, target))
         self.doing(cancelled)
         shape = (view.height, view.width)
@@ -431,11 +428,9 @@ def test_first_light_is_shown_as_soon_as_it_comes(
     service: Service = app.state.service
     engine.coming, plain = frozenset({(0, 0, 1), (0, 0, 2)}), engine.survey
 
-    def survey(
-        scene: str, view: View, target: float, cancelled: threading.Event, watch: Stopwatch, enough: int
-    ) -> Frame:
+    def survey(scene: str, view: View, target: float, cancelled: threading.Event, watch: Stopwatch) -> Frame:
         watch.seconds |= {"shade": 0.25, "primary": 60.0}  # the latter is kept
-        frame = plain(scene, view, target, cancelled, watch, enough)
+        frame = plain(scene, view, target, cancelled, watch)
         return replace(frame, state=np.full_like(frame.state, state), version=f"v{len(engine.views)}")
 
     monkeypatch.setattr(engine, "survey", survey)
@@ -475,7 +470,7 @@ def test_light_of_a_new_view_is_requested_before_it_is_drawn(
         return plain(*given)
 
     def unlit_frame(scene: str, view: View, target: float, cancelled: threading.Event) -> Frame:
-        return plain(scene, view, target, cancelled, Stopwatch(), FIRST_LEVEL)
+        return plain(scene, view, target, cancelled, Stopwatch())
 
     async def first(viewer: Viewer) -> None:
         await service.start()
