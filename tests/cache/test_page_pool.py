@@ -125,7 +125,7 @@ def test_an_empty_chunk_is_unlit_everywhere(spec: BakeSpec) -> None:
 @pytest.mark.parametrize("budget", [1 << 21, 10_000_000, 1 << 26])
 def test_the_arrays_stay_within_the_budget(order: int, chunk: int, budget: int) -> None:
     pool = PagePool(spec_of(order=order, lattice=0.25, chunk=chunk), budget)
-    arrays = (pool.transfer, pool.scatter, pool.error, pool.stamp, pool.table, pool.written)
+    arrays = (pool.transfer, pool.scatter, pool.error, pool.stamp, pool.table)
     assert 0.9 * budget < sum(array.nbytes for array in arrays) <= budget
 
 

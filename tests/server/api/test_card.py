@@ -6,6 +6,7 @@ import io
 import json
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,11 @@ from websockets.asyncio.client import connect
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from server.api.app import create_app
+from server.parameters import FrameParams, read
+from server.render.engine import RenderEngine
 from server.settings import Settings
+from server.views import view_of
+from tests.baking import bake_each_texel
 from tests.card_twin import Twin, blocks_in, voxels_of
 from tests.live import live, serving
 from tests.server.inline import EngineWithoutWorkers
@@ -40,21 +45,21 @@ def scene_file(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 
 @pytest.fixture(scope="module")
 def client(scene_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
-    """A client of a server whose first view is baked."""
-    with serving(scene_file, tmp_path_factory.mktemp("store")) as url, httpx.Client(base_url=url, timeout=300) as found:
+    """A client of a server whose first view is baked until no texel is filtered any more."""
+    store = tmp_path_factory.mktemp("store")
+    bake_whole_view(load_scene(scene_file), store)
+    with serving(scene_file, store) as url, httpx.Client(base_url=url, timeout=300) as found:
         while found.get("/v1/scenes/card/frame", params={**VIEW, "wait_ms": 5000}).headers["isogi-provisional"] != "?0":
             pass
-        without_noise(found)
         yield found
 
 
-def without_noise(client: httpx.Client) -> None:
-    """Bake the light of the isosurface until no texel is filtered any more."""
-    order = {"isovalues": ["0.5"], "all_directions": True, "target_error": 0.5}
-    job = client.post("/v1/scenes/card/prewarm", json=order)
-    assert job.status_code == 202, job.text
-    while client.get(job.headers["location"]).json()["status"] in ("queued", "running"):
-        time.sleep(0.05)
+def bake_whole_view(scene: Scene, store: Path) -> None:
+    """Bake each texel of the first view to its own error."""
+    view = view_of(scene, read(FrameParams, VIEW.items()), Settings())
+    with closing(RenderEngine([scene], str(store), workers=1)) as engine:
+        engine.start()
+        bake_each_texel(engine, scene.id, view)
 
 
 @pytest.fixture(scope="module")
