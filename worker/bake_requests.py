@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from isogi_core.bake.noise import Effort
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.precision import FIRST_LEVEL, next_level
 from isogi_core.frame.view_texels import Demand, first_texels
 from isogi_core.model.scene_plan import MOST
 from isogi_core.prepared.prepared_scene import Index
@@ -304,8 +304,8 @@ def next_until(effort: Effort) -> int:
     """
     if effort.unlit:
         return FIRST_LEVEL
-    mean = effort.taken / max(effort.lit, 1.0)
-    return MOST if effort.left <= LONG else max(FIRST_LEVEL, 2 ** (math.floor(math.log2(max(mean, 1.0))) + 1))
+    mean = max(effort.taken / max(effort.lit, 1.0), 1.0)
+    return MOST if effort.left <= LONG else next_level(2 ** int(math.log2(mean)))
 
 
 def merged(interests: Collection[Interest]) -> MergedInterest:

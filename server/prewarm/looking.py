@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from isogi_core.bake.noise import Effort, good_enough, relative_error
+from isogi_core.bake.noise import Effort, relative_error
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import ViewError
 from isogi_core.frame.frame import Frame
@@ -27,13 +27,12 @@ Span = tuple[float, float]
 
 @dataclass(eq=False)
 class Survey:
-    """What is lacking (``demands``), and of that how many lit texels are to be refined (``waiting``).
+    """What is lacking (``demands``).
 
     Of whole isosurfaces ``seen`` texels were examined, and ``final`` of them lack nothing.
     """
 
     demands: dict[tuple[Batch, Index], Demand] = field(default_factory=dict)
-    waiting: int = 0
     seen: int = 0
     final: int = 0
 
@@ -57,6 +56,11 @@ class Survey:
     def unlit(self) -> int:
         """Texels without light."""
         return sum(demand.effort.unlit for demand in self.demands.values())
+
+    @property
+    def waiting(self) -> int:
+        """Texels that are lit, and are to be refined."""
+        return round(sum(demand.effort.lit for demand in self.demands.values()))
 
     @property
     def paths(self) -> float:
@@ -145,13 +149,11 @@ def lacking_of(frame: Frame) -> Iterator[Wish]:
 
 
 def with_efforts(context: PrewarmContext, found: Survey) -> Survey:
-    """What is lacking with the exact ``waiting`` and efforts of texels that several views read, by the store."""
+    """What is lacking with the exact efforts of texels that several views read, by the store."""
     for (batch, index), demand in found.demands.items():
         if demand.effort.unlit < len(demand.offsets):
             context.check()
-            exact = look_up(context, batch, demand)
-            found.demands[batch, index] = exact.demand
-            found.waiting += exact.waiting
+            found.demands[batch, index] = look_up(context, batch, demand)
     return found
 
 
@@ -164,10 +166,12 @@ def of_surfaces(context: PrewarmContext, levels: Levels, enough: int, span: Span
     for index, offsets in surface_texels(volume.voxels, prepared.shape, prepared.lattice.chunk, places):
         context.check()
         context.report(Step("Looking", "layer", index[0], total, share_of(index[0], total, span)))
-        count(found, look_up(context, Batch(None, enough), unseen_demand(index, offsets)))
+        batch = Batch(None, enough)
+        count(found, batch, look_up(context, batch, unseen_demand(index, offsets)))
     for demand in projected_demands(context, levels):
         context.check()
-        count(found, look_up(context, Batch(demand.shown, enough), demand))
+        batch = Batch(demand.shown, enough)
+        count(found, batch, look_up(context, batch, demand))
     context.report(Step("Looking", "layer", total, total, span[1]))
     return found
 
@@ -191,39 +195,25 @@ def projected_demands(context: PrewarmContext, levels: Levels) -> Iterator[Deman
                 yield unseen_demand(index, offsets[beyond], level)
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
-    """A chunk as the store has it: what is to be done (``demand``) of a ``batch``, and the lit texels among that."""
-
-    batch: Batch
-    demand: Demand
-    waiting: int
-
-
-def count(found: Survey, chunk: Found) -> None:
-    """Take in a chunk whose texels were looked up."""
-    texels, lacking = len(chunk.demand.offsets), chunk.demand.effort.unlit + chunk.waiting
+def count(found: Survey, batch: Batch, demand: Demand) -> None:
+    """Take in a chunk of a ``batch`` whose texels were looked up."""
+    texels, lacking = len(demand.offsets), demand.effort.unlit + round(demand.effort.lit)
     found.seen += texels
     found.final += texels - lacking
-    found.waiting += chunk.waiting
     if lacking:
-        found.add(chunk.batch, chunk.demand)
+        found.add(batch, demand)
 
 
-def look_up(context: PrewarmContext, batch: Batch, demand: Demand) -> Found:
-    """What the store has of a demand's texels: a read, if there is anything."""
+def look_up(context: PrewarmContext, batch: Batch, demand: Demand) -> Demand:
+    """A ``demand`` with the effort that its texels take by what the store has of them: a read, if there is anything."""
     store = context.store_of(batch)
     spec, chunk = store.spec, store.read(demand.index)
     if chunk is None:
-        effort = Effort(len(demand.offsets), 0.0, 0.0)
-        return Found(batch, replace(demand, effort=effort), 0)
+        return replace(demand, effort=Effort(len(demand.offsets), 0.0, 0.0))
     chunk = chunk.with_texels(demand.offsets)
     light = chunk.light.rows(chunk.rows_of(demand.offsets))
     samples, error = np.where(light.void, -1, light.samples), relative_error(light, spec)
-    until = context.target, batch.enough
-    effort = Effort.of(error, samples, *until)
-    waiting = int(((samples > 0) & ~good_enough(error, samples, *until)).sum())
-    return Found(batch, replace(demand, effort=effort), waiting)
+    return replace(demand, effort=Effort.of(error, samples, context.target, batch.enough))
 
 
 def share_of(done: int, total: int, span: Span) -> float:

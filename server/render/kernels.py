@@ -47,7 +47,8 @@ class SceneKernels:
 
     def first(self) -> None:
         """Have kernels of pictures without light in this process; the others begin to be compiled."""
-        start_fork_server()
+        if self.progress is not None:
+            start_fork_server()
         self._all.begin(self._stopped, NICENESS, START_METHOD)
         self._all.wait(first_kernels(self._scenes()))
         load(first_kernels(self._scenes()), self._stopped)

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from isogi_core.bake.noise import good_enough
 from isogi_core.bake.precision import FIRST_LEVEL, next_level
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
@@ -34,7 +33,6 @@ from isogi_core.frame.rays.control_pixels import (
     variance_of_halves,
 )
 from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Choice, Growth, PixelLight, choose
-from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.plan.finer import DENSER
@@ -61,18 +59,16 @@ def finer_pays(frame: Frame, pixels: int) -> bool:
     return frame.lacking is not None and AGAIN * len(frame.lacking.texels.places) < pixels
 
 
-def climbers(reading: Reading, target: float) -> np.ndarray:
-    """Which texels of a picture climb on where more samples are asked for; (texels,) bool."""
-    return np.asarray((reading.samples > 0) & ~good_enough(reading.error, reading.samples, target))
+def noise_of_climbers(frame: Frame) -> float:
+    """The share of a picture's noise variance that comes from noisy texels, which alone take more samples; from 0 to 1.
 
-
-def noise_of_climbers(frame: Frame, target: float) -> float:
-    """The share of a picture's variance by noise that is of texels which climb on; 0 where none does."""
+    It is 0 for a picture of no texels.
+    """
     if frame.lacking is None:
         return 0.0
     reading = frame.lacking.reading
     variance = np.where(reading.samples > 0, reading.error.astype(np.float64) ** 2, 0.0)
-    return float(variance[climbers(reading, target)].sum() / max(variance.sum(), 1e-300))
+    return float(variance[reading.noisy].sum() / max(variance.sum(), 1e-300))
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +154,7 @@ class PictureCheck:
         climbs = self._climbs(frame)
         if not self._decided(frame.measured):
             self.ahead = more = 2.0 * self.known.paths * frame.measured.controls
-            gained = (1.0 - QUIETER) * noise_of_climbers(frame, self.known.target) * frame.noise**2
+            gained = (1.0 - QUIETER) * noise_of_climbers(frame) * frame.noise**2
             quiet = frame.measured.high**2 - gained <= self.known.target**2
             return self._climb(frame) if quiet and more > climbs[1] else self._add_controls(uncertainty(), tiles)
         rungs, choice = self._cheapest(frame, frame.measured, uncertainty(), climbs)
@@ -210,7 +206,7 @@ class PictureCheck:
         They bring the picture to what is aimed at, and nearer by STRICTER at least, with the fewest paths. Pixels with
         light of their own keep it.
         """
-        known, noise = self.known, noise_of_climbers(frame, self.known.target) * frame.pixel_noise**2
+        known, noise = self.known, noise_of_climbers(frame) * frame.pixel_noise**2
         aim = min(AIM * STRICTER**known.attempt * known.target, STRICTER * measured.likely)
         errors = spread_errors(uncertainty, known.controls, frame.controlled) ** 2
         variance, allowed = variance_of_halves(uncertainty, known.controls), (aim * frame.true_mean) ** 2
@@ -238,7 +234,7 @@ class PictureCheck:
         if self.known.attempt or frame.lacking is None:
             return [0.0, math.inf]
         reading = frame.lacking.reading
-        samples = reading.samples[climbers(reading, self.known.target)].astype(np.float64)
+        samples = reading.samples[reading.noisy].astype(np.float64)
         rung, paths = self._rung(frame), [0.0]
         while (rung := next_level(rung)) <= most_samples(self.known.target) and len(samples):
             paths.append(SHARED * float(np.maximum(rung - samples, 0.0).sum()))

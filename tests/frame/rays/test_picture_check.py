@@ -23,7 +23,8 @@ from isogi_core.frame.rays.control_pixels import (
     draw_places,
     measure_total,
 )
-from isogi_core.frame.rays.picture_check import PictureCheck, PictureState, climbers, noise_of_climbers
+from isogi_core.frame.rays.picture_check import PictureCheck, PictureState, noise_of_climbers
+from isogi_core.frame.texel_reading import Reading, grade_rows
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
@@ -160,13 +161,19 @@ def test_texels_climb_no_further_than_their_picture_asks(workbench: Make, tmp_pa
     assert math.sqrt(max(true_error(last, true) ** 2 - true.noise**2, 0.0)) < 1.1 * 0.03 < true_error(frames[0], true)
 
 
+def reading_of(error: np.ndarray, samples: np.ndarray) -> Reading:
+    """What texels of these relative errors and numbers of samples hold, for a picture at 2 %."""
+    rows, none = np.zeros(len(error), np.int32), np.zeros(0, np.int64)
+    return Reading(rows, grade_rows(rows, error, samples, 0.02), b"", samples, error, none, none, 0.02, FIRST_LEVEL)
+
+
 def test_only_noise_of_texels_that_climb_may_be_lost() -> None:
     """Of four texels one is dark, one is good enough, and two would take more samples."""
     error, samples = np.array([0.0, 0.01, 0.3, 0.4], np.float32), np.array([0, 64, 16, 16], np.int32)
-    frame: Any = SimpleNamespace(lacking=SimpleNamespace(reading=SimpleNamespace(error=error, samples=samples)))
-    assert climbers(frame.lacking.reading, 0.02).tolist() == [False, False, True, True]
-    assert noise_of_climbers(frame, 0.02) == pytest.approx(0.25 / 0.2501)
-    assert noise_of_climbers(SimpleNamespace(lacking=None), 0.02) == 0.0  # type: ignore[arg-type]
+    frame: Any = SimpleNamespace(lacking=SimpleNamespace(reading=reading_of(error, samples)))
+    assert frame.lacking.reading.noisy.tolist() == [False, False, True, True]
+    assert noise_of_climbers(frame) == pytest.approx(0.25 / 0.2501)
+    assert noise_of_climbers(SimpleNamespace(lacking=None)) == 0.0  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("noisy", "step"), [(3, "controls"), (1000, "rung")])
@@ -176,7 +183,7 @@ def test_a_rung_is_for_noise_that_it_takes_away(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setattr(PictureCheck, "_climb", lambda *_: bool(taken.append("rung")))
     monkeypatch.setattr(PictureCheck, "_add_controls", lambda *_: bool(taken.append("controls")))
     climbs = np.arange(1000) < noisy
-    reading = SimpleNamespace(error=np.where(climbs, 0.05, 0.03), samples=np.where(climbs, 16, 64))
+    reading = reading_of(np.where(climbs, 0.05, 0.03), np.where(climbs, 16, 64))
     state, total = PictureState(0.02, drawn=FIRST_LEVEL, paths=64), TotalError(0.019, 0.017, 0.022, 2 * FIRST)
     frame: Any = SimpleNamespace(lacking=SimpleNamespace(reading=reading), noise=0.02, measured=total, surface=9)
     frame.controls, frame.enough, frame.final = state.controls, state.enough, False
