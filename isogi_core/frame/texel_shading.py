@@ -37,7 +37,7 @@ from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_keys import surface_key
 from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels, reads_coarsely
-from isogi_core.kernels.shading.framebuffer import Framebuffer
+from isogi_core.kernels.shading.framebuffer import CONVERGING, Framebuffer
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -45,15 +45,17 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 
 @dataclass(frozen=True, eq=False)
 class FilteredLight:
-    """The light of a view's texels once it is filtered, ``lit`` (texels, LIT), and their ``grade`` (texels,) then."""
+    """The light of a view's texels once it is filtered, ``lit`` (texels, LIT), and which of them are ``lent`` (texels,)
+    that of others.
+    """
 
-    grade: np.ndarray
+    lent: np.ndarray
     lit: np.ndarray
 
     @property
     def nbytes(self) -> int:
         """Bytes that it takes."""
-        return self.grade.nbytes + self.lit.nbytes
+        return self.lent.nbytes + self.lit.nbytes
 
 
 class TexelShading:
@@ -98,7 +100,7 @@ class TexelShading:
     def lit(
         self, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> tuple[Reading, np.ndarray]:
-        """The reading of a view's texels, and their light (texels, LIT), filtered where it is noisy."""
+        """The reading of a view's texels, and their light (texels, LIT), filtered where it is grainy."""
         found = [self._lit_by(each.caches, texels, light, until, tiles, watch) for each in self._levels]
         reading, lit = mixed(self._levels, found)
         if not self._is_filtered(light.view, reading):
@@ -111,14 +113,14 @@ class TexelShading:
                 about = self._texel_normals(view, texels, reading, tiles)
             with watch.stage("filter"):
                 found, calm = filter_texel_light(texels, reading, lit, about, light, tiles)
-            return FilteredLight(found.grade, calm)
+            return FilteredLight(found.grade != reading.grade, calm)
 
         filtered = self._kept.get((*key, reading.version), make)
-        return replace(reading, grade=filtered.grade), filtered.lit
+        return replace(reading, grade=np.where(filtered.lent, np.uint8(CONVERGING), reading.grade)), filtered.lit
 
     def _is_filtered(self, view: View, reading: Reading) -> bool:
-        """Whether the texels of a view are filtered: global illumination that is noisy."""
-        return self._filters and spec_name(view.shading) == "gi" and bool(reading.noisy.any())
+        """Whether the texels of a view are filtered: global illumination that is grainy."""
+        return self._filters and spec_name(view.shading) == "gi" and bool(reading.grainy.any())
 
     def _lit_by(
         self, caches: Caches, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch

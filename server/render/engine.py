@@ -29,7 +29,7 @@ from server.render.bakes import BACKGROUND, BackgroundBake, SideBakes, bake_name
 from server.render.kernels import SceneKernels
 from server.render.loaded_scene import LoadedScene, load
 from server.render.loaded_scenes import LoadedScenes
-from server.render.path_times import time_of_paths
+from server.render.path_times import Promises, time_of_paths
 from server.render.picture_checks import CHECK, PictureChecks
 from server.render.resources import shared, whereabouts
 from server.render.variants import is_cut, may_lend, own_name, whole_name
@@ -77,6 +77,7 @@ class RenderEngine:
         self._beside = SideBakes(self._baker, self.store, projected)
         self._checks = PictureChecks(self.check, self._checked)
         self._checking = Tiles()
+        self._promises = Promises()
         self._listeners: list[Listener] = []
         self._stopped = threading.Event()
         self.kernels = SceneKernels(lambda: list(self.scenes.values()), self._stopped)
@@ -272,11 +273,11 @@ class RenderEngine:
         baking = self._baker.time_left(bake, subject, chunks, later)
         if baking is None:
             return None
-        own = loaded.level(frame.fineness).renderer.checks.left(frame, target)
-        if own.paths and frame.lacking:
+        left = loaded.level(frame.fineness).renderer.checks.left(frame, target)
+        if frame.lacking:
             spent = self.spent(bake, frame.lacking.texels.chunks)
-            baking = baking.plus(time_of_paths(own, spent, self._checking.threads))
-        return baking if baking.high > 0.0 else None
+            baking = baking.plus(time_of_paths(left, spent, self._checking.threads, frame.seconds))
+        return self._promises.kept((scene, frame.view, target), baking) if baking.high > 0.0 else None
 
     def bake(self, bake: str, stage: Stage, viewer: Viewer = BACKGROUND) -> BackgroundBake:
         """Have what a ``stage`` demands of a ``bake`` baked for a ``viewer``; nothing where the store is only read."""

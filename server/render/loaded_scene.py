@@ -192,11 +192,11 @@ class LoadedScene:
     ) -> Frame:
         """The frame of a view with the light baked so far; prefetching stops meanwhile. Raises as Renderer does.
 
-        Finer texels are shown once all of them are final, and until then those of this scene.
+        Finer texels are shown once all of them have their first samples, and until then those of this scene.
         """
         with self.prefetch.frame(self.renderer.prepared.surface(view.isovalue).isovalue):
             coming = self._render_finer(view, target, cancelled, watch) if enough < MOST else None
-            if coming is not None and not coming.provisional:
+            if coming is not None and (coming.measured is not None or not coming.provisional):
                 return coming
             frame = self.renderer.render(view, target, cancelled, watch, enough)
         if coming is None:

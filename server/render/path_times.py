@@ -1,16 +1,50 @@
-"""The time that pixels of a picture take for paths of their own."""
+"""The time that a picture takes after its texels' present samples: further ones, paths of pixels, and drawing it."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Hashable, Mapping
 
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.view_checks import PathsLeft
 from worker.progress import PRIOR, UNKNOWN, TimeLeft, log_normal_ratios
 
+WAITS = ("queue", "bake", "check", "demand")
+"""Stages of a frame in which it is not drawn."""
 
-def time_of_paths(left: PathsLeft, spent: Cost, threads: int) -> TimeLeft:
-    """The time for the paths that are ``left``, on so many ``threads``.
 
-    Before the first of them a path takes as long as those of the texels, for which so much was ``spent``.
+def time_of_paths(left: PathsLeft, spent: Cost, threads: int, drawing: Mapping[str, float]) -> TimeLeft:
+    """The time for the paths that are ``left``, on so many ``threads``, and for ``drawing`` by its stages' seconds.
+
+    Before the first path of a pixel one takes as long as those of texels, for which so much was ``spent``.
     """
-    if left.pace is not None:
-        return TimeLeft.of(left.paths * left.pace, log_normal_ratios(UNKNOWN))
-    seconds = spent.seconds / max(spent.paths, 1) / threads
-    return TimeLeft.of(left.paths * seconds, PRIOR)
+    each = spent.seconds / max(spent.paths, 1) / threads
+    once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITS)
+    work = left.texels * each + left.pixels * (left.pace or each) + left.times * once
+    return TimeLeft.of(work, PRIOR if left.pace is None else log_normal_ratios(UNKNOWN))
+
+
+RISE = 1.1
+"""How many times as long as before the time left of a picture may become from one answer to the next."""
+
+PICTURES = 256
+"""Pictures whose last answers are kept."""
+
+
+class Promises:
+    """The times left that were told of pictures: who waits sees none leap up. Any thread may use it."""
+
+    def __init__(self) -> None:
+        """None told yet."""
+        self._told: OrderedDict[Hashable, TimeLeft] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def kept(self, picture: Hashable, left: TimeLeft) -> TimeLeft:
+        """What to tell of a ``picture`` with an estimate of what is ``left``: RISE times what was told, at most."""
+        with self._lock:
+            before = self._told.pop(picture, None)
+            if before is not None and left.likely > RISE * before.likely > 0.0:
+                left = left.times(RISE * before.likely / left.likely)
+            self._told[picture] = left
+            if len(self._told) > PICTURES:
+                self._told.popitem(last=False)
+            return left

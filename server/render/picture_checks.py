@@ -94,6 +94,9 @@ class PictureChecks:
             except IsogiError as error:
                 log.debug("a picture is not checked: %s", error)
                 more = False
+            except Exception:
+                log.exception("The check of a picture failed: it keeps the error that it has, others are checked.")
+                more = False
             if not more:
                 self._done(viewer, picture)
             self._notify(picture.scene, picture.view, more)

@@ -1,5 +1,6 @@
 """Checks of pictures, by a step that follows a script."""
 
+import math
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -20,7 +21,7 @@ class Steps:
     """Steps that wait until they may go on; each picture takes so many."""
 
     def __init__(self, most: int = 1) -> None:
-        self.most = most
+        self.most, self.broken = most, math.nan
         self.taken: list[float] = []
         self.told: list[tuple[float, bool]] = []
         self.go = threading.Semaphore(0)
@@ -34,6 +35,8 @@ class Steps:
         assert self.go.acquire(timeout=LONG)
         if cancelled.is_set():
             raise Cancelled("Nobody waits for it.")
+        if view.isovalue == self.broken:
+            raise ZeroDivisionError
         return self.taken.count(view.isovalue) < self.most
 
     def note(self, scene: str, view: View, more: bool) -> None:
@@ -64,6 +67,15 @@ def test_a_picture_is_checked_until_no_step_is_left(steps: Steps) -> None:
     steps.ask(0.5)
     steps.end(3)
     assert steps.told == [(0.5, True), (0.5, True), (0.5, False)]
+
+
+def test_a_check_that_breaks_leaves_the_others(steps: Steps, caplog: pytest.LogCaptureFixture) -> None:
+    steps.broken = 0.1
+    steps.ask(0.1)
+    steps.end(1)
+    steps.ask(0.2)
+    steps.end(1)
+    assert steps.told == [(0.1, False), (0.2, False)] and "The check of a picture failed" in caplog.text
 
 
 def test_the_newest_picture_comes_first(steps: Steps) -> None:
