@@ -10,6 +10,9 @@ import numpy as np
 Shape = tuple[int, ...]
 Vector = tuple[float, float, float]
 
+MAX_VOXELS = 2**33
+"""Most voxels: more mean a damaged header (32 GiB as float32)."""
+
 SLAB = 1 << 25
 """Approximate bytes of a slab, where the source leaves the choice."""
 
@@ -47,6 +50,18 @@ def _vector(row: np.ndarray) -> Vector:
     return x, y, z
 
 
+@dataclass(frozen=True)
+class LabelName:
+    """What a segmentation's file says of a label: its ``value``, ``name`` and ``colour``, sRGB ``#rrggbb``.
+
+    Name and colour are empty where it says none.
+    """
+
+    value: int
+    name: str = ""
+    colour: str = ""
+
+
 ALONE = (0, 1)
 """The moment of what is no series in time."""
 
@@ -65,7 +80,7 @@ class Grid:
     show it. ``affine`` says where voxels lie in the world, None where the source says spacing alone; ``unit`` is that
     of lengths, empty where unknown. ``notes`` are sentences on what was done to make this field of the source. It is
     the ``moment`` of a series in time: which step it is, and of how many; ``unchosen`` where it is the first because
-    nobody chose one.
+    nobody chose one. ``labels`` are named ones of a segmentation, None where the file does not say that it is one.
     """
 
     shape: Shape
@@ -78,6 +93,7 @@ class Grid:
     notes: tuple[str, ...] = ()
     moment: tuple[int, int] = ALONE
     unchosen: bool = False
+    labels: tuple[LabelName, ...] | None = None
 
     @classmethod
     def of(cls, array: np.ndarray, spacing: Sequence[float] = (1.0, 1.0, 1.0)) -> "Grid":

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePath
 from typing import Any
@@ -11,8 +11,8 @@ import numpy as np
 import zarr
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.grid import ALONE, Grid, layers_of
-from isogi_core.files.nrrd import MAX_VOXELS
+from isogi_core.files.grid import ALONE, MAX_VOXELS, Grid, layers_of
+from isogi_core.files.packing import Packing, climate_packing
 from isogi_core.files.zarr_location import Hierarchy, hierarchy_at
 
 SPACE = ("z", "y", "x")
@@ -141,14 +141,31 @@ def open_zarr(path: Path | str, level: int | None = None, channel: int | None = 
     picks = [slice(None) if axis.name in SPACE else _pick(path, found, n, chosen) for n, axis in enumerate(found.axes)]
     _check(path, found)
     shape = tuple(n for n, pick in zip(array.shape, picks, strict=True) if isinstance(pick, slice))
-    slabs = partial(_slabs, path, array, tuple(picks), shape)
+    packing = _packing(array)
+    slabs = partial(_slabs, path, array, tuple(picks), shape, packing)
     part = [array.path, *(pick for pick in picks if isinstance(pick, int))]
     spacing = spacing_of(found.axes, found.scale)
     times = dict(zip((axis.name for axis in found.axes), array.shape, strict=True)).get("t", 1)
     moment, unchosen = (time or 0, times) if times > 1 else ALONE, time is None and times > 1
-    return Grid(
-        *(shape, array.dtype, spacing, slabs, lambda: f"{found.among.stamp()} {part}"), moment=moment, unchosen=unchosen
-    )
+    stamp = partial(_stamp, found.among, part)
+    grid = Grid(shape, packing.dtype, spacing, slabs, stamp, notes=packing.notes)
+    return replace(grid, moment=moment, unchosen=unchosen)
+
+
+def _stamp(among: Hierarchy, part: list[Any]) -> str:
+    return f"{among.stamp()} {part}"
+
+
+def _packing(array: "zarr.Array[Any]") -> Packing:
+    """The packing of an array, by CF's attributes.
+
+    Xarray writes the mark of holes as the fill value of Zarr's second version; zero is what others fill with.
+    """
+    attributes: dict[str, Any] = array.attrs.asdict()
+    filled = getattr(array.metadata, "fill_value", None) if array.metadata.zarr_format == 2 else None
+    if "_ARRAY_DIMENSIONS" in attributes and filled:
+        attributes = {"_FillValue": filled, **attributes}
+    return climate_packing(attributes, array.dtype)
 
 
 def find_array(path: Path | str, level: int | None) -> FoundArray:
@@ -256,7 +273,7 @@ def _check(path: Path | str, found: FoundArray) -> None:
 
 
 def _slabs(
-    path: Path | str, array: "zarr.Array[Any]", picks: tuple[Any, ...], shape: tuple[int, ...]
+    path: Path | str, array: "zarr.Array[Any]", picks: tuple[Any, ...], shape: tuple[int, ...], packing: Packing
 ) -> Iterator[np.ndarray]:
     """The array, a layer of chunks or less at a time."""
     along = next(n for n, pick in enumerate(picks) if isinstance(pick, slice))
@@ -265,7 +282,7 @@ def _slabs(
     for z in range(0, shape[0], step):
         place = (*picks[:along], slice(z, z + step), *picks[along + 1 :])
         try:
-            slab = np.asarray(array[place])
+            slab = packing.apply(np.asarray(array[place]))
         except Exception as error:  # of many kinds, from codecs on damage
             raise VolumeError(f"The chunks of '{path}' are damaged ({_line(error)}): copy it again.") from error
         yield slab

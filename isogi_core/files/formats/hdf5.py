@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import Scaling, Source, library, moment_of, pick_axes, reading
+from isogi_core.files.formats.source import Source, library, moment_of, pick_axes, reading
 from isogi_core.files.grid import Affine, Grid, layers_of
+from isogi_core.files.packing import ATTRIBUTES, Packing, climate_packing
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 
@@ -29,11 +30,10 @@ def open_hdf5(source: Source) -> Grid:
         picked, shape = pick_axes(source, data.shape), tuple(int(n) for n in data.shape[-3:])
         source.check(shape)
         moment = moment_of(source, data.shape[:-3], picked)
-        scaling, holes = _packing(data)
-        dtype = np.result_type(scaling.dtype(data.dtype), np.float32) if holes else scaling.dtype(data.dtype)
+        packing = climate_packing(_climate(data), data.dtype, data.fillvalue)
         spacing, affine, unit, notes = _place(data, shape)
-    slabs = partial(_slabs, source, picked, scaling, holes)
-    return Grid(shape, dtype, spacing, slabs, source.stamp, affine, unit, notes, moment)
+    slabs, notes = partial(_slabs, source, picked, packing), (*packing.notes, *notes)
+    return Grid(shape, packing.dtype, spacing, slabs, source.stamp, affine, unit, notes, moment)
 
 
 @contextmanager
@@ -57,29 +57,19 @@ def _dataset(source: Source) -> Iterator[Any]:
         raise VolumeError(f"{wrong}: choose of {listed}." if fields else f"'{source.name}' holds no volume.")
 
 
-def _packing(data: Any) -> tuple[Scaling, tuple[Any, ...]]:
-    """Slope and intercept, and values that mean "missing", after NetCDF's climate and forecast conventions."""
-    slope, intercept = (_number(data, name, rest) for name, rest in (("scale_factor", 1.0), ("add_offset", 0.0)))
-    holes = tuple(np.ravel(data.attrs[name])[0] for name in ("_FillValue", "missing_value") if name in data.attrs)
-    return Scaling(slope, intercept), holes
+def _climate(data: Any) -> dict[str, Any]:
+    """The attributes of a dataset that are of CF's vocabulary; others may be of types that h5py cannot read."""
+    return {name: data.attrs[name] for name in ATTRIBUTES if name in data.attrs}
 
 
-def _number(data: Any, name: str, fallback: float) -> float:
-    return float(np.ravel(data.attrs[name])[0]) if name in data.attrs else fallback
-
-
-def _slabs(source: Source, picked: tuple[int, ...], scaling: Scaling, holes: tuple[Any, ...]) -> Iterator[np.ndarray]:
+def _slabs(source: Source, picked: tuple[int, ...], packing: Packing) -> Iterator[np.ndarray]:
     """Some layers of chunks at a time."""
     with reading(source.name, "HDF5"), _dataset(source) as data:
         depth, ny, nx = data.shape[-3:]
         deep = data.chunks[-3] if data.chunks else 1
         step = max(layers_of(ny * nx * data.dtype.itemsize) // deep, 1) * deep
         for z in range(0, depth, step):
-            stored = data[(*picked, slice(z, z + step))]
-            values = scaling.apply(stored)
-            for hole in holes:
-                values = np.where(stored == hole, np.float32(np.nan), values)
-            yield values
+            yield packing.apply(data[(*picked, slice(z, z + step))])
 
 
 Place = tuple[tuple[float, float, float], Affine | None, str, tuple[str, ...]]

@@ -11,7 +11,6 @@ import numpy as np
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import (
     COLOURS,
-    Scaling,
     Source,
     library,
     luminance,
@@ -21,6 +20,7 @@ from isogi_core.files.formats.source import (
     reading,
 )
 from isogi_core.files.grid import PATIENT, Affine, Grid, Shape
+from isogi_core.files.packing import Scaling
 
 UNITS = {"mm": "mm", "meter": "m", "micron": "µm"}
 UNPLACED = "The file does not say how it lies: its axes are taken as they are."
@@ -46,6 +46,7 @@ def open_nifti(source: Source) -> Grid:
         scaling = _scaling(header)
         (time, unchosen), channel, times, (nx, ny, nz) = _frame(source, shape)
         source.check((nz, ny, nx))
+        end = int(header.get_data_offset()) + math.prod(shape) * dtype.itemsize
         start = int(header.get_data_offset()) + (time + times * channel) * nx * ny * nz * dtype.itemsize
         voxels = _voxels_of(source, header)
         unit = UNITS.get(header.get_xyzt_units()[0], "")
@@ -54,7 +55,7 @@ def open_nifti(source: Source) -> Grid:
     slabs = partial(_slabs, voxels, start, (nz, ny, nx), dtype, scaling)
     values = np.dtype(np.float32) if dtype.names else scaling.dtype(dtype)
     grid = Grid((nz, ny, nx), values, spacing, slabs, partial(source.stamp, *others), unit=unit)
-    notes = (COLOURS,) if dtype.names else ()
+    notes = (*((COLOURS,) if dtype.names else ()), *voxels.cut_notes(end))
     return _placed(replace(grid, notes=notes, moment=(time, times), unchosen=unchosen), header)
 
 

@@ -21,6 +21,7 @@ from isogi_core.files.formats.source import (
     skip,
 )
 from isogi_core.files.grid import Grid, Shape, layers_of
+from isogi_core.files.packed_files import read_end
 
 NPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
 
@@ -89,6 +90,7 @@ def _slabs(source: Source, picked: tuple[int, ...], coloured: bool) -> Iterator[
             data = read_up_to(file, size)
             _check_length(source, data, size)
             yield _values(np.frombuffer(data, dtype).reshape(-1, *inner[1:]), coloured)
+        read_end(file)
 
 
 def _check_length(source: Source, data: bytearray, size: int) -> None:

@@ -50,8 +50,7 @@ def open_file(path: Path, chosen: dict[str, Any]) -> Grid:
         head = file.read(HEAD)
     refuse_others(str(path), head)
     if head.startswith(b"NRRD") or path.suffix.lower() in (".nrrd", ".nhdr"):
-        source.refuse_others()
-        return open_nrrd(path)
+        return open_nrrd(path, source.chosen)
     opener = opener_for(head, _unpacked_head(source), path.suffix.lower())
     if opener is None:
         raise unknown(str(path), head, path.suffix.lower())

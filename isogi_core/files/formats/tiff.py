@@ -3,7 +3,6 @@
 import re
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import COLOURS, Source, library, luminance, pick, reading
 from isogi_core.files.grid import Grid, Shape
+from isogi_core.files.packing import Packing, holed
 from isogi_core.files.zarr_location import stamp_of
 
 SUFFIXES = (".tif", ".tiff")
@@ -40,9 +40,26 @@ def open_tiff(source: Source) -> Grid:
         _check_page(source, series, coloured)
         source.check((deep, ny, nx))
         spacing, unit = _spacing(whole)
-    slabs = partial(_slabs, source, pages, (ny, nx))
-    grid = Grid((deep, ny, nx), np.dtype(np.float32) if coloured else dtype, spacing, slabs, source.stamp, unit=unit)
-    return replace(grid, notes=(COLOURS,) if coloured else ())
+        packing = _packing(series.keyframe, dtype, coloured)
+    slabs = partial(_slabs, source, pages, (ny, nx), packing)
+    notes = (COLOURS,) if coloured else packing.notes
+    return Grid((deep, ny, nx), packing.dtype, spacing, slabs, source.stamp, unit=unit, notes=notes)
+
+
+NO_DATA = 42113
+"""The tag in which geographers' files name the value of pixels without data, as text. Source: GDAL's GeoTIFF driver."""
+
+
+def _packing(page: Any, stored: np.dtype[Any], coloured: bool) -> Packing:
+    """What stored pixels mean, of which one value may say that there is no data."""
+    if coloured:
+        return Packing(np.dtype(np.float32))
+    tag = page.tags.get(NO_DATA)
+    text = "" if tag is None else str(tag.value).strip("\0 ")
+    try:
+        return holed(stored, [float(text)] if text else [], "no data")
+    except ValueError:
+        return Packing(stored)
 
 
 def _series(source: Source, whole: Any) -> Any:
@@ -92,13 +109,13 @@ def _check_page(source: Source, series: Any, coloured: bool) -> None:
         raise VolumeError(f"'{source.name}' holds pages of {page.axes}: save a plane a page.")
 
 
-def _slabs(source: Source, pages: list[int], plane: Shape) -> Iterator[np.ndarray]:
+def _slabs(source: Source, pages: list[int], plane: Shape, packing: Packing) -> Iterator[np.ndarray]:
     """The planes of a series, one at a time; (1, ny, nx) each."""
     tifffile = library("tifffile", "TIFF")
     with reading(source.name, "TIFF"), source.open() as file, tifffile.TiffFile(file, name=source.name) as whole:
         series = _series(source, whole)
         for number in pages:
-            yield _plane(source, whole, series, number, plane)[None]
+            yield packing.apply(_plane(source, whole, series, number, plane))[None]
 
 
 def _plane(source: Source, whole: Any, series: Any, number: int, plane: Shape) -> np.ndarray:
@@ -170,28 +187,24 @@ def open_tiff_folder(source: Source) -> Grid:
     source.refuse_others()
     files = slices_in(source.path)
     _check_gaps(source, files)
-    kinds: list[tuple[Shape, np.dtype[Any], bool]] = []
+    kinds: list[tuple[Shape, Packing, bool]] = []
     for file in files:
         with reading(str(file), "TIFF"), tifffile.TiffFile(file) as whole:
             page = whole.pages[0]
-            kinds.append((page.shape, page.dtype, page.axes.endswith(COLOUR)))
+            coloured = page.axes.endswith(COLOUR)
+            kinds.append((page.shape, _packing(page, page.dtype, coloured), coloured))
             if len(whole.pages) > 1:
                 raise VolumeError(f"'{file}' is a stack among the slices of '{source.name}': move it elsewhere.")
     usual = Counter(kinds).most_common(1)[0][0]
     for file, kind in zip(files, kinds, strict=True):
         if kind != usual:
-            others = f"is {kind[0]} {kind[1]}, and most others are {usual[0]} {usual[1]}"
+            others = f"is {kind[0]} {kind[1].stored}, and most others are {usual[0]} {usual[1].stored}"
             raise VolumeError(f"'{file.name}' in '{source.name}' {others}: move it elsewhere.")
-    (ny, nx, *_), dtype, coloured = usual
+    (ny, nx, *_), packing, coloured = usual
     source.check((len(files), ny, nx))
-    grid = Grid(
-        (len(files), ny, nx),
-        np.dtype(np.float32) if coloured else dtype,
-        (1.0, 1.0, 1.0),
-        partial(_slices, files, coloured),
-        partial(stamp_of, files),
-    )
-    return replace(grid, notes=(COLOURS,) if coloured else ())
+    slabs, stamp = partial(_slices, files, coloured, packing), partial(stamp_of, files)
+    notes = (COLOURS,) if coloured else packing.notes
+    return Grid((len(files), ny, nx), packing.dtype, (1.0, 1.0, 1.0), slabs, stamp, notes=notes)
 
 
 def _check_gaps(source: Source, files: list[Path]) -> None:
@@ -208,9 +221,9 @@ def _check_gaps(source: Source, files: list[Path]) -> None:
             raise VolumeError(f"Slices of '{source.name}' are missing or doubled ({wrong}): complete the folder.")
 
 
-def _slices(files: list[Path], coloured: bool) -> Iterator[np.ndarray]:
+def _slices(files: list[Path], coloured: bool, packing: Packing) -> Iterator[np.ndarray]:
     tifffile = library("tifffile", "TIFF")
     for file in files:
         with reading(str(file), "TIFF"):
             values = tifffile.imread(file, key=0)
-        yield (luminance(values) if coloured else values)[None]
+        yield packing.apply(luminance(values) if coloured else values)[None]
