@@ -36,9 +36,9 @@ class Scaling:
 
     def apply(self, values: np.ndarray) -> np.ndarray:
         """The values of stored ones, in ``dtype``."""
-        kind = self.dtype(values.dtype)
-        if kind == values.dtype:
+        if self.trivial or values.dtype.kind not in "iuf":
             return values
+        kind = self.dtype(values.dtype)
         if kind == np.int32:
             return values.astype(np.int32) * np.int32(self.slope) + np.int32(self.intercept)
         return (values.astype(np.float64) * self.slope + self.intercept).astype(kind)

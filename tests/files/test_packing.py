@@ -141,3 +141,12 @@ def test_numbers_without_attributes_stay_as_they_are() -> None:
         stored = np.ones(4, kind)
         packing = climate_packing({}, stored.dtype, stored[0])
         assert packing.apply(stored) is stored and packing.dtype == stored.dtype and not packing.notes
+
+
+@pytest.mark.parametrize("kind", ["u1", ">i2", "<i4", "<f2", ">f4", "<f8"])
+def test_numbers_of_every_type_are_scaled(kind: str) -> None:
+    stored = np.arange(9).astype(kind)
+    packing = climate_packing({"scale_factor": 0.5, "add_offset": 10.0}, stored.dtype)
+    found = packing.apply(stored)
+    np.testing.assert_array_equal(found, np.arange(9) * 0.5 + 10.0)
+    assert found.dtype == packing.dtype
