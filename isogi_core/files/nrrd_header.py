@@ -214,7 +214,8 @@ def labels_of(header: Header, layer: int) -> tuple[LabelName, ...] | None:
     segments = segments_of(header)
     if not segments:
         return None
-    there = [each for number, each in segments.items() if _number(each.get("Layer"), number) == layer]
+    layers = {n: _number(each.get("Layer"), 0 if "LabelValue" in each else n) for n, each in segments.items()}
+    there = [each for n, each in segments.items() if layers[n] == layer]
     return tuple(
         LabelName(_number(each.get("LabelValue"), 1), each.get("Name", ""), _colour(each.get("Color", "")))
         for each in there

@@ -2,7 +2,7 @@
 
 import sys
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -122,10 +122,10 @@ FORMER: Mapping[str, str] = {
 class Settings:
     """Reads and checks the settings of a scene's document. Methods raise SceneError, which names the setting."""
 
-    def __init__(self, source: SceneSource) -> None:
-        """Begin reading ``source``."""
+    def __init__(self, source: SceneSource, known: Iterable[str] = ()) -> None:
+        """Begin reading ``source``, of which some keys are ``known`` already."""
         self.source = source
-        self.known: set[str] = set()
+        self.known = set(known)
 
     def _get(self, key: str) -> Any:
         self.known.add(key)

@@ -25,6 +25,9 @@ from isogi_core.files.packing import Scaling
 UNITS = {"mm": "mm", "meter": "m", "micron": "µm"}
 UNPLACED = "The file does not say how it lies: its axes are taken as they are."
 
+LABELS = 1002
+"""The intent of files whose values are labels."""
+
 APART = 0.01
 """Voxels by which two transforms of a file must differ for this to be told."""
 
@@ -55,8 +58,9 @@ def open_nifti(source: Source) -> Grid:
     slabs = partial(_slabs, voxels, start, (nz, ny, nx), dtype, scaling)
     values = np.dtype(np.float32) if dtype.names else scaling.dtype(dtype)
     grid = Grid((nz, ny, nx), values, spacing, slabs, partial(source.stamp, *others), unit=unit)
+    labels = () if int(header["intent_code"]) == LABELS else None
     notes = (*((COLOURS,) if dtype.names else ()), *voxels.cut_notes(end))
-    return _placed(replace(grid, notes=notes, moment=(time, times), unchosen=unchosen), header)
+    return _placed(replace(grid, notes=notes, moment=(time, times), unchosen=unchosen, labels=labels), header)
 
 
 def _header(nib: Any, source: Source) -> Any:

@@ -21,7 +21,7 @@ from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.orientation import Orientation
 from isogi_core.model.value_survey import Progress, check, checked_spacing, no_progress, survey
 from isogi_core.model.volume import Volume, make_volume
-from isogi_core.plan.volumes.labels import find_labels, solid_of_labels
+from isogi_core.plan.volumes.labels import are_labels, find_labels, solid_of_labels
 from isogi_core.plan.volumes.masks import cut_out, place, read_tables
 
 FORMAT = 1
@@ -40,8 +40,9 @@ AXES = ("world", "raw")
 def open_volume(settings: Settings, base: Path, progress: Progress = no_progress, fallback: str = "above") -> Volume:
     """Open the volume that the scene names, a demo or a file, with the scene's spacing, solid side and missing values.
 
-    Outside of the scene's masks it has no surface. A segmentation is made a field of its labels. ``fallback`` is that
-    side where the scene names none. ``progress`` is called while a copy is made. Raises VolumeError and SceneError.
+    Outside of the scene's masks it has no surface. A segmentation, as the scene says or the file, is made a field of
+    its labels. ``fallback`` is the solid side where the scene names none. ``progress`` is called while a copy is made.
+    Raises VolumeError and SceneError.
     """
     name = settings.text("volume", DEFAULT_DEMO)
     solid = settings.text("solid", fallback)
@@ -51,16 +52,16 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
     tables, labels = read_tables(settings), find_labels(settings)
     if not name.startswith("demo:"):
         grid, stem = open_series(base, name, chosen, raw)
-        moment = grid.moment
-        if labels is not None:
-            grid = solid_of_labels(grid, labels, settings)
+        moment, segmented = grid.moment, labels is not None or are_labels(grid, settings)
+        if segmented:
+            grid = solid_of_labels(grid, labels or (), settings)
         straight = on_right_angles(grid, spacing)
         if tables and spacing and grid.affine is not None:
             raise SceneError("spacing moves the volume away from its masks: leave it out, or add axes = 'raw'.")
         masks = [place(table, open_grid(base, table.file, {}, raw)[0], grid, straight) for table in tables]
         straight = cut_out(straight, masks, solid, missing) if masks else straight
         volume = volume_of(straight, solid, stem, missing, progress)
-        return replace(volume, orientation=Orientation.of(straight), moment=moment)
+        return replace(volume, orientation=Orientation.of(straight), moment=moment, segmented=segmented)
     if name.removeprefix("demo:") not in DEMOS:
         raise VolumeError(f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}.")
     if spacing or missing or chosen or raw or tables or labels is not None or solid != "above":

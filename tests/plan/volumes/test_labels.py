@@ -277,3 +277,73 @@ def test_a_copy_of_labels_is_that_of_memory(tmp_path: Path, monkeypatch: pytest.
     copied = scene_of(tmp_path, volume=large)
     assert list((tmp_path / "copies").glob("*.voxels")) and copied.bake_digest == own.bake_digest
     assert scene_of(tmp_path, [table(3, hidden=True)], large).volume.digest != own.volume.digest
+
+
+SLICER = {
+    "Segment0_Name": "front",
+    "Segment0_Color": "0.8 0.2 0.2",
+    "Segment0_LabelValue": "3",
+    "Segment1_Name": "back",
+    "Segment1_LabelValue": "5",
+}
+
+
+def by_itself(folder: Path, text: str = "", volume: np.ndarray = HALVES) -> Scene:
+    """The scene of a segmentation of 3D Slicer that says nothing of labels."""
+    nrrd.write(str(folder / "v.seg.nrrd"), volume, dict(SLICER), index_order="C")
+    (folder / "s.toml").write_text(f'volume = "v.seg.nrrd"\n{text}')
+    return load_scene(folder / "s.toml")
+
+
+def test_a_segmentation_that_says_so_shows_its_labels(tmp_path: Path) -> None:
+    scene = by_itself(tmp_path)
+    labels = colours_of(scene).scale.labels
+    assert [(label.value, label.name) for label in labels] == [(3, "front"), (5, "back")]
+    assert colours_of(scene).scale.anchors[0] == "#cc3333"
+    assert (scene.isovalue, scene.volume.segmented) == (0.5, True)
+    assert module.BY_ITSELF in scene.volume.orientation.notes
+    asked = scene_of(tmp_path, "all")
+    assert scene.volume.digest == asked.volume.digest
+    np.testing.assert_array_equal(colours_of(scene).places, colours_of(asked).places)
+
+
+def test_labels_of_a_file_are_hidden_and_listed_by_their_values(tmp_path: Path) -> None:
+    scene = with_hidden(by_itself(tmp_path), (3,), "hidden")
+    assert [(each.name, each.shown) for each in colours_of(scene).scale.labels] == [("front", False), ("back", True)]
+    listed = by_itself(tmp_path, '[[labels]]\nvalue = 5\ncolour = "#00ff00"\n[[labels]]\nvalue = 3\nname = "bow"\n')
+    assert [each.name for each in colours_of(listed).scale.labels] == ["bow", "back"]
+    assert colours_of(listed).scale.anchors == ["#cc3333", "#00ff00"]
+
+
+@pytest.mark.parametrize("text", ["isovalue = 2\n", "albedo = 0.5\n", 'solid = "below"\n', "missing = 5\n"])
+def test_a_scene_of_values_shows_the_values_of_labels(tmp_path: Path, text: str) -> None:
+    scene = by_itself(tmp_path, text)
+    assert scene.colours is None and not scene.volume.segmented
+    assert scene.volume.value_range[1] > 1.0
+
+
+def test_a_nifti_file_may_say_that_it_is_a_segmentation(tmp_path: Path) -> None:
+    nib = pytest.importorskip("nibabel")
+    image = nib.Nifti1Image(HALVES.T, np.eye(4))
+    nib.save(image, tmp_path / "v.nii")
+    assert load_scene(tmp_path / "v.nii").colours is None
+    image.header.set_intent("label")
+    nib.save(image, tmp_path / "v.nii")
+    assert [each.name for each in colours_of(load_scene(tmp_path / "v.nii")).scale.labels] == ["label 3", "label 5"]
+
+
+@pytest.mark.parametrize(("kind", "value"), [("u8", 2**53), ("u8", 2**64 - 1), ("i8", -(2**60)), ("f8", 2.0**53)])
+def test_labels_that_cannot_be_told_apart_are_refused(tmp_path: Path, kind: str, value: float) -> None:
+    large = np.where(HALVES == 3, np.array(value, kind), HALVES.astype(kind))
+    np.save(tmp_path / "v.npy", large)
+    with pytest.raises(VolumeError, match=rf"has the label {int(value)}: give its labels numbers below 2\^53"):
+        load_scene(tmp_path / "v.npy", labels="all")
+
+
+def test_labels_of_64_bits_are_kept_apart(tmp_path: Path) -> None:
+    """Two whose difference 32 bits of a float do not hold."""
+    large = np.where(HALVES == 3, 2**53 - 2, np.where(HALVES == 5, 2**53 - 1, 0)).astype(np.uint64)
+    np.save(tmp_path / "v.npy", large)
+    scene = load_scene(tmp_path / "v.npy", labels="all")
+    assert [each.value for each in colours_of(scene).scale.labels] == [2**53 - 2, 2**53 - 1]
+    np.testing.assert_array_equal(colours_of(scene).places, colours_of(scene_of(tmp_path)).places)
