@@ -75,9 +75,9 @@ def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any
     return {"labels": "all", **rest, "volume": found[0]["file"], **({"volumes": others} if others else {})}
 
 
-LYING = ("axes", "solid", "environment", "cut", *CHANGES)
-"""Settings that may follow the # of a target: how its volume lies, which side of the isovalue is solid, its light, what
-is cut away, and what changes it as views do.
+LYING = ("axes", "solid", "labels", "environment", "cut", *CHANGES)
+"""Settings that may follow the # of a target: how its volume lies, which side of the isovalue is solid, whether its
+values are labels, its light, what is cut away, and what changes it as views do.
 """
 
 

@@ -15,6 +15,7 @@ from isogi_core.files.scene_changes import tables_in
 from isogi_core.files.scene_file import SceneSource, Settings
 from isogi_core.model.colours import Colour, Label, linear_of
 from isogi_core.model.value_survey import check
+from isogi_core.model.volume import Volume
 
 ALL = "all"
 """What ``labels`` is where a scene lists none: its volume is a segmentation, and all that is not zero is shown."""
@@ -238,6 +239,28 @@ def are_labels(grid: Grid, settings: Settings) -> bool:
     document = settings.source.document
     coloured = any(each.get("use") == "colour" for each in tables_in(document, "volumes"))
     return grid.labels is not None and not coloured and not any(key in document for key in VALUED)
+
+
+SAMPLED, LAYERS, ALIKE, MOST_ALIKE = 1 << 18, 16, 0.8, 4096
+"""Voxels, of how many layers, that are looked at for labels; the share of neighbours within objects that are equal, at
+least, and how many values there are, at most. Seventeen real volumes had 0 to 0.72, two segmentations 0.83 and 0.93."""
+
+
+def look_like_labels(volume: Volume) -> int:
+    """How many values a volume has that look like labels, of a sample of its rows; 0 where they do not."""
+    if not volume.dtype.startswith(("int", "uint")):
+        return 0
+    layers = volume.voxels[:: max(len(volume.voxels) // LAYERS, 1)]
+    rows = layers[:, :: max(layers.size // SAMPLED, 1)]
+    values, counts = np.unique(rows[~np.isnan(rows)], return_counts=True)
+    around = values[np.argmax(counts)]
+    one, other = rows[..., :-1], rows[..., 1:]
+    within = (one != around) & (other != around)
+    alike = np.count_nonzero((one == other) & within) >= ALIKE * max(int(np.count_nonzero(within)), 1)
+    return len(values) if alike and 3 <= len(values) <= MOST_ALIKE else 0
+
+
+PROPOSED = 'Its values look like labels, {count} of them: labels = "all" in the scene, or #labels=all, shows them so.'
 
 
 BY_ITSELF = "The file says that it is a segmentation: its labels are shown."

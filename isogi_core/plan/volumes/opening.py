@@ -21,7 +21,7 @@ from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.orientation import Orientation
 from isogi_core.model.value_survey import Progress, check, checked_spacing, no_progress, survey
 from isogi_core.model.volume import Volume, make_volume
-from isogi_core.plan.volumes.labels import are_labels, find_labels, solid_of_labels
+from isogi_core.plan.volumes.labels import PROPOSED, are_labels, find_labels, look_like_labels, solid_of_labels
 from isogi_core.plan.volumes.masks import cut_out, place, read_tables
 
 FORMAT = 1
@@ -61,6 +61,8 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
         masks = [place(table, open_grid(base, table.file, {}, raw)[0], grid, straight) for table in tables]
         straight = cut_out(straight, masks, solid, missing) if masks else straight
         volume = volume_of(straight, solid, stem, missing, progress)
+        count = 0 if segmented else look_like_labels(volume)
+        straight = replace(straight, notes=(*straight.notes, *((PROPOSED.format(count=count),) if count else ())))
         return replace(volume, orientation=Orientation.of(straight), moment=moment, segmented=segmented)
     if name.removeprefix("demo:") not in DEMOS:
         raise VolumeError(f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}.")

@@ -347,3 +347,42 @@ def test_labels_of_64_bits_are_kept_apart(tmp_path: Path) -> None:
     scene = load_scene(tmp_path / "v.npy", labels="all")
     assert [each.value for each in colours_of(scene).scale.labels] == [2**53 - 2, 2**53 - 1]
     np.testing.assert_array_equal(colours_of(scene).places, colours_of(scene_of(tmp_path)).places)
+
+
+NESTED = np.where(RADIUS < 7.2, np.where(Y < 8, 7, np.where(Z < 8, 2000, 8)), 0)
+
+
+@pytest.mark.parametrize("kind", ["u2", "i4", "u8"])
+def test_values_that_look_like_labels_are_proposed_as_such(tmp_path: Path, kind: str) -> None:
+    np.save(tmp_path / "v.npy", NESTED.astype(kind))
+    assert module.PROPOSED.format(count=4) in load_scene(tmp_path / "v.npy").volume.orientation.notes
+    scene = load_scene(f"{tmp_path / 'v.npy'}#labels=all")
+    assert [each.value for each in colours_of(scene).scale.labels] == [7, 8, 2000]
+    assert not scene.volume.orientation.notes
+
+
+@pytest.mark.parametrize(
+    "field",
+    [
+        (RADIUS < 6.2) * np.uint8(255),
+        RADIUS < 6.2,
+        NESTED.astype(np.float32),
+        np.clip(90 - 9 * RADIUS, 0, 90).astype(np.uint8),
+    ],
+)
+def test_masks_and_ramps_do_not_look_like_labels(tmp_path: Path, field: np.ndarray) -> None:
+    np.save(tmp_path / "v.npy", field)
+    assert not load_scene(tmp_path / "v.npy").volume.orientation.notes
+
+
+@pytest.mark.data
+def test_no_shared_volume_looks_like_labels(shared_data: Path) -> None:
+    for path in sorted(shared_data.glob("*uint8.nhdr")):
+        if path.name.startswith(("boston", "carp", "bucky", "fuel", "nucleon")):
+            assert not load_scene(path).volume.orientation.notes, path.name
+
+
+@pytest.mark.parametrize(("high", "kind"), [(255, "u1"), (1, "?"), (1, "u1"), (1, "f4"), (2000, "i2")])
+def test_a_mask_starts_half_way_between_its_two_values(tmp_path: Path, high: int, kind: str) -> None:
+    np.save(tmp_path / "v.npy", (high * (RADIUS < 6.2)).astype(kind))
+    assert load_scene(tmp_path / "v.npy").isovalue == high / 2
