@@ -43,7 +43,7 @@ def source_at(text: str, overrides: Mapping[str, Any]) -> SceneSource:
         return SceneSource(text.removeprefix("demo:"), {"volume": text, **overrides}, Path.cwd())
     if "://" in text:
         return SceneSource(name_of(Path(text)), {"volume": text, **overrides}, Path.cwd())
-    whole_name, mark, part = (text, "", "") if Path(text).exists() else text.partition("#")
+    whole_name, mark, part = split_name(text)
     path = Path(whole_name).resolve()
     if path.suffix != ".toml":
         whole = next((each for each in path.parents if each.suffix == ".zarr"), path)
@@ -56,6 +56,14 @@ def source_at(text: str, overrides: Mapping[str, Any]) -> SceneSource:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SceneError(f"The scene {path} is not valid TOML: {error}.") from error
     return SceneSource(path.stem, labels_as_volume({**document, **overrides}, path.stem), path.parent)
+
+
+def split_name(text: str, base: Path = Path()) -> tuple[str, str, str]:
+    """A volume's name, the # after it, and what that chooses; a file of a folder ``base`` may have a # in its name."""
+    name, mark, part = text.rpartition("#")
+    if not mark or not name or "://" in text or (base / text).exists():
+        return text, "", ""
+    return (name, mark, part) if (base / name).exists() else text.partition("#")
 
 
 def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any]:
@@ -75,7 +83,7 @@ def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any
     return {"labels": "all", **rest, "volume": found[0]["file"], **({"volumes": others} if others else {})}
 
 
-LYING = ("axes", "solid", "labels", "environment", "cut", *CHANGES)
+LYING = ("axes", "solid", "labels", "raw", "environment", "cut", *CHANGES)
 """Settings that may follow the # of a target: how its volume lies, which side of the isovalue is solid, whether its
 values are labels, its light, what is cut away, and what changes it as views do.
 """
@@ -91,7 +99,10 @@ def split_settings(target: str) -> tuple[str, dict[str, str]]:
     return f"{place}#{rest}" if rest else place, told
 
 
-FOLLOWED = ("cut", "solid", "inside_out", "spacing", "missing", "axes", "volumes", "level", "channel", "time", "series")
+CHOOSING = ("level", "channel", "time", "series", "raw")
+"""Settings of a scene that choose a part of its volume's file, or say what it holds."""
+
+FOLLOWED = ("cut", "solid", "inside_out", "spacing", "missing", "axes", "volumes", *CHOOSING)
 """Settings of a scene that its volume's voxels already contain."""
 
 

@@ -127,7 +127,10 @@ HIDE = "Which labels of a segmentation are hidden, by their values, such as 3,4;
 MATERIAL = "What the surface is made of: diffuse, glass or subsurface, with numbers of it, such as glass,index=1.3."
 
 
-PLACING = ("axes", "solid", "environment", "cut", "surfaces", "hide", "material")
+RAW = "What a file without a header holds: sizes along x, y, z, type and byte order, such as 256x256x128,uint8,little."
+
+
+PLACING = ("axes", "raw", "solid", "environment", "cut", "surfaces", "hide", "material")
 """Options of ``volume_options``; those that are given follow the # of a target."""
 
 
@@ -139,6 +142,7 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
         type=click.Choice(["world", "raw"]),
         help="Where the volume lies: as its file says, or raw, its voxels' indices times spacing; default: world.",
     )
+    @click.option("--raw", help=RAW)
     @click.option(
         "--solid",
         type=click.Choice(["above", "below"]),
@@ -157,7 +161,8 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
         for key, value in told.items():
             if value is not None:
                 target = given[name] or "demo:casting"
-                given[name] = f"{target}{'&' if '#' in target else '#'}{key}={quote(value)}"
+                chosen = "#" in target and not Path(target).exists()
+                given[name] = f"{target}{'&' if chosen else '#'}{key}={quote(value)}"
         return command(**given)
 
     return placed

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from isogi_core.errors import VolumeError, advice
-from isogi_core.files.formats import brain_files, dicom, hdf5, itk, mrc, nifti, numpy_file, tiff, vti
+from isogi_core.files.formats import brain_files, dicom, hdf5, itk, mrc, nifti, numpy_file, raw_file, tiff, vti
 from isogi_core.files.formats.source import KEYS, Source
 from isogi_core.files.formats.wrong_files import sort_of
 from isogi_core.files.grid import Grid
@@ -49,15 +49,22 @@ def open_file(path: Path, chosen: dict[str, Any]) -> Grid:
     source = Source(str(path), path, chosen={key: str(value) for key, value in chosen.items()})
     if path.is_dir():
         return _open_folder(source)
+    if "raw" in source.chosen:
+        return raw_file.open_raw(source)
     with source.open() as file:
         head = file.read(HEAD)
     refuse_others(str(path), head)
     if head.startswith(b"NRRD") or path.suffix.lower() in (".nrrd", ".nhdr"):
         return open_nrrd(path, source.chosen)
-    opener = opener_for(head, _unpacked_head(source), path.suffix.lower())
+    opener = opener_for(head, _unpacked_head(source), path.suffix.lower()) or by_name(path.name)
     if opener is None:
         raise unknown(str(path), head, path.suffix.lower())
     return opener(source)
+
+
+def by_name(name: str) -> Opener | None:
+    """The function that opens bare voxels, where a file's ``name`` says what they are."""
+    return raw_file.open_raw if raw_file.is_raw(name) else None
 
 
 def _header_of(path: Path) -> Path:
@@ -106,7 +113,7 @@ def open_upload(file: Any, name: str, most: int) -> Grid:
     if head.startswith(b"NRRD"):
         file.seek(0)
         return read_attached(file, name, most)
-    opener = opener_for(head, _unpacked_head(source), Path(name).suffix.lower())
+    opener = opener_for(head, _unpacked_head(source), Path(name).suffix.lower()) or by_name(name)
     if opener is None:
         raise unknown(name, head, Path(name).suffix.lower())
     return opener(source)

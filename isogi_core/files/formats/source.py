@@ -15,8 +15,8 @@ from isogi_core.files.grid import ALONE, MAX_VOXELS, Shape, layers_of
 from isogi_core.files.packed_files import BLOCK, DAMAGE, Content, content_of, cut_notes, read_end
 from isogi_core.files.zarr_location import stamp_of
 
-KEYS = ("level", "channel", "time", "series", "part")
-"""What may be chosen of a file; ``part`` is a path inside it."""
+KEYS = ("level", "channel", "time", "series", "raw", "part")
+"""What may be chosen of a file; ``part`` is a path inside it, and ``raw`` says what bare voxels are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,10 +116,13 @@ def line_of(error: Exception) -> str:
     return f"{type(error).__name__}: {message[:200]}" if message else type(error).__name__
 
 
-def raw_slabs(source: Source, start: int, shape: Shape, dtype: np.dtype[Any]) -> Iterator[np.ndarray]:
+def raw_slabs(
+    source: Source, start: int, shape: Shape, dtype: np.dtype[Any], exact: bool = False
+) -> Iterator[np.ndarray]:
     """The voxels (z, y, x) that lie one after the other from byte ``start`` of the content on; some layers at a time.
 
-    VolumeError where the file ends before the last: no memory is taken on a header's word.
+    VolumeError where the file ends before the last, or where it should be ``exact`` and does not end with it: no memory
+    is taken on a header's word.
     """
     layer = shape[1] * shape[2] * dtype.itemsize
     with source.unpacked() as file:
@@ -131,7 +134,8 @@ def raw_slabs(source: Source, start: int, shape: Shape, dtype: np.dtype[Any]) ->
                 if len(data) < deep * layer:
                     raise VolumeError(f"'{source.name}' ends before its last voxel: copy it again.")
                 yield np.frombuffer(data, dtype).reshape(deep, *shape[1:])
-            read_end(file)
+            if read_end(file) and exact:
+                raise VolumeError(f"'{source.name}' goes on after its last voxel: check its sizes and its type.")
         except DAMAGE as error:
             raise VolumeError(f"The voxels of '{source.name}' are damaged ({error}): copy it again.") from error
 

@@ -48,7 +48,7 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
     solid = settings.text("solid", fallback)
     raw = settings.choice("axes", AXES) == "raw"
     spacing, missing = settings.numbers("spacing", 3), settings.listed("missing")
-    chosen = {key: value for key in NESTED if (value := settings.count(key, 1 << 20)) is not None}
+    chosen = chosen_part(settings)
     tables, labels = read_tables(settings), find_labels(settings)
     if not name.startswith("demo:"):
         grid, stem = open_series(base, name, chosen, raw)
@@ -73,10 +73,17 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
     return demo_volume(name.removeprefix("demo:"))
 
 
+def chosen_part(settings: Settings) -> dict[str, Any]:
+    """What a scene chooses of its volume's file. Raises SceneError."""
+    numbers = {key: value for key in NESTED if (value := settings.count(key, 1 << 20)) is not None}
+    raw = settings.text("raw", "")
+    return {**numbers, "raw": raw} if raw else numbers
+
+
 FIRST = "The file holds {steps} steps in time: the first is shown, and time = 0 to {last} chooses another."
 
 
-def open_series(base: Path, name: str, chosen: dict[str, int], raw: bool = False) -> tuple[Grid, str]:
+def open_series(base: Path, name: str, chosen: dict[str, Any], raw: bool = False) -> tuple[Grid, str]:
     """Open a grid as ``open_grid`` does; of a series in time of which no step is chosen the first one, with a note."""
     grid, stem = _open_placed(base, name, chosen)
     steps = grid.moment[1]
@@ -84,7 +91,7 @@ def open_series(base: Path, name: str, chosen: dict[str, int], raw: bool = False
     return replace(grid, affine=None if raw else grid.affine, notes=(*grid.notes, *notes)), stem
 
 
-def open_grid(base: Path, name: str, chosen: dict[str, int], raw: bool = False) -> tuple[Grid, str]:
+def open_grid(base: Path, name: str, chosen: dict[str, Any], raw: bool = False) -> tuple[Grid, str]:
     """The grid at a path or a URL, and its display name; what follows a # in the name chooses too.
 
     Where the file says that it lies in the world is left out of a ``raw`` one. Raises VolumeError for a series in time
@@ -96,7 +103,7 @@ def open_grid(base: Path, name: str, chosen: dict[str, int], raw: bool = False) 
     return replace(grid, affine=None) if raw else grid, stem
 
 
-def _open_placed(base: Path, name: str, chosen: dict[str, int]) -> tuple[Grid, str]:
+def _open_placed(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]:
     named, inside = (name, {}) if "://" in name or (base / name).exists() else split_part(name)
     place = named if "://" in named else base / named
     if isinstance(place, str) or is_zarr(place):
