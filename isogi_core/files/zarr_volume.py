@@ -1,7 +1,7 @@
 """Zarr volumes: arrays of Zarr v2 and v3, bare or in an OME-Zarr image, read chunk by chunk."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePath
@@ -11,98 +11,19 @@ import numpy as np
 import zarr
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.grid import ALONE, MAX_VOXELS, Grid, layers_of
+from isogi_core.files.grid import ALONE, MAX_VOXELS, Affine, Grid, LabelName, Shape, Vector, layers_of
+from isogi_core.files.ome import (
+    SPACE,
+    Axis,
+    Resolution,
+    array_axes,
+    first_image,
+    labels_of,
+    placed_in_space,
+    resolutions_of,
+)
 from isogi_core.files.packing import Packing, climate_packing
 from isogi_core.files.zarr_location import Hierarchy, hierarchy_at
-
-SPACE = ("z", "y", "x")
-
-PREFIXES = {
-    **{"yotta": 24, "zetta": 21, "exa": 18, "peta": 15, "tera": 12, "giga": 9, "mega": 6, "kilo": 3, "hecto": 2},
-    **{"deca": 1, "deci": -1, "centi": -2, "milli": -3, "micro": -6, "nano": -9, "pico": -12, "femto": -15},
-    **{"atto": -18, "zepto": -21, "yocto": -24},
-}
-"""Powers of ten by SI prefix."""
-
-METRES = {
-    **{f"{prefix}meter": 10.0**power for prefix, power in PREFIXES.items()},
-    **{"meter": 1.0, "angstrom": 1e-10, "inch": 0.0254, "foot": 0.3048, "yard": 0.9144, "mile": 1609.344},
-    "parsec": 3.0856775814913673e16,
-}
-"""Metres of the units that NGFF names."""
-
-
-@dataclass(frozen=True)
-class Axis:
-    """An axis of an array: its ``name``, such as z or c, and its ``unit``, empty where it has none."""
-
-    name: str
-    unit: str = ""
-
-
-@dataclass(frozen=True)
-class Resolution:
-    """One array of a multiscale image: its ``path`` below the image, its axes, and the step along each."""
-
-    path: str
-    axes: tuple[Axis, ...]
-    scale: tuple[float, ...]
-
-
-def resolutions_of(attributes: Mapping[str, Any], name: str) -> list[Resolution]:
-    """The resolutions of the image whose group has these ``attributes``, finest first; empty where it is no image.
-
-    Raises VolumeError, which names the image by ``name``, where its metadata is damaged.
-    """
-    held = attributes.get("ome", attributes)
-    images = held.get("multiscales") if isinstance(held, Mapping) else None
-    if images is None:
-        return []
-    try:
-        image = images[0]
-        axes = tuple(Axis(*_axis(each)) for each in image["axes"]) if "axes" in image else ()
-        whole = image.get("coordinateTransformations", [])
-        return [_resolution(each, axes, whole) for each in image["datasets"]]
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise VolumeError(f"The OME metadata of '{name}' is damaged ({error!r}): write it again.") from error
-
-
-def spacing_of(axes: tuple[Axis, ...], scale: tuple[float, ...]) -> tuple[float, float, float]:
-    """World units per voxel along x, y, z, all in the unit of x. Raises VolumeError where units cannot be compared."""
-    steps = {axis.name: (step, axis.unit) for axis, step in zip(axes, scale, strict=True)}
-    (x, unit), *_ = spatial = [steps[name] for name in SPACE[::-1]]
-    if len({each for _, each in spatial}) == 1:
-        return x, spatial[1][0], spatial[2][0]
-    unknown = next((each for _, each in spatial if each not in METRES), None)
-    if unknown is not None:
-        raise VolumeError(f"The axes have different units, and '{unknown}' is no known one: set spacing in the scene.")
-    y, z = (step * (METRES[each] / METRES[unit]) for step, each in spatial[1:])
-    return x, y, z
-
-
-def _axis(axis: Any) -> tuple[str, str]:
-    """Name and unit of an axis; before NGFF 0.4 there was a name alone."""
-    if isinstance(axis, str):
-        return axis.lower(), ""
-    return str(axis["name"]).lower(), str(axis.get("unit") or "").lower().replace("metre", "meter")
-
-
-def _resolution(dataset: Mapping[str, Any], axes: tuple[Axis, ...], whole: list[Any]) -> Resolution:
-    """One entry of the image's datasets, scaled by its own and the ``whole`` image's transformations."""
-    scales = [_scale(each) for each in (*dataset.get("coordinateTransformations", []), *whole)]
-    product = [math.prod(steps) for steps in zip(*filter(None, scales), strict=True)]
-    return Resolution(str(dataset["path"]), axes, tuple(product) or (1.0,) * len(axes))
-
-
-def _scale(transformation: Mapping[str, Any]) -> list[float]:
-    """The scale of a transformation; empty for an identity or a translation."""
-    kind = transformation["type"]
-    if kind in ("identity", "translation"):
-        return []
-    if kind != "scale" or "scale" not in transformation:
-        raise ValueError(f"a transformation '{kind}' that is no list of scales")
-    return [float(step) for step in transformation["scale"]]
-
 
 MOST = 1 << 29
 """Most bytes of a layer of chunks that is read at once; chunks of larger layers are read several times."""
@@ -119,12 +40,17 @@ CHOSEN = {"t": "time", "c": "channel"}
 
 @dataclass(frozen=True, eq=False)
 class FoundArray:
-    """An ``array`` of a hierarchy, with its axes and the step along each."""
+    """An ``array`` of a hierarchy, with its axes. ``given`` is what its image says of it, None where there is none.
+
+    ``notes`` say why it was chosen; ``labels`` are those of an image of labels.
+    """
 
     among: Hierarchy
     array: "zarr.Array[Any]"
     axes: tuple[Axis, ...]
-    scale: tuple[float, ...]
+    given: Resolution | None = None
+    notes: tuple[str, ...] = ()
+    labels: tuple[LabelName, ...] | None = None
 
 
 def open_zarr(path: Path | str, level: int | None = None, channel: int | None = None, time: int | None = None) -> Grid:
@@ -140,16 +66,33 @@ def open_zarr(path: Path | str, level: int | None = None, channel: int | None = 
     array, chosen = found.array, {"c": channel, "t": time}
     picks = [slice(None) if axis.name in SPACE else _pick(path, found, n, chosen) for n, axis in enumerate(found.axes)]
     _check(path, found)
-    shape = tuple(n for n, pick in zip(array.shape, picks, strict=True) if isinstance(pick, slice))
-    packing = _packing(array)
-    slabs = partial(_slabs, path, array, tuple(picks), shape, packing)
+    packing, order = _packing(array), _order(found.axes)
+    shape = tuple(array.shape[n] for n in order)
+    slabs = partial(_slabs, path, array, (tuple(picks), order), shape, packing)
     part = [array.path, *(pick for pick in picks if isinstance(pick, int))]
-    spacing = spacing_of(found.axes, found.scale)
+    spacing, affine, unit = _placed(found)
     times = dict(zip((axis.name for axis in found.axes), array.shape, strict=True)).get("t", 1)
     moment, unchosen = (time or 0, times) if times > 1 else ALONE, time is None and times > 1
-    stamp = partial(_stamp, found.among, part)
-    grid = Grid(shape, packing.dtype, spacing, slabs, stamp, notes=packing.notes)
-    return replace(grid, moment=moment, unchosen=unchosen)
+    stamp, notes = partial(_stamp, found.among, part), (*found.notes, *packing.notes)
+    grid = Grid(shape, packing.dtype, spacing, slabs, stamp, affine, unit, notes)
+    return replace(grid, moment=moment, unchosen=unchosen, labels=found.labels)
+
+
+def _order(axes: tuple[Axis, ...]) -> tuple[int, ...]:
+    """The places of z, y and x among the axes of an array."""
+    names = [axis.name for axis in axes]
+    return tuple(names.index(name) for name in SPACE[::-1])
+
+
+def _placed(found: FoundArray) -> tuple[Vector, Affine | None, str]:
+    """Spacing, affine and unit of an array: the affine where its image says more than the length of each axis."""
+    if found.given is None or found.given.matrix is None:
+        return (1.0, 1.0, 1.0), None, ""
+    matrix, unit = placed_in_space(found.given)
+    x, y, z = (math.hypot(*column) for column in matrix[:, :3].T.tolist())
+    alone = np.column_stack([np.diag([x, y, z]), np.zeros(3)])
+    placed = np.isfinite(matrix).all() and not np.array_equal(matrix, alone)
+    return (x, y, z), Affine.of(matrix) if placed else None, unit
 
 
 def _stamp(among: Hierarchy, part: list[Any]) -> str:
@@ -169,21 +112,33 @@ def _packing(array: "zarr.Array[Any]") -> Packing:
 
 
 def find_array(path: Path | str, level: int | None) -> FoundArray:
-    """The array at ``path``, or that of ``level`` of the image there."""
-    among = hierarchy_at(path)
-    node = _open(path, among, among.inside)
+    """The array at ``path``, or that of ``level`` of the image there; of several images the first, with a note."""
+    among, notes = hierarchy_at(path), list[str]()
+    inside, node = among.inside, _open(path, among, among.inside)
+    while isinstance(node, zarr.Group) and (first := _first_image(path, node))[0]:
+        inside, notes = f"{inside}/{first[0]}".strip("/"), [*notes, first[1]]
+        node = _open(path, among, inside)
     if isinstance(node, zarr.Group):
         image = _resolutions(node, path)
         chosen = image[level or 0].path if (level or 0) < len(image) else None
         if chosen is None:
             raise VolumeError(_no_array(path, node, image, level))
-        array = _open(path, among, f"{among.inside}/{chosen}".strip("/"))
+        array = _open(path, among, f"{inside}/{chosen}".strip("/"))
         if isinstance(array, zarr.Group):
             raise VolumeError(f"'{path}' names a resolution '{chosen}' that is no array: write it again.")
-        return _with_axes(path, among, array, image[level or 0])
+        found = _with_axes(path, among, array, image[level or 0])
+        return replace(found, notes=tuple(notes), labels=labels_of(node.attrs.asdict()))
     if level is not None:
         raise VolumeError(f"'{path}' is one array, without levels: leave out 'level', or name the image.")
     return _with_axes(path, among, node, _resolution_above(path, among))
+
+
+def _first_image(path: Path | str, group: zarr.Group) -> tuple[str, str]:
+    """What ``first_image`` says of a group. VolumeError where its metadata is damaged."""
+    try:
+        return first_image(group.attrs.asdict())
+    except (KeyError, IndexError, TypeError) as error:
+        raise VolumeError(f"The OME metadata of '{path}' is damaged ({error!r}): write it again.") from error
 
 
 def _open(path: Path | str, among: Hierarchy, inside: str) -> "zarr.Array[Any] | zarr.Group":
@@ -232,13 +187,15 @@ def _resolution_above(path: Path | str, among: Hierarchy) -> Resolution | None:
 
 def _with_axes(path: Path | str, among: Hierarchy, array: "zarr.Array[Any]", given: Resolution | None) -> FoundArray:
     """The array with its axes: those of the image, else by their names, else by their number."""
-    axes, scale = (given.axes, given.scale) if given else ((), ())
-    if not axes:
-        axes = tuple(map(Axis, _names(array) or ORDERS.get(array.ndim, "")))
-    scale = scale or (1.0,) * len(axes)
-    if len(axes) != array.ndim or len(scale) != array.ndim:
+    told = given is not None and given.matrix is not None
+    axes = (
+        array_axes(given)
+        if given is not None and told
+        else tuple(map(Axis, _names(array) or ORDERS.get(array.ndim, "")))
+    )
+    if len(axes) != array.ndim:
         raise VolumeError(f"'{path}' has {array.ndim} dimensions and {len(axes)} axes: choose one scalar field of it.")
-    return FoundArray(among, array, axes, scale)
+    return FoundArray(among, array, axes, given if told else None)
 
 
 def _names(array: "zarr.Array[Any]") -> tuple[str, ...]:
@@ -264,7 +221,7 @@ def _pick(path: Path | str, found: FoundArray, place: int, chosen: dict[str, int
 def _check(path: Path | str, found: FoundArray) -> None:
     """Raise VolumeError where the array is no 3-D field, or of an impossible size."""
     array, space = found.array, [axis.name for axis in found.axes if axis.name in SPACE]
-    if space != list(SPACE):
+    if sorted(space) != list(SPACE):
         raise VolumeError(f"'{path}' has the axes {', '.join(space) or 'none'} in space: they must be z, y and x.")
     if array.size > MAX_VOXELS:
         raise VolumeError(f"'{path}' claims a shape {array.shape}, which cannot be: mend its metadata.")
@@ -273,19 +230,26 @@ def _check(path: Path | str, found: FoundArray) -> None:
 
 
 def _slabs(
-    path: Path | str, array: "zarr.Array[Any]", picks: tuple[Any, ...], shape: tuple[int, ...], packing: Packing
+    path: Path | str,
+    array: "zarr.Array[Any]",
+    picks: tuple[tuple[Any, ...], tuple[int, ...]],
+    shape: Shape,
+    packing: Packing,
 ) -> Iterator[np.ndarray]:
-    """The array, a layer of chunks or less at a time."""
-    along = next(n for n, pick in enumerate(picks) if isinstance(pick, slice))
-    layer, deep = shape[1] * shape[2] * array.dtype.itemsize, array.chunks[along]
+    """The array, a layer of chunks or less at a time; ``picks`` are what is read along each axis, and the places of
+    z, y, x among them.
+    """
+    chosen, order = picks
+    layer, deep = shape[1] * shape[2] * array.dtype.itemsize, array.chunks[order[0]]
     step = deep * max(layers_of(layer) // deep, 1) if deep * layer <= MOST else layers_of(layer)
+    turned = np.argsort(np.argsort(order)) if sorted(order) != list(order) else None
     for z in range(0, shape[0], step):
-        place = (*picks[:along], slice(z, z + step), *picks[along + 1 :])
+        place = (*chosen[: order[0]], slice(z, z + step), *chosen[order[0] + 1 :])
         try:
             slab = packing.apply(np.asarray(array[place]))
         except Exception as error:  # of many kinds, from codecs on damage
             raise VolumeError(f"The chunks of '{path}' are damaged ({_line(error)}): copy it again.") from error
-        yield slab
+        yield slab if turned is None else slab.transpose(turned)
 
 
 def _line(error: Exception) -> str:

@@ -185,8 +185,8 @@ def no_axes_match(path: Path) -> None:
     image(path, [FIELD], [SPACE[0], SPACE[1]])
 
 
-def turned(path: Path) -> None:
-    image(path, [FIELD], SPACE[::-1])
+def other_names(path: Path) -> None:
+    image(path, [FIELD[:1]], [dict(SPACE[0], name="depth"), *SPACE[1:]])
 
 
 def large_chunks(path: Path) -> None:
@@ -207,8 +207,8 @@ def huge(path: Path) -> None:
         (bad_chunk, "are damaged"),
         (bad_codec, "cannot be read as Zarr .*nobodys"),
         (bad_metadata, "cannot be read as Zarr"),
-        (no_axes_match, "has 3 dimensions and 2 axes"),
-        (turned, "they must be z, y and x"),
+        (no_axes_match, "a scale of 3 numbers for 2 axes"),
+        (other_names, "they must be z, y and x"),
         (large_chunks, "write it in chunks of 1 GiB or less"),
         (huge, "claims a shape"),
         (lambda path: save(path, FIELD[0]), "has 2 dimensions and 0 axes"),

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
@@ -104,17 +104,25 @@ def open_grid(base: Path, name: str, chosen: dict[str, Any], raw: bool = False) 
 
 
 def _open_placed(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]:
-    named, inside = (name, {}) if "://" in name or (base / name).exists() else split_part(name)
+    named, inside = (name, {}) if (base / name).exists() else split_part(name)
     place = named if "://" in named else base / named
     if isinstance(place, str) or is_zarr(place):
         from isogi_core.files.zarr_volume import open_zarr  # noqa: PLC0415 (loads Zarr, which NRRD does not need)
 
         wanted = {key: str(value) for key, value in {**inside, **chosen}.items()}
+        place = _below(place, wanted.pop("part", ""))
         wrong = next((key for key, value in wanted.items() if key not in ZARR or not value.isdecimal()), None)
         if wrong is not None:
             raise SceneError(f"{wrong} = {wanted[wrong]} chooses nothing in '{named}': give {' or '.join(ZARR)}.")
         return open_zarr(place, **{key: int(value) for key, value in wanted.items()}), name_of(Path(place))
     return open_file(place, {**inside, **chosen}), stem_of(place, inside)
+
+
+def _below(place: Path | str, part: str) -> Path | str:
+    """The place of a ``part`` of a Zarr hierarchy. VolumeError where it leads out of it."""
+    if ".." in PurePath(part).parts or PurePath(part).is_absolute():
+        raise VolumeError(f"'{part}' leads out of '{place}': name an image in it, such as #A/1/0.")
+    return f"{place}/{part}".rstrip("/") if isinstance(place, str) else place / part
 
 
 def stem_of(path: Path, inside: dict[str, str]) -> str:
