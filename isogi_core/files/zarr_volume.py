@@ -34,6 +34,8 @@ MAX_CHUNK = 1 << 30
 ORDERS = {3: "zyx", 4: "czyx", 5: "tczyx"}
 """Assumed names of axes without names, by their number."""
 
+OTHER_NAMES = {"time": "t", "channel": "c"}
+
 CHOSEN = {"t": "time", "c": "channel"}
 """Settings of a scene that choose along axes that are not spatial."""
 
@@ -201,9 +203,13 @@ def _with_axes(path: Path | str, among: Hierarchy, array: "zarr.Array[Any]", giv
 def _names(array: "zarr.Array[Any]") -> tuple[str, ...]:
     """Names of the dimensions, where all are known ones; empty otherwise."""
     given: Any = getattr(array.metadata, "dimension_names", None) or array.attrs.asdict().get("_ARRAY_DIMENSIONS") or ()
-    names = tuple(str(name).lower() for name in given)
+    names = [OTHER_NAMES.get(str(name).lower(), str(name).lower()) for name in given]
+    spatial = [n for n, name in enumerate(names) if name not in CHOSEN]
+    if len(spatial) == 3 and not any(names[n] in SPACE for n in spatial):  # such as depth, latitude and longitude
+        for n, name in zip(spatial, SPACE[::-1], strict=True):
+            names[n] = name
     known = set(names) <= {*SPACE, *CHOSEN} and len(set(names)) == len(names)
-    return names if known else ()
+    return tuple(names) if known else ()
 
 
 def _pick(path: Path | str, found: FoundArray, place: int, chosen: dict[str, int | None]) -> int:

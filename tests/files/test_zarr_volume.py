@@ -145,6 +145,14 @@ def test_dimensions_may_have_names_of_their_own(tmp_path: Path) -> None:
     check(open_zarr(tmp_path / "c.zarr"), FIELD)
 
 
+def test_an_array_whose_first_dimension_is_time_is_a_series(tmp_path: Path) -> None:
+    save(tmp_path / "v.zarr", np.stack([FIELD, FIELD + 1]), dimension_names=["time", "depth", "lat", "lon"])
+    first = open_zarr(tmp_path / "v.zarr")
+    check(first, FIELD)
+    assert (first.moment, first.unchosen) == ((0, 2), True)
+    check(open_zarr(tmp_path / "v.zarr", time=1), FIELD + 1)
+
+
 def test_the_stamp_tells_when_anything_was_written(tmp_path: Path) -> None:
     made = save(tmp_path / "v.zarr", FIELD)
     grid = open_zarr(tmp_path / "v.zarr")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import Source, library, moment_of, pick_axes, reading
+from isogi_core.files.formats.source import Source, is_unchosen, library, moment_of, pick_axes, reading
 from isogi_core.files.grid import Affine, Grid, layers_of
 from isogi_core.files.packing import ATTRIBUTES, Packing, climate_packing
 
@@ -27,13 +27,27 @@ def open_hdf5(source: Source) -> Grid:
     with reading(source.name, "HDF5"), _dataset(source) as data:
         if data.dtype.kind not in "biufc":
             raise VolumeError(f"'{source.name}#{data.name}' holds {data.dtype} values: choose a dataset of numbers.")
-        picked, shape = pick_axes(source, data.shape), tuple(int(n) for n in data.shape[-3:])
+        in_time = data.ndim > 3 and _is_time(data.dims[0])
+        picked, shape = pick_axes(source, data.shape, in_time), tuple(int(n) for n in data.shape[-3:])
         source.check(shape)
         moment = moment_of(source, data.shape[:-3], picked)
+        unchosen = is_unchosen(source, data.shape, in_time)
         packing = climate_packing(_climate(data), data.dtype, data.fillvalue)
         spacing, affine, unit, notes = _place(data, shape)
     slabs, notes = partial(_slabs, source, picked, packing), (*packing.notes, *notes)
-    return Grid(shape, packing.dtype, spacing, slabs, source.stamp, affine, unit, notes, moment)
+    return Grid(shape, packing.dtype, spacing, slabs, source.stamp, affine, unit, notes, moment, unchosen)
+
+
+def _is_time(axis: Any) -> bool:
+    """Whether a dimension is time, by its name, or by its coordinates' unit, such as days since 1970-01-01."""
+    units = [_text(scale.attrs.get("units", "")) for scale in axis.values()]
+    return any(name.lower() in ("time", "t") for name in (axis.label, *axis.keys())) or any(
+        " since " in u for u in units
+    )
+
+
+def _text(value: Any) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
 @contextmanager
@@ -97,7 +111,6 @@ def _place(data: Any, shape: tuple[int, ...]) -> Place:
 def _coordinates(data: Any, axis: int) -> tuple[np.ndarray, str] | None:
     """The coordinates along an axis, and their unit; None where the file gives none."""
     for scale in data.dims[axis].values():
-        unit = scale.attrs.get("units", "")
         if scale.shape == (data.shape[axis],) and scale.dtype.kind in "iuf":
-            return np.asarray(scale[()], np.float64), unit.decode() if isinstance(unit, bytes) else str(unit)
+            return np.asarray(scale[()], np.float64), _text(scale.attrs.get("units", ""))
     return None

@@ -190,14 +190,23 @@ def moment_of(source: Source, extra: Shape, picked: Sequence[int]) -> tuple[int,
     return ALONE if not extra or (len(extra) == 1 and "channel" in source.chosen) else (picked[0], int(extra[0]))
 
 
-def pick_axes(source: Source, shape: Shape) -> tuple[int, ...]:
+def is_unchosen(source: Source, shape: Shape, in_time: bool) -> bool:
+    """Whether the first step is shown of an array whose first axis is said to be ``in_time``, as nobody chose one."""
+    return in_time and len(shape) > 3 and shape[0] > 1 and source.count("time") is None
+
+
+def pick_axes(source: Source, shape: Shape, in_time: bool = False) -> tuple[int, ...]:
     """Which elements are chosen along the axes before the last three of an array: time and then channel, of two.
 
-    An only one is chosen by either key. Raises VolumeError where there are more.
+    An only one is chosen by either key, unless the first is said to be ``in_time``: then its first step is taken where
+    none is chosen. Raises VolumeError where there are more.
     """
     extra = shape[:-3]
     if len(extra) > 2:
         raise VolumeError(f"'{source.name}' has {len(shape)} dimensions: save one scalar field of it.")
+    if in_time and extra:
+        rest = [pick(source, "channel", n, "elements of channel") for n in extra[1:]]
+        return (pick_step(source, extra[0])[0], *rest)
     if len(extra) == 1:
         return (pick(source, "channel" if "channel" in source.chosen else "time", extra[0], "fields"),)
     return tuple(pick(source, key, n, f"elements of {key}") for key, n in zip(("time", "channel"), extra, strict=False))

@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,15 +11,15 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import COLOURS, Source, library, luminance, pick, reading
-from isogi_core.files.grid import Grid, Shape
+from isogi_core.files.formats.source import COLOURS, Source, library, luminance, pick, pick_step, reading
+from isogi_core.files.grid import ALONE, Grid, Shape
 from isogi_core.files.packing import Packing, holed
 from isogi_core.files.zarr_location import stamp_of
 
 SUFFIXES = (".tif", ".tiff")
 UNITS = {"micron": "µm", "um": "µm", "\\u00B5m": "µm", "µm": "µm", "nm": "nm", "mm": "mm", "cm": "cm", "pixel": ""}
 PLANE, COLOUR = "YX", "S"
-TIMES, CHANNELS = "TR", "CL"
+TIME, REPEATS, CHANNELS = "T", "R", "CL"
 """Letters of axes along which a field is chosen; other ones before y and x are z."""
 
 
@@ -34,16 +35,17 @@ def open_tiff(source: Source) -> Grid:
     with reading(source.name, "TIFF"), source.open() as file, tifffile.TiffFile(file, name=source.name) as whole:
         series = _series(source, whole)
         axes, shape, dtype = series.axes, tuple(int(n) for n in series.shape), series.dtype
-        pages, deep = _pages(source, axes, shape)
+        pages, moment = _pages(source, axes, shape)
         coloured = axes.endswith(COLOUR)
         ny, nx = shape[-3:-1] if coloured else shape[-2:]
         _check_page(source, series, coloured)
-        source.check((deep, ny, nx))
+        source.check((len(pages), ny, nx))
         spacing, unit = _spacing(whole)
         packing = _packing(series.keyframe, dtype, coloured)
     slabs = partial(_slabs, source, pages, (ny, nx), packing)
     notes = (COLOURS,) if coloured else packing.notes
-    return Grid((deep, ny, nx), packing.dtype, spacing, slabs, source.stamp, unit=unit, notes=notes)
+    grid = Grid((len(pages), ny, nx), packing.dtype, spacing, slabs, source.stamp, unit=unit, notes=notes)
+    return replace(grid, moment=moment, unchosen=moment != ALONE and source.count("time") is None)
 
 
 NO_DATA = 42113
@@ -81,22 +83,29 @@ def _is_stack(series: Any) -> bool:
     return len(kinds) == 1 and series[0].axes in (PLANE, PLANE + COLOUR)
 
 
-def _pages(source: Source, axes: str, shape: Shape) -> tuple[list[int], int]:
-    """Numbers of the planes that make up the field that is chosen, in its order along z."""
+def _pages(source: Source, axes: str, shape: Shape) -> tuple[list[int], tuple[int, int]]:
+    """Numbers of the planes that make up the field that is chosen, in its order along z, and its moment."""
     inner = PLANE + COLOUR if axes.endswith(COLOUR) else PLANE
     if not axes.endswith(inner) or (inner == PLANE and len(axes) < 3):
         raise VolumeError(f"'{source.name}' has the axes {axes}: save a stack of planes.")
     outer = list(zip(axes.removesuffix(inner), shape, strict=False))
     alone = sum(length > 1 for _, length in outer) == 1  # a stack without z: planes are one upon the other
-    picks: list[Any] = []
-    for axis, length in outer:
-        key = None if alone and length > 1 else "time" if axis in TIMES else "channel" if axis in CHANNELS else None
-        picks.append(slice(None) if key is None else pick(source, key, length, f"elements of {key}"))
+    picks: list[Any] = [_pick(source, axis, length, alone) for axis, length in outer]
+    times = [(step, n) for (axis, n), step in zip(outer, picks, strict=True) if axis == TIME and n > 1 and not alone]
     numbers = np.arange(int(np.prod([n for _, n in outer]))).reshape([n for _, n in outer])[tuple(picks)]
     if numbers.ndim > 1 and sum(n > 1 for n in numbers.shape) > 1:
         raise VolumeError(f"'{source.name}' has the axes {axes}: save one scalar field of it.")
-    pages = [int(number) for number in numbers.ravel()]
-    return pages, len(pages)
+    return [int(number) for number in numbers.ravel()], (times or [ALONE])[0]
+
+
+def _pick(source: Source, axis: str, length: int, alone: bool) -> Any:
+    """What is taken along an axis: all where it is z, or ``alone``, else the element that is chosen."""
+    if alone and length > 1:
+        return slice(None)
+    if axis == TIME:
+        return pick_step(source, length)[0]
+    key = "time" if axis in REPEATS else "channel" if axis in CHANNELS else None
+    return slice(None) if key is None else pick(source, key, length, f"elements of {key}")
 
 
 def _check_page(source: Source, series: Any, coloured: bool) -> None:

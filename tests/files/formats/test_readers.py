@@ -215,9 +215,12 @@ def test_ome_tiff_says_spacing_channels_and_times(tmp_path: Path) -> None:
     about = {"axes": "TCZYX", "PhysicalSizeX": 0.1, "PhysicalSizeY": 0.1, "PhysicalSizeZ": 0.3}
     fields = np.arange(6, dtype=np.int16).reshape(2, 3, 1, 1, 1) + F
     tifffile.imwrite(tmp_path / "f.ome.tif", fields, metadata=about, photometric="minisblack")
-    with pytest.raises(VolumeError, match="2 elements of time"):
+    with pytest.raises(VolumeError, match="3 elements of channel"):
         opened(tmp_path / "f.ome.tif")
+    first = check(tmp_path / "f.ome.tif", fields[0, 1], channel=1)
+    assert (first.moment, first.unchosen) == ((0, 2), True)
     grid = check(tmp_path / "f.ome.tif", fields[1, 2], time=1, channel=2)
+    assert (grid.moment, grid.unchosen) == ((1, 2), False)
     assert (grid.spacing, grid.unit) == ((0.1, 0.1, 0.3), "µm")
 
 
@@ -372,3 +375,17 @@ def test_pixels_of_a_tiff_without_data_are_holes(tmp_path: Path, folder: bool) -
     grid = opened(tmp_path if folder else tmp_path / "f.tif")
     np.testing.assert_array_equal(grid.whole(), np.where(F == 0, np.nan, F))
     assert grid.notes == ("Holes are -9999 (no data).",)
+
+
+@pytest.mark.parametrize("how", ["name", "unit"])
+def test_netcdf_says_which_axis_is_time(tmp_path: Path, how: str) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "f.nc", "w") as file:
+        data = file.create_dataset("v", data=np.stack([F, F + 1]))
+        file["steps"] = np.arange(2.0)
+        file["steps"].attrs["units"] = "1" if how == "name" else "days since 2000-01-01"
+        file["steps"].make_scale("time" if how == "name" else "step")
+        data.dims[0].attach_scale(file["steps"])
+    grid = check(tmp_path / "f.nc", F)
+    assert (grid.moment, grid.unchosen) == ((0, 2), True)
+    assert not check(tmp_path / "f.nc", F + 1, time=1).unchosen
