@@ -1,8 +1,10 @@
 """HDF5 and NetCDF-4, read by h5py: one dataset, chosen by its path in the file."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +29,8 @@ def open_hdf5(source: Source) -> Grid:
     with reading(source.name, "HDF5"), _dataset(source) as data:
         if data.dtype.kind not in "biufc":
             raise VolumeError(f"'{source.name}#{data.name}' holds {data.dtype} values: choose a dataset of numbers.")
+        others = _sources(source, data)
+        _check_filters(source, data)
         in_time = data.ndim > 3 and _is_time(data.dims[0])
         picked, shape = pick_axes(source, data.shape, in_time), tuple(int(n) for n in data.shape[-3:])
         source.check(shape)
@@ -35,7 +39,42 @@ def open_hdf5(source: Source) -> Grid:
         packing = climate_packing(_climate(data), data.dtype, data.fillvalue)
         spacing, affine, unit, notes = _place(data, shape)
     slabs, notes = partial(_slabs, source, picked, packing), (*packing.notes, *notes)
-    return Grid(shape, packing.dtype, spacing, slabs, source.stamp, affine, unit, notes, moment, unchosen)
+    stamp = partial(source.stamp, *others)
+    return Grid(shape, packing.dtype, spacing, slabs, stamp, affine, unit, notes, moment, unchosen)
+
+
+FILTERS = {
+    **{307: "bzip2", 32001: "Blosc", 32004: "LZ4", 32008: "Bitshuffle", 32013: "ZFP", 32015: "Zstandard"},
+    **{32017: "SZ", 32018: "FCIDECOMP", 32023: "Sperr", 32024: "SZ3", 32026: "Blosc2"},
+}
+"""Names of filters that h5py does not have, by their registered numbers; hdf5plugin has all of them."""
+
+
+def _check_filters(source: Source, data: Any) -> None:
+    """Raise VolumeError where a filter that packs the dataset is not installed."""
+    h5z = library("h5py", "HDF5").h5z
+    packed = data.id.get_create_plist()
+    numbers = [packed.get_filter(n)[0] for n in range(packed.get_nfilters())]
+    if not all(map(h5z.filter_avail, numbers)):
+        with suppress(ImportError):
+            import_module("hdf5plugin")
+    lacking = [FILTERS.get(number, f"filter {number}") for number in numbers if not h5z.filter_avail(number)]
+    if lacking:
+        needed = f"The voxels of '{source.name}#{data.name.strip('/')}' are packed by {' and '.join(lacking)}"
+        raise VolumeError(f"{needed}, which is not installed: pip install hdf5plugin.")
+
+
+def _sources(source: Source, data: Any) -> list[Path]:
+    """The other files that hold voxels of a dataset. VolumeError where one is missing: HDF5 would fill its part."""
+    names = {each.file_name for each in data.virtual_sources()} - {"."} if data.is_virtual else set()
+    names |= {str(name) for name, _, _ in data.external or ()}
+    if names and source.path is None:
+        raise VolumeError(f"'{source.name}' is made of other files: save its voxels in it.")
+    files = [source.path.parent / name for name in sorted(names) if source.path is not None]
+    missing = next((path.name for path in files if not path.is_file()), None)
+    if missing is not None:
+        raise VolumeError(f"'{source.name}' is made of other files, and '{missing}' is not beside it: put it there.")
+    return files
 
 
 def _is_time(axis: Any) -> bool:
@@ -54,7 +93,7 @@ def _text(value: Any) -> str:
 def _dataset(source: Source) -> Iterator[Any]:
     """The dataset that is chosen, the only one of three dimensions or more by default."""
     h5py = library("h5py", "HDF5")
-    with source.open() as file, h5py.File(file, "r") as whole:
+    with source.open() as file, h5py.File(source.path or file, "r", locking=False) as whole:
         part = source.chosen.get("part")
         found = whole.get(part) if part else None
         if isinstance(found, h5py.Dataset) and found.ndim >= 3:

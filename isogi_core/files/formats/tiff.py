@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,12 +13,15 @@ import numpy as np
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import COLOURS, Source, library, luminance, pick, pick_step, reading
 from isogi_core.files.grid import ALONE, Grid, Shape
-from isogi_core.files.packing import Packing, holed
+from isogi_core.files.packing import Packing, Scaling, holed
 from isogi_core.files.zarr_location import stamp_of
 
 SUFFIXES = (".tif", ".tiff")
 UNITS = {"micron": "µm", "um": "µm", "\\u00B5m": "µm", "µm": "µm", "nm": "nm", "mm": "mm", "cm": "cm", "pixel": ""}
 PLANE, COLOUR = "YX", "S"
+COLOURED = (PLANE + COLOUR, COLOUR + PLANE)
+"""Axes of pages of colours: each voxel's together, or plane by plane."""
+
 TIME, REPEATS, CHANNELS = "T", "R", "CL"
 """Letters of axes along which a field is chosen; other ones before y and x are z."""
 
@@ -36,17 +39,31 @@ def open_tiff(source: Source) -> Grid:
         series = _series(source, whole)
         axes, shape, dtype = series.axes, tuple(int(n) for n in series.shape), series.dtype
         pages, moment = _pages(source, axes, shape)
-        coloured = axes.endswith(COLOUR)
-        ny, nx = shape[-3:-1] if coloured else shape[-2:]
+        coloured, (ny, nx) = COLOUR in axes, (shape[axes.rindex(axis)] for axis in PLANE)
         _check_page(source, series, coloured)
         source.check((len(pages), ny, nx))
         spacing, unit = _spacing(whole)
-        packing = _packing(series.keyframe, dtype, coloured)
+        packing = _calibrated(_packing(series.keyframe, dtype, coloured), whole.imagej_metadata or {})
     slabs = partial(_slabs, source, pages, (ny, nx), packing)
     notes = (COLOURS,) if coloured else packing.notes
     grid = Grid((len(pages), ny, nx), packing.dtype, spacing, slabs, source.stamp, unit=unit, notes=notes)
     return replace(grid, moment=moment, unchosen=moment != ALONE and source.count("time") is None)
 
+
+def _calibrated(packing: Packing, about: Mapping[str, Any]) -> Packing:
+    """The packing with ImageJ's calibration of values, where that is a straight line; a note where it is another."""
+    kind, (offset, slope) = about.get("cf"), (about.get(name) for name in ("c0", "c1"))
+    if kind is None or int(kind) in UNCALIBRATED:
+        return packing
+    if int(kind) != STRAIGHT or offset is None or slope is None:
+        return replace(packing, notes=(*packing.notes, "ImageJ's calibration of values is no straight line: left out."))
+    scaling = Scaling(float(slope), float(offset))
+    notes = () if scaling.trivial else (f"Values are {slope:g} · stored + {offset:g}, ImageJ's calibration.",)
+    return replace(packing, scaling=scaling, notes=(*packing.notes, *notes))
+
+
+STRAIGHT, UNCALIBRATED = 0, (20, 21)
+"""ImageJ's numbers of calibration functions. Source: ij.measure.Calibration."""
 
 NO_DATA = 42113
 """The tag in which geographers' files name the value of pixels without data, as text. Source: GDAL's GeoTIFF driver."""
@@ -85,7 +102,7 @@ def _is_stack(series: Any) -> bool:
 
 def _pages(source: Source, axes: str, shape: Shape) -> tuple[list[int], tuple[int, int]]:
     """Numbers of the planes that make up the field that is chosen, in its order along z, and its moment."""
-    inner = PLANE + COLOUR if axes.endswith(COLOUR) else PLANE
+    inner = next((each for each in COLOURED if axes.endswith(each)), PLANE)
     if not axes.endswith(inner) or (inner == PLANE and len(axes) < 3):
         raise VolumeError(f"'{source.name}' has the axes {axes}: save a stack of planes.")
     outer = list(zip(axes.removesuffix(inner), shape, strict=False))
@@ -113,6 +130,8 @@ def _check_page(source: Source, series: Any, coloured: bool) -> None:
     page = series.keyframe
     if int(page.photometric) == 3:
         raise VolumeError(f"'{source.name}' holds colours of a palette: save its values.")
+    if coloured and page.axes not in COLOURED:
+        raise VolumeError(f"'{source.name}' holds pages of {page.axes}: save a plane a page.")
     planes = 3 if coloured else 2
     if len([n for n in page.shape if n > 1]) > planes:
         raise VolumeError(f"'{source.name}' holds pages of {page.axes}: save a plane a page.")
@@ -129,7 +148,7 @@ def _slabs(source: Source, pages: list[int], plane: Shape, packing: Packing) -> 
 
 def _plane(source: Source, whole: Any, series: Any, number: int, plane: Shape) -> np.ndarray:
     """One plane of a series: of its own page, or of one whose voxels hold the planes of all."""
-    coloured = series.axes.endswith(COLOUR)
+    coloured = COLOUR in series.axes
     if len(series.pages) == 1 and series.dataoffset is not None and number >= 0:
         count = int(np.prod(plane)) * (series.shape[-1] if coloured else 1)
         order = np.dtype(series.dtype).newbyteorder(whole.byteorder)
@@ -143,6 +162,7 @@ def _plane(source: Source, whole: Any, series: Any, number: int, plane: Shape) -
         if page is None:
             raise VolumeError(f"Plane {number} of '{source.name}' is missing: write it again.")
         values = page.asarray()
+        values = np.moveaxis(values, 0, -1) if page.axes == COLOUR + PLANE else values
     return luminance(values) if coloured else values.reshape(plane)
 
 
