@@ -81,6 +81,7 @@ class Grid:
     of lengths, empty where unknown. ``notes`` are sentences on what was done to make this field of the source. It is
     the ``moment`` of a series in time: which step it is, and of how many; ``unchosen`` where it is the first because
     nobody chose one. ``labels`` are named ones of a segmentation, None where the file does not say that it is one.
+    ``read_as`` says in a line what the source was taken for, see the function of that name.
     """
 
     shape: Shape
@@ -94,6 +95,7 @@ class Grid:
     moment: tuple[int, int] = ALONE
     unchosen: bool = False
     labels: tuple[LabelName, ...] | None = None
+    read_as: str = ""
 
     @classmethod
     def of(cls, array: np.ndarray, spacing: Sequence[float] = (1.0, 1.0, 1.0)) -> "Grid":
@@ -121,6 +123,16 @@ class Grid:
             array[z : z + len(slab)] = slab
             z += len(slab)
         return array
+
+
+def read_as(kind: str, stored: np.dtype[Any], placed: str = "", slope: float = 1.0, intercept: float = 0.0) -> str:
+    """What a source was taken for: its ``kind``, the type of ``stored`` numbers, how these become values, and what in
+    it says where voxels lie, ``placed``, empty where nothing does.
+    """
+    order = ", big-endian" if stored.byteorder == ">" and stored.itemsize > 1 else ""
+    values = "" if (slope, intercept) == (1.0, 0.0) else f", values {slope:g} · stored {intercept:+g}"
+    lies = f"placed by {placed}" if placed else "it does not say where it lies"
+    return f"{kind} of {stored.name}{order}{values}; {lies}"
 
 
 def layers_of(layer_bytes: int) -> int:

@@ -17,7 +17,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, luminance
-from isogi_core.files.grid import Grid, Vector, layers_of
+from isogi_core.files.grid import Grid, Vector, layers_of, read_as
 from isogi_core.files.nrrd_header import (
     TEXT,
     Header,
@@ -27,6 +27,7 @@ from isogi_core.files.nrrd_header import (
     labels_of,
     layout_of,
     number_type,
+    placed_by,
     read_header,
     spacing_of,
     unit_of,
@@ -88,6 +89,7 @@ def _open(source: Source) -> Grid:
         layout.moment,
         layout.unchosen,
         labels_of(header, layout.number or 0),
+        read_as("NRRD", dtype, placed_by(header)),
     )
 
 

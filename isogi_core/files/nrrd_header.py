@@ -260,6 +260,18 @@ def affine_of(header: Header, layout: Layout) -> Affine | None:
     return Affine.of(np.column_stack([rows[list(layout.axes)].T, known]) * np.array(signs)[:, None], letters)
 
 
+def placed_by(header: Header) -> str:
+    """What in a header says where voxels lie, or how far apart; empty where nothing does."""
+    space = f" in {header['space']}" if "space" in header else ""
+    return (
+        f"its space directions{space}"
+        if "space directions" in header
+        else "its spacings"
+        if "spacings" in header
+        else ""
+    )
+
+
 def unit_of(header: Header) -> str:
     """The unit of lengths; empty where axes have several or none."""
     units = {str(unit).strip('"') for unit in header.get("space units", ())}

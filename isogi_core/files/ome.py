@@ -68,14 +68,8 @@ def resolutions_of(attributes: Mapping[str, Any], name: str) -> list[Resolution]
     try:
         image = images[0]
         return [_resolution(image, each) for each in image["datasets"]]
-    except NotAffineError as error:
-        raise VolumeError(f"'{name}' {error}: choose an array in it, such as '{name}/0'.") from error
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise VolumeError(f"The OME metadata of '{name}' is damaged ({error!r}): write it again.") from error
-
-
-class NotAffineError(Exception):
-    """A transformation that is not affine, or that is kept in an array."""
 
 
 def _resolution(image: Mapping[str, Any], dataset: Mapping[str, Any]) -> Resolution:
@@ -106,6 +100,9 @@ def _axes(given: Any) -> tuple[Axis, ...]:
     )
 
 
+NAMED = "write it with an affine one"
+
+
 def _sequence(steps: Any, n: int) -> np.ndarray:
     """The matrix, (n + 1, n + 1), of transformations one after the other."""
     matrix = np.eye(n + 1)
@@ -122,9 +119,9 @@ def _matrix(step: Mapping[str, Any], n: int) -> np.ndarray:
     if kind == "bijection":
         return _matrix(step["forward"], n)
     if kind not in ("identity", "scale", "translation", "rotation", "affine", "mapAxis"):
-        raise NotAffineError(f"is placed by a transformation '{kind}', which is not read here")
+        raise VolumeError(f"The image is placed by a transformation '{kind}', which is not read here: {NAMED}.")
     if kind != "identity" and kind not in step:
-        raise NotAffineError(f"is placed by a transformation '{kind}' that is not in its metadata")
+        raise VolumeError(f"The image is placed by a transformation '{kind}' that is not in its metadata: {NAMED}.")
     if kind == "mapAxis":
         matrix[:n] = matrix[np.array(step[kind], int)]
     elif kind in ("scale", "translation"):

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from isogi_core.files.grid import read_as
+
 
 @dataclass(frozen=True)
 class Scaling:
@@ -78,6 +80,10 @@ class Packing:
         for gone in self._gone(numbers, values):
             values = np.where(gone, np.float32(np.nan), values)
         return values
+
+    def read_as(self, kind: str, placed: str = "") -> str:
+        """What a source of a ``kind`` was taken for; see ``grid.read_as``."""
+        return read_as(kind, self.stored, placed, self.scaling.slope, self.scaling.intercept)
 
     def _gone(self, numbers: np.ndarray, values: np.ndarray) -> list[np.ndarray]:
         """Where there are holes, for each reason."""

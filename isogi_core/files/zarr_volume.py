@@ -76,8 +76,9 @@ def open_zarr(path: Path | str, level: int | None = None, channel: int | None = 
     times = dict(zip((axis.name for axis in found.axes), array.shape, strict=True)).get("t", 1)
     moment, unchosen = (time or 0, times) if times > 1 else ALONE, time is None and times > 1
     stamp, notes = partial(_stamp, found.among, part), (*found.notes, *packing.notes)
+    kind = ("OME-Zarr", "its transformations") if found.given else ("Zarr", "")
     grid = Grid(shape, packing.dtype, spacing, slabs, stamp, affine, unit, notes)
-    return replace(grid, moment=moment, unchosen=unchosen, labels=found.labels)
+    return replace(grid, moment=moment, unchosen=unchosen, labels=found.labels, read_as=packing.read_as(*kind))
 
 
 def _order(axes: tuple[Axis, ...]) -> tuple[int, ...]:

@@ -8,7 +8,7 @@ from typing import Any
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.nifti import field_slabs, frame_of, image_beside, scaling_of
 from isogi_core.files.formats.source import Source, library, reading
-from isogi_core.files.grid import PATIENT, Affine, Grid
+from isogi_core.files.grid import PATIENT, Affine, Grid, read_as
 
 MGH, MGH_SUFFIXES = b"\0\0\0\1", (".mgh", ".mgz")
 
@@ -34,7 +34,7 @@ def open_mgh(source: Source) -> Grid:
     kind = library("nibabel.freesurfer.mghformat", "MGH").MGHHeader
     with reading(source.name, "MGH"), source.unpacked() as file:
         header = kind(file.read(kind._hdrdtype.itemsize))
-    return _opened(source, source, header, "mm")
+    return _opened(source, source, header, "MGH")
 
 
 def open_analyze(source: Source) -> Grid:
@@ -44,13 +44,13 @@ def open_analyze(source: Source) -> Grid:
         raise VolumeError(f"'{source.name}' is a header whose voxels are in another file: save both as one .nii file.")
     with reading(source.name, "Analyze"), source.unpacked() as file:
         header = kind.from_fileobj(file)
-    grid = _opened(source, replace(source, path=image_beside(source)), header, "")
+    grid = _opened(source, replace(source, path=image_beside(source)), header, "Analyze")
     placed = source.path.with_suffix(".mat").is_file()
     lost = (f"SPM's '{source.path.stem}.mat' beside it is not read: convert both to NIfTI.",) if placed else ()
     return replace(grid, notes=(*grid.notes, NO_SIDES, *lost))
 
 
-def _opened(source: Source, voxels: Source, header: Any, unit: str) -> Grid:
+def _opened(source: Source, voxels: Source, header: Any, kind: str) -> Grid:
     source.refuse_others("time", "channel")
     with reading(source.name, "a volume"):
         shape, dtype = tuple(int(n) for n in header.get_data_shape()), header.get_data_dtype()
@@ -64,5 +64,7 @@ def _opened(source: Source, voxels: Source, header: Any, unit: str) -> Grid:
     others = [voxels.path] if voxels.path is not None and voxels.path != source.path else []
     slabs = partial(field_slabs, voxels, start, (nz, ny, nx), dtype, scaling)
     notes = voxels.cut_notes(first + math.prod(shape) * dtype.itemsize)
-    grid = Grid((nz, ny, nx), scaling.dtype(dtype), (x, y, z), slabs, partial(source.stamp, *others), affine, unit)
-    return replace(grid, notes=notes, moment=(time, times), unchosen=unchosen)
+    grid = Grid((nz, ny, nx), scaling.dtype(dtype), (x, y, z), slabs, partial(source.stamp, *others), affine)
+    known = read_as(kind, dtype, "its header", scaling.slope, scaling.intercept)
+    unit = "mm" if kind == "MGH" else ""
+    return replace(grid, unit=unit, notes=notes, moment=(time, times), unchosen=unchosen, read_as=known)

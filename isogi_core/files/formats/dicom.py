@@ -76,7 +76,11 @@ def open_dicom(source: Source) -> Grid:
     files = sorted({path for path, _ in chosen if path is not None})
     notes = (*notes, *((COLOURS,) if coloured else next(iter(packings)).notes))
     stamp = partial(_stamp, source, files)
-    return Grid(shape, dtype, stack.spacing, layers, stamp, affine, "mm" if stack.measured else "", notes)
+    placed = "its slices' positions" if affine is not None else "its slices' numbers"
+    known = next(iter(packings)).read_as("DICOM", placed)
+    return Grid(
+        shape, dtype, stack.spacing, layers, stamp, affine, "mm" if stack.measured else "", notes, read_as=known
+    )
 
 
 def _stamp(source: Source, files: list[Path]) -> str:

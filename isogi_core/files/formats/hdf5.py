@@ -40,7 +40,9 @@ def open_hdf5(source: Source) -> Grid:
         spacing, affine, unit, notes = _place(data, shape)
     slabs, notes = partial(_slabs, source, picked, packing), (*packing.notes, *notes)
     stamp = partial(source.stamp, *others)
-    return Grid(shape, packing.dtype, spacing, slabs, stamp, affine, unit, notes, moment, unchosen)
+    placed = "the coordinates of its axes" if affine else f"'{MICROMETRES}'" if unit else ""
+    facts = spacing, slabs, stamp, affine, unit, notes, moment, unchosen
+    return Grid(shape, packing.dtype, *facts, read_as=packing.read_as("HDF5", placed))
 
 
 FILTERS = {

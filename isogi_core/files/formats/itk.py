@@ -8,11 +8,13 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick, pick_step, reading
-from isogi_core.files.grid import ALONE, PATIENT, Affine, Grid, layers_of
+from isogi_core.files.grid import ALONE, PATIENT, Affine, Grid, layers_of, read_as
 
 SUFFIXES = (".mha", ".mhd", ".vtk", ".gipl", ".hdr", ".img")
 LPS = np.diag([-1.0, -1.0, 1.0])
 """From a patient's left, posterior, superior, which ITK means, to right, anterior, superior."""
+
+KINDS = {".mha": "MetaImage", ".mhd": "MetaImage", ".vtk": "legacy VTK", ".gipl": "GIPL"}
 
 ANATOMICAL = (".mha", ".mhd", ".gipl")
 
@@ -43,7 +45,10 @@ def open_itk(source: Source) -> Grid:
     slabs = partial(_slabs, source, (time, channel), (nz, ny, nx), dtype.itemsize)
     unit, moment = "mm" if anatomical else "", ALONE if time is None else (time, int(size[3]))
     stamp = partial(source.stamp, *_data_files(source))
-    return Grid((nz, ny, nx), dtype, spacing, slabs, stamp, placed, unit, moment=moment, unchosen=unchosen)
+    known = read_as(f"{KINDS.get(source.path.suffix.lower(), 'an image of ITK')}", dtype, "its directions and origin")
+    return Grid(
+        (nz, ny, nx), dtype, spacing, slabs, stamp, placed, unit, moment=moment, unchosen=unchosen, read_as=known
+    )
 
 
 def _reader(source: Source) -> tuple[Any, tuple[int, ...]]:

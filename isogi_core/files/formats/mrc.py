@@ -8,7 +8,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick, raw_slabs, reading
-from isogi_core.files.grid import Affine, Grid
+from isogi_core.files.grid import Affine, Grid, read_as
 
 HEADER = 1024
 
@@ -36,7 +36,17 @@ def open_mrc(source: Source) -> Grid:
         affine = _affine(header, time * shape[0])
     spacing = tuple(math.hypot(*column) for column in affine.array[:, :3].T)
     slabs = partial(raw_slabs, source, start, shape, dtype)
-    return Grid(shape, dtype, spacing, slabs, source.stamp, affine, "Å", notes)
+    return Grid(
+        shape,
+        dtype,
+        spacing,
+        slabs,
+        source.stamp,
+        affine,
+        "Å",
+        notes,
+        read_as=read_as("MRC", dtype, "its cell and origin"),
+    )
 
 
 def _header(source: Source) -> Any:

@@ -21,7 +21,7 @@ from isogi_core.files.formats.source import (
     raw_slabs,
     reading,
 )
-from isogi_core.files.grid import PATIENT, Affine, Grid, Shape
+from isogi_core.files.grid import PATIENT, Affine, Grid, Shape, read_as
 from isogi_core.files.packing import Scaling
 
 UNITS = {"mm": "mm", "meter": "m", "micron": "µm"}
@@ -60,9 +60,12 @@ def open_nifti(source: Source) -> Grid:
     slabs = partial(field_slabs, voxels, start, (nz, ny, nx), dtype, scaling)
     values = np.dtype(np.float32) if dtype.names else scaling.dtype(dtype)
     grid = Grid((nz, ny, nx), values, spacing, slabs, partial(source.stamp, *others), unit=unit)
+    known = read_as("NIfTI", dtype, _placed_by(header), scaling.slope, scaling.intercept)
     labels = () if int(header["intent_code"]) == LABELS else None
     notes = (*((COLOURS,) if dtype.names else ()), *voxels.cut_notes(end))
-    return _placed(replace(grid, notes=notes, moment=(time, times), unchosen=unchosen, labels=labels), header)
+    return _placed(
+        replace(grid, notes=notes, moment=(time, times), unchosen=unchosen, labels=labels, read_as=known), header
+    )
 
 
 def _header(nib: Any, source: Source) -> Any:
@@ -130,6 +133,11 @@ def field_slabs(
             yield luminance(np.stack([slab[name] for name in dtype.names], axis=-1))
         else:
             yield scaling.apply(slab)
+
+
+def _placed_by(header: Any) -> str:
+    """Which of its two transforms says where a file lies: the sform, where there is one."""
+    return "its sform" if int(header["sform_code"]) else "its qform" if int(header["qform_code"]) else ""
 
 
 def _placed(grid: Grid, header: Any) -> Grid:

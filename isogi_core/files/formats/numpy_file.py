@@ -20,7 +20,7 @@ from isogi_core.files.formats.source import (
     reading,
     skip,
 )
-from isogi_core.files.grid import Grid, Shape, layers_of
+from isogi_core.files.grid import Grid, Shape, layers_of, read_as
 from isogi_core.files.packed_files import read_end
 
 NPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
@@ -42,7 +42,12 @@ def open_numpy(source: Source) -> Grid:
     source.check(field[-3:])
     slabs = partial(_slabs, source, picked, coloured)
     grid = Grid(field[-3:], np.dtype(np.float32) if coloured else dtype, (1.0, 1.0, 1.0), slabs, source.stamp)
-    return replace(grid, notes=(COLOURS,) if coloured else (), moment=moment_of(source, field[:-3], picked))
+    return replace(
+        grid,
+        notes=(COLOURS,) if coloured else (),
+        moment=moment_of(source, field[:-3], picked),
+        read_as=read_as("NumPy", dtype),
+    )
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, raw_slabs
-from isogi_core.files.grid import Grid, Shape
+from isogi_core.files.grid import Grid, Shape, read_as
 
 SUFFIXES = (".raw", ".bin", ".dat", ".data", ".vol")
 PACKED = (".gz", ".bz2")
@@ -48,7 +48,7 @@ def open_raw(source: Source) -> Grid:
     how = f"{sizes} voxels of {dtype.name}{order}, {'as given' if given else 'by its name'}"
     notes = (f"The file has no header: it is read as {how}.", *source.cut_notes(math.prod(shape) * dtype.itemsize))
     slabs = partial(raw_slabs, source, 0, shape, dtype, exact=True)
-    return Grid(shape, dtype, (1.0, 1.0, 1.0), slabs, source.stamp, notes=notes)
+    return Grid(shape, dtype, (1.0, 1.0, 1.0), slabs, source.stamp, notes=notes, read_as=read_as("bare voxels", dtype))
 
 
 def _words(name: str) -> list[str]:

@@ -43,10 +43,12 @@ def open_tiff(source: Source) -> Grid:
         _check_page(source, series, coloured)
         source.check((len(pages), ny, nx))
         spacing, unit = _spacing(whole)
+        kind = "OME-TIFF" if whole.is_ome else "ImageJ's TIFF" if whole.is_imagej else "TIFF"
         packing = _calibrated(_packing(series.keyframe, dtype, coloured), whole.imagej_metadata or {})
     slabs = partial(_slabs, source, pages, (ny, nx), packing)
     notes = (COLOURS,) if coloured else packing.notes
-    grid = Grid((len(pages), ny, nx), packing.dtype, spacing, slabs, source.stamp, unit=unit, notes=notes)
+    known = packing.read_as(kind, f"{kind}'s sizes of voxels" if kind != "TIFF" else "")
+    grid = Grid((len(pages), ny, nx), packing.dtype, spacing, slabs, source.stamp, None, unit, notes, read_as=known)
     return replace(grid, moment=moment, unchosen=moment != ALONE and source.count("time") is None)
 
 
@@ -233,7 +235,15 @@ def open_tiff_folder(source: Source) -> Grid:
     source.check((len(files), ny, nx))
     slabs, stamp = partial(_slices, files, coloured, packing), partial(stamp_of, files)
     notes = (COLOURS,) if coloured else packing.notes
-    return Grid((len(files), ny, nx), packing.dtype, (1.0, 1.0, 1.0), slabs, stamp, notes=notes)
+    return Grid(
+        (len(files), ny, nx),
+        packing.dtype,
+        (1.0, 1.0, 1.0),
+        slabs,
+        stamp,
+        notes=notes,
+        read_as=packing.read_as("slices of TIFF"),
+    )
 
 
 def _check_gaps(source: Source, files: list[Path]) -> None:

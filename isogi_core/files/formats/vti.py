@@ -7,7 +7,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick, reading
-from isogi_core.files.grid import Affine, Grid, layers_of
+from isogi_core.files.grid import Affine, Grid, layers_of, read_as
 
 INSTALL = "'isogi[vtk]'"
 
@@ -32,7 +32,9 @@ def open_vti(source: Source) -> Grid:
     spacing = (float(steps[0]), float(steps[1]), float(steps[2]))
     slabs = partial(_slabs, image, (name, number), layers_of(shape[1] * shape[2] * dtype.itemsize))
     affine = Affine.of(np.column_stack([matrix, origin]))
-    return Grid(shape, dtype, spacing, slabs, source.stamp, affine)
+    return Grid(
+        shape, dtype, spacing, slabs, source.stamp, affine, read_as=read_as("VTI", dtype, "its origin and spacing")
+    )
 
 
 class ImageFile:

@@ -90,7 +90,7 @@ def test_a_pair_of_analyze_is_read_with_its_sides(tmp_path: Path, kind: str, nam
         open_file(tmp_path / "f.hdr", {})
 
 
-def test_slopes_of_analyze_are_applied_and_its_other_file_is_told(tmp_path: Path) -> None:
+def test_slopes_of_analyze_are_applied(tmp_path: Path) -> None:
     image = nib.Spm2AnalyzeImage(F.T / 2.0, np.diag([-1.0, 1.25, 1.5, 1.0]))
     image.set_data_dtype(np.int16)
     nib.save(image, tmp_path / "f.img")

@@ -323,3 +323,30 @@ def test_spaces_of_nrrd_are_one_world(tmp_path: Path, space: str) -> None:
     grid = open_file(tmp_path / "f.nrrd", {})
     assert grid.affine is not None and grid.affine.letters == "RAS"
     np.testing.assert_allclose(grid.affine.array, np.column_stack([turn, place]), atol=1e-12)
+
+
+READ_AS: list[tuple[Write, str]] = [
+    (numpy_file, "NumPy of int16, big-endian; it does not say where it lies"),
+    (nrrd_file, "NRRD of int16, big-endian; it does not say where it lies"),
+    (nifti, "NIfTI of int16, big-endian; placed by its sform"),
+    (mgh, "MGH of int16, big-endian; placed by its header"),
+    (hdf5, "HDF5 of int16, big-endian; it does not say where it lies"),
+    (tiff, "TIFF of int16; it does not say where it lies"),
+    (dicom, "DICOM of int16; placed by its slices' positions"),
+    (raw, "bare voxels of int16, big-endian; it does not say where it lies"),
+]
+
+
+@pytest.mark.parametrize(("write", "words"), READ_AS)
+def test_a_line_says_what_a_file_was_taken_for(tmp_path: Path, write: Write, words: str) -> None:
+    assert load_scene(write(tmp_path, BIG)).volume.orientation.read_as == words
+
+
+def test_the_line_says_how_numbers_become_values(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "f.nc", "w") as file:
+        file.create_dataset("v", data=F.astype(np.int8)).attrs.update(
+            {"_Unsigned": "true", "scale_factor": 0.5, "add_offset": -3.0, "element_size_um": (1.0, 2.0, 3.0)}
+        )
+    scene = load_scene(tmp_path / "f.nc")
+    assert scene.volume.orientation.read_as == "HDF5 of uint8, values 0.5 · stored -3; placed by 'element_size_um'"
