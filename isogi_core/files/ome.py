@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.grid import LabelName
+from isogi_core.files.grid import PATIENT, LabelName
 
 SPACE = ("x", "y", "z")
 
@@ -32,12 +32,22 @@ SHORT = {"meter": "m", "millimeter": "mm", "centimeter": "cm", "micrometer": "µ
 """Signs of units; others are written out."""
 
 
+ORIENTATIONS = {
+    **{"left-to-right": (0, 1.0), "posterior-to-anterior": (1, 1.0), "inferior-to-superior": (2, 1.0)},
+    **{"right-to-left": (0, -1.0), "anterior-to-posterior": (1, -1.0), "superior-to-inferior": (2, -1.0)},
+}
+"""Which axis of a patient's right, anterior, superior an axis lies along, and its sign. Source: NGFF's RFC 4."""
+
+
 @dataclass(frozen=True)
 class Axis:
-    """An axis of an array: its ``name``, such as z or c, and its ``unit``, empty where it has none."""
+    """An axis of an array: its ``name``, such as z or c, its ``unit``, and where it goes ``towards`` in a patient, one
+    of ORIENTATIONS; empty where it does not say.
+    """
 
     name: str
     unit: str = ""
+    towards: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,12 +102,14 @@ def _resolution(image: Mapping[str, Any], dataset: Mapping[str, Any]) -> Resolut
 
 def _axes(given: Any) -> tuple[Axis, ...]:
     """Names and units of axes; before NGFF 0.4 there were names alone."""
-    return tuple(
-        Axis(each.lower())
-        if isinstance(each, str)
-        else Axis(str(each["name"]).lower(), str(each.get("unit") or "").lower().replace("metre", "meter"))
-        for each in given
-    )
+    return tuple(Axis(each.lower()) if isinstance(each, str) else _axis(each) for each in given)
+
+
+def _axis(given: Mapping[str, Any]) -> Axis:
+    towards = given.get("orientation") or ""
+    towards = str(towards.get("value", "")) if isinstance(towards, Mapping) else str(towards)
+    unit = str(given.get("unit") or "").lower().replace("metre", "meter")
+    return Axis(str(given["name"]).lower(), unit, towards if towards in ORIENTATIONS else "")
 
 
 NAMED = "write it with an affine one"
@@ -140,11 +152,25 @@ def array_axes(resolution: Resolution) -> tuple[Axis, ...]:
     return tuple(resolution.axes[n] for n in most) if len(set(most)) == len(most) else resolution.axes
 
 
-def placed_in_space(resolution: Resolution) -> tuple[np.ndarray, str]:
-    """From indices along x, y, z to the world's x, y, z in the unit of x, (3, 4), and the sign of that unit.
+def placed_in_space(resolution: Resolution) -> tuple[np.ndarray, str, str]:
+    """From indices along x, y, z to the world's x, y, z in the unit of x, (3, 4), the sign of that unit, and the
+    letters of a patient's world, where all axes say how they lie in one.
 
     Raises VolumeError where units cannot be compared.
     """
+    matrix, unit = _in_one_unit(resolution)
+    towards = [axis.towards for name in SPACE for axis in resolution.axes if axis.name == name]
+    places = [ORIENTATIONS.get(word, (-1, 0.0)) for word in towards]
+    if sorted(place for place, _ in places) != [0, 1, 2]:
+        return matrix, unit, ""
+    patient = np.empty_like(matrix)
+    for row, (place, sign) in zip(matrix, places, strict=True):
+        patient[place] = sign * row
+    return patient, unit, PATIENT
+
+
+def _in_one_unit(resolution: Resolution) -> tuple[np.ndarray, str]:
+    """The matrix of ``placed_in_space`` and its unit, along the axes of the image's own world."""
     assert resolution.matrix is not None, "there are axes"
     columns, rows = ([axis.name for axis in axes] for axes in (array_axes(resolution), resolution.axes))
     units = [axis.unit for name in SPACE for axis in resolution.axes if axis.name == name]

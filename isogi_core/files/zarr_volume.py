@@ -91,11 +91,11 @@ def _placed(found: FoundArray) -> tuple[Vector, Affine | None, str]:
     """Spacing, affine and unit of an array: the affine where its image says more than the length of each axis."""
     if found.given is None or found.given.matrix is None:
         return (1.0, 1.0, 1.0), None, ""
-    matrix, unit = placed_in_space(found.given)
+    matrix, unit, letters = placed_in_space(found.given)
     x, y, z = (math.hypot(*column) for column in matrix[:, :3].T.tolist())
     alone = np.column_stack([np.diag([x, y, z]), np.zeros(3)])
-    placed = np.isfinite(matrix).all() and not np.array_equal(matrix, alone)
-    return (x, y, z), Affine.of(matrix) if placed else None, unit
+    placed = bool(letters) or not np.array_equal(matrix, alone)
+    return (x, y, z), Affine.of(matrix, letters) if placed and np.isfinite(matrix).all() else None, unit
 
 
 def _stamp(among: Hierarchy, part: list[Any]) -> str:

@@ -1,7 +1,7 @@
 """What commands share: the modules that do their work, the options of views and of work, and how a volume is taken."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import wraps
 from importlib import import_module
 from pathlib import Path
@@ -25,6 +25,7 @@ MODULES = {
     "film": "server.cli.film",
     "publish": "server.cli.publish",
     "inspect": "server.inspect.text",
+    "convert": "server.cli.convert",
     "bench": "server.cli.bench",
     "store": "server.cli.store",
 }
@@ -158,14 +159,20 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
         name, told = "scene" if "scene" in given else "target", {key: given.pop(key) for key in PLACING}
         if "." in (told["environment"] or ""):
             told["environment"] = str(Path(told["environment"]).resolve())
-        for key, value in told.items():
-            if value is not None:
-                target = given[name] or "demo:casting"
-                chosen = "#" in target and not Path(target).exists()
-                given[name] = f"{target}{'&' if chosen else '#'}{key}={quote(value)}"
+        given[name] = placed_target(given[name], told)
         return command(**given)
 
     return placed
+
+
+def placed_target(target: str | None, told: Mapping[str, str | None]) -> str | None:
+    """A command's target with what its options say of the volume after its #; None where nothing is said of none."""
+    for key, value in told.items():
+        if value is not None:
+            target = target or "demo:casting"
+            chosen = "#" in target and not Path(target).exists()
+            target = f"{target}{'&' if chosen else '#'}{key}={quote(value)}"
+    return target
 
 
 AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")

@@ -16,6 +16,7 @@ from server.cli.arguments import (
     DEVELOPED,
     FILM_OPTIONS,
     GRID_OPTIONS,
+    RAW,
     REPORT_OPTIONS,
     VIEW_OPTIONS,
     WORK_OPTIONS,
@@ -24,6 +25,7 @@ from server.cli.arguments import (
     module_of,
     number,
     options,
+    placed_target,
     settings_from,
     show,
     volume_options,
@@ -229,6 +231,17 @@ def remote() -> Any:
 def inspect(target: str, plan: bool, picture: Path | None, as_json: bool) -> None:
     """Say what isogi makes of TARGET, a volume or a scene, in ten lines; with --plan, in full."""
     click.echo(module_of("inspect").inspect(target, picture, as_json, plan))
+
+
+@cli.command()
+@click.argument("target")
+@click.option("--raw", help=RAW)
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="A folder, .ome.zarr.")
+@AS_JSON
+def convert(target: str, raw: str | None, output: Path, as_json: bool) -> None:
+    """Write the volume of TARGET as an OME-Zarr image, with coarser levels: what is slow to open, once for all."""
+    work = module_of("convert")
+    show(work.convert(placed_target(target, {"raw": raw}), output), work.converted, as_json)
 
 
 @cli.command()
