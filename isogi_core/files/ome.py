@@ -185,19 +185,22 @@ def _in_one_unit(resolution: Resolution) -> tuple[np.ndarray, str]:
     return matrix * lengths[:, None], SHORT.get(units[0], units[0])
 
 
-def first_image(attributes: Mapping[str, Any]) -> tuple[str, str]:
+def first_image(attributes: Mapping[str, Any], inside: str = "") -> tuple[str, str]:
     """The path of the first of several images below a group, and a note that says what else there is; else empty.
+    The group is ``inside`` the hierarchy, at this path.
 
     A group is a plate of wells, a well of fields, or what bioformats2raw has made of a file.
     """
     held = ome_of(attributes)
     if "plate" in held:
         wells = [str(each["path"]) for each in held["plate"]["wells"]]
-        return wells[0], f"The plate has {_counted(len(wells), 'well')}: {wells[0]} is shown{_others(wells)}."
+        return wells[0], f"The plate has {_counted(len(wells), 'well')}: {wells[0]} is shown{_others(wells, inside)}."
     if "well" in held:
         fields = [str(each["path"]) for each in held["well"]["images"]]
-        return fields[0], f"The well has {_counted(len(fields), 'field')}: {fields[0]} is shown{_others(fields)}."
-    if "bioformats2raw.layout" in held:
+        return fields[
+            0
+        ], f"The well has {_counted(len(fields), 'field')}: {fields[0]} is shown{_others(fields, inside)}."
+    if "bioformats2raw.layout" in held and "multiscales" not in held:
         return "0", "The file may hold several images: the first is shown, and #1 would choose the second."
     return "", ""
 
@@ -206,8 +209,8 @@ def _counted(count: int, what: str) -> str:
     return f"{count} {what}{'s' if count > 1 else ''}"
 
 
-def _others(paths: list[str]) -> str:
-    return f", and #{paths[1]} chooses another" if len(paths) > 1 else ""
+def _others(paths: list[str], inside: str) -> str:
+    return f", and #{inside}/{paths[1]} chooses another".replace("#/", "#") if len(paths) > 1 else ""
 
 
 def labels_of(attributes: Mapping[str, Any]) -> tuple[LabelName, ...] | None:

@@ -99,7 +99,7 @@ def split_settings(target: str) -> tuple[str, dict[str, str]]:
     return f"{place}#{rest}" if rest else place, told
 
 
-CHOOSING = ("level", "channel", "time", "series", "raw")
+CHOOSING = ("level", "channel", "time", "series", "raw", "region")
 """Settings of a scene that choose a part of its volume's file, or say what it holds."""
 
 FOLLOWED = ("cut", "solid", "inside_out", "spacing", "missing", "axes", "volumes", *CHOOSING)
@@ -199,6 +199,23 @@ class Settings:
         if not isinstance(value, list | tuple) or len(value) != length or not all(map(is_number, value)):
             raise self._wrong(key, f"a list of {length} numbers")
         return tuple(float(v) for v in value)
+
+    def spans(self, key: str, length: int) -> tuple[tuple[int, int], ...] | None:
+        """A list of ``length`` pairs of ascending whole numbers from 0 on, or None."""
+        value = self._get(key)
+        if value is None:
+            return None
+        pairs = (
+            [tuple(each) if isinstance(each, list | tuple) else () for each in value]
+            if isinstance(value, list | tuple)
+            else []
+        )
+        whole = all(len(each) == 2 and all(type(n) is int for n in each) and 0 <= each[0] < each[1] for each in pairs)
+        if len(pairs) != length or not whole:
+            raise self._wrong(
+                key, f"a list of {length} pairs of ascending whole numbers, [[x0, x1], [y0, y1], [z0, z1]]"
+            )
+        return tuple((each[0], each[1]) for each in pairs)
 
     def listed(self, key: str) -> tuple[float, ...]:
         """A number or a list of numbers, as written (integers stay integers); empty where it is left out."""

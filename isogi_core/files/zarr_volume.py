@@ -11,7 +11,7 @@ import numpy as np
 import zarr
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.grid import ALONE, MAX_VOXELS, Affine, Grid, LabelName, Shape, Vector, layers_of
+from isogi_core.files.grid import ALONE, MAX_VOXELS, Affine, Grid, LabelName, Region, Shape, Vector, layers_of
 from isogi_core.files.ome import (
     SPACE,
     Axis,
@@ -44,7 +44,7 @@ CHOSEN = {"t": "time", "c": "channel"}
 class FoundArray:
     """An ``array`` of a hierarchy, with its axes. ``given`` is what its image says of it, None where there is none.
 
-    ``notes`` say why it was chosen; ``labels`` are those of an image of labels.
+    ``notes`` say why it was chosen; ``labels`` are those of an image of labels, and ``levels`` its resolutions.
     """
 
     among: Hierarchy
@@ -53,32 +53,72 @@ class FoundArray:
     given: Resolution | None = None
     notes: tuple[str, ...] = ()
     labels: tuple[LabelName, ...] | None = None
+    levels: int = 1
 
 
-def open_zarr(path: Path | str, level: int | None = None, channel: int | None = None, time: int | None = None) -> Grid:
+def open_zarr(
+    path: Path | str,
+    level: int | None = None,
+    channel: int | None = None,
+    time: int | None = None,
+    region: Region | None = None,
+) -> Grid:
     """Open a Zarr array, or a resolution of an OME-Zarr image, as a grid; only metadata is read now.
 
-    ``path``, a folder or a URL, is the array or the image, or an array inside one (``brain.zarr/2``). ``level`` 0, the
-    default, is the finest resolution; ``channel`` and ``time`` choose along these axes. Spacing is the scale of the
+    ``path``, a folder or a URL, is the array or the image, or an array inside one (``brain.zarr/2``). ``level`` 0 is
+    the finest resolution; the default is the finest that is not too large. ``channel`` and ``time`` choose along these
+    axes, and of a ``region`` no other chunks are read. Spacing is the scale of the
     image, in the unit of x, else 1. Raises VolumeError where there is no such array, where it has other axes of more
     than one element or its codecs are not to be had, and for links that lead out of the folder; the slabs do where
     chunks are damaged.
     """
     found = find_array(path, level)
+    found = _not_too_large(path, found, region) if level is None else found
     array, chosen = found.array, {"c": channel, "t": time}
     picks = [slice(None) if axis.name in SPACE else _pick(path, found, n, chosen) for n, axis in enumerate(found.axes)]
-    _check(path, found)
+    _check(path, found, region)
     packing, order = _packing(array), _order(found.axes)
     shape = tuple(array.shape[n] for n in order)
     slabs = partial(_slabs, path, array, (tuple(picks), order), shape, packing)
-    part = [array.path, *(pick for pick in picks if isinstance(pick, int))]
+    read = [array.path, *(pick for pick in picks if isinstance(pick, int))]
     spacing, affine, unit = _placed(found)
     times = dict(zip((axis.name for axis in found.axes), array.shape, strict=True)).get("t", 1)
     moment, unchosen = (time or 0, times) if times > 1 else ALONE, time is None and times > 1
-    stamp, notes = partial(_stamp, found.among, part), (*found.notes, *packing.notes)
+    stamp, notes = partial(_stamp, found.among, read), (*found.notes, *packing.notes)
     kind = ("OME-Zarr", "its transformations") if found.given else ("Zarr", "")
     grid = Grid(shape, packing.dtype, spacing, slabs, stamp, affine, unit, notes)
-    return replace(grid, moment=moment, unchosen=unchosen, labels=found.labels, read_as=packing.read_as(*kind))
+    grid = replace(grid, moment=moment, unchosen=unchosen, labels=found.labels, read_as=packing.read_as(*kind))
+    if region is None:
+        return grid
+    part = grid.cropped(region)
+    picked = (within(picks, order, region), order)
+    return replace(part, slabs=partial(_slabs, path, array, picked, part.shape, packing))
+
+
+def within(picks: list[Any], order: tuple[int, ...], region: Region) -> tuple[Any, ...]:
+    """What is read along each axis of a ``region``."""
+    inside = dict(zip(order, region[::-1], strict=True))
+    return tuple(slice(*inside[n]) if n in inside else pick for n, pick in enumerate(picks))
+
+
+def _not_too_large(path: Path | str, found: FoundArray, region: Region | None) -> FoundArray:
+    """The finest resolution of an image that is not too large, with a note where it is not the finest of all."""
+    level = 0
+    while region is None and level + 1 < found.levels and _voxels(found, None) > MAX_VOXELS:
+        level += 1
+        found = find_array(path, level)
+    if not level:
+        return found
+    finer = f"level = {level - 1} with a region shows a part of a finer one"
+    note = f"Level {level} of 0 to {found.levels - 1} is shown, as finer ones have too many voxels: {finer}."
+    return replace(found, notes=(*found.notes, note))
+
+
+def _voxels(found: FoundArray, region: Region | None) -> int:
+    """Voxels of the field in an array, or of a region of it."""
+    if region is not None:
+        return math.prod(high - low for low, high in region)
+    return math.prod(n for axis, n in zip(found.axes, found.array.shape, strict=True) if axis.name in SPACE)
 
 
 def _order(axes: tuple[Axis, ...]) -> tuple[int, ...]:
@@ -118,7 +158,7 @@ def find_array(path: Path | str, level: int | None) -> FoundArray:
     """The array at ``path``, or that of ``level`` of the image there; of several images the first, with a note."""
     among, notes = hierarchy_at(path), list[str]()
     inside, node = among.inside, _open(path, among, among.inside)
-    while isinstance(node, zarr.Group) and (first := _first_image(path, node))[0]:
+    while isinstance(node, zarr.Group) and (first := _first_image(path, node, inside))[0]:
         inside, notes = f"{inside}/{first[0]}".strip("/"), [*notes, first[1]]
         node = _open(path, among, inside)
     if isinstance(node, zarr.Group):
@@ -130,16 +170,16 @@ def find_array(path: Path | str, level: int | None) -> FoundArray:
         if isinstance(array, zarr.Group):
             raise VolumeError(f"'{path}' names a resolution '{chosen}' that is no array: write it again.")
         found = _with_axes(path, among, array, image[level or 0])
-        return replace(found, notes=tuple(notes), labels=labels_of(node.attrs.asdict()))
+        return replace(found, notes=tuple(notes), labels=labels_of(node.attrs.asdict()), levels=len(image))
     if level is not None:
         raise VolumeError(f"'{path}' is one array, without levels: leave out 'level', or name the image.")
     return _with_axes(path, among, node, _resolution_above(path, among))
 
 
-def _first_image(path: Path | str, group: zarr.Group) -> tuple[str, str]:
+def _first_image(path: Path | str, group: zarr.Group, inside: str) -> tuple[str, str]:
     """What ``first_image`` says of a group. VolumeError where its metadata is damaged."""
     try:
-        return first_image(group.attrs.asdict())
+        return first_image(group.attrs.asdict(), inside)
     except (KeyError, IndexError, TypeError) as error:
         raise VolumeError(f"The OME metadata of '{path}' is damaged ({error!r}): write it again.") from error
 
@@ -225,13 +265,16 @@ def _pick(path: Path | str, found: FoundArray, place: int, chosen: dict[str, int
     return pick or 0
 
 
-def _check(path: Path | str, found: FoundArray) -> None:
+def _check(path: Path | str, found: FoundArray, region: Region | None) -> None:
     """Raise VolumeError where the array is no 3-D field, or of an impossible size."""
     array, space = found.array, [axis.name for axis in found.axes if axis.name in SPACE]
     if sorted(space) != list(SPACE):
         raise VolumeError(f"'{path}' has the axes {', '.join(space) or 'none'} in space: they must be z, y and x.")
-    if array.size > MAX_VOXELS:
-        raise VolumeError(f"'{path}' claims a shape {array.shape}, which cannot be: mend its metadata.")
+    if _voxels(found, region) > MAX_VOXELS:
+        part = "choose a coarser level, or a region in the scene"
+        raise VolumeError(
+            f"'{path}' claims a shape {array.shape}, of which no more than {MAX_VOXELS} voxels can be shown: {part}."
+        )
     if int(np.prod([float(n) for n in array.chunks])) * array.dtype.itemsize > MAX_CHUNK:
         raise VolumeError(f"The chunks of '{path}' have {array.chunks} voxels: write it in chunks of 1 GiB or less.")
 
@@ -247,11 +290,14 @@ def _slabs(
     z, y, x among them.
     """
     chosen, order = picks
+    inside = chosen[order[0]]
+    begin, end = inside.start or 0, (inside.start or 0) + shape[0]
     layer, deep = shape[1] * shape[2] * array.dtype.itemsize, array.chunks[order[0]]
     step = deep * max(layers_of(layer) // deep, 1) if deep * layer <= MOST else layers_of(layer)
     turned = np.argsort(np.argsort(order)) if sorted(order) != list(order) else None
-    for z in range(0, shape[0], step):
-        place = (*chosen[: order[0]], slice(z, z + step), *chosen[order[0] + 1 :])
+    for z in range(begin // deep * deep, end, step):
+        layers = slice(max(z, begin), min(z + step, end))
+        place = (*chosen[: order[0]], layers, *chosen[order[0] + 1 :])
         try:
             slab = packing.apply(np.asarray(array[place]))
         except Exception as error:  # of many kinds, from codecs on damage

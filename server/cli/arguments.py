@@ -10,6 +10,8 @@ from urllib.parse import quote
 
 import click
 
+from server.errors import LibraryError
+
 if TYPE_CHECKING:
     from server.settings import Settings
 
@@ -35,6 +37,14 @@ MODULES = {
 def module_of(command: str) -> Any:
     """The module that does a command's work, loaded now: help is answered without any of them."""
     return import_module(MODULES[command])
+
+
+def remote() -> Any:
+    """The module that has a server prewarm. Raises LibraryError where a library of the client is missing."""
+    try:
+        return module_of("prewarm --server")
+    except ModuleNotFoundError as error:
+        raise LibraryError(f"isogi prewarm --server needs {error.name}: pip install 'isogi[client]'.") from None
 
 
 Command = Callable[..., Any]
@@ -173,6 +183,17 @@ def placed_target(target: str | None, told: Mapping[str, str | None]) -> str | N
             chosen = "#" in target and not Path(target).exists()
             target = f"{target}{'&' if chosen else '#'}{key}={quote(value)}"
     return target
+
+
+def raw_option(command: Command) -> Command:
+    """Decorator: the option of ``volume_options`` that says what bare voxels are, alone."""
+
+    @click.option("--raw", help=RAW)
+    @wraps(command)
+    def placed(raw: str | None, **given: Any) -> Any:
+        return command(**{**given, "target": placed_target(given["target"], {"raw": raw})})
+
+    return placed
 
 
 AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")

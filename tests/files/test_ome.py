@@ -149,7 +149,7 @@ def test_a_plate_shows_the_first_field_of_its_first_well(tmp_path: Path) -> None
     assert scene.volume.value_range[0] == 0.0 and scene.volume.spacing == (1.0, 1.0, 2.0)
     assert scene.volume.orientation.notes == (
         "The plate has 2 wells: A/1 is shown, and #B/2 chooses another.",
-        "The well has 2 fields: 0 is shown, and #1 chooses another.",
+        "The well has 2 fields: 0 is shown, and #A/1/1 chooses another.",
     )
     for part, first in (("A/1/0", 0.0), ("A/1/1", 1.0), ("B/2", 2.0), ("B/2/0", 2.0), ("B/2/0/0", 2.0)):
         assert load_scene(f"{path}#{part}").volume.value_range[0] == first

@@ -39,9 +39,9 @@ def open_mgh(source: Source) -> Grid:
 
 def open_analyze(source: Source) -> Grid:
     """Open the header of a pair as a grid. Raises VolumeError."""
-    kind = library("nibabel", "Analyze").spm2analyze.Spm2AnalyzeHeader
     if source.path is None:
         raise VolumeError(f"'{source.name}' is a header whose voxels are in another file: save both as one .nii file.")
+    kind = library("nibabel", "Analyze").spm2analyze.Spm2AnalyzeHeader
     with reading(source.name, "Analyze"), source.unpacked() as file:
         header = kind.from_fileobj(file)
     grid = _opened(source, replace(source, path=image_beside(source)), header, "Analyze")

@@ -11,7 +11,7 @@ import numpy as np
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.dicom_stack import Slice, stack_of
 from isogi_core.files.formats.source import COLOURS, Source, library, line_of, luminance, pick, reading
-from isogi_core.files.grid import PATIENT, Affine, Grid
+from isogi_core.files.grid import PATIENT, Affine, Grid, read_as
 from isogi_core.files.packing import Packing, Scaling, holed
 from isogi_core.files.zarr_location import stamp_of
 
@@ -74,10 +74,12 @@ def open_dicom(source: Source) -> Grid:
     shape = (len(stack.layers), int(first.Rows), int(first.Columns))
     layers = partial(_layers, source, stack.layers, shape, dtype)
     files = sorted({path for path, _ in chosen if path is not None})
-    notes = (*notes, *((COLOURS,) if coloured else next(iter(packings)).notes))
+    notes = (*notes, *((COLOURS,) if coloured else slices[0].packing.notes))
     stamp = partial(_stamp, source, files)
     placed = "its slices' positions" if affine is not None else "its slices' numbers"
-    known = next(iter(packings)).read_as("DICOM", placed)
+    known = slices[0].packing.read_as("DICOM", placed)
+    if len(packings) > 1:
+        known = read_as("DICOM, each slice of a slope of its own,", slices[0].packing.stored, placed)
     return Grid(
         shape, dtype, stack.spacing, layers, stamp, affine, "mm" if stack.measured else "", notes, read_as=known
     )

@@ -11,7 +11,7 @@ import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.formats.opening import open_file, split_part
-from isogi_core.files.grid import Grid
+from isogi_core.files.grid import Grid, Region
 from isogi_core.files.mappings import OWN, budget
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, is_zarr, name_of
@@ -24,7 +24,7 @@ from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.volumes.labels import PROPOSED, are_labels, find_labels, look_like_labels, solid_of_labels
 from isogi_core.plan.volumes.masks import cut_out, place, read_tables
 
-FORMAT = 1
+FORMAT = 2
 """Version of the copies: increased when the same file gives other voxels."""
 
 NESTED = ("level", "channel", "time", "series")
@@ -76,8 +76,8 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
 def chosen_part(settings: Settings) -> dict[str, Any]:
     """What a scene chooses of its volume's file. Raises SceneError."""
     numbers = {key: value for key in NESTED if (value := settings.count(key, 1 << 20)) is not None}
-    raw = settings.text("raw", "")
-    return {**numbers, "raw": raw} if raw else numbers
+    others = {"raw": settings.text("raw", ""), "region": settings.spans("region", 3)}
+    return {**numbers, **{key: value for key, value in others.items() if value}}
 
 
 FIRST = "The file holds {steps} steps in time: the first is shown, and time = 0 to {last} chooses another."
@@ -88,7 +88,8 @@ def open_series(base: Path, name: str, chosen: dict[str, Any], raw: bool = False
     grid, stem = _open_placed(base, name, chosen)
     steps = grid.moment[1]
     notes = (FIRST.format(steps=steps, last=steps - 1),) if grid.unchosen else ()
-    return replace(grid, affine=None if raw else grid.affine, notes=(*grid.notes, *notes)), stem
+    grid = replace(grid, notes=(*grid.notes, *notes))
+    return grid.raw(chosen.get("region")) if raw else grid, stem
 
 
 def open_grid(base: Path, name: str, chosen: dict[str, Any], raw: bool = False) -> tuple[Grid, str]:
@@ -100,10 +101,12 @@ def open_grid(base: Path, name: str, chosen: dict[str, Any], raw: bool = False) 
     grid, stem = _open_placed(base, name, chosen)
     if grid.unchosen:
         raise VolumeError(f"'{name}' has {grid.moment[1]} time steps: choose one, such as '{name}#time=0'.")
-    return replace(grid, affine=None) if raw else grid, stem
+    return grid.raw(chosen.get("region")) if raw else grid, stem
 
 
 def _open_placed(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]:
+    region: Region | None = chosen.get("region")
+    chosen = {key: value for key, value in chosen.items() if key != "region"}
     named, inside = (name, {}) if (base / name).exists() else split_part(name)
     place = named if "://" in named else base / named
     if isinstance(place, str) or is_zarr(place):
@@ -114,8 +117,10 @@ def _open_placed(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, s
         wrong = next((key for key, value in wanted.items() if key not in ZARR or not value.isdecimal()), None)
         if wrong is not None:
             raise SceneError(f"{wrong} = {wanted[wrong]} chooses nothing in '{named}': give {' or '.join(ZARR)}.")
-        return open_zarr(place, **{key: int(value) for key, value in wanted.items()}), name_of(Path(place))
-    return open_file(place, {**inside, **chosen}), stem_of(place, inside)
+        facts = {key: int(value) for key, value in wanted.items()}
+        return open_zarr(place, region=region, **facts), name_of(Path(place))
+    grid = open_file(place, {**inside, **chosen})
+    return grid.cropped(region) if region else grid, stem_of(place, inside)
 
 
 def _below(place: Path | str, part: str) -> Path | str:
