@@ -180,6 +180,8 @@ def _with_range(packing: Packing, attributes: Mapping[str, Any]) -> Packing:
         return replace(packing, within=(ends[0], ends[1]))
     stored = [as_stored(end, packing.stored) for end in ends]
     low, high = (end if known is None else known for end, known in zip(ends, stored, strict=True))
+    if packing.stored.kind in "iu" and low <= np.iinfo(packing.stored).min and high >= np.iinfo(packing.stored).max:
+        return packing
     return replace(packing, valid=(low, high)) if low <= high else packing
 
 

@@ -205,17 +205,9 @@ class Settings:
         value = self._get(key)
         if value is None:
             return None
-        pairs = (
-            [tuple(each) if isinstance(each, list | tuple) else () for each in value]
-            if isinstance(value, list | tuple)
-            else []
-        )
-        whole = all(len(each) == 2 and all(type(n) is int for n in each) and 0 <= each[0] < each[1] for each in pairs)
-        if len(pairs) != length or not whole:
-            raise self._wrong(
-                key, f"a list of {length} pairs of ascending whole numbers, [[x0, x1], [y0, y1], [z0, z1]]"
-            )
-        return tuple((each[0], each[1]) for each in pairs)
+        if not isinstance(value, list | tuple) or len(value) != length or not all(map(is_span, value)):
+            raise self._wrong(key, f"a list of {length} pairs of ascending whole numbers from 0 on, such as [0, 64]")
+        return tuple((low, high) for low, high in value)
 
     def listed(self, key: str) -> tuple[float, ...]:
         """A number or a list of numbers, as written (integers stay integers); empty where it is left out."""
@@ -281,6 +273,12 @@ class Settings:
         if unknown:
             first = f"The scene '{self.source.name}' sets {unknown[0]}, unknown here"
             raise SceneError(f"{first}: {advice(unknown[0], sorted(self.known))}")
+
+
+def is_span(value: Any) -> bool:
+    """Whether ``value`` is a pair of ascending whole numbers from 0 on."""
+    pair = isinstance(value, list | tuple) and len(value) == 2 and all(type(each) is int for each in value)
+    return pair and 0 <= value[0] < value[1]
 
 
 def is_number(value: Any) -> bool:

@@ -3,7 +3,7 @@
 Voxels are never turned: cameras and lights are, once, where a view is made.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ class Orientation:
     unit: str = ""
     letters: str = ""
     notes: tuple[str, ...] = ()
-    read_as: str = ""
+    read_as: str = field(default="", compare=False)
 
     @classmethod
     def of(cls, grid: Grid) -> "Orientation":

@@ -87,6 +87,7 @@ def test_signed_bytes_that_are_unsigned_are_0_to_253(tmp_path: Path) -> None:
         ({"valid_range": np.array([5, 200], np.int16), "scale_factor": 0.1}, 5, 200),
         ({"valid_range": np.array([5.0, 20.0]), "scale_factor": 0.1}, 50, 200),  # of values, as its type is theirs
         ({"valid_range": np.array([200, 5], np.int16)}, 0, 255),  # no range
+        ({"valid_range": np.array([-32768, 32767], np.int16)}, 0, 255),  # all that there may be
     ],
 )
 def test_a_valid_range_is_of_stored_numbers_or_of_values(facts: dict[str, Any], low: int, high: int) -> None:

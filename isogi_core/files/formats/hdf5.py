@@ -19,6 +19,8 @@ MAGIC = b"\x89HDF\r\n\x1a\n"
 EVEN = 1e-3
 """Largest part of a step by which a coordinate may stray for its axis to be even."""
 
+MINC = "The file is MINC: the scaling of its slices, and where it lies, are not read. Convert it to NIfTI."
+
 MICROMETRES = "element_size_um"
 """The attribute by which microscopists' tools give spacing, z first."""
 
@@ -36,9 +38,10 @@ def open_hdf5(source: Source) -> Grid:
         source.check(shape)
         moment = moment_of(source, data.shape[:-3], picked)
         unchosen = is_unchosen(source, data.shape, in_time)
+        minc = (MINC,) if "minc-2.0" in data.file else ()
         packing = climate_packing(_climate(data), data.dtype, data.fillvalue)
         spacing, affine, unit, notes = _place(data, shape)
-    slabs, notes = partial(_slabs, source, picked, packing), (*packing.notes, *notes)
+    slabs, notes = partial(_slabs, source, picked, packing), (*packing.notes, *minc, *notes)
     stamp = partial(source.stamp, *others)
     placed = "the coordinates of its axes" if affine else f"'{MICROMETRES}'" if unit else ""
     facts = spacing, slabs, stamp, affine, unit, notes, moment, unchosen
