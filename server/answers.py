@@ -115,6 +115,7 @@ def volume_schema(scene: Scene) -> VolumeSchema:
         axes=orientation.axes,
         bounds=volume.world_bounds,
         notes=list(orientation.notes),
+        read_as=orientation.read_as,
         time=volume.moment[0],
         times=volume.moment[1],
     )

@@ -53,8 +53,9 @@ class VolumeSchema(BaseModel):
 
     ``affine`` brings voxel indices to the world, (3, 4), whose lengths have the ``unit``, empty where unknown.
     ``letters`` say where the world's axes point in a patient, and ``axes`` where the voxels' do; empty elsewhere.
-    ``bounds`` are the least and the greatest world x, y, z. ``notes`` tell what was done to the file's field. It is
-    step ``time`` of a series of ``times``, 0 of 1 where it is none.
+    ``bounds`` are the least and the greatest world x, y, z. ``notes`` tell what was done to the file's field,
+    and ``read_as`` what the file was taken for, empty where it is of no file. It is step ``time`` of a series of
+    ``times``, 0 of 1 where it is none.
     """
 
     name: str
@@ -69,6 +70,7 @@ class VolumeSchema(BaseModel):
     axes: str
     bounds: tuple[Triple, Triple]
     notes: list[str]
+    read_as: str = ""
     time: int
     times: int
 

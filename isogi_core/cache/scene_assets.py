@@ -20,7 +20,7 @@ from isogi_core.model.colours import Label, Scale, SurfaceColours
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.orientation import PLAIN, Orientation
 from isogi_core.model.value_survey import begin_digest
-from isogi_core.model.volume import Volume
+from isogi_core.model.volume import BESIDE, Volume
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.backend import one_line
 from isogi_core.storage.store import Store
@@ -151,9 +151,7 @@ def send_assets(scene: Scene, store: Store) -> SceneAssets:
     bits = send_glow_bits(scene.glowing.bits, store) if scene.glowing.bits.size else ""
     if str(source.document.get("volume", DEFAULT_DEMO)).startswith("demo:"):
         return SceneAssets("", tuple(files), colours=colours, glow_bits=bits)
-    facts = {
-        name: value for name, value in vars(volume.counted()).items() if name not in ("voxels", "orientation", "moment")
-    }
+    facts = {name: value for name, value in vars(volume.counted()).items() if name not in BESIDE}
     Asset(store, f"volumes/{volume.digest}").put(volume.voxels, CHUNK, facts)
     return SceneAssets(volume.digest, tuple(files), volume.orientation, colours, bits)
 

@@ -3,12 +3,18 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from isogi_core.errors import VolumeError
+
 Shape = tuple[int, ...]
 Vector = tuple[float, float, float]
+
+MAX_VOXELS = 2**33
+"""Most voxels: more mean a damaged header (32 GiB as float32)."""
 
 SLAB = 1 << 25
 """Approximate bytes of a slab, where the source leaves the choice."""
@@ -47,6 +53,18 @@ def _vector(row: np.ndarray) -> Vector:
     return x, y, z
 
 
+@dataclass(frozen=True)
+class LabelName:
+    """What a segmentation's file says of a label: its ``value``, ``name`` and ``colour``, sRGB ``#rrggbb``.
+
+    Name and colour are empty where it says none.
+    """
+
+    value: int
+    name: str = ""
+    colour: str = ""
+
+
 ALONE = (0, 1)
 """The moment of what is no series in time."""
 
@@ -65,7 +83,8 @@ class Grid:
     show it. ``affine`` says where voxels lie in the world, None where the source says spacing alone; ``unit`` is that
     of lengths, empty where unknown. ``notes`` are sentences on what was done to make this field of the source. It is
     the ``moment`` of a series in time: which step it is, and of how many; ``unchosen`` where it is the first because
-    nobody chose one.
+    nobody chose one. ``labels`` are named ones of a segmentation, None where the file does not say that it is one.
+    ``read_as`` says in a line what the source was taken for, see the function of that name.
     """
 
     shape: Shape
@@ -78,6 +97,8 @@ class Grid:
     notes: tuple[str, ...] = ()
     moment: tuple[int, int] = ALONE
     unchosen: bool = False
+    labels: tuple[LabelName, ...] | None = None
+    read_as: str = ""
 
     @classmethod
     def of(cls, array: np.ndarray, spacing: Sequence[float] = (1.0, 1.0, 1.0)) -> "Grid":
@@ -93,6 +114,31 @@ class Grid:
         """Voxels in all."""
         return math.prod(self.shape)
 
+    def cropped(self, region: "Region") -> "Grid":
+        """The grid of a ``region``, which lies where it lay. VolumeError where the grid does not have it."""
+        check_region(region, self.shape)
+        (x, x_end), (y, y_end), (z, z_end) = region
+        rows = _straight(self.spacing) if self.affine is None else self.affine.array
+        rows[:, 3] += rows[:, :3] @ (float(x), float(y), float(z))
+        words = ", ".join(f"{axis} {low} to {high - 1}" for axis, (low, high) in zip("xyz", region, strict=True))
+        note = f"A region is shown, voxels {words} of {' × '.join(map(str, self.shape[::-1]))}."
+        return replace(
+            self,
+            shape=(z_end - z, y_end - y, x_end - x),
+            slabs=partial(_cropped, self.slabs, region),
+            stamp=partial(_of_region, self.stamp, region),
+            affine=Affine.of(rows, self.affine.letters if self.affine else ""),
+            notes=(*self.notes, note),
+        )
+
+    def raw(self, region: "Region | None") -> "Grid":
+        """The grid without its place in the world; of a ``region``, at its place among the voxels of the whole."""
+        if region is None:
+            return replace(self, affine=None)
+        rows = _straight(self.spacing)
+        rows[:, 3] = rows[:, :3] @ [float(low) for low, _ in region]
+        return replace(self, affine=Affine.of(rows))
+
     def loaded(self) -> "Grid":
         """The same grid with all values in memory."""
         array = self.whole()
@@ -105,6 +151,50 @@ class Grid:
             array[z : z + len(slab)] = slab
             z += len(slab)
         return array
+
+
+Region = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
+"""The first voxels along x, y, z, and those after the last."""
+
+
+def _straight(spacing: Sequence[float]) -> np.ndarray:
+    """From voxel indices to these times the ``spacing``; (3, 4)."""
+    return np.column_stack([np.diag(spacing), np.zeros(3)])
+
+
+def check_region(region: Region, shape: Shape) -> None:
+    """Raise VolumeError where a ``shape`` (z, y, x) does not have a ``region``, or that is no two voxels wide."""
+    for axis, (low, high), n in zip("xyz", region, shape[::-1], strict=True):
+        if not 0 <= low < high - 1 < n:
+            there = f"of 0 to {n}, and at least two voxels"
+            raise VolumeError(f"The region has [{low}, {high}] along {axis}: give first and end {there}.")
+
+
+def _cropped(slabs: Callable[[], Iterator[np.ndarray]], region: Region) -> Iterator[np.ndarray]:
+    """The part of slabs that is in a region; no slab after it is read."""
+    (x, x_end), (y, y_end), (z, z_end) = region
+    at = 0
+    for slab in slabs():
+        part = slab[max(z - at, 0) : max(z_end - at, 0), y:y_end, x:x_end]
+        at += len(slab)
+        if len(part):
+            yield part
+        if at >= z_end:
+            return
+
+
+def _of_region(stamp: Callable[[], str], region: Region) -> str:
+    return f"{stamp()} {region}"
+
+
+def read_as(kind: str, stored: np.dtype[Any], placed: str = "", slope: float = 1.0, intercept: float = 0.0) -> str:
+    """What a source was taken for: its ``kind``, the type of ``stored`` numbers, how these become values, and what in
+    it says where voxels lie, ``placed``, empty where nothing does.
+    """
+    order = ", big-endian" if stored.byteorder == ">" and stored.itemsize > 1 else ""
+    values = "" if (slope, intercept) == (1.0, 0.0) else f", values {slope:g} · stored {intercept:+g}"
+    lies = f"placed by {placed}" if placed else "it does not say where it lies"
+    return f"{kind} of {stored.name}{order}{values}; {lies}"
 
 
 def layers_of(layer_bytes: int) -> int:

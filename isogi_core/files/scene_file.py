@@ -2,7 +2,7 @@
 
 import sys
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -43,7 +43,7 @@ def source_at(text: str, overrides: Mapping[str, Any]) -> SceneSource:
         return SceneSource(text.removeprefix("demo:"), {"volume": text, **overrides}, Path.cwd())
     if "://" in text:
         return SceneSource(name_of(Path(text)), {"volume": text, **overrides}, Path.cwd())
-    whole_name, mark, part = (text, "", "") if Path(text).exists() else text.partition("#")
+    whole_name, mark, part = split_name(text)
     path = Path(whole_name).resolve()
     if path.suffix != ".toml":
         whole = next((each for each in path.parents if each.suffix == ".zarr"), path)
@@ -56,6 +56,14 @@ def source_at(text: str, overrides: Mapping[str, Any]) -> SceneSource:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SceneError(f"The scene {path} is not valid TOML: {error}.") from error
     return SceneSource(path.stem, labels_as_volume({**document, **overrides}, path.stem), path.parent)
+
+
+def split_name(text: str, base: Path = Path()) -> tuple[str, str, str]:
+    """A volume's name, the # after it, and what that chooses; a file of a folder ``base`` may have a # in its name."""
+    name, mark, part = text.rpartition("#")
+    if not mark or not name or "://" in text or (base / text).exists():
+        return text, "", ""
+    return (name, mark, part) if (base / name).exists() else text.partition("#")
 
 
 def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any]:
@@ -75,9 +83,9 @@ def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any
     return {"labels": "all", **rest, "volume": found[0]["file"], **({"volumes": others} if others else {})}
 
 
-LYING = ("axes", "solid", "environment", "cut", *CHANGES)
-"""Settings that may follow the # of a target: how its volume lies, which side of the isovalue is solid, its light, what
-is cut away, and what changes it as views do.
+LYING = ("axes", "solid", "labels", "raw", "environment", "cut", *CHANGES)
+"""Settings that may follow the # of a target: how its volume lies, which side of the isovalue is solid, whether its
+values are labels, its light, what is cut away, and what changes it as views do.
 """
 
 
@@ -91,7 +99,10 @@ def split_settings(target: str) -> tuple[str, dict[str, str]]:
     return f"{place}#{rest}" if rest else place, told
 
 
-FOLLOWED = ("cut", "solid", "inside_out", "spacing", "missing", "axes", "volumes", "level", "channel", "time", "series")
+CHOOSING = ("level", "channel", "time", "series", "raw", "region")
+"""Settings of a scene that choose a part of its volume's file, or say what it holds."""
+
+FOLLOWED = ("cut", "solid", "inside_out", "spacing", "missing", "axes", "volumes", *CHOOSING)
 """Settings of a scene that its volume's voxels already contain."""
 
 
@@ -122,10 +133,10 @@ FORMER: Mapping[str, str] = {
 class Settings:
     """Reads and checks the settings of a scene's document. Methods raise SceneError, which names the setting."""
 
-    def __init__(self, source: SceneSource) -> None:
-        """Begin reading ``source``."""
+    def __init__(self, source: SceneSource, known: Iterable[str] = ()) -> None:
+        """Begin reading ``source``, of which some keys are ``known`` already."""
         self.source = source
-        self.known: set[str] = set()
+        self.known = set(known)
 
     def _get(self, key: str) -> Any:
         self.known.add(key)
@@ -188,6 +199,15 @@ class Settings:
         if not isinstance(value, list | tuple) or len(value) != length or not all(map(is_number, value)):
             raise self._wrong(key, f"a list of {length} numbers")
         return tuple(float(v) for v in value)
+
+    def spans(self, key: str, length: int) -> tuple[tuple[int, int], ...] | None:
+        """A list of ``length`` pairs of ascending whole numbers from 0 on, or None."""
+        value = self._get(key)
+        if value is None:
+            return None
+        if not isinstance(value, list | tuple) or len(value) != length or not all(map(is_span, value)):
+            raise self._wrong(key, f"a list of {length} pairs of ascending whole numbers from 0 on, such as [0, 64]")
+        return tuple((low, high) for low, high in value)
 
     def listed(self, key: str) -> tuple[float, ...]:
         """A number or a list of numbers, as written (integers stay integers); empty where it is left out."""
@@ -253,6 +273,12 @@ class Settings:
         if unknown:
             first = f"The scene '{self.source.name}' sets {unknown[0]}, unknown here"
             raise SceneError(f"{first}: {advice(unknown[0], sorted(self.known))}")
+
+
+def is_span(value: Any) -> bool:
+    """Whether ``value`` is a pair of ascending whole numbers from 0 on."""
+    pair = isinstance(value, list | tuple) and len(value) == 2 and all(type(each) is int for each in value)
+    return pair and 0 <= value[0] < value[1]
 
 
 def is_number(value: Any) -> bool:

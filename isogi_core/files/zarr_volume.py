@@ -1,8 +1,8 @@
 """Zarr volumes: arrays of Zarr v2 and v3, bare or in an OME-Zarr image, read chunk by chunk."""
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePath
 from typing import Any
@@ -11,98 +11,19 @@ import numpy as np
 import zarr
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.grid import ALONE, Grid, layers_of
-from isogi_core.files.nrrd import MAX_VOXELS
+from isogi_core.files.grid import ALONE, MAX_VOXELS, Affine, Grid, LabelName, Region, Shape, Vector, layers_of
+from isogi_core.files.ome import (
+    SPACE,
+    Axis,
+    Resolution,
+    array_axes,
+    first_image,
+    labels_of,
+    placed_in_space,
+    resolutions_of,
+)
+from isogi_core.files.packing import Packing, climate_packing
 from isogi_core.files.zarr_location import Hierarchy, hierarchy_at
-
-SPACE = ("z", "y", "x")
-
-PREFIXES = {
-    **{"yotta": 24, "zetta": 21, "exa": 18, "peta": 15, "tera": 12, "giga": 9, "mega": 6, "kilo": 3, "hecto": 2},
-    **{"deca": 1, "deci": -1, "centi": -2, "milli": -3, "micro": -6, "nano": -9, "pico": -12, "femto": -15},
-    **{"atto": -18, "zepto": -21, "yocto": -24},
-}
-"""Powers of ten by SI prefix."""
-
-METRES = {
-    **{f"{prefix}meter": 10.0**power for prefix, power in PREFIXES.items()},
-    **{"meter": 1.0, "angstrom": 1e-10, "inch": 0.0254, "foot": 0.3048, "yard": 0.9144, "mile": 1609.344},
-    "parsec": 3.0856775814913673e16,
-}
-"""Metres of the units that NGFF names."""
-
-
-@dataclass(frozen=True)
-class Axis:
-    """An axis of an array: its ``name``, such as z or c, and its ``unit``, empty where it has none."""
-
-    name: str
-    unit: str = ""
-
-
-@dataclass(frozen=True)
-class Resolution:
-    """One array of a multiscale image: its ``path`` below the image, its axes, and the step along each."""
-
-    path: str
-    axes: tuple[Axis, ...]
-    scale: tuple[float, ...]
-
-
-def resolutions_of(attributes: Mapping[str, Any], name: str) -> list[Resolution]:
-    """The resolutions of the image whose group has these ``attributes``, finest first; empty where it is no image.
-
-    Raises VolumeError, which names the image by ``name``, where its metadata is damaged.
-    """
-    held = attributes.get("ome", attributes)
-    images = held.get("multiscales") if isinstance(held, Mapping) else None
-    if images is None:
-        return []
-    try:
-        image = images[0]
-        axes = tuple(Axis(*_axis(each)) for each in image["axes"]) if "axes" in image else ()
-        whole = image.get("coordinateTransformations", [])
-        return [_resolution(each, axes, whole) for each in image["datasets"]]
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise VolumeError(f"The OME metadata of '{name}' is damaged ({error!r}): write it again.") from error
-
-
-def spacing_of(axes: tuple[Axis, ...], scale: tuple[float, ...]) -> tuple[float, float, float]:
-    """World units per voxel along x, y, z, all in the unit of x. Raises VolumeError where units cannot be compared."""
-    steps = {axis.name: (step, axis.unit) for axis, step in zip(axes, scale, strict=True)}
-    (x, unit), *_ = spatial = [steps[name] for name in SPACE[::-1]]
-    if len({each for _, each in spatial}) == 1:
-        return x, spatial[1][0], spatial[2][0]
-    unknown = next((each for _, each in spatial if each not in METRES), None)
-    if unknown is not None:
-        raise VolumeError(f"The axes have different units, and '{unknown}' is no known one: set spacing in the scene.")
-    y, z = (step * (METRES[each] / METRES[unit]) for step, each in spatial[1:])
-    return x, y, z
-
-
-def _axis(axis: Any) -> tuple[str, str]:
-    """Name and unit of an axis; before NGFF 0.4 there was a name alone."""
-    if isinstance(axis, str):
-        return axis.lower(), ""
-    return str(axis["name"]).lower(), str(axis.get("unit") or "").lower().replace("metre", "meter")
-
-
-def _resolution(dataset: Mapping[str, Any], axes: tuple[Axis, ...], whole: list[Any]) -> Resolution:
-    """One entry of the image's datasets, scaled by its own and the ``whole`` image's transformations."""
-    scales = [_scale(each) for each in (*dataset.get("coordinateTransformations", []), *whole)]
-    product = [math.prod(steps) for steps in zip(*filter(None, scales), strict=True)]
-    return Resolution(str(dataset["path"]), axes, tuple(product) or (1.0,) * len(axes))
-
-
-def _scale(transformation: Mapping[str, Any]) -> list[float]:
-    """The scale of a transformation; empty for an identity or a translation."""
-    kind = transformation["type"]
-    if kind in ("identity", "translation"):
-        return []
-    if kind != "scale" or "scale" not in transformation:
-        raise ValueError(f"a transformation '{kind}' that is no list of scales")
-    return [float(step) for step in transformation["scale"]]
-
 
 MOST = 1 << 29
 """Most bytes of a layer of chunks that is read at once; chunks of larger layers are read several times."""
@@ -113,60 +34,154 @@ MAX_CHUNK = 1 << 30
 ORDERS = {3: "zyx", 4: "czyx", 5: "tczyx"}
 """Assumed names of axes without names, by their number."""
 
+OTHER_NAMES = {"time": "t", "channel": "c"}
+
 CHOSEN = {"t": "time", "c": "channel"}
 """Settings of a scene that choose along axes that are not spatial."""
 
 
 @dataclass(frozen=True, eq=False)
 class FoundArray:
-    """An ``array`` of a hierarchy, with its axes and the step along each."""
+    """An ``array`` of a hierarchy, with its axes. ``given`` is what its image says of it, None where there is none.
+
+    ``notes`` say why it was chosen; ``labels`` are those of an image of labels, and ``levels`` its resolutions.
+    """
 
     among: Hierarchy
     array: "zarr.Array[Any]"
     axes: tuple[Axis, ...]
-    scale: tuple[float, ...]
+    given: Resolution | None = None
+    notes: tuple[str, ...] = ()
+    labels: tuple[LabelName, ...] | None = None
+    levels: int = 1
 
 
-def open_zarr(path: Path | str, level: int | None = None, channel: int | None = None, time: int | None = None) -> Grid:
+def open_zarr(
+    path: Path | str,
+    level: int | None = None,
+    channel: int | None = None,
+    time: int | None = None,
+    region: Region | None = None,
+) -> Grid:
     """Open a Zarr array, or a resolution of an OME-Zarr image, as a grid; only metadata is read now.
 
-    ``path``, a folder or a URL, is the array or the image, or an array inside one (``brain.zarr/2``). ``level`` 0, the
-    default, is the finest resolution; ``channel`` and ``time`` choose along these axes. Spacing is the scale of the
+    ``path``, a folder or a URL, is the array or the image, or an array inside one (``brain.zarr/2``). ``level`` 0 is
+    the finest resolution; the default is the finest that is not too large. ``channel`` and ``time`` choose along these
+    axes, and of a ``region`` no other chunks are read. Spacing is the scale of the
     image, in the unit of x, else 1. Raises VolumeError where there is no such array, where it has other axes of more
     than one element or its codecs are not to be had, and for links that lead out of the folder; the slabs do where
     chunks are damaged.
     """
     found = find_array(path, level)
+    found = _not_too_large(path, found, region) if level is None else found
     array, chosen = found.array, {"c": channel, "t": time}
     picks = [slice(None) if axis.name in SPACE else _pick(path, found, n, chosen) for n, axis in enumerate(found.axes)]
-    _check(path, found)
-    shape = tuple(n for n, pick in zip(array.shape, picks, strict=True) if isinstance(pick, slice))
-    slabs = partial(_slabs, path, array, tuple(picks), shape)
-    part = [array.path, *(pick for pick in picks if isinstance(pick, int))]
-    spacing = spacing_of(found.axes, found.scale)
+    _check(path, found, region)
+    packing, order = _packing(array), _order(found.axes)
+    shape = tuple(array.shape[n] for n in order)
+    slabs = partial(_slabs, path, array, (tuple(picks), order), shape, packing)
+    read = [array.path, *(pick for pick in picks if isinstance(pick, int))]
+    spacing, affine, unit = _placed(found)
     times = dict(zip((axis.name for axis in found.axes), array.shape, strict=True)).get("t", 1)
     moment, unchosen = (time or 0, times) if times > 1 else ALONE, time is None and times > 1
-    return Grid(
-        *(shape, array.dtype, spacing, slabs, lambda: f"{found.among.stamp()} {part}"), moment=moment, unchosen=unchosen
-    )
+    stamp, notes = partial(_stamp, found.among, read), (*found.notes, *packing.notes)
+    kind = ("OME-Zarr", "its transformations") if found.given else ("Zarr", "")
+    grid = Grid(shape, packing.dtype, spacing, slabs, stamp, affine, unit, notes)
+    grid = replace(grid, moment=moment, unchosen=unchosen, labels=found.labels, read_as=packing.read_as(*kind))
+    if region is None:
+        return grid
+    part = grid.cropped(region)
+    picked = (within(picks, order, region), order)
+    return replace(part, slabs=partial(_slabs, path, array, picked, part.shape, packing))
+
+
+def within(picks: list[Any], order: tuple[int, ...], region: Region) -> tuple[Any, ...]:
+    """What is read along each axis of a ``region``."""
+    inside = dict(zip(order, region[::-1], strict=True))
+    return tuple(slice(*inside[n]) if n in inside else pick for n, pick in enumerate(picks))
+
+
+def _not_too_large(path: Path | str, found: FoundArray, region: Region | None) -> FoundArray:
+    """The finest resolution of an image that is not too large, with a note where it is not the finest of all."""
+    level = 0
+    while region is None and level + 1 < found.levels and _voxels(found, None) > MAX_VOXELS:
+        level += 1
+        found = find_array(path, level)
+    if not level:
+        return found
+    finer = f"level = {level - 1} with a region shows a part of a finer one"
+    note = f"Level {level} of 0 to {found.levels - 1} is shown, as finer ones have too many voxels: {finer}."
+    return replace(found, notes=(*found.notes, note))
+
+
+def _voxels(found: FoundArray, region: Region | None) -> int:
+    """Voxels of the field in an array, or of a region of it."""
+    if region is not None:
+        return math.prod(high - low for low, high in region)
+    return math.prod(n for axis, n in zip(found.axes, found.array.shape, strict=True) if axis.name in SPACE)
+
+
+def _order(axes: tuple[Axis, ...]) -> tuple[int, ...]:
+    """The places of z, y and x among the axes of an array."""
+    names = [axis.name for axis in axes]
+    return tuple(names.index(name) for name in SPACE[::-1])
+
+
+def _placed(found: FoundArray) -> tuple[Vector, Affine | None, str]:
+    """Spacing, affine and unit of an array: the affine where its image says more than the length of each axis."""
+    if found.given is None or found.given.matrix is None:
+        return (1.0, 1.0, 1.0), None, ""
+    matrix, unit, letters = placed_in_space(found.given)
+    x, y, z = (math.hypot(*column) for column in matrix[:, :3].T.tolist())
+    alone = np.column_stack([np.diag([x, y, z]), np.zeros(3)])
+    placed = bool(letters) or not np.array_equal(matrix, alone)
+    return (x, y, z), Affine.of(matrix, letters) if placed and np.isfinite(matrix).all() else None, unit
+
+
+def _stamp(among: Hierarchy, part: list[Any]) -> str:
+    return f"{among.stamp()} {part}"
+
+
+def _packing(array: "zarr.Array[Any]") -> Packing:
+    """The packing of an array, by CF's attributes.
+
+    Xarray writes the mark of holes as the fill value of Zarr's second version; zero is what others fill with.
+    """
+    attributes: dict[str, Any] = array.attrs.asdict()
+    filled = getattr(array.metadata, "fill_value", None) if array.metadata.zarr_format == 2 else None
+    if "_ARRAY_DIMENSIONS" in attributes and filled:
+        attributes = {"_FillValue": filled, **attributes}
+    return climate_packing(attributes, array.dtype)
 
 
 def find_array(path: Path | str, level: int | None) -> FoundArray:
-    """The array at ``path``, or that of ``level`` of the image there."""
-    among = hierarchy_at(path)
-    node = _open(path, among, among.inside)
+    """The array at ``path``, or that of ``level`` of the image there; of several images the first, with a note."""
+    among, notes = hierarchy_at(path), list[str]()
+    inside, node = among.inside, _open(path, among, among.inside)
+    while isinstance(node, zarr.Group) and (first := _first_image(path, node, inside))[0]:
+        inside, notes = f"{inside}/{first[0]}".strip("/"), [*notes, first[1]]
+        node = _open(path, among, inside)
     if isinstance(node, zarr.Group):
         image = _resolutions(node, path)
         chosen = image[level or 0].path if (level or 0) < len(image) else None
         if chosen is None:
             raise VolumeError(_no_array(path, node, image, level))
-        array = _open(path, among, f"{among.inside}/{chosen}".strip("/"))
+        array = _open(path, among, f"{inside}/{chosen}".strip("/"))
         if isinstance(array, zarr.Group):
             raise VolumeError(f"'{path}' names a resolution '{chosen}' that is no array: write it again.")
-        return _with_axes(path, among, array, image[level or 0])
+        found = _with_axes(path, among, array, image[level or 0])
+        return replace(found, notes=tuple(notes), labels=labels_of(node.attrs.asdict()), levels=len(image))
     if level is not None:
         raise VolumeError(f"'{path}' is one array, without levels: leave out 'level', or name the image.")
     return _with_axes(path, among, node, _resolution_above(path, among))
+
+
+def _first_image(path: Path | str, group: zarr.Group, inside: str) -> tuple[str, str]:
+    """What ``first_image`` says of a group. VolumeError where its metadata is damaged."""
+    try:
+        return first_image(group.attrs.asdict(), inside)
+    except (KeyError, IndexError, TypeError) as error:
+        raise VolumeError(f"The OME metadata of '{path}' is damaged ({error!r}): write it again.") from error
 
 
 def _open(path: Path | str, among: Hierarchy, inside: str) -> "zarr.Array[Any] | zarr.Group":
@@ -215,21 +230,27 @@ def _resolution_above(path: Path | str, among: Hierarchy) -> Resolution | None:
 
 def _with_axes(path: Path | str, among: Hierarchy, array: "zarr.Array[Any]", given: Resolution | None) -> FoundArray:
     """The array with its axes: those of the image, else by their names, else by their number."""
-    axes, scale = (given.axes, given.scale) if given else ((), ())
-    if not axes:
-        axes = tuple(map(Axis, _names(array) or ORDERS.get(array.ndim, "")))
-    scale = scale or (1.0,) * len(axes)
-    if len(axes) != array.ndim or len(scale) != array.ndim:
+    told = given is not None and given.matrix is not None
+    axes = (
+        array_axes(given)
+        if given is not None and told
+        else tuple(map(Axis, _names(array) or ORDERS.get(array.ndim, "")))
+    )
+    if len(axes) != array.ndim:
         raise VolumeError(f"'{path}' has {array.ndim} dimensions and {len(axes)} axes: choose one scalar field of it.")
-    return FoundArray(among, array, axes, scale)
+    return FoundArray(among, array, axes, given if told else None)
 
 
 def _names(array: "zarr.Array[Any]") -> tuple[str, ...]:
     """Names of the dimensions, where all are known ones; empty otherwise."""
     given: Any = getattr(array.metadata, "dimension_names", None) or array.attrs.asdict().get("_ARRAY_DIMENSIONS") or ()
-    names = tuple(str(name).lower() for name in given)
+    names = [OTHER_NAMES.get(str(name).lower(), str(name).lower()) for name in given]
+    spatial = [n for n, name in enumerate(names) if name not in CHOSEN]
+    if len(spatial) == 3 and not any(names[n] in SPACE for n in spatial):  # such as depth, latitude and longitude
+        for n, name in zip(spatial, SPACE[::-1], strict=True):
+            names[n] = name
     known = set(names) <= {*SPACE, *CHOSEN} and len(set(names)) == len(names)
-    return names if known else ()
+    return tuple(names) if known else ()
 
 
 def _pick(path: Path | str, found: FoundArray, place: int, chosen: dict[str, int | None]) -> int:
@@ -244,31 +265,44 @@ def _pick(path: Path | str, found: FoundArray, place: int, chosen: dict[str, int
     return pick or 0
 
 
-def _check(path: Path | str, found: FoundArray) -> None:
+def _check(path: Path | str, found: FoundArray, region: Region | None) -> None:
     """Raise VolumeError where the array is no 3-D field, or of an impossible size."""
     array, space = found.array, [axis.name for axis in found.axes if axis.name in SPACE]
-    if space != list(SPACE):
+    if sorted(space) != list(SPACE):
         raise VolumeError(f"'{path}' has the axes {', '.join(space) or 'none'} in space: they must be z, y and x.")
-    if array.size > MAX_VOXELS:
-        raise VolumeError(f"'{path}' claims a shape {array.shape}, which cannot be: mend its metadata.")
+    if _voxels(found, region) > MAX_VOXELS:
+        part = "choose a coarser level, or a region in the scene"
+        raise VolumeError(
+            f"'{path}' claims a shape {array.shape}, of which no more than {MAX_VOXELS} voxels can be shown: {part}."
+        )
     if int(np.prod([float(n) for n in array.chunks])) * array.dtype.itemsize > MAX_CHUNK:
         raise VolumeError(f"The chunks of '{path}' have {array.chunks} voxels: write it in chunks of 1 GiB or less.")
 
 
 def _slabs(
-    path: Path | str, array: "zarr.Array[Any]", picks: tuple[Any, ...], shape: tuple[int, ...]
+    path: Path | str,
+    array: "zarr.Array[Any]",
+    picks: tuple[tuple[Any, ...], tuple[int, ...]],
+    shape: Shape,
+    packing: Packing,
 ) -> Iterator[np.ndarray]:
-    """The array, a layer of chunks or less at a time."""
-    along = next(n for n, pick in enumerate(picks) if isinstance(pick, slice))
-    layer, deep = shape[1] * shape[2] * array.dtype.itemsize, array.chunks[along]
+    """The array, a layer of chunks or less at a time; ``picks`` are what is read along each axis, and the places of
+    z, y, x among them.
+    """
+    chosen, order = picks
+    inside = chosen[order[0]]
+    begin, end = inside.start or 0, (inside.start or 0) + shape[0]
+    layer, deep = shape[1] * shape[2] * array.dtype.itemsize, array.chunks[order[0]]
     step = deep * max(layers_of(layer) // deep, 1) if deep * layer <= MOST else layers_of(layer)
-    for z in range(0, shape[0], step):
-        place = (*picks[:along], slice(z, z + step), *picks[along + 1 :])
+    turned = np.argsort(np.argsort(order)) if sorted(order) != list(order) else None
+    for z in range(begin // deep * deep, end, step):
+        layers = slice(max(z, begin), min(z + step, end))
+        place = (*chosen[: order[0]], layers, *chosen[order[0] + 1 :])
         try:
-            slab = np.asarray(array[place])
+            slab = packing.apply(np.asarray(array[place]))
         except Exception as error:  # of many kinds, from codecs on damage
             raise VolumeError(f"The chunks of '{path}' are damaged ({_line(error)}): copy it again.") from error
-        yield slab
+        yield slab if turned is None else slab.transpose(turned)
 
 
 def _line(error: Exception) -> str:

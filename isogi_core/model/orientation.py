@@ -3,7 +3,7 @@
 Voxels are never turned: cameras and lights are, once, where a view is made.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,8 @@ class Orientation:
     """``world = rotation · box + origin``; a point of the box is voxel indices times spacing, x first.
 
     ``rotation`` is the rows of a rotation. ``unit`` is that of the world's lengths, empty where unknown. ``letters``
-    say where the world's axes point in a patient, "RAS", else empty. ``notes`` tell what was done to the file's field.
+    say where the world's axes point in a patient, "RAS", else empty. ``notes`` tell what was done to the file's field,
+    and ``read_as`` in a line what the file was taken for.
     """
 
     rotation: Rows = STRAIGHT
@@ -30,15 +31,16 @@ class Orientation:
     unit: str = ""
     letters: str = ""
     notes: tuple[str, ...] = ()
+    read_as: str = field(default="", compare=False)
 
     @classmethod
     def of(cls, grid: Grid) -> "Orientation":
         """The orientation of a ``grid`` on right angles."""
         if grid.affine is None:
-            return cls(unit=grid.unit, notes=grid.notes)
+            return cls(unit=grid.unit, notes=grid.notes, read_as=grid.read_as)
         directions = np.array(grid.affine.matrix) / np.array(grid.spacing)
         a, b, c = (triple(row) for row in np.where(np.abs(directions) < 1e-12, 0.0, directions))
-        return cls((a, b, c), grid.affine.origin, grid.unit, grid.affine.letters, grid.notes)
+        return cls((a, b, c), grid.affine.origin, grid.unit, grid.affine.letters, grid.notes, grid.read_as)
 
     @property
     def turned(self) -> bool:

@@ -31,6 +31,10 @@ isovalue that was not normalised, and one that was where the file's units are me
 """
 
 
+BESIDE = ("voxels", "orientation", "moment", "segmented")
+"""Fields of a volume that are no facts of its voxels, which are kept with these."""
+
+
 @dataclass(frozen=True, eq=False)
 class Volume:
     """A scalar field: ``value = offset + scale · voxel``, solid where ``voxel > normalised isovalue``.
@@ -42,7 +46,8 @@ class Volume:
     voxels that are NaN, ``digest`` a hex digest of everything that light depends on. ``counts`` are those of the
     ``histogram`` and ``span`` is the ``core_span``, where they were kept. ``orientation`` says where the box lies in
     the world; light does not depend on it, but on where the world's lights are in the box. It is the ``moment`` of a
-    series in time: which step it is, and of how many.
+    series in time: which step it is, and of how many. It is ``segmented`` where it is the field of a segmentation's
+    labels, as its file says or the scene.
     """
 
     voxels: np.ndarray
@@ -61,6 +66,7 @@ class Volume:
     span: tuple[float, ...] = ()
     orientation: Orientation = PLAIN
     moment: tuple[int, int] = (0, 1)
+    segmented: bool = False
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -4,6 +4,7 @@ import hashlib
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -52,7 +53,7 @@ from isogi_core.plan.volumes.colours import find_table, read_colours
 from isogi_core.plan.volumes.cuts import cut_away
 from isogi_core.plan.volumes.glow_masks import read_glow_masks
 from isogi_core.plan.volumes.label_colours import colours_of_labels
-from isogi_core.plan.volumes.labels import HALF, find_labels
+from isogi_core.plan.volumes.labels import ALL, HALF, find_labels
 from isogi_core.plan.volumes.opening import open_volume
 
 SKY_SIZE = (512, 1024)
@@ -92,7 +93,9 @@ def build_scene(
     settings.text("volume", DEFAULT_DEMO)  # named by the scene, also where another way led to it
     cut, whole = settings.text("cut", ""), None
     if volume is None:
-        whole = right_side_out(settings, open_volume(settings, source.base, progress), source.base, progress)
+        whole = open_volume(settings, source.base, progress)
+        source, settings = with_labels(settings, whole)
+        whole = right_side_out(settings, whole, source.base, progress)
         colours = colours or colours_by_data(settings, whole)
         volume = cut_away(whole, cut) if cut else whole
     if settings.flag("inside_out", False):
@@ -156,6 +159,15 @@ def build_scene(
     if whole is not None and cut:  # what is cut away does not change how bright the rest is
         vars(scene)["seen"] = scene.altered((), volume=whole).seen
     return scene
+
+
+def with_labels(settings: Settings, whole: Volume) -> tuple[SceneSource, Settings]:
+    """The scene's document, which says from now on that its volume is a segmentation where the file said so."""
+    source = settings.source
+    if whole.segmented and not source.document.get("labels"):
+        source = replace(source, document={**source.document, "labels": ALL})
+        settings = Settings(source, settings.known)
+    return source, settings
 
 
 def colours_by_data(settings: Settings, whole: Volume) -> SurfaceColours | None:

@@ -1,7 +1,7 @@
 """What commands share: the modules that do their work, the options of views and of work, and how a volume is taken."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import wraps
 from importlib import import_module
 from pathlib import Path
@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 import click
+
+from server.errors import LibraryError
 
 if TYPE_CHECKING:
     from server.settings import Settings
@@ -25,6 +27,7 @@ MODULES = {
     "film": "server.cli.film",
     "publish": "server.cli.publish",
     "inspect": "server.inspect.text",
+    "convert": "server.cli.convert",
     "bench": "server.cli.bench",
     "store": "server.cli.store",
 }
@@ -34,6 +37,14 @@ MODULES = {
 def module_of(command: str) -> Any:
     """The module that does a command's work, loaded now: help is answered without any of them."""
     return import_module(MODULES[command])
+
+
+def remote() -> Any:
+    """The module that has a server prewarm. Raises LibraryError where a library of the client is missing."""
+    try:
+        return module_of("prewarm --server")
+    except ModuleNotFoundError as error:
+        raise LibraryError(f"isogi prewarm --server needs {error.name}: pip install 'isogi[client]'.") from None
 
 
 Command = Callable[..., Any]
@@ -127,7 +138,10 @@ HIDE = "Which labels of a segmentation are hidden, by their values, such as 3,4;
 MATERIAL = "What the surface is made of: diffuse, glass or subsurface, with numbers of it, such as glass,index=1.3."
 
 
-PLACING = ("axes", "solid", "environment", "cut", "surfaces", "hide", "material")
+RAW = "What a file without a header holds: sizes along x, y, z, type and byte order, such as 256x256x128,uint8,little."
+
+
+PLACING = ("axes", "raw", "solid", "environment", "cut", "surfaces", "hide", "material")
 """Options of ``volume_options``; those that are given follow the # of a target."""
 
 
@@ -139,6 +153,7 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
         type=click.Choice(["world", "raw"]),
         help="Where the volume lies: as its file says, or raw, its voxels' indices times spacing; default: world.",
     )
+    @click.option("--raw", help=RAW)
     @click.option(
         "--solid",
         type=click.Choice(["above", "below"]),
@@ -154,11 +169,29 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
         name, told = "scene" if "scene" in given else "target", {key: given.pop(key) for key in PLACING}
         if "." in (told["environment"] or ""):
             told["environment"] = str(Path(told["environment"]).resolve())
-        for key, value in told.items():
-            if value is not None:
-                target = given[name] or "demo:casting"
-                given[name] = f"{target}{'&' if '#' in target else '#'}{key}={quote(value)}"
+        given[name] = placed_target(given[name], told)
         return command(**given)
+
+    return placed
+
+
+def placed_target(target: str | None, told: Mapping[str, str | None]) -> str | None:
+    """A command's target with what its options say of the volume after its #; None where nothing is said of none."""
+    for key, value in told.items():
+        if value is not None:
+            target = target or "demo:casting"
+            chosen = "#" in target and not Path(target).exists()
+            target = f"{target}{'&' if chosen else '#'}{key}={quote(value)}"
+    return target
+
+
+def raw_option(command: Command) -> Command:
+    """Decorator: the option of ``volume_options`` that says what bare voxels are, alone."""
+
+    @click.option("--raw", help=RAW)
+    @wraps(command)
+    def placed(raw: str | None, **given: Any) -> Any:
+        return command(**{**given, "target": placed_target(given["target"], {"raw": raw})})
 
     return placed
 

@@ -24,12 +24,13 @@ from server.cli.arguments import (
     module_of,
     number,
     options,
+    raw_option,
+    remote,
     settings_from,
     show,
     volume_options,
 )
 from server.cli.help import Commands, SettingsCommand
-from server.errors import LibraryError
 from worker.fork_server import start_fork_server
 
 BAD_INPUT = (SceneError, VolumeError, LightError, ViewError, StoreUrlError)
@@ -212,14 +213,6 @@ def prewarm(
     return 1 if summary.failed else 0
 
 
-def remote() -> Any:
-    """The module that has a server prewarm. Raises LibraryError where a library of the client is missing."""
-    try:
-        return module_of("prewarm --server")
-    except ModuleNotFoundError as error:
-        raise LibraryError(f"isogi prewarm --server needs {error.name}: pip install 'isogi[client]'.") from None
-
-
 @cli.command()
 @click.argument("target")
 @volume_options
@@ -229,6 +222,17 @@ def remote() -> Any:
 def inspect(target: str, plan: bool, picture: Path | None, as_json: bool) -> None:
     """Say what isogi makes of TARGET, a volume or a scene, in ten lines; with --plan, in full."""
     click.echo(module_of("inspect").inspect(target, picture, as_json, plan))
+
+
+@cli.command()
+@click.argument("target")
+@raw_option
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="A folder, .ome.zarr.")
+@AS_JSON
+def convert(target: str, output: Path, as_json: bool) -> None:
+    """Write the volume of TARGET as an OME-Zarr image, with coarser levels: what is slow to open, once for all."""
+    work = module_of("convert")
+    show(work.convert(target, output), work.converted, as_json)
 
 
 @cli.command()

@@ -29,6 +29,10 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
         ("isogi inspect engine.toml --plan", "all of them, and what will be computed"),
         ("isogi inspect engine.nhdr --picture stiffness.png", "how steep its surfaces are"),
     ),
+    "convert": (
+        ("isogi convert scan.tif -o scan.ome.zarr", "in chunks, with coarser levels"),
+        ("isogi convert x.raw --raw 256x256x128,uint8,little -o x.ome.zarr", "bare voxels"),
+    ),
     "export": (
         ("isogi export engine.toml -o engine.glb --isovalue 70", "a mesh, for Blender and the web"),
         ("isogi export engine.toml -o engine.vti --isovalue 60:120", "a volume, for ParaView"),

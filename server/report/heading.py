@@ -51,6 +51,8 @@ def axes(volume: VolumeSchema) -> Iterator[tuple[str, str]]:
     if pointing or any(low != 0.0 for low in volume.bounds[0]) or volume.unit:
         unit = f" {volume.unit}" if volume.unit else ""
         yield "world", f"{pointing}from ({low}) to ({high}){unit}{f', {volume.letters}' if volume.letters else ''}"
+    if volume.read_as:
+        yield "read as", f"{volume.read_as}; lengths {f'in {volume.unit}' if volume.unit else 'without a unit'}"
     yield from (("note", note) for note in volume.notes)
 
 

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.nrrd import MAX_HEADER, read_attached, read_nrrd
+from isogi_core.files.nrrd import read_attached, read_nrrd
+from isogi_core.files.nrrd_header import MAX_HEADER
 from isogi_core.model.volume import make_volume
 
 RAMP = np.arange(24).reshape(2, 3, 4)
@@ -113,7 +114,7 @@ DAMAGES = {
     "block": (PLAIN.replace("uint8", "block"), bytes(24), "block"),
     "no byte order": (PLAIN.replace("uint8", "int16"), bytes(48), "byte order"),
     "2-D": (PLAIN.replace(": 3", ": 2").replace("4 3 2", "8 3"), bytes(24), "2 dimensions"),
-    "4-D": (PLAIN.replace(": 3", ": 4").replace("4 3 2", "1 4 3 2"), bytes(24), "4 dimensions"),
+    "4-D": (PLAIN.replace(": 3", ": 4").replace("4 3 2", "2 2 3 2"), bytes(24), "2 channels: choose one by channel"),
     "dimension lies": (PLAIN.replace("4 3 2", "4 3 2 1"), bytes(24), "dimensions"),
     "colour axis": (PLAIN + "kinds: RGB-color domain domain\n", bytes(24), "RGB-color"),
     "zero size": (PLAIN.replace("4 3 2", "4 0 2"), b"", "cannot be"),
@@ -127,7 +128,11 @@ DAMAGES = {
     "gzip flipped": (GZIP, SQUEEZED[:-6] + b"\0\0" + SQUEEZED[-4:], "damaged"),
     "not gzip": (GZIP, bytes(24), "damaged"),
     "not bzip2": (PLAIN.replace("raw", "bzip2"), b"BZh9 no more", "damaged"),
-    "text": (PLAIN.replace("raw", "ascii"), b"1 2 3", "ascii"),
+    "text": (PLAIN.replace("raw", "ascii"), b"1 2 3", "fewer"),
+    "long text": (PLAIN.replace("raw", "ascii"), b"1 2 3 " * 9, "more"),
+    "word in a text": (PLAIN.replace("raw", "ascii"), b"1 two 3 " * 8, "no uint8"),
+    "text out of range": (PLAIN.replace("raw", "ascii"), b"1 256 3 " * 8, "no uint8"),
+    "hex": (PLAIN.replace("raw", "hex"), b"00" * 24, "hex"),
     "negative skip": (PLAIN + "byte skip: -2\n", bytes(24), "skips"),
     "skip past the end": (PLAIN + f"byte skip: {10**18}\n", bytes(24), "fewer"),
     "lines past the end": (PLAIN + f"line skip: {10**18}\n", bytes(24), "fewer"),
@@ -137,8 +142,11 @@ DAMAGES = {
     "data anywhere": (PLAIN + "data file: /anywhere/v.raw\n", b"", "outside"),
     "data unnamed": (PLAIN + "data file:\n", b"", "cannot be read"),
     "data unnameable": (PLAIN + "data file: a\0b\n", b"", "cannot be read"),
-    "data list": (PLAIN + "data file: LIST\n", b"", "several files"),
-    "data pattern": (PLAIN + "data file: slice%03d.raw 1 2 1\n", b"", "several files"),
+    "data list": (PLAIN + "data file: LIST\n", b"", "0 data files"),
+    "data list elsewhere": (PLAIN + "data file: LIST\na.raw\n../b.raw\n", b"", "outside"),
+    "data pattern": (PLAIN + "data file: slice%03d.raw 1 2 1\n", b"", "no file"),
+    "endless data pattern": (PLAIN + "data file: slice%03d.raw 1 999999999 1\n", b"", "data files"),
+    "data pattern that goes nowhere": (PLAIN + "data file: slice%03d.raw 1 2 0\n", b"", "0 data files"),
 }
 
 

@@ -145,6 +145,14 @@ def test_dimensions_may_have_names_of_their_own(tmp_path: Path) -> None:
     check(open_zarr(tmp_path / "c.zarr"), FIELD)
 
 
+def test_an_array_whose_first_dimension_is_time_is_a_series(tmp_path: Path) -> None:
+    save(tmp_path / "v.zarr", np.stack([FIELD, FIELD + 1]), dimension_names=["time", "depth", "lat", "lon"])
+    first = open_zarr(tmp_path / "v.zarr")
+    check(first, FIELD)
+    assert (first.moment, first.unchosen) == ((0, 2), True)
+    check(open_zarr(tmp_path / "v.zarr", time=1), FIELD + 1)
+
+
 def test_the_stamp_tells_when_anything_was_written(tmp_path: Path) -> None:
     made = save(tmp_path / "v.zarr", FIELD)
     grid = open_zarr(tmp_path / "v.zarr")
@@ -185,8 +193,8 @@ def no_axes_match(path: Path) -> None:
     image(path, [FIELD], [SPACE[0], SPACE[1]])
 
 
-def turned(path: Path) -> None:
-    image(path, [FIELD], SPACE[::-1])
+def other_names(path: Path) -> None:
+    image(path, [FIELD[:1]], [dict(SPACE[0], name="depth"), *SPACE[1:]])
 
 
 def large_chunks(path: Path) -> None:
@@ -207,8 +215,8 @@ def huge(path: Path) -> None:
         (bad_chunk, "are damaged"),
         (bad_codec, "cannot be read as Zarr .*nobodys"),
         (bad_metadata, "cannot be read as Zarr"),
-        (no_axes_match, "has 3 dimensions and 2 axes"),
-        (turned, "they must be z, y and x"),
+        (no_axes_match, "a scale of 3 numbers for 2 axes"),
+        (other_names, "they must be z, y and x"),
         (large_chunks, "write it in chunks of 1 GiB or less"),
         (huge, "claims a shape"),
         (lambda path: save(path, FIELD[0]), "has 2 dimensions and 0 axes"),

@@ -71,6 +71,7 @@
  * @property {string} axes where the voxels' axes point in a patient
  * @property {[Vec3, Vec3]} bounds the least and the greatest world coordinates
  * @property {string[]} notes what was done to the file's field
+ * @property {string} [read_as] what the file was taken for
  * @property {number} [time] its step in a series of `times`
  * @property {number} [times]
  */

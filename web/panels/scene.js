@@ -50,6 +50,7 @@ export function volumeRows({ volume, lights, albedo, albedos, transmission, colo
     Size: `${volume.size.join(" × ")} voxels`,
     Spacing: `${volume.spacing.map((length) => Number(length.toPrecision(4))).join(" × ")} ${volume.unit}`.trim(),
     "Voxel axes point to": [...volume.axes].join(", "),
+    "Read as": volume.read_as ?? "",
     Notes: volume.notes.join(" "),
     Values: `${volume.value_range.map((value) => Number(value.toPrecision(6))).join(" to ")}, ${volume.dtype}`,
     "Stops of the isovalue": stops.length ? stopsInWords(note) : null,

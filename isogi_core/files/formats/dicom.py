@@ -1,7 +1,7 @@
 """DICOM, read by pydicom: a series in a folder, one of several, or one file of many frames."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,8 +10,9 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.dicom_stack import Slice, stack_of
-from isogi_core.files.formats.source import COLOURS, Scaling, Source, library, line_of, luminance, pick, reading
-from isogi_core.files.grid import PATIENT, Affine, Grid
+from isogi_core.files.formats.source import COLOURS, Source, library, line_of, luminance, pick, reading
+from isogi_core.files.grid import PATIENT, Affine, Grid, read_as
+from isogi_core.files.packing import Packing, Scaling, holed
 from isogi_core.files.zarr_location import stamp_of
 
 PLUGINS = {"JPEG-LS": "pyjpegls", "JPEG 2000": "pylibjpeg pylibjpeg-openjpeg", "JPEG": "python-gdcm"}
@@ -27,6 +28,7 @@ HEADER_TAGS = (
     *("BitsStored", "HighBit", "PixelRepresentation", "RescaleSlope", "RescaleIntercept"),
     *("PerFrameFunctionalGroupsSequence", "SharedFunctionalGroupsSequence", "TransferSyntaxUID"),
     *("FloatPixelData", "DoubleFloatPixelData", "GridFrameOffsetVector", "DoseGridScaling"),
+    *(f"{kind}PixelPadding{end}" for kind in ("", "Float", "DoubleFloat") for end in ("Value", "RangeLimit")),
 )
 
 
@@ -63,19 +65,24 @@ def open_dicom(source: Source) -> Grid:
             raise VolumeError(f"'{source.name}' is one slice: give the folder of its series, or a file of many frames.")
         first = chosen[0][1]
         source.check((len(stack.layers), int(first.Rows), int(first.Columns)))
-        scalings = {each.scaling for each in slices}
+        packings = {each.packing for each in slices}
         coloured = int(first.get("SamplesPerPixel", 1)) > 1
         if str(first.get("PhotometricInterpretation", "")) == "PALETTE COLOR":
             raise VolumeError(f"'{source.name}' holds colours of a palette: save its values.")
-        stored = _stored_type(first)
-    dtype = _value_type(stored, scalings, coloured or stack.between)
+    dtype = _value_type(packings, coloured or stack.between)
     affine = Affine.of(LPS @ stack.affine, PATIENT) if stack.affine is not None else None
     shape = (len(stack.layers), int(first.Rows), int(first.Columns))
     layers = partial(_layers, source, stack.layers, shape, dtype)
     files = sorted({path for path, _ in chosen if path is not None})
-    notes = (*notes, *((COLOURS,) if coloured else ()))
+    notes = (*notes, *((COLOURS,) if coloured else slices[0].packing.notes))
     stamp = partial(_stamp, source, files)
-    return Grid(shape, dtype, stack.spacing, layers, stamp, affine, "mm" if stack.measured else "", notes)
+    placed = "its slices' positions" if affine is not None else "its slices' numbers"
+    known = slices[0].packing.read_as("DICOM", placed)
+    if len(packings) > 1:
+        known = read_as("DICOM, each slice of a slope of its own,", slices[0].packing.stored, placed)
+    return Grid(
+        shape, dtype, stack.spacing, layers, stamp, affine, "mm" if stack.measured else "", notes, read_as=known
+    )
 
 
 def _stamp(source: Source, files: list[Path]) -> str:
@@ -164,7 +171,7 @@ def _slice(place: Place, header: Any, groups: list[Any]) -> Slice:
         pose=pose,
         pixel=(spacing[1], spacing[0]) if spacing else None,
         between=float(between) if between else None,
-        scaling=Scaling(1.0 if slope is None else float(slope), float(intercept or 0.0)),
+        packing=_packing(header, Scaling(1.0 if slope is None else float(slope), float(intercept or 0.0))),
     )
 
 
@@ -202,13 +209,34 @@ def _stored_type(header: Any) -> np.dtype[Any]:
     return np.dtype(f"{kind}{max(int(header.BitsAllocated) // 8, 1)}")
 
 
-def _value_type(stored: np.dtype[Any], scalings: set[Scaling], floating: bool) -> np.dtype[Any]:
+def _value_type(packings: set[Packing], floating: bool) -> np.dtype[Any]:
     """The type of values: one for all slices, whatever their slopes."""
-    found = np.result_type(*(each.dtype(stored) for each in scalings))
+    found = np.result_type(*(each.dtype for each in packings))
     return np.result_type(found, np.float32) if floating else found
 
 
-Layer = tuple[tuple[Place, float, Scaling], ...]
+def _packing(header: Any, scaling: Scaling) -> Packing:
+    """What stored pixels of an image mean; those of a value, or of a range, that says "no pixel" are holes.
+
+    Source: DICOM PS3.3, C.7.5.1.1.2. Colours have no such value.
+    """
+    if int(header.get("SamplesPerPixel", 1)) > 1:
+        return Packing(np.dtype(np.float32), scaling=scaling)
+    stored = _stored_type(header)
+    ends = [_padding(header, stored, end) for end in ("Value", "RangeLimit")]
+    return replace(holed(stored, ends if ends[0] is not None else (), "the padding value"), scaling=scaling)
+
+
+def _padding(header: Any, stored: np.dtype[Any], end: str) -> float | None:
+    """The padding value of an image, or the limit of its range; None where it has none."""
+    prefix = {"f4": "Float", "f8": "DoubleFloat"}.get(stored.str[1:], "")
+    value = header.get(f"{prefix}PixelPadding{end}")
+    if isinstance(value, bytes):  # where the file leaves its type to that of the pixels
+        return int.from_bytes(value[:2], "little") if len(value) >= 2 else None
+    return None if value is None else float(value)
+
+
+Layer = tuple[tuple[Place, float, Packing], ...]
 
 
 def _layers(
@@ -220,7 +248,7 @@ def _layers(
         if not layer:
             yield np.full((1, *shape[1:]), np.nan, dtype)
             continue
-        parts = [scaling.apply(frames.pixels(place)) for place, _, scaling in layer]
+        parts = [packing.apply(frames.pixels(place)) for place, _, packing in layer]
         if len(parts) == 1:
             yield parts[0].astype(dtype, copy=False)[None]
         else:

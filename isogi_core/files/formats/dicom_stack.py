@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import Scaling
+from isogi_core.files.packing import Packing
 
 EVEN = 0.05
 """Largest part of the usual step by which a step between slices may stray and still be even."""
@@ -15,7 +15,7 @@ EVEN = 0.05
 MOST = 8
 """Most times as many layers as slices, where these are uneven."""
 
-Layers = tuple[tuple[tuple[Any, float, Scaling], ...], ...]
+Layers = tuple[tuple[tuple[Any, float, Packing], ...], ...]
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Slice:
     pose: tuple[float, ...] | None
     pixel: tuple[float, float] | None
     between: float | None
-    scaling: Scaling
+    packing: Packing
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def stack_of(name: str, slices: list[Slice], pick: Pick) -> tuple[Stack, tuple[s
 def _unplaced(slices: list[Slice]) -> Stack:
     first = slices[0]
     x, y = first.pixel or (1.0, 1.0)
-    layers = tuple(((each.place, 1.0, each.scaling),) for each in slices)
+    layers = tuple(((each.place, 1.0, each.packing),) for each in slices)
     return Stack(layers, None, (x, y, first.between or x), first.pixel is not None, False)
 
 
@@ -122,10 +122,10 @@ def _placed(name: str, slices: list[Slice], heights: np.ndarray, notes: list[str
 
 def _with_gaps(slices: list[Slice], steps: np.ndarray) -> Layers:
     """A layer for each slice, and empty ones where a step is of several."""
-    layers: list[tuple[tuple[Any, float, Scaling], ...]] = [((slices[0].place, 1.0, slices[0].scaling),)]
+    layers: list[tuple[tuple[Any, float, Packing], ...]] = [((slices[0].place, 1.0, slices[0].packing),)]
     for each, step in zip(slices[1:], steps.tolist(), strict=True):
         layers += [()] * (step - 1)
-        layers.append(((each.place, 1.0, each.scaling),))
+        layers.append(((each.place, 1.0, each.packing),))
     return tuple(layers)
 
 
@@ -136,7 +136,7 @@ def _mixed(slices: list[Slice], heights: np.ndarray, at: np.ndarray) -> Layers:
         n = int(np.clip(np.searchsorted(heights, height, "right") - 1, 0, len(slices) - 2))
         share = float(np.clip((height - heights[n]) / (heights[n + 1] - heights[n]), 0.0, 1.0))
         pair = ((slices[n], 1.0 - share), (slices[n + 1], share))
-        layers.append(tuple((each.place, weight, each.scaling) for each, weight in pair if weight > 1e-6))
+        layers.append(tuple((each.place, weight, each.packing) for each, weight in pair if weight > 1e-6))
     return tuple(layers)
 
 

@@ -1,20 +1,25 @@
 """HDF5 and NetCDF-4, read by h5py: one dataset, chosen by its path in the file."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import Scaling, Source, library, moment_of, pick_axes, reading
+from isogi_core.files.formats.source import Source, is_unchosen, library, moment_of, pick_axes, reading
 from isogi_core.files.grid import Affine, Grid, layers_of
+from isogi_core.files.packing import ATTRIBUTES, Packing, climate_packing
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 
 EVEN = 1e-3
 """Largest part of a step by which a coordinate may stray for its axis to be even."""
+
+MINC = "The file is MINC: the scaling of its slices, and where it lies, are not read. Convert it to NIfTI."
 
 MICROMETRES = "element_size_um"
 """The attribute by which microscopists' tools give spacing, z first."""
@@ -26,21 +31,74 @@ def open_hdf5(source: Source) -> Grid:
     with reading(source.name, "HDF5"), _dataset(source) as data:
         if data.dtype.kind not in "biufc":
             raise VolumeError(f"'{source.name}#{data.name}' holds {data.dtype} values: choose a dataset of numbers.")
-        picked, shape = pick_axes(source, data.shape), tuple(int(n) for n in data.shape[-3:])
+        others = _sources(source, data)
+        _check_filters(source, data)
+        in_time = data.ndim > 3 and _is_time(data.dims[0])
+        picked, shape = pick_axes(source, data.shape, in_time), tuple(int(n) for n in data.shape[-3:])
         source.check(shape)
         moment = moment_of(source, data.shape[:-3], picked)
-        scaling, holes = _packing(data)
-        dtype = np.result_type(scaling.dtype(data.dtype), np.float32) if holes else scaling.dtype(data.dtype)
+        unchosen = is_unchosen(source, data.shape, in_time)
+        minc = (MINC,) if "minc-2.0" in data.file else ()
+        packing = climate_packing(_climate(data), data.dtype, data.fillvalue)
         spacing, affine, unit, notes = _place(data, shape)
-    slabs = partial(_slabs, source, picked, scaling, holes)
-    return Grid(shape, dtype, spacing, slabs, source.stamp, affine, unit, notes, moment)
+    slabs, notes = partial(_slabs, source, picked, packing), (*packing.notes, *minc, *notes)
+    stamp = partial(source.stamp, *others)
+    placed = "the coordinates of its axes" if affine else f"'{MICROMETRES}'" if unit else ""
+    facts = spacing, slabs, stamp, affine, unit, notes, moment, unchosen
+    return Grid(shape, packing.dtype, *facts, read_as=packing.read_as("HDF5", placed))
+
+
+FILTERS = {
+    **{307: "bzip2", 32001: "Blosc", 32004: "LZ4", 32008: "Bitshuffle", 32013: "ZFP", 32015: "Zstandard"},
+    **{32017: "SZ", 32018: "FCIDECOMP", 32023: "Sperr", 32024: "SZ3", 32026: "Blosc2"},
+}
+"""Names of filters that h5py does not have, by their registered numbers; hdf5plugin has all of them."""
+
+
+def _check_filters(source: Source, data: Any) -> None:
+    """Raise VolumeError where a filter that packs the dataset is not installed."""
+    h5z = library("h5py", "HDF5").h5z
+    packed = data.id.get_create_plist()
+    numbers = [packed.get_filter(n)[0] for n in range(packed.get_nfilters())]
+    if not all(map(h5z.filter_avail, numbers)):
+        with suppress(ImportError):
+            import_module("hdf5plugin")
+    lacking = [FILTERS.get(number, f"filter {number}") for number in numbers if not h5z.filter_avail(number)]
+    if lacking:
+        needed = f"The voxels of '{source.name}#{data.name.strip('/')}' are packed by {' and '.join(lacking)}"
+        raise VolumeError(f"{needed}, which is not installed: pip install hdf5plugin.")
+
+
+def _sources(source: Source, data: Any) -> list[Path]:
+    """The other files that hold voxels of a dataset. VolumeError where one is missing: HDF5 would fill its part."""
+    names = {each.file_name for each in data.virtual_sources()} - {"."} if data.is_virtual else set()
+    names |= {str(name) for name, _, _ in data.external or ()}
+    if names and source.path is None:
+        raise VolumeError(f"'{source.name}' is made of other files: save its voxels in it.")
+    files = [source.path.parent / name for name in sorted(names) if source.path is not None]
+    missing = next((path.name for path in files if not path.is_file()), None)
+    if missing is not None:
+        raise VolumeError(f"'{source.name}' is made of other files, and '{missing}' is not beside it: put it there.")
+    return files
+
+
+def _is_time(axis: Any) -> bool:
+    """Whether a dimension is time, by its name, or by its coordinates' unit, such as days since 1970-01-01."""
+    units = [_text(scale.attrs.get("units", "")) for scale in axis.values()]
+    return any(name.lower() in ("time", "t") for name in (axis.label, *axis.keys())) or any(
+        " since " in u for u in units
+    )
+
+
+def _text(value: Any) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
 @contextmanager
 def _dataset(source: Source) -> Iterator[Any]:
     """The dataset that is chosen, the only one of three dimensions or more by default."""
     h5py = library("h5py", "HDF5")
-    with source.open() as file, h5py.File(file, "r") as whole:
+    with source.open() as file, h5py.File(source.path or file, "r", locking=False) as whole:
         part = source.chosen.get("part")
         found = whole.get(part) if part else None
         if isinstance(found, h5py.Dataset) and found.ndim >= 3:
@@ -57,29 +115,19 @@ def _dataset(source: Source) -> Iterator[Any]:
         raise VolumeError(f"{wrong}: choose of {listed}." if fields else f"'{source.name}' holds no volume.")
 
 
-def _packing(data: Any) -> tuple[Scaling, tuple[Any, ...]]:
-    """Slope and intercept, and values that mean "missing", after NetCDF's climate and forecast conventions."""
-    slope, intercept = (_number(data, name, rest) for name, rest in (("scale_factor", 1.0), ("add_offset", 0.0)))
-    holes = tuple(np.ravel(data.attrs[name])[0] for name in ("_FillValue", "missing_value") if name in data.attrs)
-    return Scaling(slope, intercept), holes
+def _climate(data: Any) -> dict[str, Any]:
+    """The attributes of a dataset that are of CF's vocabulary; others may be of types that h5py cannot read."""
+    return {name: data.attrs[name] for name in ATTRIBUTES if name in data.attrs}
 
 
-def _number(data: Any, name: str, fallback: float) -> float:
-    return float(np.ravel(data.attrs[name])[0]) if name in data.attrs else fallback
-
-
-def _slabs(source: Source, picked: tuple[int, ...], scaling: Scaling, holes: tuple[Any, ...]) -> Iterator[np.ndarray]:
+def _slabs(source: Source, picked: tuple[int, ...], packing: Packing) -> Iterator[np.ndarray]:
     """Some layers of chunks at a time."""
     with reading(source.name, "HDF5"), _dataset(source) as data:
         depth, ny, nx = data.shape[-3:]
         deep = data.chunks[-3] if data.chunks else 1
         step = max(layers_of(ny * nx * data.dtype.itemsize) // deep, 1) * deep
         for z in range(0, depth, step):
-            stored = data[(*picked, slice(z, z + step))]
-            values = scaling.apply(stored)
-            for hole in holes:
-                values = np.where(stored == hole, np.float32(np.nan), values)
-            yield values
+            yield packing.apply(data[(*picked, slice(z, z + step))])
 
 
 Place = tuple[tuple[float, float, float], Affine | None, str, tuple[str, ...]]
@@ -107,7 +155,6 @@ def _place(data: Any, shape: tuple[int, ...]) -> Place:
 def _coordinates(data: Any, axis: int) -> tuple[np.ndarray, str] | None:
     """The coordinates along an axis, and their unit; None where the file gives none."""
     for scale in data.dims[axis].values():
-        unit = scale.attrs.get("units", "")
         if scale.shape == (data.shape[axis],) and scale.dtype.kind in "iuf":
-            return np.asarray(scale[()], np.float64), unit.decode() if isinstance(unit, bytes) else str(unit)
+            return np.asarray(scale[()], np.float64), _text(scale.attrs.get("units", ""))
     return None

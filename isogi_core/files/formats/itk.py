@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import Source, library, pick_step, reading
-from isogi_core.files.grid import ALONE, PATIENT, Affine, Grid, layers_of
+from isogi_core.files.formats.source import Source, library, pick, pick_step, reading
+from isogi_core.files.grid import ALONE, PATIENT, Affine, Grid, layers_of, read_as
 
 SUFFIXES = (".mha", ".mhd", ".vtk", ".gipl", ".hdr", ".img")
 LPS = np.diag([-1.0, -1.0, 1.0])
 """From a patient's left, posterior, superior, which ITK means, to right, anterior, superior."""
+
+KINDS = {".mha": "MetaImage", ".mhd": "MetaImage", ".vtk": "legacy VTK", ".gipl": "GIPL"}
 
 ANATOMICAL = (".mha", ".mhd", ".gipl")
 
@@ -23,19 +25,16 @@ def open_itk(source: Source) -> Grid:
         raise VolumeError(f"'{source.name}' cannot be uploaded in this form: save it as NIfTI or NRRD.")
     if not source.path.is_file():
         raise VolumeError(f"There is no file '{source.path}': check the volume's path.")
-    source.refuse_others("time")
+    source.refuse_others("time", "channel")
     with reading(source.name, "an image"):
         reader, size = _reader(source)
-        if reader.GetNumberOfComponents() > 1:
-            raise VolumeError(
-                f"'{source.name}' holds {reader.GetNumberOfComponents()} numbers a voxel: save one field."
-            )
+        channel = pick(source, "channel", int(reader.GetNumberOfComponents()), "channels")
         if not 3 <= len(size) <= 4:
             raise VolumeError(f"'{source.name}' has {len(size)} dimensions, not 3: save one scalar field of it.")
         time, unchosen = pick_step(source, size[3]) if len(size) == 4 else (None, False)
         nx, ny, nz = size[:3]
         source.check((nz, ny, nx))
-        dtype = _block(source, time, 0, 1).dtype
+        dtype = _block(source, (time, channel), 0, 1).dtype
         steps = np.array(reader.GetSpacing()[:3])
         direction = np.array(reader.GetDirection()).reshape(len(size), len(size))[:3, :3]
         origin = np.array(reader.GetOrigin()[:3])
@@ -43,10 +42,13 @@ def open_itk(source: Source) -> Grid:
     affine = np.column_stack([direction * steps, origin])
     placed = Affine.of(LPS @ affine, PATIENT) if anatomical else Affine.of(affine)
     spacing = (float(steps[0]), float(steps[1]), float(steps[2]))
-    slabs = partial(_slabs, source, time, (nz, ny, nx), dtype.itemsize)
+    slabs = partial(_slabs, source, (time, channel), (nz, ny, nx), dtype.itemsize)
     unit, moment = "mm" if anatomical else "", ALONE if time is None else (time, int(size[3]))
     stamp = partial(source.stamp, *_data_files(source))
-    return Grid((nz, ny, nx), dtype, spacing, slabs, stamp, placed, unit, moment=moment, unchosen=unchosen)
+    known = read_as(f"{KINDS.get(source.path.suffix.lower(), 'an image of ITK')}", dtype, "its directions and origin")
+    return Grid(
+        (nz, ny, nx), dtype, spacing, slabs, stamp, placed, unit, moment=moment, unchosen=unchosen, read_as=known
+    )
 
 
 def _reader(source: Source) -> tuple[Any, tuple[int, ...]]:
@@ -65,19 +67,24 @@ def _data_files(source: Source) -> list[Any]:
     return [path for path in beside if path.is_file() and path != source.path]
 
 
-def _slabs(source: Source, time: int | None, shape: tuple[int, ...], itemsize: int) -> Iterator[np.ndarray]:
+Chosen = tuple[int | None, int]
+"""The step in time, None where there is no such axis, and the number of each voxel."""
+
+
+def _slabs(source: Source, chosen: Chosen, shape: tuple[int, ...], itemsize: int) -> Iterator[np.ndarray]:
     step = layers_of(shape[1] * shape[2] * itemsize)
     for z in range(0, shape[0], step):
         with reading(source.name, "an image"):
-            slab = _block(source, time, z, min(step, shape[0] - z))
+            slab = _block(source, chosen, z, min(step, shape[0] - z))
         yield slab
 
 
-def _block(source: Source, time: int | None, first: int, count: int) -> np.ndarray:
+def _block(source: Source, chosen: Chosen, first: int, count: int) -> np.ndarray:
     """Some layers, (count, ny, nx)."""
     reader, size = _reader(source)
-    extra = [] if time is None else [time]
+    extra = [step for step in chosen[:1] if step is not None]
     reader.SetExtractIndex([0, 0, first, *extra])
     reader.SetExtractSize([size[0], size[1], count, *(0 for _ in extra)])
     sitk = library("SimpleITK", "MetaImage", "'isogi[itk]'")
-    return np.asarray(sitk.GetArrayFromImage(reader.Execute()))
+    voxels = np.asarray(sitk.GetArrayFromImage(reader.Execute()))
+    return voxels[..., chosen[1]] if voxels.ndim > 3 else voxels

@@ -8,7 +8,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick, raw_slabs, reading
-from isogi_core.files.grid import Affine, Grid
+from isogi_core.files.grid import Affine, Grid, read_as
 
 HEADER = 1024
 
@@ -26,15 +26,27 @@ def open_mrc(source: Source) -> Grid:
         header = _header(source)
         shape = tuple(int(header[name]) for name in ("nz", "ny", "nx"))
         source.check(shape)
-        dtype = library("mrcfile.utils", "MRC").data_dtype_from_header(header)
+        dtype, notes = _dtype(header)
         volumes = _volumes(header, shape[0])
         time = pick(source, "time", volumes, "volumes")
+        first = HEADER + int(header["nsymbt"])
+        notes = (*notes, *source.cut_notes(first + math.prod(shape) * dtype.itemsize))
         shape = (shape[0] // volumes, *shape[1:])
-        start = HEADER + int(header["nsymbt"]) + time * math.prod(shape) * dtype.itemsize
+        start = first + time * math.prod(shape) * dtype.itemsize
         affine = _affine(header, time * shape[0])
     spacing = tuple(math.hypot(*column) for column in affine.array[:, :3].T)
     slabs = partial(raw_slabs, source, start, shape, dtype)
-    return Grid(shape, dtype, spacing, slabs, source.stamp, affine, "Å")
+    return Grid(
+        shape,
+        dtype,
+        spacing,
+        slabs,
+        source.stamp,
+        affine,
+        "Å",
+        notes,
+        read_as=read_as("MRC", dtype, "its cell and origin"),
+    )
 
 
 def _header(source: Source) -> Any:
@@ -44,6 +56,30 @@ def _header(source: Source) -> Any:
         header = found.header.copy()
         found._iostream = None  # it would close the file
     return header
+
+
+STAMP, FLAGS, SIGNED = 152, 156, 1
+"""Bytes of the header where IMOD writes its mark and its flags, and the flag of bytes with a sign."""
+
+IMOD = 1146047817
+"""IMOD's mark. Source: IMOD's description of the MRC format, "The MRC File Header"."""
+
+BY_IMOD = "as IMOD's flag in the file says."
+BY_STANDARD = "as MRC2014 says: programs before it wrote them without one."
+
+
+def _dtype(header: Any) -> tuple[np.dtype[Any], tuple[str, ...]]:
+    """The type of voxels, and a note where it is that of bytes: whether these have a sign is said by IMOD alone."""
+    dtype: np.dtype[Any] = library("mrcfile.utils", "MRC").data_dtype_from_header(header)
+    if dtype != np.int8:
+        return dtype, ()
+    order = np.dtype(np.uint32).newbyteorder(header["mode"].dtype.byteorder)
+    stamp, flags = (int(np.frombuffer(header.tobytes(), order, 1, place)[0]) for place in (STAMP, FLAGS))
+    signed = stamp != IMOD or bool(flags & SIGNED)
+    why = BY_IMOD if stamp == IMOD else BY_STANDARD
+    return np.dtype(np.int8 if signed else np.uint8), (
+        f"The voxels are bytes {'with' if signed else 'without'} a sign, {why}",
+    )
 
 
 def _volumes(header: Any, sections: int) -> int:

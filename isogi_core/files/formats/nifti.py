@@ -1,9 +1,11 @@
 """NIfTI-1 and -2, one file or a pair, read by nibabel; voxels are streamed, as a packed file is read but once."""
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,6 @@ import numpy as np
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import (
     COLOURS,
-    Scaling,
     Source,
     library,
     luminance,
@@ -20,10 +21,14 @@ from isogi_core.files.formats.source import (
     raw_slabs,
     reading,
 )
-from isogi_core.files.grid import PATIENT, Affine, Grid, Shape
+from isogi_core.files.grid import PATIENT, Affine, Grid, Shape, read_as
+from isogi_core.files.packing import Scaling
 
 UNITS = {"mm": "mm", "meter": "m", "micron": "µm"}
 UNPLACED = "The file does not say how it lies: its axes are taken as they are."
+
+LABELS = 1002
+"""The intent of files whose values are labels."""
 
 APART = 0.01
 """Voxels by which two transforms of a file must differ for this to be told."""
@@ -43,19 +48,24 @@ def open_nifti(source: Source) -> Grid:
     with reading(source.name, "NIfTI"):
         header = _header(nib, source)
         shape, dtype = tuple(int(n) for n in header.get_data_shape()), header.get_data_dtype()
-        scaling = _scaling(header)
-        (time, unchosen), channel, times, (nx, ny, nz) = _frame(source, shape)
+        scaling = scaling_of(header)
+        (time, unchosen), channel, times, (nx, ny, nz) = frame_of(source, shape)
         source.check((nz, ny, nx))
+        end = int(header.get_data_offset()) + math.prod(shape) * dtype.itemsize
         start = int(header.get_data_offset()) + (time + times * channel) * nx * ny * nz * dtype.itemsize
         voxels = _voxels_of(source, header)
         unit = UNITS.get(header.get_xyzt_units()[0], "")
         spacing = tuple(abs(float(step)) for step in header.get_zooms()[:3])
     others = [voxels.path] if voxels.path is not None and voxels.path != source.path else []
-    slabs = partial(_slabs, voxels, start, (nz, ny, nx), dtype, scaling)
+    slabs = partial(field_slabs, voxels, start, (nz, ny, nx), dtype, scaling)
     values = np.dtype(np.float32) if dtype.names else scaling.dtype(dtype)
     grid = Grid((nz, ny, nx), values, spacing, slabs, partial(source.stamp, *others), unit=unit)
-    notes = (COLOURS,) if dtype.names else ()
-    return _placed(replace(grid, notes=notes, moment=(time, times), unchosen=unchosen), header)
+    known = read_as("NIfTI", dtype, _placed_by(header), scaling.slope, scaling.intercept)
+    labels = () if int(header["intent_code"]) == LABELS else None
+    notes = (*((COLOURS,) if dtype.names else ()), *voxels.cut_notes(end))
+    return _placed(
+        replace(grid, notes=notes, moment=(time, times), unchosen=unchosen, labels=labels, read_as=known), header
+    )
 
 
 def _header(nib: Any, source: Source) -> Any:
@@ -71,26 +81,41 @@ def _header(nib: Any, source: Source) -> Any:
         return kind.from_fileobj(file)
 
 
+PAIR = re.compile(r"\.(?:hdr|img)(\.gz|\.bz2)?$", re.IGNORECASE)
+"""How the names of a pair of files end: that of the header, and that of the voxels."""
+
+
+def beside(path: Path, end: str) -> Path | None:
+    """The other file of a pair, whose name ends in ``.hdr`` or ``.img``; None where there is none."""
+    stem = PAIR.sub("", path.name)
+    names = [f"{stem}{case}{packed}" for case in (end, end.upper()) for packed in ("", ".gz", ".bz2")]
+    return next((found for name in names if (found := path.with_name(name)).is_file() and found != path), None)
+
+
+def image_beside(source: Source) -> Path:
+    """The file with the voxels of a header. VolumeError where there is none."""
+    assert source.path is not None, "a pair has paths"
+    found = beside(source.path, ".img")
+    if found is None:
+        wanted = PAIR.sub("", source.path.name) + ".img"
+        raise VolumeError(f"'{source.name}' is a header, and '{wanted}' with its voxels is not beside it.")
+    return found
+
+
 def _voxels_of(source: Source, header: Any) -> Source:
     """The file with the voxels: the source itself, or the other one of a pair."""
-    if header.is_single or source.path is None:
-        return source
-    name = source.path.name
-    images = [name.replace(".hdr", ".img", 1), name.replace(".hdr", ".img", 1) + ".gz", name.replace(".hdr.gz", ".img")]
-    found = next((each for each in images if each != name and source.path.with_name(each).is_file()), None)
-    if found is None:
-        raise VolumeError(f"'{source.name}' is a header, and '{images[0]}' with its voxels is not beside it.")
-    return replace(source, path=source.path.with_name(found))
+    return source if header.is_single or source.path is None else replace(source, path=image_beside(source))
 
 
-def _scaling(header: Any) -> Scaling:
+def scaling_of(header: Any) -> Scaling:
+    """Slope and intercept of one of nibabel's headers."""
     slope, intercept = header.get_slope_inter()
     if slope is None or slope == 0.0:
         return Scaling()
     return Scaling(float(slope), float(intercept or 0.0))
 
 
-def _frame(source: Source, shape: Shape) -> tuple[tuple[int, bool], int, int, tuple[int, int, int]]:
+def frame_of(source: Source, shape: Shape) -> tuple[tuple[int, bool], int, int, tuple[int, int, int]]:
     """The step in time, as of ``pick_step``, the channel, how many steps there are, and the size along x, y, z."""
     nx, ny, nz, *extra = (*shape, *(1,) * (3 - len(shape)))
     while extra and extra[-1] == 1:
@@ -99,12 +124,20 @@ def _frame(source: Source, shape: Shape) -> tuple[tuple[int, bool], int, int, tu
     return pick_step(source, times), pick(source, "channel", channels, "channels"), times, (nx, ny, nz)
 
 
-def _slabs(voxels: Source, start: int, shape: Shape, dtype: np.dtype[Any], scaling: Scaling) -> Iterator[np.ndarray]:
+def field_slabs(
+    voxels: Source, start: int, shape: Shape, dtype: np.dtype[Any], scaling: Scaling
+) -> Iterator[np.ndarray]:
+    """The voxels (z, y, x) from a byte on, some layers at a time, scaled; luminance of colours."""
     for slab in raw_slabs(voxels, start, shape, dtype):
         if dtype.names:
             yield luminance(np.stack([slab[name] for name in dtype.names], axis=-1))
         else:
             yield scaling.apply(slab)
+
+
+def _placed_by(header: Any) -> str:
+    """Which of its two transforms says where a file lies: the sform, where there is one."""
+    return "its sform" if int(header["sform_code"]) else "its qform" if int(header["qform_code"]) else ""
 
 
 def _placed(grid: Grid, header: Any) -> Grid:

@@ -20,7 +20,8 @@ from isogi_core.files.formats.source import (
     reading,
     skip,
 )
-from isogi_core.files.grid import Grid, Shape, layers_of
+from isogi_core.files.grid import Grid, Shape, layers_of, read_as
+from isogi_core.files.packed_files import read_end
 
 NPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
 
@@ -41,7 +42,12 @@ def open_numpy(source: Source) -> Grid:
     source.check(field[-3:])
     slabs = partial(_slabs, source, picked, coloured)
     grid = Grid(field[-3:], np.dtype(np.float32) if coloured else dtype, (1.0, 1.0, 1.0), slabs, source.stamp)
-    return replace(grid, notes=(COLOURS,) if coloured else (), moment=moment_of(source, field[:-3], picked))
+    return replace(
+        grid,
+        notes=(COLOURS,) if coloured else (),
+        moment=moment_of(source, field[:-3], picked),
+        read_as=read_as("NumPy", dtype),
+    )
 
 
 @contextmanager
@@ -89,6 +95,7 @@ def _slabs(source: Source, picked: tuple[int, ...], coloured: bool) -> Iterator[
             data = read_up_to(file, size)
             _check_length(source, data, size)
             yield _values(np.frombuffer(data, dtype).reshape(-1, *inner[1:]), coloured)
+        read_end(file)
 
 
 def _check_length(source: Source, data: bytearray, size: int) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from isogi_core.errors import VolumeError, advice
-from isogi_core.files.formats import dicom, hdf5, itk, mrc, nifti, numpy_file, tiff, vti
+from isogi_core.files.formats import brain_files, dicom, hdf5, itk, mrc, nifti, numpy_file, raw_file, tiff, vti
 from isogi_core.files.formats.source import KEYS, Source
 from isogi_core.files.formats.wrong_files import sort_of
 from isogi_core.files.grid import Grid
@@ -17,16 +17,18 @@ HEAD = 544
 
 Opener = Callable[[Source], Grid]
 
-KNOWN = "NRRD, NIfTI, DICOM, TIFF, MRC, HDF5, NumPy, MetaImage, VTI or Zarr"
+KNOWN = "NRRD, NIfTI, DICOM, TIFF, MRC, HDF5, NumPy, MGH, Analyze, MetaImage, VTI or Zarr"
 
 
 def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Opener | None:
     """The function that opens files which begin with ``head``; by their ``suffix`` where that says nothing.
 
-    ``unpacked`` is how the content of a packed file begins: NIfTI and MRC are read out of such.
+    ``unpacked`` is how the content of a packed file begins: NIfTI, MRC and others are read out of such.
     """
     kinds: list[tuple[bool, Opener]] = [
         (nifti.is_nifti(unpacked), nifti.open_nifti),
+        (brain_files.is_analyze(unpacked, suffix), brain_files.open_analyze),
+        (brain_files.is_mgh(unpacked, suffix), brain_files.open_mgh),
         (dicom.is_dicom(head), dicom.open_dicom),
         (tiff.is_tiff(head), tiff.open_tiff),
         (mrc.is_mrc(unpacked), mrc.open_mrc),
@@ -43,19 +45,32 @@ def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Opener | None:
 
 def open_file(path: Path, chosen: dict[str, Any]) -> Grid:
     """Open a file or a folder of slices as a grid; only headers are read now. Raises VolumeError."""
+    path = _header_of(path)
     source = Source(str(path), path, chosen={key: str(value) for key, value in chosen.items()})
     if path.is_dir():
         return _open_folder(source)
+    if "raw" in source.chosen:
+        return raw_file.open_raw(source)
     with source.open() as file:
         head = file.read(HEAD)
     refuse_others(str(path), head)
     if head.startswith(b"NRRD") or path.suffix.lower() in (".nrrd", ".nhdr"):
-        source.refuse_others()
-        return open_nrrd(path)
-    opener = opener_for(head, _unpacked_head(source), path.suffix.lower())
+        return open_nrrd(path, source.chosen)
+    opener = opener_for(head, _unpacked_head(source), path.suffix.lower()) or by_name(path.name)
     if opener is None:
         raise unknown(str(path), head, path.suffix.lower())
     return opener(source)
+
+
+def by_name(name: str) -> Opener | None:
+    """The function that opens bare voxels, where a file's ``name`` says what they are."""
+    return raw_file.open_raw if raw_file.is_raw(name) else None
+
+
+def _header_of(path: Path) -> Path:
+    """The header of a pair of files of which the voxels are named; any other path itself."""
+    voxels = nifti.PAIR.search(path.name) is not None and ".img" in path.name.lower()
+    return (nifti.beside(path, ".hdr") if voxels else None) or path
 
 
 def refuse_others(name: str, head: bytes) -> None:
@@ -98,7 +113,7 @@ def open_upload(file: Any, name: str, most: int) -> Grid:
     if head.startswith(b"NRRD"):
         file.seek(0)
         return read_attached(file, name, most)
-    opener = opener_for(head, _unpacked_head(source), Path(name).suffix.lower())
+    opener = opener_for(head, _unpacked_head(source), Path(name).suffix.lower()) or by_name(name)
     if opener is None:
         raise unknown(name, head, Path(name).suffix.lower())
     return opener(source)
@@ -116,9 +131,12 @@ JPEG = ("openjpeg", *(f"PIL.{name}ImagePlugin" for name in PILLOW))
 
 VTK = ("vtk", *(f"vtkmodules.{name}" for name in ("vtkIOXML", "vtkCommonExecutionModel", "util.numpy_support")))
 
+BRAINS = ("nibabel", "nibabel.freesurfer.mghformat")
+
 LIBRARIES: tuple[tuple[int, bytes, tuple[str, ...]], ...] = (
-    (0, b"\x1f\x8b", ("nibabel", "mrcfile.utils", "mrcfile.mrcinterpreter")),
-    (0, b"BZh", ("nibabel", "mrcfile.utils", "mrcfile.mrcinterpreter")),
+    (0, b"\0\0\0\1", BRAINS),
+    (0, b"\x1f\x8b", (*BRAINS, "mrcfile.utils", "mrcfile.mrcinterpreter")),
+    (0, b"BZh", (*BRAINS, "mrcfile.utils", "mrcfile.mrcinterpreter")),
     (344, b"n", ("nibabel",)),
     (4, b"n", ("nibabel",)),
     (128, b"DICM", ("pydicom.pixels", *(f"pydicom.pixels.decoders.{name}" for name in DECODERS), *JPEG)),

@@ -1,9 +1,6 @@
 """Sources of volumes: a file by its path, or an open and untrusted one; and what all readers share."""
 
-import bz2
-import gzip
 import math
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -14,15 +11,12 @@ from typing import IO, Any
 import numpy as np
 
 from isogi_core.errors import IsogiError, VolumeError
-from isogi_core.files.grid import ALONE, Shape, layers_of
-from isogi_core.files.nrrd import MAX_VOXELS
+from isogi_core.files.grid import ALONE, MAX_VOXELS, Shape, layers_of
+from isogi_core.files.packed_files import BLOCK, DAMAGE, Content, content_of, cut_notes, read_end
 from isogi_core.files.zarr_location import stamp_of
 
-BLOCK = 1 << 24
-"""Most bytes that are read at once."""
-
-KEYS = ("level", "channel", "time", "series", "part")
-"""What may be chosen of a file; ``part`` is a path inside it."""
+KEYS = ("level", "channel", "time", "series", "raw", "part")
+"""What may be chosen of a file; ``part`` is a path inside it, and ``raw`` says what bare voxels are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +50,15 @@ class Source:
             yield file
 
     @contextmanager
-    def unpacked(self) -> Iterator[IO[bytes]]:
+    def unpacked(self) -> Iterator[Any]:
         """The file's content: that of gzip and bzip2 files is unpacked while it is read."""
         with self.open() as file:
-            head = file.read(3)
-            file.seek(0)
-            yield _unpacking(file, head)
+            yield content_of(file)
+
+    def cut_notes(self, size: int) -> tuple[str, ...]:
+        """What there is to say of how a file ends whose content has ``size`` bytes."""
+        with self.open() as file:
+            return cut_notes(file, size)
 
     def stamp(self, *others: Path) -> str:
         """Names the state of the file, of ``others`` that belong to it, and what is chosen; see ``Grid``."""
@@ -93,12 +90,6 @@ class Source:
             raise VolumeError(f"'{self.name}' has {voxels} voxels, and {most}: save a smaller part.")
 
 
-def _unpacking(file: IO[bytes], head: bytes) -> Any:
-    if head[:2] == b"\x1f\x8b":
-        return gzip.GzipFile(fileobj=file)
-    return bz2.BZ2File(file) if head == b"BZh" else file
-
-
 def library(name: str, kind: str, install: str = "'isogi[formats]'") -> Any:
     """The library that reads files of a ``kind``. VolumeError, with the line that installs it, where it is missing."""
     try:
@@ -125,10 +116,13 @@ def line_of(error: Exception) -> str:
     return f"{type(error).__name__}: {message[:200]}" if message else type(error).__name__
 
 
-def raw_slabs(source: Source, start: int, shape: Shape, dtype: np.dtype[Any]) -> Iterator[np.ndarray]:
+def raw_slabs(
+    source: Source, start: int, shape: Shape, dtype: np.dtype[Any], exact: bool = False
+) -> Iterator[np.ndarray]:
     """The voxels (z, y, x) that lie one after the other from byte ``start`` of the content on; some layers at a time.
 
-    VolumeError where the file ends before the last: no memory is taken on a header's word.
+    VolumeError where the file ends before the last, or where it should be ``exact`` and does not end with it: no memory
+    is taken on a header's word.
     """
     layer = shape[1] * shape[2] * dtype.itemsize
     with source.unpacked() as file:
@@ -140,53 +134,24 @@ def raw_slabs(source: Source, start: int, shape: Shape, dtype: np.dtype[Any]) ->
                 if len(data) < deep * layer:
                     raise VolumeError(f"'{source.name}' ends before its last voxel: copy it again.")
                 yield np.frombuffer(data, dtype).reshape(deep, *shape[1:])
-        except (OSError, EOFError, zlib.error) as error:
+            if read_end(file) and exact:
+                raise VolumeError(f"'{source.name}' goes on after its last voxel: check its sizes and its type.")
+        except DAMAGE as error:
             raise VolumeError(f"The voxels of '{source.name}' are damaged ({error}): copy it again.") from error
 
 
-def skip(file: IO[bytes], count: int) -> None:
+def skip(file: Content, count: int) -> None:
     """Read over so many bytes."""
     while count > 0 and (data := file.read(min(count, BLOCK))):
         count -= len(data)
 
 
-def read_up_to(file: IO[bytes], count: int) -> bytearray:
+def read_up_to(file: Content, count: int) -> bytearray:
     """The next ``count`` bytes, or as many as there are."""
     data = bytearray()
     while len(data) < count and (block := file.read(min(count - len(data), BLOCK))):
         data += block
     return data
-
-
-@dataclass(frozen=True)
-class Scaling:
-    """``value = slope · stored + intercept``."""
-
-    slope: float = 1.0
-    intercept: float = 0.0
-
-    @property
-    def trivial(self) -> bool:
-        """Whether values are as they are stored."""
-        return self.slope == 1.0 and self.intercept == 0.0
-
-    def dtype(self, stored: np.dtype[Any]) -> np.dtype[Any]:
-        """The type of values: as stored where that is all, integers of integers where they can be, else floats."""
-        if self.trivial or stored.kind not in "iuf":
-            return stored
-        whole = float(self.slope).is_integer() and float(self.intercept).is_integer()
-        if whole and stored.kind in "iu" and stored.itemsize <= 2 and abs(self.slope) + abs(self.intercept) < 2**14:
-            return np.dtype(np.int32)
-        return np.dtype(np.float32 if stored.itemsize <= 2 else np.float64)
-
-    def apply(self, values: np.ndarray) -> np.ndarray:
-        """The values of stored ones, in ``dtype``."""
-        kind = self.dtype(values.dtype)
-        if kind == values.dtype:
-            return values
-        if kind == np.int32:
-            return values.astype(np.int32) * np.int32(self.slope) + np.int32(self.intercept)
-        return (values.astype(np.float64) * self.slope + self.intercept).astype(kind)
 
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
@@ -225,14 +190,23 @@ def moment_of(source: Source, extra: Shape, picked: Sequence[int]) -> tuple[int,
     return ALONE if not extra or (len(extra) == 1 and "channel" in source.chosen) else (picked[0], int(extra[0]))
 
 
-def pick_axes(source: Source, shape: Shape) -> tuple[int, ...]:
+def is_unchosen(source: Source, shape: Shape, in_time: bool) -> bool:
+    """Whether the first step is shown of an array whose first axis is said to be ``in_time``, as nobody chose one."""
+    return in_time and len(shape) > 3 and shape[0] > 1 and source.count("time") is None
+
+
+def pick_axes(source: Source, shape: Shape, in_time: bool = False) -> tuple[int, ...]:
     """Which elements are chosen along the axes before the last three of an array: time and then channel, of two.
 
-    An only one is chosen by either key. Raises VolumeError where there are more.
+    An only one is chosen by either key, unless the first is said to be ``in_time``: then its first step is taken where
+    none is chosen. Raises VolumeError where there are more.
     """
     extra = shape[:-3]
     if len(extra) > 2:
         raise VolumeError(f"'{source.name}' has {len(shape)} dimensions: save one scalar field of it.")
+    if in_time and extra:
+        rest = [pick(source, "channel", n, "elements of channel") for n in extra[1:]]
+        return (pick_step(source, extra[0])[0], *rest)
     if len(extra) == 1:
         return (pick(source, "channel" if "channel" in source.chosen else "time", extra[0], "fields"),)
     return tuple(pick(source, key, n, f"elements of {key}") for key, n in zip(("time", "channel"), extra, strict=False))

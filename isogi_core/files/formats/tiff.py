@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,14 +11,18 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import COLOURS, Source, library, luminance, pick, reading
-from isogi_core.files.grid import Grid, Shape
+from isogi_core.files.formats.source import COLOURS, Source, library, luminance, pick, pick_step, reading
+from isogi_core.files.grid import ALONE, Grid, Shape
+from isogi_core.files.packing import Packing, Scaling, holed
 from isogi_core.files.zarr_location import stamp_of
 
 SUFFIXES = (".tif", ".tiff")
 UNITS = {"micron": "µm", "um": "µm", "\\u00B5m": "µm", "µm": "µm", "nm": "nm", "mm": "mm", "cm": "cm", "pixel": ""}
 PLANE, COLOUR = "YX", "S"
-TIMES, CHANNELS = "TR", "CL"
+COLOURED = (PLANE + COLOUR, COLOUR + PLANE)
+"""Axes of pages of colours: each voxel's together, or plane by plane."""
+
+TIME, REPEATS, CHANNELS = "T", "R", "CL"
 """Letters of axes along which a field is chosen; other ones before y and x are z."""
 
 
@@ -34,15 +38,49 @@ def open_tiff(source: Source) -> Grid:
     with reading(source.name, "TIFF"), source.open() as file, tifffile.TiffFile(file, name=source.name) as whole:
         series = _series(source, whole)
         axes, shape, dtype = series.axes, tuple(int(n) for n in series.shape), series.dtype
-        pages, deep = _pages(source, axes, shape)
-        coloured = axes.endswith(COLOUR)
-        ny, nx = shape[-3:-1] if coloured else shape[-2:]
+        pages, moment = _pages(source, axes, shape)
+        coloured, (ny, nx) = COLOUR in axes, (shape[axes.rindex(axis)] for axis in PLANE)
         _check_page(source, series, coloured)
-        source.check((deep, ny, nx))
+        source.check((len(pages), ny, nx))
         spacing, unit = _spacing(whole)
-    slabs = partial(_slabs, source, pages, (ny, nx))
-    grid = Grid((deep, ny, nx), np.dtype(np.float32) if coloured else dtype, spacing, slabs, source.stamp, unit=unit)
-    return replace(grid, notes=(COLOURS,) if coloured else ())
+        kind = "OME-TIFF" if whole.is_ome else "ImageJ's TIFF" if whole.is_imagej else "TIFF"
+        packing = _calibrated(_packing(series.keyframe, dtype, coloured), whole.imagej_metadata or {})
+    slabs = partial(_slabs, source, pages, (ny, nx), packing)
+    notes = (COLOURS,) if coloured else packing.notes
+    known = packing.read_as(kind, f"{kind}'s sizes of voxels" if kind != "TIFF" else "")
+    grid = Grid((len(pages), ny, nx), packing.dtype, spacing, slabs, source.stamp, None, unit, notes, read_as=known)
+    return replace(grid, moment=moment, unchosen=moment != ALONE and source.count("time") is None)
+
+
+def _calibrated(packing: Packing, about: Mapping[str, Any]) -> Packing:
+    """The packing with ImageJ's calibration of values, where that is a straight line; a note where it is another."""
+    kind, (offset, slope) = about.get("cf"), (about.get(name) for name in ("c0", "c1"))
+    if kind is None or int(kind) in UNCALIBRATED:
+        return packing
+    if int(kind) != STRAIGHT or offset is None or slope is None:
+        return replace(packing, notes=(*packing.notes, "ImageJ's calibration of values is no straight line: left out."))
+    scaling = Scaling(float(slope), float(offset))
+    notes = () if scaling.trivial else (f"Values are {slope:g} · stored + {offset:g}, ImageJ's calibration.",)
+    return replace(packing, scaling=scaling, notes=(*packing.notes, *notes))
+
+
+STRAIGHT, UNCALIBRATED = 0, (20, 21)
+"""ImageJ's numbers of calibration functions. Source: ij.measure.Calibration."""
+
+NO_DATA = 42113
+"""The tag in which geographers' files name the value of pixels without data, as text. Source: GDAL's GeoTIFF driver."""
+
+
+def _packing(page: Any, stored: np.dtype[Any], coloured: bool) -> Packing:
+    """What stored pixels mean, of which one value may say that there is no data."""
+    if coloured:
+        return Packing(np.dtype(np.float32))
+    tag = page.tags.get(NO_DATA)
+    text = "" if tag is None else str(tag.value).strip("\0 ")
+    try:
+        return holed(stored, [float(text)] if text else [], "no data")
+    except ValueError:
+        return Packing(stored)
 
 
 def _series(source: Source, whole: Any) -> Any:
@@ -64,22 +102,29 @@ def _is_stack(series: Any) -> bool:
     return len(kinds) == 1 and series[0].axes in (PLANE, PLANE + COLOUR)
 
 
-def _pages(source: Source, axes: str, shape: Shape) -> tuple[list[int], int]:
-    """Numbers of the planes that make up the field that is chosen, in its order along z."""
-    inner = PLANE + COLOUR if axes.endswith(COLOUR) else PLANE
+def _pages(source: Source, axes: str, shape: Shape) -> tuple[list[int], tuple[int, int]]:
+    """Numbers of the planes that make up the field that is chosen, in its order along z, and its moment."""
+    inner = next((each for each in COLOURED if axes.endswith(each)), PLANE)
     if not axes.endswith(inner) or (inner == PLANE and len(axes) < 3):
         raise VolumeError(f"'{source.name}' has the axes {axes}: save a stack of planes.")
     outer = list(zip(axes.removesuffix(inner), shape, strict=False))
     alone = sum(length > 1 for _, length in outer) == 1  # a stack without z: planes are one upon the other
-    picks: list[Any] = []
-    for axis, length in outer:
-        key = None if alone and length > 1 else "time" if axis in TIMES else "channel" if axis in CHANNELS else None
-        picks.append(slice(None) if key is None else pick(source, key, length, f"elements of {key}"))
+    picks: list[Any] = [_pick(source, axis, length, alone) for axis, length in outer]
+    times = [(step, n) for (axis, n), step in zip(outer, picks, strict=True) if axis == TIME and n > 1 and not alone]
     numbers = np.arange(int(np.prod([n for _, n in outer]))).reshape([n for _, n in outer])[tuple(picks)]
     if numbers.ndim > 1 and sum(n > 1 for n in numbers.shape) > 1:
         raise VolumeError(f"'{source.name}' has the axes {axes}: save one scalar field of it.")
-    pages = [int(number) for number in numbers.ravel()]
-    return pages, len(pages)
+    return [int(number) for number in numbers.ravel()], (times or [ALONE])[0]
+
+
+def _pick(source: Source, axis: str, length: int, alone: bool) -> Any:
+    """What is taken along an axis: all where it is z, or ``alone``, else the element that is chosen."""
+    if alone and length > 1:
+        return slice(None)
+    if axis == TIME:
+        return pick_step(source, length)[0]
+    key = "time" if axis in REPEATS else "channel" if axis in CHANNELS else None
+    return slice(None) if key is None else pick(source, key, length, f"elements of {key}")
 
 
 def _check_page(source: Source, series: Any, coloured: bool) -> None:
@@ -87,23 +132,25 @@ def _check_page(source: Source, series: Any, coloured: bool) -> None:
     page = series.keyframe
     if int(page.photometric) == 3:
         raise VolumeError(f"'{source.name}' holds colours of a palette: save its values.")
+    if coloured and page.axes not in COLOURED:
+        raise VolumeError(f"'{source.name}' holds pages of {page.axes}: save a plane a page.")
     planes = 3 if coloured else 2
     if len([n for n in page.shape if n > 1]) > planes:
         raise VolumeError(f"'{source.name}' holds pages of {page.axes}: save a plane a page.")
 
 
-def _slabs(source: Source, pages: list[int], plane: Shape) -> Iterator[np.ndarray]:
+def _slabs(source: Source, pages: list[int], plane: Shape, packing: Packing) -> Iterator[np.ndarray]:
     """The planes of a series, one at a time; (1, ny, nx) each."""
     tifffile = library("tifffile", "TIFF")
     with reading(source.name, "TIFF"), source.open() as file, tifffile.TiffFile(file, name=source.name) as whole:
         series = _series(source, whole)
         for number in pages:
-            yield _plane(source, whole, series, number, plane)[None]
+            yield packing.apply(_plane(source, whole, series, number, plane))[None]
 
 
 def _plane(source: Source, whole: Any, series: Any, number: int, plane: Shape) -> np.ndarray:
     """One plane of a series: of its own page, or of one whose voxels hold the planes of all."""
-    coloured = series.axes.endswith(COLOUR)
+    coloured = COLOUR in series.axes
     if len(series.pages) == 1 and series.dataoffset is not None and number >= 0:
         count = int(np.prod(plane)) * (series.shape[-1] if coloured else 1)
         order = np.dtype(series.dtype).newbyteorder(whole.byteorder)
@@ -117,6 +164,7 @@ def _plane(source: Source, whole: Any, series: Any, number: int, plane: Shape) -
         if page is None:
             raise VolumeError(f"Plane {number} of '{source.name}' is missing: write it again.")
         values = page.asarray()
+        values = np.moveaxis(values, 0, -1) if page.axes == COLOUR + PLANE else values
     return luminance(values) if coloured else values.reshape(plane)
 
 
@@ -170,28 +218,32 @@ def open_tiff_folder(source: Source) -> Grid:
     source.refuse_others()
     files = slices_in(source.path)
     _check_gaps(source, files)
-    kinds: list[tuple[Shape, np.dtype[Any], bool]] = []
+    kinds: list[tuple[Shape, Packing, bool]] = []
     for file in files:
         with reading(str(file), "TIFF"), tifffile.TiffFile(file) as whole:
             page = whole.pages[0]
-            kinds.append((page.shape, page.dtype, page.axes.endswith(COLOUR)))
+            coloured = page.axes.endswith(COLOUR)
+            kinds.append((page.shape, _packing(page, page.dtype, coloured), coloured))
             if len(whole.pages) > 1:
                 raise VolumeError(f"'{file}' is a stack among the slices of '{source.name}': move it elsewhere.")
     usual = Counter(kinds).most_common(1)[0][0]
     for file, kind in zip(files, kinds, strict=True):
         if kind != usual:
-            others = f"is {kind[0]} {kind[1]}, and most others are {usual[0]} {usual[1]}"
+            others = f"is {kind[0]} {kind[1].stored}, and most others are {usual[0]} {usual[1].stored}"
             raise VolumeError(f"'{file.name}' in '{source.name}' {others}: move it elsewhere.")
-    (ny, nx, *_), dtype, coloured = usual
+    (ny, nx, *_), packing, coloured = usual
     source.check((len(files), ny, nx))
-    grid = Grid(
+    slabs, stamp = partial(_slices, files, coloured, packing), partial(stamp_of, files)
+    notes = (COLOURS,) if coloured else packing.notes
+    return Grid(
         (len(files), ny, nx),
-        np.dtype(np.float32) if coloured else dtype,
+        packing.dtype,
         (1.0, 1.0, 1.0),
-        partial(_slices, files, coloured),
-        partial(stamp_of, files),
+        slabs,
+        stamp,
+        notes=notes,
+        read_as=packing.read_as("slices of TIFF"),
     )
-    return replace(grid, notes=(COLOURS,) if coloured else ())
 
 
 def _check_gaps(source: Source, files: list[Path]) -> None:
@@ -208,9 +260,9 @@ def _check_gaps(source: Source, files: list[Path]) -> None:
             raise VolumeError(f"Slices of '{source.name}' are missing or doubled ({wrong}): complete the folder.")
 
 
-def _slices(files: list[Path], coloured: bool) -> Iterator[np.ndarray]:
+def _slices(files: list[Path], coloured: bool, packing: Packing) -> Iterator[np.ndarray]:
     tifffile = library("tifffile", "TIFF")
     for file in files:
         with reading(str(file), "TIFF"):
             values = tifffile.imread(file, key=0)
-        yield (luminance(values) if coloured else values)[None]
+        yield packing.apply(luminance(values) if coloured else values)[None]

@@ -6,8 +6,8 @@ from functools import partial
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import Source, library, reading
-from isogi_core.files.grid import Affine, Grid, layers_of
+from isogi_core.files.formats.source import Source, library, pick, reading
+from isogi_core.files.grid import Affine, Grid, layers_of, read_as
 
 INSTALL = "'isogi[vtk]'"
 
@@ -17,21 +17,24 @@ END, TAIL = b"</VTKFile>", 64
 
 def open_vti(source: Source) -> Grid:
     """Open an array of an image file as a grid: only its description is read now. Raises VolumeError."""
-    source.refuse_others("part")
+    source.refuse_others("part", "channel")
     with reading(source.name, "VTI"):
         image = ImageFile(source)
         extent = image.extent
         shape = tuple(extent[2 * axis + 1] - extent[2 * axis] + 1 for axis in (2, 1, 0))
         source.check(shape)
         name = _name(source, image.names)
+        number = pick(source, "channel", image.numbers(name), "channels")
         dtype = image.layers(name, 0, 1).dtype
         matrix = image.direction * image.spacing
         origin = image.origin + matrix @ np.array(extent[::2])
     steps = image.spacing
     spacing = (float(steps[0]), float(steps[1]), float(steps[2]))
-    slabs = partial(_slabs, image, name, layers_of(shape[1] * shape[2] * dtype.itemsize))
+    slabs = partial(_slabs, image, (name, number), layers_of(shape[1] * shape[2] * dtype.itemsize))
     affine = Affine.of(np.column_stack([matrix, origin]))
-    return Grid(shape, dtype, spacing, slabs, source.stamp, affine)
+    return Grid(
+        shape, dtype, spacing, slabs, source.stamp, affine, read_as=read_as("VTI", dtype, "its origin and spacing")
+    )
 
 
 class ImageFile:
@@ -67,18 +70,22 @@ class ImageFile:
         return [self._reader.GetPointArrayName(n) for n in range(self._reader.GetNumberOfPointArrays())]
 
     def layers(self, name: str, first: int, count: int) -> np.ndarray:
-        """Some layers of an array, (count, ny, nx)."""
+        """Some layers of an array, (count, ny, nx, numbers of a point)."""
         lowest = self.extent[4] + first
         self._reader.UpdateExtent([*self.extent[:4], lowest, lowest + count - 1])
         self._check()
         image = self._reader.GetOutput()
         array = image.GetPointData().GetArray(name)
-        if array is None or array.GetNumberOfComponents() != 1:
-            raise VolumeError(f"'{self.name}#{name}' is no array of one number a point: choose another.")
+        if array is None:
+            raise VolumeError(f"'{self.name}#{name}' is no array of numbers: choose another.")
         values = library("vtkmodules.util.numpy_support", "VTI", INSTALL).vtk_to_numpy(array)
         nx, ny, nz = image.GetDimensions()
         start = lowest - image.GetExtent()[4]
-        return np.array(values.reshape(nz, ny, nx)[start : start + count])
+        return np.array(values.reshape(nz, ny, nx, -1)[start : start + count])
+
+    def numbers(self, name: str) -> int:
+        """How many numbers each point of an array has."""
+        return int(self.layers(name, 0, 1).shape[-1])
 
     def _check_end(self, source: Source) -> None:
         with source.open() as file:
@@ -102,9 +109,9 @@ def _name(source: Source, names: list[str]) -> str:
     return str(chosen)
 
 
-def _slabs(image: ImageFile, name: str, step: int) -> Iterator[np.ndarray]:
+def _slabs(image: ImageFile, chosen: tuple[str, int], step: int) -> Iterator[np.ndarray]:
     depth = image.extent[5] - image.extent[4] + 1
     for z in range(0, depth, step):
         with reading(image.name, "VTI"):
-            slab = image.layers(name, z, min(step, depth - z))
+            slab = image.layers(chosen[0], z, min(step, depth - z))[..., chosen[1]]
         yield slab

@@ -2,7 +2,7 @@
 
 PICTURE = "a picture, and a volume is many slices: give the folder of a stack of TIFFs, or one NRRD"
 MESH = "a mesh of triangles, which has no values inside: give the volume that it was made from"
-BARE = "bare voxels without a header: write their type, sizes and encoding into an .nhdr that names the file"
+BARE = "bare voxels without a header: say what they are by --raw 256x256x128,uint8,little, or in the name of the file"
 PROBE = "a light probe: give it as --environment, or name it in a scene, environment = 'file.hdr'"
 
 KINDS: tuple[tuple[bytes, str], ...] = (

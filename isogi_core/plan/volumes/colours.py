@@ -17,7 +17,7 @@ from isogi_core.kernels.transport.colours import sample_layer, slope_layer
 from isogi_core.model.colours import MAPS, MOST, VALUES, Colour, Scale, SurfaceColours, spread, table_of
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.volumes.masks import matrix_into
-from isogi_core.plan.volumes.opening import AXES, NESTED, open_grid, open_series, stem_of
+from isogi_core.plan.volumes.opening import AXES, chosen_part, open_grid, open_series, stem_of
 
 OF = ("gradient", "curvature")
 """What of the scene's own volume colours can be of."""
@@ -214,8 +214,7 @@ def volume_grids(settings: Settings, base: Path, volume: Volume, raw: bool) -> t
     if name.startswith("demo:"):
         grid = Grid.of(volume.voxels, volume.spacing)
         return grid, grid
-    chosen = {key: value for key in NESTED if (value := settings.count(key, 1 << 20)) is not None}
-    grid, _ = open_series(base, name, chosen, raw)
+    grid, _ = open_series(base, name, chosen_part(settings), raw)
     if spacing and grid.affine is not None:
         raise SceneError("spacing moves the volume away from its colours: leave it out, or add axes = 'raw'.")
     return grid, on_right_angles(grid, spacing)

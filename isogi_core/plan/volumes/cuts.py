@@ -16,7 +16,7 @@ from isogi_core.errors import SceneError, ViewError
 from isogi_core.files.mappings import OWN, budget
 from isogi_core.files.volume_copies import get_copy
 from isogi_core.files.voxel_file import Draft
-from isogi_core.model.volume import Volume
+from isogi_core.model.volume import BESIDE, Volume
 from isogi_core.model.window import Plane, read_window
 
 FAR = -8.0
@@ -55,7 +55,7 @@ def cut_away(volume: Volume, text: str) -> Volume:
     def write(draft: Draft) -> dict[str, Any]:
         for plane in (plane for slab in slabs_left(volume, left) for plane in slab):
             draft.write(plane)
-        facts = {name: value for name, value in vars(known).items() if name not in ("voxels", "orientation", "moment")}
+        facts = {name: value for name, value in vars(known).items() if name not in BESIDE}
         draft.seal(volume.shape, facts)
         return facts
 

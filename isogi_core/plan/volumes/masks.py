@@ -11,7 +11,7 @@ from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.grid import Grid
 from isogi_core.files.mappings import budget
 from isogi_core.files.scene_file import SceneSource, Settings
-from isogi_core.model.value_survey import check, survey
+from isogi_core.model.value_survey import check, find_marks, survey, usable, usable_type
 
 MOST = 8
 """Most tables [[volumes]] of a scene."""
@@ -73,7 +73,7 @@ class Mask:
             raise VolumeError(f"{need}: give a coarser one, or more by ISOGI_VOLUME_MB.")
         inside, z = np.empty(self.grid.shape, bool), 0
         for slab in self.grid.slabs():
-            inside[z : z + len(slab)] = np.isin(slab, self.table.labels) if self.table.labels else _is_something(slab)
+            inside[z : z + len(slab)] = is_one_of(slab, self.table.labels) if self.table.labels else _is_something(slab)
             z += len(slab)
         return inside
 
@@ -94,6 +94,11 @@ def nearest_layer(voxels: np.ndarray, matrix: np.ndarray, steps: tuple[np.ndarra
     x, y, z_index = (np.clip(index, 0, n - 1) for index, n in zip(found, sides, strict=True))
     values = np.where(reached, voxels[z_index, y, x], voxels.dtype.type(0))
     return np.broadcast_to(values, (steps[1].size, steps[0].size))
+
+
+def is_one_of(slab: np.ndarray, labels: Sequence[float]) -> np.ndarray:
+    """Whether values equal one of the ``labels``, in the values' type: whole numbers of 64 bits are told apart."""
+    return np.isin(usable(slab), find_marks(labels, usable_type(slab.dtype)))
 
 
 def _is_something(slab: np.ndarray) -> np.ndarray:

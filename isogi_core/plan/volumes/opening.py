@@ -4,14 +4,14 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.formats.opening import open_file, split_part
-from isogi_core.files.grid import Grid
+from isogi_core.files.grid import Grid, Region
 from isogi_core.files.mappings import OWN, budget
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, is_zarr, name_of
@@ -21,10 +21,10 @@ from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.orientation import Orientation
 from isogi_core.model.value_survey import Progress, check, checked_spacing, no_progress, survey
 from isogi_core.model.volume import Volume, make_volume
-from isogi_core.plan.volumes.labels import find_labels, solid_of_labels
+from isogi_core.plan.volumes.labels import PROPOSED, are_labels, find_labels, look_like_labels, solid_of_labels
 from isogi_core.plan.volumes.masks import cut_out, place, read_tables
 
-FORMAT = 1
+FORMAT = 2
 """Version of the copies: increased when the same file gives other voxels."""
 
 NESTED = ("level", "channel", "time", "series")
@@ -40,27 +40,30 @@ AXES = ("world", "raw")
 def open_volume(settings: Settings, base: Path, progress: Progress = no_progress, fallback: str = "above") -> Volume:
     """Open the volume that the scene names, a demo or a file, with the scene's spacing, solid side and missing values.
 
-    Outside of the scene's masks it has no surface. A segmentation is made a field of its labels. ``fallback`` is that
-    side where the scene names none. ``progress`` is called while a copy is made. Raises VolumeError and SceneError.
+    Outside of the scene's masks it has no surface. A segmentation, as the scene says or the file, is made a field of
+    its labels. ``fallback`` is the solid side where the scene names none. ``progress`` is called while a copy is made.
+    Raises VolumeError and SceneError.
     """
     name = settings.text("volume", DEFAULT_DEMO)
     solid = settings.text("solid", fallback)
     raw = settings.choice("axes", AXES) == "raw"
     spacing, missing = settings.numbers("spacing", 3), settings.listed("missing")
-    chosen = {key: value for key in NESTED if (value := settings.count(key, 1 << 20)) is not None}
+    chosen = chosen_part(settings)
     tables, labels = read_tables(settings), find_labels(settings)
     if not name.startswith("demo:"):
         grid, stem = open_series(base, name, chosen, raw)
-        moment = grid.moment
-        if labels is not None:
-            grid = solid_of_labels(grid, labels, settings)
+        moment, segmented = grid.moment, labels is not None or are_labels(grid, settings)
+        if segmented:
+            grid = solid_of_labels(grid, labels or (), settings)
         straight = on_right_angles(grid, spacing)
         if tables and spacing and grid.affine is not None:
             raise SceneError("spacing moves the volume away from its masks: leave it out, or add axes = 'raw'.")
         masks = [place(table, open_grid(base, table.file, {}, raw)[0], grid, straight) for table in tables]
         straight = cut_out(straight, masks, solid, missing) if masks else straight
         volume = volume_of(straight, solid, stem, missing, progress)
-        return replace(volume, orientation=Orientation.of(straight), moment=moment)
+        count = 0 if segmented else look_like_labels(volume)
+        straight = replace(straight, notes=(*straight.notes, *((PROPOSED.format(count=count),) if count else ())))
+        return replace(volume, orientation=Orientation.of(straight), moment=moment, segmented=segmented)
     if name.removeprefix("demo:") not in DEMOS:
         raise VolumeError(f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}.")
     if spacing or missing or chosen or raw or tables or labels is not None or solid != "above":
@@ -70,18 +73,26 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
     return demo_volume(name.removeprefix("demo:"))
 
 
+def chosen_part(settings: Settings) -> dict[str, Any]:
+    """What a scene chooses of its volume's file. Raises SceneError."""
+    numbers = {key: value for key in NESTED if (value := settings.count(key, 1 << 20)) is not None}
+    others = {"raw": settings.text("raw", ""), "region": settings.spans("region", 3)}
+    return {**numbers, **{key: value for key, value in others.items() if value}}
+
+
 FIRST = "The file holds {steps} steps in time: the first is shown, and time = 0 to {last} chooses another."
 
 
-def open_series(base: Path, name: str, chosen: dict[str, int], raw: bool = False) -> tuple[Grid, str]:
+def open_series(base: Path, name: str, chosen: dict[str, Any], raw: bool = False) -> tuple[Grid, str]:
     """Open a grid as ``open_grid`` does; of a series in time of which no step is chosen the first one, with a note."""
     grid, stem = _open_placed(base, name, chosen)
     steps = grid.moment[1]
     notes = (FIRST.format(steps=steps, last=steps - 1),) if grid.unchosen else ()
-    return replace(grid, affine=None if raw else grid.affine, notes=(*grid.notes, *notes)), stem
+    grid = replace(grid, notes=(*grid.notes, *notes))
+    return grid.raw(chosen.get("region")) if raw else grid, stem
 
 
-def open_grid(base: Path, name: str, chosen: dict[str, int], raw: bool = False) -> tuple[Grid, str]:
+def open_grid(base: Path, name: str, chosen: dict[str, Any], raw: bool = False) -> tuple[Grid, str]:
     """The grid at a path or a URL, and its display name; what follows a # in the name chooses too.
 
     Where the file says that it lies in the world is left out of a ``raw`` one. Raises VolumeError for a series in time
@@ -90,21 +101,33 @@ def open_grid(base: Path, name: str, chosen: dict[str, int], raw: bool = False) 
     grid, stem = _open_placed(base, name, chosen)
     if grid.unchosen:
         raise VolumeError(f"'{name}' has {grid.moment[1]} time steps: choose one, such as '{name}#time=0'.")
-    return replace(grid, affine=None) if raw else grid, stem
+    return grid.raw(chosen.get("region")) if raw else grid, stem
 
 
-def _open_placed(base: Path, name: str, chosen: dict[str, int]) -> tuple[Grid, str]:
-    named, inside = (name, {}) if "://" in name or (base / name).exists() else split_part(name)
+def _open_placed(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]:
+    region: Region | None = chosen.get("region")
+    chosen = {key: value for key, value in chosen.items() if key != "region"}
+    named, inside = (name, {}) if (base / name).exists() else split_part(name)
     place = named if "://" in named else base / named
     if isinstance(place, str) or is_zarr(place):
         from isogi_core.files.zarr_volume import open_zarr  # noqa: PLC0415 (loads Zarr, which NRRD does not need)
 
         wanted = {key: str(value) for key, value in {**inside, **chosen}.items()}
+        place = _below(place, wanted.pop("part", ""))
         wrong = next((key for key, value in wanted.items() if key not in ZARR or not value.isdecimal()), None)
         if wrong is not None:
             raise SceneError(f"{wrong} = {wanted[wrong]} chooses nothing in '{named}': give {' or '.join(ZARR)}.")
-        return open_zarr(place, **{key: int(value) for key, value in wanted.items()}), name_of(Path(place))
-    return open_file(place, {**inside, **chosen}), stem_of(place, inside)
+        facts = {key: int(value) for key, value in wanted.items()}
+        return open_zarr(place, region=region, **facts), name_of(Path(place))
+    grid = open_file(place, {**inside, **chosen})
+    return grid.cropped(region) if region else grid, stem_of(place, inside)
+
+
+def _below(place: Path | str, part: str) -> Path | str:
+    """The place of a ``part`` of a Zarr hierarchy. VolumeError where it leads out of it."""
+    if ".." in PurePath(part).parts or PurePath(part).is_absolute():
+        raise VolumeError(f"'{part}' leads out of '{place}': name an image in it, such as #A/1/0.")
+    return f"{place}/{part}".rstrip("/") if isinstance(place, str) else place / part
 
 
 def stem_of(path: Path, inside: dict[str, str]) -> str:

@@ -228,3 +228,35 @@ def test_a_series_of_pydicom_is_stacked_from_below() -> None:
     values = [each.pixel_array * each.RescaleSlope + each.RescaleIntercept for each in slices]
     np.testing.assert_array_equal(grid.whole(), values)
     np.testing.assert_allclose(grid.spacing[2], heights)
+
+
+@pytest.mark.parametrize(
+    ("facts", "signed", "low", "high"),
+    [
+        ({"PixelPaddingValue": -2000}, True, -2000, -2000),
+        ({"PixelPaddingValue": 0, "PixelPaddingRangeLimit": 9}, False, 0, 9),
+        ({"PixelPaddingValue": 9, "PixelPaddingRangeLimit": 0}, False, 0, 9),
+    ],
+)
+def test_padding_around_the_field_of_view_is_holes(
+    tmp_path: Path, facts: dict[str, int], signed: bool, low: int, high: int
+) -> None:
+    z, y, x = np.ogrid[:12, :20, :16]
+    outside = ((y - 9.5) ** 2 + (x - 7.5) ** 2 > 50) & (z >= 0)
+    padded = np.where(outside, np.where(x % 2, low, high), np.maximum(F, 10)).astype(np.int16)
+    kind = int(signed)
+    grid = opened(
+        write_series(tmp_path / "a", padded, LPS, PixelRepresentation=kind, RescaleIntercept="-1024", **facts)
+    )
+    np.testing.assert_array_equal(grid.whole(), np.where(outside, np.nan, np.maximum(F, 10) - 1024.0))
+    assert "(the padding value)" in grid.notes[0]
+
+
+def test_padding_is_read_where_the_file_leaves_its_type_open(tmp_path: Path) -> None:
+    from pydicom.uid import ImplicitVRLittleEndian
+
+    for number, layer in enumerate(F):
+        made = dataset(layer, LPS, number, PixelPaddingValue=0)
+        made.file_meta.TransferSyntaxUID = ImplicitVRLittleEndian
+        save(tmp_path, f"{number}.dcm", made)
+    np.testing.assert_array_equal(opened(tmp_path).whole(), np.where(F == 0, np.nan, F))

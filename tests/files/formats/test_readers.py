@@ -215,9 +215,12 @@ def test_ome_tiff_says_spacing_channels_and_times(tmp_path: Path) -> None:
     about = {"axes": "TCZYX", "PhysicalSizeX": 0.1, "PhysicalSizeY": 0.1, "PhysicalSizeZ": 0.3}
     fields = np.arange(6, dtype=np.int16).reshape(2, 3, 1, 1, 1) + F
     tifffile.imwrite(tmp_path / "f.ome.tif", fields, metadata=about, photometric="minisblack")
-    with pytest.raises(VolumeError, match="2 elements of time"):
+    with pytest.raises(VolumeError, match="3 elements of channel"):
         opened(tmp_path / "f.ome.tif")
+    first = check(tmp_path / "f.ome.tif", fields[0, 1], channel=1)
+    assert (first.moment, first.unchosen) == ((0, 2), True)
     grid = check(tmp_path / "f.ome.tif", fields[1, 2], time=1, channel=2)
+    assert (grid.moment, grid.unchosen) == ((1, 2), False)
     assert (grid.spacing, grid.unit) == ((0.1, 0.1, 0.3), "µm")
 
 
@@ -286,3 +289,103 @@ def test_bombs_and_files_cut_short_are_refused(tmp_path: Path) -> None:
     bomb = gzip.compress(whole + bytes(1 << 26))
     (tmp_path / "bomb.nii.gz").write_bytes(bomb)
     np.testing.assert_array_equal(opened(tmp_path / "bomb.nii.gz").whole(), F)  # what is beyond is never unpacked
+
+
+@pytest.mark.parametrize(
+    ("stamp", "flags", "signed", "why"),
+    [
+        (1146047817, 0, False, "without a sign, as IMOD's flag in the file says"),
+        (1146047817, 1, True, "with a sign, as IMOD's flag in the file says"),
+        (1146047817, 6, False, "without a sign"),
+        (0, 0, True, "with a sign, as MRC2014 says"),
+    ],
+)
+@pytest.mark.parametrize("order", "<>")
+def test_bytes_of_mrc_have_the_sign_that_imod_says(
+    tmp_path: Path, order: str, stamp: int, flags: int, signed: bool, why: str
+) -> None:
+    mrcfile = pytest.importorskip("mrcfile")
+    array = np.arange(256, dtype=np.uint8).reshape(4, 8, 8)
+    with mrcfile.new(tmp_path / "f.mrc") as made:
+        made.set_data(array.view(np.int8))
+    header = np.frombuffer((tmp_path / "f.mrc").read_bytes(), np.uint8).copy()
+    if order == ">":
+        with mrcfile.new(tmp_path / "f.mrc", overwrite=True) as made:
+            made.set_data(array.view(np.int8).astype(">f4"))
+            made.header.mode = 0
+            header = np.frombuffer(made.header.tobytes() + array.tobytes(), np.uint8).copy()
+    header[152:160] = np.frombuffer(np.array([stamp, flags], f"{order}u4").tobytes(), np.uint8)
+    (tmp_path / "f.mrc").write_bytes(header.tobytes())
+    grid = check(tmp_path / "f.mrc", array.view(np.int8) if signed else array)
+    assert why in grid.notes[0]
+
+
+@pytest.mark.parametrize("name", ["f.nii", "f.mrc", "f.nrrd"])
+def test_a_gzip_file_without_its_checksum_is_whole(tmp_path: Path, name: str) -> None:
+    whole = {"f.nii": nifti_bytes, "f.mrc": mrc_bytes, "f.nrrd": nrrd_bytes}[name](tmp_path)
+    path = tmp_path / (name if name == "f.nrrd" else f"{name}.gz")
+    for lost, words in ((0, None), (4, "before its checksum"), (8, "before its checksum")):
+        path.write_bytes(whole[: len(whole) - lost])
+        grid = check(path, F)
+        assert any(words in note for note in grid.notes) if words else not grid.notes
+    path.write_bytes(whole[:-40])
+    with pytest.raises(VolumeError, match=r"ends before its last voxel|damaged"):
+        opened(path).whole()
+    path.write_bytes(whole[:-8] + b"\0\0\0\0" + whole[-4:])
+    with pytest.raises(VolumeError, match=r"damaged .*CRC"):
+        opened(path).whole()
+
+
+def nifti_bytes(folder: Path) -> bytes:
+    return gzip.compress(nifti(folder / "f.nii", F).read_bytes())
+
+
+def mrc_bytes(folder: Path) -> bytes:
+    mrcfile = pytest.importorskip("mrcfile")
+    with mrcfile.new(folder / "f.mrc") as made:
+        made.set_data(F)
+    return gzip.compress((folder / "f.mrc").read_bytes())
+
+
+def nrrd_bytes(folder: Path) -> bytes:
+    nz, ny, nx = F.shape
+    header = f"NRRD0004\ntype: int16\ndimension: 3\nsizes: {nx} {ny} {nz}\nendian: little\nencoding: gzip\n\n"
+    return header.encode() + gzip.compress(F.astype("<i2").tobytes())
+
+
+def test_gzip_of_several_members_is_whole(tmp_path: Path) -> None:
+    whole = nifti(tmp_path / "f.nii", F).read_bytes()
+    parts = gzip.compress(whole[:999]) + gzip.compress(whole[999:]) + gzip.compress(b"")  # as bgzip does
+    (tmp_path / "f.nii.gz").write_bytes(parts)
+    assert not check(tmp_path / "f.nii.gz", F).notes
+    (tmp_path / "f.nii.gz").write_bytes(parts[:-24])  # the last member, and half of a checksum
+    assert "before its checksum" in check(tmp_path / "f.nii.gz", F).notes[0]
+
+
+@pytest.mark.parametrize("folder", [False, True])
+def test_pixels_of_a_tiff_without_data_are_holes(tmp_path: Path, folder: bool) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    tag = [(42113, 2, 5, "-9999", False)]
+    holed = np.where(F == 0, -9999, F).astype(np.int16)
+    if folder:
+        for number, layer in enumerate(holed):
+            tifffile.imwrite(tmp_path / f"{number}.tif", layer, extratags=tag)
+    else:
+        tifffile.imwrite(tmp_path / "f.tif", holed, photometric="minisblack", extratags=tag)
+    grid = opened(tmp_path if folder else tmp_path / "f.tif")
+    np.testing.assert_array_equal(grid.whole(), np.where(F == 0, np.nan, F))
+    assert grid.notes == ("Holes are -9999 (no data).",)
+
+
+@pytest.mark.parametrize("how", ["name", "unit"])
+def test_netcdf_says_which_axis_is_time(tmp_path: Path, how: str) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "f.nc", "w") as file:
+        data = file.create_dataset("v", data=np.stack([F, F + 1]))
+        file["steps"] = np.arange(2.0)
+        file["steps"].attrs["units"] = "1" if how == "name" else "days since 2000-01-01"
+        file["steps"].make_scale("time" if how == "name" else "step")
+        data.dims[0].attach_scale(file["steps"])
+    grid = check(tmp_path / "f.nc", F)
+    assert (grid.moment, grid.unchosen) == ((0, 2), True)
+    assert not check(tmp_path / "f.nc", F + 1, time=1).unchosen

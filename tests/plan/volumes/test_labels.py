@@ -277,3 +277,112 @@ def test_a_copy_of_labels_is_that_of_memory(tmp_path: Path, monkeypatch: pytest.
     copied = scene_of(tmp_path, volume=large)
     assert list((tmp_path / "copies").glob("*.voxels")) and copied.bake_digest == own.bake_digest
     assert scene_of(tmp_path, [table(3, hidden=True)], large).volume.digest != own.volume.digest
+
+
+SLICER = {
+    "Segment0_Name": "front",
+    "Segment0_Color": "0.8 0.2 0.2",
+    "Segment0_LabelValue": "3",
+    "Segment1_Name": "back",
+    "Segment1_LabelValue": "5",
+}
+
+
+def by_itself(folder: Path, text: str = "", volume: np.ndarray = HALVES) -> Scene:
+    """The scene of a segmentation of 3D Slicer that says nothing of labels."""
+    nrrd.write(str(folder / "v.seg.nrrd"), volume, dict(SLICER), index_order="C")
+    (folder / "s.toml").write_text(f'volume = "v.seg.nrrd"\n{text}')
+    return load_scene(folder / "s.toml")
+
+
+def test_a_segmentation_that_says_so_shows_its_labels(tmp_path: Path) -> None:
+    scene = by_itself(tmp_path)
+    labels = colours_of(scene).scale.labels
+    assert [(label.value, label.name) for label in labels] == [(3, "front"), (5, "back")]
+    assert colours_of(scene).scale.anchors[0] == "#cc3333"
+    assert (scene.isovalue, scene.volume.segmented) == (0.5, True)
+    assert module.BY_ITSELF in scene.volume.orientation.notes
+    asked = scene_of(tmp_path, "all")
+    assert scene.volume.digest == asked.volume.digest
+    np.testing.assert_array_equal(colours_of(scene).places, colours_of(asked).places)
+
+
+def test_labels_of_a_file_are_hidden_and_listed_by_their_values(tmp_path: Path) -> None:
+    scene = with_hidden(by_itself(tmp_path), (3,), "hidden")
+    assert [(each.name, each.shown) for each in colours_of(scene).scale.labels] == [("front", False), ("back", True)]
+    listed = by_itself(tmp_path, '[[labels]]\nvalue = 5\ncolour = "#00ff00"\n[[labels]]\nvalue = 3\nname = "bow"\n')
+    assert [each.name for each in colours_of(listed).scale.labels] == ["bow", "back"]
+    assert colours_of(listed).scale.anchors == ["#cc3333", "#00ff00"]
+
+
+@pytest.mark.parametrize("text", ["isovalue = 2\n", "albedo = 0.5\n", 'solid = "below"\n', "missing = 5\n"])
+def test_a_scene_of_values_shows_the_values_of_labels(tmp_path: Path, text: str) -> None:
+    scene = by_itself(tmp_path, text)
+    assert scene.colours is None and not scene.volume.segmented
+    assert scene.volume.value_range[1] > 1.0
+
+
+def test_a_nifti_file_may_say_that_it_is_a_segmentation(tmp_path: Path) -> None:
+    nib = pytest.importorskip("nibabel")
+    image = nib.Nifti1Image(HALVES.T, np.eye(4))
+    nib.save(image, tmp_path / "v.nii")
+    assert load_scene(tmp_path / "v.nii").colours is None
+    image.header.set_intent("label")
+    nib.save(image, tmp_path / "v.nii")
+    assert [each.name for each in colours_of(load_scene(tmp_path / "v.nii")).scale.labels] == ["label 3", "label 5"]
+
+
+@pytest.mark.parametrize(("kind", "value"), [("u8", 2**53), ("u8", 2**64 - 1), ("i8", -(2**60)), ("f8", 2.0**53)])
+def test_labels_that_cannot_be_told_apart_are_refused(tmp_path: Path, kind: str, value: float) -> None:
+    large = np.where(HALVES == 3, np.array(value, kind), HALVES.astype(kind))
+    np.save(tmp_path / "v.npy", large)
+    with pytest.raises(VolumeError, match=rf"has the label {int(value)}: give its labels numbers below 2\^53"):
+        load_scene(tmp_path / "v.npy", labels="all")
+
+
+def test_labels_of_64_bits_are_kept_apart(tmp_path: Path) -> None:
+    """Two whose difference 32 bits of a float do not hold."""
+    large = np.where(HALVES == 3, 2**53 - 2, np.where(HALVES == 5, 2**53 - 1, 0)).astype(np.uint64)
+    np.save(tmp_path / "v.npy", large)
+    scene = load_scene(tmp_path / "v.npy", labels="all")
+    assert [each.value for each in colours_of(scene).scale.labels] == [2**53 - 2, 2**53 - 1]
+    np.testing.assert_array_equal(colours_of(scene).places, colours_of(scene_of(tmp_path)).places)
+
+
+NESTED = np.where(RADIUS < 7.2, np.where(Y < 8, 7, np.where(Z < 8, 2000, 8)), 0)
+
+
+@pytest.mark.parametrize("kind", ["u2", "i4", "u8"])
+def test_values_that_look_like_labels_are_proposed_as_such(tmp_path: Path, kind: str) -> None:
+    np.save(tmp_path / "v.npy", NESTED.astype(kind))
+    assert module.PROPOSED.format(count=4) in load_scene(tmp_path / "v.npy").volume.orientation.notes
+    scene = load_scene(f"{tmp_path / 'v.npy'}#labels=all")
+    assert [each.value for each in colours_of(scene).scale.labels] == [7, 8, 2000]
+    assert not scene.volume.orientation.notes
+
+
+@pytest.mark.parametrize(
+    "field",
+    [
+        (RADIUS < 6.2) * np.uint8(255),
+        RADIUS < 6.2,
+        NESTED.astype(np.float32),
+        np.clip(90 - 9 * RADIUS, 0, 90).astype(np.uint8),
+    ],
+)
+def test_masks_and_ramps_do_not_look_like_labels(tmp_path: Path, field: np.ndarray) -> None:
+    np.save(tmp_path / "v.npy", field)
+    assert not load_scene(tmp_path / "v.npy").volume.orientation.notes
+
+
+@pytest.mark.data
+def test_no_shared_volume_looks_like_labels(shared_data: Path) -> None:
+    for path in sorted(shared_data.glob("*uint8.nhdr")):
+        if path.name.startswith(("boston", "carp", "bucky", "fuel", "nucleon")):
+            assert not load_scene(path).volume.orientation.notes, path.name
+
+
+@pytest.mark.parametrize(("high", "kind"), [(255, "u1"), (1, "?"), (1, "u1"), (1, "f4"), (2000, "i2")])
+def test_a_mask_starts_half_way_between_its_two_values(tmp_path: Path, high: int, kind: str) -> None:
+    np.save(tmp_path / "v.npy", (high * (RADIUS < 6.2)).astype(kind))
+    assert load_scene(tmp_path / "v.npy").isovalue == high / 2

@@ -12,6 +12,7 @@ from isogi_core.errors import IsogiError, SceneError, VolumeError
 from isogi_core.model.volume import Volume
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.volumes.masks import is_one_of
 from isogi_core.storage.store import Store
 from tests.files.formats.phantom import SIZE, WAYS, affine, letter, lying
 from tests.loaded import load_scene
@@ -145,3 +146,15 @@ def test_a_demo_has_no_masks(tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text('volume = "demo:casting"\n[[volumes]]\nfile = "m.nrrd"\nuse = "mask"\n')
     with pytest.raises(SceneError, match="leave out"):
         load_scene(tmp_path / "s.toml")
+
+
+@pytest.mark.parametrize("kind", [np.uint64, np.int64])
+def test_masks_tell_labels_of_64_bits_apart(kind: type) -> None:
+    slab = np.array([[[0, 2**53, 2**53 + 1, 2**62 + 1]]], kind)
+    assert is_one_of(slab, (2**53 + 1,)).tolist() == [[[False, False, True, False]]]
+    assert is_one_of(slab, (2**53, 2**62, -1, 0.5)).tolist() == [[[False, True, False, False]]]
+
+
+def test_masks_find_labels_in_the_type_of_their_values() -> None:
+    assert is_one_of(np.array([[[0.1, 0.2]]], np.float32), (0.1,)).tolist() == [[[True, False]]]
+    assert is_one_of(np.array([[[True, False]]]), (1,)).tolist() == [[[True, False]]]

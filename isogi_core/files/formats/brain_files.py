@@ -1,0 +1,70 @@
+"""FreeSurfer's MGH and Analyze 7.5, read by nibabel: what brains were kept in before NIfTI, and beside it."""
+
+import math
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.formats.nifti import field_slabs, frame_of, image_beside, scaling_of
+from isogi_core.files.formats.source import Source, library, reading
+from isogi_core.files.grid import PATIENT, Affine, Grid, read_as
+
+MGH, MGH_SUFFIXES = b"\0\0\0\1", (".mgh", ".mgz")
+
+ANALYZE, REGULAR = 348, slice(38, 39)
+"""The size of Analyze's header, its first number, and where most of its files have an r."""
+
+NO_SIDES = "Analyze does not say where left is: x is taken to go to the patient's left, as SPM does."
+
+
+def is_mgh(head: bytes, suffix: str) -> bool:
+    """Whether a file begins as MGH does, and is named so: its beginning alone is little."""
+    return head.startswith(MGH) and suffix in MGH_SUFFIXES
+
+
+def is_analyze(head: bytes, suffix: str) -> bool:
+    """Whether a file begins as Analyze does, and is named so or has its r; NIfTI begins so, too, and has a mark."""
+    sized = ANALYZE in (int.from_bytes(head[:4], order) for order in ("little", "big"))
+    return sized and (head[REGULAR] == b"r" or suffix in (".hdr", ".gz"))
+
+
+def open_mgh(source: Source) -> Grid:
+    """Open a file of FreeSurfer as a grid: only the header is read now. Raises VolumeError."""
+    kind = library("nibabel.freesurfer.mghformat", "MGH").MGHHeader
+    with reading(source.name, "MGH"), source.unpacked() as file:
+        header = kind(file.read(kind._hdrdtype.itemsize))
+    return _opened(source, source, header, "MGH")
+
+
+def open_analyze(source: Source) -> Grid:
+    """Open the header of a pair as a grid. Raises VolumeError."""
+    if source.path is None:
+        raise VolumeError(f"'{source.name}' is a header whose voxels are in another file: save both as one .nii file.")
+    kind = library("nibabel", "Analyze").spm2analyze.Spm2AnalyzeHeader
+    with reading(source.name, "Analyze"), source.unpacked() as file:
+        header = kind.from_fileobj(file)
+    grid = _opened(source, replace(source, path=image_beside(source)), header, "Analyze")
+    placed = source.path.with_suffix(".mat").is_file()
+    lost = (f"SPM's '{source.path.stem}.mat' beside it is not read: convert both to NIfTI.",) if placed else ()
+    return replace(grid, notes=(*grid.notes, NO_SIDES, *lost))
+
+
+def _opened(source: Source, voxels: Source, header: Any, kind: str) -> Grid:
+    source.refuse_others("time", "channel")
+    with reading(source.name, "a volume"):
+        shape, dtype = tuple(int(n) for n in header.get_data_shape()), header.get_data_dtype()
+        (time, unchosen), channel, times, (nx, ny, nz) = frame_of(source, shape)
+        source.check((nz, ny, nx))
+        first = int(header.get_data_offset())
+        start = first + (time + times * channel) * nx * ny * nz * dtype.itemsize
+        scaling = scaling_of(header)
+        affine = Affine.of(header.get_best_affine(), PATIENT)
+        x, y, z = (abs(float(step)) for step in header.get_zooms()[:3])
+    others = [voxels.path] if voxels.path is not None and voxels.path != source.path else []
+    slabs = partial(field_slabs, voxels, start, (nz, ny, nx), dtype, scaling)
+    notes = voxels.cut_notes(first + math.prod(shape) * dtype.itemsize)
+    grid = Grid((nz, ny, nx), scaling.dtype(dtype), (x, y, z), slabs, partial(source.stamp, *others), affine)
+    known = read_as(kind, dtype, "its header", scaling.slope, scaling.intercept)
+    unit = "mm" if kind == "MGH" else ""
+    return replace(grid, unit=unit, notes=notes, moment=(time, times), unchosen=unchosen, read_as=known)

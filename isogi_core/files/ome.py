@@ -1,0 +1,237 @@
+"""OME-Zarr's metadata (NGFF 0.1 to 0.6): axes, resolutions and where they lie, plates and wells, labels.
+
+Format: https://ngff.openmicroscopy.org.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.grid import PATIENT, LabelName
+
+SPACE = ("x", "y", "z")
+
+PREFIXES = {
+    **{"yotta": 24, "zetta": 21, "exa": 18, "peta": 15, "tera": 12, "giga": 9, "mega": 6, "kilo": 3, "hecto": 2},
+    **{"deca": 1, "deci": -1, "centi": -2, "milli": -3, "micro": -6, "nano": -9, "pico": -12, "femto": -15},
+    **{"atto": -18, "zepto": -21, "yocto": -24},
+}
+"""Powers of ten by SI prefix."""
+
+METRES = {
+    **{f"{prefix}meter": 10.0**power for prefix, power in PREFIXES.items()},
+    **{"meter": 1.0, "angstrom": 1e-10, "inch": 0.0254, "foot": 0.3048, "yard": 0.9144, "mile": 1609.344},
+    "parsec": 3.0856775814913673e16,
+}
+"""Metres of the units that NGFF names."""
+
+SHORT = {"meter": "m", "millimeter": "mm", "centimeter": "cm", "micrometer": "µm", "nanometer": "nm", "angstrom": "Å"}
+"""Signs of units; others are written out."""
+
+
+ORIENTATIONS = {
+    **{"left-to-right": (0, 1.0), "posterior-to-anterior": (1, 1.0), "inferior-to-superior": (2, 1.0)},
+    **{"right-to-left": (0, -1.0), "anterior-to-posterior": (1, -1.0), "superior-to-inferior": (2, -1.0)},
+}
+"""Which axis of a patient's right, anterior, superior an axis lies along, and its sign. Source: NGFF's RFC 4."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis of an array: its ``name``, such as z or c, its ``unit``, and where it goes ``towards`` in a patient, one
+    of ORIENTATIONS; empty where it does not say.
+    """
+
+    name: str
+    unit: str = ""
+    towards: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Resolution:
+    """One array of a multiscale image: its ``path`` below the image, the axes of its world, and the ``matrix`` from
+    the array's indices to these, (n, n + 1), its last column the origin. Both are empty where nothing is said.
+    """
+
+    path: str
+    axes: tuple[Axis, ...] = ()
+    matrix: np.ndarray | None = None
+
+
+def ome_of(attributes: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The metadata among a group's attributes."""
+    held = attributes.get("ome", attributes)
+    return held if isinstance(held, Mapping) else {}
+
+
+def resolutions_of(attributes: Mapping[str, Any], name: str) -> list[Resolution]:
+    """The resolutions of the image whose group has these ``attributes``, finest first; empty where it is no image.
+
+    Raises VolumeError, which names the image by ``name``, where its metadata is damaged, or it does not lie straight.
+    """
+    images = ome_of(attributes).get("multiscales")
+    if images is None:
+        return []
+    try:
+        image = images[0]
+        return [_resolution(image, each) for each in image["datasets"]]
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise VolumeError(f"The OME metadata of '{name}' is damaged ({error!r}): write it again.") from error
+
+
+def _resolution(image: Mapping[str, Any], dataset: Mapping[str, Any]) -> Resolution:
+    """One entry of the image's datasets, placed by it and, before 0.6, by the whole image's transformations."""
+    systems, steps = image.get("coordinateSystems"), list(dataset.get("coordinateTransformations", []))
+    if systems is not None:
+        output = steps[0].get("output") if steps else None
+        named = [
+            each for each in systems if each["name"] == (output["name"] if isinstance(output, Mapping) else output)
+        ]
+        axes = _axes((named or systems)[0]["axes"])
+    else:
+        axes = _axes(image.get("axes", ()))
+        steps += image.get("coordinateTransformations", [])
+    path = str(dataset["path"])
+    if not axes:
+        return Resolution(path)
+    return Resolution(path, axes, _sequence(steps, len(axes))[:-1])
+
+
+def _axes(given: Any) -> tuple[Axis, ...]:
+    """Names and units of axes; before NGFF 0.4 there were names alone."""
+    return tuple(Axis(each.lower()) if isinstance(each, str) else _axis(each) for each in given)
+
+
+def _axis(given: Mapping[str, Any]) -> Axis:
+    towards = given.get("orientation") or ""
+    towards = str(towards.get("value", "")) if isinstance(towards, Mapping) else str(towards)
+    unit = str(given.get("unit") or "").lower().replace("metre", "meter")
+    return Axis(str(given["name"]).lower(), unit, towards if towards in ORIENTATIONS else "")
+
+
+NAMED = "write it with an affine one"
+
+
+def _sequence(steps: Any, n: int) -> np.ndarray:
+    """The matrix, (n + 1, n + 1), of transformations one after the other."""
+    matrix = np.eye(n + 1)
+    for step in steps:
+        matrix = _matrix(step, n) @ matrix
+    return matrix
+
+
+def _matrix(step: Mapping[str, Any], n: int) -> np.ndarray:
+    """The matrix, (n + 1, n + 1), of a transformation."""
+    kind, matrix = step["type"], np.eye(n + 1)
+    if kind == "sequence":
+        return _sequence(step["transformations"], n)
+    if kind == "bijection":
+        return _matrix(step["forward"], n)
+    if kind not in ("identity", "scale", "translation", "rotation", "affine", "mapAxis"):
+        raise VolumeError(f"The image is placed by a transformation '{kind}', which is not read here: {NAMED}.")
+    if kind != "identity" and kind not in step:
+        raise VolumeError(f"The image is placed by a transformation '{kind}' that is not in its metadata: {NAMED}.")
+    if kind == "mapAxis":
+        matrix[:n] = matrix[np.array(step[kind], int)]
+    elif kind in ("scale", "translation"):
+        if len(step[kind]) != n:
+            raise ValueError(f"a {kind} of {len(step[kind])} numbers for {n} axes")
+        matrix[range(n), range(n) if kind == "scale" else n] = np.asarray(step[kind], float)
+    elif kind != "identity":
+        matrix[:n, : n + (kind == "affine")] = np.asarray(step[kind], float).reshape(n, -1)
+    return matrix
+
+
+def array_axes(resolution: Resolution) -> tuple[Axis, ...]:
+    """The axes of a resolution's array: each is that of the world along which it goes most."""
+    assert resolution.matrix is not None, "there are axes"
+    most = np.argmax(np.abs(resolution.matrix[:, :-1]), axis=0).tolist()
+    return tuple(resolution.axes[n] for n in most) if len(set(most)) == len(most) else resolution.axes
+
+
+def placed_in_space(resolution: Resolution) -> tuple[np.ndarray, str, str]:
+    """From indices along x, y, z to the world's x, y, z in the unit of x, (3, 4), the sign of that unit, and the
+    letters of a patient's world, where all axes say how they lie in one.
+
+    Raises VolumeError where units cannot be compared.
+    """
+    matrix, unit = _in_one_unit(resolution)
+    towards = [axis.towards for name in SPACE for axis in resolution.axes if axis.name == name]
+    places = [ORIENTATIONS.get(word, (-1, 0.0)) for word in towards]
+    if sorted(place for place, _ in places) != [0, 1, 2]:
+        return matrix, unit, ""
+    patient = np.empty_like(matrix)
+    for row, (place, sign) in zip(matrix, places, strict=True):
+        patient[place] = sign * row
+    return patient, unit, PATIENT
+
+
+def _in_one_unit(resolution: Resolution) -> tuple[np.ndarray, str]:
+    """The matrix of ``placed_in_space`` and its unit, along the axes of the image's own world."""
+    assert resolution.matrix is not None, "there are axes"
+    columns, rows = ([axis.name for axis in axes] for axes in (array_axes(resolution), resolution.axes))
+    units = [axis.unit for name in SPACE for axis in resolution.axes if axis.name == name]
+    matrix = resolution.matrix[[rows.index(name) for name in SPACE]]
+    matrix = matrix[:, [*(columns.index(name) for name in SPACE), -1]]
+    if len(set(units)) == 1:
+        return matrix, SHORT.get(units[0], units[0])
+    unknown = next((each for each in units if each not in METRES), None)
+    if unknown is not None:
+        raise VolumeError(f"The axes have different units, and '{unknown}' is no known one: set spacing in the scene.")
+    lengths = np.array([METRES[each] / METRES[units[0]] for each in units])
+    return matrix * lengths[:, None], SHORT.get(units[0], units[0])
+
+
+def first_image(attributes: Mapping[str, Any], inside: str = "") -> tuple[str, str]:
+    """The path of the first of several images below a group, and a note that says what else there is; else empty.
+    The group is ``inside`` the hierarchy, at this path.
+
+    A group is a plate of wells, a well of fields, or what bioformats2raw has made of a file.
+    """
+    held = ome_of(attributes)
+    if "plate" in held:
+        wells = [str(each["path"]) for each in held["plate"]["wells"]]
+        return wells[0], f"The plate has {_counted(len(wells), 'well')}: {wells[0]} is shown{_others(wells, inside)}."
+    if "well" in held:
+        fields = [str(each["path"]) for each in held["well"]["images"]]
+        return fields[
+            0
+        ], f"The well has {_counted(len(fields), 'field')}: {fields[0]} is shown{_others(fields, inside)}."
+    if "bioformats2raw.layout" in held and "multiscales" not in held:
+        return "0", "The file may hold several images: the first is shown, and #1 would choose the second."
+    return "", ""
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'s' if count > 1 else ''}"
+
+
+def _others(paths: list[str], inside: str) -> str:
+    return f", and #{inside}/{paths[1]} chooses another".replace("#/", "#") if len(paths) > 1 else ""
+
+
+def labels_of(attributes: Mapping[str, Any]) -> tuple[LabelName, ...] | None:
+    """The labels of an image of labels, with the names and colours that it gives; None of other images."""
+    held = ome_of(attributes).get("image-label")
+    if not isinstance(held, Mapping):
+        return None
+    colours = {each["label-value"]: each.get("rgba") for each in held.get("colors") or ()}
+    names = {each["label-value"]: each for each in held.get("properties") or ()}
+    return tuple(
+        LabelName(int(value), _name(names.get(value, {})), _hex(colours.get(value)))
+        for value in sorted({*colours, *names})
+        if isinstance(value, int) and value
+    )
+
+
+def _name(properties: Mapping[str, Any]) -> str:
+    """The name among a label's properties; they are not standardised."""
+    keys = ("name", "label", "class", "class name")
+    return next((value for key in keys if isinstance(value := properties.get(key), str)), "")
+
+
+def _hex(rgba: Any) -> str:
+    return "#" + bytes(rgba[:3]).hex() if rgba else ""

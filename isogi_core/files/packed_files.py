@@ -1,0 +1,72 @@
+"""Files packed by gzip or bzip2: their content while it is read, and how they end."""
+
+import bz2
+import gzip
+import zlib
+from typing import IO
+
+GZIP, BZIP2 = b"\x1f\x8b", b"BZh"
+
+BLOCK = 1 << 24
+"""Most bytes that are read at once."""
+
+Content = IO[bytes] | gzip.GzipFile | bz2.BZ2File
+
+DAMAGE = (OSError, EOFError, zlib.error)
+"""What a packed file raises where it is damaged."""
+
+CUT = "The gzip file ends before its checksum: its voxels are all there, but nothing says that they are right."
+
+
+def content_of(file: IO[bytes]) -> Content:
+    """The content of a ``file`` at its beginning, unpacked while it is read, by how it begins."""
+    head = file.read(len(BZIP2))
+    file.seek(0)
+    if head.startswith(GZIP):
+        return gzip.GzipFile(fileobj=file)
+    return bz2.BZ2File(file) if head == BZIP2 else file
+
+
+def read_end(content: Content) -> int:
+    """How many bytes come after those that were read: none or one. A checksum at the end is compared.
+
+    One of gzip that is not there is passed over: ``cut_notes`` tells it. Raises one of DAMAGE.
+    """
+    try:
+        return len(content.read(1))
+    except EOFError:
+        if isinstance(content, gzip.GzipFile):
+            return 0
+        raise
+
+
+def cut_notes(file: IO[bytes], size: int) -> tuple[str, ...]:
+    """CUT for a gzip ``file`` that begins here, whose content of ``size`` bytes is whole, and whose checksum is not.
+
+    A gzip file ends with the size of its content. Where it does not, it is unpacked up to that size, and no further.
+    """
+    start = file.tell()
+    packed = file.read(2) == GZIP
+    try:
+        file.seek(-4, 2)
+        said = int.from_bytes(file.read(4), "little")
+        file.seek(start)
+        return (CUT,) if packed and said != size % (1 << 32) and _is_cut(file, size) else ()
+    except OSError:  # shorter than four bytes
+        return ()
+    finally:
+        file.seek(start)
+
+
+def _is_cut(file: IO[bytes], size: int) -> bool:
+    """Whether a gzip file's content has ``size`` bytes, and then the file ends too early."""
+    content, left = gzip.GzipFile(fileobj=file), size
+    try:
+        while left > 0 and (block := content.read(min(left, BLOCK))):
+            left -= len(block)
+        content.read(1)
+    except EOFError:
+        return left <= 0
+    except DAMAGE:
+        return False
+    return False

@@ -1,0 +1,214 @@
+"""Packing: what stored numbers mean. Their type comes first, then which of them are holes, then slope and intercept.
+
+The order and the names are of NetCDF's conventions for climate and forecast data (CF 1.11, sections 2.5 and 8.1).
+"""
+
+import base64
+import math
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from isogi_core.files.grid import read_as
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """``value = slope · stored + intercept``."""
+
+    slope: float = 1.0
+    intercept: float = 0.0
+
+    @property
+    def trivial(self) -> bool:
+        """Whether values are as they are stored."""
+        return self.slope == 1.0 and self.intercept == 0.0
+
+    def dtype(self, stored: np.dtype[Any]) -> np.dtype[Any]:
+        """The type of values: as stored where that is all, integers of integers where they can be, else floats."""
+        if self.trivial or stored.kind not in "iuf":
+            return stored
+        whole = float(self.slope).is_integer() and float(self.intercept).is_integer()
+        if whole and stored.kind in "iu" and stored.itemsize <= 2 and abs(self.slope) + abs(self.intercept) < 2**14:
+            return np.dtype(np.int32)
+        return np.dtype(np.float32 if stored.itemsize <= 2 else np.float64)
+
+    def apply(self, values: np.ndarray) -> np.ndarray:
+        """The values of stored ones, in ``dtype``."""
+        if self.trivial or values.dtype.kind not in "iuf":
+            return values
+        kind = self.dtype(values.dtype)
+        if kind == np.int32:
+            return values.astype(np.int32) * np.int32(self.slope) + np.int32(self.intercept)
+        return (values.astype(np.float64) * self.slope + self.intercept).astype(kind)
+
+
+Span = tuple[Any, Any]
+"""Two ends, which belong to it."""
+
+
+@dataclass(frozen=True)
+class Packing:
+    """Stored numbers of a type, read as ``stored``, of the same size: those in ``holes``, and those outside of
+    ``valid``, are holes; others are scaled, and then those outside of ``within`` are holes too.
+
+    Ends of spans are numbers of the type ``stored``, those of ``within`` are values. ``notes`` say what was read where.
+    """
+
+    stored: np.dtype[Any]
+    holes: tuple[Span, ...] = ()
+    valid: Span | None = None
+    scaling: Scaling = Scaling()
+    within: Span | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """The type of values: floats where there may be holes, which are NaN."""
+        scaled = self.scaling.dtype(self.stored)
+        holed = self.holes or self.valid or self.within
+        return np.result_type(scaled, np.float32) if holed else scaled
+
+    def apply(self, stored: np.ndarray) -> np.ndarray:
+        """The values of stored numbers, in ``dtype``."""
+        alike, order = stored.dtype.newbyteorder("=") == self.stored.newbyteorder("="), stored.dtype.byteorder
+        numbers = stored if alike else np.ascontiguousarray(stored).view(self.stored.newbyteorder(order))
+        values = self.scaling.apply(numbers)
+        for gone in self._gone(numbers, values):
+            values = np.where(gone, np.float32(np.nan), values)
+        return values
+
+    def read_as(self, kind: str, placed: str = "") -> str:
+        """What a source of a ``kind`` was taken for; see ``grid.read_as``."""
+        return read_as(kind, self.stored, placed, self.scaling.slope, self.scaling.intercept)
+
+    def _gone(self, numbers: np.ndarray, values: np.ndarray) -> list[np.ndarray]:
+        """Where there are holes, for each reason."""
+        found = [numbers == low if low == high else (numbers >= low) & (numbers <= high) for low, high in self.holes]
+        spans = ((numbers, self.valid), (values, self.within))
+        return found + [(each < span[0]) | (each > span[1]) for each, span in spans if span is not None]
+
+
+def holed(stored: np.dtype[Any], ends: Sequence[float | None], why: str) -> Packing:
+    """The packing of numbers of which those between two ``ends``, or equal to an only one, are holes.
+
+    Ends that are None, or that the type cannot store, are left out. ``why`` names what says so.
+    """
+    known = sorted(found for end in ends if end is not None and (found := as_stored(end, stored)) is not None)
+    if not known:
+        return Packing(stored)
+    named = " to ".join(map(str, dict.fromkeys(known)))
+    return Packing(stored, ((known[0], known[-1]),), notes=(f"Holes are {named} ({why}).",))
+
+
+def whole_type(stored: np.dtype[Any], unsigned: bool) -> np.dtype[Any]:
+    """The type of whole numbers of the same size and byte order, with or without a sign; of floats, itself."""
+    if stored.kind not in "iu":
+        return stored
+    return np.dtype(f"{'u' if unsigned else 'i'}{stored.itemsize}").newbyteorder(stored.byteorder)
+
+
+def as_stored(value: Any, kind: np.dtype[Any]) -> Any:
+    """A number as a type stores it, for comparison with others of the type; None where the type has no such number.
+
+    A float is rounded to the type: a mark of 1e20 is the float32 next to it in a file of float32. Of a whole number
+    the bits count, as attributes often have the other sign: 65535 and -1 are one in 16 bits.
+    """
+    native = kind.newbyteorder("=")
+    if kind.kind == "f":
+        with np.errstate(over="ignore"):
+            return native.type(value)
+    if kind.kind not in "iu" or not math.isfinite(value) or value != int(value):
+        return None
+    whole, bits = int(value), 8 * kind.itemsize
+    if not -(1 << bits - 1) <= whole < 1 << bits:
+        return None
+    folded = whole % (1 << bits)
+    return native.type(folded - (1 << bits) if kind.kind == "i" and folded >> bits - 1 else folded)
+
+
+MARKS = ("_FillValue", "missing_value")
+
+DEFAULTS = {"f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i2": -32767, "i4": -2147483647}
+"""What NetCDF's library fills variables with that have no ``_FillValue``, by their types; of bytes all are values."""
+
+
+ATTRIBUTES = (*MARKS, "_Unsigned", "valid_range", "valid_min", "valid_max", "scale_factor", "add_offset")
+"""CF's vocabulary: the attributes of a variable that say what its numbers mean."""
+
+
+def climate_packing(attributes: Mapping[str, Any], stored: np.dtype[Any], filled: Any = None) -> Packing:
+    """The packing of a variable with ``attributes`` of CF's vocabulary.
+
+    ``filled`` is what voxels hold that nobody wrote: a hole where it is what NetCDF fills variables with by default.
+    """
+    kind = whole_type(stored, _is_unsigned(attributes, stored))
+    given = {name: _numbers(attributes.get(name)) for name in MARKS}
+    if not given[MARKS[0]] and filled is not None and filled == as_stored(DEFAULTS.get(stored.str[1:], math.nan), kind):
+        given["NetCDF's default"] = [filled]
+    marks = {name: [as_stored(each, kind) for each in values] for name, values in given.items()}
+    holes = {mark: None for values in marks.values() for mark in values if mark is not None and not np.isnan(mark)}
+    slope, intercept = (_first(attributes, name, rest) for name, rest in (("scale_factor", 1.0), ("add_offset", 0.0)))
+    notes = [f"Whole numbers are read {'without' if kind.kind == 'u' else 'with'} a sign, as _Unsigned says."]
+    found = Packing(kind, tuple((mark, mark) for mark in holes), scaling=Scaling(float(slope), float(intercept)))
+    found = _with_range(found, attributes)
+    return replace(found, notes=(*(notes if kind != stored else ()), *_holes_note(found, marks)))
+
+
+def _is_unsigned(attributes: Mapping[str, Any], stored: np.dtype[Any]) -> bool:
+    """Whether whole numbers have no sign, by the attribute ``_Unsigned``, else by their type."""
+    given = attributes.get("_Unsigned")
+    word = given.decode() if isinstance(given, bytes) else str(given)
+    return {"true": True, "false": False}.get(word.lower(), stored.kind == "u")
+
+
+def _with_range(packing: Packing, attributes: Mapping[str, Any]) -> Packing:
+    """The packing with the range of valid numbers: of values where it is given in floats of scaled whole numbers."""
+    both = _numbers(attributes.get("valid_range"))
+    ends = (
+        both
+        if len(both) == 2
+        else [_first(attributes, "valid_min", -math.inf), _first(attributes, "valid_max", math.inf)]
+    )
+    if any(map(math.isnan, ends)) or ends == [-math.inf, math.inf]:
+        return packing
+    scaled = packing.stored.kind in "iu" and not packing.scaling.trivial
+    if scaled and any(isinstance(end, float) and math.isfinite(end) for end in ends):
+        return replace(packing, within=(ends[0], ends[1]))
+    stored = [as_stored(end, packing.stored) for end in ends]
+    low, high = (end if known is None else known for end, known in zip(ends, stored, strict=True))
+    if packing.stored.kind in "iu" and low <= np.iinfo(packing.stored).min and high >= np.iinfo(packing.stored).max:
+        return packing
+    return replace(packing, valid=(low, high)) if low <= high else packing
+
+
+def _holes_note(packing: Packing, marks: Mapping[str, Sequence[Any]]) -> tuple[str, ...]:
+    """What is a hole, in a sentence; empty where nothing is."""
+    named = [f"{mark!s} ({name})" for name, values in marks.items() for mark in values if mark is not None]
+    spans = [span for span in (packing.valid, packing.within) if span is not None]
+    outside = [f"what is not from {low!s} to {high!s} (the valid range)" for low, high in spans]
+    return (f"Holes are {', '.join([*named, *outside])}.",) if named or outside else ()
+
+
+def _numbers(given: Any) -> list[Any]:
+    """The numbers of an attribute, as Python has them; none where it has none."""
+    if isinstance(given, str | bytes):
+        return _numbers_in(given if isinstance(given, str) else given.decode("ascii", "replace"))
+    values = [] if given is None else np.ravel(given).tolist()
+    return [value for value in values if isinstance(value, int | float)]
+
+
+def _numbers_in(text: str) -> list[float]:
+    """The numbers that a text stands for: Xarray writes those of Zarr's third version as the bytes of a double."""
+    try:
+        return [struct.unpack("<d", base64.b64decode(text))[0]] if text.endswith("=") else [float(text)]
+    except (ValueError, struct.error):
+        return []
+
+
+def _first(attributes: Mapping[str, Any], name: str, fallback: float) -> Any:
+    """The first number of an attribute."""
+    return (*_numbers(attributes.get(name)), fallback)[0]

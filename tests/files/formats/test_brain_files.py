@@ -1,0 +1,100 @@
+"""FreeSurfer's files and Analyze's pairs, against what nibabel reads of them."""
+
+import gzip
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.formats.opening import open_file, open_upload
+from isogi_core.files.grid import Grid
+from isogi_core.files.right_angles import on_right_angles
+from isogi_core.model.orientation import Orientation
+from tests.files.formats.phantom import WAYS, affine, letter, lying
+
+nib = pytest.importorskip("nibabel")
+
+pytestmark = [  # nibabel leaves files of MGH open
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+]
+
+F = letter()
+
+
+def check(path: Path, loaded: Any, **chosen: int) -> Grid:
+    """The grid of a file, whose values lie in the world where nibabel has them."""
+    grid = on_right_angles(open_file(path, chosen))
+    found, orientation = grid.whole(), Orientation.of(grid)
+    values = np.asarray(loaded.dataobj)
+    values = values[..., chosen["time"]] if values.ndim == 4 else values
+    for index in product(*((0, n // 3, n - 1) for n in values.shape)):
+        place = nib.affines.apply_affine(loaded.affine, index)
+        x, y, z = np.rint(np.array(orientation.point_to_box(tuple(place))) / np.array(grid.spacing)).astype(int)
+        assert found[z, y, x] == pytest.approx(values[index], rel=1e-6)
+    return grid
+
+
+@pytest.mark.parametrize("way", range(0, len(WAYS), 5))
+@pytest.mark.parametrize("name", ["f.mgh", "f.mgz"])
+def test_a_file_of_freesurfer_lies_where_nibabel_says(tmp_path: Path, name: str, way: int) -> None:
+    array, placed = lying(*WAYS[way])
+    nib.save(nib.MGHImage(array.T, placed), tmp_path / name)
+    grid = check(tmp_path / name, nib.load(tmp_path / name))
+    assert (grid.unit, grid.affine is not None and grid.affine.letters) == ("mm", "RAS")
+
+
+@pytest.mark.parametrize("kind", ["u1", "i2", "i4", "f4"])
+def test_numbers_of_freesurfer_are_read(tmp_path: Path, kind: str) -> None:
+    nib.save(nib.MGHImage((F // 8).astype(kind).T, affine()), tmp_path / "f.mgz")
+    check(tmp_path / "f.mgz", nib.load(tmp_path / "f.mgz"))
+    with (tmp_path / "f.mgz").open("rb") as file:
+        np.testing.assert_array_equal(open_upload(file, "f.mgz", 1 << 20).whole(), (F // 8).astype(kind))
+
+
+def test_steps_in_time_of_freesurfer_are_a_series(tmp_path: Path) -> None:
+    nib.save(nib.MGHImage(np.stack([F.T, F.T + 1], axis=-1), affine()), tmp_path / "f.mgz")
+    grid = open_file(tmp_path / "f.mgz", {})
+    assert (grid.moment, grid.unchosen) == ((0, 2), True)
+    check(tmp_path / "f.mgz", nib.load(tmp_path / "f.mgz"), time=1)
+
+
+def test_a_file_of_freesurfer_that_does_not_say_how_it_lies(tmp_path: Path) -> None:
+    nib.save(nib.MGHImage(F.T, affine()), tmp_path / "f.mgh")
+    data = bytearray((tmp_path / "f.mgh").read_bytes())
+    data[28:30] = b"\0\0"  # goodRASFlag
+    (tmp_path / "f.mgh").write_bytes(data)
+    check(tmp_path / "f.mgh", nib.load(tmp_path / "f.mgh"))
+    (tmp_path / "f.mgh").write_bytes(data[:-4000])
+    with pytest.raises(VolumeError, match="ends before its last voxel"):
+        open_file(tmp_path / "f.mgh", {}).whole()
+
+
+@pytest.mark.parametrize("kind", ["AnalyzeImage", "Spm99AnalyzeImage", "Spm2AnalyzeImage"])
+@pytest.mark.parametrize("name", ["f.hdr", "f.img"])
+@pytest.mark.parametrize("order", "<>")
+def test_a_pair_of_analyze_is_read_with_its_sides(tmp_path: Path, kind: str, name: str, order: str) -> None:
+    image = getattr(nib, kind)(F.T, np.diag([-1.0, 1.25, 1.5, 1.0]), getattr(nib, kind).header_class(endianness=order))
+    nib.save(image, tmp_path / "f.img")
+    (tmp_path / "f.mat").unlink(missing_ok=True)
+    grid = check(tmp_path / name, nib.load(tmp_path / "f.hdr"))
+    assert "x is taken to go to the patient's left" in grid.notes[0] and len(grid.notes) == 1
+    (tmp_path / "f.img.gz").write_bytes(gzip.compress((tmp_path / "f.img").read_bytes()))
+    (tmp_path / "f.img").unlink()
+    np.testing.assert_array_equal(open_file(tmp_path / "f.hdr", {}).whole(), F)
+    (tmp_path / "f.img.gz").unlink()
+    with pytest.raises(VolumeError, match=r"'f.img' with its voxels is not beside it"):
+        open_file(tmp_path / "f.hdr", {})
+
+
+def test_slopes_of_analyze_are_applied(tmp_path: Path) -> None:
+    image = nib.Spm2AnalyzeImage(F.T / 2.0, np.diag([-1.0, 1.25, 1.5, 1.0]))
+    image.set_data_dtype(np.int16)
+    nib.save(image, tmp_path / "f.img")
+    (tmp_path / "f.mat").write_bytes(b"")
+    grid = open_file(tmp_path / "f.hdr", {})
+    np.testing.assert_allclose(grid.whole(), F / 2.0, atol=0.01)
+    assert "'f.mat' beside it is not read" in grid.notes[1]

@@ -1,0 +1,76 @@
+"""MetaImage and VTI, by libraries that may be missing: several numbers a voxel, lines that end as on other systems."""
+
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.formats.opening import open_file
+from tests.files.formats.phantom import letter
+from tests.loaded import load_scene
+
+F = letter()
+FIELDS = np.stack([F, F + 1, F * 2], axis=-1)
+
+
+def metaimage(path: Path, array: np.ndarray, end: str = "\n", **changes: Any) -> Path:
+    """An image of int16, of one or several numbers a voxel."""
+    pytest.importorskip("SimpleITK")
+    nz, ny, nx, *each = array.shape
+    lines = {"ObjectType": "Image", "NDims": 3, "BinaryData": True, "BinaryDataByteOrderMSB": False}
+    lines |= {"DimSize": f"{nx} {ny} {nz}", "ElementSpacing": "1 1.25 1.5", "ElementType": "MET_SHORT"}
+    lines |= {"ElementNumberOfChannels": each[0]} if each else {}
+    lines |= changes
+    order = ">i2" if lines["BinaryDataByteOrderMSB"] else "<i2"
+    body = array.astype(order).tobytes()
+    name = "LOCAL" if path.suffix == ".mha" else "beside it.raw"
+    header = end.join(f"{key} = {value}" for key, value in {**lines, "ElementDataFile": name}.items()) + end
+    path.write_bytes(header.encode() + (body if name == "LOCAL" else b""))
+    if name != "LOCAL":
+        (path.parent / name).write_bytes(body)
+    return path
+
+
+def vti(path: Path, array: np.ndarray) -> Path:
+    """An image of VTK, of one or several numbers a point."""
+    pytest.importorskip("vtk")
+    writer = import_module("vtkmodules.vtkIOXML").vtkXMLImageDataWriter()
+    image = import_module("vtkmodules.vtkCommonDataModel").vtkImageData()
+    nz, ny, nx, *each = array.shape
+    image.SetDimensions(nx, ny, nz)
+    values = import_module("vtkmodules.util.numpy_support").numpy_to_vtk(array.reshape(-1, *each), deep=True)
+    values.SetName("value")
+    image.GetPointData().AddArray(values)
+    writer.SetFileName(str(path))
+    writer.SetInputData(image)
+    writer.Write()
+    return path
+
+
+@pytest.mark.parametrize("write", [metaimage, vti])
+def test_one_of_several_numbers_is_chosen(tmp_path: Path, write: Any) -> None:
+    path = write(tmp_path / ("f.vti" if write is vti else "f.mha"), FIELDS)
+    with pytest.raises(VolumeError, match=r"has 3 channels: choose one by channel = 0 to 2"):
+        open_file(path, {})
+    for number in range(3):
+        np.testing.assert_array_equal(open_file(path, {"channel": number}).whole(), FIELDS[..., number])
+
+
+@pytest.mark.parametrize("suffix", [".mha", ".mhd"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize("big", [False, True])
+def test_lines_and_bytes_of_other_systems_are_read(tmp_path: Path, suffix: str, end: str, big: bool) -> None:
+    folder = tmp_path / "a#1 %41 æøå"
+    folder.mkdir()
+    path = metaimage(folder / f"an f#2{suffix}", F, end, BinaryDataByteOrderMSB=big)
+    np.testing.assert_array_equal(open_file(path, {}).whole(), F)
+
+
+@pytest.mark.parametrize("steps", ["0 1 1", "nan 1 1", "inf 1 1"])
+def test_spacing_that_cannot_be_is_refused(tmp_path: Path, steps: str) -> None:
+    path = metaimage(tmp_path / "f.mha", F, ElementSpacing=steps)
+    with pytest.raises(VolumeError, match=r"spacing|cannot be read|no direction"):
+        load_scene(path)

@@ -1,0 +1,233 @@
+"""OME-Zarr as it is written: plates, axes in any order, coordinate systems of 0.6, and levels that lie as one."""
+
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zarr
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.grid import LabelName
+from isogi_core.files.right_angles import on_right_angles
+from isogi_core.files.zarr_volume import open_zarr
+from isogi_core.model.orientation import Orientation
+from tests.loaded import load_scene
+
+FIELD = np.arange(7 * 5 * 6).reshape(7, 5, 6)
+
+
+def axis(name: str, unit: str = "micrometer") -> dict[str, str]:
+    """An axis of space."""
+    return {"name": name, "type": "space", "unit": unit}
+
+
+def image(path: Path, array: np.ndarray, axes: list[Any], *steps: Any, version: str = "0.5", **more: Any) -> Path:
+    """An image of one array, at level 0, placed by these steps."""
+    group = zarr.open_group(path, mode="w")
+    saved = zarr.create_array(
+        path / "0", shape=array.shape, dtype=array.dtype, chunks=tuple(min(4, n) for n in array.shape)
+    )
+    saved[:] = array
+    dataset = {"path": "0", "coordinateTransformations": list(steps)}
+    if version >= "0.6":
+        for step in steps[:1]:
+            step.update(input="0", output="world")
+        multiscales = [{"coordinateSystems": [{"name": "world", "axes": axes}], "datasets": [dataset]}]
+    else:
+        multiscales = [{"axes": axes, "datasets": [dataset]}]
+    group.attrs.update({"ome": {"version": version, "multiscales": multiscales, **more}})
+    return path
+
+
+def scale(*steps: float) -> dict[str, Any]:
+    return {"type": "scale", "scale": list(steps)}
+
+
+def translation(*steps: float) -> dict[str, Any]:
+    return {"type": "translation", "translation": list(steps)}
+
+
+@pytest.mark.parametrize("names", ["".join(each) for each in permutations("xyz")])
+@pytest.mark.parametrize("version", ["0.5", "0.6"])
+def test_axes_of_space_may_have_any_order(tmp_path: Path, names: str, version: str) -> None:
+    turned = FIELD.transpose([("zyx").index(name) for name in names])
+    steps = [{"z": 2.0, "y": 1.5, "x": 0.5}[name] for name in names]
+    path = image(tmp_path / "v.zarr", turned, [axis(name) for name in names], scale(*steps), version=version)
+    grid = open_zarr(path)
+    for _ in range(2):
+        np.testing.assert_array_equal(grid.whole(), FIELD)
+    assert (tuple(grid.spacing), grid.unit, grid.affine) == ((0.5, 1.5, 2.0), "µm", None)
+
+
+def test_a_channel_may_stand_anywhere(tmp_path: Path) -> None:
+    fields = np.stack([FIELD, FIELD + 1], axis=-1).transpose(2, 1, 0, 3)
+    axes = [axis("x"), axis("y"), axis("z"), {"name": "c", "type": "channel"}]
+    path = image(tmp_path / "v.zarr", fields, axes, scale(1, 1, 1, 1))
+    np.testing.assert_array_equal(open_zarr(path, channel=1).whole(), FIELD + 1)
+
+
+def test_a_translation_says_where_the_first_voxel_lies(tmp_path: Path) -> None:
+    axes = [axis("z", "millimeter"), axis("y"), axis("x", "micrometre")]
+    grid = open_zarr(image(tmp_path / "v.zarr", FIELD, axes, scale(2, 1.5, 0.5), translation(3, 20, 10)))
+    assert grid.affine is not None and grid.unit == "µm"
+    np.testing.assert_allclose(grid.affine.origin, (10.0, 20.0, 3000.0))
+    np.testing.assert_allclose(grid.spacing, (0.5, 1.5, 2000.0))
+
+
+def placed(path: Path) -> np.ndarray:
+    """The matrix of the image's array, (3, 4), x, y, z."""
+    grid = open_zarr(path)
+    assert grid.affine is not None
+    np.testing.assert_array_equal(grid.whole(), FIELD)
+    return grid.affine.array
+
+
+ZYX = [axis(name) for name in "zyx"]
+
+
+def test_coordinate_systems_are_read_as_far_as_they_are_affine(tmp_path: Path) -> None:
+    steps = [scale(2, 1.5, 0.5), translation(3, 2, 1)]
+    sequence = {"type": "sequence", "transformations": steps}
+    expected = [[0.5, 0, 0, 1], [0, 1.5, 0, 2], [0, 0, 2, 3]]
+    path = tmp_path / "v.zarr"
+    np.testing.assert_allclose(placed(image(path, FIELD, ZYX, sequence, version="0.6")), expected)
+    affine = {"type": "affine", "affine": [[2, 0, 0, 3], [0, 1.5, 0, 2], [0, 0, 0.5, 1]]}
+    np.testing.assert_allclose(placed(image(path, FIELD, ZYX, affine, version="0.6")), expected)
+    rotation = {"type": "rotation", "rotation": [[1, 0, 0], [0, 0.8, 0.6], [0, -0.6, 0.8]]}
+    both = {"type": "sequence", "transformations": [rotation, *steps]}
+    found = placed(image(path, FIELD, ZYX, both, version="0.6"))
+    np.testing.assert_allclose(found, [[0.4, -0.3, 0, 1], [0.9, 1.2, 0, 2], [0, 0, 2, 3]])
+    bijection = {"type": "bijection", "forward": sequence, "inverse": {"type": "identity"}}
+    np.testing.assert_allclose(placed(image(path, FIELD, ZYX, bijection, version="0.6")), expected)
+
+
+def test_an_axis_may_be_mapped_to_another(tmp_path: Path) -> None:
+    mapped = {"type": "sequence", "transformations": [{"type": "mapAxis", "mapAxis": [2, 1, 0]}, scale(2, 1.5, 0.5)]}
+    path = image(tmp_path / "v.zarr", FIELD.transpose(2, 1, 0), ZYX, mapped, version="0.6")
+    grid = open_zarr(path)
+    np.testing.assert_array_equal(grid.whole(), FIELD)
+    assert tuple(grid.spacing) == (0.5, 1.5, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("step", "words"),
+    [
+        ({"type": "displacements", "path": "warp"}, "'displacements', which is not read here"),
+        ({"type": "affine", "path": "matrix"}, "'affine' that is not in its metadata"),
+        ({"type": "affine", "affine": [[1, 2], [3, 4]]}, "metadata of .* is damaged"),
+        ({"type": "mapAxis", "mapAxis": [0, 1, 7]}, "metadata of .* is damaged"),
+        ({"type": "scale", "scale": [1, 2]}, "a scale of 2 numbers for 3 axes"),
+        ({"scale": [1, 2, 3]}, "metadata of .* is damaged"),
+    ],
+)
+def test_what_is_not_affine_is_refused_in_a_sentence(tmp_path: Path, step: Any, words: str) -> None:
+    path = image(tmp_path / "v.zarr", FIELD, ZYX, step, version="0.6")
+    with pytest.raises(VolumeError, match=words):
+        open_zarr(path)
+
+
+def plate(path: Path, wells: dict[str, list[str]]) -> Path:
+    """A plate of wells with these fields; each image holds numbers of its own."""
+    group = zarr.open_group(path, mode="w")
+    group.attrs["ome"] = {"version": "0.5", "plate": {"wells": [{"path": well} for well in wells]}}
+    number = 0
+    for well, fields in wells.items():
+        zarr.open_group(path / well.split("/")[0], mode="a")
+        held = zarr.open_group(path / well, mode="w")
+        held.attrs["ome"] = {"version": "0.5", "well": {"images": [{"path": each} for each in fields]}}
+        for each in fields:
+            image(path / well / each, FIELD + number, ZYX, scale(2, 1, 1))
+            number += 1
+    return path
+
+
+def test_a_plate_shows_the_first_field_of_its_first_well(tmp_path: Path) -> None:
+    path = plate(tmp_path / "p.zarr", {"A/1": ["0", "1"], "B/2": ["0"]})
+    scene = load_scene(path)
+    assert scene.volume.value_range[0] == 0.0 and scene.volume.spacing == (1.0, 1.0, 2.0)
+    assert scene.volume.orientation.notes == (
+        "The plate has 2 wells: A/1 is shown, and #B/2 chooses another.",
+        "The well has 2 fields: 0 is shown, and #A/1/1 chooses another.",
+    )
+    for part, first in (("A/1/0", 0.0), ("A/1/1", 1.0), ("B/2", 2.0), ("B/2/0", 2.0), ("B/2/0/0", 2.0)):
+        assert load_scene(f"{path}#{part}").volume.value_range[0] == first
+    (tmp_path / "s.toml").write_text('volume = "p.zarr#B/2/0"\n')
+    assert load_scene(tmp_path / "s.toml").volume.name == "p-B-2-0"
+    with pytest.raises(VolumeError, match="leads out of"):
+        load_scene(f"{path}#../other.zarr")
+    with pytest.raises(VolumeError, match="There is no Zarr array"):
+        load_scene(f"{path}#C/3")
+
+
+def test_a_damaged_plate_is_refused(tmp_path: Path) -> None:
+    zarr.open_group(tmp_path / "p.zarr", mode="w").attrs["ome"] = {"plate": {"wells": []}}
+    with pytest.raises(VolumeError, match=r"metadata of .* is damaged"):
+        open_zarr(tmp_path / "p.zarr")
+
+
+def test_of_several_images_in_a_file_the_first_is_shown(tmp_path: Path) -> None:
+    zarr.open_group(tmp_path / "v.zarr", mode="w").attrs["bioformats2raw.layout"] = 3
+    for number in range(2):
+        image(tmp_path / "v.zarr" / str(number), FIELD + number, ZYX, scale(1, 1, 1))
+    grid = open_zarr(tmp_path / "v.zarr")
+    np.testing.assert_array_equal(grid.whole(), FIELD)
+    assert "the first is shown" in grid.notes[0]
+    np.testing.assert_array_equal(open_zarr(tmp_path / "v.zarr" / "1").whole(), FIELD + 1)
+
+
+def test_an_image_of_labels_names_them(tmp_path: Path) -> None:
+    about = {
+        "colors": [{"label-value": 1, "rgba": [255, 0, 16, 255]}, {"label-value": 0, "rgba": [0, 0, 0, 0]}],
+        "properties": [{"label-value": 1, "class": "nucleus"}, {"label-value": 2, "name": "cell"}],
+    }
+    path = image(tmp_path / "v.zarr", FIELD % 3, ZYX, scale(1, 1, 1), **{"image-label": about})
+    assert open_zarr(path).labels == (LabelName(1, "nucleus", "#ff0010"), LabelName(2, "cell"))
+    colours = load_scene(path).colours
+    assert colours is not None and [each.name for each in colours.scale.labels] == ["nucleus", "cell"]
+
+
+def levels(path: Path, count: int) -> Path:
+    """A ball of radius 11.2 as a pyramid: each level is the mean of eight voxels of the one before."""
+    z, y, x = np.indices((32, 32, 32)) - 15.5
+    field = np.clip(11.2 - np.sqrt((x - 1) ** 2 + y**2 + (z + 2) ** 2), -4, 4).astype(np.float32)
+    group, datasets = zarr.open_group(path, mode="w"), []
+    for level in range(count):
+        zarr.create_array(path / str(level), shape=field.shape, dtype="f4", chunks=(8, 8, 8))[:] = field
+        lies = translation(*[0.5 * (2**level - 1) * 0.25] * 3)
+        datasets.append({"path": str(level), "coordinateTransformations": [scale(*[2**level * 0.25] * 3), lies]})
+        field = field.reshape(*(n for side in field.shape for n in (side // 2, 2))).mean(axis=(1, 3, 5))
+    group.attrs["ome"] = {"version": "0.5", "multiscales": [{"axes": ZYX, "datasets": datasets}]}
+    return path
+
+
+def crossings(path: Path, level: int) -> np.ndarray:
+    """Where the surface at 0 meets the six half axes through the ball's middle, in the world."""
+    grid = on_right_angles(open_zarr(path, level=level))
+    voxels, orientation, spacing = grid.whole(), Orientation.of(grid), np.array(grid.spacing)
+    middle = np.array(orientation.point_to_box((16.5 * 0.25, 15.5 * 0.25, 13.5 * 0.25))) / spacing
+    found = []
+    for direction in np.vstack([np.eye(3), -np.eye(3)]):
+        steps = np.linspace(0, 13.0 * 0.25 / spacing[0], 400)
+        points = middle + steps[:, None] * direction
+        values = np.array([trilinear(voxels, point) for point in points])
+        place = int(np.argmax(values < 0))
+        share = values[place - 1] / (values[place - 1] - values[place])
+        at = points[place - 1] + share * (points[place] - points[place - 1])
+        found.append(orientation.to_world(at * spacing))
+    return np.array(found)
+
+
+def trilinear(voxels: np.ndarray, point: np.ndarray) -> float:
+    """The value between voxels, at indices x, y, z."""
+    low = np.floor(point).astype(int)
+    t = point - low
+    corners = voxels[low[2] : low[2] + 2, low[1] : low[1] + 2, low[0] : low[0] + 2].astype(float)
+    return float(np.einsum("zyx,z,y,x", corners, *([1 - t[n], t[n]] for n in (2, 1, 0))))
+
+
+def test_surfaces_of_two_levels_lie_at_one_place(tmp_path: Path) -> None:
+    path = levels(tmp_path / "v.zarr", 2)
+    apart = np.linalg.norm(crossings(path, 0) - crossings(path, 1), axis=1) / 0.5
+    assert apart.max() < 0.1, "in voxels of the coarser level"
