@@ -24,6 +24,7 @@ MODULES = {
     "export": "server.cli.export",
     "film": "server.cli.film",
     "publish": "server.cli.publish",
+    "publish --interactive": "server.cli.publish_live",
     "inspect": "server.inspect.text",
     "bench": "server.cli.bench",
     "store": "server.cli.store",

@@ -36,7 +36,8 @@ export class Texels {
     this.most = most2d;
     this.lattice = lattice;
     this.layers = Math.ceil((plan.channels * plan.columns) / 4);
-    this.budget = plan.turns && this.layers <= layers ? budget : 0;
+    this.budget = this.layers <= layers ? budget : 0;
+    this.wantsRaw = plan.turns || runs.some(({ raw }) => raw.size > 0);
     this.shape = lattice.size.map((n) => Math.ceil(n / BRICK));
     this.table = new Uint32Array(4 * this.shape[0] * this.shape[1] * this.shape[2]);
     this.bricks = makeTexture(gl, "RGBA32UI", this.shape);
@@ -65,9 +66,14 @@ export class Texels {
    * @param {ArrayBuffer} answer
    * @param {string} lightKey names the turn of the light that it was folded by
    * @param {number[]} quadric of that light
+   * @param {readonly number[]} [steps] of codes, where it is transfer in few bits
    */
-  take(answer, lightKey, quadric) {
-    const blocks = readBlocks(answer), folded = blocks.filter((block) => !block.raw);
+  take(answer, lightKey, quadric, steps) {
+    const blocks = readBlocks(answer, steps), folded = blocks.filter((block) => !block.raw);
+    if (folded.length < blocks.length && !this.wantsRaw) {
+      this.wantsRaw = true;
+      this.#layOut();
+    }
     if (folded.length) this.#append(folded, lightKey, quadric);
     for (const block of blocks) if (block.raw) this.#addRaw(block);
   }
@@ -93,7 +99,7 @@ export class Texels {
     this.records = makeTexture(gl, "RGBA32UI", [ROW, height]);
     this.turned = makeTexture(gl, "RGBA32UI", [ROW, height]);
     const size = [ROW, height, this.layers];
-    this.takesRaw = bytesOf("RGBA16F", size) <= this.budget;
+    this.takesRaw = this.wantsRaw && bytesOf("RGBA16F", size) <= this.budget;
     this.transfer = makeTexture(gl, "RGBA16F", this.takesRaw ? size : [ROW, 1, 1], { layered: true });
     this.rows = 0;
     for (let b = 0; b < this.table.length; b += 4) this.table.set([0, 0, NONE, NOWHERE], b);

@@ -9,8 +9,10 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.frame.card.blocks import FOLDED, RAW, pack
+from isogi_core.cache.page_pool import PagePool
+from isogi_core.frame.card.blocks import CODED, FOLDED, RAW, pack
 from isogi_core.frame.card.chunk_texels import ChunkTexels, hold_texels, with_neighbours
+from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
@@ -60,14 +62,24 @@ def fold_chunks(renderer: Renderer, view: View, chunks: Sequence[Index], target:
     return Packed(blocks, found.versions[: len(some)], not noisy)
 
 
-def transfer_chunks(renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
-    """``chunks`` with what their texels keep, for any light: see ``raw_scale``. Raises as ``fold_chunks``."""
+def transfer_chunks(
+    renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles, coding: Coding | None = None
+) -> Packed:
+    """``chunks`` with what their texels keep, for any light: see ``raw_scale``. Raises as ``fold_chunks``.
+
+    In few bits where there is a ``coding``.
+    """
     with hold_texels(renderer.caches.of("gi"), chunks, target, tiles) as (found, pool):
-        rows = found.reading.rows
-        numbers = np.where((rows >= 0)[:, None, None], pool.transfer[rows], np.float32(0.0))
-    spec = renderer.caches.spec("gi")
-    scaled = numbers.reshape(len(rows), spec.channels * spec.columns) / np.float32(raw_scale(spec))
-    return Packed(tuple(pack(found, normals_of(renderer, found, tiles), scaled, RAW)), found.versions, True)
+        numbers = raw_numbers(found.reading.rows, pool)
+    about = normals_of(renderer, found, tiles)
+    blocks = pack(found, about, coding.codes(numbers), CODED) if coding else pack(found, about, numbers, RAW)
+    return Packed(tuple(blocks), found.versions, True)
+
+
+def raw_numbers(rows: np.ndarray, pool: PagePool) -> np.ndarray:
+    """What texels in ``rows`` (m,) of a pool keep, over ``raw_scale``; (m, numbers) float32, 0 where unlit."""
+    numbers = np.where((rows >= 0)[:, None, None], pool.transfer[rows], np.float32(0.0))
+    return np.asarray(numbers.reshape(len(rows), -1) / np.float32(raw_scale(pool.spec)))
 
 
 def raw_scale(spec: BakeSpec) -> float:

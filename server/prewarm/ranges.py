@@ -1,0 +1,92 @@
+"""Light of whole ranges of isovalues for pages that draw by themselves: baked until their pictures are at the target.
+
+Such pages have the light of texels alone: it is not filtered, no texels are projected, and no pixel has light of its
+own. Their pictures are measured by control pixels as texels go up the ladder of samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from isogi_core.bake.noise import Until
+from isogi_core.bake.precision import FIRST_LEVEL, next_level
+from isogi_core.frame.card.coded_picture import ControlPictures
+from isogi_core.frame.card.coding import Coding
+from isogi_core.model.scene_plan import most_samples
+from isogi_core.model.view import View, quaternion_from_angles
+from server.prewarm.context import LOOK, Baking, Expected, PrewarmContext, Step
+from server.prewarm.forecast import forecast
+from server.prewarm.looking import of_surfaces
+from server.prewarm.order import GOLDEN, Levels, order_of, views_around
+from server.settings import Settings
+from worker.errors import WorkersError
+
+WORTH = 0.95
+"""The error after twice as many samples over the one before, at most, where another rung is worth it."""
+
+TRIAL = 3.0
+"""Seconds that the forecast of a rung may take."""
+
+BETWEEN = 4
+"""Isovalues of a range whose pictures are measured."""
+
+
+@dataclass(frozen=True, eq=False)
+class RangeLight:
+    """The light of a range once it is baked: texels have so many ``samples``, and ``pictures`` say how good it is."""
+
+    samples: int
+    pictures: ControlPictures
+
+
+def views_of(context: PrewarmContext, low: float, high: float, settings: Settings) -> list[View]:
+    """Views that stand for all of a range of isovalues, from all sides; where the light turns, each turned further."""
+    levels = Levels(tuple({low + (high - low) * n / (BETWEEN - 1): None for n in range(BETWEEN)}))
+    views = views_around(order_of({"all_directions": True}), levels, context.scene, settings)
+    turns = context.scene.rotating
+    return [
+        replace(view, light=quaternion_from_angles(number * GOLDEN % 360.0, 0.0, 0.0)) if turns else view
+        for number, view in enumerate(views)
+    ]
+
+
+def bake_range(context: PrewarmContext, low: float, high: float, coding: Coding, views: Iterable[View]) -> RangeLight:
+    """Bake all texels of isosurfaces from ``low`` to ``high`` until pictures of ``views`` are at the context's target.
+
+    Sooner where more samples make them no better. Raises WorkersError, StoreError, and Cancelled.
+    """
+    rung, before, pictures = FIRST_LEVEL, float("inf"), None
+    while not context.engine.workforce.wait(LOOK):
+        context.check()
+    while True:
+        bake_rung(context, Levels((), ((low, high),)), rung)
+        pictures = pictures or measured(context, list(views))
+        error = pictures.measure(coding).likely
+        if error <= context.target or error > WORTH * before or rung >= most_samples(context.target):
+            return RangeLight(rung, pictures)
+        rung, before = next_level(rung), error
+
+
+def measured(context: PrewarmContext, views: list[View]) -> ControlPictures:
+    """The pictures of ``views`` with their control pixels. Raises Cancelled."""
+
+    def report(done: int) -> None:
+        context.check()
+        context.report(Step("Measuring", "view", done, len(views), done / len(views)))
+
+    return ControlPictures(context.renderer, views, context.target, report)
+
+
+def bake_rung(context: PrewarmContext, levels: Levels, rung: int) -> None:
+    """Bake what the texels of whole isosurfaces lack, until each has as many samples, or is at the target alone."""
+    found = of_surfaces(context, levels, rung, (0.0, 1.0))
+    if not found.demands:
+        return
+    demands = [demand for _, demand in found.wishes]
+    until, workers = Until(context.target, rung), context.engine.workers
+    ahead = forecast(context.renderer, demands, until, workers, TRIAL, context.cancelled)
+    baking = Baking(context, found.wishes, Expected(ahead.seconds, 0.0, (0.0, 1.0)), context.deadline)
+    baking.run()
+    if baking.failures:
+        raise WorkersError(f"The light of {len(baking.failures)} chunks failed: {next(iter(baking.failures.values()))}")
