@@ -164,7 +164,7 @@ def fitting(
 
     def offered(share: float) -> Offer:
         coding = coding_at(renderer, share * target)
-        light = light_files(renderer, span, coding)
+        light = light_files(renderer, span, coding, target)
         return Offer(coding, light, baked.pictures.measure(coding), beside + sum(map(len, light.values())))
 
     offers = map(offered, ROUNDING)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from isogi_core.frame.card.chunk_light import CHUNKS, transfer_chunks
+from isogi_core.frame.card.chunk_light import CHUNKS, coded_chunks
 from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
@@ -77,16 +77,18 @@ def slab_name(first: int, last: int) -> str:
     return f"volume/{first}-{last}.bin"
 
 
-def light_files(renderer: Renderer, span: Span, coding: Coding) -> dict[str, bytes]:
-    """The transfer of all texels of isosurfaces in the ``span``, in few bits. Raises StoreError."""
-    prepared = renderer.prepared
-    volume, target = prepared.scene.volume, prepared.scene.target_error
+def light_files(renderer: Renderer, span: Span, coding: Coding, target: float) -> dict[str, bytes]:
+    """The transfer of all texels of isosurfaces in the ``span``, in few bits.
+
+    It is filtered where it is noisier than a ``target`` error. Raises StoreError.
+    """
+    prepared, volume = renderer.prepared, renderer.prepared.scene.volume
     low, high = sorted(map(volume.normalise_isovalue, (span.low, span.high)))
     texels = surface_texels(volume.voxels, prepared.shape, prepared.lattice.chunk, [(low, high)])
     chunks, files = [index for index, _ in texels], {}
     for first in range(0, len(chunks), CHUNKS):
-        some = transfer_chunks(renderer, chunks[first : first + CHUNKS], target, renderer.tiles, coding)
-        files[f"light/{first // CHUNKS}.bin"] = compressed(b"".join(some.blocks))
+        blocks = coded_chunks(renderer, chunks[first : first + CHUNKS], target, coding, renderer.tiles)
+        files[f"light/{first // CHUNKS}.bin"] = compressed(b"".join(blocks))
     return files
 
 

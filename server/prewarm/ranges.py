@@ -1,7 +1,7 @@
 """Light of whole ranges of isovalues for pages that draw by themselves: baked until their pictures are at the target.
 
-Such pages have the light of texels alone: it is not filtered, no texels are projected, and no pixel has light of its
-own. Their pictures are measured by control pixels as texels go up the ladder of samples.
+Such pages have the light of texels alone: no texels are projected, and no pixel has light of its own. Their pictures are
+measured by control pixels as texels go up the ladder of samples.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ WORTH = 0.95
 TRIAL = 3.0
 """Seconds that the forecast of a rung may take."""
 
-BETWEEN = 4
+BETWEEN = 3
 """Isovalues of a range whose pictures are measured."""
 
 
@@ -60,10 +60,11 @@ def bake_range(context: PrewarmContext, low: float, high: float, coding: Coding,
     while not context.engine.workforce.wait(LOOK):
         context.check()
     while True:
-        bake_rung(context, Levels((), ((low, high),)), rung)
+        baked = bake_rung(context, Levels((), ((low, high),)), rung)
         pictures = pictures or measured(context, list(views))
         error = pictures.measure(coding).likely
-        if error <= context.target or error > WORTH * before or rung >= most_samples(context.target):
+        vain = baked and error > WORTH * before
+        if error <= context.target or vain or rung >= most_samples(context.target):
             return RangeLight(rung, pictures)
         rung, before = next_level(rung), error
 
@@ -78,11 +79,14 @@ def measured(context: PrewarmContext, views: list[View]) -> ControlPictures:
     return ControlPictures(context.renderer, views, context.target, report)
 
 
-def bake_rung(context: PrewarmContext, levels: Levels, rung: int) -> None:
-    """Bake what the texels of whole isosurfaces lack, until each has as many samples, or is at the target alone."""
+def bake_rung(context: PrewarmContext, levels: Levels, rung: int) -> bool:
+    """Bake what the texels of whole isosurfaces lack, until each has as many samples, or is at the target alone.
+
+    Returns whether they lacked any.
+    """
     found = of_surfaces(context, levels, rung, (0.0, 1.0))
     if not found.demands:
-        return
+        return False
     demands = [demand for _, demand in found.wishes]
     until, workers = Until(context.target, rung), context.engine.workers
     ahead = forecast(context.renderer, demands, until, workers, TRIAL, context.cancelled)
@@ -90,3 +94,4 @@ def bake_rung(context: PrewarmContext, levels: Levels, rung: int) -> None:
     baking.run()
     if baking.failures:
         raise WorkersError(f"The light of {len(baking.failures)} chunks failed: {next(iter(baking.failures.values()))}")
+    return True

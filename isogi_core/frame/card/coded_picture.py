@@ -7,7 +7,7 @@ import numpy as np
 
 from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.frame.card.chunk_light import raw_numbers, raw_scale
+from isogi_core.frame.card.chunk_light import calm_numbers, raw_scale
 from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
@@ -21,7 +21,6 @@ from isogi_core.frame.rays.control_pixels import (
 )
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.shading import carry_irradiance_ratios, carry_texel_light, fill_texel_records
-from isogi_core.frame.texel_normals import own_normals
 from isogi_core.frame.texel_reading import read_texels
 from isogi_core.frame.view_texels import carries_irradiance_ratios
 from isogi_core.kernels.shading.framebuffer import Framebuffer
@@ -34,22 +33,21 @@ CONTROLS = 256
 """Control pixels of a picture."""
 
 
-def draw_coded(renderer: Renderer, view: View, coding: Coding) -> Framebuffer:
+def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) -> Framebuffer:
     """The picture of a ``view`` that a card draws of all texels' transfer in few bits, with lobes as at rest.
 
-    Raises what ``Loader.ensure`` does.
+    Transfer is filtered where it is noisier than a ``target`` error. Raises what ``Loader.ensure`` does.
     """
     tiles, loader, scene = renderer.tiles, renderer.caches.of("gi"), renderer.prepared.scene
     gbuffer, light = renderer.gbuffer(view), RotatedLight(renderer.caches.spec("gi"), view)
     texels = renderer.texels(view, gbuffer)
     loader.ensure(texels.chunks, tiles.check)
     with loader.pool.hold(texels.chunks) as held:
-        reading = read_texels(texels, held.slots, loader.pool, Until(scene.target_error, FIRST_LEVEL), tiles)
-        numbers = raw_numbers(reading.rows, loader.pool)
+        reading = read_texels(texels, held.slots, loader.pool, Until(target, FIRST_LEVEL), tiles)
+        about, numbers = calm_numbers(renderer, texels, reading, loader.pool, tiles)
     lit = fold(coding.numbers(coding.codes(numbers)), light)
     normals = gbuffer.normals(tiles)
     if carries_irradiance_ratios(scene, "gi", False):
-        about = own_normals(texels, texels.places, renderer.known_normals, renderer.prepared, tiles)
         records = fill_texel_records(reading.grade, lit, about, light, tiles)
         picture = carry_irradiance_ratios(texels, records, normals, light, tiles)
     else:
@@ -83,7 +81,7 @@ class ControlPictures:
         self, renderer: Renderer, views: Iterable[View], target: float, report: Callable[[int], None] = lambda _: None
     ) -> None:
         """Trace paths for pictures of about a ``target`` error; ``report`` is given how many views are done."""
-        self._renderer, self._paths = renderer, paths_for(target)
+        self._renderer, self._target = renderer, target
         self._controls = []
         for number, view in enumerate(views):
             self._controls += [each] if (each := self._control(number, view)) else []
@@ -99,7 +97,7 @@ class ControlPictures:
             return None
         light = RotatedLight(renderer.caches.spec("gi"), view)
         places = draw_places(gbuffer, np.zeros(points), (number, 0), CONTROLS)
-        halves = trace_controls(light, gbuffer, places, self._paths, number, renderer.tiles)
+        halves = trace_controls(light, gbuffer, places, paths_for(self._target), number, renderer.tiles)
         return Control(view, gbuffer, ControlPixels(places, np.ones(len(places)), halves))
 
     def measure(self, coding: Coding) -> TotalError:
@@ -112,7 +110,8 @@ class ControlPictures:
 
     def _squares(self, control: Control, coding: Coding) -> np.ndarray:
         """The squared errors of a picture's control pixels, relative to its mean light; (k,)."""
-        picture = draw_coded(self._renderer, control.view, coding).radiance[control.gbuffer.pixels] @ LUMINANCE
+        framebuffer = draw_coded(self._renderer, control.view, coding, self._target)
+        picture = framebuffer.radiance[control.gbuffer.pixels] @ LUMINANCE
         shown = picture[control.pixels.places]
         mean = control.pixels.mean(shown, float(picture.mean()))
         return control.pixels.squares(shown) / max(mean, np.finfo(float).tiny) ** 2
