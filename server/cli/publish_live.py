@@ -48,21 +48,26 @@ TAKEN = (
 )
 """Options of a view that the page begins with."""
 
-DOCUMENT = 1 << 16
-"""Bytes that the document of the page is taken for."""
-
 GROUNDS = ("light", "dark")
 """Backgrounds that the page has."""
 
 
 @dataclass(frozen=True, eq=False)
 class Offer:
-    """The files of a page whose light is in a ``coding``, and the ``error`` of its pictures."""
+    """The ``files`` of a page, and ``facts`` of it: among them the error of its pictures."""
 
-    coding: Coding
-    light: Mapping[str, bytes]
-    error: TotalError
-    nbytes: int
+    files: Mapping[str, bytes]
+    facts: Mapping[str, Any]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all files."""
+        return sum(map(len, self.files.values()))
+
+    @property
+    def error(self) -> float:
+        """The relative error of the page's pictures."""
+        return float(self.facts["error"]["likely"])
 
 
 def publish(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
@@ -81,14 +86,10 @@ def publish(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Set
     view = view_of(scene, params, settings)
     with at_work(scene, wishes, settings, begun) as context:
         refuse_obstacles(context.renderer, view)
-        baked = bake(context, view, span, settings)
-        page = {**page_files(), **volume_files(context.renderer, span)}
-        offer = fitting(context.renderer, baked, page, span, wishes.megabytes, context.target)
-        facts = facts_of(scene, span, baked, page, offer)
-        light = {"files": sorted(offer.light), "steps": offer.coding.steps.tolist(), **facts}
-        document = document_of(context.renderer, params, view, span, {**light, "background": ground_of(params)})
-        size = write_files(wishes.output, {**page, **offer.light, "scene.json": json_file(document)})
-    return {"file": str(wishes.output), **facts, "bytes": size, "seconds": time.monotonic() - begun}
+        offer = fitting(offers(context, params, view, span, settings), wishes.megabytes, context.target)
+    write_files(wishes.output, offer.files)
+    facts = {"file": str(wishes.output), **offer.facts, "bytes": offer.nbytes}
+    return {**facts, "seconds": time.monotonic() - begun}
 
 
 def asked(scene: Scene, knobs: Mapping[str, str]) -> tuple[Span, FrameParams]:
@@ -138,10 +139,18 @@ def at_work(scene: Scene, wishes: Wishes, settings: Settings, begun: float) -> I
         yield desk_of(engine, scene, order, partial(show, bar), begun)
 
 
-def bake(context: PrewarmContext, view: View, span: Span, settings: Settings) -> RangeLight:
-    """The light of the ``span``, baked until pictures in the finest coding are at the target."""
+def offers(context: PrewarmContext, params: FrameParams, view: View, span: Span, settings: Settings) -> Iterator[Offer]:
+    """The page with ever fewer bits of light, baked until pictures of the first one are at the context's target."""
+    renderer, target = context.renderer, context.target
     views = [replace(each, albedo=view.albedo) for each in views_of(context, span.low, span.high, settings)]
-    return bake_range(context, span.low, span.high, coding_at(context.renderer, ROUNDING[0] * context.target), views)
+    codings = [coding_at(renderer, share * target) for share in ROUNDING]
+    baked = bake_range(context, span.low, span.high, codings[0], views)
+    page, document = page_files() | volume_files(renderer, span), document_of(renderer, params, view, span)
+    for coding in codings:
+        light = light_files(renderer, span, coding, target)
+        facts = facts_of(renderer.prepared.scene, span, baked, {**page, **light}, baked.pictures.measure(coding))
+        known = {"files": sorted(light), "steps": coding.steps.tolist(), "background": ground_of(params), **facts}
+        yield Offer({**page, **light, "scene.json": json_file({**document, "light": known})}, facts)
 
 
 def coding_at(renderer: Renderer, error: float) -> Coding:
@@ -150,59 +159,49 @@ def coding_at(renderer: Renderer, error: float) -> Coding:
     return coding_for(spec, raw_scale(spec), error)
 
 
-def fitting(
-    renderer: Renderer,
-    baked: RangeLight,
-    page: Mapping[str, bytes],
-    span: Span,
-    megabytes: float | None,
-    target: float,
-) -> Offer:
-    """The light in the finest coding whose files fit. Raises ViewError where pictures would miss the target by it."""
-    beside = sum(map(len, page.values()))
-    most = math.inf if megabytes is None else 1e6 * megabytes - DOCUMENT
+def facts_of(
+    scene: Scene, span: Span, baked: RangeLight, files: Mapping[str, bytes], error: TotalError
+) -> dict[str, Any]:
+    """What there is to say of a page of these ``files``."""
 
-    def offered(share: float) -> Offer:
-        coding = coding_at(renderer, share * target)
-        light = light_files(renderer, span, coding, target)
-        return Offer(coding, light, baked.pictures.measure(coding), beside + sum(map(len, light.values())))
+    def size(*rooms: str) -> int:
+        return sum(len(content) for name, content in files.items() if name.startswith(rooms))
 
-    offers = map(offered, ROUNDING)
-    best = offer = next(offers)
-    while offer.nbytes > most and (coarser := next(offers, None)):
-        offer = coarser
-    if offer.nbytes > most or (offer is not best and offer.error.likely > max(target, best.error.likely)):
-        raise ViewError(too_large(best, offer, beside, most))
-    return offer
-
-
-def too_large(best: Offer, smallest: Offer, beside: int, most: float) -> str:
-    """What to say where a page takes more bytes than the ``most``, and what would fit."""
-    sentence = f"The page takes {best.nbytes / 1e6:.1f} MB at an error of {best.error.likely:.3f}, and may take less:"
-    more = f"allow --megabytes {best.nbytes / 1e6 + 1.0:.0f}"
-    if smallest.nbytes <= most:
-        at = f"--target-error {1.01 * smallest.error.likely:.2g}, which takes {smallest.nbytes / 1e6:.1f} MB"
-        return f"{sentence} {more}, ask for {at}, or for fewer isovalues."
-    if beside >= most:
-        return f"{sentence} {more}. Its volume and its modules alone take {beside / 1e6:.1f} MB."
-    share = (most - beside) / (smallest.nbytes - beside)
-    return f"{sentence} {more}, or ask for about {share:.0%} of these isovalues and a larger error."
-
-
-def facts_of(scene: Scene, span: Span, baked: RangeLight, page: Mapping[str, bytes], offer: Offer) -> dict[str, Any]:
-    """What there is to say of a page."""
-    volume = sum(len(content) for name, content in page.items() if name.startswith("volume/"))
-    error = {"likely": offer.error.likely, "low": offer.error.low, "high": offer.error.high}
     return {
         "scene": scene.name,
         "isovalues": [span.low, span.high],
-        "error": error,
+        "error": {"likely": error.likely, "low": error.low, "high": error.high},
         "views": len(baked.pictures),
         "samples": baked.samples,
-        "volume_bytes": volume,
-        "light_bytes": sum(map(len, offer.light.values())),
-        "bytes": offer.nbytes,
+        "volume_bytes": size("volume/"),
+        "light_bytes": size("light/"),
+        "bytes": size(""),
     }
+
+
+def fitting(some: Iterator[Offer], megabytes: float | None, target: float) -> Offer:
+    """The first offer that takes no more than it may. Raises ViewError where its pictures would miss the target."""
+    most = math.inf if megabytes is None else 1e6 * megabytes
+    best = offer = next(some)
+    while offer.nbytes > most and (coarser := next(some, None)):
+        offer = coarser
+    if offer.nbytes > most or (offer is not best and offer.error > max(target, best.error)):
+        raise ViewError(too_large(best, offer, most))
+    return offer
+
+
+def too_large(best: Offer, smallest: Offer, most: float) -> str:
+    """What to say where a page takes more bytes than the ``most``, and what would fit."""
+    sentence = f"The page takes {best.nbytes / 1e6:.2f} MB at an error of {best.error:.3f}, and may take less:"
+    more = f"allow --megabytes {best.nbytes / 1e6 + 0.01:.2f}"
+    if smallest.nbytes <= most:
+        at = f"--target-error {1.01 * smallest.error:.2g}, which takes {smallest.nbytes / 1e6:.2f} MB"
+        return f"{sentence} {more}, ask for {at}, or for fewer isovalues."
+    light = smallest.facts["light_bytes"]
+    beside = smallest.nbytes - light
+    if beside >= most:
+        return f"{sentence} {more}. Its volume and its modules alone take {beside / 1e6:.2f} MB."
+    return f"{sentence} {more}, or ask for about {(most - beside) / light:.0%} of these isovalues and a larger error."
 
 
 def published(facts: Mapping[str, Any]) -> str:

@@ -17,7 +17,7 @@ from isogi_core.prepared.idle_voxels import IdleVoxels
 from isogi_core.storage.atomic_file import write_whole
 from server.answers import camera_schema, scene_schema
 from server.card_answers import card_scene
-from server.card_schemas import CardScene, CardSlab
+from server.card_schemas import CardSlab
 from server.parameters import FrameParams
 from server.schemas import Range, SceneSchema
 
@@ -92,14 +92,13 @@ def light_files(renderer: Renderer, span: Span, coding: Coding, target: float) -
     return files
 
 
-def document_of(
-    renderer: Renderer, params: FrameParams, view: View, span: Span, light: Mapping[str, Any]
-) -> dict[str, Any]:
-    """What the page draws by: the scene, what its card needs, and the files and the steps of its ``light``."""
+def document_of(renderer: Renderer, params: FrameParams, view: View, span: Span) -> dict[str, Any]:
+    """What the page draws by besides light: the scene, and what its card needs."""
     card = card_scene(renderer, view, ())
     slabs = [CardSlab(first=a, last=b, href=slab_name(a, b)) for a, b in renderer.prepared.voxel_codes.slabs]
-    own = card.model_copy(update={"volume": card.volume.model_copy(update={"slabs": slabs})})
-    return {"scene": scene_of(renderer, params, view, span), "card": without_links(own), "light": light}
+    volume = card.volume.model_copy(update={"slabs": slabs})
+    own = card.model_copy(update={"volume": volume}).model_dump(mode="json", exclude={"links", "limits"})
+    return {"scene": scene_of(renderer, params, view, span), "card": own}
 
 
 def scene_of(renderer: Renderer, params: FrameParams, view: View, span: Span) -> dict[str, Any]:
@@ -118,11 +117,6 @@ def scene_of(renderer: Renderer, params: FrameParams, view: View, span: Span) ->
     given = params.model_dump(mode="json", include=placed & STARTS, exclude_none=True)
     start = {**camera.model_dump(mode="json"), "isovalue": view.isovalue, **given}
     return {**schema.model_dump(mode="json"), "start": start}
-
-
-def without_links(card: CardScene) -> dict[str, Any]:
-    """A card's document without the addresses of a server."""
-    return card.model_dump(mode="json", exclude={"links", "limits"})
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> int:

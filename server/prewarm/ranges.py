@@ -1,7 +1,7 @@
 """Light of whole ranges of isovalues for pages that draw by themselves: baked until their pictures are at the target.
 
-Such pages have the light of texels alone: no texels are projected, and no pixel has light of its own. Their pictures are
-measured by control pixels as texels go up the ladder of samples.
+Such pages have the light of texels alone: no texels are projected, and no pixel has light of its own. Their pictures
+are measured by control pixels as texels go up the ladder of samples.
 """
 
 from __future__ import annotations

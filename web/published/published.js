@@ -45,16 +45,18 @@ function keepDrawn(card, { scene, card: document }, view) {
   let waiting = true, asked = 0;
   const draw = () => {
     asked = 0;
+    let finer = true;
     if (waiting) {
       fit();
       waiting = !card.draw(cardView(scene, document, view.values));
-      animate();
-    } else if (card.refine()) animate();
-    stage.toggleAttribute("data-drawn", !waiting);
+    } else finer = card.refine();
+    if (waiting || finer) animate();
+    stage.toggleAttribute("data-still", !waiting && !finer);
   };
   const animate = () => { asked ||= requestAnimationFrame(draw); };
   const change = () => {
     waiting = true;
+    stage.removeAttribute("data-still");
     animate();
   };
   view.subscribe(change);

@@ -80,8 +80,11 @@ class ControlPictures:
     def __init__(
         self, renderer: Renderer, views: Iterable[View], target: float, report: Callable[[int], None] = lambda _: None
     ) -> None:
-        """Trace paths for pictures of about a ``target`` error; ``report`` is given how many views are done."""
-        self._renderer, self._target = renderer, target
+        """Trace paths for pictures of about a ``target`` error.
+
+        ``report`` is given how many views are done, here and whenever they are measured.
+        """
+        self._renderer, self._target, self._report = renderer, target, report
         self._controls = []
         for number, view in enumerate(views):
             self._controls += [each] if (each := self._control(number, view)) else []
@@ -105,7 +108,10 @@ class ControlPictures:
 
         Raises what ``Loader.ensure`` does.
         """
-        squares = [self._squares(each, coding) for each in self._controls]
+        squares = []
+        for number, each in enumerate(self._controls):
+            squares.append(self._squares(each, coding))
+            self._report(number + 1)
         return measure_total(np.concatenate(squares), 1.0)
 
     def _squares(self, control: Control, coding: Coding) -> np.ndarray:

@@ -19,7 +19,7 @@ LEAST_SPREAD = 0.1
 def number_noise(numbers: np.ndarray, scatter: np.ndarray, spec: BakeSpec) -> np.ndarray:
     """The variance of ``numbers`` (m, channels · columns) of texels of this ``scatter`` (m,); of the same shape.
 
-    A path's number k is its light where that is harmonic k: the mean square is transfer times the square of the harmonic.
+    A path's number k is its light where that is harmonic k: its mean square is transfer times that square.
     """
     each = numbers.reshape(len(numbers), spec.channels, spec.columns)
     judged = each[:, min(spec.channels - 1, 1)]
