@@ -6,6 +6,7 @@ are measured by control pixels as texels go up the ladder of samples.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -17,7 +18,7 @@ from isogi_core.model.scene_plan import most_samples
 from isogi_core.model.view import View, quaternion_from_angles
 from server.prewarm.context import LOOK, Baking, Expected, PrewarmContext, Step
 from server.prewarm.forecast import forecast
-from server.prewarm.looking import of_surfaces
+from server.prewarm.looking import Survey, of_surfaces
 from server.prewarm.order import GOLDEN, Levels, order_of, views_around
 from server.settings import Settings
 from worker.errors import WorkersError
@@ -56,15 +57,18 @@ def bake_range(context: PrewarmContext, low: float, high: float, coding: Coding,
 
     Sooner where more samples make them no better. Raises WorkersError, StoreError, and Cancelled.
     """
-    rung, before, pictures = FIRST_LEVEL, float("inf"), None
+    levels, most = Levels((), ((low, high),)), most_samples(context.target)
+    rung, before, pictures = FIRST_LEVEL, math.inf, None
     while not context.engine.workforce.wait(LOOK):
         context.check()
     while True:
-        baked = bake_rung(context, Levels((), ((low, high),)), rung)
+        lacked = lacking(context, levels, rung)
+        bake_rung(context, lacked, rung)
+        while rung < most and not lacking(context, levels, next_level(rung)).demands:
+            rung = next_level(rung)
         pictures = pictures or measured(context, list(views))
         error = pictures.measure(coding).likely
-        vain = baked and error > WORTH * before
-        if error <= context.target or vain or rung >= most_samples(context.target):
+        if error <= context.target or error > WORTH * before or rung >= most:
             return RangeLight(rung, pictures)
         rung, before = next_level(rung), error
 
@@ -79,14 +83,15 @@ def measured(context: PrewarmContext, views: list[View]) -> ControlPictures:
     return ControlPictures(context.renderer, views, context.target, report)
 
 
-def bake_rung(context: PrewarmContext, levels: Levels, rung: int) -> bool:
-    """Bake what the texels of whole isosurfaces lack, until each has as many samples, or is at the target alone.
+def lacking(context: PrewarmContext, levels: Levels, rung: int) -> Survey:
+    """What texels of whole isosurfaces lack to have as many samples as the ``rung``, or to be at the target alone."""
+    return of_surfaces(context, levels, rung, (0.0, 1.0))
 
-    Returns whether they lacked any.
-    """
-    found = of_surfaces(context, levels, rung, (0.0, 1.0))
+
+def bake_rung(context: PrewarmContext, found: Survey, rung: int) -> None:
+    """Bake what was ``found`` lacking of a ``rung``. Raises WorkersError, StoreError, and Cancelled."""
     if not found.demands:
-        return False
+        return
     demands = [demand for _, demand in found.wishes]
     until, workers = Until(context.target, rung), context.engine.workers
     ahead = forecast(context.renderer, demands, until, workers, TRIAL, context.cancelled)
@@ -94,4 +99,3 @@ def bake_rung(context: PrewarmContext, levels: Levels, rung: int) -> bool:
     baking.run()
     if baking.failures:
         raise WorkersError(f"The light of {len(baking.failures)} chunks failed: {next(iter(baking.failures.values()))}")
-    return True
