@@ -3,7 +3,8 @@
  * A table of bricks, RGBA32UI: two words which of 64 texels are there, the number of the first record, and how far away
  * the brick is, in bricks, whose mean stands in where there are none. Records, ROW in a row of RGBA32UI, as the server
  * sends them; those of one answer begin a row of their own, a *run*, so that each run has one light. Raw transfer lies at
- * the same places in the layers of an array. What grows too large is laid out once more.
+ * the same places in the layers of an array. What grows too large is laid out once more; what a card has no rows for goes,
+ * the oldest first.
  */
 
 import { ones, readBlocks } from "./blocks.js";
@@ -91,7 +92,7 @@ export class Texels {
 
   /** Lay all runs out in textures of their size, one for each light: what chunks had before goes. */
   #layOut() {
-    this.runs = joinedRuns(this.runs);
+    this.runs = joinedRuns(youngest(this.runs, this.most));
     const { gl } = this, rows = this.runs.reduce((sum, run) => sum + neededRows(run.blocks), 0);
     for (const old of [this.records, this.turned, this.transfer]) gl.deleteTexture(old.id);
     const height = Math.min(Math.ceil(SPARE * rows) + 16, this.most);
@@ -195,6 +196,23 @@ function joinedRuns(runs) {
     groups.set(key, { ...run, blocks: [...blocks, ...run.blocks], raw: new Map([...raw, ...run.raw]) });
   }
   return [...groups.values()];
+}
+
+/**
+ * Runs without the oldest blocks where all would take more rows than these; the newest run stays whole.
+ * @param {Run[]} runs
+ * @param {number} most rows
+ * @returns {Run[]}
+ */
+function youngest(runs, most) {
+  let over = runs.reduce((sum, { blocks }) => sum + neededRows(blocks), 0) - most;
+  const kept = runs.map((run, n) => {
+    const before = neededRows(run.blocks), blocks = [...run.blocks];
+    while (n < runs.length - 1 && blocks.length && before - neededRows(blocks) < over) blocks.splice(0, Math.ceil(blocks.length / 8));
+    over -= before - neededRows(blocks);
+    return { ...run, blocks };
+  });
+  return kept.filter(({ blocks }) => blocks.length);
 }
 
 /** Rows that the records of some blocks take. @param {Block[]} blocks @returns {number} */
