@@ -39,6 +39,12 @@ from server.render.workforce import scheduler_of
 from server.settings import Settings
 from server.views import isovalue_of, view_of
 
+STRICTER = 0.5
+"""The target that light is planned and baked for, over that of the page's pictures: no pixel has light of its own."""
+
+LEAST_TARGET = 1e-4
+"""The least target error that a scene may have."""
+
 ROUNDING = (0.2, 0.4, 0.8, 1.6, 3.2)
 """Errors by rounding that are tried, over the target: the first one whose files are small enough is taken."""
 
@@ -81,12 +87,13 @@ def publish(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Set
         raise ParameterError("--time and --deadline are for pictures: leave them out with --interactive.")
     if not wishes.output.parent.is_dir():
         raise ViewError(f"There is no folder {wishes.output.parent} for {wishes.output.name}: make it first.")
-    scene = open_scene(target, settings)
+    goal = wishes.target_error or open_scene(target, settings).target_error
+    scene = open_scene(target, settings, target_error=max(STRICTER * goal, LEAST_TARGET))
     span, params = asked(scene, knobs)
     view = view_of(scene, params, settings)
-    with at_work(scene, wishes, settings, begun) as context:
+    with at_work(scene, settings, begun) as context:
         refuse_obstacles(context.renderer, view)
-        offer = fitting(offers(context, params, view, span, settings), wishes.megabytes, context.target)
+        offer = fitting(offers(context, params, view, span, goal, settings), wishes.megabytes, goal)
     write_files(wishes.output, offer.files)
     facts = {"file": str(wishes.output), **offer.facts, "bytes": offer.nbytes}
     return {**facts, "seconds": time.monotonic() - begun}
@@ -125,10 +132,9 @@ def refuse_obstacles(renderer: Renderer, view: View) -> None:
 
 
 @contextmanager
-def at_work(scene: Scene, wishes: Wishes, settings: Settings, begun: float) -> Iterator[PrewarmContext]:
+def at_work(scene: Scene, settings: Settings, begun: float) -> Iterator[PrewarmContext]:
     """An engine with workers, and what a bake of the scene works with."""
     hired = settings.workers, scheduler_of(settings)
-    order = order_of({} if wishes.target_error is None else {"target_error": wishes.target_error})
     with (
         closing(RenderEngine([scene], root_of(settings), *hired, settings.memory_mb << 20)) as engine,
         Progress() as bar,
@@ -136,19 +142,22 @@ def at_work(scene: Scene, wishes: Wishes, settings: Settings, begun: float) -> I
         bar.begin("loading kernels")
         with compiling(lambda: engine.kernels.progress):
             engine.start()
-        yield desk_of(engine, scene, order, partial(show, bar), begun)
+        yield desk_of(engine, scene, order_of({}), partial(show, bar), begun)
 
 
-def offers(context: PrewarmContext, params: FrameParams, view: View, span: Span, settings: Settings) -> Iterator[Offer]:
-    """The page with ever fewer bits of light, baked until pictures of the first one are at the context's target."""
+def offers(
+    context: PrewarmContext, params: FrameParams, view: View, span: Span, goal: float, settings: Settings
+) -> Iterator[Offer]:
+    """The page with ever fewer bits of light, baked until pictures of the first one are at the ``goal``, an error."""
     renderer, target = context.renderer, context.target
     views = [replace(each, albedo=view.albedo) for each in views_of(context, span.low, span.high, settings)]
-    codings = [coding_at(renderer, share * target) for share in ROUNDING]
-    baked = bake_range(context, span.low, span.high, codings[0], views)
+    codings = [coding_at(renderer, share * goal) for share in ROUNDING]
+    baked = bake_range(context, (span.low, span.high), codings[0], views, goal)
     page, document = page_files() | volume_files(renderer, span), document_of(renderer, params, view, span)
     for coding in codings:
         light = light_files(renderer, span, coding, target)
         facts = facts_of(renderer.prepared.scene, span, baked, {**page, **light}, baked.pictures.measure(coding))
+        facts["target_error"] = goal
         known = {"files": sorted(light), "steps": coding.steps.tolist(), "background": ground_of(params), **facts}
         yield Offer({**page, **light, "scene.json": json_file({**document, "light": known})}, facts)
 
@@ -211,6 +220,7 @@ def published(facts: Mapping[str, Any]) -> str:
     good = (
         f"error {error['likely']:.4f} ({error['low']:.4f} to {error['high']:.4f}, measured in {facts['views']} views)"
     )
+    good += f", above the target of {facts['target_error']:g}" if error["likely"] > facts["target_error"] else ""
     parts = f"volume {facts['volume_bytes'] / 1e6:.1f}, light {facts['light_bytes'] / 1e6:.1f}"
     size = f"{facts['bytes'] / 1e6:.1f} MB ({parts})"
     return (

@@ -52,12 +52,15 @@ def views_of(context: PrewarmContext, low: float, high: float, settings: Setting
     ]
 
 
-def bake_range(context: PrewarmContext, low: float, high: float, coding: Coding, views: Iterable[View]) -> RangeLight:
-    """Bake all texels of isosurfaces from ``low`` to ``high`` until pictures of ``views`` are at the context's target.
+def bake_range(
+    context: PrewarmContext, span: tuple[float, float], coding: Coding, views: Iterable[View], goal: float
+) -> RangeLight:
+    """Bake all texels of isosurfaces in a ``span`` of isovalues until pictures of ``views`` are at the ``goal``.
 
-    Sooner where more samples make them no better. Raises WorkersError, StoreError, and Cancelled.
+    That is an error; texels that are at the context's target alone get no more samples. Sooner where more samples make
+    pictures no better. Raises WorkersError, StoreError, and Cancelled.
     """
-    levels, most = Levels((), ((low, high),)), most_samples(context.target)
+    levels, most = Levels((), (span,)), most_samples(context.target)
     rung, before, pictures = FIRST_LEVEL, math.inf, None
     while not context.engine.workforce.wait(LOOK):
         context.check()
@@ -68,7 +71,7 @@ def bake_range(context: PrewarmContext, low: float, high: float, coding: Coding,
             rung = next_level(rung)
         pictures = pictures or measured(context, list(views))
         error = pictures.measure(coding).likely
-        if error <= context.target or error > WORTH * before or rung >= most:
+        if error <= goal or error > WORTH * before or rung >= most:
             return RangeLight(rung, pictures)
         rung, before = next_level(rung), error
 

@@ -138,7 +138,7 @@ def test_texels_that_a_card_has_no_rows_for_go_oldest_first(lab: Lab, bench: Wor
     for view in views:
         bench.bake(view)
     sizes, named = [], []
-    for number, view in enumerate(views):
+    for view in views:
         seen = seen_chunks(bench.renderer, view, 0.3, bench.renderer.tiles)
         named.append({".".join(map(str, each.at)) for each in seen})
         card.light(view, 0.3)
