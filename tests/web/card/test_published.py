@@ -21,6 +21,7 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
 from server.cli.command import run
+from server.cli.publish_live import STRICTER
 from server.parameters import FrameParams, read
 from server.settings import Settings
 from server.views import view_of
@@ -30,7 +31,7 @@ from worker import pool
 SCENE = """\
 volume = "demo:orbital"
 bounces = 1
-target_error = 0.05
+target_error = 0.1
 projected = false
 [[lights]]
 type = "sky"
@@ -54,7 +55,7 @@ class Site:
     def __init__(self, folder: Path, address: str) -> None:
         self.page, self.address = folder / "page", address
         self.document = json.loads((self.page / "scene.json").read_text())
-        self.scene = load_scene(folder / "scene.toml")
+        self.scene = load_scene(folder / "scene.toml", target_error=STRICTER * 0.1)
         self.renderer = Renderer(Caches(PreparedScene(self.scene), Store(str(folder / "store")), 1 << 28), Tiles())
 
     def picture(self, width: int, height: int, **knobs: Any) -> tuple[np.ndarray, np.ndarray]:
