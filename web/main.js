@@ -258,7 +258,8 @@ function startLoop(scene, view, picture, { trouble, card, shown, say }) {
     open: (allowed) => Card.open(canvas, allowed),
     size: () => picture.size(1, true),
     drawn() {
-      if (shown.pictureOf !== shown.asked) shown.show({ of: shown.asked, draft: true, sharp: true, facts: null });
+      const { predicted } = live, { asked } = shown;
+      if (shown.pictureOf !== asked || (!shown.facts && shown.predicted !== predicted)) shown.show({ of: asked, draft: true, sharp: true, facts: null, predicted });
       $("stage").dataset.ground = ground(shown.asked.values);
     },
     lost: () => loop.redraw(),

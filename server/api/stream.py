@@ -206,7 +206,7 @@ class Session:
 
     def _take(self, message: ViewRequest | Receipt) -> None:
         if isinstance(message, Receipt):
-            self._window.shown(message.shown, message.took / 1000.0)
+            self._window.shown(message.shown)
             if message.shown != self._still:
                 self._drafts.shown(message.took / 1000.0)
             return
@@ -254,7 +254,7 @@ class Session:
         small, watch, rank = picture.draft(self._drafts.scale), Stopwatch(), self._service.draft_rank(self._viewer)
         frame = await self._service.frame_or_preview(small, rank, watch)
         shown = Shown(frame, None, watch, frozenset(), 0)
-        self._drafts.drawn(sum(watch.seconds.values()), self._window.way)  # smaller ones where many wait
+        self._drafts.drawn(sum(watch.seconds.values()))  # smaller ones where many wait
         await self._picture(request, params, shown, "jpeg", rank)
         now = asyncio.get_running_loop().time()
         if now - self._wanted >= WANT_EVERY:

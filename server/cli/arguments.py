@@ -26,6 +26,7 @@ MODULES = {
     "export": "server.cli.export",
     "film": "server.cli.film",
     "publish": "server.cli.publish",
+    "publish --interactive": "server.cli.publish_live",
     "inspect": "server.inspect.text",
     "convert": "server.cli.convert",
     "bench": "server.cli.bench",

@@ -298,17 +298,21 @@ def film(scene: str, as_json: bool, **given: Any) -> None:
 @volume_options
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), help="A folder.")
 @options(GRID_OPTIONS)
+@click.option("--interactive", is_flag=True, help="Instead a page that draws by the visitor's graphics card.")
+@click.option("--megabytes", callback=number(0.1, 1e6), help="Most that the interactive page may take.")
 @click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a picture is final.")
 @click.option("--time", "seconds", callback=duration, help="Longest time for a picture: 5, 5s or 1m.")
 @click.option("--deadline", callback=duration, help="Longest time for all pictures together, shared evenly.")
 @options(WORK_OPTIONS)
 @AS_JSON
-def publish(scene: str, as_json: bool, **given: Any) -> None:
+def publish(scene: str, interactive: bool, as_json: bool, **given: Any) -> None:
     """Write a page that leafs through pictures of TARGET by sliders, without a server; stopped, the same goes on.
 
-    What is given as first:last:step becomes a slider; with none, the azimuth.
+    What is given as first:last:step becomes a slider; with none, the azimuth. An interactive page draws by itself
+    whatever it is put to, of the isovalues first:last.
     """
-    settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("publish")
+    settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
+    work = module_of("publish --interactive" if interactive else "publish")
     knobs = {name: value for name in GRID_OPTIONS if (value := given.pop(name)) is not None}
     show(work.publish(scene, work.Wishes(**given), knobs, settings), work.published, as_json)
 

@@ -39,12 +39,16 @@ PAGE = Path(__file__).with_name("published.html")
 
 @dataclass(frozen=True)
 class Wishes:
-    """What is to be published: the folder, and when a picture is good enough: at an error, or after seconds."""
+    """What is to be published: the folder, and when a picture is good enough: at an error, or after seconds.
+
+    Pages that draw by themselves may take so many ``megabytes``.
+    """
 
     output: Path
     target_error: float | None = None
     seconds: float | None = None
     deadline: float | None = None
+    megabytes: float | None = None
 
 
 def publish(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
@@ -54,6 +58,8 @@ def publish(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Set
     OSError later.
     """
     begun = time.monotonic()
+    if wishes.megabytes is not None:
+        raise ParameterError("--megabytes is for a page that draws by itself: give --interactive too.", "megabytes")
     if not wishes.output.parent.is_dir():
         raise ViewError(f"There is no folder {wishes.output.parent} for {wishes.output.name}: make it first.")
     scene = open_scene(target, settings)

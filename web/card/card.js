@@ -89,13 +89,15 @@ export class Card {
   }
 
   /**
-   * Take an answer of the server: blocks of folded light or of raw transfer.
+   * Take an answer of the server: blocks of folded light or of transfer.
    * @param {ArrayBuffer} answer
-   * @param {Quaternion} turn of the light that it was asked for by
+   * @param {Quaternion|null} turn of the light that it was asked for by; null for transfer in few bits, which is of none
+   * @param {readonly number[]} [steps] of its codes, where it is in few bits
    */
-  take(answer, turn) {
+  take(answer, turn, steps) {
     if (!this.drawing) return;
-    this.drawing.texels.take(answer, keyOf(turn), turnLight(this.drawing.document, turn).quadric);
+    const { quadric } = turnLight(this.drawing.document, turn ?? [1, 0, 0, 0]);
+    this.drawing.texels.take(answer, turn ? keyOf(turn) : "", quadric, steps);
     this.drawing.refold();
   }
 

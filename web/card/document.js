@@ -14,6 +14,8 @@
  * @property {Lights} light
  * @property {{key: Vec3, sun: Vec3, ambient: Vec3}} lambert
  * @property {number} exposure the scene's own
+ * @property {number} target relative error of final light
+ * @property {number} expected relative error that the plan expects besides
  * @property {{gain: number, toe: number, shoulder: number}} tone
  */
 

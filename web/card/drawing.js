@@ -21,6 +21,7 @@ import { drawInto, fillTexture, makeTexture } from "./textures.js";
  * @property {number} exposure
  * @property {import("./document.js").Vec3} ground linear light behind the surface
  * @property {readonly import("./rays.js").Plane[]} [window] what planes take away for the eye, in the world; 12 at most
+ * @property {boolean} [marked] whether what lacks light of its texels is hatched
  * @property {boolean} [lambert] whether the local model is drawn in place of the light of texels
  */
 
@@ -113,6 +114,7 @@ export class Drawing {
       first: n === 0 ? picture.mean : picture.first, // no card reads what it draws into
       drawn: size,
       again: Number(n > 0),
+      marked: Number(view.marked ?? false),
       jitter: jitterOf(n),
       place: discOf(n),
       resting: Number(n > 0),

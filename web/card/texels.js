@@ -3,7 +3,8 @@
  * A table of bricks, RGBA32UI: two words which of 64 texels are there, the number of the first record, and how far away
  * the brick is, in bricks, whose mean stands in where there are none. Records, ROW in a row of RGBA32UI, as the server
  * sends them; those of one answer begin a row of their own, a *run*, so that each run has one light. Raw transfer lies at
- * the same places in the layers of an array. What grows too large is laid out once more.
+ * the same places in the layers of an array. What grows too large is laid out once more; what a card has no rows for goes,
+ * the oldest first.
  */
 
 import { ones, readBlocks } from "./blocks.js";
@@ -36,7 +37,8 @@ export class Texels {
     this.most = most2d;
     this.lattice = lattice;
     this.layers = Math.ceil((plan.channels * plan.columns) / 4);
-    this.budget = plan.turns && this.layers <= layers ? budget : 0;
+    this.budget = this.layers <= layers ? budget : 0;
+    this.wantsRaw = plan.turns || runs.some(({ raw }) => raw.size > 0);
     this.shape = lattice.size.map((n) => Math.ceil(n / BRICK));
     this.table = new Uint32Array(4 * this.shape[0] * this.shape[1] * this.shape[2]);
     this.bricks = makeTexture(gl, "RGBA32UI", this.shape);
@@ -65,9 +67,14 @@ export class Texels {
    * @param {ArrayBuffer} answer
    * @param {string} lightKey names the turn of the light that it was folded by
    * @param {number[]} quadric of that light
+   * @param {readonly number[]} [steps] of codes, where it is transfer in few bits
    */
-  take(answer, lightKey, quadric) {
-    const blocks = readBlocks(answer), folded = blocks.filter((block) => !block.raw);
+  take(answer, lightKey, quadric, steps) {
+    const blocks = readBlocks(answer, steps), folded = blocks.filter((block) => !block.raw);
+    if (folded.length < blocks.length && !this.wantsRaw) {
+      this.wantsRaw = true;
+      this.#layOut();
+    }
     if (folded.length) this.#append(folded, lightKey, quadric);
     for (const block of blocks) if (block.raw) this.#addRaw(block);
   }
@@ -85,7 +92,7 @@ export class Texels {
 
   /** Lay all runs out in textures of their size, one for each light: what chunks had before goes. */
   #layOut() {
-    this.runs = joinedRuns(this.runs);
+    this.runs = joinedRuns(youngest(this.runs, this.most));
     const { gl } = this, rows = this.runs.reduce((sum, run) => sum + neededRows(run.blocks), 0);
     for (const old of [this.records, this.turned, this.transfer]) gl.deleteTexture(old.id);
     const height = Math.min(Math.ceil(SPARE * rows) + 16, this.most);
@@ -93,7 +100,7 @@ export class Texels {
     this.records = makeTexture(gl, "RGBA32UI", [ROW, height]);
     this.turned = makeTexture(gl, "RGBA32UI", [ROW, height]);
     const size = [ROW, height, this.layers];
-    this.takesRaw = bytesOf("RGBA16F", size) <= this.budget;
+    this.takesRaw = this.wantsRaw && bytesOf("RGBA16F", size) <= this.budget;
     this.transfer = makeTexture(gl, "RGBA16F", this.takesRaw ? size : [ROW, 1, 1], { layered: true });
     this.rows = 0;
     for (let b = 0; b < this.table.length; b += 4) this.table.set([0, 0, NONE, NOWHERE], b);
@@ -189,6 +196,23 @@ function joinedRuns(runs) {
     groups.set(key, { ...run, blocks: [...blocks, ...run.blocks], raw: new Map([...raw, ...run.raw]) });
   }
   return [...groups.values()];
+}
+
+/**
+ * Runs without the oldest blocks where all would take more rows than these; the newest run stays whole.
+ * @param {Run[]} runs
+ * @param {number} most rows
+ * @returns {Run[]}
+ */
+function youngest(runs, most) {
+  let over = runs.reduce((sum, { blocks }) => sum + neededRows(blocks), 0) - most;
+  const kept = runs.map((run, n) => {
+    const before = neededRows(run.blocks), blocks = [...run.blocks];
+    while (n < runs.length - 1 && blocks.length && before - neededRows(blocks) < over) blocks.splice(0, Math.ceil(blocks.length / 8));
+    over -= before - neededRows(blocks);
+    return { ...run, blocks };
+  });
+  return kept.filter(({ blocks }) => blocks.length);
 }
 
 /** Rows that the records of some blocks take. @param {Block[]} blocks @returns {number} */

@@ -46,6 +46,8 @@ export class Live {
   #card = null;
   /** @type {Loaded|null} */
   #loaded = null;
+  /** What the newest list names. @type {ListedChunk[]} */
+  #chunks = [];
   #preparing = "";
   #refused = false;
   /** @type {Knobs|null} */
@@ -76,6 +78,17 @@ export class Live {
   /** Whether the card draws this view while it moves. @param {Knobs} values @returns {boolean} */
   draws(values) {
     return !this.#refused && !this.#card?.lost && this.#loaded !== null && this.#loaded.key === this.#keyOf(values);
+  }
+
+  /**
+   * The error of the card's pictures, as far as it can be predicted: once light of all that the view reads is here, and
+   * final, by the light's target and what the plan expects besides.
+   * @returns {number|null}
+   */
+  get predicted() {
+    if (!this.#card || !this.#loaded || !this.#chunks.length || !this.#chunks.every(({ final }) => final)) return null;
+    const here = this.#card.drawing?.texels.chunks, { target, expected } = this.#loaded.facts;
+    return this.#chunks.every(({ at, version }) => here?.get(at)?.version === version) ? Math.hypot(target, expected) : null;
   }
 
   /** Whether the card's picture is on the stage. @returns {boolean} */
@@ -235,6 +248,7 @@ export class Live {
   /** @param {ListedChunk[]} chunks */
   #bring(chunks) {
     if (!this.#loaded || !this.#values) return;
+    this.#chunks = chunks;
     this.#loaded.feed.bring(chunks, this.#values, this.#moving).catch((error) => {
       if (!(error instanceof Trouble)) this.#leave(error.message); // of trouble, the next list asks again
     });

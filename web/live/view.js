@@ -77,5 +77,6 @@ export function cardView(scene, document, values) {
     exposure: values.exposure,
     ground: document.grounds[ground(values)],
     window: planesOf(cutQuery(values).window ?? ""),
+    marked: values.overlay === "provisional",
   };
 }

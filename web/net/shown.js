@@ -18,6 +18,7 @@ import { CLOCK } from "./trouble.js";
  * @property {boolean} draft
  * @property {boolean} sharp whether it has all of the screen's pixels
  * @property {Facts|null} facts
+ * @property {number|null} [predicted] relative error of a picture that nobody measured, where it can be told
  *
  * @typedef {"loading"|"trouble"|"moving"|"updating"|"provisional"|"final"} State of the stage: from `moving` on there is
  *   a picture, and from `provisional` on it is the full one of the view that the controls ask for
@@ -73,6 +74,11 @@ export class Shown {
   /** What may be said of the picture: nothing, unless it is the full one of the view that the controls ask for. @returns {Facts|null} */
   get facts() {
     return this.#picture && !this.#picture.draft && this.#isAsked(this.#picture.of) ? this.#picture.facts : null;
+  }
+
+  /** The predicted error of the picture that the graphics card drew of the view that the controls ask for. @returns {number|null} */
+  get predicted() {
+    return this.#picture && this.#isAsked(this.#picture.of) ? (this.#picture.predicted ?? null) : null;
   }
 
   /** Whether the picture has all of the screen's pixels. @returns {boolean} */

@@ -3,7 +3,7 @@
 import { find, textElement } from "../dom.js";
 import { AXIS_VIEWS, looksAlong } from "../view/camera.js";
 import { niceStep, shadingName } from "../view/format.js";
-import { sliderRange } from "../view/model.js";
+import { inShort, sliderRange } from "../view/model.js";
 import { decades, legendNumbers } from "../view/rulers.js";
 import { idleKnobs } from "../view/surfaces.js";
 
@@ -71,12 +71,13 @@ export function knobInWords(name, value, exposure) {
 }
 
 /**
+ * Tie a slider to the view, both ways.
  * @param {Element} knob holds a range input and an output
  * @param {Scene} scene
  * @param {ViewModel} view
  * @returns {Mirror}
  */
-function attachSlider(knob, scene, view) {
+export function attachSlider(knob, scene, view) {
   const [input, output] = [find(knob, "input", HTMLInputElement), find(knob, "output", HTMLOutputElement)];
   const name = /** @type {NumberKnob} */ (input.name);
   knob.toggleAttribute("hidden", !(name in view.values));
@@ -92,7 +93,7 @@ function attachSlider(knob, scene, view) {
       setLimits(input, inward(range.min), inward(range.max));
     }
     input.value = String(inward(value));
-    output.value = knobInWords(name, value, scene.defaults.exposure);
+    output.value = name === "isovalue" ? String(inShort(scene, name, value)) : knobInWords(name, value, scene.defaults.exposure);
     input.setAttribute("aria-valuetext", output.value);
   };
 }

@@ -48,9 +48,10 @@ export class Status {
   show(shown) {
     const { state, facts, sharp, leftAt, waitsSince } = shown, stage = find(this.#root, "#stage");
     const { badge, line } = WORDS[state] ?? wordsOf(/** @type {Facts} */ (facts), sharp, this.#target);
+    const more = facts || !shown.predicted ? "" : predictedInWords(shown.predicted);
     stage.dataset.state = state;
     stage.toggleAttribute("data-busy", waitsSince < Infinity);
-    this.#write("#status-line", line);
+    this.#write("#status-line", line + more);
     this.#write("#badge", badge);
     this.#write("#announce", facts ? announcement(facts, sharp) : "");
     this.#fill(facts, shown.asked.since);
@@ -126,6 +127,11 @@ export function wordsOf(facts, sharp, target) {
   return sharp
     ? { badge: "", line: frameInWords(facts).replace(/^(Refining|Preview)/, "Sharpening") }
     : { badge: badge(facts, target), line: frameInWords(facts) };
+}
+
+/** What is said of a picture that the graphics card drew. @param {number} error @returns {string} */
+export function predictedInWords(error) {
+  return ` · drawn here, about ${errorInWords(error)} error (predicted)`;
 }
 
 /**

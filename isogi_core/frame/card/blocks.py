@@ -18,8 +18,8 @@ HEADER = np.dtype(
 )
 BRICK = np.dtype([("mask", "<u8"), ("first", "<u4"), ("place", "<u4")])
 
-FOLDED, RAW = 0, 1
-"""Kinds of blocks: records of light, and transfer that a page puts under the light by itself."""
+FOLDED, RAW, CODED = 0, 1, 2
+"""Kinds of blocks: records of light, transfer that a page puts under the light by itself, and such in few bits."""
 
 EDGE = 2
 """Texels along each side of a brick, as a power of two."""
@@ -108,7 +108,32 @@ def raw_body(words: np.ndarray, numbers: np.ndarray) -> bytes:
     return padded.tobytes() + np.ascontiguousarray(quads.transpose(1, 0, 2)).tobytes()
 
 
-BODIES = {FOLDED: folded_body, RAW: raw_body}
+COARSE = 64
+"""Steps of normals in few bits: a tenth of a degree."""
+
+
+def coded_body(words: np.ndarray, codes: np.ndarray) -> bytes:
+    """Records of transfer in few bits, ``codes`` (r, n), with their ``words`` (r,): byte by byte, for compression.
+
+    First come all low bytes of words' x, all high ones, and those of y. Codes follow, with their signs in bit 0: low
+    bytes of number 0, of number 1, and so on, then all high ones.
+    """
+    x, y = (words & 0xFFFF).astype(np.uint16), (words >> 16).astype(np.uint16)
+    signed = np.rint(codes.T).astype(np.int32)
+    folded = (signed << 1 ^ signed >> 31).astype(np.uint16)
+    planes = [each >> shift & 0xFF for each in (coarse(x, words), coarse(y, words)) for shift in (0, 8)]
+    body = np.vstack([*planes, folded & 0xFF, folded >> 8]).astype(np.uint8).tobytes()
+    return body + bytes(-len(body) % 8)
+
+
+def coarse(parts: np.ndarray, words: np.ndarray) -> np.ndarray:
+    """Parts of normals' ``words`` (m,) as multiples of COARSE, and those of words without a normal as they are."""
+    most = 0x7FFF // COARSE
+    rounded = COARSE * np.clip(np.rint(parts.view(np.int16) / COARSE), -most, most).astype(np.int16)
+    return np.where(np.isin(words, (*CODES.values(), FLAT)), parts, rounded.view(np.uint16))
+
+
+BODIES = {FOLDED: folded_body, RAW: raw_body, CODED: coded_body}
 
 
 def pack(chunks: ChunkTexels, normals: np.ndarray, values: np.ndarray, kind: int) -> Iterator[bytes]:

@@ -9,16 +9,20 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.frame.card.blocks import FOLDED, RAW, pack
-from isogi_core.frame.card.chunk_texels import ChunkTexels, hold_texels, with_neighbours
+from isogi_core.cache.page_pool import PagePool
+from isogi_core.frame.card.blocks import CODED, FOLDED, RAW, pack
+from isogi_core.frame.card.chunk_texels import hold_texels, with_neighbours
+from isogi_core.frame.card.coding import Coding
+from isogi_core.frame.card.filtered_transfer import filter_numbers, number_noise
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.shading import fill_texel_records, filter_texel_light, light_sources
 from isogi_core.frame.texel_normals import own_normals
-from isogi_core.frame.texel_reading import read_texels
+from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.unlit_view import undrawn_frame
+from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.irradiance_ratio import DIRECT, REFLECTED
 from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import Index
@@ -51,7 +55,7 @@ def fold_chunks(renderer: Renderer, view: View, chunks: Sequence[Index], target:
         with hold_texels(renderer.caches.of("gi"), with_neighbours(some, renderer.prepared), target, tiles) as held:
             found, pool = held
             lit = light_sources(found.reading.sources(pool), light, tiles)
-    about, reading = normals_of(renderer, found, tiles), found.reading
+    about, reading = normals_of(renderer, found.texels, tiles), found.reading
     if grainy:
         reading, lit = filter_texel_light(found.texels, reading, lit, about, light, tiles)
     records = fill_texel_records(reading.grade, lit, about, light, tiles)
@@ -63,11 +67,35 @@ def fold_chunks(renderer: Renderer, view: View, chunks: Sequence[Index], target:
 def transfer_chunks(renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
     """``chunks`` with what their texels keep, for any light: see ``raw_scale``. Raises as ``fold_chunks``."""
     with hold_texels(renderer.caches.of("gi"), chunks, target, tiles) as (found, pool):
-        rows = found.reading.rows
-        numbers = np.where((rows >= 0)[:, None, None], pool.transfer[rows], np.float32(0.0))
-    spec = renderer.caches.spec("gi")
-    scaled = numbers.reshape(len(rows), spec.channels * spec.columns) / np.float32(raw_scale(spec))
-    return Packed(tuple(pack(found, normals_of(renderer, found, tiles), scaled, RAW)), found.versions, True)
+        numbers = raw_numbers(found.reading.rows, pool)
+    return Packed(tuple(pack(found, normals_of(renderer, found.texels, tiles), numbers, RAW)), found.versions, True)
+
+
+def coded_chunks(
+    renderer: Renderer, chunks: Sequence[Index], target: float, coding: Coding, tiles: Tiles
+) -> tuple[bytes, ...]:
+    """The blocks of ``chunks`` with transfer in few bits, filtered where it is grainy. Raises as ``fold_chunks``."""
+    some = with_neighbours(chunks, renderer.prepared)
+    with hold_texels(renderer.caches.of("gi"), some, target, tiles) as (found, pool):
+        about, numbers = calm_numbers(renderer, found.texels, found.reading, pool, tiles)
+    return tuple(islice(pack(found, about, coding.codes(numbers), CODED), len(chunks)))
+
+
+def calm_numbers(
+    renderer: Renderer, texels: ViewTexels, reading: Reading, pool: PagePool, tiles: Tiles
+) -> tuple[np.ndarray, np.ndarray]:
+    """The normals (texels, 3) that texels are lit about, and their ``raw_numbers``, filtered where they are grainy."""
+    about, numbers = normals_of(renderer, texels, tiles), raw_numbers(reading.rows, pool)
+    if not reading.grainy.any():
+        return about, numbers
+    scatter = np.where(reading.rows >= 0, pool.scatter[reading.rows], np.float32(0.0))
+    return about, filter_numbers(texels, reading, numbers, number_noise(numbers, scatter, pool.spec), about, tiles)
+
+
+def raw_numbers(rows: np.ndarray, pool: PagePool) -> np.ndarray:
+    """What texels in ``rows`` (m,) of a pool keep, over ``raw_scale``; (m, numbers) float32, 0 where unlit."""
+    numbers, spec = np.where((rows >= 0)[:, None, None], pool.transfer[rows], np.float32(0.0)), pool.spec
+    return np.asarray(numbers.reshape(len(rows), spec.channels * spec.columns) / np.float32(raw_scale(spec)))
 
 
 def raw_scale(spec: BakeSpec) -> float:
@@ -103,7 +131,6 @@ def look_at(renderer: Renderer, view: View, target: float, tiles: Tiles) -> tupl
     return seen, undrawn_frame(renderer, view, texels, reading)
 
 
-def normals_of(renderer: Renderer, found: ChunkTexels, tiles: Tiles) -> np.ndarray:
-    """The normals that texels of chunks are lit about, (m, 3) float32."""
-    texels = found.texels
+def normals_of(renderer: Renderer, texels: ViewTexels, tiles: Tiles) -> np.ndarray:
+    """The normals that texels are lit about, (m, 3) float32."""
     return own_normals(texels, texels.places, renderer.known_normals, renderer.prepared, tiles)

@@ -91,13 +91,18 @@ def orthographic_camera(camera: Camera) -> dict[str, Any]:
     return {"eye": camera.eye, "target": camera.target, "up": camera.up, "fov": camera.fov, "parallel": True}
 
 
-def developed(light: np.ndarray, covers: np.ndarray, exposure: float) -> np.ndarray:
-    """sRGB codes of linear light through isogi's curve, without a table; (h, w, 3) float64."""
+def toned(light: np.ndarray, exposure: float = 1.0) -> np.ndarray:
+    """Linear light through isogi's curve, without a table; (h, w, 3) float64."""
     light = light.astype(np.float64) * exposure
     peak = light.max(axis=-1, keepdims=True)
     y = 1.7 * peak * (peak / (peak + 0.16))
     y = np.where(y <= 0.6, y, 1.0 - 0.4 * np.exp((0.6 - y) / 0.4))
-    shown = np.where(covers[..., None] & (peak > 0.0), light * y / np.maximum(peak, 1e-30), 0.0)
+    return np.asarray(np.where(peak > 0.0, light * y / np.maximum(peak, 1e-30), 0.0))
+
+
+def developed(light: np.ndarray, covers: np.ndarray, exposure: float) -> np.ndarray:
+    """sRGB codes of linear light through isogi's curve, without a table; (h, w, 3) float64."""
+    shown = np.where(covers[..., None], toned(light, exposure), 0.0)
     return np.rint(
         255.0 * np.where(shown <= 0.0031308, 12.92 * shown, 1.055 * np.maximum(shown, 1e-12) ** (1 / 2.4) - 0.055)
     )

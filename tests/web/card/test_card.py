@@ -13,7 +13,7 @@ from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench
 from tests.loaded import load_scene
 from tests.web.card.conftest import Make
 from tests.web.card.lab import Lab, lab_in
-from tests.web.card.scenes import IDENTITY, TURN, CardScene, difference, plain_light, view_of
+from tests.web.card.scenes import IDENTITY, TURN, CardScene, difference, plain_light, toned, view_of
 
 SIZE = (48, 48)
 
@@ -129,6 +129,45 @@ def test_only_what_lacks_is_asked_for(lab: Lab, bench: Workbench) -> None:
     assert lacking() == lacking(TURN) == {"light": [], "transfer": []}
     listed[0]["version"] = "f" * 16
     assert lacking()["light"] == [f"{listed[0]['at']}-{'f' * 16}"], "what has grown"
+
+
+def test_texels_that_a_card_has_no_rows_for_go_oldest_first(lab: Lab, bench: Workbench) -> None:
+    """Light of four views goes onto a card that has rows for about one; the newest is whole, and drawn."""
+    views = [view_at(bench, azimuth=azimuth) for azimuth in (40.0, 130.0, 220.0, 310.0)]
+    card = CardScene(lab, bench.renderer, views[0], SIZE)
+    for view in views:
+        bench.bake(view)
+    sizes, named = [], []
+    for view in views:
+        seen = seen_chunks(bench.renderer, view, 0.3, bench.renderer.tiles)
+        named.append({".".join(map(str, each.at)) for each in seen})
+        card.light(view, 0.3)
+        sizes.append(lab.ask("return card.drawing.texels.rows;"))
+    script = """card.device.most2d = given;
+        await card.load(card.drawing.document, [card.drawing.volume.source.buffer]);"""
+    lab.ask(script, max(sizes[0], 2))
+    for view in views:
+        card.light(view, 0.3)
+    here = set(lab.ask("return [...card.drawing.texels.chunks.keys()];"))
+    assert named[3] <= here and not set.union(*named) <= here
+    found = difference(card.picture(views[3]), *plain_light(bench.renderer, views[3], 0.3))
+    assert found.within >= 0.999, found
+
+
+def test_what_lacks_light_is_hatched_where_marks_are_asked_for(lab: Lab, bench: Workbench) -> None:
+    view, other = view_at(bench), view_at(bench, azimuth=75.0)
+    bench.bake(other)
+    card = CardScene(lab, bench.renderer, view, SIZE)
+    card.light(view, 0.3)
+    plain, marked = card.picture(other), card.picture(other, marked=True)
+    changed = np.abs(marked.light - plain.light).max(axis=2) > 1e-6
+    assert 0.02 < changed.sum() / plain.covers.sum() < 0.9 and not changed[plain.covers == 0].any()
+    same = card.picture(view, marked=True)
+    assert np.array_equal(same.light, card.picture(view).light), "nothing lacks where all light is there"
+    y, x = np.indices(changed.shape)
+    veil = np.where((x + y) % 12 < 6, 0.55, 0.15)[..., None]
+    expected = (1.0 - veil) * toned(plain.light) + veil * np.array([0.95, 0.42, 0.05])
+    assert np.abs(toned(marked.light) - expected)[changed].max() < 0.01
 
 
 def test_an_isovalue_slides_without_new_data(lab: Lab, bench: Workbench) -> None:

@@ -283,3 +283,17 @@ test("a card's camera is the server's", () => {
   const parallel = cardView(SCENE, DOCUMENT, knobs({ azimuth: 0, elevation: 0, distance: 2, projection: "orthographic" })).camera;
   assert.deepEqual([parallel.parallel, parallel.eye], [true, camera.eye]);
 });
+
+test("the error of the card's pictures is predicted once all their light is here, and final", async () => {
+  const document = { drawable: true, reason: "", scene: { ...DOCUMENT, target: 0.03, expected: 0.04 } };
+  await ready({ document });
+  assert.equal(live.predicted, null, "no list has come");
+  const chunks = [{ at: "0.0.1", version: "1a", final: true }, { at: "0.0.2", version: "2b", final: true }];
+  card.drawing = { texels: { chunks: new Map([["0.0.1", { version: "1a" }]]) } };
+  live.rest(A, LIT, chunks);
+  assert.equal(live.predicted, null, "one is not here");
+  card.drawing.texels.chunks.set("0.0.2", { version: "2b" });
+  assert.ok(Math.abs(live.predicted - 0.05) < 1e-12);
+  live.rest(A, LIT, [{ ...chunks[0], final: false }, chunks[1]]);
+  assert.equal(live.predicted, null, "one converges");
+});

@@ -12,7 +12,7 @@ import { knobInWords } from "../../../web/panels/knobs.js";
 import { pointRows } from "../../../web/panels/point.js";
 import { parseKept, scenePresets, toggled } from "../../../web/panels/presets.js";
 import { layerInWords, planRows, savingInWords, volumeRows } from "../../../web/panels/scene.js";
-import { announcement, badge, doneOf } from "../../../web/panels/status.js";
+import { announcement, badge, doneOf, predictedInWords } from "../../../web/panels/status.js";
 import { rateOf, timeRows } from "../../../web/panels/times.js";
 import { PAINTED, SCENE, facts } from "./fixtures.mjs";
 
@@ -321,4 +321,8 @@ test("a point says how far its light is", () => {
   assert.equal(pointRows(SCENE, { ...POINT, error: 0 }).Error, "", "without global illumination there is none");
   assert.equal(pointRows(SCENE, { ...POINT, state: "provisional", error: 1 }).Error, "not known yet");
   assert.deepEqual([pointRows(SCENE, { ...POINT, wall: 0, value: null })].map(({ Wall, Value }) => [Wall, Value]), [["1", ""]]);
+});
+
+test("an error that nobody measured is called predicted", () => {
+  assert.equal(predictedInWords(0.0512), " · drawn here, about 5.1 % error (predicted)");
 });

@@ -110,3 +110,13 @@ test("every change is told", () => {
     assert.equal(told, k + 1);
   });
 });
+
+test("a predicted error is that of the view that the controls ask for", () => {
+  assert.equal(shown.predicted, null);
+  shown.show(picture(shown.asked, { draft: true, facts: null, predicted: 0.05 }));
+  assert.deepEqual([shown.predicted, shown.facts], [0.05, null]);
+  shown.ask(B);
+  assert.equal(shown.predicted, null);
+  shown.show(picture(shown.asked));
+  assert.equal(shown.predicted, null, "the server's picture has an error that was measured");
+});

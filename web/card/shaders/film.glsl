@@ -18,3 +18,15 @@ vec3 toned(vec3 light) {
 vec3 srgb(vec3 x) {
   return mix(12.92 * x, 1.055 * pow(max(x, 1e-6), vec3(1.0 / 2.4)) - 0.055, greaterThan(x, vec3(0.0031308)));
 }
+
+// What the curve takes to y, below 1.
+float untone(float y) {
+  float s = curve.z, x = y <= s ? y : s - (1.0 - s) * log(1.0 - (y - s) / (1.0 - s));
+  return (x + sqrt(x * x + 4.0 * curve.x * x * curve.y)) / (2.0 * curve.x);
+}
+
+// The light that the curve shows as this colour.
+vec3 untoned(vec3 colour) {
+  float peak = min(max(max(colour.r, colour.g), colour.b), 0.999);
+  return peak > 0.0 ? untone(peak) / (exposure * peak) * colour : vec3(0.0);
+}

@@ -1,0 +1,123 @@
+"""Pictures as cards draw them of coded transfer, and how far they are from the truth, by control pixels."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from isogi_core.bake.noise import Until
+from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.frame.card.chunk_light import calm_numbers, raw_scale
+from isogi_core.frame.card.coding import Coding
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.control_pixels import (
+    ControlPixels,
+    TotalError,
+    draw_places,
+    measure_total,
+    paths_for,
+    trace_controls,
+)
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.shading import carry_irradiance_ratios, carry_texel_light, fill_texel_records
+from isogi_core.frame.texel_reading import read_texels
+from isogi_core.frame.view_texels import carries_irradiance_ratios
+from isogi_core.kernels.shading.framebuffer import Framebuffer
+from isogi_core.kernels.shading.lattice import LIT, light_texels
+from isogi_core.kernels.shading.lobes import add_lobes
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.view import View
+
+CONTROLS = 256
+"""Control pixels of a picture."""
+
+
+def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) -> Framebuffer:
+    """The picture of a ``view`` that a card draws of all texels' transfer in few bits, with lobes as at rest.
+
+    Transfer is filtered where it is noisier than a ``target`` error. Raises what ``Loader.ensure`` does.
+    """
+    tiles, loader, scene = renderer.tiles, renderer.caches.of("gi"), renderer.prepared.scene
+    gbuffer, light = renderer.gbuffer(view), RotatedLight(renderer.caches.spec("gi"), view)
+    texels = renderer.texels(view, gbuffer)
+    loader.ensure(texels.chunks, tiles.check)
+    with loader.pool.hold(texels.chunks) as held:
+        reading = read_texels(texels, held.slots, loader.pool, Until(target, FIRST_LEVEL), tiles)
+        about, numbers = calm_numbers(renderer, texels, reading, loader.pool, tiles)
+    lit = fold(coding.numbers(coding.codes(numbers)), light)
+    normals = gbuffer.normals(tiles)
+    if carries_irradiance_ratios(scene, "gi", False):
+        records = fill_texel_records(reading.grade, lit, about, light, tiles)
+        picture = carry_irradiance_ratios(texels, records, normals, light, tiles)
+    else:
+        picture = carry_texel_light(texels, reading, lit, normals, light, tiles)
+    if light.spec.lobes:
+        add_lobes(gbuffer.pixels, renderer.lobes(light, gbuffer).lit, light.spec.unit, picture)
+    return picture
+
+
+def fold(numbers: np.ndarray, light: RotatedLight) -> np.ndarray:
+    """The light of texels by the ``numbers`` (m, n) of their transfer over ``raw_scale``; (m, LIT) without noise."""
+    spec, lit = light.spec, np.zeros((len(numbers), LIT), np.float32)
+    transfer = np.float32(raw_scale(spec)) * numbers.reshape(len(numbers), spec.channels, spec.columns)
+    light_texels(np.arange(len(numbers), dtype=np.int32), transfer, lit[:, 3].copy(), *light.in_units, lit)
+    return lit
+
+
+@dataclass(frozen=True, eq=False)
+class Control:
+    """Control pixels of a ``view``: rows of its G-buffer's points, and what two halves of paths bring there."""
+
+    view: View
+    gbuffer: GBuffer
+    pixels: ControlPixels
+
+
+class ControlPictures:
+    """Pictures of ``views`` whose control pixels are traced once, and then measure the light of texels as it grows."""
+
+    def __init__(
+        self, renderer: Renderer, views: Iterable[View], target: float, report: Callable[[int], None] = lambda _: None
+    ) -> None:
+        """Trace paths for pictures of about a ``target`` error.
+
+        ``report`` is given how many views are done, here and whenever they are measured.
+        """
+        self._renderer, self._target, self._report = renderer, target, report
+        self._controls = []
+        for number, view in enumerate(views):
+            self._controls += [each] if (each := self._control(number, view)) else []
+            report(number + 1)
+
+    def __len__(self) -> int:
+        return len(self._controls)
+
+    def _control(self, number: int, view: View) -> Control | None:
+        """The control pixels of a view; None where no surface is seen."""
+        renderer, gbuffer = self._renderer, self._renderer.gbuffer(view)
+        if not (points := len(gbuffer.points)):
+            return None
+        light = RotatedLight(renderer.caches.spec("gi"), view)
+        places = draw_places(gbuffer, np.zeros(points), (number, 0), CONTROLS)
+        halves = trace_controls(light, gbuffer, places, paths_for(self._target), number, renderer.tiles)
+        return Control(view, gbuffer, ControlPixels(places, np.ones(len(places)), halves))
+
+    def measure(self, coding: Coding) -> TotalError:
+        """The error of all pictures with the light that there is now, in the ``coding``, relative to each one's light.
+
+        Raises what ``Loader.ensure`` does.
+        """
+        squares = []
+        for number, each in enumerate(self._controls):
+            squares.append(self._squares(each, coding))
+            self._report(number + 1)
+        return measure_total(np.concatenate(squares), 1.0)
+
+    def _squares(self, control: Control, coding: Coding) -> np.ndarray:
+        """The squared errors of a picture's control pixels, relative to its mean light; (k,)."""
+        framebuffer = draw_coded(self._renderer, control.view, coding, self._target)
+        picture = framebuffer.radiance[control.gbuffer.pixels] @ LUMINANCE
+        shown = picture[control.pixels.places]
+        mean = control.pixels.mean(shown, float(picture.mean()))
+        return control.pixels.squares(shown) / max(mean, np.finfo(float).tiny) ** 2

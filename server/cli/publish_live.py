@@ -1,0 +1,228 @@
+"""``isogi publish --interactive``: a page that draws a scene by the visitor's graphics card, from static files."""
+
+import math
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+from isogi_core.errors import ViewError
+from isogi_core.frame.card.chunk_light import raw_scale
+from isogi_core.frame.card.coding import Coding, coding_for
+from isogi_core.frame.rays.control_pixels import TotalError
+from isogi_core.frame.renderer import Renderer
+from isogi_core.model.view import View
+from isogi_core.plan.scene import Scene
+from server.card_answers import card_obstacles
+from server.cli.prewarm import desk_of, show
+from server.cli.publish import Wishes
+from server.errors import ParameterError
+from server.exports.live_page import (
+    Span,
+    document_of,
+    json_file,
+    light_files,
+    page_files,
+    volume_files,
+    write_files,
+)
+from server.parameters import FrameParams, read
+from server.prewarm.context import PrewarmContext
+from server.prewarm.order import levels_of, order_of
+from server.prewarm.ranges import RangeLight, bake_range, views_of
+from server.progress import Progress, compiling, open_scene
+from server.render.engine import RenderEngine
+from server.render.resources import root_of
+from server.render.workforce import scheduler_of
+from server.settings import Settings
+from server.views import isovalue_of, view_of
+
+STRICTER = 0.5
+"""The target that light is planned and baked for, over that of the page's pictures: no pixel has light of its own."""
+
+LEAST_TARGET = 1e-4
+"""The least target error that a scene may have."""
+
+ROUNDING = (0.2, 0.4, 0.8, 1.6, 3.2)
+"""Errors by rounding that are tried, over the target: the first one whose files are small enough is taken."""
+
+TAKEN = (
+    *("isovalue", "azimuth", "elevation", "distance", "fov", "projection", "target"),
+    *("yaw", "pitch", "roll", "albedo", "exposure", "background"),
+)
+"""Options of a view that the page begins with."""
+
+GROUNDS = ("light", "dark")
+"""Backgrounds that the page has."""
+
+
+@dataclass(frozen=True, eq=False)
+class Offer:
+    """The ``files`` of a page, and ``facts`` of it: among them the error of its pictures."""
+
+    files: Mapping[str, bytes]
+    facts: Mapping[str, Any]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all files."""
+        return sum(map(len, self.files.values()))
+
+    @property
+    def error(self) -> float:
+        """The relative error of the page's pictures."""
+        return float(self.facts["error"]["likely"])
+
+
+def publish(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
+    """Bake the light of a range of isovalues, write a page that draws it, and say how large and how good it is.
+
+    Raises SceneError, VolumeError, LightError and ViewError before anything is begun, and ViewError where the page
+    takes more than it may; StoreError, WorkersError and OSError later.
+    """
+    begun = time.monotonic()
+    if wishes.seconds is not None or wishes.deadline is not None:
+        raise ParameterError("--time and --deadline are for pictures: leave them out with --interactive.")
+    if not wishes.output.parent.is_dir():
+        raise ViewError(f"There is no folder {wishes.output.parent} for {wishes.output.name}: make it first.")
+    goal = wishes.target_error or open_scene(target, settings).target_error
+    scene = open_scene(target, settings, target_error=max(STRICTER * goal, LEAST_TARGET))
+    span, params = asked(scene, knobs)
+    view = view_of(scene, params, settings)
+    with at_work(scene, settings, begun) as context:
+        refuse_obstacles(context.renderer, view)
+        offer = fitting(offers(context, params, view, span, goal, settings), wishes.megabytes, goal)
+    write_files(wishes.output, offer.files)
+    facts = {"file": str(wishes.output), **offer.facts, "bytes": offer.nbytes}
+    return {**facts, "seconds": time.monotonic() - begun}
+
+
+def asked(scene: Scene, knobs: Mapping[str, str]) -> tuple[Span, FrameParams]:
+    """The isovalues that are asked for, and the view that the page begins with. Raises ParameterError."""
+    others = [name for name in knobs if name not in TAKEN or (":" in knobs[name] and name != "isovalue")]
+    if others:
+        raise ParameterError(f"--{others[0]} {knobs[others[0]]} is for pictures: leave it out with --interactive.")
+    levels = levels_of([knobs.get("isovalue", f"{scene.isovalue!r}")])
+    span = Span(min(levels.all), max(levels.all))
+    start = min(max(scene.isovalue, span.low), span.high)
+    params = read(FrameParams, {**knobs, "isovalue": repr(start)}.items())
+    for end in (span.low, span.high):
+        isovalue_of(scene, params.model_copy(update={"isovalue": end}))
+    ground_of(params)
+    return span, params
+
+
+def ground_of(params: FrameParams) -> str:
+    """What is behind the surface: light, dark, or as the browser has it. Raises ParameterError."""
+    if "background" not in params.model_fields_set:
+        return "page"
+    if params.background not in GROUNDS:
+        raise ParameterError(f"background must be light or dark with --interactive, not {params.background}.")
+    return params.background
+
+
+def refuse_obstacles(renderer: Renderer, view: View) -> None:
+    """Raise ViewError where a card cannot draw the scene, and SceneError where that keeps no light."""
+    renderer.prepared.scene.require_texels()
+    if found := card_obstacles(renderer.prepared, view, True):
+        reasons = " ".join(each.why for each in found)
+        raise ViewError(f"A page without a server cannot draw this scene: {reasons} Publish pictures of it.")
+
+
+@contextmanager
+def at_work(scene: Scene, settings: Settings, begun: float) -> Iterator[PrewarmContext]:
+    """An engine with workers, and what a bake of the scene works with."""
+    hired = settings.workers, scheduler_of(settings)
+    with (
+        closing(RenderEngine([scene], root_of(settings), *hired, settings.memory_mb << 20)) as engine,
+        Progress() as bar,
+    ):
+        bar.begin("loading kernels")
+        with compiling(lambda: engine.kernels.progress):
+            engine.start()
+        yield desk_of(engine, scene, order_of({}), partial(show, bar), begun)
+
+
+def offers(
+    context: PrewarmContext, params: FrameParams, view: View, span: Span, goal: float, settings: Settings
+) -> Iterator[Offer]:
+    """The page with ever fewer bits of light, baked until pictures of the first one are at the ``goal``, an error."""
+    renderer, target = context.renderer, context.target
+    views = [replace(each, albedo=view.albedo) for each in views_of(context, span.low, span.high, settings)]
+    codings = [coding_at(renderer, share * goal) for share in ROUNDING]
+    baked = bake_range(context, (span.low, span.high), codings[0], views, goal)
+    page, document = page_files() | volume_files(renderer, span), document_of(renderer, params, view, span)
+    for coding in codings:
+        light = light_files(renderer, span, coding, target)
+        facts = facts_of(renderer.prepared.scene, span, baked, {**page, **light}, baked.pictures.measure(coding))
+        facts["target_error"] = goal
+        known = {"files": sorted(light), "steps": coding.steps.tolist(), "background": ground_of(params), **facts}
+        yield Offer({**page, **light, "scene.json": json_file({**document, "light": known})}, facts)
+
+
+def coding_at(renderer: Renderer, error: float) -> Coding:
+    """The coding of a scene's transfer that errs so much."""
+    spec = renderer.caches.spec("gi")
+    return coding_for(spec, raw_scale(spec), error)
+
+
+def facts_of(
+    scene: Scene, span: Span, baked: RangeLight, files: Mapping[str, bytes], error: TotalError
+) -> dict[str, Any]:
+    """What there is to say of a page of these ``files``."""
+
+    def size(*rooms: str) -> int:
+        return sum(len(content) for name, content in files.items() if name.startswith(rooms))
+
+    return {
+        "scene": scene.name,
+        "isovalues": [span.low, span.high],
+        "error": {"likely": error.likely, "low": error.low, "high": error.high},
+        "views": len(baked.pictures),
+        "samples": baked.samples,
+        "volume_bytes": size("volume/"),
+        "light_bytes": size("light/"),
+        "bytes": size(""),
+    }
+
+
+def fitting(some: Iterator[Offer], megabytes: float | None, target: float) -> Offer:
+    """The first offer that takes no more than it may. Raises ViewError where its pictures would miss the target."""
+    most = math.inf if megabytes is None else 1e6 * megabytes
+    best = offer = next(some)
+    while offer.nbytes > most and (coarser := next(some, None)):
+        offer = coarser
+    if offer.nbytes > most or (offer is not best and offer.error > max(target, best.error)):
+        raise ViewError(too_large(best, offer, most))
+    return offer
+
+
+def too_large(best: Offer, smallest: Offer, most: float) -> str:
+    """What to say where a page takes more bytes than the ``most``, and what would fit."""
+    sentence = f"The page takes {best.nbytes / 1e6:.2f} MB at an error of {best.error:.3f}, and may take less:"
+    more = f"allow --megabytes {best.nbytes / 1e6 + 0.01:.2f}"
+    if smallest.nbytes <= most:
+        at = f"--target-error {1.01 * smallest.error:.2g}, which takes {smallest.nbytes / 1e6:.2f} MB"
+        return f"{sentence} {more}, ask for {at}, or for fewer isovalues."
+    light = smallest.facts["light_bytes"]
+    beside = smallest.nbytes - light
+    if beside >= most:
+        return f"{sentence} {more}. Its volume and its modules alone take {beside / 1e6:.2f} MB."
+    return f"{sentence} {more}, or ask for about {(most - beside) / light:.0%} of these isovalues and a larger error."
+
+
+def published(facts: Mapping[str, Any]) -> str:
+    """What ``publish --interactive`` did, for a person."""
+    low, high = facts["isovalues"]
+    error = facts["error"]
+    good = (
+        f"error {error['likely']:.4f} ({error['low']:.4f} to {error['high']:.4f}, measured in {facts['views']} views)"
+    )
+    good += f", above the target of {facts['target_error']:g}" if error["likely"] > facts["target_error"] else ""
+    parts = f"volume {facts['volume_bytes'] / 1e6:.1f}, light {facts['light_bytes'] / 1e6:.1f}"
+    size = f"{facts['bytes'] / 1e6:.1f} MB ({parts})"
+    return (
+        f"{facts['file']}: isovalues {low:g} to {high:g}, {good}, {size}: open {facts['file']}/index.html on a server"
+    )

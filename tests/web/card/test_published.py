@@ -1,0 +1,208 @@
+"""A published page on a plain file server: what a visitor sees, slides, turns and lights, beside isogi's pictures."""
+
+import http.server
+import json
+import threading
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from playwright.sync_api import Browser, Page
+
+from isogi_core.cache.scene_caches import Caches
+from isogi_core.frame.film import develop
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.tiles import Tiles
+from isogi_core.plan.assembly import load_scene
+from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.storage.store import Store
+from server.cli.command import run
+from server.cli.publish_live import STRICTER
+from server.parameters import FrameParams, read
+from server.settings import Settings
+from server.views import view_of
+from tests.server.inline import InlinePool
+from worker import pool
+
+SCENE = """\
+volume = "demo:orbital"
+bounces = 1
+target_error = 0.1
+projected = false
+[[lights]]
+type = "sky"
+sun_azimuth = 30
+sun_elevation = 50
+"""
+SIZE = {"width": 280, "height": 400}
+READY_MS = 120_000
+
+
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    """A plain file server that prints nothing."""
+
+    def log_message(self, *_: Any) -> None:
+        pass
+
+
+class Site:
+    """A published folder, the scene that it is of, and isogi's own pictures of what it shows."""
+
+    def __init__(self, folder: Path, address: str) -> None:
+        self.page, self.address = folder / "page", address
+        self.document = json.loads((self.page / "scene.json").read_text())
+        self.scene = load_scene(folder / "scene.toml", target_error=STRICTER * 0.1)
+        self.renderer = Renderer(Caches(PreparedScene(self.scene), Store(str(folder / "store")), 1 << 28), Tiles())
+
+    def picture(self, width: int, height: int, **knobs: Any) -> tuple[np.ndarray, np.ndarray]:
+        """isogi's picture of the page's first view with other ``knobs``, (h, w, 3), and where it is flat."""
+        start = self.document["scene"]["start"]
+        asked = {name: start[name] for name in ("azimuth", "elevation", "distance", "isovalue")} | knobs
+        texts = {name: repr(value) for name, value in asked.items()}
+        target = ",".join(map(repr, start["target"]))
+        size = {"width": str(width), "height": str(height)}
+        view = view_of(self.scene, read(FrameParams, {**texts, **size, "target": target}.items()), Settings())  # type: ignore[call-arg]
+        exposure = self.document["scene"]["defaults"]["exposure"]
+        shown = develop(self.renderer.render(view), exposure, background="light")
+        codes = shown.astype(int)
+        about = [np.roll(codes, (dy, dx), axis=(0, 1)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+        return codes, (np.ptp(about, axis=0).max(axis=2) < 10)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    """A page of the orbital's isovalues 0.01 to 0.02, on a plain file server."""
+    folder = tmp_path_factory.mktemp("published")
+    (folder / "scene.toml").write_text(SCENE)
+    words = ["-o", str(folder / "page"), "--interactive", "--isovalue", "0.01:0.02", "--background", "light"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pool, "WorkerPool", InlinePool)
+        assert run(["publish", str(folder / "scene.toml"), *words, "--store", str(folder / "store")]) == 0
+    handler = partial(Quiet, directory=str(folder / "page"))
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    yield Site(folder, f"http://127.0.0.1:{server.server_port}/")
+    server.shutdown()
+    server.server_close()
+    thread.join()
+
+
+@pytest.fixture(scope="module")
+def page(browser: Browser, site: Site) -> Iterator[Page]:
+    """The page in a window, lit and drawn, for all tests of it; its console stays free of errors."""
+    complaints: list[str] = []
+    page = browser.new_page(viewport=SIZE)  # type: ignore[arg-type]
+    page.set_default_timeout(READY_MS)
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("console", lambda line: complaints.append(line.text) if line.type == "error" else None)
+    page.goto(site.address)
+    page.wait_for_selector("#stage[data-lit]")
+    yield page
+    page.close()
+    assert complaints == []
+
+
+def seen(page: Page, folder: Path) -> np.ndarray:
+    """The picture of a view at rest, as it is on the screen; (h, w, 3) int."""
+    page.wait_for_selector("#stage[data-still]")
+    page.locator("canvas").screenshot(path=folder / "shot.png")
+    return np.asarray(Image.open(folder / "shot.png").convert("RGB")).astype(int)
+
+
+def put(page: Page, knob: str, value: float) -> float:
+    """Put a slider as near to a value as its steps allow; where it was."""
+    script = """(slider, value) => {
+      const before = slider.valueAsNumber;
+      slider.value = value;
+      slider.dispatchEvent(new Event("input", { bubbles: true }));
+      return before;
+    }"""
+    return float(page.eval_on_selector(f"input[name={knob}]", script, value))
+
+
+def assert_isogis(shown: np.ndarray, site: Site, **knobs: Any) -> None:
+    """A picture is isogi's, but for rounding, noise, and edges that are smoothed by other samples."""
+    expected, flat = site.picture(shown.shape[1], shown.shape[0], **knobs)
+    surface = np.abs(expected - expected[0, 0]).max(axis=2) > 2
+    apart = np.abs(shown - expected).max(axis=2)
+    near, far = ((apart[flat & surface] <= most).mean() for most in (2, 8))
+    assert (flat & surface).sum() > 2000
+    assert near > 0.8 and far > 0.995 and apart[flat].mean() < 0.5, (near, far, apart[flat].mean())
+
+
+def test_the_page_shows_isogis_picture(page: Page, site: Site, tmp_path: Path) -> None:
+    assert_isogis(seen(page, tmp_path), site)
+    said = page.inner_text("[role=status]")
+    assert "isovalues 0.01 to 0.02" in said and "relative error" in said and said.endswith("MB.")
+
+
+@pytest.mark.parametrize(("knob", "value"), [("isovalue", 0.014), ("yaw", 120.0), ("azimuth", 100.0), ("pitch", -40.0)])
+def test_what_slides_is_drawn_without_a_request(
+    page: Page, site: Site, tmp_path: Path, knob: str, value: float
+) -> None:
+    asked: list[str] = []
+    before = seen(page, tmp_path)
+    page.on("request", lambda request: asked.append(request.url))
+    start = put(page, knob, value)
+    after = seen(page, tmp_path)
+    put(page, knob, start)
+    assert (np.abs(after - before).max(axis=2) > 8).mean() > 0.02, "the picture changes"
+    assert_isogis(after, site, **{knob: value})
+    assert asked == []
+
+
+def test_a_drag_turns_the_object_and_the_exposure_lightens(page: Page, tmp_path: Path) -> None:
+    before = seen(page, tmp_path)
+    box = page.locator("canvas").bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 40, y + 10, steps=3)
+    page.mouse.up()
+    turned = seen(page, tmp_path)
+    assert (np.abs(turned - before).max(axis=2) > 8).mean() > 0.05
+    slider = page.locator("input[name=exposure]")
+    slider.focus()
+    for _ in range(3):
+        page.keyboard.press("PageUp")
+    assert seen(page, tmp_path).mean() > turned.mean() + 3
+
+
+def test_the_page_fits_windows_of_all_sizes(page: Page) -> None:
+    for width, height in ((1280, 800), (390, 844), (844, 390)):
+        page.set_viewport_size({"width": width, "height": height})
+        for what in ("h1", "#stage", "input", "output", "[role=status]"):
+            for box in (each.bounding_box() for each in page.locator(what).all()):
+                assert box is not None and box["width"] > 0 and min(box["x"], box["y"]) >= 0
+                assert box["x"] + box["width"] <= width and box["y"] + box["height"] <= height, what
+
+
+def test_without_webgl_the_page_says_what_it_needs(browser: Browser, site: Site) -> None:
+    page = browser.new_page()
+    page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null;")
+    page.goto(site.address)
+    page.wait_for_function("document.querySelector('[role=status]').textContent.includes('WebGL 2')")
+    page.close()
+
+
+def test_from_a_disk_the_page_says_where_to_put_it(browser: Browser, site: Site) -> None:
+    page = browser.new_page()
+    page.goto((site.page / "index.html").as_uri())
+    assert "http.server" in page.inner_text("[role=status]")
+    page.close()
+
+
+def test_a_file_that_is_missing_is_named(browser: Browser, site: Site) -> None:
+    page = browser.new_page()
+    page.route("**/light/0.bin", lambda route: route.fulfill(status=404))
+    page.goto(site.address)
+    page.wait_for_function(
+        "document.querySelector('[role=status]').textContent.includes('light/0.bin')", timeout=READY_MS
+    )
+    page.close()
