@@ -81,6 +81,8 @@ class ServerConfig(Config):
             log_config=None,
             access_log=False,
             server_header=False,
+            proxy_headers=bool(settings.trusted_proxies),
+            forwarded_allow_ips=list(settings.trusted_proxies),
             timeout_keep_alive=settings.idle_seconds,
             timeout_graceful_shutdown=settings.shutdown_seconds + 2,
             ws="websockets-sansio",
@@ -273,10 +275,13 @@ async def crowded(scope: Scope, receive: Receive, send: Send) -> None:
 
 
 def too_many(one: H11Protocol, connections: Iterable[H11Protocol], settings: Settings) -> list[H11Protocol]:
-    """The connections that are too many: all of this client, or all; none where they are within the limits."""
+    """The connections that are too many: all of this client, or all; none where they are within the limits.
+
+    Connections of a trusted proxy are of many clients: the limit for all connections alone holds for them.
+    """
     everybody = list(connections)
     own = [each for each in everybody if host_of(each) == host_of(one)]
-    if len(own) > settings.max_client_connections:
+    if len(own) > settings.max_client_connections and not settings.trusts(host_of(one) or ""):
         return own
     return everybody if len(everybody) > settings.max_connections else []
 
