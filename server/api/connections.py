@@ -6,6 +6,7 @@ import logging
 import socket
 import struct
 import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import Any, cast
 
@@ -100,7 +101,8 @@ class Connection(H11Protocol):
 
     A head must be there ``head_seconds`` after the connection or the last answer, and a body ``body_seconds`` after
     its head, that of an upload ``upload_seconds``; an answer must be taken at some PACE. Where all places are taken,
-    the connection that has waited longest for a head makes room; where none waits, the newcomer is answered with 503.
+    one makes room that lacks a part of its request: of the address that has most of these, the one that has waited
+    longest, for a head before a body. Where none lacks any, the newcomer is answered with 503.
     """
 
     def __init__(
@@ -126,9 +128,11 @@ class Connection(H11Protocol):
         self._since = self._taken = self.loop.time()
         self._check_later()
         crowd = too_many(self, cast(Iterable[H11Protocol], self.connections), self.settings)
-        waiting = [each for each in crowd if isinstance(each, Connection) and each.waits and each is not self]
+        waiting = [each for each in crowd if isinstance(each, Connection) and each.lacks and each is not self]
         if waiting:
-            min(waiting, key=lambda each: each._since).give_up("crowd", "Others need this connection: open a new one.")
+            held = Counter(map(host_of, crowd))
+            last = min(waiting, key=lambda each: (-held[host_of(each)], not each.waits, each._since))
+            last.give_up("crowd", "Others need this connection: open a new one.")
         elif crowd:
             self.app = crowded
 

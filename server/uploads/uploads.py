@@ -21,7 +21,7 @@ from isogi_core.files.scene_file import SceneSource
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
-from server.bearers import ANYBODY, Bearer, bearer_of
+from server.bearers import ANYBODY, Bearer, bearer_of, client_of
 from server.errors import (
     ForbiddenError,
     FullError,
@@ -32,8 +32,8 @@ from server.errors import (
     UploadFolderError,
     UploadsOffError,
 )
+from server.render.admission import AdmissionLimit
 from server.render.engine import RenderEngine
-from server.render.scheduling import AdmissionLimit
 from server.render.updates import attended
 from server.render.variants import MARK
 from server.settings import Settings
@@ -155,7 +155,7 @@ class Uploads:
         self.limit = settings.max_upload_mb << 20
         self.folder = UploadFolder(Path(settings.uploads) if settings.uploads else default_folder())
         self._engine, self._settings = engine, settings
-        self._admission = AdmissionLimit(AT_ONCE, "uploads are being taken")
+        self._admission = AdmissionLimit(AT_ONCE, "uploads are being taken", work=True)
         self._changing = asyncio.Lock()
         self._ready = False
         self._lacking = ""
@@ -229,12 +229,12 @@ class Uploads:
         if not self.on:
             raise UploadsOffError(self._off)
         self._check_ready()
-        with self._admission.admitted(), self.folder.drafts() as (body, draft):
+        with self._admission.admitted(client_of(request.scope)) as place, self.folder.drafts() as (body, draft):
             self._check_room(SCENE if kind == VOLUME else 0)  # no volume takes less
             with named(self.folder.path):
-                await receive(request, body, self._settings.body_seconds)
+                await place.keep(receive(request, body, self._settings.body_seconds))
             limits = self.limit // VOXEL, self._settings.reading_seconds
-            number = await attended(request, read_confined(body, draft, name, *limits, kind))
+            number = await attended(request, place.keep(read_confined(body, draft, name, *limits, kind)))
             async with self._changing:
                 kept = await asyncio.to_thread(keep, draft, number)
                 if kept[1] or self.folder.owners_of(number):

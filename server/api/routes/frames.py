@@ -20,6 +20,7 @@ from server.api.routes.jobs import JobSchema, address, job_schema
 from server.api.service import BearerDep, SceneDep, Service, ServiceDep
 from server.api.shown import PictureRequest, Shown
 from server.api.startup import within
+from server.bearers import client_of
 from server.parameters import (
     FitParams,
     FitParamsDep,
@@ -100,7 +101,9 @@ async def read_frame(
         return now
     service.leave(viewer)
     picture = service.picture_of(scene, params)
-    return defer(service, picture, params, request.query_params.multi_items(), (form, exposure), bearer.name)
+    return defer(
+        service, picture, params, request.query_params.multi_items(), (form, exposure), client_of(request.scope)
+    )
 
 
 def in_parts(frame: Frame, headers: dict[str, str]) -> Response:
@@ -148,11 +151,11 @@ def defer(
     params: FrameParams,
     query: list[tuple[str, str]],
     output: tuple[str, float],
-    owner: str = "",
+    client: tuple[str, str] = ("", ""),
 ) -> Response:
     """202 and a job that has the light of a picture baked; ``query`` are the parameters as they were given.
 
-    ``output`` are the format and the exposure of the picture. Raises BusyError.
+    ``output`` are the format and the exposure of the picture; the job is the ``client``'s. Raises BusyError.
     """
     form, exposure = output
 
@@ -163,7 +166,7 @@ def defer(
         href = f"/v1/scenes/{own_name(picture.scene)}/frame?{urlencode(named)}"
         return [Result(href, MEDIA_TYPES[form], "The picture")]
 
-    job = service.jobs.begin("frame", f"A frame of {own_name(picture.scene)}", work, owner=owner)
+    job = service.jobs.begin("frame", f"A frame of {own_name(picture.scene)}", work, owner=client[0], client=client)
     headers = {"Location": address(job), "Preference-Applied": "respond-async", "Cache-Control": "no-store"}
     return Response(
         job_schema(job).model_dump_json(), 202, headers | {"Vary": "Accept, Prefer"}, media_type="application/json"
