@@ -35,6 +35,9 @@ class Bearer:
 ANYBODY = Bearer()
 """Whoever asks a server that wants no token."""
 
+NOBODY = Bearer(scopes=frozenset())
+"""Whoever asks without a token what is open to probes, where the server wants one."""
+
 BEARER = "isogi.bearer"
 """Where a request's scope (ASGI) holds its bearer."""
 
