@@ -81,7 +81,7 @@ class Service:
         self.threads = RenderThreads(settings.render_threads)
         self.uploads = Uploads(engine, settings)
         self.exports = ExportFolder(settings.exports_mb << 20)
-        self.variants = Variants(engine, self.uploads.environment_at)
+        self.variants = Variants(engine, self.uploads.environment_at, patience=settings.queue_seconds)
         self._requests = AdmissionLimit(settings.render_threads + settings.render_queue, "frames wait", work=True)
         self._refining = 0
 

@@ -62,7 +62,7 @@ def write_environment(file: IO[bytes], data: bytes, name: str) -> str:
         image = resample(image, *LARGEST).astype(np.float32)
     pixels = encode_rgbe(np.asarray(image, np.float64))
     height, width, _ = image.shape
-    number = hashlib.blake2b(f"probe {width} {height}".encode() + pixels, digest_size=10).hexdigest()
+    number = hashlib.blake2b(f"probe {width} {height}".encode() + pixels, digest_size=16).hexdigest()
     named = quote(name or f"light {number[:6]}", safe="")
     file.write(HEADER.format(name=named, height=height, width=width).encode() + pixels)
     return number

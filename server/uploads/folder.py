@@ -89,7 +89,7 @@ def write(file: IO[bytes], grid: Grid, name: str) -> str:
         "sizes": " ".join(str(n) for n in voxels.shape[::-1]),
         "place": place_of(grid),
     }
-    digest = hashlib.blake2b(HEADER.format(**facts, name="").encode(), digest_size=10)
+    digest = hashlib.blake2b(HEADER.format(**facts, name="").encode(), digest_size=16)
     digest.update(voxels.data)
     number = digest.hexdigest()
     file.write(HEADER.format(**facts, name=quote(name or f"volume {number[:6]}", safe="")).encode())
@@ -131,7 +131,7 @@ def read_facts(path: Path) -> UploadedVolume | None:
 
 log = logging.getLogger("isogi.uploads")
 
-NUMBER = re.compile(r"[0-9a-f]{20}")
+NUMBER = re.compile(r"[0-9a-f]{20}([0-9a-f]{12})?")
 """What ids look like."""
 
 UNFINISHED = ".part"
