@@ -17,6 +17,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
 from server.api.requests import UPLOADS
+from server.api.stream_connection import StreamConnection
 from server.problems import problem
 from server.render.metrics import Metrics
 from server.settings import Settings
@@ -86,7 +87,7 @@ class ServerConfig(Config):
             forwarded_allow_ips=list(settings.trusted_proxies),
             timeout_keep_alive=settings.idle_seconds,
             timeout_graceful_shutdown=settings.shutdown_seconds + 2,
-            ws="websockets-sansio",
+            ws=StreamConnection,
             ws_max_size=settings.stream_bytes,
             ws_per_message_deflate=False,  # pictures are compressed as they are
             ws_ping_interval=PING,
@@ -218,9 +219,7 @@ class Connection(H11Protocol):
         """Close; with 408 and a ``sentence`` where a request has begun and nothing was answered yet."""
         self.metrics.closed.labels(why).inc()
         answering = self.cycle is not None and self.cycle.response_started and not self.cycle.response_complete
-        if self.cycle is not None and not self.cycle.response_complete:
-            self.cycle.disconnected = True
-            self.cycle.message_event.set()
+        self._end_cycle()
         if answering or (self.waits and not self.conn.trailing_data[0]) or self.conn.our_state is h11.DONE:
             self.transport.close()
         else:
@@ -232,6 +231,7 @@ class Connection(H11Protocol):
 
     def refuse(self, status: int, sentence: str) -> None:
         """Answer with a problem, past the app, and close; not at once, for what is still sent would be a reset."""
+        self._end_cycle()
         answer = problem(status, sentence, "/")
         headers = [*answer.raw_headers, (b"connection", b"close")]
         for event in (
@@ -243,6 +243,12 @@ class Connection(H11Protocol):
         self._refused = True
         self.transport.write_eof()
         self.loop.call_later(LINGER, self.transport.close)
+
+    def _end_cycle(self) -> None:
+        """Have the app read that its client left, and answer no more."""
+        if self.cycle is not None and not self.cycle.response_complete:
+            self.cycle.disconnected = True
+            self.cycle.message_event.set()
 
     def _note(self) -> None:
         """Begin to count anew where the client has come from one part of a request to the next."""
