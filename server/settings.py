@@ -133,7 +133,9 @@ class Settings(BaseSettings):
     )
     upload_seconds: int = Field(300, ge=1, description="Time for an upload to arrive.")
     reading_seconds: float = Field(
-        4, ge=0.1, description="Time to read an upload that came, and for every 8 MB of it a second more."
+        4,
+        ge=0.1,
+        description="Processor time to read an upload that came, and for every 8 MB of it a second more.",
     )
     exports_mb: int = Field(
         384,

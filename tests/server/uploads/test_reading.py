@@ -1,0 +1,91 @@
+"""The reader's limits: of the processor and not of the clock, of memory, and one reader at a time."""
+
+import asyncio
+import signal
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from fastapi import FastAPI
+
+from server.uploads.reading import Reader
+from tests.server.uploads.files import ball
+from tests.server.uploads.measured import GIGABYTE, read_measured
+from tests.server.uploads.site import Open
+
+
+def nrrd_of(kind: str, side: int, data: bytes) -> bytes:
+    """A NRRD file of a cube."""
+    sizes = " ".join([str(side)] * 3)
+    fields = f"NRRD0004\ntype: {kind}\ndimension: 3\nsizes: {sizes}\nencoding: raw\nendian: little\n\n"
+    return fields.encode() + data
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "dtype"), [("float", np.float32), ("uchar", np.uint8)])
+def test_the_largest_upload_is_read_within_a_gigabyte(tmp_path: Path, kind: str, dtype: Any) -> None:
+    side = 400
+    values = np.arange(side**3, dtype=np.uint32).astype(dtype)
+    (tmp_path / "large.nrrd").write_bytes(nrrd_of(kind, side, values.tobytes()))
+    answer, peak = read_measured(tmp_path / "large.nrrd")
+    assert "id" in answer and peak < GIGABYTE
+
+
+def test_a_start_that_takes_long_is_no_reason_to_refuse(
+    ask: Callable[..., httpx.Response], open_app: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a machine with other work: the reader has no processor for a while."""
+    read = Reader.read
+
+    async def held_up(reader: Reader, seconds: float) -> str:
+        process = reader._process
+        process.send_signal(signal.SIGSTOP)
+        asyncio.get_running_loop().call_later(1.5, process.send_signal, signal.SIGCONT)
+        return await read(reader, seconds)
+
+    monkeypatch.setattr(Reader, "read", held_up)
+    begun = time.monotonic()
+    answer = ask(open_app(reading_seconds=0.1), "POST", "/v1/volumes", content=ball())
+    assert time.monotonic() - begun > 1.5
+    assert answer.status_code == 201, answer.text
+
+
+def test_one_upload_is_read_at_a_time(open_app: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    app: FastAPI = open_app()
+    at_once, most, read = [0], [0], Reader.read
+
+    async def counted(reader: Reader, seconds: float) -> str:
+        at_once[0] += 1
+        most[0] = max(most[0], at_once[0])
+        await asyncio.sleep(0.3)
+        try:
+            return await read(reader, seconds)
+        finally:
+            at_once[0] -= 1
+
+    async def two() -> list[int]:
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost") as client:
+            sent = [client.post("/v1/volumes", content=ball(side), timeout=120) for side in (8, 9)]
+            return [answer.status_code for answer in await asyncio.gather(*sent)]
+
+    monkeypatch.setattr(Reader, "read", counted)
+    assert asyncio.run(two()) == [201, 201]
+    assert most == [1]
+
+
+def test_a_reader_that_is_not_needed_any_more_is_gone() -> None:
+    """Its upload never came to its end."""
+
+    async def part() -> int:
+        with tempfile.TemporaryFile() as body, tempfile.TemporaryFile() as out:
+            async with Reader.started(body, out, "a", 8) as reader:
+                process = reader._process
+                assert process.returncode is None
+        return process.returncode or 0
+
+    assert asyncio.run(part()) == -signal.SIGKILL
