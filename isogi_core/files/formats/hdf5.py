@@ -1,5 +1,6 @@
 """HDF5 and NetCDF-4, read by h5py: one dataset, chosen by its path in the file."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -28,6 +29,7 @@ def open_hdf5(source: Source) -> Grid:
             raise VolumeError(f"'{source.name}#{data.name}' holds {data.dtype} values: choose a dataset of numbers.")
         picked, shape = pick_axes(source, data.shape), tuple(int(n) for n in data.shape[-3:])
         source.check(shape)
+        _check_storage(source, data)
         moment = moment_of(source, data.shape[:-3], picked)
         scaling, holes = _packing(data)
         dtype = np.result_type(scaling.dtype(data.dtype), np.float32) if holes else scaling.dtype(data.dtype)
@@ -55,6 +57,18 @@ def _dataset(source: Source) -> Iterator[Any]:
         listed = ", ".join(f"'{source.name}#{each.name.strip('/')}'" for each in fields[:8])
         wrong = f"'{source.name}' has no volume '{part}'" if part else f"'{source.name}' holds several volumes"
         raise VolumeError(f"{wrong}: choose of {listed}." if fields else f"'{source.name}' holds no volume.")
+
+
+def _check_storage(source: Source, data: Any) -> None:
+    """Raise VolumeError where values are elsewhere, which an upload lacks, or a chunk has more than may be read."""
+    if source.path is None and (data.is_virtual or data.external):
+        raise VolumeError(f"The values of '{source.name}#{data.name}' are in other datasets: save it with its values.")
+    voxels = math.prod(data.chunks or ())
+    if voxels > source.voxels:
+        most = f"{source.voxels} are the most that may be"
+        raise VolumeError(
+            f"Chunks of '{source.name}#{data.name}' have {voxels} voxels, and {most}: save it in smaller."
+        )
 
 
 def _packing(data: Any) -> tuple[Scaling, tuple[Any, ...]]:

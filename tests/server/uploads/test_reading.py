@@ -13,10 +13,19 @@ import numpy as np
 import pytest
 from fastapi import FastAPI
 
+from isogi_core.files.radiance import encode_rgbe
+from server.uploads.environments import ENVIRONMENT
 from server.uploads.reading import Reader
+from tests.server.uploads import claims
 from tests.server.uploads.files import ball
 from tests.server.uploads.measured import GIGABYTE, read_measured
 from tests.server.uploads.site import Open
+
+
+@pytest.fixture(scope="module")
+def claimed(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Small files that claim much."""
+    return claims.written(tmp_path_factory.mktemp("claims"))
 
 
 def nrrd_of(kind: str, side: int, data: bytes) -> bytes:
@@ -33,6 +42,15 @@ def test_the_largest_upload_is_read_within_a_gigabyte(tmp_path: Path, kind: str,
     values = np.arange(side**3, dtype=np.uint32).astype(dtype)
     (tmp_path / "large.nrrd").write_bytes(nrrd_of(kind, side, values.tobytes()))
     answer, peak = read_measured(tmp_path / "large.nrrd")
+    assert "id" in answer and peak < GIGABYTE
+
+
+@pytest.mark.slow
+def test_the_largest_probe_is_read_within_a_gigabyte(tmp_path: Path) -> None:
+    row = np.random.default_rng(1).random((1, 8192, 3))
+    head = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4096 +X 8192\n"
+    (tmp_path / "large.hdr").write_bytes(head + encode_rgbe(row) * 4096)
+    answer, peak = read_measured(tmp_path / "large.hdr", ENVIRONMENT)
     assert "id" in answer and peak < GIGABYTE
 
 
@@ -89,3 +107,43 @@ def test_a_reader_that_is_not_needed_any_more_is_gone() -> None:
         return process.returncode or 0
 
     assert asyncio.run(part()) == -signal.SIGKILL
+
+
+@pytest.mark.slow
+def test_a_small_file_that_claims_much_takes_little(claimed: list[Path]) -> None:
+    """Of all kinds. A tile that claims to be larger than its page is read as far as it goes."""
+    for path in claimed:
+        begun = time.monotonic()
+        answer, peak = read_measured(path)
+        assert peak < GIGABYTE / 2, (path.name, peak, answer)
+        assert ("refused" in answer) is (path.name != "tiles.tif"), (path.name, answer)
+        assert time.monotonic() - begun < 20, path.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("extended.mrc", "ends before its last voxel"),
+        ("backward.mrc", "has -1024 bytes"),
+        ("virtual.h5", "are in other datasets"),
+        ("external.h5", "are in other datasets"),
+        ("chunks.h5", "Chunks of"),
+        ("deflated.dcm", "inflates to more than"),
+        ("frames.dcm", "are the most that may be"),
+        ("extension.nii", "ends before its last voxel"),
+    ],
+)
+def test_a_claim_is_refused_by_a_sentence(claimed: list[Path], name: str, said: str) -> None:
+    answer, peak = read_measured(next(path for path in claimed if path.name == name))
+    assert said in answer["refused"] and peak < GIGABYTE / 4
+
+
+@pytest.mark.slow
+def test_a_picture_of_microscopes_may_be_sent(tmp_path: Path) -> None:
+    """Its description is XML, whose reader must be loaded before files cannot be opened any more."""
+    tifffile = pytest.importorskip("tifffile")
+    values = np.arange(4 * 5 * 6, dtype=np.uint8).reshape(4, 5, 6)
+    tifffile.imwrite(tmp_path / "a.ome.tif", values, photometric="minisblack", metadata={"axes": "ZYX"})
+    answer, _ = read_measured(tmp_path / "a.ome.tif")
+    assert "id" in answer, answer
