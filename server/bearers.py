@@ -27,6 +27,11 @@ class Bearer:
         """Whether the token allows what the scope stands for."""
         return scope in self.scopes or "admin" in self.scopes
 
+    @property
+    def reach(self) -> int:
+        """How many scopes the token allows."""
+        return sum(map(self.may, SCOPES))
+
     def owns(self, owner: str) -> bool:
         """Whether what belongs to an ``owner``, or to nobody where that is empty, is this one's to change."""
         return owner in ("", self.name) or "admin" in self.scopes

@@ -21,6 +21,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.grid import PATIENT, Affine, Grid, layers_of
+from isogi_core.files.regular import open_regular
 from isogi_core.files.zarr_location import stamp_of
 
 Spacing = tuple[float, float, float]
@@ -65,7 +66,7 @@ def read_nrrd(path: str | Path) -> tuple[np.ndarray, Spacing]:
     Raises VolumeError as ``open_nrrd`` and the grid's slabs do. No memory is allocated on the header's word alone.
     """
     path = Path(path)
-    with _readable(path), open(path, "rb") as file:
+    with _readable(path), open_regular(path) as file:
         header = _read_header(path, file)
         with _data(path, header, file) as data:
             return _read(path, data, header)
@@ -80,7 +81,7 @@ def open_nrrd(path: str | Path) -> Grid:
     NRRD or not one 3-D scalar field; the slabs raise it where the file does not hold exactly the promised voxels.
     """
     path = Path(path)
-    with _readable(path), open(path, "rb") as file:
+    with _readable(path), open_regular(path) as file:
         header = _read_header(path, file)
         sizes, dtype = _sizes(path, header), _dtype(path, header)
         with _data(path, header, file) as data:
@@ -91,7 +92,7 @@ def open_nrrd(path: str | Path) -> Grid:
 
 def _slabs(path: Path) -> Iterator[np.ndarray]:
     """Read the voxels of a file, some layers at a time; (layers, ny, nx) each."""
-    with _readable(path), open(path, "rb") as file:
+    with _readable(path), open_regular(path) as file:
         header = _read_header(path, file)
         (nx, ny, nz), dtype = _sizes(path, header), _dtype(path, header)
         slab, rest = layers_of(nx * ny * dtype.itemsize) * nx * ny * dtype.itemsize, bytearray()
@@ -195,7 +196,7 @@ def _data(path: Path, header: dict[str, Any], file: IO[bytes]) -> Iterator[IO[by
         raise VolumeError(f"'{path}' points at '{name}' outside its folder: put the data beside the header.")
     if name.split()[:1] == ["LIST"] or "%" in name:
         raise VolumeError(f"'{path}' spreads its data over several files: save it as one file.")
-    with open(path.parent / where, "rb") as data:
+    with open_regular(path.parent / where) as data:
         yield data
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from isogi_core.errors import LightError
+from isogi_core.files.regular import open_regular, reason_of
 from isogi_core.storage.atomic_file import write_whole
 
 MAX_PIXELS = 2**28
@@ -27,9 +28,11 @@ def read_hdr(path: Path) -> np.ndarray:
     stored from the top left (``-Y h +X w``), or damaged.
     """
     try:
-        data = Path(path).read_bytes()
+        with open_regular(Path(path)) as file:
+            data = file.read(_HEADER_BYTES)
+            data += file.read() if data.startswith(b"#?") else b""
     except OSError as error:
-        raise LightError(f"The light '{path}' cannot be read ({error.strerror}): check its path.") from error
+        raise LightError(f"The light '{path}' cannot be read ({reason_of(error)}): check its path.") from error
     return parse_hdr(data, str(path))
 
 

@@ -107,6 +107,9 @@ def _scale(transformation: Mapping[str, Any]) -> list[float]:
 MOST = 1 << 29
 """Most bytes of a layer of chunks that is read at once; chunks of larger layers are read several times."""
 
+MOST_CHUNKS = 1 << 22
+"""Most chunks of an array: to ask for more takes hours, whatever they hold."""
+
 MAX_CHUNK = 1 << 30
 """Most bytes of one chunk, as it must be in memory as a whole."""
 
@@ -249,10 +252,14 @@ def _check(path: Path | str, found: FoundArray) -> None:
     array, space = found.array, [axis.name for axis in found.axes if axis.name in SPACE]
     if space != list(SPACE):
         raise VolumeError(f"'{path}' has the axes {', '.join(space) or 'none'} in space: they must be z, y and x.")
-    if array.size > MAX_VOXELS:
+    if min(array.chunks, default=0) < 1:
+        raise VolumeError(f"'{path}' claims chunks of {array.chunks} voxels, which cannot be: mend its metadata.")
+    if math.prod(array.shape) > MAX_VOXELS:
         raise VolumeError(f"'{path}' claims a shape {array.shape}, which cannot be: mend its metadata.")
     if int(np.prod([float(n) for n in array.chunks])) * array.dtype.itemsize > MAX_CHUNK:
         raise VolumeError(f"The chunks of '{path}' have {array.chunks} voxels: write it in chunks of 1 GiB or less.")
+    if math.prod(-(-n // step) for n, step in zip(array.shape, array.chunks, strict=True)) > MOST_CHUNKS:
+        raise VolumeError(f"The chunks of '{path}' have {array.chunks} voxels, and are too many: write larger ones.")
 
 
 def _slabs(

@@ -169,7 +169,7 @@ class TokenBearers:
         return problem(403, FORBIDDEN.format(name=bearer.name, scope=needed), scope["path"])
 
     def known(self, headers: Headers) -> Token | None:
-        """The token that the headers show, themselves or by its cookie."""
+        """The token that the headers show, themselves or by its cookie; of several cookies that which allows most."""
         scheme, _, given = headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer":
             return self.shown(given.strip().encode("latin-1"))
@@ -177,7 +177,8 @@ class TokenBearers:
             cookies = SimpleCookie(headers.get("cookie", ""))
         except CookieError:
             return None
-        return next((token for token in self.tokens if token.is_in(cookies)), None)
+        held = [token for token in self.tokens if token.is_in(cookies)]
+        return max(held, key=lambda token: token.bearer.reach, default=None)
 
     def shown(self, given: bytes) -> Token | None:
         """The token that this is, if any; how long that takes tells nothing."""

@@ -16,6 +16,7 @@ import numpy as np
 from isogi_core.errors import IsogiError, VolumeError
 from isogi_core.files.grid import ALONE, Shape, layers_of
 from isogi_core.files.nrrd import MAX_VOXELS
+from isogi_core.files.regular import open_regular
 from isogi_core.files.zarr_location import stamp_of
 
 BLOCK = 1 << 24
@@ -47,7 +48,7 @@ class Source:
             yield self.file
             return
         try:
-            file = self.path.open("rb")
+            file = open_regular(self.path)
         except FileNotFoundError as error:
             raise VolumeError(f"There is no file '{self.path}': check the volume's path.") from error
         except OSError as error:
