@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable
-from functools import partial
 from typing import Any
 from urllib.parse import urlencode
 
@@ -136,9 +135,12 @@ async def read_coverage(
 async def read_fit(request: Request, scene: SceneDep, params: FitParamsDep, service: ServiceDep) -> CameraSchema:
     """The camera that shows the whole surface as large as the picture takes it."""
     picture = service.picture_of(scene, params.view)
-    renderer = service.engine.renderer(scene.id)
-    make = partial(camera_schema, renderer, picture.view, params.azimuth, params.elevation, params.projection)
-    return await service.compute(request, make)
+    view, angles = picture.view, (params.azimuth, params.elevation)
+
+    def work() -> CameraSchema:
+        return camera_schema(service.engine.renderer(scene.id), view, *angles, params.projection)
+
+    return await service.compute(request, work)
 
 
 REPLACED = ("f", "version", "wait_ms")
