@@ -57,7 +57,7 @@ def passed(repeats: Repeats, text: str, *values: Any, level: int = logging.WARNI
     return record.getMessage() if repeats.filter(record) else None
 
 
-def test_what_comes_again_and_again_is_written_ten_times_a_minute() -> None:
+def test_what_comes_again_is_written_ten_times_a_minute() -> None:
     clock = Clock()
     repeats = Repeats(clock)
     written = [passed(repeats, "bad byte %d", each) for each in range(100)]
