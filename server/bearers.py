@@ -3,6 +3,7 @@
 import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from ipaddress import IPv6Address, ip_address, ip_network
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,11 @@ class Bearer:
         """Whether the token allows what the scope stands for."""
         return scope in self.scopes or "admin" in self.scopes
 
+    @property
+    def reach(self) -> int:
+        """How many scopes the token allows."""
+        return sum(map(self.may, SCOPES))
+
     def owns(self, owner: str) -> bool:
         """Whether what belongs to an ``owner``, or to nobody where that is empty, is this one's to change."""
         return owner in ("", self.name) or "admin" in self.scopes
@@ -33,6 +39,9 @@ class Bearer:
 
 ANYBODY = Bearer()
 """Whoever asks a server that wants no token."""
+
+NOBODY = Bearer(scopes=frozenset())
+"""Whoever asks without a token what is open to probes, where the server wants one."""
 
 BEARER = "isogi.bearer"
 """Where a request's scope (ASGI) holds its bearer."""
@@ -43,6 +52,27 @@ def bearer_of(scope: Mapping[str, Any]) -> Bearer:
     bearer = scope.get(BEARER, ANYBODY)
     assert isinstance(bearer, Bearer)
     return bearer
+
+
+SITE = 64
+"""Leading bits of an IPv6 address that stand for one client: each has all addresses that begin so."""
+
+
+def client_of(scope: Mapping[str, Any]) -> tuple[str, str]:
+    """Who counts as one client where clients share: a bearer's name, and the address that the request comes from."""
+    host = (scope.get("client") or ("",))[0]
+    return bearer_of(scope).name, site_of(host)
+
+
+def site_of(host: str) -> str:
+    """The address as limits count it: a network of SITE bits for IPv6, where one client has many."""
+    try:
+        address = ip_address(host)
+    except ValueError:
+        return host
+    if isinstance(address, IPv6Address) and address.ipv4_mapped:
+        return str(address.ipv4_mapped)
+    return host if address.version == 4 else str(ip_network((int(address), SITE), strict=False))
 
 
 def read_bearers(path: Path) -> tuple[Bearer, ...]:

@@ -4,6 +4,8 @@ import json
 import logging
 import logging.config
 import re
+import time
+from collections.abc import Callable, Hashable
 from contextvars import ContextVar
 from datetime import UTC, datetime
 from uuid import uuid4
@@ -18,6 +20,45 @@ STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "
 def request_id(given: str | None) -> str:
     """The id that a client gave its request where it is well-formed, else a new one."""
     return given if given is not None and WELL_FORMED.fullmatch(given) else uuid4().hex
+
+
+MOST, SPAN = 10, 60.0
+"""Warnings of a kind that are written within so many seconds; of more, only how many there were."""
+
+
+class Repeats(logging.Filter):
+    """Drops warnings and errors that come again and again: what clients cause must not fill a disk.
+
+    Those of one kind have a logger, a text before its values are put in, and a class of error in common.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """No record was seen yet."""
+        super().__init__()
+        self._clock = clock
+        self._seen: dict[Hashable, tuple[float, int]] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Let the first MOST of a kind pass in each SPAN; the next one after that says how many were dropped."""
+        if record.levelno < logging.WARNING:
+            return True
+        kind, now = kind_of(record), self._clock()
+        begun, count = self._seen.get(kind, (now, 0))
+        if now - begun >= SPAN:
+            record.msg, record.args = f"{record.getMessage()}{MORE.format(count - MOST) if count > MOST else ''}", None
+            begun, count = now, 0
+            self._seen = {each: seen for each, seen in self._seen.items() if now - seen[0] < SPAN or each == kind}
+        self._seen[kind] = begun, count + 1
+        return count < MOST
+
+
+MORE = " (and {} more of its kind, which are not written)"
+
+
+def kind_of(record: logging.LogRecord) -> Hashable:
+    """What records have in common of which few are written."""
+    raised = [type(each) for each in record.args if isinstance(each, BaseException)] if record.args else []
+    return record.name, record.msg, *raised, record.exc_info[0] if record.exc_info else None
 
 
 class WithRequest(logging.Filter):
@@ -54,12 +95,12 @@ class JsonLines(logging.Formatter):
 def configure(form: str, level: str) -> None:
     """Send what this process logs, from ``level`` on, to stderr; ``form`` is text or json."""
     text = {"format": "%(asctime)s %(levelname)s %(name)s [%(request_id)s] %(message)s"}
-    handler = {"class": "logging.StreamHandler", "formatter": form, "filters": ["request"]}
+    handler = {"class": "logging.StreamHandler", "formatter": form, "filters": ["request", "repeats"]}
     logging.config.dictConfig(
         {
             "version": 1,
             "disable_existing_loggers": False,
-            "filters": {"request": {"()": WithRequest}},
+            "filters": {"request": {"()": WithRequest}, "repeats": {"()": Repeats}},
             "formatters": {"text": text, "json": {"()": JsonLines}},
             "handlers": {"stderr": handler},
             "root": {"handlers": ["stderr"], "level": "WARNING"},

@@ -9,6 +9,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse
 from starlette.routing import compile_path
 
@@ -151,6 +152,11 @@ async def validation_problem(request: Request, error: Exception) -> JSONResponse
     return problem(422, f"{name}: {first['msg']}.", request.url.path, parameter=name)
 
 
+async def left(request: Request, error: Exception) -> JSONResponse:
+    """A client that left, or broke off its body, before its request was whole: nobody reads the answer."""
+    return problem(400, "The client left before its request was whole.", request.url.path)
+
+
 async def failure(request: Request, error: Exception) -> JSONResponse:
     """Anything else: the traceback goes to the log, never to the client."""
     return problem(500, SENTENCES[500], request.url.path)
@@ -160,5 +166,6 @@ def install(app: FastAPI) -> None:
     """Make the app answer every error with a problem document."""
     app.add_exception_handler(IsogiError, domain_problem)
     app.add_exception_handler(HTTPException, http_problem)
+    app.add_exception_handler(ClientDisconnect, left)
     app.add_exception_handler(RequestValidationError, validation_problem)
     app.add_exception_handler(Exception, failure)

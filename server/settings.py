@@ -1,7 +1,7 @@
 """Settings of the server process: options, environment variables ``ISOGI_…``, or lines of a TOML file."""
 
 import os
-from ipaddress import ip_address
+from ipaddress import ip_address, ip_network
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -112,6 +112,11 @@ class Settings(BaseSettings):
     allowed_origins: Names = Field(
         (), description="Origins such as https://lab.example whose pages may ask too, comma-separated; default: none."
     )
+    trusted_proxies: Names = Field(
+        (),
+        description="Addresses or networks of proxies whose X-Forwarded-For and X-Forwarded-Proto are believed,"
+        " comma-separated; default: none.",
+    )
     max_pixels: int = Field(4096 * 4096, ge=1, description="Most pixels in one picture.")
     max_paths: int = Field(2**26, ge=1, description="Most paths (pixels × samples) in one path-traced picture.")
     max_body_bytes: int = Field(64 * 1024, ge=0, description="Most bytes in the body of a request; beyond that: 413.")
@@ -128,7 +133,9 @@ class Settings(BaseSettings):
     )
     upload_seconds: int = Field(300, ge=1, description="Time for an upload to arrive.")
     reading_seconds: float = Field(
-        4, ge=0.1, description="Time to read an upload that came, and for every 8 MB of it a second more."
+        4,
+        ge=0.1,
+        description="Processor time to read an upload that came, and for every 8 MB of it a second more.",
     )
     exports_mb: int = Field(
         384,
@@ -169,7 +176,7 @@ class Settings(BaseSettings):
         "warning", description="What is logged: debug, info (with each request), warning or error."
     )
 
-    @field_validator("allowed_hosts", "allowed_origins", mode="before")
+    @field_validator("allowed_hosts", "allowed_origins", "trusted_proxies", mode="before")
     @classmethod
     def split(cls, value: object) -> object:
         """The names in a comma-separated text."""
@@ -184,6 +191,19 @@ class Settings(BaseSettings):
             if scheme not in ("http", "https") or not host or set("/*?#@") & set(host):
                 raise ValueError(f"{name} is no origin: write it as https://lab.example or http://localhost:8888")
         return tuple(name.lower() for name in value)
+
+    @field_validator("trusted_proxies")
+    @classmethod
+    def proxies(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        """The proxies, each an address or a network: none stands for all."""
+        for name in value:
+            try:
+                ip_network(name)
+            except ValueError:
+                raise ValueError(
+                    f"{name} is no address or network: write it as 127.0.0.1, fd00::1 or 10.0.0.0/8"
+                ) from None
+        return value
 
     @model_validator(mode="before")
     @classmethod
@@ -257,6 +277,13 @@ class Settings(BaseSettings):
     def hands_out_voxels(self) -> bool:
         """Whether pages may have voxels: as set, else where anybody may ask who reaches the server."""
         return not self.bearers if self.hand_out_voxels is None else self.hand_out_voxels
+
+    def trusts(self, host: str) -> bool:
+        """Whether a connection from this address is a proxy's, whose headers name the client."""
+        try:
+            return any(ip_address(host) in ip_network(each) for each in self.trusted_proxies)
+        except ValueError:
+            return False
 
     def hosts(self) -> tuple[str, ...] | None:
         """Host names that requests may use, in lower case; None for any."""

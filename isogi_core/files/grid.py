@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -145,9 +146,14 @@ class Grid:
         return replace(self, slabs=lambda: iter((array,)))
 
     def whole(self) -> np.ndarray:
-        """All values in memory; (nz, ny, nx)."""
+        """All values in memory; (nz, ny, nx). The source's own array where that is its only slab."""
+        slabs = self.slabs()
+        first = next(slabs, None)
+        if first is not None and first.shape == self.shape and first.dtype == self.dtype:
+            next(slabs, None)  # what is wrong with the whole is told at its end
+            return first
         array, z = np.empty(self.shape, self.dtype), 0
-        for slab in self.slabs():
+        for slab in chain(() if first is None else (first,), slabs):
             array[z : z + len(slab)] = slab
             z += len(slab)
         return array

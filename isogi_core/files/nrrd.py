@@ -33,6 +33,7 @@ from isogi_core.files.nrrd_header import (
     unit_of,
 )
 from isogi_core.files.packed_files import BLOCK, DAMAGE, Content, cut_notes, read_end
+from isogi_core.files.regular import open_regular
 from isogi_core.files.zarr_location import stamp_of
 
 _RAW, _GZIP, _BZIP2 = ("raw",), ("gzip", "gz"), ("bzip2", "bz2")
@@ -158,7 +159,7 @@ def _data(source: Source, header: Header, file: IO[bytes]) -> Iterator[list[IO[b
         return
     assert source.path is not None, "a header that names files has a path"
     with ExitStack() as opened:
-        yield [opened.enter_context(open(_beside(source.path.parent, name), "rb")) for name in names]
+        yield [opened.enter_context(open_regular(_beside(source.path.parent, name))) for name in names]
 
 
 def _beside(folder: Path, name: str) -> Path:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from isogi_core.errors import LightError
+from isogi_core.files.regular import open_regular, reason_of
 from isogi_core.storage.atomic_file import write_whole
 
 MAX_PIXELS = 2**28
@@ -27,24 +28,27 @@ def read_hdr(path: Path) -> np.ndarray:
     stored from the top left (``-Y h +X w``), or damaged.
     """
     try:
-        data = Path(path).read_bytes()
+        with open_regular(Path(path)) as file:
+            data = file.read(_HEADER_BYTES)
+            data += file.read() if data.startswith(b"#?") else b""
     except OSError as error:
-        raise LightError(f"The light '{path}' cannot be read ({error.strerror}): check its path.") from error
+        raise LightError(f"The light '{path}' cannot be read ({reason_of(error)}): check its path.") from error
     return parse_hdr(data, str(path))
 
 
 def parse_hdr(data: bytes, path: str, most: int = MAX_PIXELS) -> np.ndarray:
     """The picture in the bytes of a file called ``path``, of ``most`` pixels at most; see ``read_hdr``."""
     height, width, gain, start = _read_header(path, data, most)
-    body = data[start:]
     try:
-        coded = body[:2] == b"\2\2" and body[2] < 128 and 8 <= width < 32768
-        pixels = _decode_lines(body, height, width) if coded else _decode_quads(body, height * width)
+        coded = data[start : start + 2] == b"\2\2" and data[start + 2] < 128 and 8 <= width < 32768
+        pixels = _decode_lines(data, start, height, width) if coded else _decode_quads(data, start, height * width)
     except (ValueError, IndexError) as error:
         raise LightError(f"The pixels of '{path}' are damaged or cut short: copy it again.") from error
-    rgbe = pixels.reshape(height, width, 4)
+    radiance = np.empty((height, width, 3), np.float32)
     with np.errstate(over="ignore"):
-        return np.asarray(rgbe[..., :3] * (_UNITS[rgbe[..., 3:]] / gain))
+        for row, quads in zip(radiance, pixels.reshape(height, width, 4), strict=True):
+            row[:] = quads[:, :3] * (_UNITS[quads[:, 3:]] / gain)
+    return radiance
 
 
 def write_hdr(path: Path, rgb: np.ndarray) -> None:
@@ -115,11 +119,10 @@ def _positive_numbers(path: str, line: str, count: int) -> list[float]:
     return numbers
 
 
-def _decode_lines(body: bytes, height: int, width: int) -> np.ndarray:
-    """Decode new run-length coding, per line a mark and four components in runs; (h, w, 4) uint8."""
+def _decode_lines(body: bytes, at: int, height: int, width: int) -> np.ndarray:
+    """Decode, from a byte on, new run-length coding, per line a mark and four components in runs; (h, w, 4) uint8."""
     mark = bytes([2, 2, width >> 8, width & 255])
     planes = np.empty((height, 4, width), np.uint8)
-    at = 0
     for row in planes:
         if body[at : at + 4] != mark:
             raise ValueError("a line without its mark")
@@ -144,14 +147,16 @@ def _decode_runs(body: bytes, at: int, size: int) -> tuple[bytearray, int]:
     return line, at
 
 
-def _decode_quads(body: bytes, count: int) -> np.ndarray:
-    """Decode flat pixels and old run-length coding; (count, 4) uint8.
+def _decode_quads(body: bytes, at: int, count: int) -> np.ndarray:
+    """Decode, from a byte on, flat pixels and old run-length coding; (count, 4) uint8.
 
     A quad (1, 1, 1, n) repeats the pixel before it n times; where several follow each other, each next n
     counts 256 times as much as the one before.
     """
-    quads = np.frombuffer(body, np.uint8, len(body) // 4 * 4).reshape(-1, 4)
+    quads = np.frombuffer(body, np.uint8, (len(body) - at) // 4 * 4, at).reshape(-1, 4)
     runs = (quads[:, :3] == 1).all(axis=1)
+    if len(quads) >= count and not runs.any():
+        return quads[:count]
     index = np.arange(len(quads))
     pixel = np.maximum.accumulate(np.where(runs, -1, index))
     power = np.clip(index - pixel - 1, 0, 3)

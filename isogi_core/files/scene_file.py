@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from urllib.parse import unquote
 
 from isogi_core.errors import SceneError, advice
+from isogi_core.files.regular import in_short, read_small, reason_of
 from isogi_core.files.scene_changes import CHANGES, change_document, tables_in
 
 DEFAULT_DEMO = "demo:casting"
@@ -43,18 +44,26 @@ def source_at(text: str, overrides: Mapping[str, Any]) -> SceneSource:
         return SceneSource(text.removeprefix("demo:"), {"volume": text, **overrides}, Path.cwd())
     if "://" in text:
         return SceneSource(name_of(Path(text)), {"volume": text, **overrides}, Path.cwd())
-    whole_name, mark, part = split_name(text)
-    path = Path(whole_name).resolve()
+    try:
+        whole_name, mark, part = split_name(text)
+        path = Path(whole_name).resolve()
+    except (OSError, RuntimeError, ValueError) as error:  # a link to itself, a name that no system can hold
+        raise SceneError(f"There is no file {in_short(text)}: check its path, and its links.") from error
     if path.suffix != ".toml":
         whole = next((each for each in path.parents if each.suffix == ".zarr"), path)
         name, place = name_of(path), f"{path.relative_to(whole.parent)}{mark}{part}"
         return SceneSource(name, {"volume": place, **overrides}, whole.parent)
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        document = tomllib.loads(read_small(path, MOST_BYTES).decode())
+        check_values(document)
     except OSError as error:
-        raise SceneError(f"Cannot read the scene {path}: {error.strerror}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"The scene {path} is not valid TOML: {error}.") from error
+        raise SceneError(f"Cannot read the scene {path}: {reason_of(error)}.") from error
+    except ValueError as error:  # of bytes that are no text, text that is no TOML, and integers of too many digits
+        raise SceneError(f"The scene {path} is not valid TOML: {str(error).partition(';')[0]}.") from error
+    except RecursionError:
+        raise SceneError(
+            f"The scene {path} has lists or tables in each other beyond all use: write it again."
+        ) from None
     return SceneSource(path.stem, labels_as_volume({**document, **overrides}, path.stem), path.parent)
 
 
@@ -64,6 +73,29 @@ def split_name(text: str, base: Path = Path()) -> tuple[str, str, str]:
     if not mark or not name or "://" in text or (base / text).exists():
         return text, "", ""
     return (name, mark, part) if (base / name).exists() else text.partition("#")
+
+
+MOST_BYTES, MOST_TEXT, MOST_ENTRIES = 1 << 20, 4096, 4096
+"""Bytes of a scene file, characters of a text in it, and entries of a list, such as lights, at most."""
+
+MOST_BITS = 1024
+"""Bits of a whole number, at most: floats hold none that is larger."""
+
+
+def check_values(value: Any, key: str = "The document") -> None:
+    """Raise SceneError, which names the ``key``, for a text, a number or a list in a scene that nothing can be."""
+    if isinstance(value, str) and (len(value) > MOST_TEXT or "\0" in value):
+        raise SceneError(f"{key} in the scene is a text of {len(value)} characters, {in_short(value)}: nothing has it.")
+    if isinstance(value, int) and value.bit_length() > MOST_BITS:
+        raise SceneError(f"{key} in the scene is a whole number of more than 300 digits: give a smaller one.")
+    if isinstance(value, list) and len(value) > MOST_ENTRIES:
+        raise SceneError(f"{key} in the scene has {len(value)} entries: give {MOST_ENTRIES} at most.")
+    if isinstance(value, Mapping):
+        for name, each in value.items():
+            check_values(name, "A name")
+            check_values(each, name)
+    for each in value if isinstance(value, list) else ():
+        check_values(each, key)
 
 
 def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any]:
@@ -143,8 +175,8 @@ class Settings:
         return self.source.document.get(key)
 
     def _wrong(self, key: str, wanted: str) -> SceneError:
-        given = self.source.document.get(key)
-        return SceneError(f"{key} = {given!r} in the scene '{self.source.name}' is not {wanted}.")
+        given = in_short(self.source.document.get(key))
+        return SceneError(f"{key} = {given} in the scene '{self.source.name}' is not {wanted}.")
 
     def text(self, key: str, fallback: str) -> str:
         """A string."""

@@ -28,6 +28,9 @@ from isogi_core.files.zarr_location import Hierarchy, hierarchy_at
 MOST = 1 << 29
 """Most bytes of a layer of chunks that is read at once; chunks of larger layers are read several times."""
 
+MOST_CHUNKS = 1 << 22
+"""Most chunks of a field, or of a region of it: to ask for more takes hours, whatever they hold."""
+
 MAX_CHUNK = 1 << 30
 """Most bytes of one chunk, as it must be in memory as a whole."""
 
@@ -119,6 +122,14 @@ def _voxels(found: FoundArray, region: Region | None) -> int:
     if region is not None:
         return math.prod(high - low for low, high in region)
     return math.prod(n for axis, n in zip(found.axes, found.array.shape, strict=True) if axis.name in SPACE)
+
+
+def _chunks(found: FoundArray, region: Region | None) -> int:
+    """Chunks that hold the field in an array, or a region of it."""
+    spans = dict(zip(SPACE, region or (), strict=False))
+    sizes = zip(found.axes, found.array.shape, found.array.chunks, strict=True)
+    spatial = [(*spans.get(axis.name, (0, n)), step) for axis, n, step in sizes if axis.name in SPACE]
+    return math.prod((end - 1) // step - first // step + 1 for first, end, step in spatial)
 
 
 def _order(axes: tuple[Axis, ...]) -> tuple[int, ...]:
@@ -270,6 +281,8 @@ def _check(path: Path | str, found: FoundArray, region: Region | None) -> None:
     array, space = found.array, [axis.name for axis in found.axes if axis.name in SPACE]
     if sorted(space) != list(SPACE):
         raise VolumeError(f"'{path}' has the axes {', '.join(space) or 'none'} in space: they must be z, y and x.")
+    if min(array.chunks, default=0) < 1:
+        raise VolumeError(f"'{path}' claims chunks of {array.chunks} voxels, which cannot be: mend its metadata.")
     if _voxels(found, region) > MAX_VOXELS:
         part = "choose a coarser level, or a region in the scene"
         raise VolumeError(
@@ -277,6 +290,8 @@ def _check(path: Path | str, found: FoundArray, region: Region | None) -> None:
         )
     if int(np.prod([float(n) for n in array.chunks])) * array.dtype.itemsize > MAX_CHUNK:
         raise VolumeError(f"The chunks of '{path}' have {array.chunks} voxels: write it in chunks of 1 GiB or less.")
+    if _chunks(found, region) > MOST_CHUNKS:
+        raise VolumeError(f"The chunks of '{path}' have {array.chunks} voxels, and are too many: write larger ones.")
 
 
 def _slabs(

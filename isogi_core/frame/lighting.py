@@ -325,4 +325,4 @@ def version_of(light: RotatedLight, read: bytes) -> str:
     Light is summed in the order that fills the processor's registers, whose width is part of it.
     """
     spec, scene = light.spec.digest, light.spec.prepared.scene.digest
-    return hashlib.blake2b(repr((FORMAT, scene, spec, light.view, read, REGISTER)).encode(), digest_size=12).hexdigest()
+    return hashlib.blake2b(repr((FORMAT, scene, spec, light.view, read, REGISTER)).encode(), digest_size=16).hexdigest()

@@ -11,7 +11,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from server.bearers import BEARER, Bearer
+from server.bearers import BEARER, NOBODY, Bearer
 from server.problems import problem
 
 HOST = re.compile(r"(\[(?P<six>[0-9a-f:.]*:[0-9a-f:.]*)\]|(?P<name>[^\[\]:]*))(:[0-9]*)?", re.ASCII)
@@ -92,7 +92,7 @@ def is_link(headers: Headers) -> bool:
 
 
 OPEN = ("/livez", "/readyz")
-"""What probes ask, which hold no token."""
+"""What probes ask, which hold no token: they answer whoever shows none in fewer words."""
 
 REFUSAL = "This server wants its token: as 'Authorization: Bearer …', or once in the page's address as /?token=…"
 PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>isogi: token</title>
@@ -145,7 +145,12 @@ class TokenBearers:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on where it shows a token that allows it; a page that is opened with one gets the cookie."""
-        if scope["type"] not in ("http", "websocket") or scope["path"] in OPEN:
+        if scope["type"] not in ("http", "websocket"):
+            await self.app(scope, receive, send)
+            return
+        if scope["path"] in OPEN:
+            token = self.known(Headers(scope=scope))
+            scope[BEARER] = token.bearer if token else NOBODY
             await self.app(scope, receive, send)
             return
         headers, given = Headers(scope=scope), self.given(scope)
@@ -164,7 +169,7 @@ class TokenBearers:
         return problem(403, FORBIDDEN.format(name=bearer.name, scope=needed), scope["path"])
 
     def known(self, headers: Headers) -> Token | None:
-        """The token that the headers show, themselves or by its cookie."""
+        """The token that the headers show, themselves or by its cookie; of several cookies that which allows most."""
         scheme, _, given = headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer":
             return self.shown(given.strip().encode("latin-1"))
@@ -172,7 +177,8 @@ class TokenBearers:
             cookies = SimpleCookie(headers.get("cookie", ""))
         except CookieError:
             return None
-        return next((token for token in self.tokens if token.is_in(cookies)), None)
+        held = [token for token in self.tokens if token.is_in(cookies)]
+        return max(held, key=lambda token: token.bearer.reach, default=None)
 
     def shown(self, given: bytes) -> Token | None:
         """The token that this is, if any; how long that takes tells nothing."""

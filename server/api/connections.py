@@ -6,6 +6,7 @@ import logging
 import socket
 import struct
 import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import Any, cast
 
@@ -16,6 +17,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
 from server.api.requests import UPLOADS
+from server.api.stream_connection import StreamConnection
 from server.problems import problem
 from server.render.metrics import Metrics
 from server.settings import Settings
@@ -81,9 +83,11 @@ class ServerConfig(Config):
             log_config=None,
             access_log=False,
             server_header=False,
+            proxy_headers=bool(settings.trusted_proxies),
+            forwarded_allow_ips=list(settings.trusted_proxies),
             timeout_keep_alive=settings.idle_seconds,
             timeout_graceful_shutdown=settings.shutdown_seconds + 2,
-            ws="websockets-sansio",
+            ws=StreamConnection,
             ws_max_size=settings.stream_bytes,
             ws_per_message_deflate=False,  # pictures are compressed as they are
             ws_ping_interval=PING,
@@ -98,7 +102,8 @@ class Connection(H11Protocol):
 
     A head must be there ``head_seconds`` after the connection or the last answer, and a body ``body_seconds`` after
     its head, that of an upload ``upload_seconds``; an answer must be taken at some PACE. Where all places are taken,
-    the connection that has waited longest for a head makes room; where none waits, the newcomer is answered with 503.
+    one makes room that lacks a part of its request: of the address that has most of these, the one that has waited
+    longest, for a head before a body. Where none lacks any, the newcomer is answered with 503.
     """
 
     def __init__(
@@ -124,9 +129,11 @@ class Connection(H11Protocol):
         self._since = self._taken = self.loop.time()
         self._check_later()
         crowd = too_many(self, cast(Iterable[H11Protocol], self.connections), self.settings)
-        waiting = [each for each in crowd if isinstance(each, Connection) and each.waits and each is not self]
+        waiting = [each for each in crowd if isinstance(each, Connection) and each.lacks and each is not self]
         if waiting:
-            min(waiting, key=lambda each: each._since).give_up("crowd", "Others need this connection: open a new one.")
+            held = Counter(map(host_of, crowd))
+            last = min(waiting, key=lambda each: (-held[host_of(each)], not each.waits, each._since))
+            last.give_up("crowd", "Others need this connection: open a new one.")
         elif crowd:
             self.app = crowded
 
@@ -212,9 +219,7 @@ class Connection(H11Protocol):
         """Close; with 408 and a ``sentence`` where a request has begun and nothing was answered yet."""
         self.metrics.closed.labels(why).inc()
         answering = self.cycle is not None and self.cycle.response_started and not self.cycle.response_complete
-        if self.cycle is not None and not self.cycle.response_complete:
-            self.cycle.disconnected = True
-            self.cycle.message_event.set()
+        self._end_cycle()
         if answering or (self.waits and not self.conn.trailing_data[0]) or self.conn.our_state is h11.DONE:
             self.transport.close()
         else:
@@ -226,6 +231,7 @@ class Connection(H11Protocol):
 
     def refuse(self, status: int, sentence: str) -> None:
         """Answer with a problem, past the app, and close; not at once, for what is still sent would be a reset."""
+        self._end_cycle()
         answer = problem(status, sentence, "/")
         headers = [*answer.raw_headers, (b"connection", b"close")]
         for event in (
@@ -237,6 +243,12 @@ class Connection(H11Protocol):
         self._refused = True
         self.transport.write_eof()
         self.loop.call_later(LINGER, self.transport.close)
+
+    def _end_cycle(self) -> None:
+        """Have the app read that its client left, and answer no more."""
+        if self.cycle is not None and not self.cycle.response_complete:
+            self.cycle.disconnected = True
+            self.cycle.message_event.set()
 
     def _note(self) -> None:
         """Begin to count anew where the client has come from one part of a request to the next."""
@@ -273,10 +285,13 @@ async def crowded(scope: Scope, receive: Receive, send: Send) -> None:
 
 
 def too_many(one: H11Protocol, connections: Iterable[H11Protocol], settings: Settings) -> list[H11Protocol]:
-    """The connections that are too many: all of this client, or all; none where they are within the limits."""
+    """The connections that are too many: all of this client, or all; none where they are within the limits.
+
+    Connections of a trusted proxy are of many clients: the limit for all connections alone holds for them.
+    """
     everybody = list(connections)
     own = [each for each in everybody if host_of(each) == host_of(one)]
-    if len(own) > settings.max_client_connections:
+    if len(own) > settings.max_client_connections and not settings.trusts(host_of(one) or ""):
         return own
     return everybody if len(everybody) > settings.max_connections else []
 

@@ -41,16 +41,20 @@ KEPT = 64 << 20
 """Bytes that the renderer of an export keeps."""
 
 
-def begin(service: Service, scene: Scene, params: ExportParams, owner: str = "") -> Job:
-    """The job that makes a file. Raises BusyError, ViewError, SceneError where the scene fits no such file."""
+def begin(service: Service, scene: Scene, params: ExportParams, client: tuple[str, str] = ("", "")) -> Job:
+    """The job of a ``client``, its owner's name first, that makes a file.
+
+    Raises BusyError, ViewError, SceneError where the scene fits no such file.
+    """
     view = view_of(scene, params.view, service.settings)
     scene.require_texels()
     if f".{params.f}" in WRITERS:
         check_lattice(scene)
     if params.coefficients == "on":
         check_coefficients(scene, f".{params.f}")
-    export = Export(service, scene, params, view, owner)
-    return service.jobs.begin("export", f"An export of {own_name(scene.id)}", export.work, owner=owner)
+    export = Export(service, scene, params, view, client[0])
+    title = f"An export of {own_name(scene.id)}"
+    return service.jobs.begin("export", title, export.work, owner=client[0], client=client)
 
 
 def media_type(file: Path) -> str:

@@ -55,15 +55,17 @@ Done = TypeVar("Done")
 _visits = count(1)
 
 
-def begin(service: Service, scene: Scene, order: PrewarmOrder, dry: bool = False, owner: str = "") -> Job:
-    """The job that carries out an order, or, where it is ``dry``, forecasts what it takes. Raises BusyError.
+def begin(
+    service: Service, scene: Scene, order: PrewarmOrder, dry: bool = False, client: tuple[str, str] = ("", "")
+) -> Job:
+    """The job of a ``client``, its owner's name first, that carries out an order, or forecasts it where ``dry``.
 
-    The same order once more is the same job until that has ended.
+    Raises BusyError. The same order once more is the same job until that has ended.
     """
-    prewarm = Prewarm(service, scene, order, dry, owner)
-    if dry:
-        return service.jobs.begin("prewarm", f"What a prewarm of {scene.id} takes", prewarm.work, owner=owner)
-    return service.jobs.begin("prewarm", f"A prewarm of {scene.id}", prewarm.work, order.digest(scene), owner)
+    prewarm = Prewarm(service, scene, order, dry, client[0])
+    title = f"What a prewarm of {scene.id} takes" if dry else f"A prewarm of {scene.id}"
+    key = None if dry else order.digest(scene)
+    return service.jobs.begin("prewarm", title, prewarm.work, key, client[0], client)
 
 
 @dataclass(eq=False)
@@ -263,7 +265,7 @@ def ours(service: Service, document: RecordDocument) -> bool:
 def begun(service: Service, document: RecordDocument) -> bool:
     """Begin a prewarm again, under its former id and until its former deadline; whether there was room for it."""
     try:
-        begin(service, service.engine.scenes[document.scene], document.rest, owner=document.owner)
+        begin(service, service.engine.scenes[document.scene], document.rest, client=(document.owner, ""))
     except BusyError:
         return False
     return True

@@ -25,13 +25,14 @@ from isogi_core.prepared.prepared_scene import Index
 from server.api.render_threads import RenderThreads
 from server.api.shown import PictureRequest, Shown, Wait
 from server.api.startup import Startup, within
-from server.bearers import Bearer, bearer_of
+from server.bearers import Bearer, bearer_of, client_of
 from server.errors import ForbiddenError, StartingError, UnknownJobError, UnknownSceneError
 from server.exports.folder import ExportFolder
 from server.parameters import LightParams, VariantParams, ViewParams
+from server.render.admission import AdmissionLimit
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
-from server.render.scheduling import ASKED, DRAFT, REFINED, REST, AdmissionLimit, Rank
+from server.render.scheduling import ASKED, DRAFT, REFINED, REST, Rank
 from server.render.updates import UpdateBus, attended, request_viewer
 from server.render.variants import MARK, Change, Variants
 from server.settings import Settings
@@ -80,8 +81,8 @@ class Service:
         self.threads = RenderThreads(settings.render_threads)
         self.uploads = Uploads(engine, settings)
         self.exports = ExportFolder(settings.exports_mb << 20)
-        self.variants = Variants(engine, self.uploads.environment_at)
-        self._requests = AdmissionLimit(settings.render_threads + settings.render_queue, "frames wait")
+        self.variants = Variants(engine, self.uploads.environment_at, patience=settings.queue_seconds)
+        self._requests = AdmissionLimit(settings.render_threads + settings.render_queue, "frames wait", work=True)
         self._refining = 0
 
     async def start(self) -> None:
@@ -175,15 +176,15 @@ class Service:
         has left: light that it alone requested is not baked then.
         """
         picture = self.picture_of(scene, params)
-        with self._requests.admitted():
+        with self._requests.admitted(client_of(request.scope)) as place:
             answer = self._answer(picture, viewer or request_viewer(request), params.wait_ms / 1000, finish)
-            return await attended(request, answer)
+            return await attended(request, place.keep(answer))
 
     async def compute(self, request: Request, work: Callable[[], Result]) -> Result:
         """The result of some ``work`` for a request, off the event loop. Raises as ``render`` does."""
         rank = self.rank(request_viewer(request), ASKED, self.settings.queue_seconds)
-        with self._requests.admitted():
-            return await attended(request, self.threads.pictures.run(work, rank))
+        with self._requests.admitted(client_of(request.scope)) as place:
+            return await attended(request, place.keep(self.threads.pictures.run(work, rank)))
 
     def rank(self, viewer: Viewer, patience: float, longest: float = math.inf) -> Rank:
         """Where work for a ``viewer`` stands that may wait so many seconds, and waits for ``longest`` at most.
@@ -359,5 +360,13 @@ async def bearer(connection: HTTPConnection) -> Bearer:
 
 
 BearerDep = Annotated[Bearer, Depends(bearer)]
+
+
+async def client(connection: HTTPConnection) -> tuple[str, str]:
+    """Who sends the request, as limits count clients."""
+    return client_of(connection.scope)
+
+
+ClientDep = Annotated[tuple[str, str], Depends(client)]
 
 SceneDep = Annotated[Scene, Depends(scene_of)]

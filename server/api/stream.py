@@ -19,27 +19,30 @@ from server.answers import coverage_schema
 from server.api.pacing import Drafts, Motion, Window
 from server.api.service import Service, ServiceDep
 from server.api.shown import PictureRequest, Shown
+from server.bearers import client_of
 from server.card_answers import chunks_in
 from server.card_schemas import CardChunk
-from server.errors import ParameterError, StreamError
+from server.errors import BusyError, ParameterError, StreamError
 from server.parameters import FrameParams, NoParams, read
 from server.pictures import MEDIA_TYPES, encode, format_for, smoothed
 from server.problems import Problem, problem, status_of
+from server.render.admission import Place
 from server.render.metrics import Metrics
 from server.render.scheduling import DRAFT, Rank
 from server.render.updates import stream_viewer
 from server.settings import Settings
 from server.values import Span
 
-TOO_BIG, POLICY, IDLE = 1009, 1008, 4000
-"""Codes that a stream is closed with (RFC 6455, 7.4): a message is too long; too many, or no text; none for long."""
+TOO_BIG, POLICY, LATER, IDLE = 1009, 1008, 1013, 4000
+"""Codes that a stream is closed with (RFC 6455, 7.4): a message is too long; too many, or no text; another client needs
+the place; none for long."""
 
 
 class Inbox:
     """The messages of a stream, as long as they keep within the settings."""
 
-    def __init__(self, socket: WebSocket, settings: Settings) -> None:
-        self._socket, self._settings = socket, settings
+    def __init__(self, socket: WebSocket, settings: Settings, place: Place) -> None:
+        self._socket, self._settings, self._place = socket, settings, place
         self._second, self._count = 0, 0
 
     async def next(self) -> str | None:
@@ -51,6 +54,7 @@ class Inbox:
         if message["type"] == "websocket.disconnect":
             return None
         self._count_one()
+        self._place.use()
         text = message.get("text")
         if text is None:
             raise StreamError("Messages must be text.", POLICY)
@@ -158,11 +162,11 @@ class Session:
     A draft alone is drawn to its end while the view goes on moving: else none would be when views come faster.
     """
 
-    def __init__(self, socket: WebSocket, service: Service, scene: Scene) -> None:
+    def __init__(self, socket: WebSocket, service: Service, scene: Scene, place: Place) -> None:
         self._socket, self._service, self._scene, self._lit = socket, service, scene, scene
         self._metrics: Metrics = socket.app.state.metrics
         self._viewer = stream_viewer(socket)
-        self._inbox = Inbox(socket, service.settings)
+        self._inbox = Inbox(socket, service.settings, place)
         self._drafts, self._window, self._motion = Drafts(service.threads.drafts.crowded), Window(), Motion()
         self._sending = asyncio.Lock()
         self._newest: tuple[ViewRequest, FrameParams] | None = None
@@ -304,6 +308,15 @@ class Session:
                     await self._socket.send_bytes(data)
 
 
+async def kept(socket: WebSocket, session: Session, place: Place) -> None:
+    """Run a session until its client leaves, or another one needs its place."""
+    try:
+        await place.keep(session.run())
+    except BusyError as error:
+        with suppress(WebSocketDisconnect, RuntimeError):
+            await socket.close(LATER, str(error))
+
+
 router = APIRouter(prefix="/v1/scenes/{scene}")
 
 
@@ -315,8 +328,8 @@ async def stream(socket: WebSocket, scene: str, service: ServiceDep) -> None:
     """
     try:
         found = service.scene(scene)
-        with service.connections.admitted():
+        with service.connections.admitted(client_of(socket.scope)) as place:
             await socket.accept()
-            await Session(socket, service, found).run()
+            await kept(socket, Session(socket, service, found, place), place)
     except IsogiError as error:
         await socket.send_denial_response(problem(status_of(error), str(error), socket.url.path))

@@ -197,6 +197,9 @@ def raw_option(command: Command) -> Command:
     return placed
 
 
+THERE = click.Path(path_type=Path, exists=True, dir_okay=False)
+"""The type of an option that names a file which must be there."""
+
 AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
 
 

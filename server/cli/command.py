@@ -17,6 +17,7 @@ from server.cli.arguments import (
     FILM_OPTIONS,
     GRID_OPTIONS,
     REPORT_OPTIONS,
+    THERE,
     VIEW_OPTIONS,
     WORK_OPTIONS,
     age,
@@ -171,9 +172,7 @@ def report(
 )
 @click.option("--views", help="Directions of each isovalue, spread over all sides; default: 12 where none are given.")
 @click.option("--view", "directions", multiple=True, metavar="azimuth=40,elevation=30", help="One direction.")
-@click.option(
-    "--views-file", type=click.Path(path_type=Path, exists=True, dir_okay=False), help="Such, .json or .toml."
-)
+@click.option("--views-file", type=THERE, help="Such, .json or .toml.")
 @click.option("--orbit", "orbits", multiple=True, metavar="36@20", help="So many directions at an elevation.")
 @click.option("--all-directions", is_flag=True, default=None, help="Whole isosurfaces, from whatever side.")
 @options({name: VIEW_OPTIONS[name] for name in ("distance", "fov", "width", "height")})
@@ -273,9 +272,7 @@ def export(
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="A movie, or a folder.")
 @options(FILM_OPTIONS)
 @click.option("--view", "views", multiple=True, metavar="LINK|azimuth=40,…", help="A keyframe; give two or more.")
-@click.option(
-    "--views-file", type=click.Path(path_type=Path, exists=True, dir_okay=False), help="Keyframes, in a file."
-)
+@click.option("--views-file", type=THERE, help="Keyframes, in a file.")
 @click.option("--length", callback=duration, default="10s", show_default=True, help="Of the film.")
 @click.option("--fps", callback=number(0.1, 240), default="24", show_default=True, help="Frames of a second.")
 @click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a frame is final.")

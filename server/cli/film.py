@@ -11,6 +11,7 @@ from typing import Any
 from urllib.parse import quote
 
 from isogi_core.errors import ViewError
+from isogi_core.files.regular import read_small
 from isogi_core.plan.first_view import front_of
 from isogi_core.plan.scene import Scene
 from server.cli.film_path import film_path, view_in, views_in
@@ -130,14 +131,18 @@ def shots_of(
     return [smoothed(shot, "png") for shot in shots]
 
 
+LONGEST = 1 << 26
+"""Bytes of a file of views, at most."""
+
+
 def document_in(file: Path) -> Any:
     """What is in a JSON or TOML file, or the lines of any other. Raises ParameterError."""
     try:
-        text = file.read_text(encoding="utf-8")
+        text = read_small(file, LONGEST).decode()
         if file.suffix == ".json":
             return json.loads(text)
         return tomllib.loads(text) if file.suffix == ".toml" else [line for line in text.split() if line]
-    except ValueError as error:
+    except (OSError, RecursionError, ValueError) as error:
         raise ParameterError(f"{file.name} cannot be read: {error}.", "views-file") from None
 
 

@@ -25,7 +25,7 @@ GROUPS = {
     ),
     "Who may ask, and for how much": (
         *("token_file", "tokens_file", "allowed_hosts", "allowed_origins", "max_pixels", "max_paths", "max_body_bytes"),
-        *("exports_mb", "hand_out_voxels"),
+        *("trusted_proxies", "exports_mb", "hand_out_voxels"),
     ),
     "Uploads": ("uploads_mb", "uploads", "max_upload_mb", "upload_seconds", "reading_seconds"),
     "Connections": (

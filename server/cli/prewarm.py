@@ -12,6 +12,7 @@ from typing import Any
 
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import Cancelled, SceneError
+from isogi_core.files.regular import read_small
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.prewarm.context import PrewarmContext, Step
@@ -159,12 +160,16 @@ def orbit_in(text: str) -> dict[str, str]:
     return {"count": count, "elevation": elevation} if at else {"count": count}
 
 
+LONGEST = 1 << 26
+"""Bytes of a file of directions, at most."""
+
+
 def directions_in(file: Path) -> list[Any]:
     """The ``directions`` in a JSON or TOML file, each such as {"azimuth": 40, "elevation": 30}."""
     try:
-        text = file.read_text(encoding="utf-8")
+        text = read_small(file, LONGEST).decode()
         document = tomllib.loads(text) if file.suffix == ".toml" else json.loads(text)
-    except ValueError as error:
+    except (OSError, RecursionError, ValueError) as error:
         raise ParameterError(f"{file.name} cannot be read: {error}.", "views-file") from None
     found = document.get("directions") if isinstance(document, dict) else document
     if not isinstance(found, list) or not found:

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -79,6 +79,7 @@ class RenderEngine:
         self._checking = Tiles()
         self._promises = Promises()
         self._listeners: list[Listener] = []
+        self.again: Callable[[str], Scene | None] = lambda _: None
         self._stopped = threading.Event()
         self.kernels = SceneKernels(lambda: list(self.scenes.values()), self._stopped)
 
@@ -215,6 +216,7 @@ class RenderEngine:
             self._checks.leave(viewer)
         if frame.checkable or self.store.only_read():
             return beside
+        self._find(scene)
         bake, stage = self.lacking(scene, frame)
         return beside | self._baker.request(bake, stage.demands, stage.target, viewer, stage.enough)
 
@@ -359,14 +361,15 @@ class RenderEngine:
             return bool(self.lacking(scene, frame)[1].demands and self.want(scene, frame, target, GUEST) - {CHECK})
 
     def _find(self, scene: str) -> LoadedScene:
-        """A loaded scene, which is loaded where it is not. Raises StoreError; UnknownSceneError if it was dismissed."""
-        named = self.scenes.get(scene)
+        """A scene, loaded if need be; a variant that made way, ``again``. Raises StoreError, UnknownSceneError."""
+        named = self.scenes.get(scene) or self.again(scene)
         if named is not None:
             loaded = self._loaded.at(named)
-            if scene in self.scenes:
+            if scene not in self.scenes:
+                self._loaded.drop(scene)
+            if own_name(scene) in self.scenes:  # a variant that made way meanwhile is drawn to its end
                 return loaded
-            self._loaded.drop(scene)
-        raise UnknownSceneError(f"The scene '{scene}' is not shown any more.")
+        raise UnknownSceneError(f"The scene '{own_name(scene)}' is not shown any more.")
 
     def _load(self, scene: Scene) -> LoadedScene:
         """Load a scene; the former scenes may be iterated over meanwhile. Raises StoreError."""

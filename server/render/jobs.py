@@ -8,16 +8,18 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Callable, Coroutine, Hashable, Iterable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
+from typing import Any
 from uuid import uuid4
 
 from pydantic import BaseModel
 
 from isogi_core.errors import IsogiError
 from server.errors import BusyError, UnknownJobError
+from server.render.admission import AdmissionLimit, Place
 from worker.progress import TimeLeft
 
 log = logging.getLogger("isogi.server")
@@ -100,7 +102,7 @@ class Job:
         self.status, self.finished, self.results = status, self.updated, tuple(results)
 
 
-Work = Callable[[Job], Awaitable[Iterable[Result]]]
+Work = Callable[[Job], Coroutine[Any, Any, Iterable[Result]]]
 """What a job does, and its results. It is cancelled when the job is dismissed, and what it raises is why it failed."""
 
 
@@ -109,27 +111,28 @@ class Jobs:
 
     def __init__(self, most: int) -> None:
         """Have none yet."""
-        self._most = most
+        self._limit = AdmissionLimit(most, "jobs are at work", work=True)
         self.closed = False
         self._jobs: dict[str, Job] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
 
-    def begin(self, process: str, title: str, work: Work, key: str | None = None, owner: str = "") -> Job:
+    def begin(
+        self, process: str, title: str, work: Work, key: str | None = None, owner: str = "", client: Hashable = None
+    ) -> Job:
         """A new job, whose work begins once the caller waits for something. Raises BusyError where there are enough.
 
         Its id is ``key`` where one is given; a job that has that id and has not ended is the answer then, whoever its
-        ``owner`` is.
+        ``owner`` is. The ``client`` that asks for it may take the place of another client's job, which is dismissed.
         """
         if (running := self.running(key)) is not None:
             return running
-        if len(self._tasks) >= self._most:
-            raise BusyError(f"{len(self._tasks)} jobs are at work already: wait for one, or dismiss one.")
+        place = self._limit.enter(client or owner)
         self._forget()
         job = Job(process, title, owner=owner) if key is None else Job(process, title, key, owner)
         self._jobs.pop(job.id, None)
         self._jobs[job.id] = job
-        self._tasks[job.id] = task = asyncio.create_task(run(job, work))
-        task.add_done_callback(lambda _: self._tasks.pop(job.id))
+        self._tasks[job.id] = task = asyncio.create_task(run(job, work, place))
+        task.add_done_callback(lambda _: self._ended(job, place))
         return job
 
     def running(self, key: str | None) -> Job | None:
@@ -172,6 +175,10 @@ class Jobs:
             self._jobs[key].end(Status.DISMISSED, STOPPED)
         await asyncio.gather(*map(ended, self._tasks.values()))
 
+    def _ended(self, job: Job, place: Place) -> None:
+        self._limit.leave(place)
+        del self._tasks[job.id]
+
     def _forget(self) -> None:
         """Forget what ended long ago, and the oldest of too much that has ended."""
         over = [job for job in self._jobs.values() if job.expires is not None]
@@ -181,11 +188,13 @@ class Jobs:
                 del self._jobs[job.id]
 
 
-async def run(job: Job, work: Work) -> None:
-    """Do the work of a job to one end or the other."""
+async def run(job: Job, work: Work, place: Place) -> None:
+    """Do the work of a job to one end or the other; it is dismissed where another client needs its ``place``."""
     job.begin()
     try:
-        job.end(Status.SUCCESSFUL, "This is done.", await work(job))
+        job.end(Status.SUCCESSFUL, "This is done.", await place.keep(work(job)))
+    except BusyError as error:
+        job.end(Status.DISMISSED if place.lost else Status.FAILED, str(error))
     except IsogiError as error:
         job.end(Status.FAILED, str(error))
     except Exception:

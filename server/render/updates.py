@@ -14,7 +14,7 @@ from starlette.requests import HTTPConnection
 
 from isogi_core.errors import Cancelled
 from isogi_core.prepared.prepared_scene import Index
-from server.bearers import bearer_of
+from server.bearers import bearer_of, client_of
 from worker.bake_requests import Viewer
 
 
@@ -98,9 +98,9 @@ _visits = itertools.count(1)
 
 
 def request_viewer(request: Request) -> Viewer:
-    """The viewer of one request: all requests of an address are one client's."""
+    """The viewer of one request: all requests of a bearer at an address are one client's."""
     bakes = bearer_of(request.scope).may("bake")
-    return Viewer(request.client.host if request.client else "", next(_visits), bakes=bakes)
+    return Viewer(client_of(request.scope), next(_visits), bakes=bakes)
 
 
 def stream_viewer(connection: HTTPConnection) -> Viewer:

@@ -9,14 +9,16 @@ that hides other labels.
 
 import asyncio
 import hashlib
+import math
 import re
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 from isogi_core.errors import LightError, SceneError, VolumeError
+from isogi_core.files.mappings import OWN, budget
 from isogi_core.files.scene_changes import (
     HIDDEN,
     Clears,
@@ -60,12 +62,16 @@ MOST = 64
 """Variants that an engine has at a time: those asked for last."""
 
 MOST_CUTS = 4
-"""Those of them that are cut open, or hide labels: each has voxels of its own."""
+"""Those of them that are cut open, or hide labels, where their voxels are more than there is room for."""
 
 MOST_STEPS = 2
-"""Those of them at other times than their scene's: so many steps' voxels are in memory besides the scene's own."""
+"""Steps of those at other times than their scene's, where their voxels are more than there is room for."""
+
+REMEMBERED = 4096
+"""Variants whose change is known after they made way: those made last."""
 
 
+CROWDED = "Others asked for cuts, or other changes of scenes, before you: ask again in a while."
 COMPILING = "What draws the surface of this material is being compiled, once on this machine: ask again in a while."
 
 Place = Callable[[str], str | None]
@@ -134,7 +140,7 @@ def variant_name(scene: Scene, change: Change) -> str:
     lit = f"{scene.id}{MARK}{change.environment or ''}{beside}{material}{without}{step}"
     if change.cut is None:
         return lit
-    return f"{lit}{MARK}{hashlib.blake2b(repr(read_window(change.cut)).encode(), digest_size=6).hexdigest()}"
+    return f"{lit}{MARK}{hashlib.blake2b(repr(read_window(change.cut)).encode(), digest_size=16).hexdigest()}"
 
 
 def is_cut(variant: str) -> bool:
@@ -179,22 +185,36 @@ def whole_name(variant: str) -> str:
 class Variants:
     """The variants of an ``engine``. Safe to use from many threads."""
 
-    def __init__(self, engine: "RenderEngine", place: Place, most: int = MOST, most_cuts: int = MOST_CUTS) -> None:
+    def __init__(
+        self,
+        engine: "RenderEngine",
+        place: Place,
+        most: int = MOST,
+        most_cuts: int = MOST_CUTS,
+        room: int | None = None,
+        patience: float = math.inf,
+    ) -> None:
         """None yet; ``place`` tells where an environment is.
 
-        When there are more than ``most``, or more than ``most_cuts`` that have voxels of their own, the engine
-        dismisses what was asked for longest ago.
+        When there are more than ``most``, the engine dismisses what was asked for longest ago. Voxels of cuts, and
+        of steps, may take ``room`` bytes: by default what volumes in memory may take, MOST_CUTS times. Beyond that
+        there are ``most_cuts`` that have voxels of their own. What made way is made again when the engine needs it.
+        One is made at a time, and whoever asks waits for ``patience`` seconds at most.
         """
         self._engine, self._place, self._most, self._most_cuts = engine, place, most, most_cuts
+        self._room = int(MOST_CUTS * OWN * budget()) if room is None else room
         self._asked: OrderedDict[str, None] = OrderedDict()
+        self._made: OrderedDict[str, tuple[Change, str | None]] = OrderedDict()
+        engine.again = self.again
         self._making, self._lock = threading.Lock(), threading.Lock()
+        self._turn, self._patience = asyncio.Lock(), patience
         self._compiling: threading.Thread | None = None
 
     async def of(self, scene: Scene, change: Change) -> Scene:
         """The scene that a ``change`` makes of one; itself where nothing changes.
 
         It is made off the event loop where there is none yet. Raises ParameterError where there is no such environment,
-        and as ``make`` does.
+        BusyError where too many others are made before, and as ``make`` does.
         """
         change = change.apart_from(scene)
         if change == Change():
@@ -207,7 +227,15 @@ class Variants:
             raise ParameterError(f"{sentence} {shown(environment)}.", "environment")
         if (known := self.known(variant_name(scene, change))) is not None:
             return known
-        return await asyncio.to_thread(self.make, scene, change, place)
+        try:
+            async with asyncio.timeout(None if math.isinf(self._patience) else self._patience):
+                await self._turn.acquire()
+        except TimeoutError:
+            raise BusyError(CROWDED) from None
+        try:
+            return await asyncio.to_thread(self.make, scene, change, place)
+        finally:
+            self._turn.release()
 
     def known(self, name: str) -> Scene | None:
         """The variant of this id, where there is one already; never waits long."""
@@ -217,6 +245,14 @@ class Variants:
                 self._asked[known.id] = None
                 self._asked.move_to_end(known.id)
         return known
+
+    def again(self, name: str) -> Scene | None:
+        """The variant of this id, made again where it made way for others; None where it is none, or its scene is gone.
+
+        Raises as ``make`` does.
+        """
+        scene, made = self._engine.scenes.get(own_name(name)), self._made.get(name)
+        return None if scene is None or made is None else self.make(scene, *made)
 
     def make(self, scene: Scene, change: Change, place: str | None) -> Scene:
         """The scene that a ``change`` makes of one, in the environment at a ``place``, as scene files name it.
@@ -237,6 +273,7 @@ class Variants:
             if made.material != scene.material:
                 self._check_compiled(scene, made)
             self._engine.admit(made)
+            self._remember(name, change, place)
         self.known(name)
         for each in (each for each in self._outdated() if each in self._engine.scenes):
             self._engine.dismiss(each)
@@ -259,15 +296,30 @@ class Variants:
         """Those that are too many: they count as not asked for."""
         with self._lock:
             cuts = [each for each in self._asked if has_voxels(each)]
-            old = cuts[: max(len(cuts) - self._most_cuts, 0)]
+            old = cuts[: max(len(cuts) - self._most_cuts, 0)] if self._crowded(cuts) else []
             steps = list(dict.fromkeys((own_name(each), step_of(each)) for each in reversed(self._asked)))
             late = [each for each in steps if each[1]][MOST_STEPS:]
-            old += [each for each in self._asked if each not in old and (own_name(each), step_of(each)) in late]
+            at_these = [each for each in self._asked if (own_name(each), step_of(each)) in late]
+            old += [each for each in at_these if each not in old] if self._crowded(self._asked) else []
             rest = [each for each in self._asked if each not in old]
             old += rest[: max(len(rest) - self._most, 0)]
             for each in old:
                 del self._asked[each]
         return old
+
+    def _remember(self, name: str, change: Change, place: str | None) -> None:
+        self._made[name] = change, place
+        self._made.move_to_end(name)
+        if len(self._made) > REMEMBERED:
+            self._made.popitem(last=False)
+
+    def _crowded(self, names: Iterable[str]) -> bool:
+        """Whether the voxels of these variants are more than there is room for; their scenes' own do not count."""
+        scenes = self._engine.scenes
+        volumes = [scenes[each].volume for each in names if each in scenes]
+        own = {id(each.volume.voxels) for each in scenes.values() if MARK not in each.id}
+        sizes = {id(each.voxels): each.voxels.nbytes for each in volumes if id(each.voxels) not in own}
+        return sum(sizes.values()) > self._room
 
     def _at(self, scene: Scene, name: str, time: int) -> Scene:
         """The scene at another time, with the voxels of a variant that has them already."""

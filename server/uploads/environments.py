@@ -19,6 +19,9 @@ VOLUME, ENVIRONMENT = "volume", "environment"
 LARGEST = (512, 1024)
 """Rows and columns that are kept of a probe: what is finer is averaged by solid angle, without change of energy."""
 
+ROWS = 256
+"""Rows of a finer one that are averaged at once."""
+
 MOST_PIXELS = 1 << 25
 """Pixels that a probe may have: 8192 × 4096."""
 
@@ -59,13 +62,21 @@ def write_environment(file: IO[bytes], data: bytes, name: str) -> str:
     if not image.any():
         raise LightError("The picture is black: give one with light in it.")
     if height > LARGEST[0]:
-        image = resample(image, *LARGEST).astype(np.float32)
+        image = made_small(image)
     pixels = encode_rgbe(np.asarray(image, np.float64))
     height, width, _ = image.shape
-    number = hashlib.blake2b(f"probe {width} {height}".encode() + pixels, digest_size=10).hexdigest()
+    number = hashlib.blake2b(f"probe {width} {height}".encode() + pixels, digest_size=16).hexdigest()
     named = quote(name or f"light {number[:6]}", safe="")
     file.write(HEADER.format(name=named, height=height, width=width).encode() + pixels)
     return number
+
+
+def made_small(image: np.ndarray) -> np.ndarray:
+    """An image of LARGEST pixels: made narrow some rows at a time, so that little is in memory as 64-bit numbers."""
+    height, width = LARGEST
+    blocks = (image[row : row + ROWS] for row in range(0, len(image), ROWS))
+    narrow = np.concatenate([resample(block, len(block), width) for block in blocks])
+    return resample(narrow, height, width).astype(np.float32)
 
 
 def read_environment(path: Path) -> UploadedEnvironment | None:

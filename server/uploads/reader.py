@@ -1,19 +1,23 @@
 """The reader of uploads: a process of its own, for one file that may be hostile.
 
-``python -m server.uploads.reader NAME OUT VOXELS SECONDS KIND`` reads the file on stdin, a volume or an environment,
-and writes it as a canonical file to the descriptor OUT. One line of JSON on stdout holds its id, or a sentence why it
-is refused. What the process may take is limited, and before it reads the file it gives up all that it does not need for
-that (see ``sandbox``): no path, URL or socket that the file names can be reached, and what a hole in a library lets in
-can harm nothing.
+``python -m server.uploads.reader NAME BODY OUT KIND VOXELS`` waits for a line on stdin, which comes once the file at
+the descriptor BODY is whole, a volume or an environment: the processor seconds that reading may take. It writes a
+canonical file to the descriptor OUT. One line of JSON on stdout holds its id, or a sentence why the file is refused.
+What the process may take is limited, and before it reads the file it gives up all that it does not need for that (see
+``sandbox``): no path, URL or socket that the file names can be reached, and what a hole in a library lets in can harm
+nothing.
 """
 
 import contextlib
 import json
+import math
 import os
 import resource
 import sys
+import time
 import warnings
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,26 +27,30 @@ from isogi_core.files.formats.opening import HEAD, libraries_for, open_upload
 from isogi_core.files.grid import Grid
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.model.latlong import resample
-from isogi_core.model.volume import make_volume
-from server.uploads.environments import ENVIRONMENT, VOLUME, write_environment
+from isogi_core.model.value_survey import survey
+from server.uploads.environments import ENVIRONMENT, write_environment
 from server.uploads.folder import LONGEST, write
 from server.uploads.sandbox import confine
 
-BASE = 1 << 30
-"""Bytes of address space for Python and its libraries, used or not."""
+SPARE = 128 << 20
+"""Bytes of memory for what libraries need, besides the voxels, once they are loaded."""
 
-PER_VOXEL = 32
-"""Bytes of address space for each voxel: as it is in the file, as float32, and what checks take."""
+PER_VOXEL = 12
+"""Bytes of memory for each voxel that may be: as it is in the file, of 8 bytes, and what checks take.
+
+With Python and its libraries that is 1 GB for the 64 million voxels that uploads may have by default.
+"""
 
 LONGEST_SENTENCE = 500
 
 
-def main(name: str, out: int, voxels: int, seconds: int, kind: str = VOLUME) -> dict[str, str]:
-    """Read stdin's file, of at most so many ``voxels`` and in so many processor ``seconds``, into ``out``."""
-    rehearse(os.pread(0, HEAD, 0))
+def main(name: str, body: int, out: int, kind: str, voxels: int, seconds: float) -> dict[str, str]:
+    """Read the file ``body``, of at most so many ``voxels`` and in so many processor ``seconds``, into ``out``."""
+    rehearse(os.pread(body, HEAD, 0))
     limit(voxels, seconds)
     confine()
-    with open(0, "rb", closefd=False) as upload, open(out, "wb", closefd=False) as canonical:
+    os.lseek(body, 0, os.SEEK_SET)
+    with open(body, "rb", closefd=False) as upload, open(out, "wb", closefd=False) as canonical:
         try:
             if kind == ENVIRONMENT:
                 return {"id": write_environment(canonical, upload.read(), name)}
@@ -50,7 +58,7 @@ def main(name: str, out: int, voxels: int, seconds: int, kind: str = VOLUME) -> 
             grid, name = on_right_angles(found), named_after(found, name)
             check_size(grid, voxels)
             grid = grid.loaded()
-            make_volume(grid.whole(), grid.spacing)  # what the server cannot show is refused here
+            survey(grid, "above")  # what the server cannot show is refused here
             return {"id": write(canonical, grid, name)}
         except (VolumeError, LightError) as error:
             return {"refused": str(error)}
@@ -75,18 +83,18 @@ def check_size(grid: Grid, voxels: int) -> None:
 
 def rehearse(head: bytes) -> None:
     """Have the libraries that a file needs which begins with ``head`` load what they load late: soon they cannot."""
-    make_volume(np.array([0.0, 1.0, np.nan, 1e30] * 2).reshape(2, 2, 2))
+    survey(Grid.of(np.array([0.0, 1.0, np.nan, 1e30] * 2).reshape(2, 2, 2)), "above")
     resample(np.ones((4, 8, 3)), 2, 4)
     for name in libraries_for(head):
         with contextlib.suppress(ImportError):
             import_module(name)
 
 
-def limit(voxels: int, seconds: int) -> None:
-    """Limit what this process may take from now on; it opens no more files."""
+def limit(voxels: int, seconds: float) -> None:
+    """Limit what this process may take from now on, beyond what its start took; it opens no more files."""
     limits = {
-        resource.RLIMIT_AS: BASE + PER_VOXEL * voxels,
-        resource.RLIMIT_CPU: seconds,
+        resource.RLIMIT_AS: mapped_bytes() + SPARE + PER_VOXEL * voxels,
+        resource.RLIMIT_CPU: math.ceil(time.process_time() + seconds),
         resource.RLIMIT_FSIZE: LONGEST + 8 * voxels,
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_NOFILE: 0,
@@ -97,6 +105,14 @@ def limit(voxels: int, seconds: int) -> None:
         resource.setrlimit(what, (least, least))
 
 
+def mapped_bytes() -> int:
+    """Bytes of this process's address space now; a gigabyte where the system does not report them."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    except OSError:
+        return 1 << 30
+
+
 def line_of(answer: dict[str, Any]) -> str:
     """An answer as one line that is not too long."""
     return json.dumps({key: str(value)[:LONGEST_SENTENCE] for key, value in answer.items()})
@@ -105,6 +121,7 @@ def line_of(answer: dict[str, Any]) -> str:
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
     os.umask(0o077)
-    NAME, OUT, VOXELS, SECONDS, KIND = sys.argv[1:]
-    with contextlib.suppress(BrokenPipeError):
-        print(line_of(main(NAME, int(OUT), int(VOXELS), int(SECONDS), KIND)), flush=True)  # noqa: T201
+    NAME, BODY, OUT, KIND, VOXELS = sys.argv[1:]
+    if SECONDS := sys.stdin.readline():
+        with contextlib.suppress(BrokenPipeError):
+            print(line_of(main(NAME, int(BODY), int(OUT), KIND, int(VOXELS), float(SECONDS))), flush=True)  # noqa: T201

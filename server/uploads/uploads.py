@@ -1,12 +1,7 @@
 """Uploads: from a request's body, through a confined reader, to a volume that is shown as a scene."""
 
 import asyncio
-import json
 import logging
-import math
-import os
-import sys
-from asyncio.subprocess import DEVNULL, PIPE, Process
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import aclosing
 from dataclasses import replace
@@ -16,29 +11,29 @@ from typing import IO, TypeVar
 from fastapi import Request
 from starlette.requests import ClientDisconnect
 
-from isogi_core.errors import Cancelled, IsogiError, VolumeError
+from isogi_core.errors import Cancelled, IsogiError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
-from server.bearers import ANYBODY, Bearer, bearer_of
+from server.bearers import ANYBODY, Bearer, bearer_of, client_of
 from server.errors import (
     ForbiddenError,
     FullError,
-    LateError,
     SlowUploadError,
     StartingError,
     UnknownVolumeError,
     UploadFolderError,
     UploadsOffError,
 )
+from server.render.admission import AdmissionLimit
 from server.render.engine import RenderEngine
-from server.render.scheduling import AdmissionLimit
 from server.render.updates import attended
 from server.render.variants import MARK
 from server.settings import Settings
 from server.uploads.environments import ENVIRONMENT, VOLUME, UploadedEnvironment, read_environment
 from server.uploads.folder import SCENE, VOXEL, UploadedVolume, UploadFolder, default_folder, named, read_facts
+from server.uploads.reading import Reader
 from server.uploads.sandbox import lacking
 
 Kept = TypeVar("Kept")
@@ -83,64 +78,8 @@ async def next_of(stream: AsyncIterator[bytes], seconds: float) -> bytes | None:
 
 log = logging.getLogger("isogi.uploads")
 
-ROOT = Path(__file__).resolve().parents[2]
-"""Where Python finds the reader."""
-
-PACE = 8 << 20
-"""Bytes of an upload for which the reader has a second more."""
-
-SHARE = 0.6
-"""Share of the reader's time that may be processor time: a file that needs more is refused."""
-
-
-async def read_confined(
-    upload: IO[bytes], into: IO[bytes], name: str, voxels: int, seconds: float, kind: str = VOLUME
-) -> str:
-    """Have a child read ``upload`` from its beginning and write it as a canonical file ``into`` another; its id.
-
-    It is of a ``kind``, VOLUME or ENVIRONMENT.
-    It may have ``voxels`` at most, and the child so many ``seconds`` besides those for its size. Raises VolumeError,
-    with the child's own sentence or one about its end, and LateError.
-    """
-    upload.seek(0)
-    patience = seconds + os.fstat(upload.fileno()).st_size / PACE
-    arguments = [name, into.fileno(), voxels, math.ceil(SHARE * patience), kind]
-    process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-P", "-m", "server.uploads.reader", *map(str, arguments)),
-        stdin=upload,
-        stdout=PIPE,
-        stderr=DEVNULL,
-        pass_fds=[into.fileno()],
-        cwd="/",
-        env={"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1", "PYTHONUTF8": "1"},
-    )
-    try:
-        async with asyncio.timeout(patience):
-            return await answer_of(process)
-    except TimeoutError:
-        raise LateError(f"The file could not be read within {patience:.0f} s: send it again in a while.") from None
-    finally:
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
-
-
-async def answer_of(process: Process) -> str:
-    """The id that a child answers; VolumeError where it refuses the file, or ends without an answer."""
-    assert process.stdout
-    line = await process.stdout.readline()
-    status = await process.wait()
-    if not line:
-        log.warning("the reader of an upload ended with status %d", status)
-        raise VolumeError("The file takes more time or memory to read than it may: save it raw, or a smaller part.")
-    answer: dict[str, str] = json.loads(line)
-    if "refused" in answer:
-        raise VolumeError(answer["refused"])
-    return answer["id"]
-
-
 AT_ONCE = 2
-"""Uploads that are taken at once; others are answered with 429."""
+"""Uploads that are taken at once, of which one is read at a time; others are answered with 429."""
 
 OFF = "This server takes no uploads: start it with --uploads-mb and how many megabytes they may take."
 
@@ -155,8 +94,8 @@ class Uploads:
         self.limit = settings.max_upload_mb << 20
         self.folder = UploadFolder(Path(settings.uploads) if settings.uploads else default_folder())
         self._engine, self._settings = engine, settings
-        self._admission = AdmissionLimit(AT_ONCE, "uploads are being taken")
-        self._changing = asyncio.Lock()
+        self._admission = AdmissionLimit(AT_ONCE, "uploads are being taken", work=True)
+        self._reading, self._changing = asyncio.Lock(), asyncio.Lock()
         self._ready = False
         self._lacking = ""
         self._off = OFF
@@ -229,17 +168,22 @@ class Uploads:
         if not self.on:
             raise UploadsOffError(self._off)
         self._check_ready()
-        with self._admission.admitted(), self.folder.drafts() as (body, draft):
+        with self._admission.admitted(client_of(request.scope)) as place, self.folder.drafts() as (body, draft):
             self._check_room(SCENE if kind == VOLUME else 0)  # no volume takes less
-            with named(self.folder.path):
-                await receive(request, body, self._settings.body_seconds)
-            limits = self.limit // VOXEL, self._settings.reading_seconds
-            number = await attended(request, read_confined(body, draft, name, *limits, kind))
+            async with Reader.started(body, draft, name, self.limit // VOXEL, kind) as reader:
+                with named(self.folder.path):
+                    await place.keep(receive(request, body, self._settings.body_seconds))
+                number = await attended(request, place.keep(self._read(reader)))
             async with self._changing:
                 kept = await asyncio.to_thread(keep, draft, number)
                 if kept[1] or self.folder.owners_of(number):
                     await asyncio.to_thread(self.folder.give, number, bearer_of(request.scope).name)
                 return kept
+
+    async def _read(self, reader: Reader) -> str:
+        """The id of what a reader reads, when it is its turn. Raises as that does."""
+        async with self._reading:
+            return await reader.read(self._settings.reading_seconds)
 
     async def remove(self, number: str, bearer: Bearer = ANYBODY) -> None:
         """Show a volume no more, and have its file gone. Its light is left in the store: it may come again.

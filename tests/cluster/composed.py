@@ -33,7 +33,9 @@ class Composed(Cluster):
     def _secrets(self) -> dict[str, str]:
         """What the files of secrets hold, without the certificates."""
         known = self._s3.environment
-        return {"s3_key": known["AWS_ACCESS_KEY_ID"], "s3_secret": known["AWS_SECRET_ACCESS_KEY"], "token": TOKEN}
+        authority = (self.certificates / "ca.pem").read_text(encoding="ascii")  # the store here speaks no TLS
+        keys = {"s3_key": known["AWS_ACCESS_KEY_ID"], "s3_secret": known["AWS_SECRET_ACCESS_KEY"], "token": TOKEN}
+        return {**keys, "store-ca.pem": authority}
 
     def start(self, service: str) -> None:
         """Run a service's command in its environment."""

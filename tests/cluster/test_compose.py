@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cluster.composed import COMPOSE, SERVICES, Composed
+from tests.cluster.composed import COMPOSE, FILED, SERVICES, Composed
 from tests.cluster.processes import ROOT, final, metric, until
 from tests.s3 import S3Server
 
@@ -42,6 +42,36 @@ def test_foreign_images_are_pinned_and_no_secret_is_in_files() -> None:
     for service in SERVICES.values():
         assert not [name for name in service.get("environment", {}) if re.search("KEY|SECRET|TOKEN", name)]
         assert set(service["secrets"]) <= set(COMPOSE["secrets"])
+
+
+def test_only_servers_have_a_way_out() -> None:
+    assert COMPOSE["networks"]["inside"]["internal"] is True
+    assert {name: service["networks"] for name, service in SERVICES.items()} == {
+        **{name: ["inside"] for name in ("store", "scheduler", "worker")},
+        "server": ["inside", "front"],
+    }
+
+
+def test_the_store_holds_no_key_of_the_cluster() -> None:
+    held = {name: {FILED[secret] for secret in service["secrets"]} for name, service in SERVICES.items()}
+    assert not held["store"] & {"ca.pem", "node.pem", "node.key", "token"}
+    assert not any("store.key" in files for name, files in held.items() if name != "store")
+    assert not held["scheduler"] & {"s3_key", "s3_secret", "token"} and "token" not in held["worker"]
+    assert not [file for files in held.values() for file in files if "ca.key" in file]
+
+
+def test_no_two_services_write_the_same_volume() -> None:
+    written = [
+        volume.split(":")[0]
+        for service in SERVICES.values()
+        for volume in service.get("volumes", ())
+        if not volume.endswith(":ro")
+    ]
+    assert len(written) == len(set(written)) and set(written) == set(COMPOSE["volumes"])
+
+
+def test_every_temporary_folder_has_a_size() -> None:
+    assert all(re.fullmatch(r"/tmp:size=\d+m", folder) for each in SERVICES.values() for folder in each["tmpfs"])
 
 
 def test_every_service_has_a_health_check_and_comes_again() -> None:

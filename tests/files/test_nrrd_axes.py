@@ -1,6 +1,7 @@
 """NRRD with axes that are none of space, voxels in several files or written out, and segmentations of 3D Slicer."""
 
 import gzip
+import os
 from pathlib import Path
 from typing import Any
 from unicodedata import normalize
@@ -141,6 +142,15 @@ def test_voxels_in_several_files_are_read_in_order(tmp_path: Path, way: str, enc
     assert grid.stamp() != before
     with pytest.raises(VolumeError, match="holds fewer than the 24 bytes"):
         grid.whole()
+
+
+@pytest.mark.parametrize("lines", [SLICES["list"], SLICES["pattern"], "data file: sl002.raw\n"])
+def test_a_pipe_among_data_files_is_refused(tmp_path: Path, lines: str) -> None:
+    """To open it would wait for ever."""
+    (tmp_path / "sl001.raw").write_bytes(RAMP[0].astype(BIG).tobytes())
+    os.mkfifo(tmp_path / "sl002.raw")
+    with pytest.raises(VolumeError, match="it is a device, a pipe or a socket"):
+        open_file(detached(tmp_path, f"encoding: raw\n{lines}"), {})
 
 
 NAMES = ["with blanks.raw", "a#1.raw", "a%41.raw", "æøå.raw", "50% of it.raw", "LISTED.raw"]

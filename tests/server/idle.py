@@ -9,6 +9,7 @@ from typing import Any
 
 from isogi_core.plan.assembly import load_scene
 from server.api.app import create_app
+from server.api.service import Service
 from server.render.engine import RenderEngine
 from server.settings import Settings
 from tests.live import live
@@ -19,8 +20,8 @@ from worker.baker import Baker
 class Idle:
     """A server whose light is never baked, for it has no workers: what is wanted stays so until it is dropped."""
 
-    def __init__(self, url: str, baker: Baker) -> None:
-        self.url, self.baker = url, baker
+    def __init__(self, url: str, baker: Baker, engine: RenderEngine, service: Service) -> None:
+        self.url, self.baker, self.engine, self.service = url, baker, engine, service
 
     @property
     def wanted(self) -> set[tuple[Key, Hashable]]:
@@ -44,5 +45,6 @@ def idle_server(scene: Path, store: Path, **settings: Any) -> Iterator[Idle]:
     engine = RenderEngine([loaded], str(store), baker=baker)
     engine.hire = lambda: None  # type: ignore[method-assign]
     until = f"/v1/scenes/{loaded.id}/coverage?width=8&height=8&shading=lambert"
-    with live(create_app(engine, Settings(**settings)), until) as url:
-        yield Idle(url, baker)
+    app = create_app(engine, Settings(**settings))
+    with live(app, until) as url:
+        yield Idle(url, baker, engine, app.state.service)

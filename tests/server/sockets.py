@@ -54,9 +54,10 @@ class Running:
     def __init__(self, server: Server, address: tuple[str, int], metrics: Metrics) -> None:
         self.server, self.address, self.metrics = server, address, metrics
 
-    def connect(self, *said: bytes, seconds: float = 10.0) -> socket.socket:
-        """A connection on which this was said."""
+    def connect(self, *said: bytes, seconds: float = 10.0, source: str = "127.0.0.1") -> socket.socket:
+        """A connection on which this was said, from an address of this machine."""
         connection = socket.socket()
+        connection.bind((source, 0))
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
         connection.settimeout(seconds)
         try:

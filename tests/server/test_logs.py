@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from server.logs import REQUEST_ID, JsonLines, WithRequest
+from server.logs import REQUEST_ID, JsonLines, Repeats, WithRequest
 
 ROOT = Path(__file__).resolve().parents[2]
 CODE = """
@@ -42,6 +42,58 @@ def test_json_is_one_line_an_event_with_its_request() -> None:
 
 def test_text_names_the_request() -> None:
     assert "INFO isogi.test [mine] two" in logged("text")
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def passed(repeats: Repeats, text: str, *values: Any, level: int = logging.WARNING, name: str = "isogi") -> str | None:
+    """What is written of a record; None where nothing is."""
+    record = logging.LogRecord(name, level, "", 0, text, values, None)
+    return record.getMessage() if repeats.filter(record) else None
+
+
+def test_what_comes_again_is_written_ten_times_a_minute() -> None:
+    clock = Clock()
+    repeats = Repeats(clock)
+    written = [passed(repeats, "bad byte %d", each) for each in range(100)]
+    assert written == [f"bad byte {each}" for each in range(10)] + [None] * 90
+    clock.now = 59
+    assert passed(repeats, "bad byte %d", 1) is None
+    clock.now = 60
+    assert passed(repeats, "bad byte %d", 2) == "bad byte 2 (and 91 more of its kind, which are not written)"
+    assert passed(repeats, "bad byte %d", 3) == "bad byte 3"
+    clock.now = 121
+    assert passed(repeats, "bad byte %d", 4) == "bad byte 4"
+
+
+def test_other_kinds_and_what_is_no_warning_are_written() -> None:
+    repeats = Repeats(Clock())
+    for number in range(30):
+        passed(repeats, "%s", ValueError("bad"))
+        assert passed(repeats, "request %d", number, level=logging.INFO)
+    assert passed(repeats, "%s", ValueError("bad")) is None
+    assert passed(repeats, "%s", KeyError("other")) and passed(repeats, "%s", "text")
+    assert passed(repeats, "%s", ValueError("bad"), name="isogi.store")
+
+
+FLOOD = """
+import logging
+from server.logs import configure
+configure("text", "warning")
+for n in range(1000):
+    logging.getLogger("uvicorn.error").error("bad", exc_info=ValueError("bad"))
+"""
+
+
+def test_a_flood_leaves_few_lines() -> None:
+    command = [sys.executable, "-c", FLOOD]
+    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stderr
+    assert said.count("ERROR uvicorn.error") == 10
 
 
 def told(error: Exception, **more: Any) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import { CLOCK, lost, retryDelay, troubleOf } from "./trouble.js";
 const RETRY_MS = [300, 600, 1200, 2400, 4000];
 const LONGEST_MS = 60_000; // longer than this a receipt may not report
 const IDLE = 4000; // the code that a stream is closed with when nothing was said for long
+const LATER = 1013; // the one when another client needs its place
 const OPEN = 1; // `WebSocket.OPEN`
 
 /** Keeps one socket open, and opens it anew when it is lost. */
@@ -97,7 +98,7 @@ export class Streaming {
       this.#send();
     };
     this.#socket.onmessage = ({ data }) => (typeof data === "string" ? this.#announced(JSON.parse(data)) : this.#came(data));
-    this.#socket.onclose = ({ code }) => this.#closed(code);
+    this.#socket.onclose = ({ code, reason }) => this.#closed(code, reason);
   }
 
   /** @param {StreamMessage} message about the picture that comes next, or a problem in place of one */
@@ -122,10 +123,11 @@ export class Streaming {
     return /** @type {View["of"]} */ (this.#asked.get(id));
   }
 
-  /** @param {number} code */
-  #closed(code) {
+  /** @param {number} code @param {string} reason */
+  #closed(code, reason) {
     this.#socket = null;
     if (!this.#known) this.#refused();
+    else if (code === LATER) this.#failed(troubleOf({ status: 429, detail: reason }));
     else if (code !== IDLE) this.#failed(lost());
   }
 

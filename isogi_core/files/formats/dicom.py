@@ -1,5 +1,6 @@
 """DICOM, read by pydicom: a series in a folder, one of several, or one file of many frames."""
 
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,7 +13,9 @@ from isogi_core.errors import VolumeError
 from isogi_core.files.formats.dicom_stack import Slice, stack_of
 from isogi_core.files.formats.source import COLOURS, Source, library, line_of, luminance, pick, reading
 from isogi_core.files.grid import PATIENT, Affine, Grid, read_as
+from isogi_core.files.packed_files import BLOCK
 from isogi_core.files.packing import Packing, Scaling, holed
+from isogi_core.files.regular import open_regular
 from isogi_core.files.zarr_location import stamp_of
 
 PLUGINS = {"JPEG-LS": "pyjpegls", "JPEG 2000": "pylibjpeg pylibjpeg-openjpeg", "JPEG": "python-gdcm"}
@@ -30,6 +33,10 @@ HEADER_TAGS = (
     *("FloatPixelData", "DoubleFloatPixelData", "GridFrameOffsetVector", "DoseGridScaling"),
     *(f"{kind}PixelPadding{end}" for kind in ("", "Float", "DoubleFloat") for end in ("Value", "RangeLimit")),
 )
+
+
+DEFLATED, META, START = b"1.2.840.10008.1.2.1.99", 1 << 20, 144
+"""The transfer syntax of deflated data, bytes within which a file names it, and the byte after its length."""
 
 
 Headers = list[tuple[Path | None, Any]]
@@ -54,11 +61,14 @@ def open_dicom(source: Source) -> Grid:
     library("pydicom", "DICOM")
     source.refuse_others("series", "time")
     with reading(source.name, "DICOM"):
+        _check_inflated(source)
         folder = source.path is not None and source.path.is_dir()
         headers: Headers = list(_headers(source)) if folder else [(source.path, _header(source))]
         if not headers or "Rows" not in headers[0][1]:
             raise VolumeError(f"'{source.name}' holds no DICOM image: check the volume's path.")
         chosen = _series(source, headers)
+        for _, header in chosen:
+            source.check((int(header.get("NumberOfFrames") or 1), int(header.Rows), int(header.Columns)))
         slices = [each for path, header in chosen for each in _slices_of(path, header)]
         stack, notes = stack_of(source.name, slices, partial(pick, source, "time"))
         if len(stack.layers) == 1 and not folder:
@@ -89,6 +99,22 @@ def _stamp(source: Source, files: list[Path]) -> str:
     return f"{stamp_of(files)} {sorted(source.chosen.items())}"
 
 
+def _check_inflated(source: Source) -> None:
+    """Raise VolumeError where an upload inflates to more than its voxels may be: pydicom does that all at once."""
+    if source.path is not None:
+        return
+    with source.open() as file:
+        head = file.read(META)
+        if DEFLATED not in head:
+            return
+        file.seek(START + int.from_bytes(head[START - 4 : START], "little"))
+        inflater, left = zlib.decompressobj(-zlib.MAX_WBITS), 4 * source.voxels + META
+        while left > 0 and not inflater.eof and (data := inflater.unconsumed_tail or file.read(BLOCK)):
+            left -= len(inflater.decompress(data, BLOCK))
+    if left <= 0:
+        raise VolumeError(f"'{source.name}' inflates to more than {4 * source.voxels} bytes: save a smaller part.")
+
+
 def _header(source: Source) -> Any:
     pydicom = library("pydicom", "DICOM")
     with source.open() as file:
@@ -108,7 +134,7 @@ def _headers(source: Source) -> Iterator[tuple[Path | None, Any]]:
 
 def _may_be_dicom(path: Path) -> bool:
     """Whether a file has DICOM's mark, or begins with a tag of its first groups: the mark was not always written."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         head = file.read(132)
     return is_dicom(head) or (head[1:2] == b"\0" and head[0] in (2, 8) and head[3:4] == b"\0")
 

@@ -1,5 +1,6 @@
 """HDF5 and NetCDF-4, read by h5py: one dataset, chosen by its path in the file."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -31,6 +32,7 @@ def open_hdf5(source: Source) -> Grid:
     with reading(source.name, "HDF5"), _dataset(source) as data:
         if data.dtype.kind not in "biufc":
             raise VolumeError(f"'{source.name}#{data.name}' holds {data.dtype} values: choose a dataset of numbers.")
+        _check_storage(source, data)
         others = _sources(source, data)
         _check_filters(source, data)
         in_time = data.ndim > 3 and _is_time(data.dims[0])
@@ -69,12 +71,22 @@ def _check_filters(source: Source, data: Any) -> None:
         raise VolumeError(f"{needed}, which is not installed: pip install hdf5plugin.")
 
 
+def _check_storage(source: Source, data: Any) -> None:
+    """Raise VolumeError where values are elsewhere, which an upload lacks, or a chunk has more than may be read."""
+    if source.path is None and (data.is_virtual or data.external):
+        raise VolumeError(f"The values of '{source.name}#{data.name}' are in other datasets: save it with its values.")
+    voxels = math.prod(data.chunks or ())
+    if voxels > source.voxels:
+        most = f"{source.voxels} are the most that may be"
+        raise VolumeError(
+            f"Chunks of '{source.name}#{data.name}' have {voxels} voxels, and {most}: save it in smaller."
+        )
+
+
 def _sources(source: Source, data: Any) -> list[Path]:
     """The other files that hold voxels of a dataset. VolumeError where one is missing: HDF5 would fill its part."""
     names = {each.file_name for each in data.virtual_sources()} - {"."} if data.is_virtual else set()
     names |= {str(name) for name, _, _ in data.external or ()}
-    if names and source.path is None:
-        raise VolumeError(f"'{source.name}' is made of other files: save its voxels in it.")
     files = [source.path.parent / name for name in sorted(names) if source.path is not None]
     missing = next((path.name for path in files if not path.is_file()), None)
     if missing is not None:

@@ -2,6 +2,7 @@
 
 import math
 from functools import partial
+from io import BytesIO
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,8 @@ from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick, raw_slabs, reading
 from isogi_core.files.grid import Affine, Grid, read_as
 
-HEADER = 1024
+HEADER, EXTENDED = 1024, 92
+"""Bytes of a header, and the byte from which on it says how long the extended header is."""
 
 
 def is_mrc(head: bytes) -> bool:
@@ -24,12 +26,14 @@ def open_mrc(source: Source) -> Grid:
     source.refuse_others("time")
     with reading(source.name, "MRC"):
         header = _header(source)
-        shape = tuple(int(header[name]) for name in ("nz", "ny", "nx"))
+        shape, extended = tuple(int(header[name]) for name in ("nz", "ny", "nx")), int(header["nsymbt"])
         source.check(shape)
+        if extended < 0:
+            raise VolumeError(f"The extended header of '{source.name}' has {extended} bytes: write it again.")
         dtype, notes = _dtype(header)
         volumes = _volumes(header, shape[0])
         time = pick(source, "time", volumes, "volumes")
-        first = HEADER + int(header["nsymbt"])
+        first = HEADER + extended
         notes = (*notes, *source.cut_notes(first + math.prod(shape) * dtype.itemsize))
         shape = (shape[0] // volumes, *shape[1:])
         start = first + time * math.prod(shape) * dtype.itemsize
@@ -50,11 +54,13 @@ def open_mrc(source: Source) -> Grid:
 
 
 def _header(source: Source) -> Any:
+    """The header, without the extended one: mrcfile would take as much memory for that as the header says."""
     interpreter = library("mrcfile.mrcinterpreter", "MRC").MrcInterpreter
     with source.unpacked() as file:
-        found = interpreter(iostream=file, permissive=True, header_only=True)
-        header = found.header.copy()
-        found._iostream = None  # it would close the file
+        head = file.read(HEADER)
+    bare = head[:EXTENDED] + bytes(4) + head[EXTENDED + 4 :]
+    header = interpreter(iostream=BytesIO(bare), permissive=True, header_only=True).header.copy()
+    header["nsymbt"] = np.frombuffer(head, header["nsymbt"].dtype, 1, EXTENDED)[0]
     return header
 
 

@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,8 @@ def _header(nib: Any, source: Source) -> Any:
     kinds = nib.nifti1.Nifti1PairHeader, nib.nifti1.Nifti1Header, nib.Nifti2Header
     kind = nib.nifti2.Nifti2PairHeader if pair and not one else kinds[0] if pair else kinds[1] if one else kinds[2]
     with source.unpacked() as file:
-        return kind.from_fileobj(file)
+        whole = file.read(kind.template_dtype.itemsize)
+    return kind.from_fileobj(BytesIO(whole + bytes(4)))  # without extensions, which may claim any size
 
 
 PAIR = re.compile(r"\.(?:hdr|img)(\.gz|\.bz2)?$", re.IGNORECASE)

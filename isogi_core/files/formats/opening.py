@@ -122,7 +122,13 @@ def open_upload(file: Any, name: str, most: int) -> Grid:
 CODECS = ("imcd", "zlib", "deflate", "jpeg8", "zstd")
 """Packings of TIFF that are worth the time to load them, in a library that may be missing."""
 
-TIFF = ("tifffile", "tifffile._imagecodecs", "imagecodecs", *(f"imagecodecs._{codec}" for codec in CODECS))
+TIFF = (
+    "tifffile",
+    "tifffile._imagecodecs",
+    "xml.etree.ElementTree",
+    "imagecodecs",
+    *(f"imagecodecs._{codec}" for codec in CODECS),
+)
 
 DECODERS = ("rle", "pillow", "pylibjpeg", "pyjpegls", "gdcm")
 PILLOW = ("Bmp", "Gif", "Ppm", "Png", "Jpeg", "Jpeg2K")

@@ -13,6 +13,7 @@ import numpy as np
 from isogi_core.errors import IsogiError, VolumeError
 from isogi_core.files.grid import ALONE, MAX_VOXELS, Shape, layers_of
 from isogi_core.files.packed_files import BLOCK, DAMAGE, Content, content_of, cut_notes, read_end
+from isogi_core.files.regular import open_regular
 from isogi_core.files.zarr_location import stamp_of
 
 KEYS = ("level", "channel", "time", "series", "raw", "part")
@@ -41,7 +42,7 @@ class Source:
             yield self.file
             return
         try:
-            file = self.path.open("rb")
+            file = open_regular(self.path)
         except FileNotFoundError as error:
             raise VolumeError(f"There is no file '{self.path}': check the volume's path.") from error
         except OSError as error:

@@ -176,7 +176,7 @@ def compose(
         chunks_needed=sum(part.frame.chunks_needed for part in parts),
         chunks_final=sum(part.frame.chunks_final for part in parts),
         lacking=None,
-        version=hashlib.blake2b(versions.encode(), digest_size=12).hexdigest(),
+        version=hashlib.blake2b(versions.encode(), digest_size=16).hexdigest(),
         seconds=watch.seconds,
         target=target if checked else None,
         outdated=any(part.frame.outdated for part in parts),

@@ -13,6 +13,7 @@ from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.formats.opening import open_file, split_part
 from isogi_core.files.grid import Grid, Region
 from isogi_core.files.mappings import OWN, budget
+from isogi_core.files.regular import in_short, reason_of
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, is_zarr, name_of
 from isogi_core.files.volume_copies import get_copy
@@ -105,6 +106,16 @@ def open_grid(base: Path, name: str, chosen: dict[str, Any], raw: bool = False) 
 
 
 def _open_placed(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]:
+    """The grid at a path or a URL, and its display name. VolumeError where the system cannot read it."""
+    try:
+        return _open_any(base, name, chosen)
+    except OSError as error:
+        raise VolumeError(
+            f"The volume {in_short(name)} cannot be read ({reason_of(error)}): check its path."
+        ) from error
+
+
+def _open_any(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]:
     region: Region | None = chosen.get("region")
     chosen = {key: value for key, value in chosen.items() if key != "region"}
     named, inside = (name, {}) if (base / name).exists() else split_part(name)

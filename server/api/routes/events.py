@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Hashable
 from contextlib import aclosing, suppress
 from dataclasses import asdict
 from typing import Annotated, Any
@@ -15,9 +15,9 @@ from fastapi.sse import EventSourceResponse, format_sse_event
 from isogi_core.errors import StoreError
 from isogi_core.frame.frame import Frame
 from server.answers import coverage_schema
-from server.api.service import PREVIEW, SceneDep, Service, ServiceDep
+from server.api.service import PREVIEW, ClientDep, SceneDep, Service, ServiceDep
 from server.api.shown import PictureRequest, Shown
-from server.errors import ParameterError, UnknownSceneError
+from server.errors import BusyError, ParameterError, UnknownSceneError
 from server.parameters import ViewParams, ViewParamsDep, documented
 from server.problems import documented_problems
 from server.render.updates import stream_viewer
@@ -46,13 +46,14 @@ async def read_events(
     scene: SceneDep,
     params: ViewParamsDep,
     service: ServiceDep,
+    client: ClientDep,
     last_event_id: Annotated[str | None, Header(max_length=80)] = None,
 ) -> Response:
     """How a view is refined, as it happens; its light is baked while a client listens."""
     if "wait_ms" in params.model_fields_set:
         raise ParameterError("wait_ms is for requests, events come by themselves: leave it out.", "wait_ms")
     viewer, scene = stream_viewer(request), await service.variant(scene, params)
-    events = events_of(service, service.picture_of(scene, params), last_event_id or "", viewer)
+    events = events_of(service, service.picture_of(scene, params), last_event_id or "", viewer, client)
     first = await anext(events, None)
     if first is None:
         return Response(status_code=204)
@@ -60,13 +61,14 @@ async def read_events(
 
 
 async def resumed(first: bytes, rest: AsyncGenerator[bytes, None]) -> AsyncGenerator[bytes, None]:
-    """The first and the other events; ``failed`` where the scene is dismissed, or its light cannot be read."""
+    """The first and the other events; ``failed`` where the scene is dismissed, its light cannot be read, or another
+    client needs the place."""
     yield first
     async with aclosing(rest) as others:
         try:
             async for each in others:
                 yield each
-        except (UnknownSceneError, StoreError) as error:
+        except (BusyError, UnknownSceneError, StoreError) as error:
             yield event("failed", {"detail": str(error)})
 
 
@@ -75,16 +77,17 @@ PROGRESS = 1.0
 
 
 async def events_of(
-    service: Service, picture: PictureRequest, seen: str, viewer: Viewer
+    service: Service, picture: PictureRequest, seen: str, viewer: Viewer, client: Hashable
 ) -> AsyncGenerator[bytes, None]:
     """Events of a picture until it is final or has failed; none where it is final and was ``seen`` so.
 
-    Its light is baked while a client listens. Raises BusyError where too many do, and StoreError.
+    Its light is baked while a ``client`` listens. Raises BusyError where too many do, and StoreError.
     """
-    with service.connections.admitted():
+    with service.connections.admitted(client) as place:
         try:
             async with aclosing(answers(service, picture, viewer)) as shown_so_far:
                 async for shown, new in shown_so_far:
+                    place.check()
                     if not new:
                         yield event("progress", await progress(service, picture, shown, viewer))
                     elif not (shown.frame.final or shown.coming):

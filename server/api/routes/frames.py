@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable
-from functools import partial
 from typing import Any
 from urllib.parse import urlencode
 
@@ -20,6 +19,7 @@ from server.api.routes.jobs import JobSchema, address, job_schema
 from server.api.service import BearerDep, SceneDep, Service, ServiceDep
 from server.api.shown import PictureRequest, Shown
 from server.api.startup import within
+from server.bearers import client_of
 from server.parameters import (
     FitParams,
     FitParamsDep,
@@ -100,7 +100,9 @@ async def read_frame(
         return now
     service.leave(viewer)
     picture = service.picture_of(scene, params)
-    return defer(service, picture, params, request.query_params.multi_items(), (form, exposure), bearer.name)
+    return defer(
+        service, picture, params, request.query_params.multi_items(), (form, exposure), client_of(request.scope)
+    )
 
 
 def in_parts(frame: Frame, headers: dict[str, str]) -> Response:
@@ -133,9 +135,12 @@ async def read_coverage(
 async def read_fit(request: Request, scene: SceneDep, params: FitParamsDep, service: ServiceDep) -> CameraSchema:
     """The camera that shows the whole surface as large as the picture takes it."""
     picture = service.picture_of(scene, params.view)
-    renderer = service.engine.renderer(scene.id)
-    make = partial(camera_schema, renderer, picture.view, params.azimuth, params.elevation, params.projection)
-    return await service.compute(request, make)
+    view, angles = picture.view, (params.azimuth, params.elevation)
+
+    def work() -> CameraSchema:
+        return camera_schema(service.engine.renderer(scene.id), view, *angles, params.projection)
+
+    return await service.compute(request, work)
 
 
 REPLACED = ("f", "version", "wait_ms")
@@ -148,11 +153,11 @@ def defer(
     params: FrameParams,
     query: list[tuple[str, str]],
     output: tuple[str, float],
-    owner: str = "",
+    client: tuple[str, str] = ("", ""),
 ) -> Response:
     """202 and a job that has the light of a picture baked; ``query`` are the parameters as they were given.
 
-    ``output`` are the format and the exposure of the picture. Raises BusyError.
+    ``output`` are the format and the exposure of the picture; the job is the ``client``'s. Raises BusyError.
     """
     form, exposure = output
 
@@ -163,7 +168,7 @@ def defer(
         href = f"/v1/scenes/{own_name(picture.scene)}/frame?{urlencode(named)}"
         return [Result(href, MEDIA_TYPES[form], "The picture")]
 
-    job = service.jobs.begin("frame", f"A frame of {own_name(picture.scene)}", work, owner=owner)
+    job = service.jobs.begin("frame", f"A frame of {own_name(picture.scene)}", work, owner=client[0], client=client)
     headers = {"Location": address(job), "Preference-Applied": "respond-async", "Cache-Control": "no-store"}
     return Response(
         job_schema(job).model_dump_json(), 202, headers | {"Vary": "Accept, Prefer"}, media_type="application/json"

@@ -16,7 +16,7 @@ from isogi_core.plan.scene import Scene
 from server.api import export_jobs
 from server.api.export_jobs import media_type
 from server.api.prewarm_jobs import begin
-from server.api.service import BearerDep, SceneDep, ServiceDep
+from server.api.service import BearerDep, ClientDep, SceneDep, ServiceDep
 from server.errors import ParameterError, UnknownResultError
 from server.export_parameters import ExportParams, ExportParamsDep
 from server.parameters import NoParamsDep, documented, read
@@ -184,7 +184,7 @@ async def prewarm(
     asked: Annotated[PrewarmRequest, Depends(order_in)],
     service: ServiceDep,
     response: Response,
-    bearer: BearerDep,
+    client: ClientDep,
 ) -> JobSchema:
     """Bake light ahead, or forecast (dry_run) how much that is and how long it takes.
 
@@ -192,7 +192,7 @@ async def prewarm(
     """
     service.startup.check()
     await asyncio.to_thread(check, scene, asked.order, service.settings)
-    job = begin(service, scene, asked.order, asked.dry_run, bearer.name)
+    job = begin(service, scene, asked.order, asked.dry_run, client)
     response.headers.update({"Location": address(job), "Cache-Control": "no-store"})
     return job_schema(job)
 
@@ -207,12 +207,12 @@ export_router = APIRouter(prefix="/v1/scenes/{scene}", tags=["jobs"])
     responses=ANSWERS | documented_problems(404, 422, 429, 503),
 )
 async def export(
-    scene: SceneDep, params: ExportParamsDep, service: ServiceDep, response: Response, bearer: BearerDep
+    scene: SceneDep, params: ExportParamsDep, service: ServiceDep, response: Response, client: ClientDep
 ) -> JobSchema:
     """Bake a whole isosurface, and make a file with its light in it: `/v1/jobs/{job}/file`, when that has ended."""
     service.startup.check()
     scene = await service.variant(scene, params)
-    job = export_jobs.begin(service, scene, params, bearer.name)
+    job = export_jobs.begin(service, scene, params, client)
     response.headers.update({"Location": address(job), "Cache-Control": "no-store"})
     return job_schema(job)
 

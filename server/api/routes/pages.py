@@ -12,6 +12,7 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from pydantic import BaseModel
 
 from server.api.service import ServiceDep
+from server.bearers import bearer_of
 from server.problems import documented_problems, problem
 
 WEB = Path(__file__).resolve().parents[3] / "web"
@@ -115,6 +116,10 @@ class Ready(BaseModel):
     compiling: Compiling | None = None
 
 
+NOT_READY = "isogi is not ready: ask with a token for the reasons."
+NOTED = "isogi is ready, and there is something to know: ask with a token."
+
+
 @health_router.get("/livez")
 async def livez(request: Request) -> Live:
     """Alive: the event loop runs. Touches neither store nor workers."""
@@ -125,14 +130,20 @@ async def livez(request: Request) -> Live:
     "/readyz", response_model=Ready, response_model_exclude_none=True, responses=documented_problems(503)
 )
 def readyz(request: Request, service: ServiceDep) -> Response | Ready:
-    """Ready: pictures can be drawn, the store takes light, workers are alive, no stop is asked; 503 with reasons."""
+    """Ready: pictures can be drawn, the store takes light, workers are alive, no stop is asked; 503 with reasons.
+
+    Where the server wants a token, whoever shows none is not told the reasons: they name paths and keys.
+    """
     stopping = ["isogi is stopping."] if request.app.state.closing.begun else []
     of_store = request.app.state.probe.reasons()  # it is the probe that finds a store read-only, which is no reason
     reasons = stopping or service.startup.reasons() or of_store
     progress = service.engine.kernels.progress
     compiling = None if progress is None else Compiling(**progress._asdict())
+    notes = [*service.engine.notes(), *service.uploads.notes()]
+    if not bearer_of(request.scope).may("look"):
+        reasons, notes = [NOT_READY][: len(reasons)], [NOTED][: len(notes)]
     if not reasons:
-        return Ready(reasons=[*service.engine.notes(), *service.uploads.notes()], compiling=compiling)
+        return Ready(reasons=notes, compiling=compiling)
     more = {"compiling": compiling.model_dump(exclude_none=True)} if compiling else {}
     return problem(503, " ".join(reasons), request.url.path, ready=False, reasons=reasons, **more)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import gzip
-from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
@@ -71,9 +70,11 @@ async def read_size(request: Request, scene: SceneDep, params: SizeParamsDep, se
     """
     shown = await service.variant(scene, params)
     picture = service.picture_of(shown, params.view)
-    return await service.compute(
-        request, partial(size_schema, service.engine.renderer(shown.id), picture.view.isovalue)
-    )
+
+    def work() -> SizeSchema:
+        return size_schema(service.engine.renderer(shown.id), picture.view.isovalue)
+
+    return await service.compute(request, work)
 
 
 @router.get(

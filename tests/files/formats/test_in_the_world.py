@@ -12,7 +12,7 @@ import pytest
 import zarr
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.opening import open_file
+from isogi_core.files.formats.opening import open_file, open_upload
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.files.zarr_volume import open_zarr
 from isogi_core.model.volume import make_volume
@@ -178,6 +178,17 @@ def test_a_virtual_dataset_is_read_whole_or_not_at_all(tmp_path: Path) -> None:
         open_file(tmp_path / "f.h5", {})
     (tmp_path / "elsewhere.h5").rename(tmp_path / "part 1.h5")
     assert grid.stamp() != before
+
+
+def test_an_upload_has_its_values_in_itself(tmp_path: Path) -> None:
+    """A file may have them in another one."""
+    h5py = pytest.importorskip("h5py")
+    (tmp_path / "f.raw").write_bytes(F.tobytes())
+    with h5py.File(tmp_path / "f.h5", "w") as file:
+        file.create_dataset("v", F.shape, F.dtype, external=[(str(tmp_path / "f.raw"), 0, F.nbytes)])
+    np.testing.assert_array_equal(open_file(tmp_path / "f.h5", {}).whole(), F)
+    with (tmp_path / "f.h5").open("rb") as upload, pytest.raises(VolumeError, match="are in other datasets"):
+        open_upload(upload, "f.h5", F.size)
 
 
 def placed_nrrd(folder: Path, step: float) -> Path:

@@ -1,6 +1,5 @@
 """Light of whole chunks: from their bytes alone a twin draws what the frame has before lobes."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,33 +9,16 @@ from isogi_core.bake.noise import Until
 from isogi_core.cache.page_pool import NOTHING
 from isogi_core.frame.card.chunk_light import fold_chunks, seen_chunks, transfer_chunks
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.tiles import Stopwatch
 from isogi_core.kernels.shading.irradiance_ratio import DIRECT, REFLECTED
 from isogi_core.model.view import View, quaternion_from_angles, rotation_matrix
-from isogi_core.plan.scene import Scene
 from server.card_answers import card_scene
 from tests.card_twin import Twin, blocks_in
-from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench
+from tests.frame.card.benches import SCENES, TILES, Make, bench_of, drawn
+from tests.frame.conftest import LOOSE, Workbench
 from tests.loaded import load_scene
 
-Make = Callable[[Scene], Workbench]
 TURN = quaternion_from_angles(70.0, -20.0, 15.0)
-TILES = Tiles()
-SCENES: dict[str, dict[str, Any]] = {
-    "colours": {"lights": [SKY], "albedo": [0.8, 0.6, 0.4]},
-    "albedos": {"lights": [SKY], "albedo": 0.6, "albedos": [0.2, 0.8]},
-    "irradiance": {"lights": [{**SKY, "scale": 3e4}], "rotating": False},
-    "constant": {"lights": [CONSTANT]},
-    "fine": {"lights": [SKY], "lattice": 1.5, "chunk": 8},
-}
-
-
-def bench_of(workbench: Make, name: str) -> Workbench:
-    """A scene of the orbital whose `view()` is baked."""
-    bench = workbench(load_scene("demo:orbital", bounces=2, target_error=LOOSE, projected=False, **SCENES[name]))
-    bench.bake(bench.view(size=40))
-    return bench
 
 
 def twin_of(bench: Workbench, view: View, raw: bool) -> Twin:
@@ -50,17 +32,6 @@ def twin_of(bench: Workbench, view: View, raw: bool) -> Twin:
         packed = fold_chunks(bench.renderer, view, indices, LOOSE, TILES)
     twin.take(b"".join(packed.blocks))
     return twin
-
-
-def drawn(
-    bench: Workbench, view: View, target: float = LOOSE, filters: bool = True
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, normals and radiance before lobes of a view's surface."""
-    renderer = bench.renderer if filters else Renderer(bench.caches, TILES, filters=False)
-    gbuffer, light = renderer.gbuffer(view), RotatedLight(bench.caches.spec("gi"), view)
-    texels = renderer.texels(view, gbuffer)
-    _, framebuffer = renderer._texels.picture(texels, light, Until(target), TILES, Stopwatch())
-    return gbuffer.points, gbuffer.normals(TILES), framebuffer.radiance[gbuffer.pixels]
 
 
 def differences(twin: Twin, bench: Workbench, view: View, raw: bool) -> tuple[np.ndarray, float]:

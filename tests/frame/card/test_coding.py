@@ -15,7 +15,7 @@ from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.kernels.shading.lattice import BURIED, VOID
 from isogi_core.model.view import quaternion_from_angles
 from tests.card_twin import blocks_in, normal_of, read_coded
-from tests.frame.card.test_chunk_light import SCENES, Make, bench_of, drawn
+from tests.frame.card.benches import SCENES, Make, bench_of, drawn
 from tests.frame.conftest import LOOSE, Workbench
 from tests.loaded import load_scene
 

@@ -79,6 +79,15 @@ def test_a_region_is_shown_where_it_lies_in_the_whole(tmp_path: Path, write: Any
     assert not any("region" in note for note in whole.orientation.notes)
 
 
+def test_of_an_image_of_too_many_chunks_a_region_is_shown(tmp_path: Path) -> None:
+    zarr.create_array(tmp_path / "v.zarr", shape=(1000,) * 3, chunks=(1, 1, 1), dtype="u1")
+    with pytest.raises(VolumeError, match="are too many"):
+        open_zarr(tmp_path / "v.zarr")
+    with pytest.raises(VolumeError, match="are too many"):
+        open_zarr(tmp_path / "v.zarr", region=((0, 200), (0, 200), (0, 200)))
+    assert open_zarr(tmp_path / "v.zarr", region=((5, 9), (5, 8), (5, 7))).whole().shape == (2, 3, 4)
+
+
 @pytest.mark.parametrize("write", [zyx, xzy])
 def test_of_a_region_its_own_chunks_alone_are_read(tmp_path: Path, write: Any) -> None:
     """All others are damaged."""

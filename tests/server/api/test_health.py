@@ -6,10 +6,15 @@ from types import SimpleNamespace
 import httpx
 import pytest
 from fastapi import FastAPI
+from starlette.middleware import Middleware
 
 from isogi_core.kernels._compilation import KernelProgress
+from server.api.access import TokenBearers
 from server.api.routes import pages as health
 from server.api.shutdown import Closing
+from server.bearers import Bearer
+
+TOKEN = "correct horse battery"
 
 
 def test_live(live_server: str) -> None:
@@ -66,6 +71,32 @@ def test_why_it_is_not_ready(
     answer = ask(app, "GET", "/readyz")
     assert (answer.status_code, answer.json()["reasons"]) == (503, said)
     assert answer.headers["retry-after"] == "1"
+
+
+SECRET = "The store at /home/anna/light can only be read, key c/0/1."
+
+
+@pytest.fixture
+def guarded_app() -> FastAPI:
+    """An app that wants a token, with reasons and notes that name a path."""
+    app = FastAPI(middleware=[Middleware(TokenBearers, bearers=[Bearer(TOKEN)])])
+    app.include_router(health.health_router)
+    app.state.closing, app.state.probe = Closing(), SimpleNamespace(reasons=list)
+    return app
+
+
+@pytest.mark.parametrize(("reasons", "notes", "status"), [([SECRET], [], 503), ([], [SECRET], 200), ([], [], 200)])
+def test_reasons_are_for_who_shows_a_token(
+    ask: Callable[..., httpx.Response], guarded_app: FastAPI, reasons: list[str], notes: list[str], status: int
+) -> None:
+    guarded_app.state.service = service_of(lambda: reasons, lambda: notes)
+    shown = ask(guarded_app, "GET", "/readyz", headers={"Authorization": f"Bearer {TOKEN}"})
+    assert (shown.status_code, shown.json()["reasons"]) == (status, reasons or notes)
+    for headers in ({}, {"Authorization": "Bearer wrong"}, {"Cookie": "isogi=1"}):
+        hidden = ask(guarded_app, "GET", "/readyz", headers=headers)
+        assert (hidden.status_code, len(hidden.json()["reasons"])) == (status, len(reasons or notes))
+        assert hidden.json()["ready"] is (status == 200)
+        assert "anna" not in hidden.text and "c/0/1" not in hidden.text
 
 
 def test_a_store_that_became_read_only_is_no_reason(ask: Callable[..., httpx.Response]) -> None:

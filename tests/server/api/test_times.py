@@ -126,7 +126,7 @@ def test_the_light_of_the_step_before_stands_in(scene: Path, tmp_path: Path, mon
 def test_few_steps_are_in_memory(scene: Path, tmp_path: Path) -> None:
     engine = RenderEngine([load_scene(scene)], Store(f"file://{tmp_path}"), workers=1)
     try:
-        variants, own = Variants(engine, lambda name: name), engine.scenes["series"]
+        variants, own = Variants(engine, lambda name: name, room=0), engine.scenes["series"]
         for time in (1, 2, 3):
             asyncio.run(variants.of(own, Change(time=time)))
         assert set(engine.scenes) == {"series", "series@+2", "series@+3"}

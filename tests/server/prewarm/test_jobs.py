@@ -112,7 +112,7 @@ def test_a_prewarm_yields_to_people_and_is_dismissed_soon(idle: Idle, tmp_path: 
             assert "chunks" in (await client.get(f"/v1/jobs/{begun['jobID']}")).json()["message"]
             ended = await client.delete(f"/v1/jobs/{begun['jobID']}")
             assert (ended.status_code, ended.json()["status"]) == (200, "dismissed")
-            assert all(client == GUEST.client or client == "127.0.0.1" for _, client in idle.wanted)
+            assert all(client == GUEST.client or client == ("", "127.0.0.1") for _, client in idle.wanted)
 
     asyncio.run(visit())
     (record,) = recorded_prewarms(str(tmp_path))

@@ -26,7 +26,7 @@ def engine(tmp_path: Path) -> RenderEngine:
 
 def test_variants_that_hide_the_same_share_their_voxels(engine: RenderEngine) -> None:
     own = engine.scenes["seg"]
-    variants = Variants(engine, lambda name: name, most_cuts=2)
+    variants = Variants(engine, lambda name: name, most_cuts=2, room=0)
     without = asyncio.run(variants.of(own, Change(hide="3")))
     lit = asyncio.run(variants.of(own, Change("studio", hide=" 3")))
     assert without.volume is lit.volume and without.volume.digest != own.volume.digest

@@ -12,7 +12,7 @@ import pytest
 from isogi_core.prepared.prepared_scene import Index
 from server.errors import BusyError
 from server.logs import REQUEST_ID
-from server.render.scheduling import ASKED, DRAFT, REFINED, REST, AdmissionLimit, Client, FairSemaphore, Rank, Renders
+from server.render.scheduling import ASKED, DRAFT, REFINED, REST, Client, FairSemaphore, Rank, Renders
 from server.render.updates import UpdateBus
 from tests.server.loops import played
 
@@ -223,15 +223,6 @@ def test_work_that_fails_is_freed_at_once(renders: Renders) -> None:
         asyncio.run(play())
     finally:
         gc.enable()
-
-
-def test_a_gate_lets_no_more_in_than_it_may() -> None:
-    gate = AdmissionLimit(1, "guests are in")
-    with gate.admitted():
-        with pytest.raises(BusyError, match=r"^1 guests are in already: ask again in a second\.$"), gate.admitted():
-            pass
-        assert gate.open == 1
-    assert gate.open == 0
 
 
 A, B, C = (0, 0, 1), (0, 0, 2), (0, 0, 3)

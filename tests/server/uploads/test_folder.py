@@ -43,6 +43,18 @@ def test_a_volume_is_found_again(folder: UploadFolder) -> None:
     again.close()
 
 
+def test_a_volume_of_an_earlier_version_keeps_its_shorter_id(folder: UploadFolder) -> None:
+    number = put(folder)
+    assert len(number) == 32, "128 bits"
+    folder.close()
+    (folder.path / f"{number}.nrrd").rename(folder.path / f"{number[:20]}.nrrd")
+    (folder.path / f"{number}.nrrd.nrrd").touch()
+    again = UploadFolder(folder.path)
+    again.open()
+    assert set(again.volumes) == {number[:20]}
+    again.close()
+
+
 def test_it_is_the_owners_alone(folder: UploadFolder) -> None:
     put(folder)
     assert folder.path.stat().st_mode & 0o777 == 0o700

@@ -14,7 +14,7 @@ from isogi_core.files.nrrd import open_nrrd
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.model.orientation import Orientation
 from server.uploads.folder import read_facts
-from server.uploads.uploads import ROOT
+from server.uploads.reading import ROOT
 from tests.files.formats.every_kind import F, written
 from tests.files.formats.phantom import ORIGIN, STEPS
 
@@ -27,12 +27,12 @@ def installed() -> list[str]:
 def read_confined(path: Path, folder: Path) -> Path:
     """The canonical file that the reader makes of a file."""
     with path.open("rb") as upload, tempfile.TemporaryFile(dir=folder) as out:
-        arguments = [path.name, str(out.fileno()), str(1 << 16), "60", "volume"]
+        arguments = [path.name, str(upload.fileno()), str(out.fileno()), "volume", str(1 << 16)]
         done = subprocess.run(
             [sys.executable, "-P", "-m", "server.uploads.reader", *arguments],
-            stdin=upload,
+            input=b"60\n",
             capture_output=True,
-            pass_fds=[out.fileno()],
+            pass_fds=[upload.fileno(), out.fileno()],
             env={"PYTHONPATH": os.pathsep.join([str(ROOT), *installed()]), "PATH": os.environ["PATH"]},
             check=True,
         )

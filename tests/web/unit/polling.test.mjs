@@ -254,9 +254,9 @@ class FakeSocket {
     this.onmessage({ data: PICTURE });
     await settled();
   }
-  close(code) {
+  close(code, reason = "") {
     this.readyState = 3;
-    this.onclose({ code });
+    this.onclose({ code, reason });
   }
 }
 
@@ -336,6 +336,14 @@ test("a stream that was idle is opened by the next view alone", () => {
   assert.deepEqual([clock.waits, frames.troubles], [[], []]);
   stream.show(false);
   assert.equal(sockets.length, 2);
+});
+
+test("a stream that another client needs says so, and comes back", () => {
+  const { sockets, stream } = streaming();
+  stream.show(false);
+  sockets[0].connect();
+  sockets[0].close(1013, "Another client needed this place.");
+  assert.deepEqual([frames.troubles[0].detail, clock.waits], ["Another client needed this place.", [300]]);
 });
 
 test("a problem on the stream is reported", () => {

@@ -75,6 +75,24 @@ def test_a_cookie_goes_over_tls_alone_where_it_was_set_so(guarded: Callable[...,
     assert "; Secure" in TokenBearers(guarded(), ()).admission(scope, Token(Bearer(TOKEN))).headers["set-cookie"]
 
 
+LOOK, UPLOAD, ADMIN = "a token to look at it", "a token to send files", "a token for all of it"
+
+
+@pytest.mark.parametrize("order", [(LOOK, UPLOAD, ADMIN), (ADMIN, UPLOAD, LOOK), (UPLOAD, LOOK, ADMIN)])
+def test_of_several_cookies_the_one_that_allows_most_counts(
+    ask: Ask, guarded: Callable[..., FastAPI], order: tuple[str, ...]
+) -> None:
+    scopes = {LOOK: {"look"}, UPLOAD: {"look", "bake", "upload"}, ADMIN: {"admin"}}
+    bearers = [Bearer(token, token[8:12], frozenset(scopes[token])) for token in order]
+    app = guarded(TokenBearers, bearers=bearers)
+    cookies = {bearer.token: f"{Token(bearer).name}={Token(bearer).cookie}" for bearer in bearers}
+    for shown, allowed in (((LOOK,), 403), ((LOOK, UPLOAD), 200), ((UPLOAD, LOOK), 200), ((LOOK, ADMIN), 200)):
+        headers = {"Cookie": "; ".join(cookies[token] for token in shown)}
+        assert ask(app, "POST", "/data", headers=headers).status_code == allowed, shown
+    both = {"Cookie": f"{cookies[ADMIN]}; {cookies[LOOK]}", "Authorization": f"Bearer {LOOK}"}
+    assert ask(app, "POST", "/data", headers=both).status_code == 403, "a token that is shown itself counts alone"
+
+
 @pytest.mark.parametrize(("method", "path"), [("GET", "/page"), ("POST", "/data"), ("GET", "/data")])
 def test_no_other_address_takes_it(ask: Ask, app: FastAPI, method: str, path: str) -> None:
     assert ask(app, method, path, params={"token": TOKEN}).status_code == 401

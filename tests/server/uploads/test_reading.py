@@ -1,0 +1,149 @@
+"""The reader's limits: of the processor and not of the clock, of memory, and one reader at a time."""
+
+import asyncio
+import signal
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from fastapi import FastAPI
+
+from isogi_core.files.radiance import encode_rgbe
+from server.uploads.environments import ENVIRONMENT
+from server.uploads.reading import Reader
+from tests.server.uploads import claims
+from tests.server.uploads.files import ball
+from tests.server.uploads.measured import GIGABYTE, read_measured
+from tests.server.uploads.site import Open
+
+
+@pytest.fixture(scope="module")
+def claimed(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Small files that claim much."""
+    return claims.written(tmp_path_factory.mktemp("claims"))
+
+
+def nrrd_of(kind: str, side: int, data: bytes) -> bytes:
+    """A NRRD file of a cube."""
+    sizes = " ".join([str(side)] * 3)
+    fields = f"NRRD0004\ntype: {kind}\ndimension: 3\nsizes: {sizes}\nencoding: raw\nendian: little\n\n"
+    return fields.encode() + data
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "dtype"), [("float", np.float32), ("uchar", np.uint8)])
+def test_the_largest_upload_is_read_within_a_gigabyte(tmp_path: Path, kind: str, dtype: Any) -> None:
+    side = 400
+    values = np.arange(side**3, dtype=np.uint32).astype(dtype)
+    (tmp_path / "large.nrrd").write_bytes(nrrd_of(kind, side, values.tobytes()))
+    answer, peak = read_measured(tmp_path / "large.nrrd")
+    assert "id" in answer and peak < GIGABYTE
+
+
+@pytest.mark.slow
+def test_the_largest_probe_is_read_within_a_gigabyte(tmp_path: Path) -> None:
+    row = np.random.default_rng(1).random((1, 8192, 3))
+    head = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4096 +X 8192\n"
+    (tmp_path / "large.hdr").write_bytes(head + encode_rgbe(row) * 4096)
+    answer, peak = read_measured(tmp_path / "large.hdr", ENVIRONMENT)
+    assert "id" in answer and peak < GIGABYTE
+
+
+def test_a_start_that_takes_long_is_no_reason_to_refuse(
+    ask: Callable[..., httpx.Response], open_app: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a machine with other work: the reader has no processor for a while."""
+    read = Reader.read
+
+    async def held_up(reader: Reader, seconds: float) -> str:
+        process = reader._process
+        process.send_signal(signal.SIGSTOP)
+        asyncio.get_running_loop().call_later(1.5, process.send_signal, signal.SIGCONT)
+        return await read(reader, seconds)
+
+    monkeypatch.setattr(Reader, "read", held_up)
+    begun = time.monotonic()
+    answer = ask(open_app(reading_seconds=0.1), "POST", "/v1/volumes", content=ball())
+    assert time.monotonic() - begun > 1.5
+    assert answer.status_code == 201, answer.text
+
+
+def test_one_upload_is_read_at_a_time(open_app: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    app: FastAPI = open_app()
+    at_once, most, read = [0], [0], Reader.read
+
+    async def counted(reader: Reader, seconds: float) -> str:
+        at_once[0] += 1
+        most[0] = max(most[0], at_once[0])
+        await asyncio.sleep(0.3)
+        try:
+            return await read(reader, seconds)
+        finally:
+            at_once[0] -= 1
+
+    async def two() -> list[int]:
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost") as client:
+            sent = [client.post("/v1/volumes", content=ball(side), timeout=120) for side in (8, 9)]
+            return [answer.status_code for answer in await asyncio.gather(*sent)]
+
+    monkeypatch.setattr(Reader, "read", counted)
+    assert asyncio.run(two()) == [201, 201]
+    assert most == [1]
+
+
+def test_a_reader_that_is_not_needed_any_more_is_gone() -> None:
+    """Its upload never came to its end."""
+
+    async def part() -> int:
+        with tempfile.TemporaryFile() as body, tempfile.TemporaryFile() as out:
+            async with Reader.started(body, out, "a", 8) as reader:
+                process = reader._process
+                assert process.returncode is None
+        return process.returncode or 0
+
+    assert asyncio.run(part()) == -signal.SIGKILL
+
+
+@pytest.mark.slow
+def test_a_small_file_that_claims_much_takes_little(claimed: list[Path]) -> None:
+    """Of all kinds. A tile that claims to be larger than its page is read as far as it goes."""
+    for path in claimed:
+        begun = time.monotonic()
+        answer, peak = read_measured(path)
+        assert peak < GIGABYTE / 2, (path.name, peak, answer)
+        assert ("refused" in answer) is (path.name != "tiles.tif"), (path.name, answer)
+        assert time.monotonic() - begun < 20, path.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("extended.mrc", "ends before its last voxel"),
+        ("backward.mrc", "has -1024 bytes"),
+        ("virtual.h5", "are in other datasets"),
+        ("external.h5", "are in other datasets"),
+        ("chunks.h5", "Chunks of"),
+        ("deflated.dcm", "inflates to more than"),
+        ("frames.dcm", "are the most that may be"),
+        ("extension.nii", "ends before its last voxel"),
+    ],
+)
+def test_a_claim_is_refused_by_a_sentence(claimed: list[Path], name: str, said: str) -> None:
+    answer, peak = read_measured(next(path for path in claimed if path.name == name))
+    assert said in answer["refused"] and peak < GIGABYTE / 4
+
+
+@pytest.mark.slow
+def test_a_picture_of_microscopes_may_be_sent(tmp_path: Path) -> None:
+    """Its description is XML, whose reader must be loaded before files cannot be opened any more."""
+    tifffile = pytest.importorskip("tifffile")
+    values = np.arange(4 * 5 * 6, dtype=np.uint8).reshape(4, 5, 6)
+    tifffile.imwrite(tmp_path / "a.ome.tif", values, photometric="minisblack", metadata={"axes": "ZYX"})
+    answer, _ = read_measured(tmp_path / "a.ome.tif")
+    assert "id" in answer, answer
