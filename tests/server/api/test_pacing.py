@@ -9,6 +9,7 @@ import pytest
 from server.api.pacing import HALF, LONGEST, MARGIN, MOST, PATIENCE, QUARTER, Drafts, Window
 from server.api.stream import IDLE, POLICY, TOO_BIG, Inbox
 from server.errors import StreamError
+from server.render.admission import Place
 from server.settings import Settings
 from tests.server.loops import played
 
@@ -114,7 +115,7 @@ def text(message: str) -> dict[str, Any]:
 def read(*messages: dict[str, Any]) -> list[str | None]:
     """All that an inbox lets through, which holds to small limits."""
     settings = Settings(stream_bytes=256, stream_rate=5, stream_idle_seconds=0.2)
-    inbox = Inbox(Socket(*messages), settings)  # type: ignore[arg-type]
+    inbox = Inbox(Socket(*messages), settings, Place("one", 0.0))  # type: ignore[arg-type]
 
     async def play() -> list[str | None]:
         read: list[str | None] = []
