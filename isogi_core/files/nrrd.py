@@ -16,7 +16,7 @@ from unicodedata import normalize
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import Source, luminance
+from isogi_core.files.formats.source import Source, luminance, skip
 from isogi_core.files.grid import Grid, Vector, layers_of, read_as
 from isogi_core.files.nrrd_header import (
     TEXT,
@@ -173,11 +173,10 @@ def _decoded_bytes(name: str, header: Header, file: IO[bytes], size: int) -> Ite
     encoding, passed = header["encoding"].lower(), 0
     if encoding not in (*_RAW, *_GZIP, *_BZIP2, *TEXT):
         raise VolumeError(f"'{name}' has encoding '{encoding}': save it as raw, gzip, bzip2 or text.")
-    skip = _skip_lines(name, header, file, size)
+    before = _skip_lines(name, header, file, size)
     try:
         stream = _decoded(encoding, file)
-        for _ in _blocks(stream, skip):
-            pass
+        skip(stream, before)
         dtype = number_type(name, header)
         blocks = _written_out(name, stream, dtype) if encoding in TEXT else _blocks(stream, size)
         for block in blocks:
@@ -224,8 +223,8 @@ def _cut_notes(source: Source, header: Header, parts: list[IO[bytes]], size: int
     each, notes = size // len(parts), dict[str, None]()
     for part in parts:
         start = part.tell()
-        skip = _skip_lines(source.name, header, part, each)
-        notes |= dict.fromkeys(cut_notes(part, skip + each))
+        before = _skip_lines(source.name, header, part, each)
+        notes |= dict.fromkeys(cut_notes(part, before + each))
         part.seek(start)
     return tuple(notes)
 
@@ -235,18 +234,18 @@ def _skip_lines(name: str, header: Header, file: IO[bytes], size: int) -> int:
 
     A byte skip of -1 (raw data only) means that the voxels are the file's last ``size`` bytes.
     """
-    lines, skip = (int(header.get(f"{what} skip") or header.get(f"{what}skip") or 0) for what in ("line", "byte"))
-    from_end = skip == -1 and header["encoding"] == "raw"
-    if lines < 0 or (skip < 0 and not from_end):
-        raise VolumeError(f"'{name}' skips {lines} lines and {skip} bytes, which cannot be: mend its header.")
+    lines, count = (int(header.get(f"{what} skip") or header.get(f"{what}skip") or 0) for what in ("line", "byte"))
+    from_end = count == -1 and header["encoding"] == "raw"
+    if lines < 0 or (count < 0 and not from_end):
+        raise VolumeError(f"'{name}' skips {lines} lines and {count} bytes, which cannot be: mend its header.")
     while lines > 0 and file.readline():
         lines -= 1
     if not from_end:
-        return skip
+        return count
     start = file.tell()
-    skip = max(0, file.seek(0, 2) - size - start)
+    count = max(0, file.seek(0, 2) - size - start)
     file.seek(start)
-    return skip
+    return count
 
 
 def _blocks(stream: Content, size: int) -> Iterator[bytes]:

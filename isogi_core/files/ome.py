@@ -3,7 +3,8 @@
 Format: https://ngff.openmicroscopy.org.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -75,9 +76,16 @@ def resolutions_of(attributes: Mapping[str, Any], name: str) -> list[Resolution]
     images = ome_of(attributes).get("multiscales")
     if images is None:
         return []
-    try:
+    with _undamaged(name):
         image = images[0]
         return [_resolution(image, each) for each in image["datasets"]]
+
+
+@contextmanager
+def _undamaged(name: str) -> Iterator[None]:
+    """Raise VolumeError, which names the image, for whatever damaged metadata leads to."""
+    try:
+        yield
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise VolumeError(f"The OME metadata of '{name}' is damaged ({error!r}): write it again.") from error
 
@@ -185,21 +193,19 @@ def _in_one_unit(resolution: Resolution) -> tuple[np.ndarray, str]:
     return matrix * lengths[:, None], SHORT.get(units[0], units[0])
 
 
-def first_image(attributes: Mapping[str, Any], inside: str = "") -> tuple[str, str]:
+def first_image(attributes: Mapping[str, Any], name: str, inside: str = "") -> tuple[str, str]:
     """The path of the first of several images below a group, and a note that says what else there is; else empty.
-    The group is ``inside`` the hierarchy, at this path.
 
-    A group is a plate of wells, a well of fields, or what bioformats2raw has made of a file.
+    A group is a plate of wells, a well of fields, or what bioformats2raw has made of a file. It is ``inside`` the
+    hierarchy of this ``name``, at this path. Raises VolumeError where its metadata is damaged.
     """
     held = ome_of(attributes)
-    if "plate" in held:
-        wells = [str(each["path"]) for each in held["plate"]["wells"]]
-        return wells[0], f"The plate has {_counted(len(wells), 'well')}: {wells[0]} is shown{_others(wells, inside)}."
-    if "well" in held:
-        fields = [str(each["path"]) for each in held["well"]["images"]]
-        return fields[
-            0
-        ], f"The well has {_counted(len(fields), 'field')}: {fields[0]} is shown{_others(fields, inside)}."
+    for kind, parts, part in (("plate", "wells", "well"), ("well", "images", "field")):
+        if kind in held:
+            with _undamaged(name):
+                paths = [str(each["path"]) for each in held[kind][parts]]
+                there = f"The {kind} has {_counted(len(paths), part)}"
+                return paths[0], f"{there}: {paths[0]} is shown{_others(paths, inside)}."
     if "bioformats2raw.layout" in held and "multiscales" not in held:
         return "0", "The file may hold several images: the first is shown, and #1 would choose the second."
     return "", ""

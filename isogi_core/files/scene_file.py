@@ -162,6 +162,10 @@ FORMER: Mapping[str, str] = {
 """Former keys of scenes, each with the end of the sentence that refuses it: what to do now."""
 
 
+LEAST_TARGET = 1e-4
+"""The least target error that a scene may have."""
+
+
 class Settings:
     """Reads and checks the settings of a scene's document. Methods raise SceneError, which names the setting."""
 
@@ -213,6 +217,11 @@ class Settings:
         if not is_number(value) or not low <= value <= high:
             raise self._wrong(key, f"a number from {low:g} to {high:g}")
         return float(value)
+
+    @property
+    def target_error(self) -> float:
+        """The relative error at which pixels are final."""
+        return self.number("target_error", 0.02, LEAST_TARGET, 1.0)
 
     def count(self, key: str, high: int, low: int = 0) -> int | None:
         """A whole number in [low, high], or None where the scene leaves it to the plan."""

@@ -169,7 +169,7 @@ def find_array(path: Path | str, level: int | None) -> FoundArray:
     """The array at ``path``, or that of ``level`` of the image there; of several images the first, with a note."""
     among, notes = hierarchy_at(path), list[str]()
     inside, node = among.inside, _open(path, among, among.inside)
-    while isinstance(node, zarr.Group) and (first := _first_image(path, node, inside))[0]:
+    while isinstance(node, zarr.Group) and (first := first_image(node.attrs.asdict(), str(path), inside))[0]:
         inside, notes = f"{inside}/{first[0]}".strip("/"), [*notes, first[1]]
         node = _open(path, among, inside)
     if isinstance(node, zarr.Group):
@@ -185,14 +185,6 @@ def find_array(path: Path | str, level: int | None) -> FoundArray:
     if level is not None:
         raise VolumeError(f"'{path}' is one array, without levels: leave out 'level', or name the image.")
     return _with_axes(path, among, node, _resolution_above(path, among))
-
-
-def _first_image(path: Path | str, group: zarr.Group, inside: str) -> tuple[str, str]:
-    """What ``first_image`` says of a group. VolumeError where its metadata is damaged."""
-    try:
-        return first_image(group.attrs.asdict(), inside)
-    except (KeyError, IndexError, TypeError) as error:
-        raise VolumeError(f"The OME metadata of '{path}' is damaged ({error!r}): write it again.") from error
 
 
 def _open(path: Path | str, among: Hierarchy, inside: str) -> "zarr.Array[Any] | zarr.Group":

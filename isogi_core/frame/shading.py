@@ -173,20 +173,14 @@ def filter_texel_light(
     (texels, 3) are those that they are lit about. Of a view that moves one step along the axes has to do, to the next
     texels that it reads. Raises Cancelled.
     """
-    records, positions = fill_texel_records(reading.grade, lit, normals, light, tiles), texels.positions
+    records = fill_texel_records(reading.grade, lit, normals, light, tiles)
     records[:, PATHS], records[:, VARIANCE] = reading.samples, records[:, NOISE] ** 2
     noisy = reading.noisy
     lit_texels = (reading.grade == CONVERGING) | (reading.grade == FINAL)
     records[lit_texels, GRADE] = np.where(noisy[lit_texels], CONVERGING, FINAL)
-    moving, lattice = light.view.moving, texels.lattice
-    for step in (STEPS[texels.coarse],) if moving else STEPS:
-        before, after, reach = records, np.empty_like(records), (step, FACES if moving else ALL)
-
-        def _piece(a: int, b: int) -> None:
-            filter_texels(texels.numbering, lattice.bits, positions[a:b], a, *reach, before, after)  # noqa: B023
-
-        tiles.run(_piece, len(lit), tiles.even(len(lit)))
-        records = after
+    moving = light.view.moving
+    steps, farthest = ((STEPS[texels.coarse],), FACES) if moving else (STEPS, ALL)
+    records = filter_records(texels, records, steps, farthest, tiles)
     grade, filtered = np.empty_like(reading.grade), np.empty_like(lit)
 
     def _take(a: int, b: int) -> None:
@@ -199,6 +193,26 @@ def filter_texel_light(
         unsure = grade != lent.grade
         light_lent[unsure, 3] = light_lent[unsure, :3] @ LUMINANCE
     return lent, light_lent
+
+
+def filter_records(
+    texels: ViewTexels, records: np.ndarray, steps: Sequence[int], farthest: int, tiles: Tiles
+) -> np.ndarray:
+    """The ``records`` (texels, RECORD) after a pass of the filter at each of some ``steps`` between neighbours.
+
+    Neighbours are asked up to a squared distance of ``farthest`` steps; see ``filter_texels``. Raises Cancelled.
+    """
+    positions = texels.positions
+    for step in steps:
+        before, after = records, np.empty_like(records)
+
+        def _piece(a: int, b: int) -> None:
+            numbering, bits = texels.numbering, texels.lattice.bits
+            filter_texels(numbering, bits, positions[a:b], a, step, farthest, before, after)  # noqa: B023
+
+        tiles.run(_piece, len(records), tiles.even(len(records)))
+        records = after
+    return records
 
 
 def lend_light(texels: ViewTexels, reading: Reading, lit: np.ndarray) -> tuple[Reading, np.ndarray]:

@@ -112,6 +112,11 @@ class Volume:
         """An isovalue of the volume's file, in the units of its voxels and rounded to float32 exactly as they are."""
         return Isovalue(np.float64(np.float32(normalise(np.array(float(value)), self.offset, self.scale))))
 
+    def normalise_span(self, one: float, other: float) -> tuple[Isovalue, Isovalue]:
+        """A range of isovalues of the volume's file, in the units of its voxels; the least comes first."""
+        ends = self.normalise_isovalue(one), self.normalise_isovalue(other)
+        return min(ends), max(ends)
+
     def file_value(self, voxel: float) -> float:
         """A value in the units of the voxels, in those of the volume's file."""
         return self.offset + self.scale * voxel

@@ -110,7 +110,7 @@ def build_scene(
     shine = read_shine(settings, colours)
     pinned, clear = read_pinned(settings, volume, colours), read_clear(settings, colours)
     transmission = read_transmission(settings, albedo, colours)
-    target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
+    target_error = settings.target_error
     refuse_lamps(material, lights)
     several = bool(pinned) or clear > 0.0 or any(transmission) or material.scatters
     light, rotating = assemble_environment(lights), may_rotate(settings, lamps, room, several)

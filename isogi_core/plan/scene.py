@@ -188,8 +188,7 @@ class Scene:
     @cached_property
     def span(self) -> tuple[Isovalue, Isovalue]:
         """The least and the greatest isovalue that views may ask for, normalised."""
-        one, other = map(self.volume.normalise_isovalue, self.isovalues)
-        return min(one, other), max(one, other)
+        return self.volume.normalise_span(*self.isovalues)
 
     @cached_property
     def texels(self) -> TexelCount:

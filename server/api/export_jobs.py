@@ -54,7 +54,7 @@ def begin(service: Service, scene: Scene, params: ExportParams, client: tuple[st
         check_coefficients(scene, f".{params.f}")
     export = Export(service, scene, params, view, client[0])
     title = f"An export of {own_name(scene.id)}"
-    return service.jobs.begin("export", title, export.work, owner=client[0], client=client)
+    return service.jobs.begin("export", title, export.work, client=client)
 
 
 def media_type(file: Path) -> str:

@@ -65,7 +65,7 @@ def begin(
     prewarm = Prewarm(service, scene, order, dry, client[0])
     title = f"What a prewarm of {scene.id} takes" if dry else f"A prewarm of {scene.id}"
     key = None if dry else order.digest(scene)
-    return service.jobs.begin("prewarm", title, prewarm.work, key, client[0], client)
+    return service.jobs.begin("prewarm", title, prewarm.work, key, client)
 
 
 @dataclass(eq=False)

@@ -9,6 +9,8 @@ from functools import partial
 from typing import Any
 
 from isogi_core.errors import ViewError
+from isogi_core.files.scene_file import LEAST_TARGET, find_source
+from isogi_core.files.scene_file import Settings as SceneSettings
 from isogi_core.frame.card.chunk_light import raw_scale
 from isogi_core.frame.card.coding import Coding, coding_for
 from isogi_core.frame.rays.control_pixels import TotalError
@@ -41,9 +43,6 @@ from server.views import isovalue_of, view_of
 
 STRICTER = 0.5
 """The target that light is planned and baked for, over that of the page's pictures: no pixel has light of its own."""
-
-LEAST_TARGET = 1e-4
-"""The least target error that a scene may have."""
 
 ROUNDING = (0.2, 0.4, 0.8, 1.6, 3.2)
 """Errors by rounding that are tried, over the target: the first one whose files are small enough is taken."""
@@ -87,7 +86,7 @@ def publish(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Set
         raise ParameterError("--time and --deadline are for pictures: leave them out with --interactive.")
     if not wishes.output.parent.is_dir():
         raise ViewError(f"There is no folder {wishes.output.parent} for {wishes.output.name}: make it first.")
-    goal = wishes.target_error or open_scene(target, settings).target_error
+    goal = wishes.target_error or SceneSettings(find_source(target, {})).target_error
     scene = open_scene(target, settings, target_error=max(STRICTER * goal, LEAST_TARGET))
     span, params = asked(scene, knobs)
     view = view_of(scene, params, settings)

@@ -57,7 +57,7 @@ def lit_voxels(renderer: Renderer, spans: Sequence[tuple[float, float]]) -> np.n
     """Indices z, y, x (m, 3) of the voxels whose light isosurfaces read that are in the ``spans`` of isovalues."""
     prepared = renderer.prepared
     volume, lattice = prepared.scene.volume, prepared.lattice
-    ranges = [(min(pair), max(pair)) for pair in (tuple(map(volume.normalise_isovalue, span)) for span in spans)]
+    ranges = [volume.normalise_span(*span) for span in spans]
     texels = surface_texels(volume.voxels, prepared.shape, lattice.chunk, ranges)
     return np.concatenate([lattice.positions(index, offsets) for index, offsets in texels] or [np.zeros((0, 3), int)])
 

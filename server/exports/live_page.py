@@ -66,8 +66,7 @@ def compressed(content: bytes) -> bytes:
 def volume_files(renderer: Renderer, span: Span) -> dict[str, bytes]:
     """The codes of the volume's voxels, slab by slab, those alike that no isosurface of the ``span`` is drawn by."""
     codes, volume = renderer.prepared.voxel_codes, renderer.prepared.scene.volume
-    low, high = sorted(map(volume.normalise_isovalue, (span.low, span.high)))
-    voxels = IdleVoxels(volume.voxels, low, high)
+    voxels = IdleVoxels(volume.voxels, *volume.normalise_span(span.low, span.high))
     slabs = ((slab_name(a, b), codes.code(voxels.flattened(a, b)).tobytes()) for a, b in codes.slabs)
     return {name: compressed(content) for name, content in slabs}
 
@@ -83,8 +82,8 @@ def light_files(renderer: Renderer, span: Span, coding: Coding, target: float) -
     It is filtered where it is noisier than a ``target`` error. Raises StoreError.
     """
     prepared, volume = renderer.prepared, renderer.prepared.scene.volume
-    low, high = sorted(map(volume.normalise_isovalue, (span.low, span.high)))
-    texels = surface_texels(volume.voxels, prepared.shape, prepared.lattice.chunk, [(low, high)])
+    ends = volume.normalise_span(span.low, span.high)
+    texels = surface_texels(volume.voxels, prepared.shape, prepared.lattice.chunk, [ends])
     chunks, files = [index for index, _ in texels], {}
     for first in range(0, len(chunks), CHUNKS):
         blocks = coded_chunks(renderer, chunks[first : first + CHUNKS], target, coding, renderer.tiles)

@@ -161,8 +161,7 @@ def of_surfaces(context: PrewarmContext, levels: Levels, enough: int, span: Span
     """What the store lacks of all texels of whole isosurfaces, which are to have ``enough`` samples."""
     prepared, found = context.renderer.prepared, Survey()
     volume, total = prepared.scene.volume, prepared.chunks[0]
-    ranges = [sorted(map(volume.normalise_isovalue, each)) for each in levels.spans]
-    places = [(low, high) for low, high in ranges]
+    places = [volume.normalise_span(*each) for each in levels.spans]
     for index, offsets in surface_texels(volume.voxels, prepared.shape, prepared.lattice.chunk, places):
         context.check()
         context.report(Step("Looking", "layer", index[0], total, share_of(index[0], total, span)))

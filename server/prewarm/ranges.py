@@ -64,10 +64,10 @@ def bake_range(
     rung, before, pictures = FIRST_LEVEL, math.inf, None
     while not context.engine.workforce.wait(LOOK):
         context.check()
+    lacked = lacking(context, levels, rung)
     while True:
-        lacked = lacking(context, levels, rung)
         bake_rung(context, lacked, rung)
-        while rung < most and not lacking(context, levels, next_level(rung)).demands:
+        while rung < most and not (lacked := lacking(context, levels, next_level(rung))).demands:
             rung = next_level(rung)
         pictures = pictures or measured(context, list(views))
         error = pictures.measure(coding).likely

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import Counter
-from collections.abc import Callable, Coroutine, Hashable, Iterable
+from collections.abc import Callable, Coroutine, Iterable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
@@ -117,16 +117,17 @@ class Jobs:
         self._tasks: dict[str, asyncio.Task[None]] = {}
 
     def begin(
-        self, process: str, title: str, work: Work, key: str | None = None, owner: str = "", client: Hashable = None
+        self, process: str, title: str, work: Work, key: str | None = None, client: tuple[str, str] = ("", "")
     ) -> Job:
         """A new job, whose work begins once the caller waits for something. Raises BusyError where there are enough.
 
         Its id is ``key`` where one is given; a job that has that id and has not ended is the answer then, whoever its
-        ``owner`` is. The ``client`` that asks for it may take the place of another client's job, which is dismissed.
+        owner is. The ``client`` that asks for it, its owner's name first, may take the place of another client's job,
+        which is dismissed.
         """
         if (running := self.running(key)) is not None:
             return running
-        place = self._limit.enter(client or owner)
+        place, owner = self._limit.enter(client), client[0]
         self._forget()
         job = Job(process, title, owner=owner) if key is None else Job(process, title, key, owner)
         self._jobs.pop(job.id, None)

@@ -3,11 +3,11 @@
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec, square_light
-from isogi_core.frame.shading import STEPS
+from isogi_core.frame.shading import STEPS, filter_records
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels
-from isogi_core.kernels.shading.filtering import ALL, PATHS, VARIANCE, filter_texels
+from isogi_core.kernels.shading.filtering import ALL, PATHS, VARIANCE
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
 from isogi_core.kernels.shading.irradiance_ratio import BARE, DIRECT, GRADE, NORMAL, RECORD
 from isogi_core.kernels.shading.lattice import VOID
@@ -38,21 +38,12 @@ def filter_numbers(
     The filter is that of light, ``filter_texel_light``, of each number alone: so it holds for any light. ``noise``
     (texels, n) is a variance, and ``normals`` (texels, 3) are those that texels are lit about. Raises Cancelled.
     """
-    filtered, positions, bits = np.empty_like(numbers), texels.positions, texels.lattice.bits
-    records = np.zeros((len(numbers), RECORD), np.float32)
+    filtered, records = np.empty_like(numbers), np.zeros((len(numbers), RECORD), np.float32)
     records[:, BARE : BARE + 3], records[:, NORMAL : NORMAL + 3] = 1.0, normals
     lit, graded = np.where(reading.noisy, CONVERGING, FINAL), (reading.grade == CONVERGING) | (reading.grade == FINAL)
     records[:, PATHS], records[:, GRADE] = reading.samples, np.where(graded, lit, VOID)
     for k in range(numbers.shape[1]):
         before = records.copy()
         before[:, DIRECT : DIRECT + 3], before[:, VARIANCE] = numbers[:, k, None], noise[:, k]
-        for step in STEPS:
-            after = np.empty_like(before)
-
-            def _piece(a: int, b: int) -> None:
-                filter_texels(texels.numbering, bits, positions[a:b], a, step, ALL, before, after)  # noqa: B023
-
-            tiles.run(_piece, len(numbers), tiles.even(len(numbers)))
-            before = after
-        filtered[:, k] = before[:, DIRECT]
+        filtered[:, k] = filter_records(texels, before, STEPS, ALL, tiles)[:, DIRECT]
     return filtered

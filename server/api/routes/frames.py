@@ -168,7 +168,7 @@ def defer(
         href = f"/v1/scenes/{own_name(picture.scene)}/frame?{urlencode(named)}"
         return [Result(href, MEDIA_TYPES[form], "The picture")]
 
-    job = service.jobs.begin("frame", f"A frame of {own_name(picture.scene)}", work, owner=client[0], client=client)
+    job = service.jobs.begin("frame", f"A frame of {own_name(picture.scene)}", work, client=client)
     headers = {"Location": address(job), "Preference-Applied": "respond-async", "Cache-Control": "no-store"}
     return Response(
         job_schema(job).model_dump_json(), 202, headers | {"Vary": "Accept, Prefer"}, media_type="application/json"

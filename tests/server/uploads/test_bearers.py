@@ -118,7 +118,7 @@ def test_jobs_belong_to_who_began_them(ask: Ask, open_app: Any, tokens: Path) ->
         return ()
 
     async def begun() -> str:
-        job = app.state.service.jobs.begin("frame", "A frame", nothing, owner="anna")
+        job = app.state.service.jobs.begin("frame", "A frame", nothing, client=("anna", ""))
         await app.state.service.jobs._tasks[job.id]
         return str(job.id)
 
