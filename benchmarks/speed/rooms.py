@@ -26,6 +26,7 @@ from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.rays.picture_plan import PRESENT
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.scene_plan import FEWEST
 from isogi_core.model.view import View
@@ -98,7 +99,7 @@ def lit(scene: Scene, store: str, size: int) -> Renderer:
     renderer, view = make_renderer(scene, store), camera_of(scene, size)
     bake_view(renderer, view, FEWEST)
     frame = renderer.render(view, DONE)
-    while frame.walls_waiting and renderer.refine_frame(frame, DONE, renderer.tiles, False):
+    while frame.walls_waiting and renderer.refine_frame(frame, DONE, renderer.tiles, PRESENT):
         frame = renderer.render(view, DONE)
     return renderer
 

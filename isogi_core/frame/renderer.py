@@ -40,6 +40,7 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
 from isogi_core.frame.rays.lobe_light import LobeLight, ShadowStarts, find_lobes, find_starts
 from isogi_core.frame.rays.picture_check import PictureState
+from isogi_core.frame.rays.picture_plan import PRESENT, Prices
 from isogi_core.frame.rays.shine import ShineRays
 from isogi_core.frame.rays.shine_light import SHARE as SHINE_SHARE
 from isogi_core.frame.rays.shine_light import SeenLight, ShineLight, add_lobes_seen, walls_seen
@@ -164,19 +165,21 @@ class Renderer:
         frame = frame_of(gbuffer, light, empty_framebuffer(gbuffer), watch)
         return self._walls.add(frame, light, target, tiles, watch)
 
-    def refine(self, view: View, target: float | None = None, tiles: Tiles | None = None, finer: bool = False) -> bool:
+    def refine(
+        self, view: View, target: float | None = None, tiles: Tiles | None = None, prices: Prices = PRESENT
+    ) -> bool:
         """Bring the total error of a view whose light is final a step nearer to the ``target``; whether there was one.
 
-        Where there is ``finer`` light it may ask for that: see ``ViewChecks``. Raises Cancelled once ``tiles`` are
+        At some ``prices`` it may ask for finer texels: see ``ViewChecks``. Raises Cancelled once ``tiles`` are
         cancelled, and what ``render`` raises.
         """
         target, tiles = target or self.prepared.scene.target_error, tiles or self.tiles
         if self._composer is not None:
-            return self._composer.refine(view, target, tiles)
+            return self._composer.refine(view, target, tiles, prices)
         frame = self._draw(view, Until(target, FIRST_LEVEL), tiles, Stopwatch())
-        return self.refine_frame(frame, target, tiles, finer)
+        return self.refine_frame(frame, target, tiles, prices)
 
-    def refine_frame(self, frame: Frame, target: float, tiles: Tiles, finer: bool) -> bool:
+    def refine_frame(self, frame: Frame, target: float, tiles: Tiles, prices: Prices) -> bool:
         """``refine`` of a view with this ``frame``."""
         if not frame.refinable:
             return False
@@ -197,7 +200,7 @@ class Renderer:
             return np.asarray(np.hypot(between, frame.pixel_noise))
 
         with check.lock:
-            return check.step(frame, uncertainty, tiles, finer)
+            return check.step(frame, uncertainty, tiles, prices)
 
     def _light(self, view: View) -> RotatedLight:
         """The lights of a view, turned: with all their lobes where it is at rest."""

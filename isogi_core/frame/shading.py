@@ -164,9 +164,9 @@ def fill_texel_records(
 def filter_texel_light(
     texels: ViewTexels, reading: Reading, lit: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
 ) -> tuple[Reading, np.ndarray]:
-    """Texels' light ``lit`` (texels, LIT), filtered where it is noisy; see ``kernels.shading.filtering``.
+    """Texels' light ``lit`` (texels, LIT), filtered where it is grainy; see ``kernels.shading.filtering``.
 
-    Final light is filtered too: how much a texel takes over follows from its noise.
+    Light that needs no more samples is filtered too: how much a texel takes over follows from its noise.
 
     Texels without light have that of their neighbours, in which the ``reading`` that is returned is converging. Where
     none of these faces their way, ``lend_light`` does, and at rest all of that light may be wrong. ``normals``
@@ -175,16 +175,16 @@ def filter_texel_light(
     """
     records = fill_texel_records(reading.grade, lit, normals, light, tiles)
     records[:, PATHS], records[:, VARIANCE] = reading.samples, records[:, NOISE] ** 2
-    noisy = reading.noisy
+    grainy = reading.grainy
     lit_texels = (reading.grade == CONVERGING) | (reading.grade == FINAL)
-    records[lit_texels, GRADE] = np.where(noisy[lit_texels], CONVERGING, FINAL)
+    records[lit_texels, GRADE] = np.where(grainy[lit_texels], CONVERGING, FINAL)
     moving = light.view.moving
     steps, farthest = ((STEPS[texels.coarse],), FACES) if moving else (STEPS, ALL)
     records = filter_records(texels, records, steps, farthest, tiles)
     grade, filtered = np.empty_like(reading.grade), np.empty_like(lit)
 
     def _take(a: int, b: int) -> None:
-        take_filtered(records[a:b], noisy[a:b], reading.grade[a:b], lit[a:b], grade[a:b], filtered[a:b])
+        take_filtered(records[a:b], grainy[a:b], reading.grade[a:b], lit[a:b], grade[a:b], filtered[a:b])
 
     tiles.run(_take, len(lit), tiles.even(len(lit)))
     found = replace(reading, grade=grade)

@@ -18,6 +18,9 @@ from isogi_core.model.scene_plan import MOST
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index
 
+GRAIN = 0.01
+"""Relative noise of a texel below which no filter is needed: half of it is left in pixels, a step of eight bits."""
+
 PIECE = 16384
 """Texels that are looked up, and digested, together; the same on any number of threads."""
 
@@ -64,6 +67,12 @@ class Reading:
         """Which texels' light is noisier than a picture's target allows each alone; (texels,) bool."""
         lit = (self.grade == CONVERGING) | (self.grade == FINAL)
         return np.asarray(lit & (self.samples > 0) & ~good_enough(self.error, self.samples, self.target))
+
+    @property
+    def grainy(self) -> np.ndarray:
+        """Which texels' light is filtered for its noise, also where it needs no more samples; (texels,) bool."""
+        lit = (self.grade == CONVERGING) | (self.grade == FINAL)
+        return np.asarray(lit & (self.samples > 0) & (self.error > GRAIN))
 
     @property
     def rung(self) -> int:

@@ -100,7 +100,7 @@ class TexelShading:
     def lit(
         self, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> tuple[Reading, np.ndarray]:
-        """The reading of a view's texels, and their light (texels, LIT), filtered where it is noisy."""
+        """The reading of a view's texels, and their light (texels, LIT), filtered where it is grainy."""
         found = [self._lit_by(each.caches, texels, light, until, tiles, watch) for each in self._levels]
         reading, lit = mixed(self._levels, found)
         if not self._is_filtered(light.view, reading):
@@ -119,8 +119,8 @@ class TexelShading:
         return replace(reading, grade=np.where(filtered.lent, np.uint8(CONVERGING), reading.grade)), filtered.lit
 
     def _is_filtered(self, view: View, reading: Reading) -> bool:
-        """Whether the texels of a view are filtered: global illumination that is noisy."""
-        return self._filters and spec_name(view.shading) == "gi" and bool(reading.noisy.any())
+        """Whether the texels of a view are filtered: global illumination that is grainy."""
+        return self._filters and spec_name(view.shading) == "gi" and bool(reading.grainy.any())
 
     def _lit_by(
         self, caches: Caches, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch

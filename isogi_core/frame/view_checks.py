@@ -4,16 +4,17 @@ import math
 from typing import Any, NamedTuple
 
 from isogi_core.bake.noise import RATE
-from isogi_core.bake.precision import FIRST_LEVEL, next_level
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.control_pixels import ENOUGH, paths_for
 from isogi_core.frame.rays.own_light import foreseen_paths
 from isogi_core.frame.rays.picture_check import PictureCheck, PictureState
+from isogi_core.frame.rays.picture_plan import rungs_above
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.view_keys import check_key, is_checked
 from isogi_core.lru_cache import LruCache
-from isogi_core.model.scene_plan import most_samples
 from isogi_core.model.view import View
 
 PIXELS = 0.25
@@ -24,12 +25,15 @@ FILTERED = 4.0
 
 
 class PathsLeft(NamedTuple):
-    """Paths that a picture has left to take after its texels' present samples: of pixels, and of further samples.
+    """Paths that a picture has left to take after its texels' present samples: of ``pixels``, and of ``texels``.
 
-    At a ``pace`` of so many seconds each; None if that is unknown.
+    It is drawn so many ``times`` meanwhile. A path of a pixel takes a ``pace`` of so many seconds; None if that is
+    unknown.
     """
 
-    paths: float
+    pixels: float = 0.0
+    texels: float = 0.0
+    times: int = 0
     pace: float | None = None
 
 
@@ -64,21 +68,20 @@ class ViewChecks:
         Before it is measured they are foreseen by the error that the plan expects, and by the noise of its texels.
         """
         check = self.held(frame.view, target)
-        if check and check.growing:
-            return PathsLeft(check.growing.left, check.pace)
         if check and check.ahead is not None:
-            return PathsLeft(check.ahead if frame.provisional or not check.known.attempt else 0.0)
-        if frame.target is None or frame.lacking is None or frame.finer:
-            return PathsLeft(0.0)
-        return PathsLeft(foreseen_work(frame, frame.lacking.reading, target))
+            growing, ahead = check.growing.left if check.growing else 0.0, check.ahead
+            return PathsLeft(growing + ahead.pixels, ahead.texels, ahead.times, check.pace)
+        if frame.target is None or frame.lacking is None:
+            return PathsLeft()
+        return foreseen_work(frame, frame.lacking.reading, target)
 
 
-def foreseen_work(frame: Frame, reading: Reading, target: float) -> float:
+def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:
     """Paths that a ``frame`` will take after its first ones, by the noise of its texels' ``reading``: the fewest."""
-    points, effort, rung, least = len(frame.gbuffer.pixels), reading.effort, FIRST_LEVEL, math.inf
-    while rung <= most_samples(target):
+    points, effort, ways = len(frame.gbuffer.pixels), reading.effort, []
+    controls = 2.0 * paths_for(target) * ENOUGH
+    for times, rung in enumerate([FIRST_LEVEL, *rungs_above(FIRST_LEVEL, target)], start=2):
         noise = (effort / rung) ** (1.0 / RATE) / FILTERED
         own = foreseen_paths(points, math.hypot(noise, frame.expected), target, PIXELS * effort)
-        least = min(least, own + float(rung - FIRST_LEVEL) * len(reading.samples))
-        rung = next_level(rung)
-    return least
+        ways.append(PathsLeft(own + controls, float(rung - FIRST_LEVEL) * len(reading.samples), times))
+    return min(ways, key=lambda way: way.pixels + way.texels)

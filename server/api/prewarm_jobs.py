@@ -19,6 +19,7 @@ from typing import TypeVar
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import Cancelled, IsogiError, StoreError
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
@@ -120,8 +121,8 @@ class Prewarm:
         def frame_of(view: View) -> Frame:
             return self._frame_of(loop, PictureRequest(self.scene.id, view, target))
 
-        def refine(view: View) -> bool:
-            return self._refine(view, target)
+        def refine(view: View, prices: Prices) -> bool:
+            return self._refine(view, target, prices)
 
         target = self.order.target_error or self.scene.target_error
         deadline = math.inf if self.order.deadline is None else self.begun + self.order.deadline
@@ -163,10 +164,10 @@ class Prewarm:
                 self.cancelled.wait(AGAIN)
                 context.check()
 
-    def _refine(self, view: View, target: float) -> bool:
+    def _refine(self, view: View, target: float, prices: Prices) -> bool:
         """Check the picture of a view, one step further, and leave as much time to clients that wait for frames."""
         begun = time.monotonic()
-        more = self.service.engine.check(self.scene.id, view, target, self.cancelled)
+        more = self.service.engine.check(self.scene.id, view, target, self.cancelled, prices)
         if self.service.attended:
             self.cancelled.wait(time.monotonic() - begun)
         return more

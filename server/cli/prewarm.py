@@ -106,7 +106,7 @@ def desk_of(
         target,
         COMMAND,
         lambda view: engine.survey(scene.id, view, target),
-        lambda view: engine.check(scene.id, view, target),
+        lambda view, prices: engine.check(scene.id, view, target, prices=prices),
         report,
         deadline,
         PATIENCE,

@@ -15,6 +15,7 @@ from isogi_core.cache.costs import Cost
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import Cancelled
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.view_texels import Demand
@@ -79,9 +80,10 @@ class PrewarmContext:
     """What a prewarm of one ``scene`` to a ``target`` error works with, for a ``viewer``.
 
     ``frame_of`` makes the frame of a view with the light baked so far; ``refine`` takes one step of the check of its
-    picture, and says whether there was one. ``report`` takes each step, and ``cancelled`` stops it. Baking ends at
-    ``deadline``, and the workers are taken for broken after ``patience`` seconds without anything new. Texels of whole
-    isosurfaces are to have as many samples as ``rung`` at least; ``climbed`` is told when they are to have more.
+    picture, which weighs its ways at given prices, and says whether there was one. ``report`` takes each step, and
+    ``cancelled`` stops it. Baking ends at ``deadline``, and the workers are taken for broken after ``patience`` seconds
+    without anything new. Texels of whole isosurfaces are to have as many samples as ``rung`` at least; ``climbed`` is
+    told when they are to have more.
     """
 
     engine: RenderEngine
@@ -89,7 +91,7 @@ class PrewarmContext:
     target: float
     viewer: Viewer
     frame_of: Callable[[View], Frame]
-    refine: Callable[[View], bool]
+    refine: Callable[[View, Prices], bool]
     report: Callable[[Step], None]
     deadline: float = math.inf
     patience: float = math.inf

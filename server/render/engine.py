@@ -13,6 +13,7 @@ from isogi_core.cache.chunk_store import default_store
 from isogi_core.cache.costs import Cost
 from isogi_core.errors import StoreFullError, StoreReadOnlyError
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.rays.picture_plan import AWAITED, Prices
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.tiles import Stopwatch, Tiles
@@ -199,10 +200,17 @@ class RenderEngine:
         """The frame of a new view with none of its light, before it is drawn; see ``frame.unlit_view``."""
         return unlit_frame(self._find(scene).renderer, view, target, cancelled)
 
-    def check(self, scene: str, view: View, target: float, cancelled: threading.Event | None = None) -> bool:
+    def check(
+        self,
+        scene: str,
+        view: View,
+        target: float,
+        cancelled: threading.Event | None = None,
+        prices: Prices = AWAITED,
+    ) -> bool:
         """Check a picture, one step further; whether there was one to take. Raises as ``frame`` does."""
         tiles = self._checking.cancelled_by(cancelled) if cancelled else self._checking
-        return self._find(scene).check(view, target, tiles)
+        return self._find(scene).check(view, target, tiles, prices)
 
     def want(self, scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
         """Request the light that a ``frame`` lacks, for a ``viewer``; the chunks that are going to be baked.
@@ -275,10 +283,10 @@ class RenderEngine:
         baking = self._baker.time_left(bake, subject, chunks, later)
         if baking is None:
             return None
-        own = loaded.level(frame.fineness).renderer.checks.left(frame, target)
-        if own.paths and frame.lacking:
+        left = loaded.level(frame.fineness).renderer.checks.left(frame, target)
+        if frame.lacking:
             spent = self.spent(bake, frame.lacking.texels.chunks)
-            baking = baking.plus(time_of_paths(own, spent, self._checking.threads))
+            baking = baking.plus(time_of_paths(left, spent, self._checking.threads, frame.seconds))
         return self._promises.kept((scene, frame.view, target), baking) if baking.high > 0.0 else None
 
     def bake(self, bake: str, stage: Stage, viewer: Viewer = BACKGROUND) -> BackgroundBake:

@@ -16,6 +16,7 @@ from isogi_core.cache.scene_assets import SceneAssets
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import Cancelled, NoRoomError
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.stand_in import StandIn
 from isogi_core.frame.tiles import Stopwatch, Tiles
@@ -218,11 +219,11 @@ class LoadedScene:
             self.renderer.checks.decline_finer(view, target)
             return None
 
-    def check(self, view: View, target: float, tiles: Tiles) -> bool:
+    def check(self, view: View, target: float, tiles: Tiles, prices: Prices) -> bool:
         """Check the picture of a view, one step further; whether there was one to take. Raises as Renderer does."""
         if self.renderer.checks.asks_finer(view, target):
-            return self.finer.check(view, target, tiles)
-        return self.renderer.refine(view, target, tiles, has_finer(self.scene))
+            return self.finer.check(view, target, tiles, prices)
+        return self.renderer.refine(view, target, tiles, prices if has_finer(self.scene) else prices.of_present)
 
     @property
     def nbytes(self) -> int:

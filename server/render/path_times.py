@@ -1,23 +1,26 @@
-"""The time that pixels of a picture take for paths of their own."""
+"""The time that a picture takes after its texels' present samples: further ones, paths of pixels, and drawing it."""
 
 import threading
 from collections import OrderedDict
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.view_checks import PathsLeft
 from worker.progress import PRIOR, UNKNOWN, TimeLeft, log_normal_ratios
 
+WAITS = ("queue", "bake", "check", "demand")
+"""Stages of a frame in which it is not drawn."""
 
-def time_of_paths(left: PathsLeft, spent: Cost, threads: int) -> TimeLeft:
-    """The time for the paths that are ``left``, on so many ``threads``.
 
-    Before the first of them a path takes as long as those of the texels, for which so much was ``spent``.
+def time_of_paths(left: PathsLeft, spent: Cost, threads: int, drawing: Mapping[str, float]) -> TimeLeft:
+    """The time for the paths that are ``left``, on so many ``threads``, and for ``drawing`` by its stages' seconds.
+
+    Before the first path of a pixel one takes as long as those of texels, for which so much was ``spent``.
     """
-    if left.pace is not None:
-        return TimeLeft.of(left.paths * left.pace, log_normal_ratios(UNKNOWN))
-    seconds = spent.seconds / max(spent.paths, 1) / threads
-    return TimeLeft.of(left.paths * seconds, PRIOR)
+    each = spent.seconds / max(spent.paths, 1) / threads
+    once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITS)
+    work = left.texels * each + left.pixels * (left.pace or each) + left.times * once
+    return TimeLeft.of(work, PRIOR if left.pace is None else log_normal_ratios(UNKNOWN))
 
 
 RISE = 1.1

@@ -7,10 +7,15 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from isogi_core.frame.rays.picture_plan import Prices
+from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import PARTIAL
 from server.render.engine import RenderEngine
+from server.render.loaded_scene import LoadedScene
 from worker.pool import Done
 from worker.tasks import BakeTask, bake
 
@@ -26,6 +31,18 @@ def bake_sent(sent: bytes, done: Done) -> None:
         done(None, error)
     else:
         done(result, None)
+
+
+check = LoadedScene.check
+
+
+def weigh_at(prices: Prices, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have checks weigh the ways to a target at these ``prices``: small pictures would not pay for tasks of texels."""
+
+    def _check(self: LoadedScene, view: View, target: float, tiles: Tiles, _: Prices) -> bool:
+        return check(self, view, target, tiles, prices)
+
+    monkeypatch.setattr(LoadedScene, "check", _check)
 
 
 class InlinePool:

@@ -43,25 +43,25 @@ class Packed(NamedTuple):
 
 
 def fold_chunks(renderer: Renderer, view: View, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
-    """``chunks`` under the light of a ``view``, filtered where it is noisy; final at the ``target`` error.
+    """``chunks`` under the light of a ``view``, filtered where it is grainy; final at the ``target`` error.
 
     Records are those that ``carry_irradiance_ratios`` is given. Raises Cancelled, and what ``Loader.ensure`` does.
     """
     light, some = RotatedLight(renderer.caches.spec("gi"), view), tuple(chunks)
     with hold_texels(renderer.caches.of("gi"), some, target, tiles) as (found, pool):
-        if not (noisy := bool(found.reading.noisy.any())):
+        if not (grainy := bool(found.reading.grainy.any())):
             lit = light_sources(found.reading.sources(pool), light, tiles)
-    if noisy:
+    if grainy:
         with hold_texels(renderer.caches.of("gi"), with_neighbours(some, renderer.prepared), target, tiles) as held:
             found, pool = held
             lit = light_sources(found.reading.sources(pool), light, tiles)
     about, reading = normals_of(renderer, found.texels, tiles), found.reading
-    if noisy:
+    if grainy:
         reading, lit = filter_texel_light(found.texels, reading, lit, about, light, tiles)
     records = fill_texel_records(reading.grade, lit, about, light, tiles)
     values = np.column_stack([records[:, DIRECT : DIRECT + 3], records[:, REFLECTED : REFLECTED + 3]])
     blocks = tuple(islice(pack(found, about, values, FOLDED), len(some)))
-    return Packed(blocks, found.versions[: len(some)], not noisy)
+    return Packed(blocks, found.versions[: len(some)], not grainy)
 
 
 def transfer_chunks(renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
@@ -74,7 +74,7 @@ def transfer_chunks(renderer: Renderer, chunks: Sequence[Index], target: float, 
 def coded_chunks(
     renderer: Renderer, chunks: Sequence[Index], target: float, coding: Coding, tiles: Tiles
 ) -> tuple[bytes, ...]:
-    """The blocks of ``chunks`` with transfer in few bits, filtered where it is noisy. Raises as ``fold_chunks``."""
+    """The blocks of ``chunks`` with transfer in few bits, filtered where it is grainy. Raises as ``fold_chunks``."""
     some = with_neighbours(chunks, renderer.prepared)
     with hold_texels(renderer.caches.of("gi"), some, target, tiles) as (found, pool):
         about, numbers = calm_numbers(renderer, found.texels, found.reading, pool, tiles)
@@ -84,9 +84,9 @@ def coded_chunks(
 def calm_numbers(
     renderer: Renderer, texels: ViewTexels, reading: Reading, pool: PagePool, tiles: Tiles
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The normals (texels, 3) that texels are lit about, and their ``raw_numbers``, filtered where they are noisy."""
+    """The normals (texels, 3) that texels are lit about, and their ``raw_numbers``, filtered where they are grainy."""
     about, numbers = normals_of(renderer, texels, tiles), raw_numbers(reading.rows, pool)
-    if not reading.noisy.any():
+    if not reading.grainy.any():
         return about, numbers
     scatter = np.where(reading.rows >= 0, pool.scatter[reading.rows], np.float32(0.0))
     return about, filter_numbers(texels, reading, numbers, number_noise(numbers, scatter, pool.spec), about, tiles)

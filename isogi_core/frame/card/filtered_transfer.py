@@ -33,14 +33,14 @@ def number_noise(numbers: np.ndarray, scatter: np.ndarray, spec: BakeSpec) -> np
 def filter_numbers(
     texels: ViewTexels, reading: Reading, numbers: np.ndarray, noise: np.ndarray, normals: np.ndarray, tiles: Tiles
 ) -> np.ndarray:
-    """The ``numbers`` (texels, n) of texels' transfer, those of noisy texels filtered as their neighbours allow.
+    """The ``numbers`` (texels, n) of texels' transfer, those of grainy texels filtered as their neighbours allow.
 
     The filter is that of light, ``filter_texel_light``, of each number alone: so it holds for any light. ``noise``
     (texels, n) is a variance, and ``normals`` (texels, 3) are those that texels are lit about. Raises Cancelled.
     """
     filtered, records = np.empty_like(numbers), np.zeros((len(numbers), RECORD), np.float32)
     records[:, BARE : BARE + 3], records[:, NORMAL : NORMAL + 3] = 1.0, normals
-    lit, graded = np.where(reading.noisy, CONVERGING, FINAL), (reading.grade == CONVERGING) | (reading.grade == FINAL)
+    lit, graded = np.where(reading.grainy, CONVERGING, FINAL), (reading.grade == CONVERGING) | (reading.grade == FINAL)
     records[:, PATHS], records[:, GRADE] = reading.samples, np.where(graded, lit, VOID)
     for k in range(numbers.shape[1]):
         before = records.copy()

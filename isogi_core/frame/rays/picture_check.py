@@ -1,13 +1,12 @@
 """The check of a picture: control pixels measure its total error, and what is cheapest brings it to the target.
 
 Its texels climb a ladder of samples together (16, 32, 64, …). On each rung control pixels measure the picture as it is
-shown, filtered and all. Then all texels climb on, or the pixels that are most wrong get light of their own: whichever
-takes fewer paths to the target. A step follows from the texels' light and from the steps on this rung alone: the same
-view has the same numbers whoever asks, and after any restart.
+shown, filtered and all. Then all texels climb on, or finer ones take their place, or the pixels that are most wrong get
+light of their own: whichever takes the fewest paths to the target. A step follows from the texels' light and
+from the steps on this rung alone: the same view has the same numbers whoever asks, and after any restart.
 """
 
 import hashlib
-import math
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -32,43 +31,25 @@ from isogi_core.frame.rays.control_pixels import (
     trace_controls,
     variance_of_halves,
 )
-from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Choice, Growth, PixelLight, choose
+from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Growth, PixelLight
+from isogi_core.frame.rays.picture_plan import (
+    QUIETER,
+    SHARED,
+    Ahead,
+    OwnLight,
+    Plan,
+    Prices,
+    by_finer,
+    by_rungs,
+    climbs_of,
+    controls_to,
+    noise_of_climbers,
+    rungs_at_once,
+)
 from isogi_core.frame.tiles import Tiles
-from isogi_core.model.scene_plan import most_samples
-from isogi_core.plan.finer import DENSER
 
 STRICTER = 0.9
 """Factor on the error that is aimed at with each attempt."""
-
-QUIETER = 0.5
-"""What one rung leaves of the variance of a filtered picture: 0.35 to 0.7 on the engine, the bonsai and the chest."""
-
-SHARED = 0.25
-"""What a path of a texel counts beside one of a pixel: other views, and other lights, read the texel too."""
-
-AGAIN = DENSER**2
-"""How many times as many texels of a surface there are where the lattice is twice as fine, about: 2.2 to 4."""
-
-
-def finer_pays(frame: Frame, pixels: int) -> bool:
-    """Whether finer texels of a ``frame`` cost less than light of their own for so many of its ``pixels``.
-
-    One of either costs about as much: 2.0 and 2.6 ms of a foam, 0.55 and 0.58 ms of a gyroid, and texels serve other
-    views too.
-    """
-    return frame.lacking is not None and AGAIN * len(frame.lacking.texels.places) < pixels
-
-
-def noise_of_climbers(frame: Frame) -> float:
-    """The share of a picture's noise variance that comes from noisy texels, which alone take more samples; from 0 to 1.
-
-    It is 0 for a picture of no texels.
-    """
-    if frame.lacking is None:
-        return 0.0
-    reading = frame.lacking.reading
-    variance = np.where(reading.samples > 0, reading.error.astype(np.float64) ** 2, 0.0)
-    return float(variance[reading.noisy].sum() / max(variance.sum(), 1e-300))
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +93,10 @@ class PictureState:
 class PictureCheck:
     """The check of the picture of one view: what it has ``known`` so far, and what its next step needs besides.
 
-    Pixels of the next attempt are ``growing``, at a ``pace`` of so many seconds a path, None before the first;
-    ``coarse`` says that finer texels are to be shown in this picture's place, which is not asked for once they were
-    ``declined``. After this rung it is expected to take so many paths ``ahead``, None before it was measured. Steps of
-    several threads wait for each other.
+    Pixels of the next attempt are ``growing``; a path of a pixel takes a ``pace`` of so many seconds, None before the
+    first. ``coarse`` says that finer texels are to be shown in this picture's place, which is not asked for once they
+    were ``declined``. What is ``ahead`` is None before the picture was measured. Steps of several threads wait for each
+    other.
     """
 
     light: RotatedLight
@@ -125,7 +106,7 @@ class PictureCheck:
     pace: float | None = None
     coarse: bool = False
     declined: bool = False
-    ahead: float | None = None
+    ahead: Ahead | None = None
     lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
@@ -133,35 +114,36 @@ class PictureCheck:
         """Bytes that it takes."""
         return self.known.nbytes + (self.growing.nbytes if self.growing else 0)
 
-    def step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles, finer: bool) -> bool:
+    def step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles, prices: Prices) -> bool:
         """Come one step nearer to the target from a ``frame`` of this picture; whether there was one to take.
 
-        ``uncertainty`` finds how uncertain the light of each surface point is, (m,); whether there are ``finer``
-        texels that may be asked for. Where another thread took a step since the frame was drawn, that was it. Raises
-        Cancelled.
+        ``uncertainty`` finds how uncertain the light of each surface point is, (m,); ways to the target are weighed at
+        these ``prices``. Where another thread took a step since the frame was drawn, that was it. Raises Cancelled.
         """
         if frame.controls is not self.known.controls or frame.enough != self.known.enough:
             return True
-        taken = frame.surface > 0 and not frame.final and self._step(frame, uncertainty, tiles, finer)
+        taken = frame.surface > 0 and not frame.final and self._step(frame, uncertainty, tiles, prices)
         self.known = replace(self.known, ended=not taken)
         return taken
 
-    def _step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles, finer: bool) -> bool:
+    def _step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles, prices: Prices) -> bool:
         if self.growing is not None:
             return self._grow(self.growing, tiles)
         if self.known.outdated or frame.measured is None:
             return self._begin_rung(frame, uncertainty(), tiles)
-        climbs = self._climbs(frame)
+        climbs = climbs_of(frame, self._rung(frame), self.known.target) if not self.known.attempt else [0.0]
         if not self._decided(frame.measured):
-            self.ahead = more = 2.0 * self.known.paths * frame.measured.controls
-            gained = (1.0 - QUIETER) * noise_of_climbers(frame) * frame.noise**2
-            quiet = frame.measured.high**2 - gained <= self.known.target**2
-            return self._climb(frame) if quiet and more > climbs[1] else self._add_controls(uncertainty(), tiles)
-        rungs, choice = self._cheapest(frame, frame.measured, uncertainty(), climbs)
-        if rungs:
-            return self._climb(frame)
-        self.coarse = finer and not self.declined and finer_pays(frame, len(choice.places))
-        return not self.coarse and self._grow(Growth(choice, self.known.own), tiles)
+            drawn = 2.0 * self.known.paths * frame.measured.controls
+            self.ahead = Ahead(max(self._control_paths(frame.measured, frame.measured.likely) - drawn, drawn), times=1)
+            if self._climbing_decides(frame, frame.measured, climbs):
+                return self._climb(frame)
+            return self._add_controls(frame.measured, uncertainty(), tiles)
+        plan = self._cheapest(frame, frame.measured, uncertainty(), climbs, prices)
+        first, last = 2.0 * self.known.paths * FIRST, self._control_paths(frame.measured, self._aim(frame.measured))
+        self.coarse, self.ahead = plan.finer, plan.ahead(first, last)
+        if plan.rungs:
+            return not plan.finer and self._climb(frame, rungs_at_once(plan.rungs, climbs, first))
+        return self._grow(Growth(plan.choice, self.known.own), tiles)
 
     def decline(self) -> None:
         """Go on without finer texels: there is no memory for them."""
@@ -172,6 +154,12 @@ class PictureCheck:
         most = MOST if measured.likely <= self.known.target else ENOUGH
         return measured.low > self.known.target or measured.controls >= most
 
+    def _climbing_decides(self, frame: Frame, measured: TotalError, climbs: Sequence[float]) -> bool:
+        """Whether a rung would bring the interval below the target, for less than as many controls again cost."""
+        more, gained = 2.0 * self.known.paths * measured.controls, (1.0 - QUIETER) * noise_of_climbers(frame)
+        quiet = measured.high**2 - gained * frame.noise**2 <= self.known.target**2
+        return quiet and len(climbs) > 1 and more > SHARED * climbs[1]
+
     def _begin_rung(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles) -> bool:
         """Draw the first controls of a rung, or of an attempt: as exactly as the picture's noise is worth."""
         known, paths = self.known, paths_for(max(self.known.target, frame.noise))
@@ -179,10 +167,12 @@ class PictureCheck:
         self.known = replace(known, uncertainty=uncertainty, controls=first, drawn=known.enough, paths=paths)
         return True
 
-    def _add_controls(self, uncertainty: np.ndarray, tiles: Tiles) -> bool:
-        """Draw as many controls again as there are."""
+    def _add_controls(self, measured: TotalError, uncertainty: np.ndarray, tiles: Tiles) -> bool:
+        """Draw as many controls again as it takes to decide: at least as many as there are, at most three times."""
         known, before = self.known, len(self.known.controls.places)
-        more = self._draw(uncertainty, before, before, known.paths, tiles)
+        most = MOST if measured.likely <= known.target else ENOUGH
+        wanted = min(controls_to(measured, measured.likely, known.target), most)
+        more = self._draw(uncertainty, before, int(np.clip(wanted - before, before, 3 * before)), known.paths, tiles)
         self.known = replace(known, uncertainty=uncertainty, controls=known.controls.joined(more))
         return True
 
@@ -190,55 +180,48 @@ class PictureCheck:
         """Draw ``count`` controls of so many ``paths`` a half, after those that there were ``before``."""
         attempt = self.known.attempt
         places = draw_places(self.gbuffer, uncertainty, (attempt, before), count)
+        begun = time.perf_counter()
         halves = trace_controls(self.light, self.gbuffer, places, paths, attempt, tiles)
+        self.pace = (time.perf_counter() - begun) / (2.0 * paths * count)
         return ControlPixels(places, 1.0 / (len(uncertainty) * chances(uncertainty)[places]), halves)
 
-    def _climb(self, frame: Frame) -> bool:
-        """Have texels take twice as many samples."""
-        self.known = replace(self.known, enough=next_level(self._rung(frame)))
+    def _climb(self, frame: Frame, rungs: int = 1) -> bool:
+        """Have texels take twice as many samples, for each of so many ``rungs``."""
+        self.known = replace(self.known, enough=next_level(self._rung(frame)) << (rungs - 1))
         return True
 
     def _cheapest(
-        self, frame: Frame, measured: TotalError, uncertainty: np.ndarray, climbs: Sequence[float]
-    ) -> tuple[int, Choice]:
-        """How many rungs texels are to climb until pixels get light of their own, and which pixels then do.
+        self, frame: Frame, measured: TotalError, uncertainty: np.ndarray, climbs: Sequence[float], prices: Prices
+    ) -> Plan:
+        """The plan that costs least at these ``prices`` to what is aimed at: nearer by STRICTER than before, at least.
 
-        They bring the picture to what is aimed at, and nearer by STRICTER at least, with the fewest paths. Pixels with
-        light of their own keep it.
+        By its texels, or by finer ones before any pixel has light of its own. Pixels that have some keep it.
         """
-        known, noise = self.known, noise_of_climbers(frame) * frame.pixel_noise**2
-        aim = min(AIM * STRICTER**known.attempt * known.target, STRICTER * measured.likely)
+        known, noise = self.known, frame.pixel_noise**2
+        variance, aim = variance_of_halves(uncertainty, known.controls), self._aim(measured)
+        own = OwnLight(variance, known.paths, known.own.places, (aim * frame.true_mean) ** 2)
         errors = spread_errors(uncertainty, known.controls, frame.controlled) ** 2
-        variance, allowed = variance_of_halves(uncertainty, known.controls), (aim * frame.true_mean) ** 2
-        noise = np.minimum(noise, errors)
-        choices = [
-            choose(errors - (1.0 - QUIETER**rungs) * noise, variance, known.paths, known.own.places, allowed)
-            for rungs in range(len(climbs))
-        ]
-        totals = [climb + choice.paths for climb, choice in zip(climbs, choices, strict=True)]
-        best = int(np.argmin(totals))
-        self.ahead = totals[best] - (climbs[1] if best else 0.0)
-        return best, choices[best]
+        errors *= max((measured.likely * frame.true_mean) ** 2 / max(float(errors.mean()), 1e-300), 1.0)
+        under = frame.lacking and frame.lacking.texels
+        texels, chunks = (len(under.places), len(under.chunks)) if under else (0, 0)
+        plans = by_rungs(own, errors, np.minimum(noise_of_climbers(frame) * noise, errors), climbs, chunks)
+        if texels and not (known.attempt or self.declined):
+            plans += by_finer(own, errors, noise, texels, chunks, self._rung(frame), known.target)
+        return min(plans, key=lambda plan: plan.cost(prices))
+
+    def _aim(self, measured: TotalError) -> float:
+        """The relative error that the next attempt is to leave."""
+        return min(AIM * STRICTER**self.known.attempt * self.known.target, STRICTER * measured.likely)
+
+    def _control_paths(self, measured: TotalError, likely: float) -> float:
+        """Paths of all controls that it takes to say that the target is met by a picture with a ``likely`` error."""
+        return 2.0 * self.known.paths * controls_to(measured, likely, self.known.target)
 
     def _rung(self, frame: Frame) -> int:
         """The samples that all texels of a ``frame`` have that are not good enough with fewer."""
         samples = frame.lacking.reading.samples if frame.lacking else np.empty(0, np.int32)
         lit = samples[samples > 0]
         return max(self.known.enough, int(lit.min()) if len(lit) else 0)
-
-    def _climbs(self, frame: Frame) -> list[float]:
-        """What it costs that its texels climb no rung, one, two, and so on to the last, in paths of pixels.
-
-        The list ends with what is impossible: none climbs once pixels have light of their own.
-        """
-        if self.known.attempt or frame.lacking is None:
-            return [0.0, math.inf]
-        reading = frame.lacking.reading
-        samples = reading.samples[reading.noisy].astype(np.float64)
-        rung, paths = self._rung(frame), [0.0]
-        while (rung := next_level(rung)) <= most_samples(self.known.target) and len(samples):
-            paths.append(SHARED * float(np.maximum(rung - samples, 0.0).sum()))
-        return [*paths, math.inf]
 
     def _grow(self, growth: Growth, tiles: Tiles) -> bool:
         """Trace further paths from the points of a ``growth``; they are shown, and controls drawn anew, once that will

@@ -14,6 +14,7 @@ from isogi_core.errors import NoRoomError
 from isogi_core.frame.eye_glow import EyeGlow
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.several.edges import smooth_surfaces
 from isogi_core.frame.several.mixing import Level
 from isogi_core.frame.several.peels import Peeler, Peels, first_of, layers_of, walls_of
@@ -45,7 +46,7 @@ class SideRenderer(Protocol):
     def draw_walls(self, gbuffer: GBuffer, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of the walls alone in a G-buffer."""
 
-    def refine_frame(self, frame: Frame, target: float, tiles: Tiles, finer: bool) -> bool:
+    def refine_frame(self, frame: Frame, target: float, tiles: Tiles, prices: Prices) -> bool:
         """Bring a frame a step nearer to the target; whether there was one."""
 
 
@@ -123,19 +124,18 @@ class Composer:
         """All that a view shows, layer behind layer. Raises Cancelled."""
         return self._kept.get((Peels, surface_key(view)), lambda: self._peels(view, tiles))
 
-    def refine(self, view: View, target: float, tiles: Tiles) -> bool:
+    def refine(self, view: View, target: float, tiles: Tiles, prices: Prices) -> bool:
         """Bring the picture of a view whose light is final a step nearer to the ``target``; whether there was one.
 
-        The side that errs most, as far as is known, comes first.
+        The side that errs most, as far as is known, comes first. Sides have no finer texels, whatever the ``prices``.
         """
         frame = self.draw(view, Until(target, FIRST_LEVEL), tiles, Stopwatch())
         if not frame.refinable:
             return False
         waiting = [part for part in frame.parts if part.frame.checkable and (frame.checkable or part.side == WALLS)]
         waiting.sort(key=wrong_of, reverse=True)
-        return any(
-            self.renderer(part.side, view.isovalue).refine_frame(part.frame, target, tiles, False) for part in waiting
-        )
+        own, at = (self.renderer(part.side, view.isovalue) for part in waiting), prices.of_present
+        return any(each.refine_frame(part.frame, target, tiles, at) for each, part in zip(own, waiting, strict=True))
 
     def renderer(self, side: Side, shown: float) -> SideRenderer:
         """The renderer of a ``side``, or of WALLS, where the surface that slides shows the isovalue ``shown``."""

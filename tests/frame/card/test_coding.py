@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from isogi_core.frame import texel_reading
 from isogi_core.frame.card.blocks import CODES, FLAT, coarse, words_of
 from isogi_core.frame.card.chunk_light import coded_chunks, raw_scale, seen_chunks, transfer_chunks
 from isogi_core.frame.card.coded_picture import ControlPictures, draw_coded
@@ -24,6 +25,12 @@ RNG = np.random.default_rng(3)
 def coding_of(bench: Workbench, error: float) -> Coding:
     spec = bench.caches.spec("gi")
     return coding_for(spec, raw_scale(spec), error)
+
+
+@pytest.fixture
+def unfiltered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No light is so grainy that it is filtered."""
+    monkeypatch.setattr(texel_reading, "GRAIN", 1e9)
 
 
 @pytest.fixture
@@ -56,6 +63,7 @@ def test_codes_are_whole_numbers_that_two_bytes_hold() -> None:
     np.testing.assert_array_equal(coding.numbers(codes)[:, [0, 2]], [[1.0, 0.0], [-1.5, 0.0]])
 
 
+@pytest.mark.usefixtures("unfiltered")
 def test_blocks_in_few_bits_hold_the_transfer(colours: Workbench) -> None:
     bench, view = colours, colours.view(size=40)
     tiles, coding = bench.renderer.tiles, coding_of(bench, 0.01)
@@ -92,6 +100,7 @@ def test_normals_in_few_bits_stay_near_and_codes_as_they_are() -> None:
         np.testing.assert_array_equal(coarse(part, kept), part)
 
 
+@pytest.mark.usefixtures("unfiltered")
 @pytest.mark.parametrize("name", ["colours", "irradiance", "constant"])
 def test_pictures_of_fine_codes_are_isogis(workbench: Make, name: str) -> None:
     bench = bench_of(workbench, name)

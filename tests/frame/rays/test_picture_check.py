@@ -23,7 +23,8 @@ from isogi_core.frame.rays.control_pixels import (
     draw_places,
     measure_total,
 )
-from isogi_core.frame.rays.picture_check import PictureCheck, PictureState, noise_of_climbers
+from isogi_core.frame.rays.picture_check import PictureCheck, PictureState
+from isogi_core.frame.rays.picture_plan import KEPT, PRESENT, noise_of_climbers
 from isogi_core.frame.texel_reading import Reading, grade_rows
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.sky import LUMINANCE
@@ -122,9 +123,12 @@ def test_a_picture_reaches_its_target_by_light_of_its_pixels(coarse: Workbench) 
 
 
 def climbed(bench: Workbench, view: View, target: float) -> list[Frame]:
-    """The frames of a view whose texels take as many samples as its check asks for, step by step to the end."""
+    """The frames of a view whose texels take as many samples as its check asks for, step by step to the end.
+
+    A rung costs its paths alone: of small pictures the tasks would cost more.
+    """
     frames = [baked_so_far(bench, view, target)]
-    while bench.renderer.refine(view, target):
+    while bench.renderer.refine(view, target, prices=KEPT):
         frames.append(baked_so_far(bench, view, target))
     return frames
 
@@ -188,7 +192,7 @@ def test_a_rung_is_for_noise_that_it_takes_away(monkeypatch: pytest.MonkeyPatch,
     frame: Any = SimpleNamespace(lacking=SimpleNamespace(reading=reading), noise=0.02, measured=total, surface=9)
     frame.controls, frame.enough, frame.final = state.controls, state.enough, False
     unused: Any = None
-    PictureCheck(unused, unused, state).step(frame, lambda: np.empty(0), unused, finer=False)
+    PictureCheck(unused, unused, state).step(frame, lambda: np.empty(0), unused, PRESENT)
     assert taken == [step]
 
 
@@ -206,7 +210,7 @@ def test_controls_of_a_rung_tell_of_the_next_one_first(workbench: Make) -> None:
     view, target = bench.view(size=32), 0.015
     frame = baked_so_far(bench, view, target)
     while frame.enough == FIRST_LEVEL:
-        assert bench.renderer.refine(view, target)
+        assert bench.renderer.refine(view, target, prices=KEPT)
         frame = bench.renderer.render(view, target)
     assert frame.outdated and frame.measured is not None and frame.demands and not frame.final
     above = baked_so_far(bench, view, target)
@@ -242,7 +246,7 @@ def test_a_frame_that_others_have_overtaken_takes_no_step(coarse: Workbench) -> 
     while (frame := renderer.render(view)).refinable and len(seen) < 6:
         seen.append(frame.total.controls)
         for _ in range(2):
-            assert renderer.refine_frame(frame, TARGET, renderer.tiles, False)
+            assert renderer.refine_frame(frame, TARGET, renderer.tiles, PRESENT)
     assert seen[:2] == [0, FIRST], "the second step waits for a frame that shows the first"
     one, other = checked(bench, view), checked(coarse, view)
     assert (one.version, one.total) == (other.version, other.total)
@@ -267,7 +271,7 @@ def test_no_controls_for_what_moves_or_is_shaded_locally(coarse: Workbench) -> N
 def test_each_pixel_tells_its_whole_error(coarse: Workbench) -> None:
     """Controls spread what they measure over the picture: in the mean as much as there is, and most where most is."""
     view = coarse.view(azimuth=70.0, size=48)
-    lit = coarse.bake(view, TARGET / 2)  # so that noise, which is anywhere, is little of it
+    lit = coarse.bake(view, TARGET / 4)  # so that noise, which is anywhere, is little of it
     assert (lit.total_error >= lit.error).all() and lit.total_error.max() <= 1.0
     coarse.renderer.refine(view)
     frame = coarse.renderer.render(view)

@@ -11,6 +11,7 @@ from isogi_core.errors import ViewError
 from isogi_core.frame.entry_kernels import SHINE, frame_kernels
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.picture_plan import PRESENT
 from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.frame.rays.shine import cast_rays, paths_from
 from isogi_core.model.shine import DULL, Shine
@@ -70,7 +71,7 @@ def test_frames_that_others_have_overtaken_cast_no_rays(polished: Workbench) -> 
     renderer.forget_views()
     while (frame := renderer.render(view)).refinable:
         for _ in range(2):
-            renderer.refine_frame(frame, renderer.prepared.scene.target_error, renderer.tiles, False)
+            renderer.refine_frame(frame, renderer.prepared.scene.target_error, renderer.tiles, PRESENT)
     assert (frame.version, frame.total) == (alone.version, alone.total)
 
 

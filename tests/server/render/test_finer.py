@@ -8,7 +8,7 @@ import pytest
 
 from isogi_core.cache.upkeep.census import census_of
 from isogi_core.errors import NoRoomError
-from isogi_core.frame.rays import picture_check
+from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
@@ -16,7 +16,7 @@ from isogi_core.plan.finer import finer
 from isogi_core.plan.scene import Scene
 from server.api.headers import refined_header
 from server.render.engine import RenderEngine
-from tests.server.inline import LONG, InlinePool
+from tests.server.inline import LONG, InlinePool, weigh_at
 from tests.server.inline import view_of as small_view_of
 from worker import pool
 from worker.bake_requests import GUEST
@@ -29,9 +29,14 @@ def view_of(scene: Scene) -> View:
     return replace(small_view_of(scene), width=128, height=128)
 
 
+FREE = Prices(0.0, 0.0)
+
+
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers of this process, and no price for opening finer texels: small pictures would not pay it."""
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+    weigh_at(FREE, monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +70,7 @@ def test_a_view_that_asks_for_finer_texels_has_them(engine: RenderEngine, scene:
 def test_what_is_coming_is_asked_for_and_not_shown(engine: RenderEngine, scene: Scene) -> None:
     view, target = view_of(scene), scene.target_error
     while (frame := engine.survey(scene.id, view, target)).finer is None:
-        engine.frame(scene.id, view, wait=0.01)
+        assert not engine.frame(scene.id, view, wait=0.01).final
     bake, stage = engine.lacking(scene.id, frame)
     demands = stage.demands
     assert bake != scene.id and demands == frame.finer.stages[0].demands != ()
@@ -91,7 +96,7 @@ def test_without_room_for_them_pixels_get_light_of_their_own(
 def test_where_few_pixels_err_they_get_light_of_their_own(
     engine: RenderEngine, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(picture_check, "AGAIN", 10**6)
+    weigh_at(FREE.of_present, monkeypatch)
     frame = engine.frame(scene.id, view_of(scene), wait=LONG)
     assert frame.final and frame.fineness == 0 and frame.own > 0
     assert not engine.lacking(scene.id, frame)[1].demands

@@ -36,14 +36,20 @@ def engine(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
 
 
 def test_a_path_takes_as_long_as_those_of_texels_at_first() -> None:
-    left = time_of_paths(PathsLeft(1000.0), Cost(seconds=2.0, paths=400), threads=2)
+    left = time_of_paths(PathsLeft(600.0, 400.0), Cost(seconds=2.0, paths=400), 2, {})
     assert left.likely == pytest.approx(1000.0 * 2.0 / 400 / 2) and left.low < left.likely < left.high
 
 
 def test_a_path_takes_as_long_as_the_pixels_last_ones() -> None:
-    left = time_of_paths(PathsLeft(1000.0, 0.01), Cost(seconds=2.0, paths=400), threads=2)
+    left = time_of_paths(PathsLeft(1000.0, pace=0.01), Cost(seconds=2.0, paths=400), 2, {})
     assert left.likely == pytest.approx(10.0)
-    assert left.high < time_of_paths(PathsLeft(4000.0), Cost(2.0, 400), 2).high
+    assert left.high < time_of_paths(PathsLeft(4000.0), Cost(2.0, 400), 2, {}).high
+
+
+def test_each_drawing_of_the_picture_takes_its_time() -> None:
+    drawing = {"primary": 0.25, "shade": 0.5, "bake": 9.0, "queue": 9.0}
+    left = time_of_paths(PathsLeft(100.0, times=3, pace=0.01), Cost(), 2, drawing)
+    assert left.likely == pytest.approx(1.0 + 3 * 0.75)
 
 
 def test_a_time_left_never_leaps_up() -> None:
@@ -73,7 +79,7 @@ def test_a_picture_tells_the_time_until_its_pixels_have_light(engine: RenderEngi
         assert engine.check(scene.id, view, target)
         check = checks.held(view, target)
         if check is not None and check.growing:
-            told.append((checks.left(frame, target).paths, engine.time_left(scene.id, frame, target)))
+            told.append((checks.left(frame, target).pixels, engine.time_left(scene.id, frame, target)))
     assert len(told) > 1 and told[0][0] > told[-1][0] > 0.0
     assert all(left is not None and left.likely > 0.0 for _, left in told)
     assert engine.time_left(scene.id, frame, target) == TimeLeft(0.0, 0.0, 0.0)
@@ -84,5 +90,5 @@ def test_paths_are_foreseen_before_light_is_final(engine: RenderEngine, scene: S
     engine.frame(scene.id, view, max_error=0.5, wait=LONG)
     frame = engine.survey(scene.id, view, target)
     left = engine.renderer(scene.id).checks.left
-    least = left(frame, target).paths
-    assert left(replace(frame, expected=2.0 * target), target).paths > least
+    least = left(frame, target).pixels
+    assert left(replace(frame, expected=2.0 * target), target).pixels > least
