@@ -11,7 +11,7 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import ENOUGH, paths_for
 from isogi_core.frame.rays.own_light import foreseen_paths
 from isogi_core.frame.rays.picture_check import PictureCheck, PictureState
-from isogi_core.frame.rays.picture_plan import rungs_above
+from isogi_core.frame.rays.picture_plan import AWAITED, rungs_above
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.view_keys import check_key, is_checked
 from isogi_core.lru_cache import LruCache
@@ -84,4 +84,4 @@ def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:
         noise = (effort / rung) ** (1.0 / RATE) / FILTERED
         own = foreseen_paths(points, math.hypot(noise, frame.expected), target, PIXELS * effort)
         ways.append(PathsLeft(own + controls, float(rung - FIRST_LEVEL) * len(reading.samples), times))
-    return min(ways, key=lambda way: way.pixels + way.texels)
+    return min(ways, key=lambda way: way.pixels + AWAITED.path * way.texels)

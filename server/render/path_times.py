@@ -5,6 +5,7 @@ from collections import OrderedDict
 from collections.abc import Hashable, Mapping
 
 from isogi_core.cache.costs import Cost
+from isogi_core.frame.rays.picture_plan import HEAVIER
 from isogi_core.frame.view_checks import PathsLeft
 from worker.progress import PRIOR, UNKNOWN, TimeLeft, log_normal_ratios
 
@@ -15,11 +16,11 @@ WAITS = ("queue", "bake", "check", "demand")
 def time_of_paths(left: PathsLeft, spent: Cost, threads: int, drawing: Mapping[str, float]) -> TimeLeft:
     """The time for the paths that are ``left``, on so many ``threads``, and for ``drawing`` by its stages' seconds.
 
-    Before the first path of a pixel one takes as long as those of texels, for which so much was ``spent``.
+    Before the first path of a pixel one takes a share of a texel's, for all of which so much was ``spent``.
     """
     each = spent.seconds / max(spent.paths, 1) / threads
     once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITS)
-    work = left.texels * each + left.pixels * (left.pace or each) + left.times * once
+    work = left.texels * each + left.pixels * (left.pace or each / HEAVIER) + left.times * once
     return TimeLeft.of(work, PRIOR if left.pace is None else log_normal_ratios(UNKNOWN))
 
 

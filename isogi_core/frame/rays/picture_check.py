@@ -34,7 +34,6 @@ from isogi_core.frame.rays.control_pixels import (
 from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Growth, PixelLight
 from isogi_core.frame.rays.picture_plan import (
     QUIETER,
-    SHARED,
     Ahead,
     OwnLight,
     Plan,
@@ -135,7 +134,7 @@ class PictureCheck:
         if not self._decided(frame.measured):
             drawn = 2.0 * self.known.paths * frame.measured.controls
             self.ahead = Ahead(max(self._control_paths(frame.measured, frame.measured.likely) - drawn, drawn), times=1)
-            if self._climbing_decides(frame, frame.measured, climbs):
+            if self._climbing_decides(frame, frame.measured, [prices.path * each for each in climbs]):
                 return self._climb(frame)
             return self._add_controls(frame.measured, uncertainty(), tiles)
         plan = self._cheapest(frame, frame.measured, uncertainty(), climbs, prices)
@@ -155,10 +154,13 @@ class PictureCheck:
         return measured.low > self.known.target or measured.controls >= most
 
     def _climbing_decides(self, frame: Frame, measured: TotalError, climbs: Sequence[float]) -> bool:
-        """Whether a rung would bring the interval below the target, for less than as many controls again cost."""
+        """Whether a rung would bring the interval below the target, for less than as many controls again cost.
+
+        ``climbs`` are what texels cost, in paths of pixels.
+        """
         more, gained = 2.0 * self.known.paths * measured.controls, (1.0 - QUIETER) * noise_of_climbers(frame)
         quiet = measured.high**2 - gained * frame.noise**2 <= self.known.target**2
-        return quiet and len(climbs) > 1 and more > SHARED * climbs[1]
+        return quiet and len(climbs) > 1 and more > climbs[1]
 
     def _begin_rung(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles) -> bool:
         """Draw the first controls of a rung, or of an attempt: as exactly as the picture's noise is worth."""

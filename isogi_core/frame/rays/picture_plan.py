@@ -24,7 +24,10 @@ CLOSER = DENSER**-2
 """What finer texels leave of a picture's squared error besides its noise: 0.11 to 0.44."""
 
 SHARED = 0.25
-"""What a path of a texel counts beside one of a pixel: other views, and other lights, read the texel too."""
+"""The share of a texel's paths that counts: other views, and other lights, read the texel too."""
+
+HEAVIER = 3.0
+"""What a path of a texel takes over one of a pixel, in time: 2.5 to 4.5, as it branches, and is saved and read."""
 
 TASK = float(1 << 14)
 """What a chunk's rung counts beside its paths, in paths of pixels: 8 ms of a worker, see ``worker.progress``."""
@@ -34,11 +37,12 @@ OPENING = float(1 << 22)
 
 
 class Prices(NamedTuple):
-    """What texels count beside their paths, in paths of pixels: each ``task``, and ``opening`` finer ones.
+    """What texels count, in paths of pixels: each ``path``, each ``task``, and ``opening`` finer ones.
 
     By default those of a picture somebody waits for.
     """
 
+    path: float = SHARED * HEAVIER
     task: float = TASK
     opening: float = OPENING
 
@@ -54,7 +58,7 @@ AWAITED = Prices()
 PRESENT = AWAITED.of_present
 """Prices of such a picture where there are no finer texels."""
 
-KEPT = Prices(0.0).of_present
+KEPT = Prices(SHARED, 0.0).of_present
 """Prices of a picture that stands for others, of any size: they all read its texels, and none its pixels' light."""
 
 AGAIN = DENSER**2
@@ -77,7 +81,7 @@ class Plan:
 
     def cost(self, prices: Prices) -> float:
         """What it takes at these ``prices``, in paths of pixels."""
-        work = prices.task * self.tasks + SHARED * self.texel_paths + self.choice.paths
+        work = prices.task * self.tasks + prices.path * self.texel_paths + self.choice.paths
         return work + prices.opening if self.finer else work
 
     def ahead(self, first: float, last: float) -> "Ahead":

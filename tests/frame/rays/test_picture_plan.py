@@ -11,6 +11,7 @@ from isogi_core.frame.rays.picture_plan import (
     AGAIN,
     AWAITED,
     CLOSER,
+    HEAVIER,
     QUIETER,
     SHARED,
     TASK,
@@ -81,7 +82,7 @@ class OwnLightSeen(OwnLight):
 def test_what_is_ahead_leaves_out_what_begins_now() -> None:
     own = own_light(0.05**2)
     plan = by_rungs(own, np.full(PIXELS, 0.2), np.full(PIXELS, 0.1), [0.0, 10.0, 30.0], 5)[2]
-    assert plan.cost(AWAITED) == 10 * TASK + SHARED * 30.0 + plan.choice.paths
+    assert plan.cost(AWAITED) == 10 * TASK + SHARED * HEAVIER * 30.0 + plan.choice.paths
     assert plan.ahead(5.0, 100.0) == Ahead(plan.choice.paths + 110.0, 20.0, 3)
     now = by_rungs(own, np.full(PIXELS, 0.2), np.full(PIXELS, 0.1), [0.0], 5)[0]
     assert now.ahead(5.0, 100.0) == Ahead(100.0, 0.0, 1)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from isogi_core.cache.costs import Cost
+from isogi_core.frame.rays.picture_plan import HEAVIER
 from isogi_core.frame.view_checks import PathsLeft
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
@@ -35,15 +36,15 @@ def engine(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
     engine.close()
 
 
-def test_a_path_takes_as_long_as_those_of_texels_at_first() -> None:
-    left = time_of_paths(PathsLeft(600.0, 400.0), Cost(seconds=2.0, paths=400), 2, {})
+def test_a_path_takes_a_share_of_those_of_texels_at_first() -> None:
+    left = time_of_paths(PathsLeft(600.0 * HEAVIER, 400.0), Cost(seconds=2.0, paths=400), 2, {})
     assert left.likely == pytest.approx(1000.0 * 2.0 / 400 / 2) and left.low < left.likely < left.high
 
 
 def test_a_path_takes_as_long_as_the_pixels_last_ones() -> None:
     left = time_of_paths(PathsLeft(1000.0, pace=0.01), Cost(seconds=2.0, paths=400), 2, {})
     assert left.likely == pytest.approx(10.0)
-    assert left.high < time_of_paths(PathsLeft(4000.0), Cost(2.0, 400), 2, {}).high
+    assert left.high < time_of_paths(PathsLeft(4000.0 * HEAVIER), Cost(2.0, 400), 2, {}).high
 
 
 def test_each_drawing_of_the_picture_takes_its_time() -> None:
