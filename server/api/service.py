@@ -16,12 +16,13 @@ from fastapi import Depends, Request
 from fastapi.requests import HTTPConnection
 
 from isogi_core.bake.bake_spec import SPECS
-from isogi_core.errors import NoRoomError, StoreError
+from isogi_core.errors import IsogiError, NoRoomError, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
+from server.answers import scene_schema
 from server.api.render_threads import RenderThreads
 from server.api.shown import PictureRequest, Shown, Wait
 from server.api.startup import Startup, within
@@ -88,11 +89,17 @@ class Service:
     async def start(self) -> None:
         """Start the engine, and what comes with it: see ``startup``."""
         self.updates = UpdateBus()
-        await self.startup.run(self._open)
+        await self.startup.run(self._open, self._survey)
 
     def _open(self) -> None:
         self.uploads.open()
         self.engine.listen(self.updates.publish)
+
+    def _survey(self) -> None:
+        """Work out what the documents of scenes say, so that the first visitor does not wait for it."""
+        for scene in list(self.engine.scenes.values()):
+            with suppress(IsogiError):
+                scene_schema(self.planned(scene))
 
     async def close(self) -> None:
         """Drop waiting work and close the engine, once its start has ended."""

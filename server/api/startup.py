@@ -30,8 +30,11 @@ class Startup:
         self.failure: Exception | None = None
         self._compiling: asyncio.Task[None] | None = None
 
-    async def run(self, prepare: Callable[[], None]) -> None:
-        """Open the engine, and ``prepare`` what comes with it. Kernels that must be compiled come after that."""
+    async def run(self, prepare: Callable[[], None], survey: Callable[[], None]) -> None:
+        """Open the engine, and ``prepare`` what comes with it.
+
+        Kernels that must be compiled come after that, and then a ``survey`` of what visitors will ask for.
+        """
         try:
             await asyncio.to_thread(self._engine.open)
             await asyncio.to_thread(prepare)
@@ -39,7 +42,7 @@ class Startup:
                 await self._light()
         except Exception as error:
             self.failure = error
-        self._compiling = asyncio.create_task(self._compile())
+        self._compiling = asyncio.create_task(self._compile(survey))
         self.settled.set()
 
     async def close(self) -> None:
@@ -82,11 +85,12 @@ class Startup:
         await asyncio.to_thread(self._engine.light)
         self.lit.set()
 
-    async def _compile(self) -> None:
-        """Have kernels of light compiled, and then those that no scene needs by itself, beside all else."""
+    async def _compile(self, survey: Callable[[], None]) -> None:
+        """Have kernels of light compiled, ``survey``, and then compile those that no scene needs by itself."""
         try:
             if not (self.failure or self.lit.is_set()):
                 await self._light()
+            await asyncio.to_thread(survey)
             await asyncio.to_thread(self._engine.kernels.others)
         except Exception as error:
             self.failure = error

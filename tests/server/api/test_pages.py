@@ -1,5 +1,6 @@
 """The pages for people, over a real socket."""
 
+import posixpath
 import re
 
 import httpx
@@ -15,6 +16,20 @@ def test_the_viewer_and_its_files(live_server: str) -> None:
     assert files
     for file in files:
         assert httpx.get(f"{live_server}/{file}").status_code == 200, file
+
+
+def test_the_viewer_names_its_modules_at_once(live_server: str) -> None:
+    """A browser would find them one import after the other."""
+    named = re.findall(r"<(web/[^>]+)>; rel=modulepreload", httpx.get(f"{live_server}/").headers["link"])
+    found, coming = {"web/main.js"}, ["web/main.js"]
+    while coming:
+        module = coming.pop()
+        text = httpx.get(f"{live_server}/{module}").raise_for_status().text
+        imports = re.findall(r'^(?:import|export|\}).* from "(\.[^"]+)"', text, re.MULTILINE)
+        new = {posixpath.normpath(posixpath.join(posixpath.dirname(module), each)) for each in imports} - found
+        found |= new
+        coming += new
+    assert len(found) > 20 and sorted(found) == named
 
 
 @pytest.mark.parametrize("path", ["/web/../pyproject.toml", "/web/%2e%2e/pyproject.toml", "/web/none.js", "/nothing"])
