@@ -21,6 +21,7 @@ import { ErrorPanel } from "./panels/error.js";
 import { attachHistogram } from "./panels/histogram.js";
 import { attachKnobs } from "./panels/knobs.js";
 import { attachLight } from "./panels/light.js";
+import { Player } from "./panels/player.js";
 import { PointCard } from "./panels/point.js";
 import { Reading, attachMeasures, attachSize } from "./panels/reading.js";
 import { attachPresets } from "./panels/presets.js";
@@ -102,6 +103,7 @@ function assemble(scene, knobs, trouble) {
   const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), keys };
   const form = $("controls");
   attachKnobs(form, scene, view, shown);
+  new Player($("play", HTMLButtonElement), scene, view, shown);
   attachHistogram(form, scene, view, say);
   attachPresets($("presets"), scene, view);
   attachLabels($("colour-scale"), scene, view);
