@@ -3,6 +3,7 @@
 import { Card } from "./card/card.js";
 import { find } from "./dom.js";
 import { Live } from "./live/live.js";
+import { Player } from "./live/player.js";
 import { complaints, followAddress, readAddress } from "./net/address.js";
 import { listScenes, openStream, readBlocks, readCard, readCardBytes, readChunks, readFrame, readLight, readPoint, readReadiness, readScene, readSize, readSlice, readSurfacePoint } from "./net/api.js";
 import { CompilingLine } from "./net/compiling.js";
@@ -21,7 +22,6 @@ import { ErrorPanel } from "./panels/error.js";
 import { attachHistogram } from "./panels/histogram.js";
 import { attachKnobs } from "./panels/knobs.js";
 import { attachLight } from "./panels/light.js";
-import { Player } from "./panels/player.js";
 import { PointCard } from "./panels/point.js";
 import { Reading, attachMeasures, attachSize } from "./panels/reading.js";
 import { attachPresets } from "./panels/presets.js";
