@@ -95,7 +95,7 @@ def open_dicom(source: Source) -> Grid:
     notes = (*notes, *((COLOURS,) if coloured else slices[0].packing.notes))
     stamp = partial(_stamp, source, files)
     placed = "its slices' positions" if affine is not None else "its slices' numbers"
-    known = slices[0].packing.read_as("a DICOM segmentation" if segmented else "DICOM", placed)
+    known = slices[0].packing.read_as("DICOM segmentation" if segmented else "DICOM", placed)
     if len(packings) > 1:
         known = read_as("DICOM, each slice of a slope of its own,", slices[0].packing.stored, placed)
     unit = "mm" if stack.measured else ""

@@ -106,7 +106,7 @@ def test_frames_of_segments_become_labels(tmp_path: Path, kind: str, frames: Any
             assert straight.dtype == np.uint16 and grid.unit == "mm" and not grid.notes
             assert grid.labels is not None
             assert [(each.value, each.name) for each in grid.labels][:2] == [(1, "Liver"), (3, "Hepatic vein")]
-            assert grid.read_as.startswith("a DICOM segmentation of uint16; placed by")
+            assert grid.read_as.startswith("DICOM segmentation of uint16; placed by")
             at = straight.affine.array @ [0.0, 0.0, 0.0, 1.0]  # type: ignore[union-attr]
             np.testing.assert_allclose(at, (affine() @ (0, 0, 2, 1))[:3], atol=1e-4)
 
