@@ -3,6 +3,7 @@
 import { Card } from "./card/card.js";
 import { find } from "./dom.js";
 import { Live } from "./live/live.js";
+import { Player } from "./live/player.js";
 import { complaints, followAddress, readAddress } from "./net/address.js";
 import { listScenes, openStream, readBlocks, readCard, readCardBytes, readChunks, readFrame, readLight, readPoint, readReadiness, readScene, readSize, readSlice, readSurfacePoint } from "./net/api.js";
 import { CompilingLine } from "./net/compiling.js";
@@ -102,6 +103,7 @@ function assemble(scene, knobs, trouble) {
   const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), keys };
   const form = $("controls");
   attachKnobs(form, scene, view, shown);
+  new Player($("play", HTMLButtonElement), scene, view, shown);
   attachHistogram(form, scene, view, say);
   attachPresets($("presets"), scene, view);
   attachLabels($("colour-scale"), scene, view);

@@ -189,7 +189,7 @@ def _chosen(source: Source, header: Header, kind: str, length: int, key: str) ->
     if key == "number" and RGB.get(kind) == length and "channel" not in source.chosen:
         return {key: None, "notes": (COLOURS,)}
     if segments_of(header) and "channel" not in source.chosen:
-        others = f"channel = 1 to {length - 1} chooses another"
+        others = f"channel = 1 to {length - 1} chooses another" if length > 2 else "channel = 1 chooses the other"
         return {key: 0, "notes": (f"The segmentation has {length} layers: the first is shown, and {others}.",)}
     return {key: pick(source, "channel", length, "channels")}
 

@@ -61,6 +61,11 @@ class Resolution:
     axes: tuple[Axis, ...] = ()
     matrix: np.ndarray | None = None
 
+    @property
+    def shifted(self) -> bool:
+        """Whether the array's first voxel lies elsewhere than at the origin."""
+        return self.matrix is not None and bool(self.matrix[:, -1].any())
+
 
 def ome_of(attributes: Mapping[str, Any]) -> Mapping[str, Any]:
     """The metadata among a group's attributes."""

@@ -119,6 +119,7 @@ def _resampled(grid: Grid, rotation: np.ndarray, skewed: np.ndarray) -> Grid:
         slabs=slabs,
         affine=affine,
         notes=(*grid.notes, note),
+        labels=None,  # between two labels is neither
     )
 
 

@@ -12,6 +12,7 @@ import zarr
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.grid import ALONE, MAX_VOXELS, Affine, Grid, LabelName, Region, Shape, Vector, layers_of
+from isogi_core.files.mappings import budget
 from isogi_core.files.ome import (
     SPACE,
     Axis,
@@ -33,6 +34,11 @@ MOST_CHUNKS = 1 << 22
 
 MAX_CHUNK = 1 << 30
 """Most bytes of one chunk, as it must be in memory as a whole."""
+
+PICTURE = 4096
+"""Voxels along an image's longest side that the largest picture of all of it shows, one a pixel."""
+
+SHIFTED = "It says no translation: where its voxels are means of finer ones, surfaces lie up to half a voxel off."
 
 ORDERS = {3: "zyx", 4: "czyx", 5: "tczyx"}
 """Assumed names of axes without names, by their number."""
@@ -69,14 +75,14 @@ def open_zarr(
     """Open a Zarr array, or a resolution of an OME-Zarr image, as a grid; only metadata is read now.
 
     ``path``, a folder or a URL, is the array or the image, or an array inside one (``brain.zarr/2``). ``level`` 0 is
-    the finest resolution; the default is the finest that is not too large. ``channel`` and ``time`` choose along these
-    axes, and of a ``region`` no other chunks are read. Spacing is the scale of the
+    the finest resolution; the default is the finest that memory and pictures have room for. ``channel`` and ``time``
+    choose along these axes, and of a ``region`` no other chunks are read. Spacing is the scale of the
     image, in the unit of x, else 1. Raises VolumeError where there is no such array, where it has other axes of more
     than one element or its codecs are not to be had, and for links that lead out of the folder; the slabs do where
     chunks are damaged.
     """
     found = find_array(path, level)
-    found = _not_too_large(path, found, region) if level is None else found
+    found = _fitting(path, found) if level is None and region is None else found
     array, chosen = found.array, {"c": channel, "t": time}
     picks = [slice(None) if axis.name in SPACE else _pick(path, found, n, chosen) for n, axis in enumerate(found.axes)]
     _check(path, found, region)
@@ -104,24 +110,39 @@ def within(picks: list[Any], order: tuple[int, ...], region: Region) -> tuple[An
     return tuple(slice(*inside[n]) if n in inside else pick for n, pick in enumerate(picks))
 
 
-def _not_too_large(path: Path | str, found: FoundArray, region: Region | None) -> FoundArray:
-    """The finest resolution of an image that is not too large, with a note where it is not the finest of all."""
+def _fitting(path: Path | str, found: FoundArray) -> FoundArray:
+    """The finest resolution of an image that fits into the memory budget and that a picture can show, with a note where
+    it is not the finest of all; the coarsest where none fits.
+    """
     level = 0
-    while region is None and level + 1 < found.levels and _voxels(found, None) > MAX_VOXELS:
-        level += 1
-        found = find_array(path, level)
+    while level + 1 < found.levels and (_too_large(found) or max(_sides(found)) >= PICTURE):
+        coarser = find_array(path, level + 1)
+        if not _too_large(found) and max(_sides(coarser)) < PICTURE:
+            break
+        level, found = level + 1, coarser
     if not level:
         return found
-    finer = f"level = {level - 1} with a region shows a part of a finer one"
-    note = f"Level {level} of 0 to {found.levels - 1} is shown, as finer ones have too many voxels: {finer}."
-    return replace(found, notes=(*found.notes, note))
+    lies = "" if found.given is None or found.given.shifted else SHIFTED
+    more = f"level = {level - 1} in the scene shows a finer one, or region a part of it"
+    note = f"Level {level} of 0 to {found.levels - 1} is shown, as fine as memory and pictures have room for: {more}."
+    return replace(found, notes=(*found.notes, note, *((lies,) if lies else ())))
+
+
+def _too_large(found: FoundArray) -> bool:
+    """Whether the voxels of an array take more than the memory budget."""
+    return _voxels(found, None) * np.dtype(np.float32).itemsize > budget()
+
+
+def _sides(found: FoundArray) -> list[int]:
+    """Voxels of the field along its axes in space."""
+    return [n for axis, n in zip(found.axes, found.array.shape, strict=True) if axis.name in SPACE]
 
 
 def _voxels(found: FoundArray, region: Region | None) -> int:
     """Voxels of the field in an array, or of a region of it."""
     if region is not None:
         return math.prod(high - low for low, high in region)
-    return math.prod(n for axis, n in zip(found.axes, found.array.shape, strict=True) if axis.name in SPACE)
+    return math.prod(_sides(found))
 
 
 def _chunks(found: FoundArray, region: Region | None) -> int:

@@ -23,6 +23,9 @@ SPECKS = 0.003
 """Share of the surface's pixels that may be outside at each side: noise afar does not push the camera away."""
 
 
+FEW = 9
+"""Pixels of a surface, at least, that tell how large it is: of one the camera would be at no distance."""
+
 SHALLOW = 0.05
 """How far apart cameras look, as a sine, for their pictures to tell how deep the middle lies."""
 
@@ -58,8 +61,8 @@ def fitted_to_all(
     """The world's target and the distance from it, in radii, at which views show their surfaces whole and large, and
     balls and boxes beside these that glow. All views have the same, also where they look from many sides.
 
-    Distance and target are for a camera with that ``projection``. None where no surface is to be seen. Raises
-    Cancelled.
+    Distance and target are for a camera with that ``projection``. None where no surface is to be seen, or too
+    little of it. Raises Cancelled.
     """
     clouds = [cloud for stand in stands if (cloud := cloud_of(renderer, stand)) is not None]
     if not clouds:
@@ -71,7 +74,7 @@ def fitted_to_all(
 
 
 def cloud_of(renderer: Renderer, stand: Stand) -> Cloud | None:
-    """What the picture of a ``stand`` is to show; None where that is nothing. Raises Cancelled."""
+    """What the picture of a ``stand`` is to show; None where that is nothing, or too little. Raises Cancelled."""
     scene, view = renderer.prepared.scene, stand.view
     volume, orientation, fov = scene.volume, view.orientation, view.camera.fov
     across = math.tan(math.radians(fov) / 2.0) * min(1.0, view.width / view.height)
@@ -80,7 +83,7 @@ def cloud_of(renderer: Renderer, stand: Stand) -> Cloud | None:
     high = max(SIDE, round(SIDE * view.height / view.width))
     wide = max(SIDE, round(SIDE * view.width / view.height))
     seen = renderer.gbuffer(replace(view, camera=afar.in_box(orientation), width=wide, height=high))
-    if not len(seen.points):
+    if len(seen.points) < FEW:
         return None
     right, up, forward = afar.basis()
     axes = np.stack([right, up, -forward])

@@ -111,6 +111,12 @@ FILM_OPTIONS = {name: f"{text[:-1]}; or first:last." if name in MOVING else text
 GRID_OPTIONS = {
     name: f"{text[:-1]}; or first:last:step." if name in MOVING else text for name, text in VIEW_OPTIONS.items()
 }
+PREWARM_OPTIONS = {
+    "views": "Directions of each isovalue, spread over all sides; default: 12 where none are given.",
+    "times": "Steps of a series in time, each with light of its own: all, 3, 0:9 or 0:9:3.",
+    "target_error": "Relative error of pictures at which light is final.",
+    **{name: VIEW_OPTIONS[name] for name in ("distance", "fov", "width", "height")},
+}
 WORK_OPTIONS = {
     "workers": "Processes that compute light; default: one per core.",
     "store": "Path or URL where light is kept; default: the user's cache folder.",

@@ -16,6 +16,7 @@ from server.cli.arguments import (
     DEVELOPED,
     FILM_OPTIONS,
     GRID_OPTIONS,
+    PREWARM_OPTIONS,
     REPORT_OPTIONS,
     THERE,
     VIEW_OPTIONS,
@@ -170,13 +171,11 @@ def report(
 @click.option(
     "--isovalue", "isovalues", multiple=True, help="One, first:last:step, first:last for all between, or adaptive:20."
 )
-@click.option("--views", help="Directions of each isovalue, spread over all sides; default: 12 where none are given.")
 @click.option("--view", "directions", multiple=True, metavar="azimuth=40,elevation=30", help="One direction.")
 @click.option("--views-file", type=THERE, help="Such, .json or .toml.")
 @click.option("--orbit", "orbits", multiple=True, metavar="36@20", help="So many directions at an elevation.")
 @click.option("--all-directions", is_flag=True, default=None, help="Whole isosurfaces, from whatever side.")
-@options({name: VIEW_OPTIONS[name] for name in ("distance", "fov", "width", "height")})
-@click.option("--target-error", help="Relative error of pictures at which light is final.")
+@options(PREWARM_OPTIONS)
 @click.option("--deadline", callback=duration, help="End by then, with what is baked: 90, 90s, 10m or 1h.")
 @options(WORK_OPTIONS)
 @click.option("--dry-run", is_flag=True, help="Say what there is to bake and how long it takes; bake nothing.")
@@ -188,28 +187,26 @@ def prewarm(
     scene: str, dry_run: bool, go_on: bool, server: str | None, detach: bool, as_json: bool, **given: Any
 ) -> int:
     """Compute ahead the light that views of TARGET need, or whole isosurfaces; stopped, it goes on (--continue)."""
-    work, workers = module_of("prewarm"), {name: given.pop(name) for name in WORK_OPTIONS}
+    work, workers, times = module_of("prewarm"), {name: given.pop(name) for name in WORK_OPTIONS}, given.pop("times")
     fields = work.fields_given(given)
-    if go_on and (set(fields) - {"deadline"} or dry_run or server):
+    if go_on and (set(fields) - {"deadline"} or times or dry_run or server):
         raise click.UsageError("--continue goes on with what was asked for: leave all but --deadline, --workers … out.")
     if detach and not server:
         raise click.UsageError("--detach leaves a server to it: say which by --server.")
     order = work.order_of(fields)
     if server is None:
         settings = settings_from(**workers)
-        summary = (
-            work.go_on(scene, settings, order.deadline) if go_on else work.prewarm(scene, order, settings, dry_run)
-        )
-    elif named := [name.replace("_", "-") for name, value in workers.items() if value is not None]:
-        raise click.UsageError(f"--{named[0]} is the server's own: leave it out, or leave --server out.")
+        rest = work.go_on(scene, settings, order.deadline) if go_on else None
+        done = [rest] if rest else work.prewarm_series(scene, times, order, settings, dry_run)
+    elif named := [name.replace("_", "-") for name, value in {"times": times, **workers}.items() if value is not None]:
+        raise click.UsageError(f"--{named[0]} is for this process alone: leave it out, or leave --server out.")
     elif detach:
         address = remote().detach(server, scene, order, dry_run)
         click.echo(json.dumps({"job": address}) if as_json else address)
         return 0
     else:
-        summary = remote().follow(server, scene, order, dry_run)
-    click.echo(summary.model_dump_json() if as_json else str(summary))
-    return 1 if summary.failed else 0
+        done = [remote().follow(server, scene, order, dry_run)]
+    return 1 if work.tell(done, as_json) else 0
 
 
 @cli.command()
@@ -273,6 +270,7 @@ def export(
 @options(FILM_OPTIONS)
 @click.option("--view", "views", multiple=True, metavar="LINK|azimuth=40,…", help="A keyframe; give two or more.")
 @click.option("--views-file", type=THERE, help="Keyframes, in a file.")
+@click.option("--times", help="Steps of a series in time, in turn: all, 0:9 or 0:9:3.")
 @click.option("--length", callback=duration, default="10s", show_default=True, help="Of the film.")
 @click.option("--fps", callback=number(0.1, 240), default="24", show_default=True, help="Frames of a second.")
 @click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a frame is final.")
@@ -281,7 +279,7 @@ def export(
 @options(WORK_OPTIONS)
 @AS_JSON
 def film(scene: str, as_json: bool, **given: Any) -> None:
-    """Film TARGET: a whole turn, what is given as first:last, or a way along views; stopped, the same goes on.
+    """Film TARGET: a whole turn, what is given as first:last, a way along views, or steps; stopped, it goes on.
 
     The suffix of the output chooses GIF, WebP, MP4 or WebM; without one, it is a folder of PNGs.
     """

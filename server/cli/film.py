@@ -18,6 +18,7 @@ from server.cli.film_path import film_path, view_in, views_in
 from server.cli.first_camera import is_placed
 from server.cli.movie import FRAMES, check_movie, write_movie
 from server.cli.reel import Budget, Reel, said
+from server.cli.series import steps_in
 from server.errors import ParameterError
 from server.parameters import FrameParams, read
 from server.pictures import smoothed
@@ -33,7 +34,8 @@ MOST_FRAMES = 100_000
 class Wishes:
     """What is to be filmed: the file or folder, keyframes, seconds of film, and when a frame is good enough.
 
-    A frame ends at the ``target_error``, or after ``seconds``; all of them by the ``deadline``, also in seconds.
+    A frame ends at the ``target_error``, or after ``seconds``; all of them by the ``deadline``, also in seconds. Of a
+    series the film goes through the steps that ``times`` names, each as long as the others.
     """
 
     output: Path
@@ -44,6 +46,7 @@ class Wishes:
     target_error: float | None = None
     seconds: float | None = None
     deadline: float | None = None
+    times: str | None = None
 
     @property
     def is_movie(self) -> bool:
@@ -126,7 +129,10 @@ def shots_of(
         own["strength"] = repr(scene.shine.strength)
     own |= {"glow": "1.0"} if scene.glowing.any else {}
     own |= {"max_error": repr(wishes.target_error or scene.target_error), "f": "png"}
-    path = film_path(knobs, views, own, count)
+    path = film_path(knobs, views, own, count, still=wishes.times is not None)
+    if wishes.times is not None:
+        steps = steps_in(wishes.times, scene)
+        path = [{**shot, "time": str(steps[n * len(steps) // count])} for n, shot in enumerate(path)]
     shots = (read(FrameParams, {**shot, "max_error": own["max_error"], "f": "png"}.items()) for shot in path)
     return [smoothed(shot, "png") for shot in shots]
 

@@ -31,8 +31,11 @@ ON_THE_PAGE = ("scene", "compare", "rulers", "measure")
 """Parameters of a page's link that are none of a picture."""
 
 
-def film_path(given: Knobs, views: Sequence[Knobs], scene: Knobs, frames: int) -> list[dict[str, str]]:
-    """The views of so many frames: along the ``views``, between the ends of what is ``given`` as first:last, or around.
+def film_path(
+    given: Knobs, views: Sequence[Knobs], scene: Knobs, frames: int, still: bool = False
+) -> list[dict[str, str]]:
+    """The views of so many frames: along the ``views``, between the ends of what is ``given`` as first:last, or around,
+    unless the camera is ``still``.
 
     ``scene`` are parameters that a view leaves to it. Raises ParameterError.
     """
@@ -42,7 +45,7 @@ def film_path(given: Knobs, views: Sequence[Knobs], scene: Knobs, frames: int) -
         raise ParameterError(f"{swept[0]}={given[swept[0]]} and views both say what moves: keep one.", swept[0])
     if views:
         return along([{**given, **view} for view in views], scene, frames, short=True)
-    if not swept:
+    if not swept and not still:
         start = given.get("azimuth", defaults(scene)["azimuth"])
         given, swept = {**given, "azimuth": f"{start}:{number('azimuth', start) + 360.0!r}"}, ["azimuth"]
     ends = [ends_of(name, given[name]) for name in swept]

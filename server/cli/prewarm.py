@@ -4,16 +4,20 @@ import json
 import math
 import time
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import click
+
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import Cancelled, SceneError
 from isogi_core.files.regular import read_small
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import at_time
+from server.cli.series import at_step, steps_in
 from server.errors import ParameterError
 from server.prewarm.context import PrewarmContext, Step
 from server.prewarm.order import PrewarmOrder, Views, order_of
@@ -28,7 +32,7 @@ from server.render.workforce import scheduler_of
 from server.settings import Settings
 from worker.bake_requests import Viewer
 
-__all__ = ["fields_given", "go_on", "order_of", "prewarm"]
+__all__ = ["fields_given", "go_on", "order_of", "prewarm", "prewarm_series", "tell"]
 
 
 COMMAND = Viewer("prewarm", patient=True)
@@ -44,6 +48,28 @@ def prewarm(target: str, order: PrewarmOrder, settings: Settings, dry: bool = Fa
     """
     begun = time.monotonic()
     return prewarm_scene(open_scene(target, settings), order, settings, dry, begun)
+
+
+def prewarm_series(
+    target: str, times: str | None, order: PrewarmOrder, settings: Settings, dry: bool = False
+) -> Iterator[Summary]:
+    """Do the work of ``prewarm`` at each step that ``times`` names of a series, in turn; at the scene's alone for None.
+
+    The order's deadline is that of all steps together: what is left of it is shared evenly. Raises what ``prewarm``
+    raises, and ParameterError for steps that are not there.
+    """
+    if times is None:
+        yield prewarm(target, order, settings, dry)
+        return
+    begun, first = time.monotonic(), open_scene(target, settings)
+    steps = steps_in(times, first)
+    for done, step in enumerate(steps):
+        scene = first if step == first.volume.moment[0] else at_time(first, step, first.id)
+        now = time.monotonic()
+        left = None if order.deadline is None else max(begun + order.deadline - now, 0.0) / (len(steps) - done)
+        with at_step(step):
+            summary = prewarm_scene(scene, order.model_copy(update={"deadline": left}), settings, dry, now)
+        yield summary.model_copy(update={"time": step})
 
 
 def prewarm_scene(
@@ -76,6 +102,15 @@ def prewarm_scene(
             return carry_out_dry(context, what)
         with recorded(record, context):
             return record.close(carry_out(context, what, lambda ahead: record.keep(ahead=ahead)))
+
+
+def tell(summaries: Iterable[Summary], as_json: bool) -> int:
+    """Print each of the ``summaries`` as it comes, and count the chunks that could not be baked."""
+    failed = 0
+    for summary in summaries:
+        click.echo(summary.model_dump_json() if as_json else str(summary))
+        failed += summary.failed
+    return failed
 
 
 def show(bar: Progress, step: Step) -> None:

@@ -4,7 +4,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
@@ -17,11 +17,13 @@ from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
 from server.cli.first_camera import is_placed, seen_whole
 from server.cli.render import awaited
+from server.cli.series import at_step
 from server.parameters import FrameParams
 from server.pictures import SUFFIXES, encode
 from server.progress import Progress, compiling
 from server.render.engine import RenderEngine
 from server.render.resources import root_of
+from server.render.variants import Change, Variants
 from server.render.workforce import scheduler_of
 from server.settings import Settings
 from server.views import view_of
@@ -30,13 +32,18 @@ PAUSE = 1.0
 """Seconds between two writings of what is known of the pictures; after a crash, the last ones are made again."""
 
 
+STEPS = 2
+"""Steps of a series that are open at a time, besides the scene's."""
+
+
 class Reel:
     """The pictures of ``shots`` in a ``folder``, and what is known of each; those that are there stay."""
 
     def __init__(self, folder: Path, scene: Scene, shots: Mapping[str, FrameParams]) -> None:
         """Look at what is there of ``shots``, by the names of their files. Raises ViewError where it is another's."""
         self.shots, self._folder, self._scene, self._list = shots, folder, scene, folder / "pictures.json"
-        self._placed = any(is_placed(shot.model_fields_set) for shot in shots.values())
+        moving = len({shot.time for shot in shots.values()}) > 1  # the whole box is seen: each step has its surface
+        self._placed = moving or any(is_placed(shot.model_fields_set) for shot in shots.values())
         asked = [[name, shot.model_dump(mode="json")] for name, shot in shots.items()]
         whole = [scene.digest, scene.default_exposure, self._placed, asked]
         self._digest = blake2b(json.dumps(whole).encode(), digest_size=12).hexdigest()
@@ -93,17 +100,25 @@ class Reel:
                     self._write_list()
 
     def _shoot(self, engine: RenderEngine, budget: "Budget", settings: Settings, bar: Progress) -> None:
-        missing, scene, shots = self.missing, self._scene, self.shots
+        missing, shots, variants = self.missing, self.shots, Variants(engine, lambda _: None, most=STEPS)
         if not self._placed:
-            whole = seen_whole(engine.renderer(scene.id), list(shots.values()), settings)
+            whole = seen_whole(engine.renderer(self._scene.id), list(shots.values()), settings)
             shots = dict(zip(shots, whole, strict=True))
         for done, name in enumerate(missing):
             shot, seconds = shots[name], budget.share(len(missing) - done)
-            frame = awaited(engine, scene.id, view_of(scene, shot, settings), shot.max_error, seconds)
-            exposure = scene.default_exposure if shot.exposure is None else shot.exposure
+            scene = self._at(variants, shot.time)
+            with at_step(scene.volume.moment[0]) if scene is not self._scene else nullcontext():
+                view = view_of(scene, shot, settings)
+            frame = awaited(engine, scene.id, view, shot.max_error, seconds)
+            exposure = self._scene.default_exposure if shot.exposure is None else shot.exposure
             picture = encode(frame, SUFFIXES[self.path(name).suffix], exposure, shot)
             self.keep(name, picture, {"error": frame.total.likely, "final": frame.final})
             bar.count(done + 1, len(missing))
+
+    def _at(self, variants: Variants, time: int | None) -> Scene:
+        """The scene at a step of its series; itself where none is named. Raises ParameterError."""
+        change = Change(time=time).apart_from(self._scene)
+        return self._scene if time is None or change == Change() else variants.make(self._scene, change, None)
 
 
 @dataclass(frozen=True)

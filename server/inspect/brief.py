@@ -3,12 +3,15 @@
 from collections.abc import Iterator
 
 from isogi_core.plan.scene import Scene
-from server.inspect.inspection import MEETS, WORTH, InspectionSchema, SurfaceSchema, percent, span
+from server.inspect.inspection import MEETS, WORTH, ErrorSchema, InspectionSchema, SurfaceSchema, percent, span
 from server.inspect.wrapping import LEAD, wrapped
 from server.report.heading import axes, by, reflects
 
 TEXELS = 2
 """Texels of a cell that a surface passes, about, where voxels have one texel: neighbouring cells share most."""
+
+NAMED = 4
+"""Labels that are named, at most."""
 
 VOXEL = 4
 """Bytes of a voxel in memory."""
@@ -28,10 +31,9 @@ def understood(facts: InspectionSchema) -> Iterator[tuple[str, str]]:
     volume = facts.volume
     if facts.name != volume.name:
         yield "scene", facts.name
-    yield "volume", f"{volume.name}, {by(volume.size)} voxels of {volume.dtype}, spacing {by(volume.spacing)}"
+    step = f", step {volume.time} of 0 to {volume.times - 1}" if volume.times > 1 else ""
+    yield "volume", f"{volume.name}, {by(volume.size)} voxels of {volume.dtype}, spacing {by(volume.spacing)}{step}"
     yield from axes(volume)
-    if volume.times > 1:
-        yield "time", f"step {volume.time} of 0 to {volume.times - 1}"
     holes = f"{volume.holes:,} voxels are no numbers: holes" if volume.holes else "no holes"
     yield "values", f"{volume.value_range[0]:.10g} to {volume.value_range[1]:.10g}, {holes}"
 
@@ -44,6 +46,7 @@ def proposed(scene: Scene, facts: InspectionSchema) -> Iterator[tuple[str, str]]
     also = f"; also look at {', '.join(others)}" if others else ""
     yield "isovalue", f"{facts.defaults['isovalue']:.6g}, {why}{also}; solid {facts.solid}"
     name, albedo = reflects(facts)
+    albedo = few(albedo.split(", ")) if name == "labels" else albedo
     lights = ", ".join(light.name for light in facts.lights)
     yield "light", f"{lights}; {name} {albedo}; target error {percent(facts.target_error)}"
 
@@ -53,7 +56,8 @@ def expected(scene: Scene, facts: InspectionSchema) -> Iterator[tuple[str, str]]
     found = facts.stiffness
     own = found.surfaces[found.own]
     yield "surface", surface(own)
-    yield "stiffness", stiffness(own)
+    if own.error is not None:
+        yield "stiffness", stiffness(own, own.error)
     for remark in found.remarks:
         if remark.about in URGENT:
             yield remark.about, " ".join([remark.means, *(f"You can {can}" for can in remark.can)])
@@ -67,13 +71,17 @@ def surface(own: SurfaceSchema) -> str:
     return f"{own.cells:,} cells at {own.isovalue:.6g}{met if own.cells else ''}"
 
 
-def stiffness(own: SurfaceSchema) -> str:
-    """What share of the surface is stiff, and which error of light to expect for that."""
-    if own.error is None:
-        return "there is no surface at this isovalue"
+def stiffness(own: SurfaceSchema, error: ErrorSchema) -> str:
+    """What share of the surface is stiff, and which ``error`` of light to expect for that."""
     shares = {"on steps": own.steep, "on plateaus": own.plateau, "noisy": own.noisy, "beside holes": own.holes}
     stiff = ", ".join(f"{percent(share)} {name}" for name, share in shares.items() if share >= WORTH)
-    return f"{stiff or 'nothing is stiff'}: interpolated light errs by about {span(own.error)}"
+    return f"{stiff or 'nothing is stiff'}: interpolated light errs by about {span(error)}"
+
+
+def few(names: list[str]) -> str:
+    """The first of many names, and how many others there are."""
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(names[:NAMED]) + more
 
 
 def cost(scene: Scene, facts: InspectionSchema, own: SurfaceSchema) -> str:
@@ -81,7 +89,7 @@ def cost(scene: Scene, facts: InspectionSchema, own: SurfaceSchema) -> str:
     each, texels = facts.plan.bytes_per_texel, facts.plan.texels
     one = min(TEXELS * own.cells * scene.lattice**2, texels.shown) * each
     whole = f"about {megabytes(one)} of light for this surface, {megabytes(texels.shown * each)} for all isovalues"
-    return f"{whole}; {megabytes(VOXEL * scene.volume.voxels.size)} of memory for voxels"
+    return f"{whole}; {megabytes(VOXEL * scene.volume.voxels.size)} of voxels"
 
 
 def megabytes(count: float) -> str:

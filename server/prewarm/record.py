@@ -53,7 +53,7 @@ class Summary(BaseModel):
     need; ``error`` is the worst of ``errors``. ``paths``
     and ``processor_seconds`` were spent on these chunks, ``seconds`` passed meanwhile; ``time_left`` is the
     forecast at the start. ``stopped`` says what ended it. A dry run forecasts ``stored_bytes`` and
-    ``processor_seconds``.
+    ``processor_seconds``. ``time`` is the step of a series that was gone through.
     """
 
     scene: str
@@ -79,12 +79,14 @@ class Summary(BaseModel):
     failed: int = 0
     failures: tuple[Failure, ...] = ()
     file: str | None = None
+    time: int | None = None
 
     def __str__(self) -> str:
         """For a person, on one line."""
         what = f"{self.views:,} views" if self.views else "whole isosurfaces"
         share = f"{what}, {self.final:.1%} of their {'surface' if self.views else 'texels'} final"
-        quality = f"{share} at {self.target_error:g}"
+        step = "" if self.time is None else f"step {self.time}: "
+        quality = f"{step}{share} at {self.target_error:g}"
         return f"{quality}; {self._ahead()}" if self.stopped == "dry run" else f"{quality}, {self._done()}"
 
     def _ahead(self) -> str:

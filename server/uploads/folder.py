@@ -18,8 +18,9 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 
-from isogi_core.files.grid import PATIENT, Grid
+from isogi_core.files.grid import PATIENT, Grid, LabelName
 from isogi_core.model.orientation import Orientation
+from isogi_core.plan.volumes.labels import MOST
 from isogi_core.storage.atomic_file import write_whole
 from server.errors import FullError, UploadFolderError
 from server.uploads.environments import UploadedEnvironment, read_environment
@@ -42,16 +43,20 @@ encoding: raw
 endian: little
 {place}
 name:={name}
-
+{labels}
 """
 FORM = re.compile(
     rb"NRRD0004\ntype: (\w+)\ndimension: 3\nsizes: (\d+) (\d+) (\d+)\nencoding: raw\nendian: little\n"
     rb"(?:spacings: [-+.e\d ]+|space[ a-z]*: [-a-z\d]+\nspace directions: [-+.e\d(), ]+\nspace origin: [-+.e\d(),]+"
-    rb"(?:\nspace units: [^\n]+)?)\nname:=([!-~]*)\n\n",
+    rb"(?:\nspace units: [^\n]+)?)\nname:=([!-~]*)\n"
+    rb"(?:Segment\d+_(?:LabelValue|Name|Color):=[^\n]*\n)*\n",
     re.ASCII,
 )
-LONGEST = 4096
+LONGEST = 1 << 17
 """Bytes that no header is longer than."""
+
+LABEL_NAME = 64
+"""Characters of a label's name that are kept, at most."""
 
 VOXEL = 4
 """Bytes of a voxel in the server's memory, where all are float32."""
@@ -84,6 +89,7 @@ def write(file: IO[bytes], grid: Grid, name: str) -> str:
     kind = {"b1": "u1", "f2": "f4"}.get(grid.dtype.str[1:], grid.dtype.str[1:])
     kind = kind if kind in TYPES else "f8"
     facts = {"type": TYPES[kind], "sizes": " ".join(str(n) for n in grid.shape[::-1]), "place": place_of(grid)}
+    facts["labels"] = "".join(segment(number, label) for number, label in enumerate(labels_of(grid)))
     digest = hashlib.blake2b(HEADER.format(**facts, name="").encode(), digest_size=16)
     for layer in layers_of(grid, f"<{kind}"):
         digest.update(layer)
@@ -92,6 +98,19 @@ def write(file: IO[bytes], grid: Grid, name: str) -> str:
     for layer in layers_of(grid, f"<{kind}"):
         file.write(layer)
     return number
+
+
+def labels_of(grid: Grid) -> tuple[LabelName, ...]:
+    """The labels that a grid names, as many as can be shown; of a segmentation without names a nameless one."""
+    return () if grid.labels is None else grid.labels[:MOST] or (LabelName(1),)
+
+
+def segment(number: int, label: LabelName) -> str:
+    """The lines of a header that name a label, as 3D Slicer does."""
+    red, green, blue = (byte / 255.0 for byte in bytes.fromhex(label.colour[1:] or "000000"))
+    name = "".join(letter for letter in label.name if letter.isprintable() and letter != "\\")[:LABEL_NAME]
+    rows = {"LabelValue": str(label.value), "Name": name, "Color": label.colour and f"{red:.6f} {green:.6f} {blue:.6f}"}
+    return "".join(f"Segment{number}_{key}:={text}\n" for key, text in rows.items() if text)
 
 
 def layers_of(grid: Grid, kind: str) -> Iterator[memoryview]:

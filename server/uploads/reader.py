@@ -28,6 +28,7 @@ from isogi_core.files.grid import Grid
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.model.latlong import resample
 from isogi_core.model.value_survey import survey
+from isogi_core.plan.volumes.labels import Segmentation
 from server.uploads.environments import ENVIRONMENT, write_environment
 from server.uploads.folder import LONGEST, write
 from server.uploads.sandbox import confine
@@ -59,6 +60,8 @@ def main(name: str, body: int, out: int, kind: str, voxels: int, seconds: float)
             check_size(grid, voxels)
             grid = grid.loaded()
             survey(grid, "above")  # what the server cannot show is refused here
+            if grid.labels is not None:
+                Segmentation(grid, ()).labels  # noqa: B018 (looks whether they can be shown)
             return {"id": write(canonical, grid, name)}
         except (VolumeError, LightError) as error:
             return {"refused": str(error)}

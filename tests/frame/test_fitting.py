@@ -90,3 +90,14 @@ def test_from_many_sides_all_is_seen_from_one_distance(projection: str, tmp_path
     same = fitted_to_all(bench.renderer, [Stand(views[0], 30.0, 20.0)] * 3, projection)
     assert alone is not None and same is not None
     assert [*same[0], same[1]] == pytest.approx([*alone[0], alone[1]], rel=0.01)
+
+
+def test_a_surface_of_a_pixel_or_two_is_seen_in_the_whole_volume(tmp_path: Path) -> None:
+    """Of a single point the camera would be at no distance: two specks at the ends of a long box."""
+    voxels = np.zeros((160, 8, 8), np.float32)
+    voxels[1, 3:5, 3:5] = voxels[-2, 3:5, 3:5] = 1.0
+    np.save(tmp_path / "v.npy", voxels)
+    bench = Workbench(load_scene(tmp_path / "v.npy", isovalue=0.5), tmp_path / "light")
+    view = View(0.5, orbit((0.0, 0.0, 0.0), 1.0, 0.0, 0.0, 3.0, 40.0), width=256, height=192)
+    found = fitted(bench.renderer, view, 10.0, 5.0)
+    assert found is None or found[1] > 0.05

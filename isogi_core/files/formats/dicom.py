@@ -3,13 +3,14 @@
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.formats.dicom_segments import TAGS, is_segmentation, numbered, overlaid, segment_in, segments_of
 from isogi_core.files.formats.dicom_stack import Slice, stack_of
 from isogi_core.files.formats.source import COLOURS, Source, library, line_of, luminance, pick, reading
 from isogi_core.files.grid import PATIENT, Affine, Grid, read_as
@@ -31,6 +32,7 @@ HEADER_TAGS = (
     *("BitsStored", "HighBit", "PixelRepresentation", "RescaleSlope", "RescaleIntercept"),
     *("PerFrameFunctionalGroupsSequence", "SharedFunctionalGroupsSequence", "TransferSyntaxUID"),
     *("FloatPixelData", "DoubleFloatPixelData", "GridFrameOffsetVector", "DoseGridScaling"),
+    *TAGS,
     *(f"{kind}PixelPadding{end}" for kind in ("", "Float", "DoubleFloat") for end in ("Value", "RangeLimit")),
 )
 
@@ -45,10 +47,14 @@ Headers = list[tuple[Path | None, Any]]
 
 @dataclass(frozen=True)
 class Place:
-    """Where the pixels of a slice are: a file, None for an upload, and the number of the frame in it."""
+    """Where the pixels of a slice are: a file, None for an upload, and the number of the frame in it.
+
+    In a segmentation they are those of a ``segment``, which are then its number.
+    """
 
     path: Path | None
     frame: int
+    segment: int = 0
 
 
 def is_dicom(head: bytes) -> bool:
@@ -69,17 +75,19 @@ def open_dicom(source: Source) -> Grid:
         chosen = _series(source, headers)
         for _, header in chosen:
             source.check((int(header.get("NumberOfFrames") or 1), int(header.Rows), int(header.Columns)))
+        first, segmented = chosen[0][1], is_segmentation(chosen[0][1])
         slices = [each for path, header in chosen for each in _slices_of(path, header)]
-        stack, notes = stack_of(source.name, slices, partial(pick, source, "time"))
+        slices = overlaid(slices) if segmented else slices
+        stack, notes = stack_of(source.name, slices, partial(pick, source, "time"), segmented)
         if len(stack.layers) == 1 and not folder:
             raise VolumeError(f"'{source.name}' is one slice: give the folder of its series, or a file of many frames.")
-        first = chosen[0][1]
         source.check((len(stack.layers), int(first.Rows), int(first.Columns)))
         packings = {each.packing for each in slices}
         coloured = int(first.get("SamplesPerPixel", 1)) > 1
-        if str(first.get("PhotometricInterpretation", "")) == "PALETTE COLOR":
+        if str(first.get("PhotometricInterpretation", "")) == "PALETTE COLOR" and not segmented:
             raise VolumeError(f"'{source.name}' holds colours of a palette: save its values.")
-    dtype = _value_type(packings, coloured or stack.between)
+        labels = segments_of(first) if segmented else None
+    dtype = np.dtype(np.uint16) if segmented else _value_type(packings, coloured or stack.between)
     affine = Affine.of(LPS @ stack.affine, PATIENT) if stack.affine is not None else None
     shape = (len(stack.layers), int(first.Rows), int(first.Columns))
     layers = partial(_layers, source, stack.layers, shape, dtype)
@@ -87,12 +95,11 @@ def open_dicom(source: Source) -> Grid:
     notes = (*notes, *((COLOURS,) if coloured else slices[0].packing.notes))
     stamp = partial(_stamp, source, files)
     placed = "its slices' positions" if affine is not None else "its slices' numbers"
-    known = slices[0].packing.read_as("DICOM", placed)
+    known = slices[0].packing.read_as("DICOM segmentation" if segmented else "DICOM", placed)
     if len(packings) > 1:
         known = read_as("DICOM, each slice of a slope of its own,", slices[0].packing.stored, placed)
-    return Grid(
-        shape, dtype, stack.spacing, layers, stamp, affine, "mm" if stack.measured else "", notes, read_as=known
-    )
+    unit = "mm" if stack.measured else ""
+    return Grid(shape, dtype, stack.spacing, layers, stamp, affine, unit, notes, labels=labels, read_as=known)
 
 
 def _stamp(source: Source, files: list[Path]) -> str:
@@ -173,7 +180,8 @@ def _slices_of(path: Path | None, header: Any) -> Iterator[Slice]:
     shared = (header.get("SharedFunctionalGroupsSequence") or [None])[0]
     for number in range(count):
         groups = [frames[number]] if frames else []
-        yield _slice(Place(path, number), header, [*groups, *([shared] if shared is not None else [])])
+        groups += [shared] if shared is not None else []
+        yield _slice(Place(path, number, segment_in(header, groups)), header, groups)
 
 
 def _slice(place: Place, header: Any, groups: list[Any]) -> Slice:
@@ -190,7 +198,7 @@ def _slice(place: Place, header: Any, groups: list[Any]) -> Slice:
     slope, intercept = read(scale, "RescaleSlope"), read(scale, "RescaleIntercept")
     slope = header.get("DoseGridScaling") if slope is None else slope
     return Slice(
-        place=place,
+        place=(place,),
         uid=f"{header.get('SOPInstanceUID', '')} {place.frame}",
         number=(int(header.get("InstanceNumber") or 0), place.frame),
         position=_shifted(_floats(position), pose, header.get("GridFrameOffsetVector"), place.frame, alone),
@@ -244,8 +252,10 @@ def _value_type(packings: set[Packing], floating: bool) -> np.dtype[Any]:
 def _packing(header: Any, scaling: Scaling) -> Packing:
     """What stored pixels of an image mean; those of a value, or of a range, that says "no pixel" are holes.
 
-    Source: DICOM PS3.3, C.7.5.1.1.2. Colours have no such value.
+    Source: DICOM PS3.3, C.7.5.1.1.2. Colours and labels have no such value.
     """
+    if is_segmentation(header):
+        return Packing(np.dtype(np.uint16))
     if int(header.get("SamplesPerPixel", 1)) > 1:
         return Packing(np.dtype(np.float32), scaling=scaling)
     stored = _stored_type(header)
@@ -262,19 +272,19 @@ def _padding(header: Any, stored: np.dtype[Any], end: str) -> float | None:
     return None if value is None else float(value)
 
 
-Layer = tuple[tuple[Place, float, Packing], ...]
+Layer = tuple[tuple[tuple[Place, ...], float, Packing], ...]
 
 
 def _layers(
     source: Source, layers: tuple[Layer, ...], shape: tuple[int, int, int], dtype: np.dtype[Any]
 ) -> Iterator[np.ndarray]:
-    """The layers of a stack, one at a time; (1, rows, columns) each, NaN where no slice is."""
+    """The layers of a stack, one at a time; (1, rows, columns) each; where no slice is, NaN, or 0 of whole numbers."""
     frames = Frames(source)
     for layer in layers:
         if not layer:
-            yield np.full((1, *shape[1:]), np.nan, dtype)
+            yield np.full((1, *shape[1:]), np.nan if dtype.kind == "f" else 0, dtype)
             continue
-        parts = [packing.apply(frames.pixels(place)) for place, _, packing in layer]
+        parts = [packing.apply(reduce(np.maximum, map(frames.pixels, places))) for places, _, packing in layer]
         if len(parts) == 1:
             yield parts[0].astype(dtype, copy=False)[None]
         else:
@@ -310,7 +320,7 @@ class Frames:
         values = np.asarray(self._decode(data, place.frame))
         if int(data.get("SamplesPerPixel", 1)) > 1:
             return luminance(values)
-        return used_bits(values, data) if values.dtype.kind in "iu" else values
+        return numbered(used_bits(values, data) if values.dtype.kind in "iu" else values, place.segment, data)
 
     def _decode(self, data: Any, frame: int) -> Any:
         decode: Callable[..., Any] = library("pydicom.pixels", "DICOM").pixel_array

@@ -55,8 +55,11 @@ Pick = Callable[[int, str], int]
 """Chooses one of so many fields, which are named for a person."""
 
 
-def stack_of(name: str, slices: list[Slice], pick: Pick) -> tuple[Stack, tuple[str, ...]]:
-    """The stack of ``slices`` in any order, with notes on what was mended. Raises VolumeError for what cannot be."""
+def stack_of(name: str, slices: list[Slice], pick: Pick, sparse: bool = False) -> tuple[Stack, tuple[str, ...]]:
+    """The stack of ``slices`` in any order, with notes on what was mended. Raises VolumeError for what cannot be.
+
+    Of ``sparse`` ones some are left out as nothing is in them, and none is mixed of two.
+    """
     distinct = list({each.uid: each for each in slices}.values())
     doubled = len(slices) - len(distinct)
     notes = [f"{doubled} doubled slices were left out."] if doubled else []
@@ -67,7 +70,7 @@ def stack_of(name: str, slices: list[Slice], pick: Pick) -> tuple[Stack, tuple[s
     normal = _normal(name, distinct[0])
     heights = np.array([np.dot(normal, each.position or ()) for each in distinct])
     ordered, heights = _one_time(name, distinct, heights, pick)
-    return _placed(name, ordered, heights, notes)
+    return _placed(name, ordered, heights, notes, sparse)
 
 
 def _unplaced(slices: list[Slice]) -> Stack:
@@ -98,17 +101,22 @@ def _one_time(name: str, slices: list[Slice], heights: np.ndarray, pick: Pick) -
     return [slices[n] for n in chosen], heights[chosen]
 
 
-def _placed(name: str, slices: list[Slice], heights: np.ndarray, notes: list[str]) -> tuple[Stack, tuple[str, ...]]:
+def _placed(
+    name: str, slices: list[Slice], heights: np.ndarray, notes: list[str], sparse: bool
+) -> tuple[Stack, tuple[str, ...]]:
     """The stack of slices in order, with layers where steps are even, and mixed ones where they are not."""
     first, last = slices[0], slices[-1]
     steps = np.diff(heights)
-    usual = float(np.median(steps)) if len(steps) else first.between or 1.0
+    given = first.between if sparse or not len(steps) else None
+    usual = given or (float(np.median(steps)) if len(steps) else 1.0)
     whole = np.round(steps / usual)
     if np.all(np.abs(steps - usual * whole) <= EVEN * usual) and np.all(whole >= 1):
         layers = _with_gaps(slices, whole.astype(int))
         missing = len(layers) - len(slices)
-        if missing:
+        if missing and not sparse:
             notes.append(f"{missing} of {len(layers)} slices are missing: there are holes in their place.")
+    elif sparse:
+        raise VolumeError(f"The slices of the segmentation '{name}' are unevenly spaced: save it in even ones.")
     else:
         usual = float(steps.min())
         count = round(float(heights[-1] - heights[0]) / usual) + 1

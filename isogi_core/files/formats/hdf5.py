@@ -20,7 +20,7 @@ MAGIC = b"\x89HDF\r\n\x1a\n"
 EVEN = 1e-3
 """Largest part of a step by which a coordinate may stray for its axis to be even."""
 
-MINC = "The file is MINC: the scaling of its slices, and where it lies, are not read. Convert it to NIfTI."
+MINC = "The file is MINC: the scaling of its slices, and where it lies, are read of files named .mnc alone."
 
 MICROMETRES = "element_size_um"
 """The attribute by which microscopists' tools give spacing, z first."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from isogi_core.errors import VolumeError, advice
-from isogi_core.files.formats import brain_files, dicom, hdf5, itk, mrc, nifti, numpy_file, raw_file, tiff, vti
+from isogi_core.files.formats import brain_files, dicom, hdf5, itk, minc, mrc, nifti, numpy_file, raw_file, tiff, vti
 from isogi_core.files.formats.source import KEYS, Source
 from isogi_core.files.formats.wrong_files import sort_of
 from isogi_core.files.grid import Grid
@@ -17,7 +17,7 @@ HEAD = 544
 
 Opener = Callable[[Source], Grid]
 
-KNOWN = "NRRD, NIfTI, DICOM, TIFF, MRC, HDF5, NumPy, MGH, Analyze, MetaImage, VTI or Zarr"
+KNOWN = "NRRD, NIfTI, DICOM, TIFF, MRC, HDF5, NumPy, MGH, Analyze, MINC, MetaImage, VTI or Zarr"
 
 
 def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Opener | None:
@@ -32,6 +32,7 @@ def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Opener | None:
         (dicom.is_dicom(head), dicom.open_dicom),
         (tiff.is_tiff(head), tiff.open_tiff),
         (mrc.is_mrc(unpacked), mrc.open_mrc),
+        (minc.is_minc(head, suffix), minc.open_minc),
         (head.startswith(hdf5.MAGIC), hdf5.open_hdf5),
         (head.startswith((numpy_file.NPY, numpy_file.ZIP)), numpy_file.open_numpy),
         (b"<VTKFile" in head and b"ImageData" in head, vti.open_vti),
@@ -149,7 +150,8 @@ LIBRARIES: tuple[tuple[int, bytes, tuple[str, ...]], ...] = (
     (0, b"II", TIFF),
     (0, b"MM", TIFF),
     (208, b"MAP", ("mrcfile.utils", "mrcfile.mrcinterpreter")),
-    (0, b"\x89HDF", ("h5py", "h5py._hl.dims", "h5py._hl.filters")),
+    (0, b"\x89HDF", ("h5py", "h5py._hl.dims", "h5py._hl.filters", "nibabel.minc2")),
+    (0, b"CDF", ("nibabel.externals.netcdf", "nibabel.minc1")),
     (0, b"PK", ("encodings.cp437",)),
     (0, b"<", VTK),
 )

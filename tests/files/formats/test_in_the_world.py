@@ -156,9 +156,9 @@ def test_a_filter_of_hdf5_that_is_missing_is_named(tmp_path: Path) -> None:
 
 def test_what_is_not_read_of_minc_is_told(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
-    with h5py.File(tmp_path / "f.mnc", "w") as file:
+    with h5py.File(tmp_path / "f.h5", "w") as file:
         file["minc-2.0/image/0/image"] = F
-    assert "The file is MINC" in open_file(tmp_path / "f.mnc", {}).notes[0]
+    assert "The file is MINC" in open_file(tmp_path / "f.h5", {}).notes[0]
 
 
 def test_a_virtual_dataset_is_read_whole_or_not_at_all(tmp_path: Path) -> None:

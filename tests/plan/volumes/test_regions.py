@@ -11,7 +11,10 @@ import zarr
 
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files import zarr_volume
+from isogi_core.files.grid import Grid
+from isogi_core.files.ome_writer import write_image
 from isogi_core.files.zarr_volume import open_zarr
+from isogi_core.model.volume import Volume
 from isogi_core.plan.scene import Scene
 from tests.loaded import load_scene
 
@@ -142,22 +145,86 @@ def pyramid(folder: Path) -> Path:
     return image(folder / "v.zarr", [FIELD, halves, halves[::2, ::2, ::2]])
 
 
-def test_of_an_image_too_large_a_coarser_level_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_image_opens_at_the_level_that_memory_has_room_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = pyramid(tmp_path)
     assert scene_of(path).volume.shape == FIELD.shape
-    monkeypatch.setattr(zarr_volume, "MAX_VOXELS", FIELD.size - 1)
+    monkeypatch.setattr(zarr_volume, "budget", lambda: 4 * FIELD.size - 1)
     scene = scene_of(path)
     assert (scene.volume.shape, scene.volume.spacing) == ((10, 9, 8), (4.0, 6.0, 8.0))
     note = scene.volume.orientation.notes[-1]
-    assert "Level 1 of 0 to 2 is shown" in note and "level = 0 with a region" in note
+    assert "Level 1 of 0 to 2 is shown" in note and "level = 0 in the scene" in note
     np.testing.assert_allclose(scene.volume.orientation.origin, (1.0, 1.5, 2.0))
     assert scene_of(path, level=0, region=REGION).volume.shape == PART.shape
     assert scene_of(path, region=REGION).volume.shape == PART.shape
-    with pytest.raises(VolumeError, match="choose a coarser level, or a region"):
-        scene_of(path, level=0)
+    assert scene_of(path, level=0).volume.shape == FIELD.shape
+    monkeypatch.setattr(zarr_volume, "budget", lambda: 4)
+    assert scene_of(path).volume.shape == (5, 5, 4)
+
+
+def test_what_cannot_be_shown_at_any_level_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = pyramid(tmp_path)
+    monkeypatch.setattr(zarr_volume, "budget", lambda: 4)
     monkeypatch.setattr(zarr_volume, "MAX_VOXELS", 10)
-    with pytest.raises(VolumeError, match="choose a coarser level, or a region"):
-        scene_of(path)
+    for settings in ({}, {"level": 0}):
+        with pytest.raises(VolumeError, match="choose a coarser level, or a region"):
+            scene_of(path, **settings)
+
+
+def test_no_level_is_finer_than_a_picture_of_it_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = pyramid(tmp_path)
+    for most, shape in ((11, FIELD.shape), (10, (10, 9, 8)), (5, (5, 5, 4)), (1, (5, 5, 4))):
+        monkeypatch.setattr(zarr_volume, "PICTURE", most)
+        assert open_zarr(path).shape == shape
+
+
+def test_a_level_without_a_translation_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = pyramid(tmp_path)
+    monkeypatch.setattr(zarr_volume, "budget", lambda: 4 * FIELD.size - 1)
+    assert not any("no translation" in note for note in open_zarr(path).notes)
+    told = zarr.open_group(path).attrs.asdict()["ome"]
+    for each in told["multiscales"][0]["datasets"]:
+        del each["coordinateTransformations"][1]
+    zarr.open_group(path).attrs["ome"] = told
+    assert any("up to half a voxel off" in note for note in open_zarr(path).notes)
+    assert not any("no translation" in note for note in open_zarr(path, level=0).notes)
+
+
+def halved(field: np.ndarray) -> np.ndarray:
+    nz, ny, nx = (n // 2 for n in field.shape)
+    return field.reshape(nz, 2, ny, 2, nx, 2).mean(axis=(1, 3, 5)).astype(np.float32)
+
+
+def by_others(field: np.ndarray, path: Path) -> None:
+    image(path, [field, halved(field), halved(halved(field))], "xzy")
+
+
+def by_isogi(field: np.ndarray, path: Path) -> None:
+    write_image(Grid.of(field, (2.0, 3.0, 4.0)), path, lambda *_: None)
+
+
+def crossings(volume: Volume, isovalue: float) -> np.ndarray:
+    """Where edges between voxels cross an isosurface, in the world, (n, 3)."""
+    values, found = volume.offset + volume.scale * volume.voxels.astype(float) - isovalue, []
+    for axis in range(3):
+        low, high = (np.take(values, np.arange(values.shape[axis] - 1) + n, axis) for n in (0, 1))
+        places = np.argwhere((low < 0.0) != (high < 0.0)).astype(float)
+        between = tuple(places.T.astype(int))
+        places[:, axis] += low[between] / (low[between] - high[between])
+        found.append(places[:, ::-1] * volume.spacing)
+    return volume.orientation.to_world(np.concatenate(found))
+
+
+@pytest.mark.parametrize("write", [by_others, by_isogi])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_levels_have_their_surfaces_at_the_same_places(tmp_path: Path, write: Any, axis: int) -> None:
+    """A plane stands across x, y or z of 272 × 240 × 144 µm: means of voxels keep it, and where it lies shows."""
+    depth, rows, columns = np.indices((36, 80, 136)) * np.array([4.0, 3.0, 2.0])[:, None, None, None]
+    write((columns, rows, depth)[axis].astype(np.float32), tmp_path / "v.zarr")
+    for level in (0, 1, 2):
+        volume = scene_of(tmp_path / "v.zarr", level=level).volume
+        points = crossings(volume, 71.3)
+        assert len(points) > 300 / 4**level
+        assert np.abs(points[:, axis] - 71.3).max() < 0.1 * (2.0, 3.0, 4.0)[axis]
 
 
 def test_channels_and_times_do_not_count_as_voxels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -49,3 +49,17 @@ def test_ten_lines_tell_of_no_surface(capsys: pytest.CaptureFixture[str], tmp_pa
     assert told["surface"] == "0 cells at 1"
     assert told["nothing"].startswith("No surface passes any cell at 1")
     assert "0 MB of light for this surface" in told["cost"]
+
+
+def test_series_and_segmentations_have_no_more_lines(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    z, y, x = np.indices((12,) * 3)
+    series = np.stack([np.hypot(z - 5, y - 5) + x, z + y + 0.0]).astype(np.float32)
+    np.save(tmp_path / "a.npy", series)
+    (tmp_path / "a.toml").write_text('volume = "a.npy#time=0"\n')
+    assert brief_of(capsys, tmp_path / "a.toml")["volume"].endswith(", step 0 of 0 to 1")
+    parts = np.zeros((12,) * 3, np.uint8)
+    parts[2:10, 2:10, 2:10] = np.arange(1, 9)[:, None, None]
+    named = {f"Segment{n}_LabelValue": str(n + 1) for n in range(8)}
+    named |= {f"Segment{n}_Name": f"a part with a long name, number {n}" for n in range(8)}
+    nrrd.write(str(tmp_path / "parts.seg.nrrd"), parts, named, index_order="C")
+    assert "number 0" in brief_of(capsys, tmp_path / "parts.seg.nrrd")["light"]

@@ -1,13 +1,14 @@
 """Canonical files: what goes in comes out, and what isogi did not write is none."""
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from isogi_core.files.grid import Grid
-from isogi_core.files.nrrd import read_nrrd
+from isogi_core.files.grid import Grid, LabelName
+from isogi_core.files.nrrd import open_nrrd, read_nrrd
 from server.uploads.folder import SCENE, TYPES, read_facts, write
 
 RAMP = np.arange(24).reshape(2, 3, 4)
@@ -55,6 +56,35 @@ def test_the_quota_counts_what_the_server_holds(tmp_path: Path) -> None:
     small, wide = (read_facts(kept(tmp_path, ramp.astype(kind))) for kind in ("u1", "f8"))
     assert small and small.held == SCENE + 4 * 1000
     assert wide and wide.held - SCENE == wide.bytes > 8 * 1000
+
+
+LABELS = (
+    LabelName(1, "Leber é", "#dd8265"),
+    LabelName(2, "odd\nSegment7_Name:=x\\ne", ""),
+    LabelName(9, "x" * 300, "#000001"),
+)
+
+
+def labelled(folder: Path, labels: tuple[LabelName, ...] | None) -> Path:
+    file = io.BytesIO()
+    grid = replace(Grid.of(RAMP.astype("u1"), (1.0, 2.0, 0.1)), labels=labels)
+    path = folder / f"{write(file, grid, 'a')}.nrrd"
+    path.write_bytes(file.getvalue())
+    return path
+
+
+def test_labels_keep_their_names_and_colours(tmp_path: Path) -> None:
+    """What a name may not hold is left out of it: it makes no line of its own."""
+    path = labelled(tmp_path, LABELS)
+    assert read_facts(path)
+    odd = LabelName(2, "oddSegment7_Name:=xne", "")
+    assert open_nrrd(path).labels == (LABELS[0], odd, LabelName(9, "x" * 64, "#000001"))
+    bare = labelled(tmp_path, None)
+    assert open_nrrd(bare).labels is None and bare.stem != path.stem
+    assert bare == kept(tmp_path, RAMP.astype("u1"))
+    assert open_nrrd(labelled(tmp_path, ())).labels is not None
+    many = labelled(tmp_path, tuple(LabelName(n, "ä" * 64, "#123456") for n in range(1, 400)))
+    assert read_facts(many) and len(open_nrrd(many).labels or ()) == 255
 
 
 def test_what_isogi_did_not_write_is_none(tmp_path: Path) -> None:

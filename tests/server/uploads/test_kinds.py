@@ -7,9 +7,11 @@ import sys
 import tempfile
 from pathlib import Path
 
+import nrrd
 import numpy as np
 import pytest
 
+from isogi_core.files.grid import LabelName
 from isogi_core.files.nrrd import open_nrrd
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.model.orientation import Orientation
@@ -17,6 +19,7 @@ from server.uploads.folder import read_facts
 from server.uploads.reading import ROOT
 from tests.files.formats.every_kind import F, written
 from tests.files.formats.phantom import ORIGIN, STEPS
+from tests.loaded import load_scene
 
 
 def installed() -> list[str]:
@@ -71,3 +74,35 @@ def test_an_uploaded_file_lies_where_it_did(tmp_path: Path) -> None:
     np.testing.assert_array_equal(grid.whole(), F)
     last = np.array((15.0, 19.0, 11.0)) * STEPS
     np.testing.assert_allclose(orientation.to_world(last), np.array(ORIGIN) + last)
+
+
+PARTS = np.pad(np.array([[[1, 1, 2], [1, 0, 2]], [[1, 2, 2], [1, 2, 2]]], np.uint8), 3)
+SEGMENTS = {
+    "Segment0_Name": "Liver",
+    "Segment0_LabelValue": "1",
+    "Segment0_Color": "1 0.5 0",
+    "Segment1_Name": "Vein",
+    "Segment1_LabelValue": "2",
+}
+
+
+def test_an_uploaded_segmentation_is_one_of_labels(tmp_path: Path) -> None:
+    nrrd.write(str(tmp_path / "parts.seg.nrrd"), PARTS, SEGMENTS, index_order="C")
+    kept = read_confined(tmp_path / "parts.seg.nrrd", tmp_path)
+    scene = load_scene(kept)
+    assert scene.colours is not None and scene.isovalue == 0.5
+    assert [label.name for label in scene.colours.scale.labels] == ["Liver", "Vein"]
+    assert open_nrrd(kept).labels == (LabelName(1, "Liver", "#ff8000"), LabelName(2, "Vein"))
+
+
+def test_a_segmentation_without_a_label_is_refused(tmp_path: Path) -> None:
+    nrrd.write(str(tmp_path / "none.seg.nrrd"), 0 * PARTS, SEGMENTS, index_order="C")
+    with pytest.raises(AssertionError, match="no label: every voxel is 0"):
+        read_confined(tmp_path / "none.seg.nrrd", tmp_path)
+
+
+def test_a_skewed_segmentation_is_uploaded_as_values(tmp_path: Path) -> None:
+    """Between two labels is neither."""
+    skewed = {"space": "RAS", "space directions": [[1, 0, 0], [0.5, 1, 0], [0, 0, 1]], "space origin": [0, 0, 0]}
+    nrrd.write(str(tmp_path / "skew.seg.nrrd"), PARTS, {**SEGMENTS, **skewed}, index_order="C")
+    assert open_nrrd(read_confined(tmp_path / "skew.seg.nrrd", tmp_path)).labels is None

@@ -1,0 +1,77 @@
+/** Plays a series in time: one step after the other, each once the one before it is seen, round and round. */
+
+import { CLOCK } from "../net/trouble.js";
+
+/** @typedef {import("../net/schemas.js").Scene} Scene */
+/** @typedef {import("../net/shown.js").Shown} Shown */
+/** @typedef {import("../view/model.js").ViewModel} ViewModel */
+
+const STEP_MS = 500; // a step is seen for this long, at least
+
+/** A button that plays the steps, and pauses. */
+export class Player {
+  #button;
+  #view;
+  #shown;
+  #steps;
+  #clock;
+  #timer = 0;
+  #due = false;
+  #step = NaN; // that was set last
+
+  /**
+   * @param {HTMLButtonElement} button
+   * @param {Scene} scene
+   * @param {ViewModel} view
+   * @param {Shown} shown
+   * @param {import("../net/trouble.js").Clock} [clock]
+   */
+  constructor(button, scene, view, shown, clock = CLOCK) {
+    this.#button = button;
+    this.#view = view;
+    this.#shown = shown;
+    this.#steps = scene.volume.times ?? 1;
+    this.#clock = clock;
+    button.addEventListener("click", () => (this.plays ? this.pause() : this.play()));
+    view.subscribe(({ time }) => time === this.#step || this.pause()); // somebody chose another
+    shown.subscribe(() => this.#go());
+  }
+
+  /** @returns {boolean} */
+  get plays() {
+    return this.#button.getAttribute("aria-pressed") === "true";
+  }
+
+  /** Go on from the step that is shown, at once. */
+  play() {
+    this.#mark(true);
+    this.#due = true;
+    this.#go();
+  }
+
+  /** Stay at the step that is shown. */
+  pause() {
+    if (!this.plays) return;
+    this.#clock.cancel(this.#timer);
+    this.#mark(false);
+  }
+
+  /** @param {boolean} plays */
+  #mark(plays) {
+    this.#button.setAttribute("aria-pressed", String(plays));
+    this.#button.textContent = plays ? "Pause" : "Play";
+    this.#step = plays ? (this.#view.values.time ?? 0) : NaN;
+  }
+
+  /** Show the next step where it is time for it, and the one before has been seen: none is skipped. */
+  #go() {
+    if (!this.plays || !this.#due || this.#shown.pictureOf !== this.#shown.asked) return;
+    this.#due = false;
+    this.#timer = this.#clock.after(STEP_MS, () => {
+      this.#due = true;
+      this.#go();
+    });
+    this.#step = (this.#step + 1) % this.#steps;
+    this.#view.set({ time: this.#step });
+  }
+}
