@@ -175,7 +175,7 @@ def scene_for(case: Case) -> Scene:
 
 def measure(case: Case, lab: Lab, folder: Path, size: int) -> Found:
     """Bake a view, draw it by the card and by the server, and compare."""
-    bench = Workbench(scene_for(case), folder)
+    bench, size = Workbench(scene_for(case), folder), size * (FINE if case.kind == "new" else 1)
     view, first = view_of(case, bench, size), view_of(replace(case, after=None), bench, size)
     bench.bake(first)
     plain = replace(first, light=IDENTITY)
@@ -200,8 +200,8 @@ def measure(case: Case, lab: Lab, folder: Path, size: int) -> Found:
     return Found(found.within, found.rmse, found.surface, found.torn, sent)
 
 
-CLOSE = 1.3
-"""The distance of views whose pixels are about as large as texels: seen from farther, many texels are seen by none."""
+FINE = 3
+"""By how much pictures of new texels are larger: where pixels are larger than texels, many texels are seen by none."""
 
 LOBES_OF = {"texels": False, "moving": True, "rest": True, "new": False}
 """Whether lobes are drawn, by kind."""
@@ -226,8 +226,7 @@ def at_rest(bench: Workbench, shown: CardScene, view: View, exposure: float, sen
 def view_of(case: Case, bench: Workbench, size: int) -> View:
     """The view that a case is about: where it goes on, the one after."""
     azimuth, isovalue = case.after or (case.azimuth, case.isovalue)
-    away = CLOSE if case.kind == "new" else 3.0
-    view = bench.view(azimuth, size=size, distance=away, isovalue=isovalue, light=quaternion_from_angles(*case.turn))
+    view = bench.view(azimuth, size=size, isovalue=isovalue, light=quaternion_from_angles(*case.turn))
     if case.parallel:
         view = replace(view, camera=orthographic(view.camera, bench.scene.volume.radius))
     return replace(view, window=read_window(case.window)) if case.window else view
