@@ -566,6 +566,13 @@ class Isogi:
         """
         return self._json("GET", scene_path(scene))
 
+    def read(self, path: str) -> bytes:
+        """The bytes at an address of the server, such as what a graphics card draws from. Raises IsogiError.
+
+        >>> isogi.read("v1/scenes/casting/card")
+        """
+        return self._ask("GET", path).content
+
     def fit(self, scene: str, **view: Values) -> dict[str, Any]:
         """The camera that shows a surface whole and large: parameters of ``frame``.
 

@@ -5,86 +5,69 @@
 >>> viewer = Viewer(Isogi("http://127.0.0.1:8000"), "casting", width=640, height=480)
 >>> viewer
 
-It needs `isogi_client.py` and anywidget: isogi's extra ``notebook``. Pictures go by way of the kernel, so that the
-browser needs no way to the server.
+It needs `isogi_client.py` and anywidget: isogi's extra ``notebook``. The visitor's graphics card draws what moves, by
+the modules of the server's page; without one, the server does. Modules, voxels, light and pictures go by way of the
+kernel, so that the browser needs no way to the server.
 """
 
 from __future__ import annotations
 
+import re
 import threading
+from concurrent.futures import ThreadPoolExecutor
+from posixpath import dirname, join, normpath
 from typing import Any
 
 import anywidget
 import traitlets
 
-from isogi_client import Frame, Isogi, IsogiError
+from isogi_client import Frame, Isogi, IsogiError, query, scene_path
 
-KNOBS = ("isovalue", "azimuth", "elevation", "distance", "yaw")
-"""Parameters of the view that the notebook moves."""
+KNOBS = ("isovalue", "azimuth", "elevation", "distance", "yaw", "pitch", "roll")
+"""Parameters of the view that the notebook moves, besides the target."""
 
 REFINED = 1.0
 """Seconds of baking between two pictures of a view at rest."""
 
-ESM = """
-const DRAG = 0.4, STEP = 5, ZOOM = 1.001;
-const KEYS = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]};
+STILL = 1.0
+"""Seconds without a change after which a view rests, where the page does not say so: it may have been closed."""
 
-function render({ model, el }) {
-  const picture = Object.assign(document.createElement("img"), { tabIndex: 0, draggable: false });
-  const slider = Object.assign(document.createElement("input"), { type: "range", step: "any", ariaLabel: "Isovalue" });
-  const told = document.createElement("output");
-  el.classList.add("isogi");
-  el.append(picture, slider, told);
+START = "notebook/notebook.js"
+"""The page's module that shows a view in a notebook."""
 
-  const set = (values) => {
-    for (const [name, value] of Object.entries(values)) model.set(name, value);
-    model.save_changes();
-  };
-  const turn = (dx, dy, light) => {
-    if (light) return set({ yaw: (model.get("yaw") + dx) % 360 });
-    const elevation = Math.min(90, Math.max(-90, model.get("elevation") + dy));
-    set({ azimuth: (model.get("azimuth") - dx) % 360, elevation });
-  };
-  const show = () => {
-    URL.revokeObjectURL(picture.src);
-    picture.src = URL.createObjectURL(new Blob([model.get("picture")], { type: "image/jpeg" }));
-    picture.alt = `Isosurface at ${model.get("isovalue")}: ${model.get("told")}`;
-  };
-  const mirror = () => {
-    [slider.min, slider.max] = model.get("span");
-    slider.value = model.get("isovalue");
-    slider.hidden = slider.min === slider.max;
-    told.textContent = model.get("told");
-  };
+IMPORT = re.compile(r'^(?:import|export) [^;]*?from "(\.[^"]+)";$', re.MULTILINE)
+"""What a module of the page imports."""
 
-  picture.addEventListener("pointerdown", (event) => picture.setPointerCapture(event.pointerId));
-  picture.addEventListener("pointermove", (event) => {
-    if (event.buttons) turn(DRAG * event.movementX, DRAG * event.movementY, event.shiftKey);
+SIDE = 512
+"""Pixels of a picture's sides where they are not given."""
+
+ESM = r"""
+const made = new Map(); // addresses of modules, by their text: widgets of a page share them
+
+function addressOf(modules, name) {
+  const [folder] = name.split(/\/[^/]*$/);
+  const text = modules[name].replace(/(^(?:import|export) [^;]*?from )"(\.[^"]+)";$/gm, (_, head, path) => {
+    const place = new URL(path, `http://web/${folder}/`).pathname.slice(1);
+    return `${head}"${addressOf(modules, place)}";`;
   });
-  picture.addEventListener("wheel", (event) => {
-    event.preventDefault();
-    set({ distance: Math.min(1e6, Math.max(0.02, model.get("distance") * ZOOM ** event.deltaY)) });
-  }, { passive: false });
-  picture.addEventListener("keydown", (event) => {
-    if (!(event.key in KEYS)) return;
-    event.preventDefault();
-    event.stopPropagation();
-    const [dx, dy] = KEYS[event.key];
-    turn(STEP * dx, STEP * dy, event.shiftKey);
-  });
-  slider.addEventListener("input", () => set({ isovalue: Number(slider.value) }));
-  model.on("change:picture", show);
-  model.on("change", mirror);
-  show();
-  mirror();
-  return () => URL.revokeObjectURL(picture.src);
+  if (!made.has(text)) made.set(text, URL.createObjectURL(new Blob([text], { type: "text/javascript" })));
+  return made.get(text);
+}
+
+async function render({ model, el }) {
+  const { show } = await import(addressOf(model.get("modules"), model.get("start")));
+  return show(model, el);
 }
 export default { render };
 """
 
 CSS = """
 .isogi { display: inline-grid; gap: 0.3em; max-width: 100%; }
-.isogi img { max-width: 100%; cursor: grab; touch-action: none; user-select: none; }
+.isogi .stage { position: relative; max-width: 100%; cursor: grab; touch-action: none; user-select: none; }
+.isogi .stage > * { position: absolute; inset: 0; width: 100%; height: 100%; margin: 0; }
+.isogi canvas { pointer-events: none; }
+.isogi canvas[data-faded] { opacity: 0; transition: opacity 0.15s; }
+.isogi [hidden] { display: none; }
 .isogi output { font-size: smaller; opacity: 0.8; }
 """
 
@@ -92,8 +75,11 @@ CSS = """
 class Viewer(anywidget.AnyWidget):
     """A view of a scene on a server, which is dragged (with Shift the light), zoomed by the wheel, and slid.
 
-    Its knobs can be read, set and observed: ``isovalue``, ``azimuth``, ``elevation``, ``distance``, ``yaw``. The
-    other parameters of the HTTP interface are given once. The picture becomes better while the view rests.
+    Its knobs can be read, set and observed: ``isovalue``, ``azimuth``, ``elevation``, ``distance``, ``yaw``, ``pitch``,
+    ``roll``, and the ``target`` that the camera turns about, None for the volume's centre. The other parameters of the
+    HTTP interface are given once. The visitor's graphics card draws while the view moves, and the server's picture
+    becomes better while it rests. ``draw="server"`` leaves all to the server, and ``draw="card"`` draws by the
+    processor where the browser has no card.
     """
 
     _esm = ESM
@@ -103,19 +89,43 @@ class Viewer(anywidget.AnyWidget):
     elevation = traitlets.Float().tag(sync=True)
     distance = traitlets.Float().tag(sync=True)
     yaw = traitlets.Float().tag(sync=True)
+    pitch = traitlets.Float().tag(sync=True)
+    roll = traitlets.Float().tag(sync=True)
+    target: traitlets.List[Any] = traitlets.List(None, allow_none=True).tag(sync=True)
+    moving = traitlets.Bool().tag(sync=True)
     picture = traitlets.Bytes().tag(sync=True)
+    shown = traitlets.Int().tag(sync=True)
+    seen: traitlets.List[Any] = traitlets.List().tag(sync=True)
+    provisional = traitlets.Float().tag(sync=True)
     told = traitlets.Unicode().tag(sync=True)
-    span = traitlets.List().tag(sync=True)
+    span: traitlets.List[Any] = traitlets.List().tag(sync=True)
+    scene = traitlets.Dict().tag(sync=True)
+    given = traitlets.Dict().tag(sync=True)
+    size: traitlets.List[Any] = traitlets.List().tag(sync=True)
+    modules = traitlets.Dict().tag(sync=True)
+    start = traitlets.Unicode(START).tag(sync=True)
 
     def __init__(self, isogi: Isogi, scene: str, **view: Any) -> None:
         """Show the view, which takes what is not given from the scene's defaults. Raises IsogiError."""
-        facts = isogi.scene(scene)
-        start = {name: float(view.pop(name, facts["defaults"][name])) for name in KNOBS}
+        facts, modules = isogi.scene(scene), modules_of(isogi)
+        knobs = {name: float(view.pop(name, facts["defaults"].get(name, 0.0))) for name in KNOBS}
+        target, given = view.pop("target", None), query(view)
+        view.pop("draw", None)
         self._isogi, self._scene, self._more = isogi, scene, view
         self._moved, self._closed = threading.Event(), False
+        self._answers = ThreadPoolExecutor(2, "isogi-viewer")
         self.frame: Frame | None = None
-        super().__init__(**start, span=list(facts["ranges"]["isovalue"].values()))
-        self.observe(lambda _: self._moved.set(), KNOBS)
+        super().__init__(
+            **knobs,
+            target=None if target is None else [float(each) for each in target],
+            span=list(facts["ranges"]["isovalue"].values()),
+            scene=facts,
+            given=given,
+            size=[int(view.get(name) or SIDE) for name in ("width", "height")],
+            modules=modules,
+        )
+        self.on_msg(lambda _, asked, __: self._answers.submit(self._answer, asked))
+        self.observe(lambda _: self._moved.set(), (*KNOBS, "target", "moving"))
         self._moved.set()
         self._thread = threading.Thread(target=self._follow, name="isogi-viewer", daemon=True)
         self._thread.start()
@@ -123,12 +133,14 @@ class Viewer(anywidget.AnyWidget):
     @property
     def view(self) -> dict[str, Any]:
         """The parameters of what is shown, such as for ``isogi.frame(scene, wait="final", **viewer.view)``."""
-        return {**self._more, **{name: getattr(self, name) for name in KNOBS}}
+        target = {} if self.target is None else {"target": self.target}
+        return {**self._more, **{name: getattr(self, name) for name in KNOBS}, **target}
 
     def close(self) -> None:
         """Show nothing more, once the picture that is under way has come."""
         self._closed = True
         self._moved.set()
+        self._answers.shutdown(wait=False, cancel_futures=True)
         if threading.current_thread() is not self._thread:
             self._thread.join()
         super().close()
@@ -140,6 +152,8 @@ class Viewer(anywidget.AnyWidget):
             self._moved.clear()
             if self._closed:
                 return
+            if self.moving and self._moved.wait(STILL):
+                continue
             try:
                 frame = self._show("now")
                 while frame.facts.provisional and not self._moved.is_set():
@@ -148,7 +162,31 @@ class Viewer(anywidget.AnyWidget):
                 self.told = str(error)
 
     def _show(self, wait: Any) -> Frame:
-        self.frame = self._isogi.frame(self._scene, wait=wait, f="jpeg", **self.view)
+        view = self.view
+        seen = [*(view[name] for name in KNOBS), view.get("target")]
+        self.frame = frame = self._isogi.frame(self._scene, wait=wait, f="jpeg", **view)
         if not self._closed:
-            self.told, self.picture = str(self.frame.facts), self.frame.content
-        return self.frame
+            with self.hold_sync():
+                self.told, self.picture, self.seen = str(frame.facts), frame.content, seen
+                self.provisional, self.shown = frame.facts.coverage.get("provisional", 0.0), self.shown + 1
+        return frame
+
+    def _answer(self, asked: dict[str, Any]) -> None:
+        """Hand the page what it asks the server for."""
+        number, path = asked["number"], asked["path"]
+        place = path if path.startswith("web/") else f"{scene_path(self._scene)}/{path}"
+        try:
+            self.send({"number": number}, [self._isogi.read(place)])
+        except (IsogiError, RuntimeError) as error:
+            self.send({"number": number, "status": getattr(error, "status", None) or 503, "detail": str(error)})
+
+
+def modules_of(isogi: Isogi) -> dict[str, str]:
+    """The modules of a server's page that show a view in a notebook, by their places. Raises IsogiError."""
+    found, waiting = {}, [START]
+    while waiting:
+        name = waiting.pop()
+        found[name] = isogi.read(f"web/{name}").decode()
+        paths = {normpath(join(dirname(name), path)) for path in IMPORT.findall(found[name])}
+        waiting += sorted(paths - found.keys() - set(waiting))
+    return found

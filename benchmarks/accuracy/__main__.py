@@ -3,6 +3,7 @@
 from benchmarks.accuracy.albedo import albedo
 from benchmarks.accuracy.branching import branching
 from benchmarks.accuracy.calibration import calibration
+from benchmarks.accuracy.card import card
 from benchmarks.accuracy.checking import checking
 from benchmarks.accuracy.choices import choices
 from benchmarks.accuracy.colours import colours
@@ -34,6 +35,7 @@ main = suite(
     totals,
     furnace,
     checking,
+    card,
     cuts,
     colours,
     surfaces,

@@ -9,12 +9,13 @@ from benchmarks.service.load import load
 from benchmarks.service.malformed import malformed
 from benchmarks.service.memory import memory
 from benchmarks.service.page import page
+from benchmarks.service.visitors import visitors
 from benchmarks.service.warm_view import warm_view
 from benchmarks.service.widget import widget
 
 main = suite(
     "One server, as its clients see it.",
-    *(drag, load, malformed, memory, fuzz, warm_view, page, widget, first_look, first_start),
+    *(drag, visitors, load, malformed, memory, fuzz, warm_view, page, widget, first_look, first_start),
 )
 
 if __name__ == "__main__":

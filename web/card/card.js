@@ -31,10 +31,11 @@ const UNLIT = /^0+$/; // version of a chunk without light
 
 /** A graphics card that draws one scene. */
 export class Card {
-  /** @param {HTMLCanvasElement|OffscreenCanvas} canvas @param {import("./device.js").Device} device */
-  constructor(canvas, device) {
+  /** @param {HTMLCanvasElement|OffscreenCanvas} canvas @param {import("./device.js").Device} device @param {(name: string) => Promise<string>} read text of a shader's file */
+  constructor(canvas, device, read) {
     this.canvas = canvas;
     this.device = device;
+    this.read = read;
     this.lost = false;
     this.onlost = () => {};
     this.onrestored = () => {};
@@ -51,12 +52,13 @@ export class Card {
   /**
    * Open the card behind a canvas that nobody else draws on.
    * @param {HTMLCanvasElement|OffscreenCanvas} canvas
-   * @param {{software?: boolean}} [allowed] whether a processor may stand in for a card
+   * @param {{software?: boolean, readShader?: (name: string) => Promise<string>}} [given] whether a processor may stand in
+   *   for a card, and where shaders are read, by default beside these modules
    * @returns {Card}
    * @throws {import("./device.js").Refusal} where this browser has no card that can draw
    */
-  static open(canvas, allowed) {
-    return new Card(canvas, openDevice(canvas, allowed));
+  static open(canvas, given = {}) {
+    return new Card(canvas, openDevice(canvas, given), given.readShader ?? readShader);
   }
 
   /**
@@ -144,7 +146,7 @@ export class Card {
   /** @param {CardDocument} document @param {Promise<import("./cells.js").Voxels>} codes @param {import("./texels.js").Run[]} [runs] */
   async #load(document, codes, runs) {
     const { gl } = this.device, load = ++this.loads;
-    const [programs, voxels] = await Promise.all([programsOf(gl, document, readShader), codes]);
+    const [programs, voxels] = await Promise.all([programsOf(gl, document, this.read), codes]);
     if (load !== this.loads) return; // another scene was asked for meanwhile
     const volume = new Volume(this.device, document, voxels), texels = new Texels(this.device, document, BUDGET, runs);
     const drawing = new Drawing(this.device, document, volume, texels, programs);

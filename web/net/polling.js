@@ -24,9 +24,7 @@ import { CLOCK, Trouble, retryDelay } from "./trouble.js";
  */
 
 const WAIT_MS = 400; // how long the server may hold a refinement back for new light
-const DRAFT_SCALES = [0.25, 0.35, 0.5, 0.7, 1]; // few sizes, so that the server can keep its G-buffer
-const FIRST_SCALE = 2;
-const [DRAFT_QUICK_MS, DRAFT_SLOW_MS] = [45, 130]; // a draft within these keeps its size
+const DRAFT_SCALE = 0.35; // of the sides of a picture that moves
 const RETRY_MS = [500, 1000, 2000, 4000];
 
 const FINAL_WAIT_MS = 3000; // how long the server may hold back the next picture on the way to the final one
@@ -44,7 +42,6 @@ export class Polling {
   #flight = null;
   /** @type {{etag: string|null, facts: Facts|null}|null} */
   #shown = null;
-  #scale = FIRST_SCALE;
   #unchanged = 0;
   #failures = 0;
   #timer = 0;
@@ -104,7 +101,7 @@ export class Polling {
 
   /** @param {boolean} draft @returns {FrameOptions} */
   #options(draft) {
-    if (draft) return { draft, scale: DRAFT_SCALES[this.#scale], waitMs: 0, etag: null };
+    if (draft) return { draft, scale: DRAFT_SCALE, waitMs: 0, etag: null };
     return { draft, scale: 1, waitMs: this.#shown ? WAIT_MS : 0, etag: this.#shown?.etag ?? null };
   }
 
@@ -119,7 +116,6 @@ export class Polling {
     const facts = frame.facts ?? this.#shown?.facts ?? null;
     if (!draft) this.#shown = { etag: frame.etag, facts };
     this.#hooks.frame({ blob: frame.blob, facts, of: frame.of }, draft);
-    if (draft) this.#scale = nextScale(this.#scale, elapsed);
     if (draft && this.#changed) this.#send();
     if (!draft && facts?.provisional) this.#later(refinementPause(elapsed, this.#unchanged));
   }
@@ -137,17 +133,6 @@ export class Polling {
     this.#clock.cancel(this.#timer);
     this.#timer = this.#clock.after(milliseconds, () => document.hidden || this.#send());
   }
-}
-
-/**
- * The size of the next draft: larger after a quick one, smaller after a slow one.
- * @param {number} scale index of DRAFT_SCALES
- * @param {number} elapsed milliseconds that the draft took
- * @returns {number} index of DRAFT_SCALES
- */
-export function nextScale(scale, elapsed) {
-  const next = scale + Number(elapsed < DRAFT_QUICK_MS) - Number(elapsed > DRAFT_SLOW_MS);
-  return Math.min(DRAFT_SCALES.length - 1, Math.max(0, next));
 }
 
 /**

@@ -1,6 +1,7 @@
 """The light of whole chunks as a visitor's graphics card reads it: under one light, or as transfer for any."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import islice
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.frame.card.blocks import CODED, FOLDED, RAW, pack
-from isogi_core.frame.card.chunk_texels import hold_texels, with_neighbours
+from isogi_core.frame.card.chunk_texels import ChunkTexels, hold_texels, with_neighbours
 from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.card.filtered_transfer import filter_numbers, number_noise
 from isogi_core.frame.frame import Frame
@@ -47,38 +48,53 @@ def fold_chunks(renderer: Renderer, view: View, chunks: Sequence[Index], target:
 
     Records are those that ``carry_irradiance_ratios`` is given. Raises Cancelled, and what ``Loader.ensure`` does.
     """
-    light, some = RotatedLight(renderer.caches.spec("gi"), view), tuple(chunks)
-    with hold_texels(renderer.caches.of("gi"), some, target, tiles) as (found, pool):
-        if not (grainy := bool(found.reading.grainy.any())):
-            lit = light_sources(found.reading.sources(pool), light, tiles)
-    if grainy:
-        with hold_texels(renderer.caches.of("gi"), with_neighbours(some, renderer.prepared), target, tiles) as held:
-            found, pool = held
-            lit = light_sources(found.reading.sources(pool), light, tiles)
+    light = RotatedLight(renderer.caches.spec("gi"), view)
+    with hold_filtering(renderer, chunks, target, tiles) as (found, pool):
+        lit = light_sources(found.reading.sources(pool), light, tiles)
     about, reading = normals_of(renderer, found.texels, tiles), found.reading
-    if grainy:
+    if grainy := bool(reading.grainy.any()):
         reading, lit = filter_texel_light(found.texels, reading, lit, about, light, tiles)
     records = fill_texel_records(reading.grade, lit, about, light, tiles)
     values = np.column_stack([records[:, DIRECT : DIRECT + 3], records[:, REFLECTED : REFLECTED + 3]])
-    blocks = tuple(islice(pack(found, about, values, FOLDED), len(some)))
-    return Packed(blocks, found.versions[: len(some)], not grainy)
+    blocks = tuple(islice(pack(found, about, values, FOLDED), len(chunks)))
+    return Packed(blocks, found.versions[: len(chunks)], not grainy)
 
 
 def transfer_chunks(renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
-    """``chunks`` with what their texels keep, for any light: see ``raw_scale``. Raises as ``fold_chunks``."""
-    with hold_texels(renderer.caches.of("gi"), chunks, target, tiles) as (found, pool):
-        numbers = raw_numbers(found.reading.rows, pool)
-    return Packed(tuple(pack(found, normals_of(renderer, found.texels, tiles), numbers, RAW)), found.versions, True)
+    """``chunks`` with what their texels keep, for any light, filtered where it is grainy: see ``raw_scale``.
+
+    Raises as ``fold_chunks``.
+    """
+    with hold_filtering(renderer, chunks, target, tiles) as (found, pool):
+        about, numbers = calm_numbers(renderer, found.texels, found.reading, pool, tiles)
+    blocks = tuple(islice(pack(found, about, numbers, RAW), len(chunks)))
+    return Packed(blocks, found.versions[: len(chunks)], not found.reading.grainy.any())
 
 
 def coded_chunks(
     renderer: Renderer, chunks: Sequence[Index], target: float, coding: Coding, tiles: Tiles
 ) -> tuple[bytes, ...]:
     """The blocks of ``chunks`` with transfer in few bits, filtered where it is grainy. Raises as ``fold_chunks``."""
-    some = with_neighbours(chunks, renderer.prepared)
-    with hold_texels(renderer.caches.of("gi"), some, target, tiles) as (found, pool):
+    with hold_filtering(renderer, chunks, target, tiles) as (found, pool):
         about, numbers = calm_numbers(renderer, found.texels, found.reading, pool, tiles)
     return tuple(islice(pack(found, about, coding.codes(numbers), CODED), len(chunks)))
+
+
+@contextmanager
+def hold_filtering(
+    renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles
+) -> Iterator[tuple[ChunkTexels, PagePool]]:
+    """The texels of ``chunks``, and behind them those of all chunks that touch one, where some are grainy.
+
+    They are held in the pool while the block runs. Raises as ``fold_chunks``.
+    """
+    loader, more = renderer.caches.of("gi"), with_neighbours(chunks, renderer.prepared)
+    with hold_texels(loader, chunks, target, tiles) as held:
+        if not held[0].reading.grainy.any():
+            yield held
+            return
+    with hold_texels(loader, more, target, tiles) as held:
+        yield held
 
 
 def calm_numbers(

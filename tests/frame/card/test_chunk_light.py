@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.noise import Until
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.page_pool import NOTHING
 from isogi_core.frame.card.chunk_light import fold_chunks, seen_chunks, transfer_chunks
 from isogi_core.frame.lighting import RotatedLight
@@ -15,7 +16,7 @@ from isogi_core.model.view import View, quaternion_from_angles, rotation_matrix
 from server.card_answers import card_scene
 from tests.card_twin import Twin, blocks_in
 from tests.frame.card.benches import SCENES, TILES, Make, bench_of, drawn
-from tests.frame.conftest import LOOSE, Workbench
+from tests.frame.conftest import LOOSE, Workbench, refine_chunk
 from tests.loaded import load_scene
 
 TURN = quaternion_from_angles(70.0, -20.0, 15.0)
@@ -35,10 +36,7 @@ def twin_of(bench: Workbench, view: View, raw: bool) -> Twin:
 
 
 def differences(twin: Twin, bench: Workbench, view: View, raw: bool) -> tuple[np.ndarray, float]:
-    """Differences of sRGB codes, the largest of each pixel, and the relative RMSE of the radiance.
-
-    What is ``raw`` is not filtered.
-    """
+    """Differences of sRGB codes, the largest of each pixel, and the relative RMSE of the radiance."""
     points, normals, expected = drawn(bench, view, filters=not raw)
     assert len(points) > 250
     found = np.array([twin.shade(p, n) for p, n in zip(points.astype(float), normals.astype(float), strict=True)])
@@ -152,3 +150,29 @@ def test_noisy_light_is_filtered_across_chunks(workbench: Make) -> None:
     points, normals, expected = drawn(bench, view, 0.02)
     found = np.array([twin.shade(p, n) for p, n in zip(points.astype(float), normals.astype(float), strict=True)])
     assert np.sqrt(((found - expected) ** 2).mean()) / expected.mean() < 0.01
+
+
+def test_transfer_of_noisy_texels_is_filtered_for_all_turns(workbench: Make) -> None:
+    """Under a light that the page turns, the picture is as near to the truth as the server's filtered one."""
+    bench = workbench(load_scene("demo:orbital", bounces=2, target_error=0.02, projected=False, **SCENES["colours"]))
+    view = bench.view(size=40, light=TURN)
+    bake_to(bench, view, FIRST_LEVEL)
+    indices = [each.at for each in seen_chunks(bench.renderer, view, 0.02, TILES)]
+    packed = transfer_chunks(bench.renderer, indices, 0.02, TILES)
+    alone = transfer_chunks(bench.renderer, indices[:1], 0.02, TILES)
+    assert not packed.alone and alone.blocks[0] == packed.blocks[0], "neighbours are asked for by themselves"
+    twin = Twin(card_scene(bench.renderer, view, ()).model_dump(), rotation_matrix(TURN))
+    twin.take(b"".join(packed.blocks))
+    points, normals, filtered = drawn(bench, view, 0.02)
+    grainy = drawn(bench, view, 0.02, filters=False)[2]
+    found = np.array([twin.shade(p, n) for p, n in zip(points.astype(float), normals.astype(float), strict=True)])
+    bake_to(bench, view, 64 * FIRST_LEVEL)
+    truth = drawn(bench, view, 0.02)[2]
+    errors = [float(np.sqrt(((each - truth) ** 2).mean())) for each in (found, filtered, grainy)]
+    assert errors[0] < 1.02 * errors[1] < 0.85 * errors[2], errors
+
+
+def bake_to(bench: Workbench, view: View, samples: int) -> None:
+    """Bring the texels of a view to so many samples."""
+    for demand in bench.renderer.render(view, 1e-3, enough=samples).demands:
+        refine_chunk(bench.caches.of("gi"), samples, 1e-3, demand)

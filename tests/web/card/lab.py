@@ -85,7 +85,8 @@ def served(data: dict[str, bytes]) -> Iterator[str]:
 def lab_in(browser: Browser) -> Iterator[Lab]:
     """A lab in a page of its own, whose console must stay free of errors."""
     complaints: list[str] = []
-    with served(data := {}) as address:
+    data: dict[str, bytes] = {}
+    with served(data) as address:
         page = browser.new_page()
         page.on("pageerror", lambda error: complaints.append(str(error)))
         page.on("console", lambda line: complaints.append(line.text) if line.type == "error" else None)

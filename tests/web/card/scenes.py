@@ -1,5 +1,6 @@
 """Scenes as a page's card gets them: the document, voxels and light of what a renderer has baked."""
 
+import gzip
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.model.view import Camera, Quaternion, View, quaternion_from_angles
+from server.api.binary import LEVEL
 from server.card_answers import card_scene
 from tests.web.card.lab import Lab
 
@@ -51,7 +53,10 @@ class CardScene:
         lab.ask("window.card = await bench.loaded(given.files, given.size);", given)
 
     def light(self, view: View, target: float, raw: bool = False) -> int:
-        """Give the card the folded light, and the ``raw`` transfer, of all chunks of a view; returns the bytes."""
+        """Give the card the folded light, and the ``raw`` transfer, of all chunks of a view.
+
+        Returns the bytes, as a server compresses them.
+        """
         tiles, sent = self.renderer.tiles, 0
         seen = [each.at for each in seen_chunks(self.renderer, view, target, tiles)]
         for first in range(0, len(seen), CHUNKS):
@@ -60,7 +65,7 @@ class CardScene:
             answers += [transfer_chunks(self.renderer, some, target, tiles)] if raw else []
             for answer in answers:
                 name = self.lab.put("answer", b"".join(answer.blocks))
-                sent += len(self.lab.data[name])
+                sent += len(gzip.compress(self.lab.data[name], LEVEL))
                 self.lab.ask("card.take(await bench.bytes('answer'), given);", view.light)
         return sent
 

@@ -47,6 +47,17 @@ def test_without_webgl_the_reason_is_a_sentence(browser: Browser) -> None:
         assert refused and reason == "This browser has no WebGL 2: the server draws."
 
 
+def test_a_card_without_targets_of_floats_is_refused(browser: Browser) -> None:
+    with lab_in(browser) as lab:
+        lab.ask("""const { getExtension } = WebGL2RenderingContext.prototype;
+          WebGL2RenderingContext.prototype.getExtension = function (name) {
+            return name.startsWith("EXT_color_buffer") ? null : getExtension.call(this, name);
+          };""")
+        script = REFUSAL.replace('createElement("canvas"))', 'createElement("canvas"), { software: true })')
+        refused, reason = lab.ask(script)
+        assert refused and "cannot draw into textures of floats: the server draws." in reason
+
+
 def test_a_card_with_small_textures_refuses_a_volume(lab: Lab, bench: Workbench) -> None:
     scene = CardScene(lab, bench.renderer, view_at(bench), SIZE)
     longest = max(bench.scene.volume.size)

@@ -239,6 +239,20 @@ def test_samples_at_rest_make_edges_smooth(lab: Lab, under_sky: Workbench) -> No
     )
 
 
+def test_edges_are_smooth_after_three_tenths_of_a_second(lab: Lab, under_sky: Workbench) -> None:
+    """At 60 Hz all samples are drawn by then; nearly each step of an edge has a blend at it."""
+    view = view_at(under_sky)
+    card = CardScene(lab, under_sky.renderer, view, SIZE)
+    card.light(view, LOOSE)
+    first, rest = card.picture(view), card.picture(view, rest=True)
+    assert lab.ask("return card.last.samples - 1;") <= 0.3 * 60
+    on, blends = first.covers > 0.5, (rest.covers > 0.01) & (rest.covers < 0.99)
+    steps = [(on != np.roll(on, 1, axis), blends | np.roll(blends, 1, axis)) for axis in (0, 1)]
+    stairs = sum(int(step.sum()) for step, _ in steps)
+    smooth = sum(int((step & part).sum()) for step, part in steps)
+    assert stairs > 100 and smooth > 0.95 * stairs, (smooth, stairs)
+
+
 def contrast_of(shown: Shown) -> np.ndarray:
     """How much pixels differ from those around, of 255 steps; 255 where one of two shows the surface alone."""
     on = shown.covers > 0.5

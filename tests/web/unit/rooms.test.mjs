@@ -3,7 +3,7 @@ import { readFileSync, readdirSync } from "node:fs";
 import { test } from "node:test";
 
 const WEB = new URL("../../../web/", import.meta.url);
-const LOWER = { view: ["view"], card: ["card"], net: ["net", "view"], panels: ["panels", "net", "view"], slices: ["slices", "view"], live: ["live", "card", "net", "view"], published: ["published", "live", "panels", "card", "net", "view"] };
+const LOWER = { view: ["view"], card: ["card"], net: ["net", "view"], panels: ["panels", "net", "view"], slices: ["slices", "view"], live: ["live", "card", "net", "view"], published: ["published", "live", "panels", "card", "net", "view"], notebook: ["notebook", "live", "card", "net", "view"] };
 const modules = readdirSync(WEB, { recursive: true }).filter((file) => file.endsWith(".js"));
 const textOf = (file) => readFileSync(new URL(file, WEB), "utf8");
 
@@ -18,7 +18,7 @@ test("every module is found, and a room holds at most 16 files", () => {
   for (const room of Object.keys(LOWER)) assert.ok(readdirSync(new URL(room, WEB)).length <= 16, room);
 });
 
-test("rooms import one way: published, panels, live, net, card, view; slices, view", () => {
+test("rooms import one way: published or notebook, panels, live, net, card, view; slices, view", () => {
   for (const [room, lower] of Object.entries(LOWER)) {
     for (const file of modules.filter((each) => each.startsWith(`${room}/`))) {
       const outside = imports(file).filter((path) => path !== "dom.js" && !lower.includes(path.split("/")[0]));
@@ -41,7 +41,7 @@ test("no module imports itself, however far round", () => {
 test("every module is reached from a page's first one", () => {
   const reached = new Set();
   const visit = (file) => reached.has(file) || (reached.add(file), imports(file).forEach(visit));
-  ["main.js", "published/published.js"].forEach(visit);
+  ["main.js", "published/published.js", "notebook/notebook.js"].forEach(visit);
   assert.deepEqual(modules.filter((file) => !reached.has(file)), []);
 });
 
