@@ -24,7 +24,6 @@ from isogi_core.errors import (
 )
 from isogi_core.storage.backend import StoredObject
 from isogi_core.storage.local_copies import Copies
-from isogi_core.storage.object_store import sentence
 from isogi_core.storage.store import CHECKED, CONTENT, SENTINEL, Store
 from isogi_core.storage.url import StoreUrl
 from tests.s3 import ACCESS_KEY, SECRET_KEY, Fault, S3Server
@@ -411,25 +410,3 @@ def test_copies_that_cannot_be_kept_are_none(tmp_path: Path, s3: S3Server) -> No
     bucket(s3)
     store = Store(s3.url, copies=Copies(s3.url, 1 << 20, tmp_path / "file"))
     assert store.view(KEY) == b"light" == store.view(KEY)
-
-
-@pytest.mark.parametrize(
-    ("said", "told"),
-    [
-        ("Error performing GET http://a/b?key=1 in 2s - HTTP error: error sending request", "before an answer"),
-        ("Generic S3 error: HTTP error: request or response body error\n\nDebug source:", "in the middle of an answer"),
-        ("Error performing PUT http://a/b in 1s - HTTP error: operation timed out", "no answer came in time"),
-        (
-            'Error performing PUT http://a/b in 1s - Server returned non-2xx status code: 400 Bad Request: {"error":{}}',
-            "status code: 400 Bad Request",
-        ),
-        (
-            "Error in 1s - Server returned non-2xx status code: 403 Forbidden: <Error><Code>",
-            "status code: 403 Forbidden",
-        ),
-    ],
-)
-def test_what_a_bucket_says_is_a_sentence(said: str, told: str) -> None:
-    words = sentence(OSError(said))
-    assert words.endswith(told)
-    assert not {"{", "<", "/", "?", "\n"} & {*words}
