@@ -20,8 +20,8 @@ from isogi_core.storage.url import StoreUrl
 from server.render.engine import RenderEngine
 from tests.cluster.processes import ROOT, end, until
 from tests.proxy import Harm, Proxy
+from tests.server.buckets import chunks_at, engine_at, picture
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of
-from tests.server.render.test_standard_s3 import chunks_at, engine_at, picture
 from worker import pool
 
 BAD: tuple[Harm, ...] = (*("pass",) * 7, "delay", "delay", "drop", "reset", "cut")
@@ -31,8 +31,10 @@ CALL = 1.0
 
 @pytest.fixture(autouse=True)
 def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bake on a thread of this process, and look often whether the store is back."""
+    """Bake on a thread of this process, look often whether the store is back, and soon try again what was given up."""
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+    monkeypatch.setattr("worker.queue.FORGET_AFTER", 2.0)
+    monkeypatch.setattr("worker.queue.LOOK", 0.1)
     monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.05)
     monkeypatch.setattr("isogi_core.cache.loader.ASK_AGAIN", 0.0)
     monkeypatch.setattr("worker.pause.SHORTEST", 0.05)
