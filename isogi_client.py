@@ -125,7 +125,8 @@ class Facts:
     """What the server knows of a frame's quality.
 
     ``coverage`` are the shares of the surface's pixels that are final, converging and provisional, ``error`` is the
-    estimated relative RMSE, ``chunks`` how many are needed and final. ``time_left`` is None where it is unknown or
+    estimated relative RMSE, ``chunks`` how many are needed and final. 99 % of the pixels err by less than ``p99``, None
+    where that is not measured. ``time_left`` is None where it is unknown or
     over, ``etag`` names the very picture, and ``timing`` has the milliseconds of the stages of the work on it.
     """
 
@@ -137,6 +138,8 @@ class Facts:
     noise: float | None = None
     interval: tuple[float, float] | None = None
     controls: int = 0
+    p99: float | None = None
+    p99_interval: tuple[float, float] | None = None
     etag: str | None = None
     timing: Mapping[str, float] | None = None
 
@@ -159,9 +162,9 @@ class Facts:
         """The facts in the server's document of a view's coverage."""
         left = document["time_left"]
         names = ("provisional", "coverage", "error", "chunks", "noise", "controls")
-        interval = None if document["interval"] is None else (document["interval"][0], document["interval"][1])
-        given = {name: document[name] for name in names}
-        return cls(**given, interval=interval, time_left=TimeLeft(**left) if left else None)
+        given = {name: document[name] for name in names} | {"p99": document.get("p99")}
+        given |= {name: tuple(document[name]) for name in ("interval", "p99_interval") if document.get(name)}
+        return cls(**given, time_left=TimeLeft(**left) if left else None)
 
     def __str__(self) -> str:
         """For a person, such as ``182 of 240 chunks final, error about 1.8 %, about 40 s``."""
@@ -177,7 +180,8 @@ def error_of_header(header: str) -> dict[str, Any]:
     error, *parts = header.split(";")
     known = numbers(",".join(part for part in parts if "=" in part))
     measured = {"interval": (known["low"], known["high"]), "controls": int(known["controls"])} if "low" in known else {}
-    return {"error": float(error), "noise": known.get("noise"), **measured}
+    tail = {"p99": known["p99"], "p99_interval": (known["p99-low"], known["p99-high"])} if "p99" in known else {}
+    return {"error": float(error), "noise": known.get("noise"), **measured, **tail}
 
 
 def numbers(header: str) -> dict[str, float]:

@@ -317,6 +317,8 @@ def coverage_schema(frame: Frame, time_left: TimeLeft | None) -> Coverage:
         noise=frame.noise,
         interval=None if frame.total.predicted else (frame.total.low, frame.total.high),
         controls=frame.total.controls,
+        p99=None if frame.tail is None else frame.tail.likely,
+        p99_interval=None if frame.tail is None else (frame.tail.low, frame.tail.high),
         provisional=not frame.final,
         time_left=None if time_left is None else TimeLeftSchema(**asdict(time_left)),
     )

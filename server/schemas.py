@@ -363,7 +363,8 @@ class Coverage(BaseModel):
     """How far a view is: chunks, pixels by state, and the ``error`` of the frame: the total relative RMSE.
 
     So many ``controls``, pixels with paths of their own, measured it, with a 95 % ``interval``; of none it is a
-    prediction, and the interval null. ``noise`` is the noise in it. ``time_left`` is null where it is unknown, or no
+    prediction, and the interval null. ``noise`` is the noise in it. 99 % of the pixels err by less than ``p99``, with a
+    95 % ``p99_interval``; both are null where that is not measured. ``time_left`` is null where it is unknown, or no
     worker is at the view.
     """
 
@@ -374,5 +375,7 @@ class Coverage(BaseModel):
     noise: float
     interval: tuple[float, float] | None
     controls: int
+    p99: float | None
+    p99_interval: tuple[float, float] | None
     provisional: bool
     time_left: TimeLeftSchema | None

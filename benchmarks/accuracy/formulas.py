@@ -129,6 +129,13 @@ def nested(rng: np.random.Generator) -> Made:
     return found, CUBE, 0.5
 
 
+def noisy_field(rng: np.random.Generator) -> Made:
+    """A smooth field of any scale and offset in noise: its surface is rough, with thin bright rims."""
+    scale, shape = 10.0 ** rng.uniform(-4.0, 4.0), (SIZE, SIZE, SIZE)
+    noise = rng.uniform(0.02, 0.12) * rng.normal(size=shape)
+    return (cloud(rng, shape, 14.0) + noise + rng.uniform(-10.0, 10.0)) * scale, CUBE, float("nan")
+
+
 KINDS: dict[str, Kind] = {
     "coarse shell": coarse_shell,
     "foam": foam,
@@ -142,6 +149,7 @@ KINDS: dict[str, Kind] = {
     "lattice": lattice,
     "turbulence": turbulence,
     "nested shells": nested,
+    "noisy field": noisy_field,
 }
 
 

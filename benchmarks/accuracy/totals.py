@@ -30,6 +30,7 @@ from benchmarks.common.suite import part
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.control_pixels import TotalError
+from isogi_core.frame.rays.tail_error import TailError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.plan.assembly import load_scene
@@ -58,7 +59,8 @@ NOISE, MOST = 0.005, 64
 
 HEAD = (
     *("view", "told before", "noise", "true", "first told (95 %)", "told / true"),
-    *("told at the end", "true at the end, 99 %", "pixels' own light", "samples", "bake, s", "check, s"),
+    *("told at the end", "true at the end, 99 %", "99 % told (95 %)", "99 % told / true"),
+    *("pixels' own light", "samples", "bake, s", "check, s"),
 )
 
 
@@ -66,8 +68,9 @@ HEAD = (
 class Found:
     """A view: what was ``predicted``, and first told, of a picture whose true error is ``lit``; and of that at the end.
 
-    ``own`` is the share of pixels with light of their own; texels have so many ``samples`` then, in the
-    mean; seconds are of the processor.
+    ``p99`` is what 99 % of the pixels truly err by at most then, and ``tail`` what the picture says of it; None where
+    it is not measured. ``own`` is the share of pixels with light of their own; texels have so many ``samples``
+    then, in the mean; seconds are of the processor.
     """
 
     name: str
@@ -83,11 +86,14 @@ class Found:
     bake: float
     samples: float
     seconds: float
+    tail: TailError | None = None
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> "Found":
         """One that was written as JSON."""
-        return cls(**{**given, "first": TotalError(**given["first"]), "last": TotalError(**given["last"])})
+        tail = TailError(**given["tail"]) if given.get("tail") else None
+        totals = {name: TotalError(**given[name]) for name in ("first", "last")}
+        return cls(**{**given, **totals, "tail": tail})
 
     @property
     def row(self) -> tuple[str, ...]:
@@ -225,6 +231,7 @@ def measure(name: str, bench: Bench, angles: tuple[float, float, float] | None, 
         bake=bake.seconds,
         samples=bake.samples,
         seconds=sum(spent),
+        tail=last.tail,
     )
 
 
@@ -265,11 +272,38 @@ def row_of(found: Found) -> tuple[str, ...]:
         f"{first.likely / max(found.lit, 1e-6):.2f}",
         f"{100 * last.likely:.2f}{'' if found.final else ' (not final)'}",
         f"{100 * found.true:.2f}, {100 * found.p99:.1f}",
+        *tail_cells(found),
         f"{found.own:.0%}",
         f"{found.samples:.0f}",
         f"{found.bake:.1f}",
         f"{found.seconds:.2f}",
     )
+
+
+def tail_cells(found: Found) -> tuple[str, str]:
+    """What a picture tells of its 99th percentile at the end, in percent, and that over the truth."""
+    tail = found.tail
+    if tail is None:
+        return "", ""
+    told = f"{100 * tail.likely:.1f} ({100 * tail.low:.1f} to {100 * tail.high:.1f})"
+    return told, f"{tail.likely / max(found.p99, 1e-6):.2f}"
+
+
+def figures_of_tails(found: Sequence[Found]) -> dict[str, float]:
+    """How well the 99th percentile is told."""
+    tails = [(each.tail, each.p99) for each in found if each.tail is not None]
+    ratios = sorted(tail.likely / max(true, 1e-6) for tail, true in tails)
+    if not ratios:
+        return {}
+    return {
+        "99 % told / true, least": ratios[0],
+        "99 % told / true, median": median(ratios),
+        "99 % told / true, most": ratios[-1],
+        "99 % told / true within 0.7 and 1.4": sum(0.7 <= ratio <= 1.4 for ratio in ratios) / len(ratios),
+        "99 % intervals that hold the truth": sum(tail.low <= true <= tail.high for tail, true in tails) / len(tails),
+        "99 % intervals with an upper end": sum(tail.high < 1.0 for tail, _ in tails) / len(tails),
+        "worst true 99 % of a final picture": max((each.p99 for each in found if each.final), default=0.0),
+    }
 
 
 def figures(found: Sequence[Found]) -> dict[str, float]:
@@ -290,4 +324,5 @@ def figures(found: Sequence[Found]) -> dict[str, float]:
         "told / true at the end, least": ends[0],
         "told / true at the end, most": ends[-1],
         "samples of texels, median": median(each.samples for each in found),
+        **figures_of_tails(found),
     }

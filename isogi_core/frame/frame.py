@@ -16,6 +16,7 @@ from isogi_core.frame.rays.control_pixels import (
     predict_total,
     spread_errors,
 )
+from isogi_core.frame.rays.tail_error import TailError, tail_of
 from isogi_core.frame.texel_reading import Lacking, Stage
 from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer, tally
@@ -274,6 +275,13 @@ class Frame:
             return None
         squares = self.controls.weights * self.controls.squares(self.controlled)
         return measure_total(squares, self.true_mean).at_least(self.noise)
+
+    @cached_property
+    def tail(self) -> TailError | None:
+        """The error that 99 % of the surface pixels stay below, by control pixels; None before there are any."""
+        if self.measured is None or self.controls is None or self.uncertainty is None:
+            return None
+        return tail_of(self.controls, self.controlled, self.uncertainty, self.true_mean)
 
     @cached_property
     def total_error(self) -> np.ndarray:

@@ -165,7 +165,18 @@ def retry_options(store_url: StoreUrl) -> dict[str, Any]:
     }
 
 
+BROKEN = {
+    "error sending request": "the connection broke before an answer",
+    "request or response body error": "the connection broke in the middle of an answer",
+    "error decoding response body": "the connection broke in the middle of an answer",
+    "operation timed out": "no answer came in time",
+}
+"""What calls without a whole answer say of themselves, and what a person reads instead."""
+
+
 def sentence(error: Exception) -> str:
-    """The server's answer in an error of obstore, without addresses, queries and debug text."""
-    first = str(error).partition("\n")[0].partition(": <")[0].rpartition(" - ")[2]
+    """The server's answer in an error of obstore, without addresses, queries, documents and debug text."""
+    if broken := next((said for words, said in BROKEN.items() if words in str(error)), None):
+        return broken
+    first = re.split(r": [<{]", str(error).partition("\n")[0])[0].rpartition(" - ")[2]
     return re.sub(r"\?\S+", "?…", first).strip().rstrip(".") or type(error).__name__

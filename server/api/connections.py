@@ -18,6 +18,7 @@ from uvicorn.server import ServerState
 
 from server.api.requests import UPLOADS
 from server.api.stream_connection import StreamConnection
+from server.bearers import site_of
 from server.problems import problem
 from server.render.metrics import Metrics
 from server.settings import Settings
@@ -102,7 +103,7 @@ class Connection(H11Protocol):
 
     A head must be there ``head_seconds`` after the connection or the last answer, and a body ``body_seconds`` after
     its head, that of an upload ``upload_seconds``; an answer must be taken at some PACE. Where all places are taken,
-    one makes room that lacks a part of its request: of the address that has most of these, the one that has waited
+    one makes room that lacks a part of its request: of the client that has most of these, the one that has waited
     longest, for a head before a body. Where none lacks any, the newcomer is answered with 503.
     """
 
@@ -131,8 +132,8 @@ class Connection(H11Protocol):
         crowd = too_many(self, cast(Iterable[H11Protocol], self.connections), self.settings)
         waiting = [each for each in crowd if isinstance(each, Connection) and each.lacks and each is not self]
         if waiting:
-            held = Counter(map(host_of, crowd))
-            last = min(waiting, key=lambda each: (-held[host_of(each)], not each.waits, each._since))
+            held = Counter(map(site_at, crowd))
+            last = min(waiting, key=lambda each: (-held[site_at(each)], not each.waits, each._since))
             last.give_up("crowd", "Others need this connection: open a new one.")
         elif crowd:
             self.app = crowded
@@ -290,12 +291,17 @@ def too_many(one: H11Protocol, connections: Iterable[H11Protocol], settings: Set
     Connections of a trusted proxy are of many clients: the limit for all connections alone holds for them.
     """
     everybody = list(connections)
-    own = [each for each in everybody if host_of(each) == host_of(one)]
-    if len(own) > settings.max_client_connections and not settings.trusts(host_of(one) or ""):
+    own = [each for each in everybody if site_at(each) == site_at(one)]
+    if len(own) > settings.max_client_connections and not settings.trusts(host_of(one)):
         return own
     return everybody if len(everybody) > settings.max_connections else []
 
 
-def host_of(connection: H11Protocol) -> str | None:
-    """The address of a connection's client, without its port."""
-    return connection.client[0] if connection.client is not None else None
+def host_of(connection: H11Protocol) -> str:
+    """The address of a connection's client, without its port; empty where it has none."""
+    return connection.client[0] if connection.client is not None else ""
+
+
+def site_at(connection: H11Protocol) -> str:
+    """The client at the other end of a connection, as limits count it: see ``site_of``."""
+    return site_of(host_of(connection))

@@ -98,12 +98,18 @@ def refined_header(frame: Frame) -> str:
 
 
 def error_header(frame: Frame) -> str:
-    """The total error, the noise in it, its 95 % interval and control pixels; or a prediction, before there are any."""
+    """The total error, the noise in it, its 95 % interval and control pixels; or a prediction, before there are any.
+
+    Where the error that 99 % of the pixels stay below is measured, that follows with its interval.
+    """
     total = frame.total
     stated = f"{total.likely:.5f}; noise={frame.noise:.5f}"
     if total.predicted:
         return f"{stated}; predicted"
-    return f"{stated}; low={total.low:.5f}; high={total.high:.5f}; controls={total.controls}"
+    measured = f"{stated}; low={total.low:.5f}; high={total.high:.5f}; controls={total.controls}"
+    if (tail := frame.tail) is None:
+        return measured
+    return f"{measured}; p99={tail.likely:.5f}; p99-low={tail.low:.5f}; p99-high={tail.high:.5f}"
 
 
 def time_left_header(left: TimeLeft) -> str:

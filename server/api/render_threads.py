@@ -20,7 +20,7 @@ class RenderThreads:
         """So many for ``pictures`` that are neither drafts nor large; one of them while drafts wait for their turn."""
         self.drafts = Renders(DRAFTS, even=True)  # drafts are sized to take about as long
         self.pictures = Renders(pictures, lambda: self.drafts.crowded)
-        self.large, self.asking = Renders(1), Renders(ASKING)
+        self.large, self.asking, self.checks = Renders(1), Renders(ASKING), Renders(1)
 
     def of(self, view: View) -> Renders:
         """Those on which the picture of a view is drawn, and written as a file."""
@@ -30,5 +30,5 @@ class RenderThreads:
 
     def close(self) -> None:
         """Take no more work; what still waits is dropped."""
-        for each in (self.pictures, self.drafts, self.large, self.asking):
+        for each in (self.pictures, self.drafts, self.large, self.asking, self.checks):
             each.close()

@@ -301,6 +301,21 @@ class Service:
             if frame is not None:
                 await self.request_light(picture, frame, viewer)
 
+    def make_way(self) -> None:
+        """Have the workers make way for a view that moves. Does not wait for that: a thread may have to be started."""
+        asyncio.get_running_loop().run_in_executor(None, self.engine.make_way)
+
+    async def check(self, picture: PictureRequest) -> None:
+        """Check a picture that nobody looks at, one step further. Raises as ``render`` does.
+
+        One at a time: the steps of many jobs leave threads to what people wait for.
+        """
+
+        def work(cancelled: threading.Event) -> bool:
+            return self.engine.check(picture.scene, picture.view, picture.target, cancelled)
+
+        await self.threads.checks.share(picture, work, Rank.within(DRAFT))
+
     def leave(self, viewer: Viewer) -> None:
         """A viewer has left: bake nothing more for it alone. Does not wait for that."""
         asyncio.get_running_loop().run_in_executor(None, self.engine.leave, viewer)

@@ -254,7 +254,7 @@ class Session:
 
     async def _draft(self, request: ViewRequest, params: FrameParams, picture: PictureRequest) -> None:
         """One picture of a view that moves, as large as it can come quickly, and coded as fast."""
-        self._service.engine.make_way()
+        self._service.make_way()
         small, watch, rank = picture.draft(self._drafts.scale), Stopwatch(), self._service.draft_rank(self._viewer)
         frame = await self._service.frame_or_preview(small, rank, watch)
         shown = Shown(frame, None, watch, frozenset(), 0)

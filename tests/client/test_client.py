@@ -240,6 +240,15 @@ def test_an_error_above_what_was_asked_for_is_told(isogi: Isogi) -> None:
         isogi_client.tell_target(over, None)
 
 
+def test_facts_tell_the_tail_of_the_errors() -> None:
+    facts = {"isogi-provisional": "?0", "isogi-coverage": "final=1.000", "isogi-chunks": "needed=3, final=3"}
+    error = "0.018; noise=0.006; low=0.015; high=0.021; controls=256"
+    known = Facts.of_headers({**facts, "isogi-error": f"{error}; p99=0.062; p99-low=0.051; p99-high=0.079"})
+    assert (known.p99, known.p99_interval, known.interval) == (0.062, (0.051, 0.079), (0.015, 0.021))
+    unknown = Facts.of_headers({**facts, "isogi-error": error})
+    assert (unknown.p99, unknown.p99_interval, unknown.controls) == (None, None, 256)
+
+
 def test_facts_for_a_person() -> None:
     facts = Facts(True, {"final": 0.7}, 0.0183, {"needed": 240, "final": 182}, TimeLeft(20.0, 39.6, 80.0))
     assert str(facts) == "182 of 240 chunks final, error about 1.8 %, about 40 s"

@@ -188,6 +188,8 @@
  * @property {Coverage} coverage
  * @property {number} error total relative RMSE; NaN where the server gives none
  * @property {number} controls pixels that measured it; of none it is a prediction
+ * @property {number|null} p99 error that 99 % of the pixels stay below; null where it is not measured
+ * @property {[number, number]|null} p99_interval its 95 % interval
  * @property {{needed: number, final: number}} chunks
  * @property {{low: number, likely: number, high: number}|null} timeLeft seconds until all is final; null if unknown
  * @property {Record<string, number>} timing milliseconds of each stage of its making
@@ -236,12 +238,21 @@ export function readFacts(headers) {
   return {
     provisional: headers.get("Isogi-Provisional") === "?1",
     coverage: { final: 0, converging: 0, provisional: 0, ...parsePairs(headers.get("Isogi-Coverage")) },
-    error: Number.parseFloat(headers.get("Isogi-Error") ?? ""),
-    controls: Number(/controls=(\d+)/.exec(headers.get("Isogi-Error") ?? "")?.[1] ?? 0),
+    ...readErrors(headers.get("Isogi-Error") ?? ""),
     chunks: { needed: 0, final: 0, ...parsePairs(headers.get("Isogi-Chunks")) },
     timeLeft: readTimeLeft(headers.get("Isogi-Time-Left")),
     timing: parseTiming(headers.get("Server-Timing")),
   };
+}
+
+/**
+ * What a header such as `0.018; noise=0.006; low=0.015; high=0.021; controls=256; p99=0.06; …` says of errors.
+ * @param {string} header
+ * @returns {Pick<Facts, "error"|"controls"|"p99"|"p99_interval">}
+ */
+function readErrors(header) {
+  const { controls = 0, p99 = null, "p99-low": low, "p99-high": high } = parsePairs(header.replaceAll(";", ","));
+  return { error: Number.parseFloat(header), controls, p99, p99_interval: p99 === null ? null : [low, high] };
 }
 
 /**

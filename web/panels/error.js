@@ -71,7 +71,7 @@ export class ErrorPanel {
   #facts = null;
 
   /**
-   * @param {HTMLElement} root holds a `.value`, a `.note`, an `svg` and a `.legend`
+   * @param {HTMLElement} root holds a `.value`, a `.note`, a `.tail`, an `svg` and a `.legend`
    * @param {number} target relative error at which light counts as final
    */
   constructor(root, target) {
@@ -100,6 +100,7 @@ export class ErrorPanel {
     const known = latest && facts;
     find(this.#root, ".value").textContent = known ? errorInWords(facts.error) : "";
     find(this.#root, ".note").textContent = known ? momentInWords({ ...facts, seconds: latest.seconds }, facts.timeLeft) : WAITING;
+    find(this.#root, ".tail").textContent = known ? tailInWords(facts) : "";
     find(this.#root, "svg", SVGSVGElement).setAttribute("aria-label", courseInWords(moments, this.#target));
     for (const state of STATES) {
       find(this.#root, `.legend .${state} b`).textContent = known ? legendShare(state, facts.coverage) : "";
@@ -123,6 +124,19 @@ export function momentInWords({ seconds, provisional, error }, timeLeft) {
   const time = `after ${timeInWords(seconds)}`;
   if (!provisional) return error > 0 ? `done ${time}` : `done ${time} · nothing to estimate`;
   return timeLeft ? `${time} · ${rangeInWords(timeLeft)}` : time;
+}
+
+/**
+ * What the worst pixels err by, such as "1 % of pixels err by over 6.2 % (5.1 % to 7.9 %)"; nothing while it is
+ * not measured.
+ * @param {Pick<Facts, "p99"|"p99_interval">} facts
+ * @returns {string}
+ */
+export function tailInWords({ p99, p99_interval: ends }) {
+  if (p99 == null || !ends) return "";
+  const [low, high] = ends.map(errorInWords);
+  const range = ends[1] < 1 ? `${low} to ${high}` : `at least ${low}`;
+  return `1 % of pixels err by over ${errorInWords(p99)} (${range})`;
 }
 
 /**

@@ -115,6 +115,11 @@ class SurfacesFrame(Frame):
         return TotalError(likely, low, high, sum(each.controls for each in every)).at_least(self.noise)
 
     @cached_property
+    def tail(self) -> None:
+        """None: control pixels of one side tell nothing of how the errors of two in one pixel add up."""
+        return None
+
+    @cached_property
     def total_error(self) -> np.ndarray:
         """The relative error of each pixel, whatever its causes, at most 1; (h, w) float32."""
         return summed_errors([(part, part.frame.total_error) for part in self.parts], self.radiance)

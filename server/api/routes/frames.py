@@ -202,7 +202,7 @@ async def complete(service: Service, picture: PictureRequest, job: Job) -> Frame
                 return frame
             if frame.checkable:
                 job.report(1.0, "All light is baked; control pixels measure the picture.")
-                await asyncio.to_thread(service.engine.check, picture.scene, picture.view, picture.target)
+                await service.check(picture)
                 continue
             lacking, stage = await asyncio.to_thread(service.engine.lacking, picture.scene, frame)
             if not stage.demands:

@@ -103,6 +103,12 @@ def true_error(frame: Frame, true: Reference) -> float:
     return float(np.sqrt(((luminance(frame) - light) ** 2).mean()) / light.mean())
 
 
+def true_tail(frame: Frame, true: Reference) -> float:
+    """The relative error that 99 % of a frame's pixels stay below, by a reference of the same view."""
+    light = true.mean[true.on].astype(float) @ LUMINANCE
+    return float(np.percentile(np.abs(luminance(frame) - light), 99.0) / light.mean())
+
+
 # --- the picture ------------------------------------------------------------------------------------------------
 
 
@@ -116,6 +122,9 @@ def test_a_picture_reaches_its_target_by_light_of_its_pixels(coarse: Workbench) 
     told = coarse.renderer.render(view)
     assert not told.final and told.total.controls == 256 and told.version == lit.version
     assert told.total.low < true_error(lit, true) < told.total.high
+    assert told.tail is not None and lit.tail is None
+    assert told.tail.low < true_tail(lit, true) < told.tail.high
+    assert told.tail.likely == pytest.approx(true_tail(lit, true), rel=0.4)
     frame = checked(coarse, view)
     assert frame.final and frame.total.high <= TARGET
     assert true_error(frame, true) < TARGET

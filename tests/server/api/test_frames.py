@@ -223,6 +223,10 @@ def test_coverage_tells_what_the_frame_told(client: httpx.Client) -> None:
     assert answer["pixels"] == {"surface": surface, "final": surface, "converging": 0, "provisional": 0}
     assert answer["error"] == pytest.approx(float(headers["isogi-error"].partition(";")[0]), abs=1e-5)
     assert answer["provisional"] is False
+    tail = dict(part.split("=") for part in headers["isogi-error"].split("; ") if part.startswith("p99"))
+    stated = [answer["p99"], *answer["p99_interval"]]
+    assert stated == pytest.approx([float(tail[name]) for name in ("p99", "p99-low", "p99-high")], abs=1e-5)
+    assert stated[1] <= stated[0] <= stated[2]
     assert answer["time_left"] == {"low": 0.0, "likely": 0.0, "high": 0.0}
 
 

@@ -3,48 +3,21 @@
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager
-from hashlib import sha256
 from pathlib import Path
 
 import pytest
 
-from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.store import Store
-from server.render.engine import RenderEngine
 from tests.cluster.processes import ROOT, end, until
-from tests.server.inline import LONG, InlinePool, chunks_in, view_of
+from tests.server.buckets import chunks_at, engine_at, picture
+from tests.server.inline import InlinePool, chunks_in
 from worker import pool
 
 
 @pytest.fixture(autouse=True)
 def inline(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
-
-
-@contextmanager
-def engine_at(scene: Path, store: str) -> Iterator[RenderEngine]:
-    """An engine over a store, begun."""
-    with closing(RenderEngine([load_scene(scene)], store)) as engine:
-        engine.start()
-        yield engine
-
-
-def picture(engine: RenderEngine) -> bytes:
-    """The final picture of a view."""
-    scene = engine.scenes["small"]
-    frame = engine.frame("small", view_of(scene), wait=LONG)
-    assert not frame.provisional
-    return frame.radiance.tobytes()
-
-
-def chunks_at(url: str) -> dict[str, str]:
-    """The chunks in a bucket by name, and the digest of each."""
-    store = Store(url)
-    keys = [entry.key for entry in store.entries() if "/c/" in entry.key]
-    return {key: sha256(store.read(key) or b"").hexdigest() for key in keys}
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import { isProbe, tooLarge, volumeName } from "../../../web/net/upload.js";
 import { exposureIn } from "../../../web/panels/environment.js";
 import { errorAxis, timeAxis } from "../../../web/panels/chart.js";
 import { dividerPlace } from "../../../web/panels/comparison.js";
-import { History, courseInWords, legendShare, momentInWords } from "../../../web/panels/error.js";
+import { History, courseInWords, legendShare, momentInWords, tailInWords } from "../../../web/panels/error.js";
 import { outline, solidSpan, stopsInWords, ticksAt } from "../../../web/panels/histogram.js";
 import { knobInWords } from "../../../web/panels/knobs.js";
 import { pointRows } from "../../../web/panels/point.js";
@@ -91,6 +91,13 @@ test("a moment says its time, and how long is left", () => {
   assert.equal(momentInWords(moment, null), "after 3 s");
   assert.equal(momentInWords({ ...moment, provisional: false }, null), "done after 3 s");
   assert.equal(momentInWords({ ...moment, provisional: false, error: 0 }, null), "done after 3 s · nothing to estimate");
+});
+
+test("the worst pixels have a sentence with its interval", () => {
+  const said = "1 % of pixels err by over 6.2 %";
+  assert.equal(tailInWords({ p99: 0.0621, p99_interval: [0.051, 0.0794] }), `${said} (5.1 % to 7.9 %)`);
+  assert.equal(tailInWords({ p99: 0.0621, p99_interval: [0.051, 1] }), `${said} (at least 5.1 %)`);
+  assert.equal(tailInWords({ p99: null, p99_interval: null }), "");
 });
 
 test("the drawing has a sentence from the first to the last", () => {

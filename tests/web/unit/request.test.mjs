@@ -170,18 +170,18 @@ test("stages in a header are read without their total", () => {
 test("a frame's facts are read from its headers", () => {
   const headers = new Headers({
     "Isogi-Provisional": "?1", "Isogi-Coverage": "final=0.5, converging=0.5", "Isogi-Chunks": "needed=4, final=3",
-    "Isogi-Error": "0.018; noise=0.006; low=0.015; high=0.021; controls=256", "Isogi-Time-Left": "low=1, likely=2, high=3", "Server-Timing": "shade;dur=2",
+    "Isogi-Error": "0.018; noise=0.006; low=0.015; high=0.021; controls=256; p99=0.062; p99-low=0.051; p99-high=0.079", "Isogi-Time-Left": "low=1, likely=2, high=3", "Server-Timing": "shade;dur=2",
   });
   assert.deepEqual(readFacts(headers), {
-    provisional: true, coverage: { final: 0.5, converging: 0.5, provisional: 0 }, error: 0.018, controls: 256,
+    provisional: true, coverage: { final: 0.5, converging: 0.5, provisional: 0 }, error: 0.018, controls: 256, p99: 0.062, p99_interval: [0.051, 0.079],
     chunks: { needed: 4, final: 3 }, timeLeft: { low: 1, likely: 2, high: 3 }, timing: { shade: 2 },
   });
 });
 
 test("an answer without facts has none, and no error is NaN", () => {
   assert.equal(readFacts(new Headers()), null);
-  const { error, timeLeft } = readFacts(new Headers({ "Isogi-Provisional": "?0" }));
-  assert.deepEqual([error, timeLeft], [NaN, null]);
+  const { error, controls, p99, p99_interval: ends, timeLeft } = readFacts(new Headers({ "Isogi-Provisional": "?0" }));
+  assert.deepEqual([error, controls, p99, ends, timeLeft], [NaN, 0, null, null, null]);
 });
 
 test("a streamed picture has its type and its facts", async () => {

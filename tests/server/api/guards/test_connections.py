@@ -5,9 +5,12 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from server.api.connections import too_many
 from server.settings import Settings
 from tests.server.sockets import HEAD, LARGE, Running, answer, running, status, wait_for
 
@@ -131,6 +134,20 @@ def test_in_a_crowd_who_waits_longest_makes_room(limit: str) -> None:
         assert status(answer(waiting[3])) == 200
         for each in waiting:
             each.close()
+
+
+@pytest.mark.parametrize(
+    ("hosts", "many"),
+    [
+        (["2001:db8::1", "2001:db8::ffff:2", "2001:db8::3"], 3),
+        (["2001:db8::1", "2001:db8:0:1::1", "2001:db8:0:2::1"], 0),
+        (["::ffff:192.0.2.1", "192.0.2.1", "192.0.2.1"], 3),
+        (["192.0.2.1", "192.0.2.2", "192.0.2.3"], 0),
+    ],
+)
+def test_a_network_of_ipv6_is_one_client(hosts: list[str], many: int) -> None:
+    held: Any = [SimpleNamespace(client=(host, 1000 + number)) for number, host in enumerate(hosts)]
+    assert len(too_many(held[0], held, Settings(max_client_connections=2))) == many
 
 
 def test_where_all_are_at_work_a_newcomer_is_told_to_come_back() -> None:

@@ -1,0 +1,129 @@
+"""The tail of a picture's errors: the error that 99 % of its pixels stay below, by control pixels.
+
+A control shows an error that is part noise of its own paths. The distribution of the errors without that noise is what
+makes all controls together most likely (Kiefer and Wolfowitz, Annals of Mathematical Statistics 27, 1956), found by
+expectation maximisation (Laird, Journal of the American Statistical Association 73, 1978). Few controls lie in the
+tail, each with a weight: the share of pixels above an error has a gamma interval (Fay and Feuer, Statistics in Medicine
+16, 1997, with the mean weight of Tiwari, Clegg and Zou, Statistical Methods in Medical Research 15, 2006). The errors
+at which the ends of that interval come down to 1 % are the interval of the percentile (Woodruff, Journal of the
+American Statistical Association 47, 1952).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from isogi_core.frame.rays.control_pixels import ControlPixels, classes_of
+
+SHARE = 0.01
+"""Share of a picture's pixels that may err by more."""
+
+LEAST, STEPS = 1e-4, 80
+"""The least relative error that is told from none, and errors from there to 1, by equal factors."""
+
+ROUNDS = 60
+"""Rounds of maximisation: more of them make peaks of what is a smooth distribution."""
+
+TRUSTED = 4.0
+"""What the noise of a control's class counts in its noise, beside the two halves of its paths."""
+
+MARGIN = 1.1
+"""Factor on either end of an interval, for noise that is not distributed normally."""
+
+QUANTILE = 1.96
+"""Standard errors to either side of the logarithm of an interval of 95 %."""
+
+
+@dataclass(frozen=True)
+class TailError:
+    """The error relative to the mean luminance that 99 % of a picture's pixels stay below, and its 95 % interval.
+
+    An interval up to 1 says that there are too few controls to bound it.
+    """
+
+    likely: float
+    low: float
+    high: float
+
+
+def tail_of(controls: ControlPixels, shown: np.ndarray, uncertainty: np.ndarray, mean: float) -> TailError:
+    """The tail of a picture that shows the luminance ``shown`` (k,) at its ``controls``; see ``measure_tail``.
+
+    They were drawn by the ``uncertainty`` (m,) of its points, whose true ``mean`` luminance errors are relative to.
+    A pixel that was drawn again and again is one control.
+    """
+    places, first, each = np.unique(controls.places, return_index=True, return_inverse=True)
+    if not len(places) or mean <= 0.0:
+        worst = float(controls.squares(shown).any())
+        return TailError(worst, worst, worst)
+    wrong = (shown[:, None] - controls.halves)[first] / mean
+    classes = classes_of(uncertainty, controls)[places]
+    return measure_tail(wrong, np.bincount(each, controls.weights), classes)
+
+
+def measure_tail(wrong: np.ndarray, weights: np.ndarray, classes: np.ndarray) -> TailError:
+    """The tail by control pixels: by their two halves of paths they err by ``wrong`` (k, 2), relative to the mean.
+
+    ``weights`` (k,) say what each counts among all pixels, and ``classes`` (k,) from 0 which controls have about
+    as much noise.
+    """
+    errors = np.geomspace(LEAST, 1.0, STEPS)
+    counts = weights / weights.sum()
+    above = shares_above(likelihoods(wrong, noise_of(wrong, classes), errors), counts)
+    low, likely, high = (falls_below(SHARE, each, errors) for each in bounds(above, counts))
+    return TailError(likely, low / MARGIN, min(high * MARGIN, 1.0))
+
+
+def noise_of(wrong: np.ndarray, classes: np.ndarray) -> np.ndarray:
+    """The variance of the mean of each control's halves (k,): of its class, corrected a little by the two."""
+    each = (wrong[:, 0] - wrong[:, 1]) ** 2 / 4.0
+    pooled = np.bincount(classes, each) / np.maximum(np.bincount(classes), 1)
+    return np.asarray((TRUSTED * pooled[classes] + each) / (TRUSTED + 1.0))
+
+
+def likelihoods(wrong: np.ndarray, variance: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """How likely what each control shows is if it errs by so much either way; (k, STEPS), at most 1 in each row."""
+    seen, spread = np.minimum(np.abs(wrong.mean(axis=1)), 1.0)[:, None], np.maximum(variance, LEAST**2)[:, None]
+    apart = -((seen - errors) ** 2) / (2.0 * spread)
+    return np.asarray(np.exp(apart - apart.max(axis=1, keepdims=True)))
+
+
+def shares_above(likely: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """The chance that each control errs by more than each of the errors; (k, STEPS)."""
+    shares = np.full(likely.shape[1], 1.0 / likely.shape[1])
+    for _ in range(ROUNDS):
+        shares *= (counts / (likely @ shares)) @ likely
+    chances = likely * shares / (likely @ shares)[:, None]
+    return np.asarray(chances[:, ::-1].cumsum(axis=1)[:, ::-1] - chances)
+
+
+def bounds(above: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The share of pixels that err by more than each of the errors, between the ends of its interval; (STEPS,) each."""
+    likely, known = counts @ above, counts**2 @ above
+    variance = known**2 / np.maximum(counts**2 @ above**2, 1e-300)
+    one, square = 1.0 / len(counts), float((counts**2).mean())
+    low = gamma_quantile(likely, variance, -QUANTILE)
+    high = gamma_quantile(likely + one, variance + square, QUANTILE)
+    return low, likely, np.asarray(np.maximum(high, likely))
+
+
+def gamma_quantile(mean: np.ndarray, variance: np.ndarray, deviations: float) -> np.ndarray:
+    """The quantile, so many standard ``deviations`` from the middle, of a gamma distribution.
+
+    Source: Wilson and Hilferty, Proceedings of the National Academy of Sciences 17, 1931: its cube root is normal.
+    """
+    ninth = variance / np.maximum(9.0 * mean**2, 1e-300)
+    return np.asarray(mean * np.maximum(1.0 - ninth + deviations * np.sqrt(ninth), 0.0) ** 3)
+
+
+def falls_below(share: float, shares: np.ndarray, errors: np.ndarray) -> float:
+    """The error at which falling ``shares`` (STEPS,) of pixels above an error come down to one; 0 to 1."""
+    over = np.flatnonzero(shares > share)
+    if not len(over):
+        return 0.0
+    last = int(over[-1])
+    if last + 1 == len(errors):
+        return 1.0
+    part = (shares[last] - share) / (shares[last] - shares[last + 1])
+    return float(errors[last] * math.exp(part * math.log(errors[last + 1] / errors[last])))

@@ -1,0 +1,142 @@
+"""The tail of a picture's errors: by few controls, whose paths are noisy, as far as they know it."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from isogi_core.frame.rays.control_pixels import ControlPixels, chances
+from isogi_core.frame.rays.tail_error import (
+    QUANTILE,
+    SHARE,
+    TailError,
+    bounds,
+    falls_below,
+    gamma_quantile,
+    measure_tail,
+    shares_above,
+    tail_of,
+)
+
+POINTS, MEAN = 20_000, 3.0
+
+Kind = Callable[[np.random.Generator], tuple[np.ndarray, np.ndarray, np.ndarray]]
+"""Makes relative errors of all points, the noise of half of the paths from each, and how uncertain each seems."""
+
+
+def smooth(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Errors as large as the noise of controls, and no hint at where they are larger."""
+    return 0.02 * rng.normal(size=POINTS), np.full(POINTS, 0.02), 0.02 * rng.uniform(0.5, 1.5, POINTS)
+
+
+def rough(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A noisy float field: errors of all sizes, and a rough idea of them."""
+    size = 0.01 * np.exp(rng.normal(size=POINTS))
+    seems = size * np.exp(0.5 * rng.normal(size=POINTS))
+    return size * rng.normal(size=POINTS), np.full(POINTS, 0.02), seems
+
+
+def rims(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Thin bright rims: 1.5 % of the points are wrong by about 12 %, and seem uncertain."""
+    rim, seems = rng.random(POINTS) < 0.015, np.exp(0.4 * rng.normal(size=POINTS))
+    wrong = np.where(rim, 0.12 * (1.0 + 0.3 * rng.normal(size=POINTS)), 0.01 * rng.normal(size=POINTS))
+    return wrong, np.full(POINTS, 0.02), np.where(rim, 0.08, 0.01) * seems
+
+
+def lamps(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Several small lamps: a tenth of the points has much noise, which is skewed, and smaller errors than it."""
+    noise = np.where(rng.random(POINTS) < 0.1, 0.1, 0.015)
+    wrong = 0.02 * rng.normal(size=POINTS) * np.exp(0.5 * rng.normal(size=POINTS))
+    return wrong, noise, noise * np.exp(0.3 * rng.normal(size=POINTS))
+
+
+KINDS = smooth, rough, rims, lamps
+
+
+def told(kind: Kind, count: int, rng: np.random.Generator) -> tuple[TailError, float]:
+    """What so many controls tell of a picture of a kind, and the truth by all of its points."""
+    wrong, noise, uncertainty = kind(rng)
+    chance = chances(uncertainty)
+    places = rng.choice(POINTS, count, p=chance)
+    drift = rng.gamma(0.5, 2.0, (count, 2)) - 1.0 if kind is lamps else math.sqrt(2.0) * rng.normal(size=(count, 2))
+    halves = 5.0 - MEAN * noise[places, None] * drift / math.sqrt(2.0)
+    controls = ControlPixels(places, 1.0 / (POINTS * chance[places]), halves)
+    tail = tail_of(controls, 5.0 + MEAN * wrong[places], uncertainty, MEAN)
+    return tail, float(np.percentile(np.abs(wrong), 100.0 * (1.0 - SHARE)))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("count", "apart"), [(256, 0.2), (1024, 0.12), (4096, 0.1)])
+def test_the_tail_is_told_as_it_is(kind: Kind, count: int, apart: float) -> None:
+    rng = np.random.default_rng(count)
+    ratios = [tail.likely / true for tail, true in (told(kind, count, rng) for _ in range(40))]
+    assert np.median(ratios) == pytest.approx(1.0, abs=apart)
+    if count >= 1024:
+        assert np.mean([0.7 < ratio < 1.4 for ratio in ratios]) > 0.9
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("count", [256, 1024])
+def test_the_interval_holds_the_true_tail(kind: Kind, count: int) -> None:
+    rng = np.random.default_rng(2 * count)
+    tails = [told(kind, count, rng) for _ in range(100)]
+    assert np.mean([tail.low <= true <= tail.high for tail, true in tails]) >= 0.92
+    assert all(tail.low <= tail.likely <= tail.high for tail, _ in tails)
+
+
+@pytest.mark.parametrize(("count", "bounded"), [(256, False), (1024, True)])
+def test_few_controls_bound_no_tail(count: int, bounded: bool) -> None:
+    """Where none of n errs by more, 3 in n may: 256 leave more than 1 %."""
+    none = np.zeros((count, 2))
+    tail = measure_tail(none, np.ones(count), np.zeros(count, np.int64))
+    assert tail.likely < 1e-3 and (tail.high < 1e-2) is bounded
+    assert bounded or tail.high == 1.0
+
+
+def test_a_pixel_that_is_drawn_again_is_one_control() -> None:
+    rng = np.random.default_rng(5)
+    controls = ControlPixels(np.arange(300), np.ones(300), rng.normal(0.0, 0.01, (300, 2)))
+    shown, uncertainty = 0.05 * rng.normal(size=300), np.ones(300)
+    twice = tail_of(controls.joined(controls), np.tile(shown, 2), uncertainty, 1.0)
+    assert twice == tail_of(controls, shown, uncertainty, 1.0)
+
+
+def test_in_the_dark_the_tail_is_all_or_nothing() -> None:
+    controls = ControlPixels(np.arange(2), np.ones(2), np.zeros((2, 2)))
+    assert tail_of(controls, np.zeros(2), np.ones(2), 0.0) == TailError(0.0, 0.0, 0.0)
+    assert tail_of(controls, np.ones(2), np.ones(2), 0.0) == TailError(1.0, 1.0, 1.0)
+
+
+def test_without_noise_shares_are_those_of_the_controls() -> None:
+    """Controls that show their errors exactly are counted, each by its weight."""
+    seen, counts = np.array([0, 3, 3, 1]), np.array([0.1, 0.2, 0.3, 0.4])
+    above = shares_above(np.eye(4)[seen], counts)
+    assert counts @ above == pytest.approx([0.9, 0.5, 0.5, 0.0])
+
+
+@pytest.mark.parametrize("chance", [0.025, 0.5, 0.975])
+@pytest.mark.parametrize("shape", [1.0, 3.0, 40.0])
+def test_gamma_quantiles_are_those_of_tables(shape: float, chance: float) -> None:
+    found = gamma_quantile(np.array([2.0]), np.array([4.0 / shape]), stats.norm.ppf(chance))
+    true = stats.gamma.ppf(chance, shape, scale=2.0 / shape)
+    assert found[0] == pytest.approx(true, rel=0.02, abs=0.05)
+
+
+def test_equal_weights_have_the_bound_of_poisson_counts() -> None:
+    """Five of 500 controls err by more: exact bounds of such a count are known."""
+    above = np.zeros((500, 1))
+    above[:5] = 1.0
+    low, likely, high = bounds(above, np.full(500, 1.0 / 500))
+    chance = stats.norm.cdf(QUANTILE)
+    exact = stats.chi2.ppf([1.0 - chance, chance], [10, 12]) / 1000
+    assert likely[0] == pytest.approx(0.01)
+    assert [low[0], high[0]] == pytest.approx(exact, rel=0.03)
+
+
+def test_the_percentile_is_where_shares_come_down() -> None:
+    errors = np.array([0.01, 0.1, 1.0])
+    assert falls_below(0.01, np.array([0.5, 0.02, 0.0]), errors) == pytest.approx(0.1 * math.sqrt(10.0))
+    assert falls_below(0.01, np.array([0.009, 0.0, 0.0]), errors) == 0.0
+    assert falls_below(0.01, np.array([0.5, 0.2, 0.02]), errors) == 1.0
