@@ -14,6 +14,7 @@ import nrrd
 import numpy as np
 import pytest
 
+from isogi_core.frame import texel_reading
 from isogi_core.model.demo import demo_volume
 from tests.live import serving_with_a_worker
 from tests.s3 import BUCKET, S3Server, environment_of
@@ -191,3 +192,9 @@ def live_server(small_scene: Path, live_store: Path) -> Iterator[str]:
     """Base URL of a ready isogi on a real socket, with one worker and the scene ``small``."""
     with serving_with_a_worker(small_scene, live_store) as url:
         yield url
+
+
+@pytest.fixture
+def unfiltered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No light is so grainy that it is filtered: what is drawn of whole chunks is what a view draws, to the bit."""
+    monkeypatch.setattr(texel_reading, "GRAIN", 1e9)

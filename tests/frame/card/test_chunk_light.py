@@ -44,6 +44,7 @@ def differences(twin: Twin, bench: Workbench, view: View, raw: bool) -> tuple[np
     return apart, float(np.sqrt(((found - expected) ** 2).mean()) / expected.mean())
 
 
+@pytest.mark.usefixtures("unfiltered")
 @pytest.mark.parametrize("raw", [False, True], ids=["folded", "raw"])
 @pytest.mark.parametrize("name", SCENES)
 def test_the_bytes_draw_the_frame(workbench: Make, name: str, raw: bool) -> None:
@@ -54,6 +55,7 @@ def test_the_bytes_draw_the_frame(workbench: Make, name: str, raw: bool) -> None
     assert rmse < 0.002
 
 
+@pytest.mark.usefixtures("unfiltered")
 def test_the_albedo_of_a_view_is_in_the_document(workbench: Make) -> None:
     bench = bench_of(workbench, "albedos")
     view = bench.view(size=40, albedo=(0.3, 0.5, 0.7))

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from isogi_core.frame import texel_reading
 from isogi_core.frame.card.blocks import CODES, FLAT, coarse, words_of
 from isogi_core.frame.card.chunk_light import coded_chunks, raw_scale, seen_chunks, transfer_chunks
 from isogi_core.frame.card.coded_picture import ControlPictures, draw_coded
@@ -25,12 +24,6 @@ RNG = np.random.default_rng(3)
 def coding_of(bench: Workbench, error: float) -> Coding:
     spec = bench.caches.spec("gi")
     return coding_for(spec, raw_scale(spec), error)
-
-
-@pytest.fixture
-def unfiltered(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No light is so grainy that it is filtered."""
-    monkeypatch.setattr(texel_reading, "GRAIN", 1e9)
 
 
 @pytest.fixture

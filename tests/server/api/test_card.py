@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from websockets.asyncio.client import connect
 
-from isogi_core.frame import texel_reading
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from server.api.app import create_app
@@ -175,12 +174,9 @@ def test_voxels_of_a_cut_are_its_own(client: httpx.Client) -> None:
 
 
 @pytest.mark.parametrize("what", ["volume", "light", "transfer"])
-def test_bytes_at_a_versions_address_are_kept_for_ever(
-    client: httpx.Client, what: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("unfiltered")
+def test_bytes_at_a_versions_address_are_kept_for_ever(client: httpx.Client, what: str) -> None:
     """Light that is filtered depends on chunks beside it, which the version does not name."""
-    if what == "light":
-        monkeypatch.setattr(texel_reading, "GRAIN", 1e9)
     facts = document(client)["scene"]
     first = chunks(client)[0]
     if what == "volume":

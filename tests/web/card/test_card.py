@@ -142,6 +142,7 @@ def test_only_what_lacks_is_asked_for(lab: Lab, bench: Workbench) -> None:
     assert lacking()["light"] == [f"{listed[0]['at']}-{'f' * 16}"], "what has grown"
 
 
+@pytest.mark.usefixtures("unfiltered")
 def test_texels_that_a_card_has_no_rows_for_go_oldest_first(lab: Lab, bench: Workbench) -> None:
     """Light of four views goes onto a card that has rows for about one; the newest is whole, and drawn."""
     views = [view_at(bench, azimuth=azimuth) for azimuth in (40.0, 130.0, 220.0, 310.0)]

@@ -26,6 +26,8 @@ from tests.web.card.scenes import (
     plain_light,
 )
 
+pytestmark = pytest.mark.usefixtures("unfiltered")
+
 SIZE = (72, 56)
 WITHIN, RMSE = 0.999, 0.002
 
