@@ -14,7 +14,7 @@ import pytest
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import Cancelled
 from isogi_core.files.radiance import write_hdr
-from isogi_core.frame.frame import Frame
+from isogi_core.frame.frame import TAIL, Frame
 from isogi_core.frame.rays.control_pixels import (
     FIRST,
     ControlPixels,
@@ -129,6 +129,16 @@ def test_a_picture_reaches_its_target_by_light_of_its_pixels(coarse: Workbench) 
     assert frame.final and frame.total.high <= TARGET
     assert true_error(frame, true) < TARGET
     assert not coarse.renderer.refine(view)
+
+
+def test_a_picture_with_outliers_is_not_final(coarse: Workbench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever its total error: some of its pixels are far from the truth."""
+    frame = checked(coarse, coarse.view(azimuth=20.0, size=32))
+    assert frame.final and frame.tail is not None and frame.tail.likely <= TAIL * TARGET
+    monkeypatch.setattr(Frame, "tail", replace(frame.tail, likely=1.01 * TAIL * TARGET))
+    assert not replace(frame).final and replace(frame).checkable
+    monkeypatch.setattr(Frame, "tail", replace(frame.tail, likely=TAIL * TARGET))
+    assert replace(frame).final
 
 
 def climbed(bench: Workbench, view: View, target: float) -> list[Frame]:
