@@ -215,7 +215,7 @@ class Frame:
 
     @property
     def _reached(self) -> bool:
-        """Whether the total error is at the target by controls of its texels as they are, and few pixels are far off."""
+        """Whether the total error is at the target by controls of its texels as they are, and few pixels err far."""
         if self.target is None:
             return True
         if self.measured is None or self.outdated or self.measured.high > self.target:
