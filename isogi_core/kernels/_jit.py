@@ -133,6 +133,55 @@ def let_kernels_call(entry: Entry, arguments: tuple[Any, ...], result: Any) -> N
         return value
 
 
+class Choice:
+    """A helper with one body for each kind of record that it is called with, chosen when its caller is compiled."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        """Take name and meaning from a Python ``function``, whose body is never run."""
+        update_wrapper(self, function)
+        self._cases: dict[frozenset[type], Any] = {}
+        let_kernels_choose(self)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the body for records of these types as it stands, where Numba is switched off."""
+        return self.chosen([type(each) for each in arguments])(*arguments)
+
+    def case(self, *records: type) -> Callable[[Callable[..., Any]], Any]:
+        """Decorator: the body for calls that have all of these ``records`` among their arguments; others may follow."""
+
+        def _add(body: Callable[..., Any]) -> Any:
+            self._cases[frozenset(records)] = kernel()(body)
+            return self._cases[frozenset(records)]
+
+        return _add
+
+    @property
+    def bodies(self) -> Iterable[Any]:
+        """All bodies that may be chosen."""
+        return self._cases.values()
+
+    def chosen(self, given: Iterable[Any]) -> Any:
+        """Return the body of the case that names the most of the types ``given``, which are Numba's or Python's."""
+        kinds = {getattr(each, "instance_class", each) for each in given}
+        return self._cases[max((case for case in self._cases if case <= kinds), key=len)]
+
+
+def let_kernels_choose(choice: Choice) -> None:
+    """Have compiled code that calls a ``choice`` call the body for the types of its arguments."""
+
+    def _body(given: Any) -> Any:
+        return types.Dispatcher(choice.chosen(given))
+
+    def _generic(self: Any, given: Any, kws: Any) -> Any:
+        return _body(given).get_call_type(self.context, given, kws)
+
+    def _key(_: Any, called: Any) -> Any:
+        return _body(called.args).get_impl_key(called)
+
+    template = type("Chosen", (AbstractTemplate,), {"key": choice, "generic": _generic, "get_impl_key": _key})
+    builtin_registry.register_global(choice, types.Function(template))
+
+
 def find_parts(function: Callable[..., Any], found: dict[Any, None]) -> None:
     """Add to ``found`` a function, all helpers that it reaches by calls, and entry kernels that any of them calls."""
     found[function] = None
@@ -141,6 +190,10 @@ def find_parts(function: Callable[..., Any], found: dict[Any, None]) -> None:
         if isinstance(each, Entry):
             found[each] = None
             continue
+        for body in each.bodies if isinstance(each, Choice) else ():
+            part = getattr(body, "py_func", body)
+            if part not in found:
+                find_parts(part, found)
         part = getattr(each, "py_func", each)
         if hasattr(part, "__code__") and part not in found:
             find_parts(part, found)

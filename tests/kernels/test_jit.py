@@ -8,6 +8,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import NamedTuple
 
 import numba
 import pytest
@@ -181,3 +182,52 @@ def test_a_kernel_that_somebody_is_at_is_left_to_them(tmp_path, monkeypatch):
     assert not entry.loaded
     entry.offer()
     assert entry.loaded
+
+
+class Square(NamedTuple):
+    """A square by its side."""
+
+    side: float
+
+
+class Box(NamedTuple):
+    """A box by its two sides."""
+
+    width: float
+    height: float
+
+
+@_jit.Choice
+def area(shape, scale):
+    """The area of a shape."""
+
+
+@area.case(Square)
+def area_of_square(shape, scale):
+    """The area of a square."""
+    return scale * shape.side * shape.side
+
+
+@area.case()
+def area_of_others(shape, scale):
+    """The area of a box."""
+    return scale * shape.width * shape.height
+
+
+@_jit.kernel()
+def areas(side, width):
+    """Areas of a square and of a box, which one helper chooses between."""
+    return area(Square(side), 2.0), area(Box(width, side), 1.0)
+
+
+def test_a_choice_takes_the_body_for_its_record():
+    """The case of the record where there is one, compiled or run by Python, else the one without records."""
+    assert areas(3.0, 5.0) == (18.0, 15.0)
+    assert area(Square(2.0), 1.0) == 4.0
+
+
+def test_helpers_find_every_body_of_a_choice():
+    """Entry kernels that any of the bodies calls must be loaded before: they count as parts."""
+    found = {}
+    _jit.find_parts(getattr(areas, "py_func", areas), found)
+    assert {each.__name__ for each in found} >= {"areas", "area_of_square", "area_of_others"}

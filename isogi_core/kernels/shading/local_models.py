@@ -21,8 +21,9 @@ from isogi_core.kernels.tracing.field import FIELD, normal, to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, dot, length, madd, normalize, put_column, scale, sub
+from isogi_core.kernels.transport.integrate import add_paths
 from isogi_core.kernels.transport.integrator import launch
-from isogi_core.kernels.transport.light_paths import SURROUNDINGS, light_paths, to_world
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS, Open, to_world
 from isogi_core.kernels.transport.lights import fog, row
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, PathStarts, SampleRange
 from isogi_core.kernels.transport.rng import mix
@@ -141,18 +142,15 @@ def shade_local(points, seen, eye, spacing, model, framebuffer):
 @kernel()
 def trace_together(surface, points, light, rules, stream, samples, sums):
     """``trace_points`` for a few points whose paths go together."""
-    replicas, count = sums.shape[1], samples.count
+    replicas = sums.shape[1]
     g = replicas * points.pixels.shape[0]
     here, around, seeds = np.empty((3, g)), np.empty((3, g)), np.empty(g, np.uint64)
     for i in range(g):
         put_column(here, i, point_of(points.points, i // replicas))
         put_column(around, i, point_of(points.normals, i // replicas))
         seeds[i] = mix(np.int64(points.pixels[i // replicas]), stream + i % replicas)
-    starts, gathered = PathStarts(here, around, np.full(g, surface.isovalue), seeds), np.empty((3, g * count))
-    light_paths(surface.field, surface.cells, starts, samples, rules, light, gathered)
-    for m in range(g * count):
-        for c in range(3):
-            sums[m % g // replicas, m % replicas, c] += gathered[c, m]
+    starts, scene = PathStarts(here, around, np.full(g, surface.isovalue), seeds), Open(surface.field, surface.cells)
+    add_paths(scene, starts, samples, rules, light, sums.reshape(g, 3))
 
 
 @kernel()

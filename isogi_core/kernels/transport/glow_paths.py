@@ -1,7 +1,6 @@
 """Paths that gather the light of glowing regions alone, over an isosurface and walls: see ``tracing.glow``."""
 
 import math
-from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
@@ -9,48 +8,16 @@ from numba import types
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.field import FIELD, to_index
-from isogi_core.kernels.tracing.glow import GLOWS, gather_on_way, way_through_ball
+from isogi_core.kernels.tracing.glow import GLOWS, Glows, gather_on_way, way_through_ball
 from isogi_core.kernels.tracing.vec import SMALLEST, column, dot, normalize, put_column, sub
-from isogi_core.kernels.tracing.walls import ROWS, meet_walls
+from isogi_core.kernels.tracing.walls import ROWS
+from isogi_core.kernels.transport.integrate import add_paths, gather_met, gather_sources
 from isogi_core.kernels.transport.integrator import about
-from isogi_core.kernels.transport.light_paths import FAR, make_shadow_rays, to_world
-from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, SampleRange
+from isogi_core.kernels.transport.light_paths import FAR, cast_wave, to_world
+from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import PAIRS, point_of_words
-from isogi_core.kernels.transport.room_paths import (
-    ROOM,
-    STARTS,
-    RoomWave,
-    add_gathered,
-    begin,
-    carry,
-    first_carried,
-    gather_walls,
-    launch_in_room,
-    stand_on_walls,
-)
-from isogi_core.kernels.transport.wavefront import (
-    WAVE,
-    Vertices,
-    columns,
-    compact,
-    generate,
-    intersect,
-    make_vertices,
-    next_vertex,
-    partition,
-    russian_roulette,
-    sample_direction,
-    whole,
-)
-
-
-class Glowing(NamedTuple):
-    """What paths meet and what they gather: the ``field`` and its ``cells``, a ``room`` that is dark, and ``glows``."""
-
-    field: Any
-    cells: Any
-    room: Any
-    glows: Any
+from isogi_core.kernels.transport.room_paths import ROOM, STARTS, InRoom, gather_walls
+from isogi_core.kernels.transport.wavefront import columns, partition
 
 
 @kernel()
@@ -115,95 +82,40 @@ def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
 
 
 @kernel()
-def gather(wave, vertices, i, k, scene, reach, share):
-    """Add the ``share`` of what the ray from vertex ``i`` gathers of region ``k`` before ``reach`` to its path."""
-    count, m = vertices.count, wave.shadow.wave.owners[i]
-    w = column(columns(wave.shadow.wave.ways, count), i)
+def add_glow(wave, vertices, i, k, scene, glows, share):
+    """Add the ``share`` of what the ray from vertex ``i`` gathers of region ``k`` before its end to its path."""
+    rays, count = wave.shadow.wave, vertices.count
+    m, w = rays.owners[i], column(columns(rays.ways, count), i)
     p = to_world(column(columns(vertices.points, count), i), scene.field.spacing)
-    light = gather_on_way(scene.field, scene.glows, k, p, w, reach)
+    light = gather_on_way(scene.field, glows, k, p, w, rays.t[i])
     if light > 0.0:
-        light *= share * balance(scene.glows, k, p, w, dot(column(columns(vertices.normals, count), i), w))
+        light *= share * balance(glows, k, p, w, dot(column(columns(vertices.normals, count), i), w))
         for c in range(3):
             wave.gathered[3 * k + c, m] += wave.carried[c, m] * light
 
 
-@kernel()
-def cast_among_walls(wave, points, count, scene):
-    """Cast the wave's rays from ``points`` to what they meet first, the isosurface or a wall."""
-    rays, n = wave.shadow.wave, whole(count)
-    intersect(scene.field, scene.cells, rays, points, count)
-    origins, directions = columns(points, count), columns(rays.directions, count)
-    meet_walls(scene.room.walls, origins, directions, wave.own[:n], rays.t[:n], wave.met[:n])
-
-
-@kernel()
-def gather_aimed(wave, vertices, bounce, scene):
+@gather_sources.case(InRoom, Glows)
+def gather_aimed_glow(scene, state, vertices, bounce, glows):
     """Add what rays towards each of the regions gather."""
-    shadow, count = wave.shadow, vertices.count
-    for k in range(scene.glows.rates.shape[0]):
-        if aim_at_glow(wave, vertices, bounce, scene.glows, k, scene.field.spacing) == 0:
+    shadow, count = state.wave.shadow, vertices.count
+    for k in range(glows.rates.shape[0]):
+        if aim_at_glow(state.wave, vertices, bounce, glows, k, scene.field.spacing) == 0:
             continue
-        cast_among_walls(wave, shadow.starts, count, scene)
+        cast_wave(scene, state, shadow.starts, count)
         starts = columns(shadow.starts, count)
         for i in range(count):
             if starts[0, i] < math.inf:
-                gather(wave, vertices, i, k, scene, shadow.wave.t[i], 1.0)
+                add_glow(state.wave, vertices, i, k, scene, glows, 1.0)
 
 
-@kernel()
-def go_on(wave, vertices, following, scene):
-    """Move the paths that hit something to the vertices ``following``, on the isosurface or on walls."""
-    rays, count = wave.shadow.wave, vertices.count
-    compact(rays, vertices, following)
-    for h in range(following.count):
-        rays.t[h] = rays.t[rays.hits[h]]
-    next_vertex(scene.field, rays, count, following)
-    stand_on_walls(wave, vertices, following, scene.room)
-
-
-@kernel()
-def gather_all(wave, vertices, bounce, scene, room, survival):
-    """Add what paths gather of all that glows on the ways that were cast, and on a ``room``; how many go on."""
-    rays, count = wave.shadow.wave, vertices.count
-    for k in range(scene.glows.rates.shape[0]):
+@gather_met.case(Glows)
+def gather_met_glow(scene, state, vertices, glows):
+    """Add what paths gather of all that glows on the ways that were cast; returns how many go on."""
+    rays, count = state.wave.shadow.wave, vertices.count
+    for k in range(glows.rates.shape[0]):
         for i in range(count):
-            gather(wave, vertices, i, k, scene, rays.t[i], 1.0)
-    hits = gather_walls(wave, vertices, partition(rays, count), room)
-    return russian_roulette(rays, hits, bounce, survival)
-
-
-@kernel()
-def glow_wave(wave, vertices, spare, scene, rules):
-    """Walk the paths of a wave to their ends and gather glow on the way, as ``room_paths.light_wave`` does light."""
-    rays, last = wave.shadow.wave, rules.weights.shape[0] - 1
-    for bounce in range(last + 1):
-        count = vertices.count
-        gather_aimed(wave, vertices, bounce, scene)
-        sample_direction(rays, vertices, bounce, scene.field.spacing)
-        cast_among_walls(wave, vertices.points, count, scene)
-        hits = gather_all(wave, vertices, bounce, scene, scene.room, rules.survival)
-        if hits == 0 or bounce == last:
-            return
-        carry(wave, vertices, hits, rules.survival if bounce > 0 else 1.0, scene.room)
-        following = Vertices(spare.points, spare.normals, hits)
-        go_on(wave, vertices, following, scene)
-        vertices, spare = following, vertices
-
-
-@kernel()
-def glow_paths(scene, starts, samples, rules, gathered):
-    """Write what each path of a ``SampleRange`` gathers to ``gathered`` (3 k, at least g · count)."""
-    total = starts.isovalues.shape[0] * samples.count
-    carried = first_carried(rules, total, gathered)
-    origins = launch_in_room(scene.field, starts)
-    n = whole(min(WAVE, total))
-    shadow, space, spare = make_shadow_rays(n), make_vertices(n), make_vertices(n)
-    wave = RoomWave(shadow, np.full(n, -1.0), np.full(n, -1.0), carried, gathered)
-    for first in range(0, total, WAVE):
-        vertices = Vertices(space.points, space.normals, min(WAVE, total - first))
-        generate(shadow.wave, vertices, starts, origins, samples.first, first)
-        begin(wave, starts, first, vertices.count)
-        glow_wave(wave, vertices, spare, scene, rules)
+            add_glow(state.wave, vertices, i, k, scene, glows, 1.0)
+    return gather_walls(state.wave, vertices, partition(rays, count), scene.room)
 
 
 @kernel(types.void(FIELD, ACTIVE_CELLS, ROOM, STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, ROWS))
@@ -214,10 +126,4 @@ def glow_in_room(field, cells, room, starts, samples, rules, glows, sums):
     may have no walls. Rays are drawn by cosine and towards the ball about each region, and both are balanced. Sums grow
     sample by sample: the company of a start changes no bit. Source: Kajiya 1986, with emission along the way.
     """
-    g, last = starts.isovalues.shape[0], samples.first + samples.count
-    step = max(WAVE // max(g, 1), 1)
-    scene, gathered = Glowing(field, cells, room, glows), np.empty((sums.shape[1], g * step))
-    for first in range(samples.first, last, step):
-        some = SampleRange(first, min(step, last - first))
-        glow_paths(scene, starts, some, rules, gathered)
-        add_gathered(gathered, some.count, sums)
+    add_paths(InRoom(field, cells, room), starts, samples, rules, glows, sums)

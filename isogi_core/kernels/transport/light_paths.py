@@ -6,31 +6,51 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import Choice, kernel, record
 from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.vec import column, dot, put_column
+from isogi_core.kernels.transport.integrate import (
+    add_carried,
+    advance,
+    begin,
+    gather_met,
+    gather_sources,
+    launch_starts,
+    make_state,
+    meet,
+)
 from isogi_core.kernels.transport.lights import LAMPS, NO_LAMPS, NOTHING, arriving, draw_bright, illuminate
 from isogi_core.kernels.transport.rng import PAIRS, point_of_words
 from isogi_core.kernels.transport.wavefront import (
-    WAVE,
-    Vertices,
     columns,
-    generate,
-    go_on,
+    compact,
     intersect,
     launch_all,
-    make_vertices,
-    make_wave,
+    next_vertex,
     partition,
-    russian_roulette,
-    sample_direction,
-    whole,
 )
 
 FAR = (math.inf, math.inf, math.inf)
 """Where rays start that are not to meet anything."""
 
 NO_TABLE = (np.zeros(0), np.zeros((0, 0)))
+
+
+class Open(NamedTuple):
+    """One isosurface of a ``field``, within its active ``cells``, and nothing else that rays meet.
+
+    What paths carry after k bounces is row k of their weights (bounces + 1, 3): R^k over the chance to get there (see
+    ``russian_roulette``).
+    """
+
+    field: Any
+    cells: Any
+
+
+class Alone(NamedTuple):
+    """The state of a ``wave`` that needs nothing else."""
+
+    wave: Any
 
 
 class Surroundings(NamedTuple):
@@ -55,21 +75,6 @@ SURROUNDINGS = record(
     types.Tuple((types.float64[::1], types.float64[:, ::1])),
     LAMPS,
 )
-
-
-class ShadowRays(NamedTuple):
-    """A ``wave`` and its shadow rays: room (3 n,) for where they start and what they carry, and how far they go."""
-
-    wave: Any
-    starts: Any
-    light: Any
-    reach: Any
-
-
-@kernel()
-def make_shadow_rays(n):
-    """Room for a wave of ``n`` paths and their shadow rays."""
-    return ShadowRays(make_wave(n), np.zeros(3 * n), np.empty(3 * n), np.empty(n))
 
 
 @kernel()
@@ -112,70 +117,90 @@ def aim_shadow_rays(shadow, vertices, bounce, light, source, spacing):
         put_column(starts, i, o if max(shine[0], shine[1], shine[2]) > 0.0 else FAR)
 
 
-@kernel()
-def add_light(gathered, m, weights, bounce, light):
-    """Add ``light`` after ``bounce`` bounces to what path ``m`` has gathered."""
-    for c in range(3):
-        gathered[c, m] += weights[bounce, c] * light[c]
+@Choice
+def cast_wave(scene, state, points, count):
+    """Cast ``count`` rays of a wave from ``points`` to what they meet first."""
 
 
-@kernel()
-def gather_sources(field, cells, shadow, vertices, bounce, weights, light, gathered):
+@Choice
+def add_sent(scene, state, vertices, bounce):
+    """Add the light of those shadow rays of a wave that reach their source."""
+
+
+@cast_wave.case(Open)
+def cast_at_surface(scene, state, points, count):
+    """Cast a wave's rays from ``points`` at the isosurface."""
+    intersect(scene.field, scene.cells, state.wave.shadow.wave, points, count)
+
+
+@add_sent.case()
+def add_unblocked(scene, state, vertices, bounce):
+    """Add the light of those shadow rays that nothing blocks."""
+    shadow, count = state.wave.shadow, vertices.count
+    starts, lights = columns(shadow.starts, count), columns(shadow.light, count)
+    cast_wave(scene, state, shadow.starts, count)
+    for i in range(count):
+        if starts[0, i] < math.inf and not shadow.wave.t[i] < shadow.reach[i]:
+            add_carried(state.wave, i, column(lights, i))
+
+
+@gather_sources.case(Open, Surroundings)
+def gather_from_outside(scene, state, vertices, bounce, light):
     """Add what lamps, and the bright parts of a sharp environment, send to the vertices of a wave."""
-    wave, count = shadow.wave, vertices.count
-    lights = columns(shadow.light, count)
     first = 0 if light.table[0].shape[0] > 0 else 1
     for source in range(first, 1 + light.lamps.kinds.shape[0]):
-        aim_shadow_rays(shadow, vertices, bounce, light, source, field.spacing)
-        intersect(field, cells, wave, shadow.starts, count)
-        for i in range(count):
-            if not wave.t[i] < shadow.reach[i]:
-                add_light(gathered, wave.owners[i], weights, bounce, column(lights, i))
+        aim_shadow_rays(state.wave.shadow, vertices, bounce, light, source, scene.field.spacing)
+        add_sent(scene, state, vertices, bounce)
 
 
 @kernel()
-def gather_ends(wave, vertices, escaped, bounce, weights, light, gathered):
-    """Add the environment that the ``escaped`` paths leave to."""
-    normals, ways = columns(vertices.normals, vertices.count), columns(wave.ways, vertices.count)
-    for i in wave.escaped[:escaped]:
+def gather_ends(wave, vertices, light):
+    """Add the environment that paths leave to; returns how many hit something."""
+    rays, count = wave.shadow.wave, vertices.count
+    normals, ways = columns(vertices.normals, count), columns(rays.ways, count)
+    hits = partition(rays, count)
+    for i in rays.escaped[: count - hits]:
         w = column(ways, i)
-        end = arriving(light.constant, light.image, light.matrix, light.table, w, dot(column(normals, i), w))
-        add_light(gathered, wave.owners[i], weights, bounce, end)
+        cosine = dot(column(normals, i), w)
+        add_carried(wave, i, arriving(light.constant, light.image, light.matrix, light.table, w, cosine))
+    return hits
 
 
-@kernel()
-def light_wave(field, cells, shadow, vertices, spare, rules, light, gathered):
-    """Walk the paths of a wave to their ends, as ``walk_wave`` does, and gather light on the way."""
-    wave, weights, last = shadow.wave, rules.weights, rules.weights.shape[0] - 1
-    for bounce in range(last + 1):
-        count = vertices.count
-        gather_sources(field, cells, shadow, vertices, bounce, weights, light, gathered)
-        sample_direction(wave, vertices, bounce, field.spacing)
-        intersect(field, cells, wave, vertices.points, count)
-        hits = partition(wave, count)
-        gather_ends(wave, vertices, count - hits, bounce, weights, light, gathered)
-        hits = russian_roulette(wave, hits, bounce, rules.survival)
-        if hits == 0 or bounce == last:
-            return
-        vertices, spare = go_on(field, wave, vertices, spare, hits, 1, 0)
+@gather_met.case(Open, Surroundings)
+def gather_environment(scene, state, vertices, light):
+    """Add the environment that paths leave to; returns how many go on."""
+    return gather_ends(state.wave, vertices, light)
 
 
-@kernel()
-def light_paths(field, cells, starts, samples, rules, light, gathered):
-    """A ``SampleRange`` of E/π at each of g ``PathStarts``, with all light that is reflected there.
+@make_state.case()
+def make_alone(scene, starts, wave):
+    """The state of a wave that needs nothing else."""
+    return Alone(wave)
 
-    The order of paths is that of ``walk_paths``. Writes linear RGB to ``gathered`` (3, at least g · count): Σ_k
-    weights[k] (E/π at vertex k, of the light that comes straight from its sources), where the weights (bounces + 1, 3)
-    of the ``rules`` are R^k over the chance to get there (see ``russian_roulette``), and ``light`` are the
-    Surroundings. Light arrives at where rays start, a little above the surface. Source: Kajiya 1986; DESIGN
-    section 3.
-    """
-    total = starts.isovalues.shape[0] * samples.count
-    gathered[:, :total] = 0.0
-    origins = launch_all(field, starts)
-    n = whole(min(WAVE, total))
-    shadow, room, spare = make_shadow_rays(n), make_vertices(n), make_vertices(n)
-    for begin in range(0, total, WAVE):
-        vertices = Vertices(room.points, room.normals, min(WAVE, total - begin))
-        generate(shadow.wave, vertices, starts, origins, samples.first, begin)
-        light_wave(field, cells, shadow, vertices, spare, rules, light, gathered)
+
+@launch_starts.case(Open)
+def launch_in_the_open(scene, starts):
+    """Where first rays start, (3, g): off the surface."""
+    return launch_all(scene.field, starts)
+
+
+@begin.case(Open)
+def begin_in_the_open(scene, state, vertices, starts, first):
+    """Leave the vertices as they are: all stand on the surface."""
+
+
+@meet.case()
+def meet_nearest(scene, state, vertices, bounce):
+    """Cast the rays of a wave to what they meet first."""
+    cast_wave(scene, state, vertices.points, vertices.count)
+
+
+@advance.case(Open)
+def advance_in_the_open(scene, state, vertices, following, bounce, rules):
+    """Move the paths that hit the surface there, to carry the weight of one more bounce."""
+    rays, carried = state.wave.shadow.wave, state.wave.carried
+    for i in rays.hits[: following.count]:
+        for c in range(3):
+            carried[c, rays.owners[i]] = rules.weights[bounce + 1, c]
+    compact(rays, vertices, following)
+    next_vertex(scene.field, rays, vertices.count, following)

@@ -13,31 +13,30 @@ from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN
 from isogi_core.kernels.tracing.vec import SMALLEST, column, dot, length, madd, put_column, scale, sub
 from isogi_core.kernels.tracing.walls import NUMBERS, ROWS, WALLS, meet_walls
 from isogi_core.kernels.transport.colours import COLOURS, albedo_at
+from isogi_core.kernels.transport.integrate import (
+    add_carried,
+    add_paths,
+    advance,
+    begin,
+    gather_met,
+    gather_sources,
+    launch_starts,
+)
 from isogi_core.kernels.transport.integrator import launch
 from isogi_core.kernels.transport.light_paths import (
     FAR,
     SURROUNDINGS,
-    aim_shadow_rays,
-    make_shadow_rays,
+    Surroundings,
+    add_sent,
+    cast_wave,
+    gather_ends,
+    gather_from_outside,
     to_world,
 )
-from isogi_core.kernels.transport.lights import NOTHING, arriving, row
-from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, SampleRange
+from isogi_core.kernels.transport.lights import NOTHING, row
+from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import PAIRS, mix, point_of_words
-from isogi_core.kernels.transport.wavefront import (
-    WAVE,
-    Vertices,
-    columns,
-    compact,
-    generate,
-    intersect,
-    make_vertices,
-    next_vertex,
-    partition,
-    russian_roulette,
-    sample_direction,
-    whole,
-)
+from isogi_core.kernels.transport.wavefront import columns, compact, intersect, next_vertex, whole
 
 SHORT = 1.0 - 1e-9
 """Share of the way to a luminaire on which something may stand before it."""
@@ -82,17 +81,12 @@ class RoomStarts(NamedTuple):
 STARTS = record(RoomStarts, ROWS, ROWS, NUMBERS, types.uint64[::1], NUMBERS)
 
 
-class RoomWave(NamedTuple):
-    """A wave of paths and its ``shadow`` rays; (n,) the walls that vertices stand on, ``own``, and that rays ``met``.
+class InRoom(NamedTuple):
+    """One isosurface of a ``field``, within its active ``cells``, and the walls of a ``room`` about it."""
 
-    ``carried`` (3, paths) is what light at a path's vertex counts in what it has ``gathered`` (3, paths).
-    """
-
-    shadow: Any
-    own: Any
-    met: Any
-    carried: Any
-    gathered: Any
+    field: Any
+    cells: Any
+    room: Any
 
 
 @kernel()
@@ -147,52 +141,30 @@ def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
         put_column(starts, i, o if lit else FAR)
 
 
-@kernel()
-def add_carried(wave, i, light):
-    """Add ``light`` that arrives at the vertex of path ``i`` of a wave to what it has gathered."""
-    m = wave.shadow.wave.owners[i]
-    for c in range(3):
-        wave.gathered[c, m] += wave.carried[c, m] * light[c]
+@cast_wave.case()
+def cast_among_walls(scene, state, points, count):
+    """Cast a wave's rays from ``points`` to what they meet first, the isosurface or a wall."""
+    wave, rays, n = state.wave, state.wave.shadow.wave, whole(count)
+    intersect(scene.field, scene.cells, rays, points, count)
+    origins, directions = columns(points, count), columns(rays.directions, count)
+    meet_walls(scene.room.walls, origins, directions, wave.own[:n], rays.t[:n], wave.met[:n])
 
 
-@kernel()
-def add_unblocked(field, cells, wave, room, count):
-    """Add the light of those shadow rays that nothing blocks, neither the surface nor a wall."""
-    shadow, rays, n = wave.shadow, wave.shadow.wave, whole(count)
-    starts, directions, lights = (
-        columns(shadow.starts, count),
-        columns(rays.directions, count),
-        columns(shadow.light, count),
-    )
-    intersect(field, cells, rays, shadow.starts, count)
-    meet_walls(room.walls, starts, directions, wave.own[:n], rays.t[:n], wave.met[:n])
-    for i in range(count):
-        if starts[0, i] < math.inf and not rays.t[i] < shadow.reach[i]:
-            add_carried(wave, i, column(lights, i))
-
-
-@kernel()
-def gather_sources(field, cells, wave, vertices, bounce, room, light):
+@gather_sources.case(Surroundings)
+def gather_from_all(scene, state, vertices, bounce, light):
     """Add what lamps, bright parts of a sharp environment, and luminaires send to the vertices of a wave."""
-    first, lamps = 0 if light.table[0].shape[0] > 0 else 1, light.lamps.kinds.shape[0]
-    for source in range(first, 1 + lamps):
-        aim_shadow_rays(wave.shadow, vertices, bounce, light, source, field.spacing)
-        add_unblocked(field, cells, wave, room, vertices.count)
+    room, lamps = scene.room, light.lamps.kinds.shape[0]
+    gather_from_outside(scene, state, vertices, bounce, light)
     for k in range(room.areas.shape[0]):
         if max(room.radiances[k, 0], room.radiances[k, 1], room.radiances[k, 2]) > 0.0:
-            aim_at_luminaire(wave, vertices, bounce, room, k, 1 + lamps + k, field.spacing)
-            add_unblocked(field, cells, wave, room, vertices.count)
+            aim_at_luminaire(state.wave, vertices, bounce, room, k, 1 + lamps + k, scene.field.spacing)
+            add_sent(scene, state, vertices, bounce)
 
 
-@kernel()
-def gather_ends(wave, vertices, escaped, light):
-    """Add the environment that the ``escaped`` paths leave to."""
-    rays = wave.shadow.wave
-    normals, ways = columns(vertices.normals, vertices.count), columns(rays.ways, vertices.count)
-    for i in rays.escaped[:escaped]:
-        w = column(ways, i)
-        cosine = dot(column(normals, i), w)
-        add_carried(wave, i, arriving(light.constant, light.image, light.matrix, light.table, w, cosine))
+@gather_met.case(Surroundings)
+def gather_all_met(scene, state, vertices, light):
+    """Add the environment that paths leave to, and luminaires that they meet: returns how many go on."""
+    return gather_walls(state.wave, vertices, gather_ends(state.wave, vertices, light), scene.room)
 
 
 @kernel()
@@ -252,47 +224,31 @@ def stand_on_walls(wave, vertices, following, room):
             rays.sides[h] = UNKNOWN
 
 
-@kernel()
-def light_wave(field, cells, wave, vertices, spare, room, rules, light):
-    """Walk the paths of a wave to their ends and gather light on the way."""
-    rays, last = wave.shadow.wave, rules.weights.shape[0] - 1
-    for bounce in range(last + 1):
-        count = vertices.count
-        n = whole(count)
-        gather_sources(field, cells, wave, vertices, bounce, room, light)
-        sample_direction(rays, vertices, bounce, field.spacing)
-        intersect(field, cells, rays, vertices.points, count)
-        origins, directions = columns(vertices.points, count), columns(rays.directions, count)
-        meet_walls(room.walls, origins, directions, wave.own[:n], rays.t[:n], wave.met[:n])
-        hits = partition(rays, count)
-        gather_ends(wave, vertices, count - hits, light)
-        hits = gather_walls(wave, vertices, hits, room)
-        hits = russian_roulette(rays, hits, bounce, rules.survival)
-        if hits == 0 or bounce == last:
-            return
-        carry(wave, vertices, hits, rules.survival if bounce > 0 else 1.0, room)
-        following = Vertices(spare.points, spare.normals, hits)
-        compact(rays, vertices, following)
-        for h in range(hits):
-            rays.t[h] = rays.t[rays.hits[h]]
-        next_vertex(field, rays, count, following)
-        stand_on_walls(wave, vertices, following, room)
-        vertices, spare = following, vertices
+@advance.case(InRoom)
+def advance_in_room(scene, state, vertices, following, bounce, rules):
+    """Move the paths that go on to where they hit the isosurface or a wall."""
+    rays, count, chance = state.wave.shadow.wave, vertices.count, rules.survival if bounce > 0 else 1.0
+    carry(state.wave, vertices, following.count, chance, scene.room)
+    compact(rays, vertices, following)
+    for h in range(following.count):
+        rays.t[h] = rays.t[rays.hits[h]]
+    next_vertex(scene.field, rays, count, following)
+    stand_on_walls(state.wave, vertices, following, scene.room)
 
 
-@kernel()
-def launch_in_room(field, starts):
+@launch_starts.case()
+def launch_in_room(scene, starts):
     """Where the first rays start, (3, g): off the surface, see ``launch``, and on a wall."""
     origins = starts.points.copy()
     for i in range(starts.isovalues.shape[0]):
         if starts.walls[i] < 0.0:
             p, n = column(starts.points, i), column(starts.normals, i)
-            put_column(origins, i, launch(field, starts.isovalues[i], p, n, OUTSIDE))
+            put_column(origins, i, launch(scene.field, starts.isovalues[i], p, n, OUTSIDE))
     return origins
 
 
 @kernel()
-def begin(wave, starts, first, count):
+def begin_on_walls(wave, starts, first, count):
     """Say where the first ``count`` vertices of a wave stand, whose first path has the number ``first``."""
     g = starts.walls.shape[0]
     for m in range(count):
@@ -301,41 +257,10 @@ def begin(wave, starts, first, count):
             wave.shadow.wave.sides[m] = UNKNOWN
 
 
-@kernel()
-def first_carried(rules, total, gathered):
-    """What each of ``total`` paths carries at first, (3, total); none has ``gathered`` (3 k, total or more) any yet."""
-    gathered[:, :total] = 0.0
-    carried = np.empty((3, total))
-    for c in range(3):
-        carried[c] = rules.weights[0, c]
-    return carried
-
-
-@kernel()
-def light_paths(field, cells, room, starts, samples, rules, light, gathered):
-    """``light_paths`` of the module of that name in a ``room``; see ``light_in_room``."""
-    total = starts.isovalues.shape[0] * samples.count
-    carried = first_carried(rules, total, gathered)
-    origins = launch_in_room(field, starts)
-    n = whole(min(WAVE, total))
-    shadow, space, spare = make_shadow_rays(n), make_vertices(n), make_vertices(n)
-    wave = RoomWave(shadow, np.full(n, -1.0), np.full(n, -1.0), carried, gathered)
-    for first in range(0, total, WAVE):
-        vertices = Vertices(space.points, space.normals, min(WAVE, total - first))
-        generate(shadow.wave, vertices, starts, origins, samples.first, first)
-        begin(wave, starts, first, vertices.count)
-        light_wave(field, cells, wave, vertices, spare, room, rules, light)
-
-
-@kernel()
-def add_gathered(gathered, count, sums):
-    """Add what ``count`` paths of each of g starts have ``gathered`` (channels, g · count), sample by sample, to their
-    ``sums`` (g, channels).
-    """
-    g = sums.shape[0]
-    for m in range(g * count):
-        for j in range(sums.shape[1]):
-            sums[m % g, j] += gathered[j, m]
+@begin.case(InRoom)
+def begin_in_room(scene, state, vertices, starts, first):
+    """Say where the vertices of a wave stand, on the isosurface or on walls."""
+    begin_on_walls(state.wave, starts, first, vertices.count)
 
 
 @kernel(types.void(FIELD, ACTIVE_CELLS, ROOM, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
@@ -347,13 +272,7 @@ def light_in_room(field, cells, room, starts, samples, rules, light, sums):
     and what lies outside. Luminaires are drawn by area and by cosine, and both are balanced. Sums grow sample by
     sample: the company of a start changes no bit. Source: Kajiya 1986; Veach and Guibas 1995.
     """
-    g, last = starts.isovalues.shape[0], samples.first + samples.count
-    step = max(WAVE // max(g, 1), 1)
-    gathered = np.empty((3, g * step))
-    for first in range(samples.first, last, step):
-        some = SampleRange(first, min(step, last - first))
-        light_paths(field, cells, room, starts, some, rules, light, gathered)
-        add_gathered(gathered, some.count, sums)
+    add_paths(InRoom(field, cells, room), starts, samples, rules, light, sums)
 
 
 @kernel(types.void(types.int64[:, ::1], types.uint64[::1]))

@@ -18,36 +18,13 @@ from isogi_core.kernels.tracing.peels import MOST
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import SMALLEST, column, madd, put_column, scale
 from isogi_core.kernels.tracing.walls import NOWHERE, meet_walls
+from isogi_core.kernels.transport.integrate import add_paths, advance, begin, make_state, meet
 from isogi_core.kernels.transport.integrator import ROULETTE, launch
-from isogi_core.kernels.transport.light_paths import SURROUNDINGS, aim_shadow_rays, make_shadow_rays
-from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, SampleRange
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS, add_sent
+from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import PAIRS, point_of_words
-from isogi_core.kernels.transport.room_paths import (
-    ROOM,
-    STARTS,
-    RoomWave,
-    add_gathered,
-    aim_at_luminaire,
-    begin,
-    first_carried,
-    gather_ends,
-    gather_walls,
-    launch_in_room,
-    stand_on_walls,
-)
-from isogi_core.kernels.transport.wavefront import (
-    WAVE,
-    Vertices,
-    columns,
-    compact,
-    generate,
-    make_vertices,
-    next_vertex,
-    partition,
-    russian_roulette,
-    sample_direction,
-    whole,
-)
+from isogi_core.kernels.transport.room_paths import ROOM, STARTS, begin_on_walls, stand_on_walls
+from isogi_core.kernels.transport.wavefront import columns, compact, next_vertex, whole
 
 CROSSINGS = 64
 """Surfaces that a ray passes at most: what comes next stops it."""
@@ -81,6 +58,14 @@ class Surfaces(NamedTuple):
 
 NUMBERS, ROWS = types.float64[::1], types.float64[:, ::1]
 SURFACES = record(Surfaces, types.UniTuple(ACTIVE_CELLS, MOST), NUMBERS, ROWS, NUMBERS, ROWS, ROOM)
+
+
+class Among(NamedTuple):
+    """The ``surfaces`` of a ``field`` that rays meet, and their ``room``."""
+
+    field: Any
+    surfaces: Any
+    room: Any
 
 
 class Company(NamedTuple):
@@ -217,30 +202,24 @@ def follow(field, surfaces, company, room, bounce, count, aimed):
             company.wave.met[i] = NOWHERE
 
 
-@kernel()
-def add_sent(field, surfaces, company, bounce, count):
+@add_sent.case(Among)
+def add_sent_among(scene, state, vertices, bounce):
     """Add what the shadow rays of a wave bring, of which surfaces let a share pass, and walls nothing."""
-    shadow, carried, gathered = company.wave.shadow, company.wave.carried, company.wave.gathered
-    follow(field, surfaces, company, shadow.starts, bounce, count, True)
+    shadow, count = state.wave.shadow, vertices.count
+    follow(scene.field, scene.surfaces, state, shadow.starts, bounce, count, True)
     starts, lights = columns(shadow.starts, count), columns(shadow.light, count)
+    carried, gathered = state.wave.carried, state.wave.gathered
     for i in range(count):
-        if company.passed[i] > 0.0 and starts[0, i] < math.inf:
+        if state.passed[i] > 0.0 and starts[0, i] < math.inf:
             m = shadow.wave.owners[i]
             for c in range(3):
-                gathered[c, m] += company.passed[i] * carried[c, m] * lights[c, i]
+                gathered[c, m] += state.passed[i] * carried[c, m] * lights[c, i]
 
 
-@kernel()
-def gather_sources(field, surfaces, company, vertices, bounce, light):
-    """Add what lamps, bright parts of a sharp environment, and luminaires send to the vertices of a wave."""
-    wave, room, lamps = company.wave, surfaces.room, light.lamps.kinds.shape[0]
-    for source in range(0 if light.table[0].shape[0] > 0 else 1, 1 + lamps):
-        aim_shadow_rays(wave.shadow, vertices, bounce, light, source, field.spacing)
-        add_sent(field, surfaces, company, bounce, vertices.count)
-    for k in range(room.areas.shape[0]):
-        if max(room.radiances[k, 0], room.radiances[k, 1], room.radiances[k, 2]) > 0.0:
-            aim_at_luminaire(wave, vertices, bounce, room, k, 1 + lamps + k, field.spacing)
-            add_sent(field, surfaces, company, bounce, vertices.count)
+@meet.case(Among)
+def meet_among(scene, state, vertices, bounce):
+    """Follow the rays of a wave to the surfaces or the walls that stop them."""
+    follow(scene.field, scene.surfaces, state, vertices.points, bounce, vertices.count, False)
 
 
 @kernel()
@@ -301,74 +280,35 @@ def start_on_either_side(field, surfaces, company, vertices, starts):
             put_column(origins, h, launch(field, rays.isovalues[h], start, n, SOLID))
 
 
-@kernel()
-def go_on(field, surfaces, company, vertices, following, bounce, survival):
-    """Move the paths that hit something to the vertices ``following``, on surfaces or on walls."""
-    rays, count = company.wave.shadow.wave, vertices.count
+@advance.case(Among)
+def advance_among(scene, state, vertices, following, bounce, rules):
+    """Move the paths that go on to where they hit surfaces or walls."""
+    rays, count = state.wave.shadow.wave, vertices.count
     compact(rays, vertices, following)
-    stand_on(surfaces, company, following, count, bounce, survival if bounce > 0 else 1.0)
-    next_vertex(field, rays, count, following)
-    stand_on_walls(company.wave, vertices, following, surfaces.room)
+    stand_on(scene.surfaces, state, following, count, bounce, rules.survival if bounce > 0 else 1.0)
+    next_vertex(scene.field, rays, count, following)
+    stand_on_walls(state.wave, vertices, following, scene.room)
 
 
-@kernel()
-def light_wave(field, surfaces, company, vertices, spare, rules, light):
-    """Walk the paths of a wave to their ends and gather light on the way."""
-    wave, last = company.wave, rules.weights.shape[0] - 1
-    rays = wave.shadow.wave
-    for bounce in range(last + 1):
-        count = vertices.count
-        gather_sources(field, surfaces, company, vertices, bounce, light)
-        sample_direction(rays, vertices, bounce, field.spacing)
-        follow(field, surfaces, company, vertices.points, bounce, count, False)
-        hits = partition(rays, count)
-        gather_ends(wave, vertices, count - hits, light)
-        hits = gather_walls(wave, vertices, hits, surfaces.room)
-        hits = russian_roulette(rays, hits, bounce, rules.survival)
-        if hits == 0 or bounce == last:
-            return
-        following = Vertices(spare.points, spare.normals, hits)
-        go_on(field, surfaces, company, vertices, following, bounce, rules.survival)
-        vertices, spare = following, vertices
-
-
-@kernel()
-def make_company(n, surfaces, carried, gathered):
-    """Room for a wave of ``n`` paths among so many surfaces."""
-    numbers, places, s = np.zeros((3, n)), np.zeros((3, n), np.int64), surfaces.clears.shape[0]
-    wave = RoomWave(make_shadow_rays(n), np.full(n, NOWHERE), np.full(n, NOWHERE), carried, gathered)
+@make_state.case(Among)
+def make_company(scene, starts, wave):
+    """The company of a ``wave`` of paths among surfaces."""
+    n, s = wave.own.shape[0], scene.surfaces.clears.shape[0]
+    numbers, places = np.zeros((3, n)), np.zeros((3, n), np.int64)
     met, ways = (numbers[0], places[0], places[1]), (np.empty((s, n)), np.empty((s, n), np.int8))
     return Company(wave, *met, *ways, numbers[1], numbers[2], places[2])
 
 
-@kernel()
-def set_out(field, surfaces, company, vertices, starts, origins, sample, first):
-    """Put the paths of a wave, of which ``first`` is the number of the first, where they start, and say on what.
-
-    ``origins`` (3, g) are where first rays start, ``sample`` the number of the first sample.
-    """
-    wave = company.wave
-    generate(wave.shadow.wave, vertices, starts, origins, sample, first)
-    begin(wave, starts, first, vertices.count)
+@begin.case(Among)
+def begin_among(scene, state, vertices, starts, first):
+    """Say where the vertices of a wave stand, and put them on either side of the surface."""
+    wave = state.wave
+    begin_on_walls(wave, starts, first, vertices.count)
     for h in range(wave.own.shape[0]):
-        company.own[h] = wave.shadow.wave.isovalues[h]
+        state.own[h] = wave.shadow.wave.isovalues[h]
     for h in range(vertices.count):
-        company.on[h] = NONE if wave.own[h] >= 0.0 else 0
-    start_on_either_side(field, surfaces, company, vertices, starts)
-
-
-@kernel()
-def light_paths(field, surfaces, starts, samples, rules, light, gathered):
-    """``light_paths`` of the module of that name among several surfaces; see ``light_among_surfaces``."""
-    total = starts.isovalues.shape[0] * samples.count
-    carried = first_carried(rules, total, gathered)
-    origins = launch_in_room(field, starts)
-    n = whole(min(WAVE, total))
-    company, space, spare = make_company(n, surfaces, carried, gathered), make_vertices(n), make_vertices(n)
-    for first in range(0, total, WAVE):
-        vertices = Vertices(space.points, space.normals, min(WAVE, total - first))
-        set_out(field, surfaces, company, vertices, starts, origins, samples.first, first)
-        light_wave(field, surfaces, company, vertices, spare, rules, light)
+        state.on[h] = NONE if wave.own[h] >= 0.0 else 0
+    start_on_either_side(scene.field, scene.surfaces, state, vertices, starts)
 
 
 @kernel(types.void(FIELD, SURFACES, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
@@ -384,10 +324,4 @@ def light_among_surfaces(field, surfaces, starts, samples, rules, light, sums):
     as in ``light_in_room``. Sums grow sample by sample: the company of a start changes no bit. Source: Kajiya 1986;
     clear shells as in Beason et al. 2006 (S3).
     """
-    g, last = starts.isovalues.shape[0], samples.first + samples.count
-    step = max(WAVE // max(g, 1), 1)
-    gathered = np.empty((3, g * step))
-    for first in range(samples.first, last, step):
-        some = SampleRange(first, min(step, last - first))
-        light_paths(field, surfaces, starts, some, rules, light, gathered)
-        add_gathered(gathered, some.count, sums)
+    add_paths(Among(field, surfaces, surfaces.room), starts, samples, rules, light, sums)

@@ -13,7 +13,8 @@ from isogi_core.kernels.tracing.field import FIELD, OFFSET, normal, to_index, va
 from isogi_core.kernels.tracing.plateaus import along, leave_plateau
 from isogi_core.kernels.tracing.vec import column, is_zero, length, load_columns, put_column
 from isogi_core.kernels.transport.harmonics import accumulate
-from isogi_core.kernels.transport.light_paths import SURROUNDINGS, light_paths
+from isogi_core.kernels.transport.integrate import add_paths
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS, Open
 from isogi_core.kernels.transport.paths import (
     NOWHERE,
     PATH_RULES,
@@ -183,24 +184,14 @@ def bake_texels(field, cells, place, rows, samples, rules, orders, sums):
 
 
 @kernel()
-def add_gathered(gathered, starts, count, rows, sums):
-    """Add what ``light_paths`` gathered, sample by sample, to ``sums`` (m, 2, 3) of the ``rows``' halves."""
-    for i in range(starts):
-        for s in range(count):
-            for c in range(3):
-                sums[rows[i // 2], i % 2, c] += gathered[c, s * starts + i]
-
-
-@kernel()
 def light_together(field, cells, place, rows, samples, rules, light, sums):
     """``bake_irradiance`` for a few texels whose paths go together."""
-    g, last, starts = 2 * rows.shape[0], samples.first + samples.count, start_halves(place, rows)
-    step = max(WAVE // g, 1)
-    gathered = np.empty((3, g * step))
-    for begin in range(samples.first, last, step):
-        some = SampleRange(begin, min(step, last - begin))
-        light_paths(field, cells, starts, some, rules, light, gathered)
-        add_gathered(gathered, g, some.count, rows, sums)
+    some = np.empty((2 * rows.shape[0], 3))
+    for i in range(some.shape[0]):
+        some[i] = sums[rows[i // 2], i % 2]
+    add_paths(Open(field, cells), start_halves(place, rows), samples, rules, light, some)
+    for i in range(some.shape[0]):
+        sums[rows[i // 2], i % 2] = some[i]
 
 
 @kernel(types.void(FIELD, ACTIVE_CELLS, PLACE, ROWS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, types.float64[:, :, ::1]))

@@ -1,6 +1,7 @@
 """Paths among walls about matter that light passes: they wander over walls, and their rays pass what they meet."""
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
@@ -11,49 +12,68 @@ from isogi_core.kernels.tracing.field import FIELD
 from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN
 from isogi_core.kernels.tracing.vec import column, dot, put_column, scale
 from isogi_core.kernels.tracing.walls import NOWHERE, ROWS
+from isogi_core.kernels.transport.integrate import (
+    add_carried,
+    add_paths,
+    advance,
+    begin,
+    gather_met,
+    launch_starts,
+    make_state,
+    meet,
+)
 from isogi_core.kernels.transport.integrator import about
-from isogi_core.kernels.transport.light_paths import SURROUNDINGS, make_shadow_rays
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS, Surroundings
 from isogi_core.kernels.transport.lights import arriving, radiance, row
 from isogi_core.kernels.transport.matter.inside import PASSABLE
 from isogi_core.kernels.transport.matter.passage import make_passage, pass_matter
-from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, SampleRange
+from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
-from isogi_core.kernels.transport.room_paths import (
-    STARTS,
-    RoomWave,
-    add_carried,
-    add_gathered,
-    balance_area,
-    first_carried,
-    gather_sources,
-    lit_from,
-)
+from isogi_core.kernels.transport.room_paths import STARTS, balance_area, lit_from
 from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
-from isogi_core.kernels.transport.wavefront import (
-    WAVE,
-    Vertices,
-    columns,
-    compact,
-    generate,
-    make_vertices,
-    partition,
-    russian_roulette,
-    sample_direction,
-    whole,
-)
+from isogi_core.kernels.transport.wavefront import columns, compact, partition
 
 INWARD, ALONG = -2.0, -3.0
 """In place of a wall's number: a start on the isosurface whose rays go in, cosine-weighted about its inner normal; and
 one from anywhere whose ray goes along its ``normal``."""
 
 
-@kernel()
-def begin(wave, vertices, starts, first):
+class Through(NamedTuple):
+    """An isosurface of a ``field``, within its active ``cells``, whose ``matter`` light passes, and its ``room``."""
+
+    field: Any
+    cells: Any
+    room: Any
+    matter: Any
+
+
+class Crossing(NamedTuple):
+    """The state of a ``wave`` whose rays pass matter: their ``passage``, and the ``starts`` of its paths."""
+
+    wave: Any
+    passage: Any
+    starts: Any
+
+
+@make_state.case(Through)
+def make_crossing(scene, starts, wave):
+    """The state of a ``wave`` whose rays pass matter."""
+    return Crossing(wave, make_passage(wave.own.shape[0]), starts)
+
+
+@launch_starts.case(Through)
+def launch_through(scene, starts):
+    """Where first rays start, (3, g): the very points."""
+    return starts.points
+
+
+@begin.case(Through)
+def begin_through(scene, state, vertices, starts, first):
     """Say where the vertices of a wave stand, whose first path has the number ``first``.
 
     Those that are on no wall lose their normals: nothing is sent straight to them.
     """
-    g, normals = starts.walls.shape[0], columns(vertices.normals, vertices.count)
+    wave, g, normals = state.wave, starts.walls.shape[0], columns(vertices.normals, vertices.count)
     for m in range(vertices.count):
         wave.own[m] = starts.walls[(first + m) % g]
         wave.shadow.wave.sides[m] = UNKNOWN
@@ -149,44 +169,29 @@ def stand_on_walls(wave, passage, following, room, chance):
             wave.carried[c, m] *= room.albedos[k, c] / chance
 
 
-@kernel()
-def light_wave(field, cells, wave, passage, vertices, spare, scene, rules):
-    """Walk the paths of a wave to their ends and gather light on the way; ``scene`` is (Passable, starts, light)."""
-    rays, last = wave.shadow.wave, rules.weights.shape[0] - 1
-    (room, matter), starts, light = scene
-    for bounce in range(last + 1):
-        count = vertices.count
-        gather_sources(field, cells, wave, vertices, bounce, room, light)
-        sample_direction(rays, vertices, bounce, field.spacing)
-        set_out(wave, vertices, passage, starts, bounce)
-        pass_matter(field, cells, room.walls, matter, wave, passage, bounce, count)
-        arrive(wave, passage, count)
-        hits = partition(rays, count)
-        gather_ends(wave, vertices, passage, count - hits, light)
-        hits = gather_walls(wave, vertices, passage, hits, room, field.spacing)
-        hits = russian_roulette(rays, hits, bounce, rules.survival)
-        if hits == 0 or bounce == last:
-            return
-        following = Vertices(spare.points, spare.normals, hits)
-        compact(rays, vertices, following)
-        stand_on_walls(wave, passage, following, room, rules.survival if bounce > 0 else 1.0)
-        vertices, spare = following, vertices
+@meet.case(Through)
+def meet_through(scene, state, vertices, bounce):
+    """Follow the rays of a wave through matter to where they meet walls or leave."""
+    wave, passage, count = state.wave, state.passage, vertices.count
+    set_out(wave, vertices, passage, state.starts, bounce)
+    pass_matter(scene.field, scene.cells, scene.room.walls, scene.matter, wave, passage, bounce, count)
+    arrive(wave, passage, count)
 
 
-@kernel()
-def light_paths(field, cells, scene, samples, rules, gathered):
-    """Write what each path of a ``SampleRange`` gathers to ``gathered`` (3, at least g · count)."""
-    _, starts, _ = scene
-    total = starts.isovalues.shape[0] * samples.count
-    carried = first_carried(rules, total, gathered)
-    n = whole(min(WAVE, total))
-    shadow, space, spare, passage = make_shadow_rays(n), make_vertices(n), make_vertices(n), make_passage(n)
-    wave = RoomWave(shadow, np.full(n, -1.0), np.full(n, -1.0), carried, gathered)
-    for first in range(0, total, WAVE):
-        vertices = Vertices(space.points, space.normals, min(WAVE, total - first))
-        generate(shadow.wave, vertices, starts, starts.points, samples.first, first)
-        begin(wave, vertices, starts, first)
-        light_wave(field, cells, wave, passage, vertices, spare, scene, rules)
+@gather_met.case(Through, Surroundings)
+def gather_met_through(scene, state, vertices, light):
+    """Add the environment that paths leave to, and luminaires that they meet: returns how many go on."""
+    wave, passage, count = state.wave, state.passage, vertices.count
+    hits = partition(wave.shadow.wave, count)
+    gather_ends(wave, vertices, passage, count - hits, light)
+    return gather_walls(wave, vertices, passage, hits, scene.room, scene.field.spacing)
+
+
+@advance.case(Through)
+def advance_through(scene, state, vertices, following, bounce, rules):
+    """Move the paths that go on to where they met walls."""
+    compact(state.wave.shadow.wave, vertices, following)
+    stand_on_walls(state.wave, state.passage, following, scene.room, rules.survival if bounce > 0 else 1.0)
 
 
 @kernel(types.void(FIELD, ACTIVE_CELLS, PASSABLE, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
@@ -200,10 +205,4 @@ def light_through_matter(field, cells, met, starts, samples, rules, light, sums)
     ray can meet cast shadows. Bounces, weights and sums are as in ``light_in_room``. Source: Kajiya 1986; Beason et al.
     2006 (S3).
     """
-    g, last = starts.isovalues.shape[0], samples.first + samples.count
-    step = max(WAVE // max(g, 1), 1)
-    scene, gathered = (met, starts, light), np.empty((3, g * step))
-    for first in range(samples.first, last, step):
-        some = SampleRange(first, min(step, last - first))
-        light_paths(field, cells, scene, some, rules, gathered)
-        add_gathered(gathered, some.count, sums)
+    add_paths(Through(field, cells, met.room, met.matter), starts, samples, rules, light, sums)

@@ -140,7 +140,7 @@ def go_on(field, matter, wave, passage, ray, i, place):
 
 @kernel()
 def pass_matter(field, cells, walls, matter, wave, passage, bounce, count):
-    """Follow the first ``count`` rays of a ``RoomWave`` on their passage to where they meet walls or leave.
+    """Follow the first ``count`` rays of a ``PathWave`` on their passage to where they meet walls or leave.
 
     What they carry dims on the way; ``bounce`` is the number of the vertex that they come from.
     """

@@ -1,0 +1,155 @@
+"""The loop of all paths that gather: what their rays meet, and what they gather, are chosen by record.
+
+``scene`` is what rays meet, with its ``field``: Open, InRoom, Among, or Through. ``source`` is what paths gather:
+Surroundings or Glows. Each of these says in its module how the steps of the loop are taken: see ``Choice``.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from isogi_core.kernels._jit import Choice, kernel
+from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.transport.paths import SampleRange
+from isogi_core.kernels.transport.wavefront import (
+    WAVE,
+    Vertices,
+    generate,
+    make_vertices,
+    make_wave,
+    russian_roulette,
+    sample_direction,
+    whole,
+)
+
+
+class ShadowRays(NamedTuple):
+    """A ``wave`` and its shadow rays: room (3 n,) for where they start and what they carry, and how far they go."""
+
+    wave: Any
+    starts: Any
+    light: Any
+    reach: Any
+
+
+class PathWave(NamedTuple):
+    """A wave of paths and its ``shadow`` rays; (n,) the walls that vertices stand on, ``own``, and that rays ``met``.
+
+    ``carried`` (3, paths) is what light at a path's vertex counts in what it has ``gathered`` (channels, paths).
+    """
+
+    shadow: Any
+    own: Any
+    met: Any
+    carried: Any
+    gathered: Any
+
+
+@Choice
+def make_state(scene, starts, wave):
+    """The state of a PathWave in a scene: a record with that ``wave``, and room for what rays need besides."""
+
+
+@Choice
+def launch_starts(scene, starts):
+    """Where first rays start, (3, g)."""
+
+
+@Choice
+def begin(scene, state, vertices, starts, first):
+    """Say on what the first vertices of a wave stand, whose first path has the number ``first``."""
+
+
+@Choice
+def gather_sources(scene, state, vertices, bounce, source):
+    """Add what rays towards the sources bring to the vertices of a wave."""
+
+
+@Choice
+def meet(scene, state, vertices, bounce):
+    """Cast the rays of a wave, and write what each of them meets first."""
+
+
+@Choice
+def gather_met(scene, state, vertices, source):
+    """Add what rays brought that were cast; list those that hit something to go on from: returns how many."""
+
+
+@Choice
+def advance(scene, state, vertices, following, bounce, rules):
+    """Move the paths that go on to the vertices ``following``; what they carry is multiplied by what those reflect."""
+
+
+@kernel()
+def make_shadow_rays(n):
+    """Room for a wave of ``n`` paths and their shadow rays."""
+    return ShadowRays(make_wave(n), np.zeros(3 * n), np.empty(3 * n), np.empty(n))
+
+
+@kernel()
+def make_paths(n, rules, total, gathered):
+    """The waves of ``n`` of ``total`` paths, which carry the first weight, and have ``gathered`` nothing yet."""
+    gathered[:, :total] = 0.0
+    carried = np.empty((3, total))
+    for c in range(3):
+        carried[c] = rules.weights[0, c]
+    return PathWave(make_shadow_rays(n), np.full(n, NOWHERE), np.full(n, NOWHERE), carried, gathered)
+
+
+@kernel()
+def add_carried(wave, i, light):
+    """Add ``light`` that arrives at the vertex of path ``i`` of a wave to what it has gathered."""
+    m = wave.shadow.wave.owners[i]
+    for c in range(3):
+        wave.gathered[c, m] += wave.carried[c, m] * light[c]
+
+
+@kernel()
+def walk(scene, state, vertices, spare, rules, source):
+    """Walk the paths of a wave to their ends, and gather on the way; ``spare`` is room for other vertices."""
+    rays, last = state.wave.shadow.wave, rules.weights.shape[0] - 1
+    for bounce in range(last + 1):
+        gather_sources(scene, state, vertices, bounce, source)
+        sample_direction(rays, vertices, bounce, scene.field.spacing)
+        meet(scene, state, vertices, bounce)
+        hits = gather_met(scene, state, vertices, source)
+        hits = russian_roulette(rays, hits, bounce, rules.survival)
+        if hits == 0 or bounce == last:
+            return
+        following = Vertices(spare.points, spare.normals, hits)
+        advance(scene, state, vertices, following, bounce, rules)
+        vertices, spare = following, vertices
+
+
+@kernel()
+def gather_paths(scene, starts, samples, rules, source, gathered):
+    """Write what each path of a ``SampleRange`` gathers to ``gathered`` (channels, at least g · count).
+
+    Path s · g + i is the sample ``first + s`` of start i.
+    """
+    total = starts.isovalues.shape[0] * samples.count
+    origins, n = launch_starts(scene, starts), whole(min(WAVE, total))
+    wave, room, spare = make_paths(n, rules, total, gathered), make_vertices(n), make_vertices(n)
+    state = make_state(scene, starts, wave)
+    for first in range(0, total, WAVE):
+        vertices = Vertices(room.points, room.normals, min(WAVE, total - first))
+        generate(wave.shadow.wave, vertices, starts, origins, samples.first, first)
+        begin(scene, state, vertices, starts, first)
+        walk(scene, state, vertices, spare, rules, source)
+
+
+@kernel()
+def add_paths(scene, starts, samples, rules, source, sums):
+    """Add what a ``SampleRange`` of paths gathers at each of g ``starts`` to its ``sums`` (g, channels).
+
+    Sums grow sample by sample: the company of a start changes no bit. Source: Kajiya 1986.
+    """
+    g, last = sums.shape[0], samples.first + samples.count
+    step = max(WAVE // max(g, 1), 1)
+    gathered = np.empty((sums.shape[1], g * step))
+    for first in range(samples.first, last, step):
+        some = SampleRange(first, min(step, last - first))
+        gather_paths(scene, starts, some, rules, source, gathered)
+        for m in range(g * some.count):
+            for j in range(sums.shape[1]):
+                sums[m % g, j] += gathered[j, m]
