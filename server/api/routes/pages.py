@@ -29,7 +29,10 @@ p { margin: .25rem 0 .75rem }
 DIGEST = base64.b64encode(hashlib.sha256(STYLE.encode()).digest()).decode()
 POLICY = f"default-src 'none'; style-src 'sha256-{DIGEST}'; base-uri 'none'; frame-ancestors 'none'"
 
-MODULES = sorted(each.relative_to(WEB).as_posix() for each in WEB.glob("**/*.js") if each.parent.name != "published")
+OTHERS = {"published", "notebook"}
+"""Folders of modules that pages without a server, and notebooks, have beside the viewer's."""
+
+MODULES = sorted(each.relative_to(WEB).as_posix() for each in WEB.glob("**/*.js") if each.parent.name not in OTHERS)
 PRELOADS = ", ".join(f"<web/{each}>; rel=modulepreload" for each in MODULES)
 """A header that has a browser load all modules at once, and not one after the other as they import each other."""
 

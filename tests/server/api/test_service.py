@@ -84,6 +84,9 @@ class FakeEngine:
         if self.startable:
             raise self.startable
 
+    def planned(self, scene: str) -> Scene:
+        return self.scenes[scene]
+
     def light(self) -> None:
         assert self.kernels.compiled.wait(10)
 
