@@ -51,6 +51,8 @@ LATE := benchmark or browser or campaign or cluster or kill or long or s3 or slo
 SOON := journey or not ($(LATE))
 RUN := $(BIN)/python -m tests.run --durations 20
 TOGETHER := -n auto --dist worksteal
+# Late tests wait for browsers, servers and workers most of the time: three for two cores take three quarters of it.
+MORE := -n $(shell echo $$(( $$(nproc 2>/dev/null || echo 2) * 3 / 2 ))) --dist worksteal
 
 # Threads of BLAS would spin on the cores that the processes share.
 test-fast test test-all: export OPENBLAS_NUM_THREADS = 1
@@ -68,7 +70,7 @@ test:
 
 # Campaigns measure times: nothing runs beside them.
 test-all: test
-	$(RUN) $(TOGETHER) -m "not ($(SOON) or campaign or long)"
+	$(RUN) $(MORE) -m "not ($(SOON) or campaign or long)"
 	$(RUN) -m campaign
 
 # Every line of README and docs as it stands, films at full length too, and a thousand changes of the page: an hour.

@@ -62,7 +62,7 @@ def compare(settings):
         assert frame.provisional and frame.demands
         chunk = Chunk.empty(frame.demands[0].index, cache.chunk_store.spec.plan).with_texels(frame.demands[0].offsets)
         for part in chunk.light.parts:
-            part.samples[:], part.coefficients[:] = 16, 0.5
+            part.samples[:], part.coefficients[:], part.noise[:] = 16, 0.5, 0.1
         cache.pool.insert(Chunks.of_one(chunk))
         renderer.render(view)
         for demand in frame.demands:

@@ -119,6 +119,7 @@ def test_demands_name_the_texels_that_pixels_read(workbench: Make) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unfiltered")
 def test_light_of_one_layer_is_shown_and_provisional(workbench: Make) -> None:
     """The indirect layer is lost: the frame is that of direct light alone, and wants the rest."""
     settings = {"lights": [SKY], "target_error": LOOSE}
