@@ -126,8 +126,8 @@ class Facts:
 
     ``coverage`` are the shares of the surface's pixels that are final, converging and provisional, ``error`` is the
     estimated relative RMSE, ``chunks`` how many are needed and final. 99 % of the pixels err by less than ``p99``, None
-    where that is not measured. ``time_left`` is None where it is unknown or
-    over, ``etag`` names the very picture, and ``timing`` has the milliseconds of the stages of the work on it.
+    where that is not measured. ``time_left`` is None where it is unknown or over, ``etag`` names the very picture, and
+    ``timing`` has the milliseconds of the stages of the work on it.
     """
 
     provisional: bool

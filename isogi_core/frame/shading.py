@@ -175,8 +175,7 @@ def filter_texel_light(
     """
     records = fill_texel_records(reading.grade, lit, normals, light, tiles)
     records[:, PATHS], records[:, VARIANCE] = reading.samples, records[:, NOISE] ** 2
-    grainy = reading.grainy
-    lit_texels = (reading.grade == CONVERGING) | (reading.grade == FINAL)
+    grainy, lit_texels = reading.grainy, reading.lit
     records[lit_texels, GRADE] = np.where(grainy[lit_texels], CONVERGING, FINAL)
     moving = light.view.moving
     steps, farthest = ((STEPS[texels.coarse],), FACES) if moving else (STEPS, ALL)

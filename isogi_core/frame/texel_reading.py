@@ -63,16 +63,19 @@ class Reading:
         return not (self.rows < 0).any()
 
     @property
+    def lit(self) -> np.ndarray:
+        """Which texels show light of paths; (texels,) bool."""
+        return np.asarray((self.grade == CONVERGING) | (self.grade == FINAL))
+
+    @property
     def noisy(self) -> np.ndarray:
         """Which texels' light is noisier than a picture's target allows each alone; (texels,) bool."""
-        lit = (self.grade == CONVERGING) | (self.grade == FINAL)
-        return np.asarray(lit & (self.samples > 0) & ~good_enough(self.error, self.samples, self.target))
+        return np.asarray(self.lit & (self.samples > 0) & ~good_enough(self.error, self.samples, self.target))
 
     @property
     def grainy(self) -> np.ndarray:
         """Which texels' light is filtered for its noise, also where it needs no more samples; (texels,) bool."""
-        lit = (self.grade == CONVERGING) | (self.grade == FINAL)
-        return np.asarray(lit & (self.samples > 0) & (self.error > GRAIN))
+        return np.asarray(self.lit & (self.samples > 0) & (self.error > GRAIN))
 
     @property
     def rung(self) -> int:

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Callable
 from contextlib import suppress
 
+from isogi_core.plan.scene import Scene
 from server.errors import BusyError, StartingError
 from server.render.engine import RenderEngine
 
@@ -29,11 +30,12 @@ class Startup:
         self.settled, self.lit, self._all = asyncio.Event(), asyncio.Event(), asyncio.Event()
         self.failure: Exception | None = None
         self._compiling: asyncio.Task[None] | None = None
+        self._closing = False
 
-    async def run(self, prepare: Callable[[], None], survey: Callable[[], None]) -> None:
+    async def run(self, prepare: Callable[[], None], survey: Callable[[Scene], None]) -> None:
         """Open the engine, and ``prepare`` what comes with it.
 
-        Kernels that must be compiled come after that, and then a ``survey`` of what visitors will ask for.
+        Kernels that must be compiled come after that, and then a ``survey`` of each scene, which visitors ask for.
         """
         try:
             await asyncio.to_thread(self._engine.open)
@@ -47,6 +49,7 @@ class Startup:
 
     async def close(self) -> None:
         """Have nothing more compiled, once the engine is open."""
+        self._closing = True
         await self.settled.wait()
         if self._compiling:
             self._engine.stop()
@@ -85,12 +88,15 @@ class Startup:
         await asyncio.to_thread(self._engine.light)
         self.lit.set()
 
-    async def _compile(self, survey: Callable[[], None]) -> None:
-        """Have kernels of light compiled, ``survey``, and then compile those that no scene needs by itself."""
+    async def _compile(self, survey: Callable[[Scene], None]) -> None:
+        """Have kernels of light compiled, ``survey`` scenes, and then compile those that no scene needs by itself."""
         try:
             if not (self.failure or self.lit.is_set()):
                 await self._light()
-            await asyncio.to_thread(survey)
+            for scene in [] if self.failure else list(self._engine.scenes.values()):
+                if self._closing:
+                    break
+                await asyncio.to_thread(survey, scene)
             await asyncio.to_thread(self._engine.kernels.others)
         except Exception as error:
             self.failure = error

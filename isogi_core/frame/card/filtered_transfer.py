@@ -40,8 +40,8 @@ def filter_numbers(
     """
     filtered, records = np.empty_like(numbers), np.zeros((len(numbers), RECORD), np.float32)
     records[:, BARE : BARE + 3], records[:, NORMAL : NORMAL + 3] = 1.0, normals
-    lit, graded = np.where(reading.grainy, CONVERGING, FINAL), (reading.grade == CONVERGING) | (reading.grade == FINAL)
-    records[:, PATHS], records[:, GRADE] = reading.samples, np.where(graded, lit, VOID)
+    grade = np.where(reading.grainy, CONVERGING, FINAL)
+    records[:, PATHS], records[:, GRADE] = reading.samples, np.where(reading.lit, grade, VOID)
     for k in range(numbers.shape[1]):
         before = records.copy()
         before[:, DIRECT : DIRECT + 3], before[:, VARIANCE] = numbers[:, k, None], noise[:, k]

@@ -203,6 +203,7 @@ class PictureCheck:
         variance, aim = variance_of_halves(uncertainty, known.controls), self._aim(measured)
         own = OwnLight(variance, known.paths, known.own.places, (aim * frame.true_mean) ** 2)
         errors = spread_errors(uncertainty, known.controls, frame.controlled) ** 2
+        # controls of few pixels may find less than the noise that halves tell: then errors are as large as that
         errors *= max((measured.likely * frame.true_mean) ** 2 / max(float(errors.mean()), 1e-300), 1.0)
         under = frame.lacking and frame.lacking.texels
         texels, chunks = (len(under.places), len(under.chunks)) if under else (0, 0)

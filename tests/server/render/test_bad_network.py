@@ -20,8 +20,8 @@ from isogi_core.storage.url import StoreUrl
 from server.render.engine import RenderEngine
 from tests.cluster.processes import ROOT, end, until
 from tests.proxy import Harm, Proxy
-from tests.server.buckets import chunks_at, engine_at, picture
-from tests.server.inline import LONG, InlinePool, chunks_in, view_of
+from tests.server.buckets import chunks_at
+from tests.server.inline import LONG, InlinePool, view_of
 from worker import pool
 
 BAD: tuple[Harm, ...] = (*("pass",) * 7, "delay", "delay", "drop", "reset", "cut")
@@ -48,16 +48,6 @@ def proxy(standard_s3: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Proxy]:
     with Proxy((str(there.hostname), int(there.port or 0)), seed=3) as proxy:
         monkeypatch.setenv("AWS_ENDPOINT_URL", proxy.address)
         yield proxy
-
-
-@pytest.fixture(scope="module")
-def whole(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, dict[str, str]]:
-    """A view as a server over a folder leaves it, and its chunks."""
-    folder = tmp_path_factory.mktemp("light")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pool, "WorkerPool", InlinePool)
-        with engine_at(small_scene, str(folder)) as engine:
-            return picture(engine), chunks_in(folder)
 
 
 def drawn(engine: RenderEngine) -> bytes:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.frame import texel_reading
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.scene_plan import FEWEST, ScenePlan, most_samples
@@ -53,10 +52,12 @@ class Shown:
 
 
 @pytest.fixture
-def turn(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Turn]:
-    """Shows a scene of these settings, one after the other on the same store unless told."""
+def turn(unfiltered: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Turn]:
+    """Shows a scene of these settings, one after the other on the same store unless told.
+
+    Filters would weigh light by its noise, which more layers tell better.
+    """
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
-    monkeypatch.setattr(texel_reading, "GRAIN", 1e9)  # filters weigh light by noise, which more layers tell better
     yield lambda store="light", **settings: Shown(tmp_path / store, **settings)
 
 

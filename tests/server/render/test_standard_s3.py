@@ -11,23 +11,13 @@ import pytest
 from isogi_core.storage.store import Store
 from tests.cluster.processes import ROOT, end, until
 from tests.server.buckets import chunks_at, engine_at, picture
-from tests.server.inline import InlinePool, chunks_in
+from tests.server.inline import InlinePool
 from worker import pool
 
 
 @pytest.fixture(autouse=True)
 def inline(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
-
-
-@pytest.fixture(scope="module")
-def whole(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, dict[str, str]]:
-    """A view as one server over a folder leaves it, and its chunks."""
-    folder = tmp_path_factory.mktemp("light")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pool, "WorkerPool", InlinePool)
-        with engine_at(small_scene, str(folder)) as engine:
-            return picture(engine), chunks_in(folder)
 
 
 def test_two_servers_on_a_bucket_leave_what_one_leaves(
