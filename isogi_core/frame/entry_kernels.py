@@ -33,6 +33,7 @@ from isogi_core.kernels.shading.lobes import (
 )
 from isogi_core.kernels.shading.local_models import find_normals, find_shadows, shade_local, trace_points
 from isogi_core.kernels.shading.picture_noise import pool_noise
+from isogi_core.kernels.shading.same_surface import mean_around
 from isogi_core.kernels.shading.shadow_points import prepare_points, sort_by_turn
 from isogi_core.kernels.shading.shine import cast_shine, fill_below, light_ends
 from isogi_core.kernels.shading.shine_filter import filter_shine
@@ -141,7 +142,15 @@ FRAME = (
 )
 """All of them but ROOM, those that take longest to compile first."""
 
-OTHERS = (trace_points, find_shadows, shade_local, trace_pixels_in_sight, read_values, trace_places_in_sight)
+OTHERS = (
+    trace_points,
+    mean_around,
+    find_shadows,
+    shade_local,
+    trace_pixels_in_sight,
+    read_values,
+    trace_places_in_sight,
+)
 """Those of pictures without light from texels, local shadings and path-traced ones; of checks of pictures; and those of
 views through a window.
 """

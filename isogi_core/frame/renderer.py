@@ -240,7 +240,7 @@ class Renderer:
             with watch.stage("shine"):
                 shine = self._add_shine(gbuffer, light, target, framebuffer, tiles)
         if known is not None:
-            known.own.put(framebuffer, gbuffer.pixels, light.spec.unit)
+            known.own.put(framebuffer, gbuffer, light, tiles)
         frame = frame_of(gbuffer, light, framebuffer, watch, texels, reading, known, shine)
         return self._walls.add(frame, light, target, tiles, watch)
 

@@ -11,7 +11,7 @@ from isogi_core.bake.noise import RATE
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
-from isogi_core.frame.rays.pixel_filter import filter_pixels
+from isogi_core.frame.rays.pixel_filter import correct, filter_pixels
 from isogi_core.frame.rays.pixel_rays import Paths, pooled_variance, variance_of_mean
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
@@ -29,6 +29,12 @@ MOST_PATHS = 1 << 14
 
 FILTERED = 0.7
 """What filtering leaves of the variance of light that pixels have of their own: 0.46 to 0.9, as it is most at edges."""
+
+CORRECTED = 0.6
+"""What is left of that where it corrects the light of texels: 0.28 to 0.63."""
+
+DARK = 1e-3
+"""The share of the brightest colour below which a surface counts as black."""
 
 AIM = 0.85
 """Share of the target error that a picture is brought to: the interval of what is measured has some width."""
@@ -55,15 +61,12 @@ class PixelLight:
 
     @classmethod
     def of(cls, places: np.ndarray, sums: np.ndarray, count: int, paths: Paths) -> "PixelLight":
-        """The light of points by the sums of their ``paths``, filtered where their surface has one colour.
-
-        Raises Cancelled.
-        """
-        means = sums / max(count, 1)
-        light, variance = means.mean(axis=1), pooled_variance(variance_of_mean(means), paths.gbuffer)
-        if not paths.light.coloured:
-            light, variance = filter_pixels(light, variance, paths.gbuffer, paths.tiles)
-        return cls(places, sums, count, light, variance)
+        """The light of points by the sums of their ``paths``, filtered without their colours. Raises Cancelled."""
+        means, buffer, tiles = sums / max(count, 1), paths.gbuffer, paths.tiles
+        tints = tints_of(paths.light, buffer, tiles)
+        grey, variance = (tints @ LUMINANCE) ** 2, pooled_variance(variance_of_mean(means), buffer)
+        light, variance = filter_pixels(means.mean(axis=1) / tints, variance / grey, buffer, tiles)
+        return cls(places, sums, count, light * tints, variance * grey)
 
     @property
     def nbytes(self) -> int:
@@ -94,13 +97,24 @@ class PixelLight:
                 sums[rows] = some
         return PixelLight.of(places, sums, count, paths)
 
-    def put(self, framebuffer: Framebuffer, pixels: np.ndarray, unit: float) -> None:
-        """Write it into a picture whose surface points show in ``pixels`` (m,), as final light."""
-        own = pixels[self.places]
-        error = np.sqrt(self.variance) / np.maximum(self.light @ LUMINANCE, DARKEST * unit)
-        framebuffer.radiance[own] = np.minimum(self.light, np.finfo(np.float32).max)
-        framebuffer.state[own] = FINAL
-        framebuffer.error[own] = np.clip(error, 0.0, 1.0)
+    def put(self, framebuffer: Framebuffer, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> None:
+        """Write it into a picture of a G-buffer, as final light, and correct pixels around it. Raises Cancelled."""
+        if not len(self.places):
+            return
+        pixels, own, tints = gbuffer.pixels, gbuffer.pixels[self.places], tints_of(light, gbuffer, tiles)
+        some, grey = tints[self.places], (tints[self.places] @ LUMINANCE) ** 2
+        given = self.places, self.light / some, self.variance / grey
+        whole, variance = correct(framebuffer.radiance[pixels] / tints, *given, gbuffer, tiles)
+        framebuffer.radiance[pixels] = np.clip(whole * tints, 0.0, np.finfo(np.float32).max)
+        shown = np.maximum(framebuffer.radiance[own] @ LUMINANCE, DARKEST * light.spec.unit)
+        framebuffer.state[own], framebuffer.error[own] = FINAL, np.minimum(np.sqrt(variance * grey) / shown, 1.0)
+
+
+def tints_of(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
+    """What to divide light by, so that colours of the surface do not show in it; (m, 3), never 0. Raises Cancelled."""
+    if not light.coloured:
+        return np.ones((len(gbuffer.points), 3), np.float32)
+    return np.maximum(light.tints(gbuffer, tiles), DARK)
 
 
 def times_as_many(found: np.ndarray | float, allowed: np.ndarray | float) -> np.ndarray:
@@ -142,7 +156,7 @@ class Growth:
     @property
     def enough(self) -> bool:
         """Whether the points' noise is as small as it is to be."""
-        return bool(self.light.variance.sum() <= self.choice.variance)
+        return bool(CORRECTED * self.light.variance.sum() <= self.choice.variance)
 
     @property
     def has_new(self) -> bool:
@@ -154,7 +168,7 @@ class Growth:
         """Paths of each replica that it will take, by the noise after those that there are."""
         if self.has_new:
             return self.choice.count
-        more = float(times_as_many(float(self.light.variance.sum()), self.choice.variance))
+        more = float(times_as_many(CORRECTED * float(self.light.variance.sum()), self.choice.variance))
         return min(self.light.count * more, MOST_PATHS)
 
     @property
@@ -190,7 +204,7 @@ def choose(errors: np.ndarray, variance: np.ndarray, paths: int, own: np.ndarray
     order = np.concatenate([own, others[np.argsort(-errors[others], kind="stable")]])
     left = np.append(errors[order][::-1].cumsum()[::-1], 0.0)[len(own) :]
     room = allowed * len(errors) - left
-    noise = FILTERED * np.append(0.0, variance[order].cumsum())[len(own) :] / REPLICAS
+    noise = CORRECTED * FILTERED * np.append(0.0, variance[order].cumsum())[len(own) :] / REPLICAS
     many = np.arange(len(own), len(errors) + 1)
     counts = np.clip(paths * times_as_many(noise, room), FIRST_PATHS, MOST_PATHS)
     costs = np.where(room > 0.0, many * counts, np.inf)

@@ -1,16 +1,23 @@
-"""Filtering of pixels' own light: a pixel of few paths takes over what pixels around it on the surface agree on.
+"""Filtering of pixels' own light, and of what it corrects in texels' light: no border shows where one meets the other.
 
-The filter is that of texels (``kernels.shading.filtering``) among pixels: two passes over 3 × 3 pixels, the second at
-twice the distance (Dammertz and others 2010), and as much of a pixel's own light as the pixels around it differ by more
-than their noise (Lee 1980).
+A pixel of few paths takes over what pixels around it on the surface agree on. The filter is that of texels
+(``kernels.shading.filtering``) among pixels: two passes over 3 × 3 pixels, the second at twice the distance (Dammertz
+and others 2010), and as much of a pixel's own light as pixels around it differ by more than their noise (Lee 1980).
+
+Pixels' own light differs from the light of texels by their error, which is smooth, and by noise. The mean difference
+over pixels around corrects the light of texels, there and beside, where it fades out. Of own light as much is kept as
+differs from the corrected light by more than noise.
 """
 
-from typing import NamedTuple
+import math
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.shading.same_surface import ShownPoints, mean_around
 from isogi_core.model.sky import LUMINANCE
 
 STEPS = ((1, 1.0), (2, 1.8))
@@ -18,72 +25,88 @@ STEPS = ((1, 1.0), (2, 1.8))
 independent ones: those of the second pass took over from the same pixels (1.8 times, on even light).
 """
 
-LIKE = 16
-"""Power of the cosine between two normals that pixels count by for each other: half at 17°."""
-
-SLOPE = 0.4
-"""Sine of the angle, between a pixel's surface and the way to another point, at which that one counts a half less."""
-
-AROUND = tuple((y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x)
+WHOLE = 0.4
+"""The share of pixels around one, by what they count, that corrects it wholly: less than at a straight border."""
 
 
-class Neighbours(NamedTuple):
-    """The pixels at one place around each of some (k,): their ``rows``, itself where none is, and ``weights``."""
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """Pixels around each point of a ``gbuffer``, as far as they show the same surface; on threads of ``tiles``."""
 
-    rows: np.ndarray
-    weights: np.ndarray
+    gbuffer: GBuffer
+    tiles: Tiles
+
+    @cached_property
+    def shown(self) -> ShownPoints:
+        """The surface points, as the kernel takes them. Raises Cancelled."""
+        buffer = self.gbuffer
+        points = buffer.points * np.array(buffer.spacing, np.float32)
+        return ShownPoints(buffer.rows, buffer.pixels, points, buffer.normals(self.tiles))
+
+    @property
+    def texel(self) -> float:
+        """Width of a voxel in the picture, in pixels: the median over pixels beside others that show the surface."""
+        beside = np.flatnonzero(np.diff(self.gbuffer.pixels.astype(np.int64)) == 1)
+        if not len(beside):
+            return 1.0
+        ways = np.diff(self.gbuffer.points.astype(np.float64), axis=0)[beside]
+        return 1.0 / max(float(np.median(np.linalg.norm(ways, axis=1))), 1e-3)
+
+    def means(self, values: np.ndarray, variance: np.ndarray, step: int = 1) -> tuple[np.ndarray, np.ndarray]:
+        """The mean of ``values`` (m, n) over 3 × 3 pixels at a distance of ``step``; and its variance, (m,), where that
+        of independent values is ``variance`` (m,). Raises Cancelled.
+        """
+        shown, means, left = self.shown, np.empty_like(values), np.empty(len(values))
+
+        def _piece(a: int, b: int) -> None:
+            mean_around(shown, step, a, values, variance, means[a:b], left[a:b])
+
+        self.tiles.run(_piece, len(values), self.tiles.even(len(values)))
+        return means, left
 
 
 def filter_pixels(
     light: np.ndarray, variance: np.ndarray, gbuffer: GBuffer, tiles: Tiles
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Linear RGB (k, 3) of the points of a G-buffer, filtered, and the ``variance`` (k,) that its luminance has then.
+    """Linear RGB (m, 3) of the points of a G-buffer, filtered, and the ``variance`` (m,) that its luminance has then.
 
     Raises Cancelled.
     """
-    points, normals = gbuffer.points * np.array(gbuffer.spacing, np.float32), gbuffer.normals(tiles)
+    around = Surroundings(gbuffer, tiles)
     for step, shared in STEPS:
-        tiles.check()
-        around = [neighbours(gbuffer, points, normals, y * step, x * step) for y, x in AROUND]
-        light, variance = mix(light, variance, around, shared)
+        shown = light @ LUMINANCE
+        means, taken = around.means(np.column_stack([light, variance, shown**2]), variance, step)
+        mean, noise, square = means[:, :3], means[:, 3], means[:, 4]
+        kept = beyond_noise(square - (mean @ LUMINANCE) ** 2, noise)
+        light = mean + kept[:, None] * (light - mean)
+        variance = np.minimum(kept * noise + (1.0 - kept) ** 2 * shared * taken, variance)
     return light, variance
 
 
-def neighbours(gbuffer: GBuffer, points: np.ndarray, normals: np.ndarray, down: int, right: int) -> Neighbours:
-    """The pixels so far from each, and what they count: by how near they are, and how much of the same surface."""
-    height, width = gbuffer.shape
-    y, x = (each.astype(np.int64) for each in np.divmod(gbuffer.pixels, width))
-    inside = (y + down >= 0) & (y + down < height) & (x + right >= 0) & (x + right < width)
-    itself = np.arange(len(points))
-    rows = np.where(inside, gbuffer.rows.ravel()[np.where(inside, (y + down) * width + x + right, 0)], -1)
-    rows = np.where(rows < 0, itself, rows)
-    way = points[rows] - points
-    far = np.sqrt(np.maximum((way**2).sum(axis=1), 1e-30))
-    slope = np.maximum(np.abs((way * normals).sum(axis=1)), np.abs((way * normals[rows]).sum(axis=1))) / far
-    like = np.maximum((normals * normals[rows]).sum(axis=1), 0.0) ** LIKE
-    near = np.exp(-0.5 * (np.sign(down) ** 2 + np.sign(right) ** 2)) * np.exp2(-((slope / SLOPE) ** 2))
-    return Neighbours(rows, np.where(rows == itself, 0.0, near * like))
-
-
-def mix(
-    light: np.ndarray, variance: np.ndarray, around: list[Neighbours], shared: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """One pass: the light of pixels (k, 3), and the variance of its luminance, with that of those ``around`` them.
-
-    The variance of their mean is ``shared`` times that of independent light.
-    """
-    shown, total, mean, taken = light @ LUMINANCE, np.ones(len(light)), light.copy(), variance.copy()
-    for rows, weights in around:
-        total += weights
-        mean += weights[:, None] * light[rows]
-        taken += weights**2 * variance[rows]
-    mean /= total[:, None]
-    level = mean @ LUMINANCE
-    apart, noise = (shown - level) ** 2, variance.copy()
-    for rows, weights in around:
-        apart += weights * (shown[rows] - level) ** 2
-        noise += weights * variance[rows]
+def beyond_noise(apart: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """The share of values (k,) to be kept that are so far ``apart``, squared, with so much ``noise``: Wiener's."""
     signal = np.maximum(apart - noise, 0.0)
-    own = signal / np.maximum(signal + noise, 1e-300)
-    left = own * noise / total + (1.0 - own) ** 2 * shared * taken / total**2
-    return own[:, None] * light + (1.0 - own)[:, None] * mean, np.minimum(left, variance)
+    return np.asarray(signal / np.maximum(signal + noise, 1e-300))
+
+
+def correct(
+    light: np.ndarray, places: np.ndarray, own: np.ndarray, variance: np.ndarray, gbuffer: GBuffer, tiles: Tiles
+) -> tuple[np.ndarray, np.ndarray]:
+    """The texels' ``light`` (m, 3) of a picture, corrected by the ``own`` light (k, 3) of points in rows ``places``.
+
+    Own light has so much ``variance`` (k,) of its luminance; returns what is left of it, too. A texel's error reaches
+    as far as the texel, so differences are spread a voxel and more. Raises Cancelled.
+    """
+    around, known = Surroundings(gbuffer, tiles), np.zeros((len(light), 4))
+    known[places] = np.column_stack([own - light[places], np.ones(len(places))])
+    none = np.zeros(len(light))
+    for level in range(max(math.ceil(math.log2(around.texel)), 0) + 1):
+        known, _ = around.means(known, none, 1 << level)
+    share = np.minimum(known[:, 3:] / WHOLE, 1.0)
+    light = light + share**2 * (3.0 - 2.0 * share) * known[:, :3] / np.maximum(known[:, 3:], 1e-300)
+    apart = own - light[places]
+    near = Surroundings(gbuffer.part(places, tiles), tiles)
+    means, _ = near.means(np.column_stack([variance, (apart @ LUMINANCE) ** 2]), variance)
+    kept = beyond_noise(means[:, 1], means[:, 0])
+    light[places] += kept[:, None] * apart
+    return light, kept * variance

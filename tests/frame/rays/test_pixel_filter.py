@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.frame.rays.pixel_filter import filter_pixels
+from isogi_core.frame.rays.pixel_filter import Surroundings, correct, filter_pixels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.sky import LUMINANCE
 
@@ -74,3 +74,79 @@ def test_a_pixel_alone_keeps_its_light() -> None:
     one = gbuffer.part(np.array([100]), Tiles(1))
     found, variance = filter_pixels(np.full((1, 3), 0.7), np.array([0.01]), one, Tiles(1))
     assert found.tolist() == [[0.7] * 3] and variance.tolist() == [0.01]
+
+
+def corrected(own: np.ndarray, error: np.ndarray, gbuffer: GBuffer) -> tuple[np.ndarray, np.ndarray]:
+    """Even light of 1 whose texels have an ``error`` (k,), corrected by own light where ``own`` (k,) is true."""
+    places = np.flatnonzero(own)
+    given = places, noisy(np.ones(len(places))), np.full(len(places), NOISE**2)
+    light, variance = correct((1.0 + error)[:, None].repeat(3, axis=1), *given, gbuffer, Tiles(1))
+    return light @ LUMINANCE, variance
+
+
+def from_afar(texel: float) -> GBuffer:
+    """A flat surface with voxels of so many pixels."""
+    gbuffer = seen(lambda x, y: 0.0 * x)
+    gbuffer.points /= np.float32(texel)
+    return gbuffer
+
+
+def test_no_border_shows_beside_light_of_their_own() -> None:
+    column = np.arange(SIZE**2) % SIZE
+    own, error = column < SIZE // 2, np.full(SIZE**2, 0.3)
+    light, _ = corrected(own, error, from_afar(8.0))
+    across = np.array([light[column == each].mean() for each in range(SIZE)])
+    assert np.abs(np.diff(across)).max() < 0.06, "a fifth of the error, where it would be the whole of it"
+    assert across[SIZE // 2 + 2] < 1.1 and across[-1] == pytest.approx(1.3), "and it fades out"
+    assert ((light - 1.0)[own] ** 2).mean() < 0.15 * NOISE**2
+
+
+def test_a_line_with_an_error_of_its_own_is_kept() -> None:
+    own = np.arange(SIZE**2) % SIZE == SIZE // 2
+    light, _ = corrected(own, np.where(own, 0.5, 0.0), from_afar(8.0))
+    assert np.abs(light - 1.0)[own].mean() < 1.5 * NOISE
+    assert np.abs(light - 1.0)[~own].max() < 0.1
+
+
+def test_a_pixel_whose_light_is_noise_shows_none_of_it() -> None:
+    own = np.zeros(SIZE**2, bool)
+    own[SIZE * (SIZE // 2) + SIZE // 2] = True
+    light, _ = corrected(own, np.zeros(SIZE**2), from_afar(8.0))
+    assert np.abs(light - 1.0).max() < 0.01
+
+
+def test_what_is_left_of_the_noise_is_said() -> None:
+    own, error = np.ones(SIZE**2, bool), np.full(SIZE**2, 0.2)
+    light, variance = corrected(own, error, from_afar(4.0))
+    assert ((light - 1.0) ** 2).mean() < 1.5 * variance.mean() + 0.05 * NOISE**2
+    assert variance.mean() < 0.5 * NOISE**2
+
+
+@pytest.mark.parametrize("step", [1, 3])
+def test_means_around_are_those_of_a_plain_loop(step: int) -> None:
+    random = np.random.default_rng(5)
+    bend = seen(lambda x, y: 0.02 * (x - SIZE / 2) ** 2 + 0.3 * y)
+    normals = random.normal((0.2, 0.1, 1.0), 0.1, (SIZE**2, 3))
+    bend._normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+    buffer = bend.part(np.flatnonzero(random.random(SIZE**2) < 0.8), Tiles(1))
+    values, variance = random.random((len(buffer.pixels), 2)), random.random(len(buffer.pixels))
+    means, left = Surroundings(buffer, Tiles(1)).means(values, variance, step)
+    for row in random.integers(0, len(values), 50):
+        y, x = divmod(int(buffer.pixels[row]), SIZE)
+        total, mean, noise = 0.0, np.zeros(2), 0.0
+        for v, u in ((y + dy * step, x + dx * step) for dy in (-1, 0, 1) for dx in (-1, 0, 1)):
+            near = buffer.rows[v, u] if 0 <= v < SIZE and 0 <= u < SIZE else -1
+            if near >= 0:
+                weight = counted(buffer, row, near, ((v - y) ** 2 + (u - x) ** 2) / step**2)
+                total, mean, noise = total + weight, mean + weight * values[near], noise + weight**2 * variance[near]
+        assert means[row] == pytest.approx(mean / total) and left[row] == pytest.approx(noise / total**2)
+
+
+def counted(buffer: GBuffer, a: int, b: int, square: float) -> float:
+    """What point ``b`` counts for ``a`` at a squared distance in steps."""
+    if a == b:
+        return 1.0
+    way, normals = (buffer.points[b] - buffer.points[a]).astype(float), buffer.normals(Tiles(1)).astype(float)
+    slope = max(abs(way @ normals[a]), abs(way @ normals[b])) / np.linalg.norm(way)
+    like = max(float(normals[a] @ normals[b]), 0.0) ** 16
+    return float(np.exp(-square / 2.0) * like * np.exp2(-((slope / 0.4) ** 2)))
