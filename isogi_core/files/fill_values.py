@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from isogi_core.errors import VolumeError
 from isogi_core.files.grid import Grid
 from isogi_core.files.packing import Packing
 
@@ -66,12 +67,15 @@ def find_fill(grid: Grid) -> Any:
     Only the first slab is read where its first layer has no negative value that is its least in a corner.
     """
     slabs = grid.slabs()
-    first = next(slabs, None)
-    fill = None if first is None or grid.dtype.kind not in "if" else _in_a_corner(first[0])
-    if first is None or fill is None:
+    try:
+        first = next(slabs)
+        fill = _in_a_corner(first[0]) if grid.dtype.kind in "if" else None
+        if fill is None:
+            return None
+        seen = Seen(fill)
+        return fill if all(map(seen.add, itertools.chain((first,), slabs))) and seen.is_fill(grid.size) else None
+    except VolumeError:  # the source is damaged, which its next reading says
         return None
-    seen = Seen(fill)
-    return fill if all(map(seen.add, itertools.chain((first,), slabs))) and seen.is_fill(grid.size) else None
 
 
 def _in_a_corner(layer: np.ndarray) -> Any:

@@ -16,7 +16,6 @@ WRONG = [
     ("a.bin", b"solid cube\n", "a mesh"),
     ("a.raw", b"\x01\x02\x03", "bare voxels"),
     ("a.nii", b"<!DOCTYPE html>", "a web page"),
-    ("a.nc", b"CDF\x01\x00\x00", "a classic NetCDF file: write it as NetCDF-4"),
     ("a.nrrd", b"version https://git-lfs.github.com/spec/v1\n", "a pointer of Git LFS"),
 ]
 
