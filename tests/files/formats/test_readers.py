@@ -210,6 +210,18 @@ def test_planes_that_were_written_one_by_one_are_a_stack(tmp_path: Path) -> None
     check(tmp_path / "f.tif", F)
 
 
+@pytest.mark.parametrize(("axes", "what"), [("TYX", "steps in time"), ("CYX", "channels"), ("ZYX", ""), ("", "")])
+@pytest.mark.parametrize("kind", ["ome", "imagej"])
+def test_frames_of_a_film_are_layers_and_it_says_so(tmp_path: Path, kind: str, axes: str, what: str) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    named = {kind: True, "metadata": {"axes": axes}} if axes else {}
+    tifffile.imwrite(tmp_path / "f.tif", F.astype(np.uint16), photometric="minisblack", **named)
+    grid = open_file(tmp_path / "f.tif", {})
+    np.testing.assert_array_equal(grid.whole(), F)
+    assert grid.notes == ((f"Its planes are {what}: they are shown as layers.",) if what else ())
+    assert grid.read_as.endswith("; its planes are taken for depth") == (axes != "ZYX")
+
+
 def test_ome_tiff_says_spacing_channels_and_times(tmp_path: Path) -> None:
     tifffile = pytest.importorskip("tifffile")
     about = {"axes": "TCZYX", "PhysicalSizeX": 0.1, "PhysicalSizeY": 0.1, "PhysicalSizeZ": 0.3}
