@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import Source, is_unchosen, library, moment_of, pick_axes, reading
+from isogi_core.files.formats.source import LAYERED, STEPS, Source, is_unchosen, library, moment_of, pick_axes, reading
 from isogi_core.files.grid import Affine, Grid, layers_of
 from isogi_core.files.packing import ATTRIBUTES, Packing, climate_packing
 
@@ -35,7 +35,8 @@ def open_hdf5(source: Source) -> Grid:
         _check_storage(source, data)
         others = _sources(source, data)
         _check_filters(source, data)
-        in_time = data.ndim > 3 and _is_time(data.dims[0])
+        film = _is_time(data.dims[0])
+        in_time, stacked = data.ndim > 3 and film, data.ndim == 3 and film
         picked, shape = pick_axes(source, data.shape, in_time), tuple(int(n) for n in data.shape[-3:])
         source.check(shape)
         moment = moment_of(source, data.shape[:-3], picked)
@@ -43,7 +44,8 @@ def open_hdf5(source: Source) -> Grid:
         minc = (MINC,) if "minc-2.0" in data.file else ()
         packing = climate_packing(_climate(data), data.dtype, data.fillvalue)
         spacing, affine, unit, notes = _place(data, shape)
-    slabs, notes = partial(_slabs, source, picked, packing), (*packing.notes, *minc, *notes)
+    slabs = partial(_slabs, source, picked, packing)
+    notes = (*packing.notes, *minc, *layered(stacked), *notes)
     stamp = partial(source.stamp, *others)
     placed = "the coordinates of its axes" if affine else f"'{MICROMETRES}'" if unit else ""
     facts = spacing, slabs, stamp, affine, unit, notes, moment, first
@@ -102,6 +104,11 @@ def _is_time(axis: Any) -> bool:
 def says_time(names: Iterable[str], units: Iterable[Any]) -> bool:
     """Whether one of a dimension's ``names`` is time, or one of its coordinates' ``units`` counts since a date."""
     return any(name.lower() in ("time", "t") for name in names) or any(" since " in text_of(unit) for unit in units)
+
+
+def layered(film: bool) -> tuple[str, ...]:
+    """The note that planes of a ``film`` are shown as layers; none of what is none."""
+    return (LAYERED.format(what=STEPS),) if film else ()
 
 
 def text_of(value: Any) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.hdf5 import place_by, says_time, text_of, unchosen
+from isogi_core.files.formats.hdf5 import layered, place_by, says_time, text_of, unchosen
 from isogi_core.files.formats.source import Source, is_unchosen, library, moment_of, pick_axes, reading
 from isogi_core.files.grid import Grid, layers_of
 from isogi_core.files.packing import DEFAULTS, Packing, as_stored, climate_packing
@@ -31,13 +31,14 @@ def open_netcdf(source: Source) -> Grid:
         data = _chosen(source, variables)
         stored, names = data.data.dtype, tuple(map(str, data.dimensions))
         extra, shape = tuple(map(int, data.data.shape[:-3])), tuple(map(int, data.data.shape[-3:]))
-        in_time = len(extra) > 0 and says_time(names[:1], _units(variables, names[0]))
+        film = says_time(names[:1], _units(variables, names[0]))
+        in_time = len(extra) > 0 and film
         picked = pick_axes(source, (*extra, *shape), in_time)
         source.check(shape)
         first = is_unchosen(source, (*extra, *shape), in_time)
         packing = climate_packing(data._attributes, stored, _filled(data.data[picked]))
         spacing, affine, unit, notes = place_by([_coordinates(variables, name) for name in names[:-4:-1]])
-    slabs, notes = partial(_slabs, source, picked, packing), (*packing.notes, *notes)
+    slabs, notes = partial(_slabs, source, picked, packing), (*packing.notes, *layered(film and not extra), *notes)
     known = packing.read_as("classic NetCDF", "the coordinates of its axes" if affine else "")
     moment = moment_of(source, extra, picked)
     return Grid(shape, packing.dtype, spacing, slabs, source.stamp, affine, unit, notes, moment, first, read_as=known)

@@ -11,7 +11,16 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import COLOURS, Source, library, luminance, pick, pick_step, reading
+from isogi_core.files.formats.source import (
+    COLOURS,
+    STEPS,
+    Source,
+    library,
+    luminance,
+    pick,
+    pick_step,
+    reading,
+)
 from isogi_core.files.grid import ALONE, Grid, Shape
 from isogi_core.files.packing import Packing, Scaling, holed
 from isogi_core.files.zarr_location import stamp_of
@@ -25,7 +34,7 @@ COLOURED = (PLANE + COLOUR, COLOUR + PLANE)
 TIME, REPEATS, CHANNELS, DEPTH = "T", "R", "CL", "Z"
 """Letters of axes along which a field is chosen; other ones before y and x are z, as Z is."""
 
-FRAMES = {TIME: "steps in time", "R": "steps in time", "C": "channels", "L": "channels"}
+FRAMES = {TIME: STEPS, **dict.fromkeys(REPEATS, STEPS), **dict.fromkeys(CHANNELS, "channels")}
 """What planes along an axis are that is no depth."""
 
 

@@ -53,6 +53,28 @@ def test_records_of_classic_netcdf_are_a_series(tmp_path: Path, step: int) -> No
     assert open_file(tmp_path / "f.nc", {"part": "v"}).unchosen
 
 
+@pytest.mark.parametrize("name", ["time", "days since 1970-01-01"])
+@pytest.mark.parametrize("kind", ["classic", "netcdf-4"])
+def test_maps_in_time_are_layers_and_it_says_so(tmp_path: Path, kind: str, name: str) -> None:
+    unit = "" if name == "time" else name
+    if kind == "classic":
+        with pytest.importorskip("scipy.io").netcdf_file(tmp_path / "f.nc", "w") as file:
+            for dimension, length in zip(("time" if name == "time" else "m", "y", "x"), F.shape, strict=True):
+                file.createDimension(dimension, length)
+            if unit:
+                file.createVariable("m", "f8", ("m",)).units = unit
+            file.createVariable("v", F.dtype, ("time" if name == "time" else "m", "y", "x"))[:] = F
+    else:
+        with pytest.importorskip("h5py").File(tmp_path / "f.nc", "w") as file:
+            data = file.create_dataset("v", data=F)
+            file.create_dataset("m", data=np.arange(12.0)).attrs["units"] = unit
+            file["m"].make_scale("time" if name == "time" else "m")
+            data.dims[0].attach_scale(file["m"])
+    grid = open_file(tmp_path / "f.nc", {})
+    np.testing.assert_array_equal(grid.whole(), F)
+    assert grid.notes == ("Its planes are steps in time: they are shown as layers.",)
+
+
 def test_one_of_several_fields_is_to_be_chosen(tmp_path: Path) -> None:
     write_classic(tmp_path / "f.nc", {"v": F, "w": -F})
     with pytest.raises(VolumeError, match=r"holds several volumes: choose of '.*f.nc#v', '.*f.nc#w'"):

@@ -1,6 +1,7 @@
 """Files that are no volumes: each is told for what it seems to be, whatever it is called."""
 
 import io
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -27,3 +28,10 @@ def test_a_wrong_file_is_told_for_what_it_seems(tmp_path: Path, name: str, conte
         open_file(tmp_path / name, {})
     with pytest.raises(VolumeError, match=f"seems to be {sort}"):
         open_upload(io.BytesIO(content), name, 1 << 20)
+
+
+def test_a_zip_file_without_arrays_says_to_unpack_it(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "image.ome.zarr.zip", "w") as whole:
+        whole.writestr("zarr.json", "{}")
+    with pytest.raises(VolumeError, match="is a ZIP file without an array of NumPy: unpack it"):
+        open_file(tmp_path / "image.ome.zarr.zip", {})
