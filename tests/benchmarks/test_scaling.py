@@ -4,6 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import nrrd
+import numpy as np
 import pytest
 
 from benchmarks.scaling import damage as damage_module
@@ -13,6 +15,7 @@ from benchmarks.scaling.cluster import cluster
 from benchmarks.scaling.damage import damage
 from benchmarks.scaling.kills import kills
 from benchmarks.scaling.large import large
+from benchmarks.scaling.public import public
 from benchmarks.scaling.time_left import time_left
 from isogi_core.files.voxel_file import read_voxels
 from server.cli.prewarm import fields_given
@@ -68,6 +71,19 @@ def test_damage(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert found["told as damaged"] >= 11 - found["not to be noticed: deleted"] > 0
     assert found["answers 5xx"] == found["wrong pixels"] == found["objects with other bytes in the end"] == 0
     assert found["pictures that differ in the end"] == 0
+
+
+@pytest.mark.campaign
+def test_public(tmp_path: Path) -> None:
+    z, y, x = np.mgrid[:24, :24, :24] - 11.5
+    nrrd.write(str(tmp_path / "ball.nrrd"), (20.0 - np.sqrt(x * x + y * y + z * z)).astype(np.float32))
+    (tmp_path / "page.nrrd").write_text("<html>")
+    (tmp_path / "list.txt").write_text("me ball.nrrd\nyou page.nrrd\n")
+    done = run(public, "--list", str(tmp_path / "list.txt"), "--folder", str(tmp_path / "pictures"))
+    assert done.exit_code == 1 and "Not lit: page.nrrd." in done.stderr
+    assert "| me | ball.nrrd | NRRD of float32; it does not say where it lies | 24 × 24 × 24 |" in done.stdout
+    assert "'page.nrrd' seems to be a web page" in done.stdout
+    assert [picture.name for picture in (tmp_path / "pictures").iterdir()] == ["00.png"]
 
 
 @pytest.mark.campaign
