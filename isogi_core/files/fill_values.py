@@ -66,10 +66,12 @@ def find_fill(grid: Grid) -> Any:
 
     Only the first slab is read where its first layer has no negative value that is its least in a corner.
     """
+    if grid.dtype.kind not in "if" or min(grid.shape) < 2:
+        return None
     slabs = grid.slabs()
     try:
         first = next(slabs)
-        fill = _in_a_corner(first[0]) if grid.dtype.kind in "if" else None
+        fill = _in_a_corner(first[0])
         if fill is None:
             return None
         seen = Seen(fill)

@@ -1,11 +1,13 @@
 """Fill values that no header names: what is one, and what only looks like one."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import nrrd
 import numpy as np
 import pytest
 
+from isogi_core.errors import VolumeError
 from isogi_core.files.fill_values import find_fill, without_fill
 from isogi_core.files.grid import Grid
 from isogi_core.files.nrrd import read_nrrd
@@ -73,6 +75,22 @@ OBJECTS = {
 def test_objects_are_not_taken_for_a_field_of_view(name: str) -> None:
     grid = Grid.of(OBJECTS[name])
     assert without_fill(grid) is grid
+
+
+@pytest.mark.parametrize("shape", [(0, 4, 4), (4, 0, 4), (1, 4, 4)])
+def test_grids_without_cells_have_no_fill_value(shape: tuple[int, ...]) -> None:
+    assert find_fill(Grid.of(np.zeros(shape, np.float32))) is None
+
+
+def test_a_damaged_source_is_said_by_its_next_reading() -> None:
+    def slabs() -> Iterator[np.ndarray]:
+        yield scan(-2000.0)[:4]
+        raise VolumeError("The voxels are damaged.")
+
+    grid = Grid((12, 48, 48), np.dtype(float), (1.0, 1.0, 1.0), slabs)
+    assert without_fill(grid) is grid
+    with pytest.raises(VolumeError, match="damaged"):
+        grid.whole()
 
 
 def test_no_shared_volume_has_a_fill_value(shared_data: Path) -> None:
