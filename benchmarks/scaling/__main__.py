@@ -8,6 +8,7 @@ from benchmarks.scaling.kills import kills
 from benchmarks.scaling.kinds import kinds
 from benchmarks.scaling.large import large
 from benchmarks.scaling.prewarm import prewarm
+from benchmarks.scaling.public import public
 from benchmarks.scaling.simulate import simulate
 from benchmarks.scaling.time_left import time_left
 from benchmarks.scaling.together import together
@@ -18,6 +19,7 @@ main = suite(
     simulate,
     large,
     kinds,
+    public,
     prewarm,
     time_left,
     together,

@@ -72,7 +72,8 @@ def write_hdf5(path: Path, array: np.ndarray) -> None:
     h5py = import_module("h5py")
 
     with h5py.File(path, "w") as file:
-        file.create_dataset("x", data=array, chunks=(16, 64, 64), compression="gzip")
+        chunks = tuple(min(n, most) for n, most in zip(array.shape, (16, 64, 64), strict=True))
+        file.create_dataset("x", data=array, chunks=chunks, compression="gzip")
 
 
 def write_itk(path: Path, array: np.ndarray) -> None:
@@ -159,13 +160,17 @@ def kinds(size: int, large: int | None, volume_mb: int, seconds: int, folder: Pa
 
 
 def all_kinds(size: int) -> dict[str, float]:
-    """The figures of files of each kind."""
+    """The figures of files of each kind; where the library that writes a kind is missing, it is named and left out."""
     figures: dict[str, float] = {}
     array = field(size, np.int16)
     for name, write in WRITERS.items():
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
-            write(folder / name, array)
+            try:
+                write(folder / name, array)
+            except ModuleNotFoundError as error:
+                click.echo(f"{name} is left out: {error.name} is not installed.", err=True)
+                continue
             figures |= {f"{name}: {what}": value for what, value in render(folder / name, folder).items()}
     return figures
 

@@ -1,18 +1,23 @@
 """The scaling suite, small: what it counts is right, and nothing is lost, torn or wrong."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
+import nrrd
+import numpy as np
 import pytest
 
 from benchmarks.scaling import damage as damage_module
 from benchmarks.scaling import kills as kills_module
+from benchmarks.scaling import kinds as kinds_module
 from benchmarks.scaling import prewarm
 from benchmarks.scaling.cluster import cluster
 from benchmarks.scaling.damage import damage
 from benchmarks.scaling.kills import kills
 from benchmarks.scaling.large import large
+from benchmarks.scaling.public import draw, public
 from benchmarks.scaling.time_left import time_left
 from isogi_core.files.voxel_file import read_voxels
 from server.cli.prewarm import fields_given
@@ -68,6 +73,36 @@ def test_damage(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert found["told as damaged"] >= 11 - found["not to be noticed: deleted"] > 0
     assert found["answers 5xx"] == found["wrong pixels"] == found["objects with other bytes in the end"] == 0
     assert found["pictures that differ in the end"] == 0
+
+
+@pytest.mark.campaign
+def test_public(tmp_path: Path) -> None:
+    z, y, x = np.mgrid[:24, :24, :24] - 11.5
+    nrrd.write(str(tmp_path / "ball.nrrd"), (20.0 - np.sqrt(x * x + y * y + z * z)).astype(np.float32))
+    (tmp_path / "list.txt").write_text("me ball.nrrd\n")
+    done = run(public, "--list", str(tmp_path / "list.txt"), "--folder", str(tmp_path / "pictures"))
+    assert "| me | ball.nrrd | NRRD of float32; it does not say where it lies | 24 × 24 × 24 |" in done.stdout
+    assert [picture.name for picture in (tmp_path / "pictures").iterdir()] == ["00.png"]
+
+
+def test_public_files_that_are_refused_are_listed(tmp_path: Path) -> None:
+    (tmp_path / "page.nrrd").write_text("<html>")
+    found = draw("me", str(tmp_path / "page.nrrd"), tmp_path / "a.png", 5)
+    assert found.row[:2] == ("me", "page.nrrd") and found.row[-1] == "refused"
+    assert "'page.nrrd' seems to be a web page" in found.read_as
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("missing", ["", "nibabel"])
+def test_kinds(missing: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = {name: kinds_module.WRITERS[name] for name in ("f.nii", "f.h5")}
+    monkeypatch.setattr(kinds_module, "WRITERS", few)
+    if missing:
+        monkeypatch.setitem(sys.modules, missing, None)
+    done = run(kinds_module.kinds, "--size", "32", "--json")
+    found = json.loads(done.stdout)
+    assert found["f.h5: lit share"] > 0.9 and ("f.nii: seconds" in found) == (not missing)
+    assert ("f.nii is left out: nibabel is not installed." in done.stderr) == bool(missing)
 
 
 @pytest.mark.campaign

@@ -25,6 +25,19 @@ def hdf5(path: Path, array: np.ndarray, **attributes: Any) -> Grid:
     return open_file(path / "v.nc", {})
 
 
+def classic(path: Path, array: np.ndarray, **attributes: Any) -> Grid:
+    pytest.importorskip("nibabel")
+    netcdf = pytest.importorskip("scipy.io").netcdf_file
+    with netcdf(path / "c.nc", "w") as file:
+        for name, length in zip("zyx", array.shape, strict=True):
+            file.createDimension(name, length)
+        saved = file.createVariable("v", array.dtype, tuple("zyx"))
+        saved[:] = array
+        for name, value in attributes.items():
+            setattr(saved, name, value)
+    return open_file(path / "c.nc", {})
+
+
 def zarr_array(path: Path, array: np.ndarray, **attributes: Any) -> Grid:
     plain = {
         key: value.tolist() if isinstance(value, np.generic | np.ndarray) else value
@@ -36,7 +49,7 @@ def zarr_array(path: Path, array: np.ndarray, **attributes: Any) -> Grid:
     return open_zarr(path / "v.zarr")
 
 
-WRITERS = [hdf5, zarr_array]
+WRITERS = [hdf5, classic, zarr_array]
 
 
 @pytest.mark.parametrize("write", WRITERS)

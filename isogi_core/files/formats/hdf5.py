@@ -1,7 +1,7 @@
 """HDF5 and NetCDF-4, read by h5py: one dataset, chosen by its path in the file."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from importlib import import_module
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import Source, is_unchosen, library, moment_of, pick_axes, reading
+from isogi_core.files.formats.source import LAYERED, STEPS, Source, is_unchosen, library, moment_of, pick_axes, reading
 from isogi_core.files.grid import Affine, Grid, layers_of
 from isogi_core.files.packing import ATTRIBUTES, Packing, climate_packing
 
@@ -35,18 +35,20 @@ def open_hdf5(source: Source) -> Grid:
         _check_storage(source, data)
         others = _sources(source, data)
         _check_filters(source, data)
-        in_time = data.ndim > 3 and _is_time(data.dims[0])
+        film = _is_time(data.dims[0])
+        in_time, stacked = data.ndim > 3 and film, data.ndim == 3 and film
         picked, shape = pick_axes(source, data.shape, in_time), tuple(int(n) for n in data.shape[-3:])
         source.check(shape)
         moment = moment_of(source, data.shape[:-3], picked)
-        unchosen = is_unchosen(source, data.shape, in_time)
+        first = is_unchosen(source, data.shape, in_time)
         minc = (MINC,) if "minc-2.0" in data.file else ()
         packing = climate_packing(_climate(data), data.dtype, data.fillvalue)
         spacing, affine, unit, notes = _place(data, shape)
-    slabs, notes = partial(_slabs, source, picked, packing), (*packing.notes, *minc, *notes)
+    slabs = partial(_slabs, source, picked, packing)
+    notes = (*packing.notes, *minc, *layered(stacked), *notes)
     stamp = partial(source.stamp, *others)
     placed = "the coordinates of its axes" if affine else f"'{MICROMETRES}'" if unit else ""
-    facts = spacing, slabs, stamp, affine, unit, notes, moment, unchosen
+    facts = spacing, slabs, stamp, affine, unit, notes, moment, first
     return Grid(shape, packing.dtype, *facts, read_as=packing.read_as("HDF5", placed))
 
 
@@ -96,13 +98,21 @@ def _sources(source: Source, data: Any) -> list[Path]:
 
 def _is_time(axis: Any) -> bool:
     """Whether a dimension is time, by its name, or by its coordinates' unit, such as days since 1970-01-01."""
-    units = [_text(scale.attrs.get("units", "")) for scale in axis.values()]
-    return any(name.lower() in ("time", "t") for name in (axis.label, *axis.keys())) or any(
-        " since " in u for u in units
-    )
+    return says_time((axis.label, *axis.keys()), [scale.attrs.get("units", "") for scale in axis.values()])
 
 
-def _text(value: Any) -> str:
+def says_time(names: Iterable[str], units: Iterable[Any]) -> bool:
+    """Whether one of a dimension's ``names`` is time, or one of its coordinates' ``units`` counts since a date."""
+    return any(name.lower() in ("time", "t") for name in names) or any(" since " in text_of(unit) for unit in units)
+
+
+def layered(film: bool) -> tuple[str, ...]:
+    """The note that planes of a ``film`` are shown as layers; none of what is none."""
+    return (LAYERED.format(what=STEPS),) if film else ()
+
+
+def text_of(value: Any) -> str:
+    """An attribute as a text."""
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
@@ -122,9 +132,14 @@ def _dataset(source: Source) -> Iterator[Any]:
         if part is None and len(fields) == 1:
             yield fields[0]
             return
-        listed = ", ".join(f"'{source.name}#{each.name.strip('/')}'" for each in fields[:8])
-        wrong = f"'{source.name}' has no volume '{part}'" if part else f"'{source.name}' holds several volumes"
-        raise VolumeError(f"{wrong}: choose of {listed}." if fields else f"'{source.name}' holds no volume.")
+        raise unchosen(source, [each.name.strip("/") for each in fields])
+
+
+def unchosen(source: Source, names: Sequence[str]) -> VolumeError:
+    """What is wrong where no volume of a file is chosen, or one that it does not have; its volumes have ``names``."""
+    part, listed = source.chosen.get("part"), ", ".join(f"'{source.name}#{name}'" for name in names[:8])
+    wrong = f"'{source.name}' has no volume '{part}'" if part else f"'{source.name}' holds several volumes"
+    return VolumeError(f"{wrong}: choose of {listed}." if names else f"'{source.name}' holds no volume.")
 
 
 def _climate(data: Any) -> dict[str, Any]:
@@ -150,7 +165,11 @@ def _place(data: Any, shape: tuple[int, ...]) -> Place:
     if MICROMETRES in data.attrs and len(np.ravel(data.attrs[MICROMETRES])) == 3:
         z, y, x = (float(step) for step in data.attrs[MICROMETRES])
         return (x, y, z), None, "µm", ()
-    scales = [_coordinates(data, data.ndim - 1 - axis) for axis in range(3)]
+    return place_by([_coordinates(data, data.ndim - 1 - axis) for axis in range(3)])
+
+
+def place_by(scales: Sequence[tuple[np.ndarray, str] | None]) -> Place:
+    """Spacing, affine, unit and notes by the coordinates along x, y, z and their units, None where there are none."""
     known = [scale for scale in scales if scale is not None]
     if len(known) < 3 or len({unit for _, unit in known}) > 1:
         return (1.0, 1.0, 1.0), None, "", ()
@@ -168,5 +187,5 @@ def _coordinates(data: Any, axis: int) -> tuple[np.ndarray, str] | None:
     """The coordinates along an axis, and their unit; None where the file gives none."""
     for scale in data.dims[axis].values():
         if scale.shape == (data.shape[axis],) and scale.dtype.kind in "iuf":
-            return np.asarray(scale[()], np.float64), _text(scale.attrs.get("units", ""))
+            return np.asarray(scale[()], np.float64), text_of(scale.attrs.get("units", ""))
     return None

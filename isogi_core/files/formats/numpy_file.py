@@ -25,6 +25,8 @@ from isogi_core.files.packed_files import read_end
 
 NPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
 
+UNPACK = "unpack it, and give what is in it, such as a folder of Zarr or of slices"
+
 
 def open_numpy(source: Source) -> Grid:
     """Open an array (z, y, x) as a grid: only its header is read now. Raises VolumeError.
@@ -61,8 +63,10 @@ def _array(source: Source) -> Iterator[IO[bytes]]:
         with zipfile.ZipFile(file) as whole:
             names = [name.removesuffix(".npy") for name in whole.namelist() if name.endswith(".npy")]
             chosen = source.chosen.get("part") or (names[0] if len(names) == 1 else None)
+            if not names:
+                raise VolumeError(f"'{source.name}' is a ZIP file without an array of NumPy: {UNPACK}.")
             if chosen not in names:
-                listed = ", ".join(f"'{source.name}#{name}'" for name in names[:8]) or "nothing"
+                listed = ", ".join(f"'{source.name}#{name}'" for name in names[:8])
                 raise VolumeError(f"'{source.name}' holds several arrays, or none of that name: choose of {listed}.")
             with whole.open(f"{chosen}.npy") as member:
                 yield member

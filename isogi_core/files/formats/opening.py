@@ -6,7 +6,20 @@ from pathlib import Path
 from typing import Any
 
 from isogi_core.errors import VolumeError, advice
-from isogi_core.files.formats import brain_files, dicom, hdf5, itk, minc, mrc, nifti, numpy_file, raw_file, tiff, vti
+from isogi_core.files.formats import (
+    brain_files,
+    dicom,
+    hdf5,
+    itk,
+    minc,
+    mrc,
+    netcdf,
+    nifti,
+    numpy_file,
+    raw_file,
+    tiff,
+    vti,
+)
 from isogi_core.files.formats.source import KEYS, Source
 from isogi_core.files.formats.wrong_files import sort_of
 from isogi_core.files.grid import Grid
@@ -17,7 +30,7 @@ HEAD = 544
 
 Opener = Callable[[Source], Grid]
 
-KNOWN = "NRRD, NIfTI, DICOM, TIFF, MRC, HDF5, NumPy, MGH, Analyze, MINC, MetaImage, VTI or Zarr"
+KNOWN = "NRRD, NIfTI, DICOM, TIFF, MRC, HDF5, NetCDF, NumPy, MGH, Analyze, AFNI, MINC, MetaImage, VTI or Zarr"
 
 
 def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Opener | None:
@@ -29,11 +42,13 @@ def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Opener | None:
         (nifti.is_nifti(unpacked), nifti.open_nifti),
         (brain_files.is_analyze(unpacked, suffix), brain_files.open_analyze),
         (brain_files.is_mgh(unpacked, suffix), brain_files.open_mgh),
+        (brain_files.is_afni(head, suffix), brain_files.open_afni),
         (dicom.is_dicom(head), dicom.open_dicom),
         (tiff.is_tiff(head), tiff.open_tiff),
         (mrc.is_mrc(unpacked), mrc.open_mrc),
         (minc.is_minc(head, suffix), minc.open_minc),
         (head.startswith(hdf5.MAGIC), hdf5.open_hdf5),
+        (head.startswith(netcdf.MAGIC), netcdf.open_netcdf),
         (head.startswith((numpy_file.NPY, numpy_file.ZIP)), numpy_file.open_numpy),
         (b"<VTKFile" in head and b"ImageData" in head, vti.open_vti),
         (b"NDims" in head or b"ObjectType" in head or head.startswith(b"# vtk DataFile"), itk.open_itk),
@@ -71,7 +86,7 @@ def by_name(name: str) -> Opener | None:
 def _header_of(path: Path) -> Path:
     """The header of a pair of files of which the voxels are named; any other path itself."""
     voxels = nifti.PAIR.search(path.name) is not None and ".img" in path.name.lower()
-    return (nifti.beside(path, ".hdr") if voxels else None) or path
+    return (nifti.beside(path, ".hdr") if voxels else brain_files.afni_header(path)) or path
 
 
 def refuse_others(name: str, head: bytes) -> None:

@@ -1,6 +1,7 @@
 """Sources of volumes: a file by its path, or an open and untrusted one; and what all readers share."""
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -100,6 +101,15 @@ def library(name: str, kind: str, install: str = "'isogi[formats]'") -> Any:
         raise VolumeError(f"{needed}: pip install {install}.") from error
 
 
+LACKING = re.compile(r"requires the '([\w-]+)' package")
+"""How tifffile names a library that it lacks."""
+
+LAYERED = "Its planes are {what}: they are shown as layers."
+"""The note on a field of two dimensions and time, which is no volume otherwise."""
+
+STEPS = "steps in time"
+
+
 @contextmanager
 def reading(name: str, kind: str) -> Iterator[None]:
     """Raise VolumeError for whatever a library makes of a damaged file."""
@@ -108,6 +118,9 @@ def reading(name: str, kind: str) -> Iterator[None]:
     except (IsogiError, MemoryError, GeneratorExit):
         raise
     except Exception as error:  # of many kinds, from libraries on damage
+        if lacking := LACKING.search(str(error)):
+            needed = f"'{name}' is packed in a way that {lacking[1]} reads, which is not installed"
+            raise VolumeError(f"{needed}: pip install {lacking[1]}.") from error
         raise VolumeError(f"'{name}' cannot be read as {kind} ({line_of(error)}): copy or write it again.") from error
 
 

@@ -11,7 +11,16 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import COLOURS, Source, library, luminance, pick, pick_step, reading
+from isogi_core.files.formats.source import (
+    COLOURS,
+    STEPS,
+    Source,
+    library,
+    luminance,
+    pick,
+    pick_step,
+    reading,
+)
 from isogi_core.files.grid import ALONE, Grid, Shape
 from isogi_core.files.packing import Packing, Scaling, holed
 from isogi_core.files.zarr_location import stamp_of
@@ -22,8 +31,11 @@ PLANE, COLOUR = "YX", "S"
 COLOURED = (PLANE + COLOUR, COLOUR + PLANE)
 """Axes of pages of colours: each voxel's together, or plane by plane."""
 
-TIME, REPEATS, CHANNELS = "T", "R", "CL"
-"""Letters of axes along which a field is chosen; other ones before y and x are z."""
+TIME, REPEATS, CHANNELS, DEPTH = "T", "R", "CL", "Z"
+"""Letters of axes along which a field is chosen; other ones before y and x are z, as Z is."""
+
+FRAMES = {TIME: STEPS, **dict.fromkeys(REPEATS, STEPS), **dict.fromkeys(CHANNELS, "channels")}
+"""What planes along an axis are that is no depth."""
 
 
 def is_tiff(head: bytes) -> bool:
@@ -46,10 +58,26 @@ def open_tiff(source: Source) -> Grid:
         kind = "OME-TIFF" if whole.is_ome else "ImageJ's TIFF" if whole.is_imagej else "TIFF"
         packing = _calibrated(_packing(series.keyframe, dtype, coloured), whole.imagej_metadata or {})
     slabs = partial(_slabs, source, pages, (ny, nx), packing)
-    notes = (COLOURS,) if coloured else packing.notes
-    known = packing.read_as(kind, f"{kind}'s sizes of voxels" if kind != "TIFF" else "")
+    guess, doubt = _layers_of(axes, shape)
+    notes = ((COLOURS,) if coloured else packing.notes) + doubt
+    known = packing.read_as(kind, f"{kind}'s sizes of voxels" if kind != "TIFF" else "") + guess
     grid = Grid((len(pages), ny, nx), packing.dtype, spacing, slabs, source.stamp, None, unit, notes, read_as=known)
     return replace(grid, moment=moment, unchosen=moment != ALONE and source.count("time") is None)
+
+
+def _layers_of(axes: str, shape: Shape) -> tuple[str, tuple[str, ...]]:
+    """What planes were taken for, for ``read_as``; and a note where the file says that they are no depth.
+
+    A film of one plane is no volume: its frames are shown as layers, as no other picture of it is one.
+    """
+    outer = [axis for axis, length in zip(axes, shape, strict=False) if length > 1 and axis not in PLANE + COLOUR]
+    if len(outer) != 1 or outer[0] == DEPTH:
+        return "", ()
+    what = FRAMES.get(outer[0])
+    return (
+        "; its planes are taken for depth",
+        () if what is None else (f"Its planes are {what}: they are shown as layers.",),
+    )
 
 
 def _calibrated(packing: Packing, about: Mapping[str, Any]) -> Packing:

@@ -7,7 +7,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick, reading
-from isogi_core.files.grid import Affine, Grid, layers_of, read_as
+from isogi_core.files.grid import Affine, Grid, Shape, layers_of, read_as
 
 INSTALL = "'isogi[vtk]'"
 
@@ -20,17 +20,16 @@ def open_vti(source: Source) -> Grid:
     source.refuse_others("part", "channel")
     with reading(source.name, "VTI"):
         image = ImageFile(source)
-        extent = image.extent
-        shape = tuple(extent[2 * axis + 1] - extent[2 * axis] + 1 for axis in (2, 1, 0))
-        source.check(shape)
         name = _name(source, image.names)
+        shape = image.shape(name)
+        source.check(shape)
         number = pick(source, "channel", image.numbers(name), "channels")
         dtype = image.layers(name, 0, 1).dtype
         matrix = image.direction * image.spacing
-        origin = image.origin + matrix @ np.array(extent[::2])
+        origin = image.origin + matrix @ (np.array(image.extent[::2]) + 0.5 * image.of_cells(name))
     steps = image.spacing
     spacing = (float(steps[0]), float(steps[1]), float(steps[2]))
-    slabs = partial(_slabs, image, (name, number), layers_of(shape[1] * shape[2] * dtype.itemsize))
+    slabs = partial(_slabs, image, (name, number), shape[0], layers_of(shape[1] * shape[2] * dtype.itemsize))
     affine = Affine.of(np.column_stack([matrix, origin]))
     return Grid(
         shape, dtype, spacing, slabs, source.stamp, affine, read_as=read_as("VTI", dtype, "its origin and spacing")
@@ -66,20 +65,37 @@ class ImageFile:
 
     @property
     def names(self) -> list[str]:
-        """The arrays of points."""
+        """The arrays of points, and those of cells."""
+        return [*self._points, *(name for name in self._cells if name not in self._points)]
+
+    @property
+    def _points(self) -> list[str]:
         return [self._reader.GetPointArrayName(n) for n in range(self._reader.GetNumberOfPointArrays())]
+
+    @property
+    def _cells(self) -> list[str]:
+        return [self._reader.GetCellArrayName(n) for n in range(self._reader.GetNumberOfCellArrays())]
+
+    def of_cells(self, name: str) -> bool:
+        """Whether an array has a value for each cell, which is a voxel then, and not for each point."""
+        return name not in self._points
+
+    def shape(self, name: str) -> Shape:
+        """The size of an array along z, y, x."""
+        points = [last - first + 1 for first, last in zip(self.extent[::2], self.extent[1::2], strict=True)]
+        return tuple(n - self.of_cells(name) for n in points[::-1])
 
     def layers(self, name: str, first: int, count: int) -> np.ndarray:
         """Some layers of an array, (count, ny, nx, numbers of a point)."""
-        lowest = self.extent[4] + first
-        self._reader.UpdateExtent([*self.extent[:4], lowest, lowest + count - 1])
+        lowest, cells = self.extent[4] + first, self.of_cells(name)
+        self._reader.UpdateExtent([*self.extent[:4], lowest, lowest + count - (not cells)])
         self._check()
         image = self._reader.GetOutput()
-        array = image.GetPointData().GetArray(name)
+        array = (image.GetCellData() if cells else image.GetPointData()).GetArray(name)
         if array is None:
             raise VolumeError(f"'{self.name}#{name}' is no array of numbers: choose another.")
         values = library("vtkmodules.util.numpy_support", "VTI", INSTALL).vtk_to_numpy(array)
-        nx, ny, nz = image.GetDimensions()
+        nx, ny, nz = (n - cells for n in image.GetDimensions())
         start = lowest - image.GetExtent()[4]
         return np.array(values.reshape(nz, ny, nx, -1)[start : start + count])
 
@@ -101,16 +117,17 @@ class ImageFile:
 
 
 def _name(source: Source, names: list[str]) -> str:
-    """The name of the array of points that is chosen, the only one by default."""
+    """The name of the array that is chosen, the only one by default."""
     chosen = source.chosen.get("part") or ("value" if "value" in names else names[0] if len(names) == 1 else None)
     if chosen not in names:
-        listed = ", ".join(f"'{source.name}#{name}'" for name in names) or "none"
+        if not names:
+            raise VolumeError(f"'{source.name}' holds no array of values: write it again.")
+        listed = ", ".join(f"'{source.name}#{name}'" for name in names)
         raise VolumeError(f"'{source.name}' holds several arrays, or none of that name: choose of {listed}.")
     return str(chosen)
 
 
-def _slabs(image: ImageFile, chosen: tuple[str, int], step: int) -> Iterator[np.ndarray]:
-    depth = image.extent[5] - image.extent[4] + 1
+def _slabs(image: ImageFile, chosen: tuple[str, int], depth: int, step: int) -> Iterator[np.ndarray]:
     for z in range(0, depth, step):
         with reading(image.name, "VTI"):
             slab = image.layers(chosen[0], z, min(step, depth - z))[..., chosen[1]]

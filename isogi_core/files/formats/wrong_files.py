@@ -3,7 +3,6 @@
 PICTURE = "a picture, and a volume is many slices: give the folder of a stack of TIFFs, or one NRRD"
 MESH = "a mesh of triangles, which has no values inside: give the volume that it was made from"
 BARE = "bare voxels without a header: say what they are by --raw 256x256x128,uint8,little, or in the name of the file"
-CLASSIC = "a classic NetCDF file: write it as NetCDF-4, by nccopy -k netCDF-4 IN OUT"
 PROBE = "a light probe: give it as --environment, or name it in a scene, environment = 'file.hdr'"
 
 KINDS: tuple[tuple[bytes, str], ...] = (
@@ -22,7 +21,7 @@ KINDS: tuple[tuple[bytes, str], ...] = (
 )
 """How files begin, and what they are."""
 
-SUFFIXES = {".nc": CLASSIC, ".stl": MESH, ".obj": MESH, ".ply": MESH, ".raw": BARE, ".gz": BARE, ".bin": BARE}
+SUFFIXES = {".stl": MESH, ".obj": MESH, ".ply": MESH, ".raw": BARE, ".gz": BARE, ".bin": BARE}
 """What the endings of names say of files that begin as nothing that is known."""
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
+from isogi_core.files.fill_values import without_fill
 from isogi_core.files.formats.opening import open_file, split_part
 from isogi_core.files.grid import Grid, Region
 from isogi_core.files.mappings import OWN, budget
@@ -56,6 +57,8 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
         moment, segmented = grid.moment, labels is not None or are_labels(grid, settings)
         if segmented:
             grid = solid_of_labels(grid, labels or (), settings)
+        elif "missing" not in settings.source.document:
+            grid = without_fill(grid)
         straight = on_right_angles(grid, spacing)
         if tables and spacing and grid.affine is not None:
             raise SceneError("spacing moves the volume away from its masks: leave it out, or add axes = 'raw'.")

@@ -25,7 +25,7 @@ def present(name: str) -> bool:
 def written(folder: Path) -> list[Path]:
     """Files in a ``folder``, which is made."""
     folder.mkdir(exist_ok=True)
-    return [path for write in (numpy_files, nifti, dicom, tiff, mrc, hdf5, vti) for path in write(folder)]
+    return [path for write in (numpy_files, nifti, dicom, tiff, mrc, hdf5, netcdf, vti) for path in write(folder)]
 
 
 def numpy_files(folder: Path) -> Iterator[Path]:
@@ -75,6 +75,28 @@ def hdf5(folder: Path) -> Iterator[Path]:
         with h5py.File(folder / "f.h5", "w") as file:
             file.create_dataset("x", data=F, chunks=(4, 8, 8), compression="gzip")
         yield folder / "f.h5"
+
+
+def netcdf(folder: Path) -> Iterator[Path]:
+    if present("nibabel") and present("scipy"):
+        write_classic(folder / "f.nc", {"v": F})
+        yield folder / "f.nc"
+
+
+def write_classic(path: Path, fields: dict[str, np.ndarray], version: int = 1, **coordinates: tuple[Any, str]) -> None:
+    """Write a classic NetCDF file of ``fields`` (z, y, x), or with time before these, which is its record.
+
+    ``coordinates`` of dimensions are values and a unit.
+    """
+    with import_module("scipy.io").netcdf_file(path, "w", version=version) as file:
+        sizes = {name: n for field in fields.values() for name, n in zip("xyzt", field.shape[::-1], strict=False)}
+        for name in sorted(sizes, key="tzyx".index):  # records come first
+            file.createDimension(name, None if name == "t" else sizes[name])
+        for name, (values, unit) in coordinates.items():
+            made = file.createVariable(name, "f8", (name,))
+            made[:], made.units = values, unit
+        for name, field in fields.items():
+            file.createVariable(name, field.dtype, tuple("tzyx"[-field.ndim :]))[:] = field
 
 
 def metaimage(folder: Path) -> Iterator[Path]:

@@ -98,3 +98,85 @@ def test_slopes_of_analyze_are_applied(tmp_path: Path) -> None:
     grid = open_file(tmp_path / "f.hdr", {})
     np.testing.assert_allclose(grid.whole(), F / 2.0, atol=0.01)
     assert "'f.mat' beside it is not read" in grid.notes[1]
+
+
+def write_afni(path: Path, bricks: np.ndarray, placed: np.ndarray, **more: tuple[str, Any]) -> None:
+    """Write the header and the voxels (bricks, z, y, x) of AFNI's pair; attributes are their type and their value."""
+    lps = (placed[:3] * [[-1.0], [-1.0], [1.0]]).ravel()
+    whole = {
+        "DATASET_RANK": ("integer", [3, len(bricks)]),
+        "DATASET_DIMENSIONS": ("integer", bricks.shape[:0:-1]),
+        "DELTA": ("float", np.linalg.norm(placed[:3, :3], axis=0)),
+        "IJK_TO_DICOM_REAL": ("float", lps),
+        "BRICK_TYPES": ("integer", [{"u1": 0, "i2": 1, "f4": 3}[bricks.dtype.str[1:]]] * len(bricks)),
+        "BYTEORDER_STRING": ("string", "MSB_FIRST" if bricks.dtype.byteorder == ">" else "LSB_FIRST"),
+        **more,
+    }
+    lines = [
+        f"\ntype = {kind}-attribute\nname = {name}\ncount = {len(value)}\n"
+        + (f"'{value}~" if kind == "string" else " " + " ".join(map(str, value)))
+        for name, (kind, value) in whole.items()
+    ]
+    path.write_text("\n".join(lines) + "\n")
+    path.with_suffix(".BRIK").write_bytes(bricks.tobytes())
+
+
+@pytest.mark.parametrize("way", range(0, len(WAYS), 7))
+@pytest.mark.parametrize("kind", ["<i2", ">i2", "<f4"])
+def test_a_pair_of_afni_lies_where_nibabel_says(tmp_path: Path, way: int, kind: str) -> None:
+    array, placed = lying(*WAYS[way])
+    write_afni(tmp_path / "f+orig.HEAD", array[None].astype(kind), placed)
+    loaded = nib.load(tmp_path / "f+orig.HEAD")
+    loaded = nib.Nifti1Image(np.asarray(loaded.dataobj)[..., 0], loaded.affine)
+    for name in ("f+orig.HEAD", "f+orig.BRIK"):
+        grid = check(tmp_path / name, loaded)
+        assert (grid.unit, grid.affine is not None and grid.affine.letters) == ("mm", "RAS")
+    assert open_file(tmp_path / "f+orig.HEAD", {}).read_as.startswith("AFNI of ")
+
+
+def test_bricks_of_afni_have_slopes_of_each(tmp_path: Path) -> None:
+    facs = ("float", [0.5, 0.0, 3.0])
+    series = ("integer", [3, 0, 77001])
+    write_afni(tmp_path / "f+tlrc.HEAD", np.stack([F, F, F]), affine(), BRICK_FLOAT_FACS=facs, TAXIS_NUMS=series)
+    grid = open_file(tmp_path / "f+tlrc.HEAD", {})
+    assert (grid.moment, grid.unchosen) == ((0, 3), True)
+    for time, slope in enumerate((0.5, 1.0, 3.0)):
+        np.testing.assert_array_equal(open_file(tmp_path / "f+tlrc.HEAD", {"time": time}).whole(), F * slope)
+        check(tmp_path / "f+tlrc.HEAD", nib.load(tmp_path / "f+tlrc.HEAD"), time=time)
+
+
+def test_bricks_of_afni_that_are_no_series_are_channels(tmp_path: Path) -> None:
+    write_afni(tmp_path / "f+orig.HEAD", np.stack([F, F + 1]), affine())
+    with pytest.raises(VolumeError, match="has 2 channels: choose one by channel = 0 to 1"):
+        open_file(tmp_path / "f+orig.HEAD", {})
+    np.testing.assert_array_equal(open_file(tmp_path / "f+orig.HEAD", {"channel": 1}).whole(), F + 1)
+
+
+def test_voxels_of_afni_are_found_beside_it(tmp_path: Path) -> None:
+    write_afni(tmp_path / "f+orig.HEAD", F[None], affine())
+    voxels = tmp_path / "f+orig.BRIK"
+    (tmp_path / "f+orig.BRIK.gz").write_bytes(gzip.compress(voxels.read_bytes()))
+    voxels.unlink()
+    for name in ("f+orig.HEAD", "f+orig.BRIK.gz"):
+        np.testing.assert_array_equal(open_file(tmp_path / name, {}).whole(), F)
+    (tmp_path / "f+orig.BRIK.gz").unlink()
+    with pytest.raises(VolumeError, match=r"'f\+orig.BRIK' with its voxels is not beside it"):
+        open_file(tmp_path / "f+orig.HEAD", {})
+    with (
+        (tmp_path / "f+orig.HEAD").open("rb") as file,
+        pytest.raises(VolumeError, match=r"save both as one \.nii file"),
+    ):
+        open_upload(file, "f+orig.HEAD", 1 << 20)
+
+
+def test_a_damaged_header_of_afni_is_refused(tmp_path: Path) -> None:
+    write_afni(tmp_path / "f+orig.HEAD", F[None], affine())
+    head = (tmp_path / "f+orig.HEAD").read_bytes()
+    for at in range(len(b"\ntype = integer-attribute"), len(head) - 40, 23):
+        (tmp_path / "f+orig.HEAD").write_bytes(head[:at])
+        with pytest.raises(VolumeError):
+            open_file(tmp_path / "f+orig.HEAD", {})
+    (tmp_path / "f+orig.HEAD").write_bytes(head)
+    (tmp_path / "f+orig.BRIK").write_bytes(F.tobytes()[:-2])
+    with pytest.raises(VolumeError, match="ends before its last voxel"):
+        open_file(tmp_path / "f+orig.HEAD", {}).whole()

@@ -349,7 +349,7 @@ READ_AS: list[tuple[Write, str]] = [
     (nifti, "NIfTI of int16, big-endian; placed by its sform"),
     (mgh, "MGH of int16, big-endian; placed by its header"),
     (hdf5, "HDF5 of int16, big-endian; it does not say where it lies"),
-    (tiff, "TIFF of int16; it does not say where it lies"),
+    (tiff, "TIFF of int16; it does not say where it lies; its planes are taken for depth"),
     (dicom, "DICOM of int16; placed by its slices' positions"),
     (raw, "bare voxels of int16, big-endian; it does not say where it lies"),
 ]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import VolumeError
+from isogi_core.files import grid as grid_module
 from isogi_core.files.formats.opening import open_file
 from tests.files.formats.phantom import letter
 from tests.loaded import load_scene
@@ -34,20 +35,35 @@ def metaimage(path: Path, array: np.ndarray, end: str = "\n", **changes: Any) ->
     return path
 
 
-def vti(path: Path, array: np.ndarray) -> Path:
-    """An image of VTK, of one or several numbers a point."""
+def vti(path: Path, array: np.ndarray, of_cells: bool = False) -> Path:
+    """An image of VTK, of one or several numbers a point or a cell."""
     pytest.importorskip("vtk")
     writer = import_module("vtkmodules.vtkIOXML").vtkXMLImageDataWriter()
     image = import_module("vtkmodules.vtkCommonDataModel").vtkImageData()
     nz, ny, nx, *each = array.shape
-    image.SetDimensions(nx, ny, nz)
+    image.SetDimensions(*(n + of_cells for n in (nx, ny, nz)))
+    image.SetSpacing(1.0, 1.25, 1.5)
+    image.SetOrigin(10.0, 0.0, -3.0)
     values = import_module("vtkmodules.util.numpy_support").numpy_to_vtk(array.reshape(-1, *each), deep=True)
     values.SetName("value")
-    image.GetPointData().AddArray(values)
+    (image.GetCellData() if of_cells else image.GetPointData()).AddArray(values)
     writer.SetFileName(str(path))
     writer.SetInputData(image)
     writer.Write()
     return path
+
+
+@pytest.mark.parametrize("size", [1 << 25, 1 << 12])
+def test_values_of_cells_are_voxels_at_their_middles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int
+) -> None:
+    monkeypatch.setattr(grid_module, "SLAB", size)
+    grid = open_file(vti(tmp_path / "f.vti", F, of_cells=True), {})
+    np.testing.assert_array_equal(grid.whole(), F)
+    assert grid.affine is not None and grid.affine.origin == (10.5, 0.625, -2.25)
+    (tmp_path / "g.vti").write_text('<VTKFile type="ImageData"><ImageData WholeExtent="0 1 0 1 0 1"/></VTKFile>')
+    with pytest.raises(VolumeError, match="holds no array of values"):
+        open_file(tmp_path / "g.vti", {})
 
 
 @pytest.mark.parametrize("write", [metaimage, vti])

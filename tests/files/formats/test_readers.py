@@ -1,6 +1,7 @@
 """Values, spacing and choices of files that other fields write, each by the library that the field keeps."""
 
 import gzip
+import importlib.util
 import io
 from pathlib import Path
 from typing import Any
@@ -208,6 +209,30 @@ def test_planes_that_were_written_one_by_one_are_a_stack(tmp_path: Path) -> None
         for layer in F:
             made.write(layer, photometric="minisblack")
     check(tmp_path / "f.tif", F)
+
+
+@pytest.mark.parametrize(("axes", "what"), [("TYX", "steps in time"), ("CYX", "channels"), ("ZYX", ""), ("", "")])
+@pytest.mark.parametrize("kind", ["ome", "imagej"])
+def test_frames_of_a_film_are_layers_and_it_says_so(tmp_path: Path, kind: str, axes: str, what: str) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    named = {kind: True, "metadata": {"axes": axes}} if axes else {}
+    tifffile.imwrite(tmp_path / "f.tif", F.astype(np.uint16), photometric="minisblack", **named)
+    grid = open_file(tmp_path / "f.tif", {})
+    np.testing.assert_array_equal(grid.whole(), F)
+    assert grid.notes == ((f"Its planes are {what}: they are shown as layers.",) if what else ())
+    assert grid.read_as.endswith("; its planes are taken for depth") == (axes != "ZYX")
+
+
+def test_a_packing_of_tiff_that_is_missing_is_named(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    if importlib.util.find_spec("imagecodecs") is not None:
+        pytest.skip("imagecodecs is installed")
+    tifffile.imwrite(tmp_path / "f.tif", F, photometric="minisblack")
+    with tifffile.TiffFile(tmp_path / "f.tif", mode="r+b") as file:
+        for page in file.pages:
+            page.tags["Compression"].overwrite(5)  # LZW
+    with pytest.raises(VolumeError, match=r"imagecodecs reads, which is not installed: pip install imagecodecs\."):
+        open_file(tmp_path / "f.tif", {}).whole()
 
 
 def test_ome_tiff_says_spacing_channels_and_times(tmp_path: Path) -> None:
