@@ -27,12 +27,12 @@ from benchmarks.service.browser import CHROMIUM
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.antialiasing import smooth_edges
 from isogi_core.frame.film import develop, ground_of
+from isogi_core.frame.known_blocks import LEVEL
 from isogi_core.model.view import IDENTITY, View, orthographic, quaternion_from_angles
 from isogi_core.model.window import read_window
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
-from server.api.binary import LEVEL
 from tests.frame.conftest import Workbench
 from tests.web.card.lab import CARD_FLAGS, Lab, lab_in
 from tests.web.card.scenes import CardScene, difference, orthographic_camera, plain_light

@@ -173,6 +173,11 @@ class PagePool:
             self._versions[slot] = hashlib.blake2b(self.spec.digest.encode() + stamps.tobytes(), digest_size=8).digest()
         return self._versions[slot]
 
+    def versions(self, indices: Sequence[Index]) -> tuple[bytes, ...]:
+        """The ``version`` of each chunk as it is in the pool now."""
+        with self.hold(indices) as held:
+            return tuple(map(self.version, held.slots.tolist()))
+
     def transfer_at(self, slot: int, offsets: np.ndarray) -> np.ndarray:
         """The transfer of a held chunk's texels at ``offsets`` (m,), 0 where unlit; (m, channels, columns) float32."""
         found = np.zeros((len(offsets), *self.transfer.shape[1:]), np.float32)

@@ -3,7 +3,7 @@
 import { Refusal } from "../card/device.js";
 import { Trouble } from "../net/trouble.js";
 import { Feed } from "./feed.js";
-import { anglesOf, cardView, chunksQuery, documentQuery, lightQuery } from "./view.js";
+import { anglesOf, cardView, chunksQuery, documentQuery, lightQuery, viewNear } from "./view.js";
 
 /** @typedef {import("../card/card.js").Card} Card */
 /** @typedef {import("../net/schemas.js").CardFacts} CardFacts */
@@ -14,6 +14,7 @@ import { anglesOf, cardView, chunksQuery, documentQuery, lightQuery } from "./vi
 /** @typedef {import("../view/rotation.js").Angles} Angles */
 
 const LIST_MS = 1000; // between two lists of chunks that a moving view reads
+const MOST_KNOWN = 256; // lists that are kept
 const SLOW_MS = 250; // that a card of no use is busy with a picture, of as few pixels as it draws
 const SLOW_PICTURES = 4; // in a row, after which the server draws
 
@@ -48,6 +49,8 @@ export class Live {
   #loaded = null;
   /** What the newest list names. @type {ListedChunk[]} */
   #chunks = [];
+  /** Lists of all final light, by what they were asked for by: asking once more would tell nothing new. @type {Map<string, ListedChunk[]>} */
+  #known = new Map();
   #preparing = "";
   #refused = false;
   /** @type {Knobs|null} */
@@ -143,6 +146,7 @@ export class Live {
       if (this.#preparing !== key) return;
       this.#loaded?.feed.close();
       this.#loaded = null;
+      this.#known.clear();
       await card.load(facts, slabs);
       const ask = (/** @type {"light"|"transfer"} */ what, /** @type {string[]} */ chunks, /** @type {Angles} */ turn) =>
         this.#source.blocks(what, chunks, lightQuery(this.#scene, values, what === "light" ? turn : null));
@@ -239,10 +243,20 @@ export class Live {
     if (!values || (!now && time - this.#listed < LIST_MS)) return;
     this.#listed = time;
     try {
-      this.#bring(await this.#source.chunks(chunksQuery(this.#scene, values, this.#hooks.size())));
+      this.#bring(await this.#listOf(chunksQuery(this.#scene, now ? values : viewNear(values), this.#hooks.size())));
     } catch (error) {
       if (!(error instanceof Trouble)) throw error;
     }
+  }
+
+  /** The chunks that a view reads. @param {FrameQuery} query @returns {Promise<ListedChunk[]>} */
+  async #listOf(query) {
+    const key = JSON.stringify(query), known = this.#known.get(key);
+    if (known) return known;
+    const chunks = await this.#source.chunks(query);
+    if (this.#known.size === MOST_KNOWN) this.#known.clear();
+    if (chunks.length && chunks.every(({ final }) => final)) this.#known.set(key, chunks);
+    return chunks;
   }
 
   /** @param {ListedChunk[]} chunks */

@@ -16,6 +16,8 @@ const OF_DOCUMENT = [...VARIANT, "albedo", "shading", "shine", "roughness", "str
 const OF_PICTURE = ["f", "overlay", "background", "exposure"]; // what a list of chunks does not depend on
 const WIDEST = 160; // pixels across, of a view whose chunks are asked for: a chunk is seldom smaller
 
+const STEP = 15; // degrees between the views that are listed while the camera turns
+
 /** @param {FrameQuery} query @param {string[]} names @returns {FrameQuery} */
 function only(query, names) {
   return Object.fromEntries(Object.entries(query).filter(([name]) => names.includes(name)));
@@ -41,6 +43,17 @@ export function documentQuery(scene, values) {
 export function chunksQuery(scene, values, { width, height }) {
   const size = { width: WIDEST, height: Math.max(Math.round((WIDEST * height) / width), 1) };
   return Object.fromEntries(Object.entries(frameQuery(scene, values, size)).filter(([name]) => !OF_PICTURE.includes(name)));
+}
+
+/**
+ * A view that reads nearly the same chunks, one for many that move: whoever turns the object asks for few lists, and
+ * whoever turns the light for none.
+ * @param {Knobs} values
+ * @returns {Knobs}
+ */
+export function viewNear(values) {
+  const near = (/** @type {number} */ angle) => STEP * Math.round(angle / STEP);
+  return { ...values, yaw: 0, pitch: 0, roll: 0, azimuth: ((near(values.azimuth) + 540) % 360) - 180, elevation: near(values.elevation) };
 }
 
 /**
