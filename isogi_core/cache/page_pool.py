@@ -165,12 +165,13 @@ class PagePool:
 
     def version(self, slot: int) -> bytes:
         """What names how far the held chunk in a ``slot`` is baked, by which plan; NOTHING where it has no light."""
-        if slot < 0 or not (self.table[slot] != UNLIT).any():
+        if slot < 0:
             return NOTHING
         if slot not in self._versions:
             rows = self.table[slot]
             stamps = np.where(rows >= 0, self.stamp[rows], rows.astype(np.float32))
-            self._versions[slot] = hashlib.blake2b(self.spec.digest.encode() + stamps.tobytes(), digest_size=8).digest()
+            named = hashlib.blake2b(self.spec.digest.encode() + stamps.tobytes(), digest_size=8).digest()
+            self._versions[slot] = named if (rows != UNLIT).any() else NOTHING
         return self._versions[slot]
 
     def versions(self, indices: Sequence[Index]) -> tuple[bytes, ...]:

@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain
 from typing import Any, NamedTuple
 
 from isogi_core.cache.loader import Loader
@@ -94,11 +95,11 @@ class KnownBlocks:
         """
         with self._lock:
             held = ((at, self._kept.held((kind, at))) for at in dict.fromkeys(chunks))
-            known = {at: block for at, block in held if block is not None}
-            loader.ensure(
-                tuple(dict.fromkeys([*chunks, *(at for each in known.values() for at in each.beside)])), check
-            )
-            found = {at: self._keep((kind, at), each) for at, each in known.items() if is_current(at, each, loader)}
+            known: dict[Index, Block] = {at: block for at, block in held if block is not None}
+            around = tuple(dict.fromkeys([*chunks, *chain.from_iterable(each.beside for each in known.values())]))
+            loader.ensure(around, check)
+            now = dict(zip(around, loader.pool.versions(around), strict=True))
+            found = {at: self._keep((kind, at), each) for at, each in known.items() if is_current(at, each, now)}
             lacking = [at for at in dict.fromkeys(chunks) if at not in found]
             made = make(lacking).blocks if lacking else ()
             for at, block in zip(lacking, made, strict=True):
@@ -111,6 +112,6 @@ class KnownBlocks:
         return self._kept.get(key, lambda: block)
 
 
-def is_current(at: Index, block: Block, loader: Loader) -> bool:
-    """Whether nothing was baked on that a ``block`` shows of the chunk ``at``."""
-    return loader.pool.versions((at, *block.beside)) == (block.version, *block.beside.values())
+def is_current(at: Index, block: Block, now: Mapping[Index, bytes]) -> bool:
+    """Whether nothing was baked on that a ``block`` shows of the chunk ``at``, by the versions of chunks ``now``."""
+    return block.version == now[at] and block.beside.items() <= now.items()
