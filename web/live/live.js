@@ -3,7 +3,7 @@
 import { Refusal } from "../card/device.js";
 import { Trouble } from "../net/trouble.js";
 import { Feed } from "./feed.js";
-import { anglesOf, cardView, chunksQuery, documentQuery, lightQuery, viewNear } from "./view.js";
+import { albedoOf, anglesOf, cardView, chunksQuery, documentQuery, lightQuery, viewNear } from "./view.js";
 
 /** @typedef {import("../card/card.js").Card} Card */
 /** @typedef {import("../net/schemas.js").CardFacts} CardFacts */
@@ -25,8 +25,8 @@ const SLOW_PICTURES = 4; // in a row, after which the server draws
  * @property {(query: FrameQuery) => Promise<ListedChunk[]>} chunks
  * @property {(what: "light"|"transfer", chunks: string[], query: FrameQuery) => Promise<ArrayBuffer>} blocks
  *
- * @typedef {{key: string, facts: NonNullable<CardFacts["scene"]>, feed: Feed}} Loaded what the card has, and what of a view
- *   that depends on
+ * @typedef {{key: string, look: string, albedo: import("../view/rotation.js").Vec3, facts: NonNullable<CardFacts["scene"]>, feed: Feed}} Loaded
+ *   what the card has, what of a view that depends on, also but for the albedo, and that
  *
  * @typedef {object} LiveHooks
  * @property {(allowed: {software: boolean}) => Card} open opens the card; throws a Refusal where there is none
@@ -78,9 +78,15 @@ export class Live {
     this.#refused = choice === "server";
   }
 
-  /** Whether the card draws this view while it moves. @param {Knobs} values @returns {boolean} */
+  /** Whether the card draws this view while it moves: also in another albedo, as predicted. @param {Knobs} values @returns {boolean} */
   draws(values) {
-    return !this.#refused && !this.#card?.lost && this.#loaded !== null && this.#loaded.key === this.#keyOf(values);
+    if (this.#refused || this.#card?.lost || !this.#loaded) return false;
+    return this.#has(values) || (this.#loaded.look === this.#lookOf(values) && this.#loaded.albedo.every((share) => share > 0));
+  }
+
+  /** Whether the card has the light of this view. @param {Knobs} values @returns {boolean} */
+  #has(values) {
+    return this.#loaded?.key === this.#keyOf(values);
   }
 
   /**
@@ -89,7 +95,8 @@ export class Live {
    * @returns {number|null}
    */
   get predicted() {
-    if (!this.#card || !this.#loaded || !this.#chunks.length || !this.#chunks.every(({ final }) => final)) return null;
+    if (!this.#card || !this.#loaded || !this.#values || !this.#has(this.#values) || !this.#chunks.length) return null;
+    if (!this.#chunks.every(({ final }) => final)) return null;
     const here = this.#card.drawing?.texels.chunks, { target, expected } = this.#loaded.facts;
     return this.#chunks.every(({ at, version }) => here?.get(at)?.version === version) ? Math.hypot(target, expected) : null;
   }
@@ -125,7 +132,7 @@ export class Live {
    * @param {ListedChunk[]} [chunks] that it reads, where the server named them
    */
   rest(values, facts, chunks) {
-    const card = this.draws(values);
+    const card = this.draws(values) && this.#has(values);
     this.#values = values;
     if (values.overlay !== "none" || facts?.coverage.provisional === 0) this.#fade();
     if (card && chunks) this.#bring(chunks);
@@ -150,7 +157,7 @@ export class Live {
       await card.load(facts, slabs);
       const ask = (/** @type {"light"|"transfer"} */ what, /** @type {string[]} */ chunks, /** @type {Angles} */ turn) =>
         this.#source.blocks(what, chunks, lightQuery(this.#scene, values, what === "light" ? turn : null));
-      this.#loaded = { key, facts, feed: new Feed(card, ask, anglesOf(values), () => this.#refresh()) };
+      this.#loaded = { key, look: this.#lookOf(values), albedo: albedoOf(this.#scene, values), facts, feed: new Feed(card, ask, anglesOf(values), () => this.#refresh()) };
       this.#list(true);
     } catch (error) {
       this.#preparing = "";
@@ -203,7 +210,7 @@ export class Live {
       return;
     }
     this.#fit();
-    if (this.#card.draw(cardView(this.#scene, this.#loaded.facts, this.#values))) this.#put();
+    if (this.#card.draw(cardView(this.#scene, this.#loaded.facts, this.#values, this.#loaded.albedo))) this.#put();
     else this.#busy = Math.min(this.#busy, performance.now());
     this.#animate();
   }
@@ -271,6 +278,11 @@ export class Live {
   /** What the card has depends on it. @param {Knobs} values */
   #keyOf(values) {
     return JSON.stringify(documentQuery(this.#scene, values));
+  }
+
+  /** What the card has depends on it, but for the albedo. @param {Knobs} values */
+  #lookOf(values) {
+    return this.#keyOf({ ...values, albedo: undefined });
   }
 
   /** Let the server's picture through, softly. */

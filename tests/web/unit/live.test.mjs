@@ -2,9 +2,9 @@ import assert from "node:assert/strict";
 import { beforeEach, test } from "node:test";
 import { Refusal } from "../../../web/card/device.js";
 import { Live } from "../../../web/live/live.js";
-import { cardView, chunksQuery, documentQuery, lightQuery, viewNear } from "../../../web/live/view.js";
+import { albedoOf, cardView, chunksQuery, documentQuery, lightQuery, viewNear } from "../../../web/live/view.js";
 import { troubleOf } from "../../../web/net/trouble.js";
-import { SCENE, FakeClock, knobs, settled } from "./fixtures.mjs";
+import { PAINTED, SCENE, FakeClock, knobs, settled } from "./fixtures.mjs";
 
 const DOCUMENT = { grounds: { dark: [0, 0, 0], light: [1, 1, 1] }, volume: { slabs: [{ href: "card/volume/0-2" }, { href: "card/volume/2-4" }] } };
 const [A, B] = [knobs({ azimuth: 10 }), knobs({ azimuth: 20 })];
@@ -50,7 +50,7 @@ class FakeCanvas {
   removeAttribute = (name) => this.#attributes.delete(name);
 }
 
-function makeLive({ choice = null, document = { drawable: true, reason: "", scene: DOCUMENT }, open = () => card } = {}) {
+function makeLive({ scene = SCENE, choice = null, document = { drawable: true, reason: "", scene: DOCUMENT }, open = () => card } = {}) {
   const source = {
     document: async (query) => { asked.push(["document", query]); return document; },
     bytes: async (href) => { asked.push(["bytes", href]); return new ArrayBuffer(4); },
@@ -64,7 +64,7 @@ function makeLive({ choice = null, document = { drawable: true, reason: "", scen
     lost: () => said.push("lost"),
     refused: (reason) => said.push(reason),
   };
-  return new Live(canvas, SCENE, source, hooks, choice);
+  return new Live(canvas, scene, source, hooks, choice);
 }
 
 /** What was asked of the server. */
@@ -252,6 +252,40 @@ test("a hand that pauses is no slow card", async () => {
     await clock.pass(400);
   }
   assert.equal(live.draws(A), true);
+});
+
+test("another albedo is drawn at once, and its light brought at rest", async () => {
+  const grey = knobs({ albedo: 0.7, tint: "#ffffff" }), dark = { ...grey, albedo: 0.35 };
+  live = makeLive({ scene: PAINTED });
+  live.rest(grey, LIT);
+  await settled();
+  asked.length = 0;
+  live.move(true);
+  live.show(grey);
+  await clock.pass(16);
+  live.show(dark);
+  await clock.pass(2000);
+  live.show(dark);
+  await clock.pass(16);
+  assert.deepEqual(card.drawn.map(({ albedo }) => albedo), [[1, 1, 1], [0.5, 0.5, 0.5], [0.5, 0.5, 0.5]]);
+  assert.deepEqual([live.draws(dark), live.predicted, kinds().filter((kind) => kind !== "chunks")], [true, null, []]);
+  live.move(false);
+  live.rest(dark, LIT, []);
+  await settled();
+  assert.deepEqual([card.loaded.length, asked.find(([kind]) => kind === "document")[1].albedo], [2, 0.35]);
+  live.show(dark);
+  await clock.pass(16);
+  assert.deepEqual(card.drawn.at(-1).albedo, [1, 1, 1]);
+});
+
+test("a black surface tells nothing of another albedo", async () => {
+  const black = knobs({ albedo: 0, tint: "#ffffff" });
+  live = makeLive({ scene: PAINTED });
+  live.rest(black, LIT);
+  await settled();
+  assert.deepEqual([live.draws(black), live.draws({ ...black, albedo: 0.5 })], [true, false]);
+  assert.deepEqual(cardView(PAINTED, DOCUMENT, black, [0, 0, 0]).albedo, [1, 1, 1]);
+  assert.deepEqual([albedoOf(SCENE, black), albedoOf(PAINTED, { ...black, albedo: 0.4 })], [[0.7, 0.7, 0.7], [0.4, 0.4, 0.4]]);
 });
 
 test("another light is drawn by the server, until the card has it", async () => {
