@@ -194,8 +194,9 @@ def measure(case: Case, lab: Lab, folder: Path, size: int) -> Found:
     if case.kind == "moving":
         light = bench.renderer.render(view, TARGET).radiance
     drawn = shown.picture(view, exposure=exposure, **given)
-    if faces := bench.renderer.gbuffer(view).faces.pixels.tolist():
-        drawn.covers.reshape(-1)[faces] = 0.0
+    covers = drawn.covers.copy()
+    covers.reshape(-1)[bench.renderer.gbuffer(view).faces.pixels] = 0.0
+    drawn = replace(drawn, covers=covers)
     found = difference(drawn, light, on, exposure)
     return Found(found.within, found.rmse, found.surface, found.torn, sent)
 
