@@ -256,7 +256,7 @@ def share(some: Iterable[Found]) -> float:
 
 
 def body(read: Mapping[Case, Found]) -> str:
-    """The tables, one of each kind."""
+    """The tables, one of each kind, and the views that were not measured."""
     parts = []
     for kind, (within, rmse) in GOALS.items():
         rows = [
@@ -267,4 +267,6 @@ def body(read: Mapping[Case, Found]) -> str:
         asked = f"asked: {within:.1%} of surface pixels within 2/255, relative RMSE {rmse:.1%}"
         head = ("view", "within 2/255", "relative RMSE", "surface pixels", "shown by one alone")
         parts += [f"## {KINDS[kind].capitalize()}\n\n{asked}\n\n{markdown(head, rows)}"] if rows else []
+    missing = [case.name for case in CASES if case not in read]
+    parts += ["## Not measured\n\n" + "\n".join(f"- {name}" for name in missing)] if missing else []
     return "\n\n".join(parts)
