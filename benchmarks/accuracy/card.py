@@ -27,12 +27,12 @@ from benchmarks.service.browser import CHROMIUM
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.antialiasing import smooth_edges
 from isogi_core.frame.film import develop, ground_of
+from isogi_core.frame.known_blocks import LEVEL
 from isogi_core.model.view import IDENTITY, View, orthographic, quaternion_from_angles
 from isogi_core.model.window import read_window
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
-from server.api.binary import LEVEL
 from tests.frame.conftest import Workbench
 from tests.web.card.lab import CARD_FLAGS, Lab, lab_in
 from tests.web.card.scenes import CardScene, difference, orthographic_camera, plain_light
@@ -194,8 +194,9 @@ def measure(case: Case, lab: Lab, folder: Path, size: int) -> Found:
     if case.kind == "moving":
         light = bench.renderer.render(view, TARGET).radiance
     drawn = shown.picture(view, exposure=exposure, **given)
-    if faces := bench.renderer.gbuffer(view).faces.pixels.tolist():
-        drawn.covers.reshape(-1)[faces] = 0.0
+    covers = drawn.covers.copy()
+    covers.reshape(-1)[bench.renderer.gbuffer(view).faces.pixels] = 0.0
+    drawn = replace(drawn, covers=covers)
     found = difference(drawn, light, on, exposure)
     return Found(found.within, found.rmse, found.surface, found.torn, sent)
 
@@ -255,7 +256,7 @@ def share(some: Iterable[Found]) -> float:
 
 
 def body(read: Mapping[Case, Found]) -> str:
-    """The tables, one of each kind."""
+    """The tables, one of each kind, and the views that were not measured."""
     parts = []
     for kind, (within, rmse) in GOALS.items():
         rows = [
@@ -266,4 +267,6 @@ def body(read: Mapping[Case, Found]) -> str:
         asked = f"asked: {within:.1%} of surface pixels within 2/255, relative RMSE {rmse:.1%}"
         head = ("view", "within 2/255", "relative RMSE", "surface pixels", "shown by one alone")
         parts += [f"## {KINDS[kind].capitalize()}\n\n{asked}\n\n{markdown(head, rows)}"] if rows else []
+    missing = [case.name for case in CASES if case not in read]
+    parts += ["## Not measured\n\n" + "\n".join(f"- {name}" for name in missing)] if missing else []
     return "\n\n".join(parts)

@@ -32,6 +32,9 @@ LIST = 1.0
 FIRST, TOGETHER = 16, 64
 """Chunks of a visitor's first request, and of others: those of web/live/feed.js."""
 
+NEAR = 15.0
+"""Degrees between the views that are listed while the camera turns: STEP in web/live/view.js."""
+
 LOOK = {"width": 160, "height": 160}
 """Pixels of views whose chunks are asked for: WIDEST in web/live/view.js."""
 
@@ -41,12 +44,15 @@ UNLIT = "0" * 16
 
 @dataclass
 class Visitor:
-    """A page whose card draws: the chunks that it ``knows``, the requests it has ``asked``, the ``bytes`` that came."""
+    """A page whose card draws: the chunks that it ``knows``, the views of whose final light it knows the ``lists``, the
+    requests it has ``asked``, the ``bytes`` that came.
+    """
 
     client: httpx.AsyncClient
     path: str
     first: float
     knows: set[str] = field(default_factory=set)
+    lists: set[float] = field(default_factory=set)
     asked: int = 0
     bytes: int = 0
 
@@ -54,11 +60,18 @@ class Visitor:
         """Turn the object for so long, and bring what light its views read."""
         begun = time.perf_counter()
         while (passed := time.perf_counter() - begun) < seconds:
-            azimuth = (self.first + STEP * passed) % 360.0
-            listed = await self.ask("card/chunks", {**START, **LOOK, "azimuth": azimuth})
-            names = [f"{each['at']}-{each['version']}" for each in listed.json()["chunks"] if each["version"] != UNLIT]
-            await self.bring([name for name in names if name not in self.knows])
+            azimuth = NEAR * round((self.first + STEP * passed) / NEAR) % 360.0
+            if azimuth not in self.lists:
+                await self.look(azimuth)
             await asyncio.sleep(max(begun + passed + LIST - time.perf_counter(), 0.0))
+
+    async def look(self, azimuth: float) -> None:
+        """Ask for what a view reads, and bring it."""
+        listed = (await self.ask("card/chunks", {**START, **LOOK, "azimuth": azimuth})).json()["chunks"]
+        names = [f"{each['at']}-{each['version']}" for each in listed if each["version"] != UNLIT]
+        if all(each["final"] for each in listed):
+            self.lists.add(azimuth)
+        await self.bring([name for name in names if name not in self.knows])
 
     async def bring(self, names: list[str]) -> None:
         """Ask for the light of chunks, the most visible ones first."""

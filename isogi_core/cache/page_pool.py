@@ -165,13 +165,19 @@ class PagePool:
 
     def version(self, slot: int) -> bytes:
         """What names how far the held chunk in a ``slot`` is baked, by which plan; NOTHING where it has no light."""
-        if slot < 0 or not (self.table[slot] != UNLIT).any():
+        if slot < 0:
             return NOTHING
         if slot not in self._versions:
             rows = self.table[slot]
             stamps = np.where(rows >= 0, self.stamp[rows], rows.astype(np.float32))
-            self._versions[slot] = hashlib.blake2b(self.spec.digest.encode() + stamps.tobytes(), digest_size=8).digest()
+            named = hashlib.blake2b(self.spec.digest.encode() + stamps.tobytes(), digest_size=8).digest()
+            self._versions[slot] = named if (rows != UNLIT).any() else NOTHING
         return self._versions[slot]
+
+    def versions(self, indices: Sequence[Index]) -> tuple[bytes, ...]:
+        """The ``version`` of each chunk as it is in the pool now."""
+        with self.hold(indices) as held:
+            return tuple(map(self.version, held.slots.tolist()))
 
     def transfer_at(self, slot: int, offsets: np.ndarray) -> np.ndarray:
         """The transfer of a held chunk's texels at ``offsets`` (m,), 0 where unlit; (m, channels, columns) float32."""

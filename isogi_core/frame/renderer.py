@@ -36,6 +36,7 @@ from isogi_core.frame.eye_glow import with_glow
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, to_index, trace
+from isogi_core.frame.known_blocks import KnownBlocks
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
 from isogi_core.frame.rays.lobe_light import LobeLight, ShadowStarts, find_lobes, find_starts
@@ -76,6 +77,9 @@ KEPT = 256 << 20
 SHARE, COMMON = 1 / 16, 1 / 3
 """Shares of these bytes: for what changes while a view stays, and for what views have in common of texels."""
 
+PACKED = 1 / 8
+"""Share of these bytes for blocks of chunks, which cards that draw the same scene have in common."""
+
 
 class Renderer:
     """Renders views of one scene. Frames may be asked for from several threads."""
@@ -96,7 +100,8 @@ class Renderer:
         """
         self.prepared, self.caches, self.tiles = caches.prepared, caches, tiles
         changing = dict.fromkeys((Reading, FilteredLight, LobeLight, ShineLight), int(SHARE * most))
-        self._kept: LruCache[Any] = LruCache(most - int(COMMON * most), changing)
+        self._kept: LruCache[Any] = LruCache(most - int((COMMON + PACKED) * most), changing)
+        self.blocks = KnownBlocks(int(PACKED * most))
         shown = levels or (Level(caches),)
         self._texels = TexelShading(self.prepared, shown, self._kept, int(COMMON * most), filters, stand_in)
         self.checks = ViewChecks(self._kept)
@@ -108,7 +113,7 @@ class Renderer:
     @property
     def nbytes(self) -> int:
         """Bytes of memory that views, maps and light take."""
-        parts = (self._kept, self._texels, self.prepared.maps, self.caches, self._composer)
+        parts = (self._kept, self.blocks, self._texels, self.prepared.maps, self.caches, self._composer)
         return sum(part.nbytes for part in parts if part is not None)
 
     def render(

@@ -15,7 +15,7 @@ from isogi_core.frame.rays.pixel_rays import Paths, pooled_variance, replicas_fo
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import PAIRED, ViewTexels
-from isogi_core.kernels.shading.filtering import ALL, FACES, PATHS, VARIANCE, filter_texels, lend_texels, take_filtered
+from isogi_core.kernels.shading.filtering import ALL, PATHS, VARIANCE, filter_texels, lend_texels, take_filtered
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer, PixelPoints
 from isogi_core.kernels.shading.irradiance_ratio import (
     GRADE,
@@ -169,17 +169,14 @@ def filter_texel_light(
     Light that needs no more samples is filtered too: how much a texel takes over follows from its noise.
 
     Texels without light have that of their neighbours, in which the ``reading`` that is returned is converging. Where
-    none of these faces their way, ``lend_light`` does, and at rest all of that light may be wrong. ``normals``
-    (texels, 3) are those that they are lit about. Of a view that moves one step along the axes has to do, to the next
-    texels that it reads. Raises Cancelled.
+    none of these faces their way, ``lend_light`` does, and all of that light may be wrong. ``normals`` (texels, 3) are
+    those that they are lit about. Raises Cancelled.
     """
     records = fill_texel_records(reading.grade, lit, normals, light, tiles)
     records[:, PATHS], records[:, VARIANCE] = reading.samples, records[:, NOISE] ** 2
     grainy, lit_texels = reading.grainy, reading.lit
     records[lit_texels, GRADE] = np.where(grainy[lit_texels], CONVERGING, FINAL)
-    moving = light.view.moving
-    steps, farthest = ((STEPS[texels.coarse],), FACES) if moving else (STEPS, ALL)
-    records = filter_records(texels, records, steps, farthest, tiles)
+    records = filter_records(texels, records, tiles)
     grade, filtered = np.empty_like(reading.grade), np.empty_like(lit)
 
     def _take(a: int, b: int) -> None:
@@ -188,26 +185,20 @@ def filter_texel_light(
     tiles.run(_take, len(lit), tiles.even(len(lit)))
     found = replace(reading, grade=grade)
     lent, light_lent = lend_light(texels, found, filtered)
-    if not moving:
-        unsure = grade != lent.grade
-        light_lent[unsure, 3] = light_lent[unsure, :3] @ LUMINANCE
+    unsure = grade != lent.grade
+    light_lent[unsure, 3] = light_lent[unsure, :3] @ LUMINANCE
     return lent, light_lent
 
 
-def filter_records(
-    texels: ViewTexels, records: np.ndarray, steps: Sequence[int], farthest: int, tiles: Tiles
-) -> np.ndarray:
-    """The ``records`` (texels, RECORD) after a pass of the filter at each of some ``steps`` between neighbours.
-
-    Neighbours are asked up to a squared distance of ``farthest`` steps; see ``filter_texels``. Raises Cancelled.
-    """
+def filter_records(texels: ViewTexels, records: np.ndarray, tiles: Tiles) -> np.ndarray:
+    """The ``records`` (texels, RECORD) after a pass of the filter at each of STEPS. Raises Cancelled."""
     positions = texels.positions
-    for step in steps:
+    for step in STEPS:
         before, after = records, np.empty_like(records)
 
         def _piece(a: int, b: int) -> None:
             numbering, bits = texels.numbering, texels.lattice.bits
-            filter_texels(numbering, bits, positions[a:b], a, step, farthest, before, after)  # noqa: B023
+            filter_texels(numbering, bits, positions[a:b], a, step, ALL, before, after)  # noqa: B023
 
         tiles.run(_piece, len(records), tiles.even(len(records)))
         records = after

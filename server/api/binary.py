@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import gzip
 import hashlib
+import zlib
+from collections.abc import Sequence
 from typing import Any
 
 from fastapi import Request, Response
 
+from isogi_core.frame.known_blocks import Part
 from server.api.headers import FOR_EVER, matches, tag_of
 
 MEDIA_TYPE = "application/octet-stream"
@@ -16,20 +18,32 @@ BINARY: dict[int | str, dict[str, Any]] = {
     304: {"description": "The bytes are those that If-None-Match names."},
 }
 
-LEVEL = 1
-"""Compression: of voxels and light higher levels save a tenth of the bytes, and take four times as long."""
+GZIP = b"\x1f\x8b\x08" + bytes(5) + b"\x04\xff"
+"""What data in gzip begin with (RFC 1952): compressed fast, at no time, by nobody in particular."""
+
+END = b"\x03\x00"
+"""An empty last block of DEFLATE."""
 
 
-def binary_answer(request: Request, body: bytes, lasting: bool) -> Response:
-    """The answer with a ``body``: at the address of the request it is the same for ever where it is ``lasting``."""
+def binary_answer(request: Request, parts: Sequence[Part], lasting: bool) -> Response:
+    """The answer of some ``parts``: at the address of the request it is the same for ever where it is ``lasting``."""
     packs = takes_gzip(request.headers.get("accept-encoding", ""))
-    tag = tag_of(hashlib.blake2b(body).digest(), packs)
+    tag = tag_of(hashlib.blake2b(b"".join(each.digest for each in parts)).digest(), packs)
     headers = {"ETag": tag, "Cache-Control": FOR_EVER if lasting else "no-cache", "Vary": "Accept-Encoding"}
     if matches(request.headers.get("if-none-match"), tag):
         return Response(status_code=304, headers=headers)
     if not packs:
-        return Response(body, 200, headers, MEDIA_TYPE)
-    return Response(gzip.compress(body, LEVEL, mtime=0), 200, headers | {"Content-Encoding": "gzip"}, MEDIA_TYPE)
+        return Response(b"".join(each.data for each in parts), 200, headers, MEDIA_TYPE)
+    return Response(gzipped(parts), 200, headers | {"Content-Encoding": "gzip"}, MEDIA_TYPE)
+
+
+def gzipped(parts: Sequence[Part]) -> bytes:
+    """The ``parts`` as one member of gzip; each is compressed once, for all answers that it is in."""
+    check, size = 0, sum(len(each.data) for each in parts)
+    for each in parts:
+        check = zlib.crc32(each.data, check)
+    ends = (number.to_bytes(4, "little") for number in (check, size & 0xFFFFFFFF))
+    return b"".join((GZIP, *(each.deflated for each in parts), END, *ends))
 
 
 def takes_gzip(accepted: str) -> bool:

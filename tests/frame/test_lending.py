@@ -57,11 +57,9 @@ def test_light_that_is_all_there_is_left_alone(workbench: Make) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("size", "step"), [(64, 2), (128, 2), (512, 1)])
-def test_a_draft_is_lit_by_a_quarter_of_its_texels(
-    size: int, step: int, workbench: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A small one reads no others, and is filtered by the next of these. All are near to the picture at rest."""
+@pytest.mark.parametrize("size", [64, 128, 512])
+def test_a_draft_is_lit_by_a_quarter_of_its_texels(size: int, workbench: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small one reads no others. All are filtered as at rest, and near to that picture."""
     bench = orbital(workbench)
     view = bench.view(size=size)
     for demand in bench.renderer.render(view).demands:
@@ -75,11 +73,11 @@ def test_a_draft_is_lit_by_a_quarter_of_its_texels(
 
     monkeypatch.setattr(shading, "filter_texels", noted)
     draft = bench.renderer.render(replace(view, moving=True))
-    assert steps == {step} and draft.coverage["provisional"] < 0.02
+    assert steps == {1, 2} and draft.coverage["provisional"] < 0.02
     unlit = sum(demand.effort.unlit for demand in draft.demands)
-    assert unlit == 0 if step == 2 else unlit > 1000
+    assert unlit == 0 if size < 512 else unlit > 1000
     rest = bench.renderer.render(view)
-    assert steps == {1, 2} and relative_rmse(draft, rest) < 0.15
+    assert relative_rmse(draft, rest) < 0.15
 
 
 def test_what_moves_reads_few_texels_where_pixels_are_large(workbench: Make) -> None:
@@ -126,7 +124,7 @@ def test_a_coarse_draft_tells_the_noise_of_its_pixels(workbench: Make) -> None:
     assert np.sqrt(np.mean(np.square(told))) == pytest.approx(true, rel=0.1)
 
 
-def test_lent_light_at_rest_may_all_be_wrong(workbench: Make) -> None:
+def test_lent_light_may_all_be_wrong(workbench: Make) -> None:
     """A texel whose normal is turned round has the light of its cell, and as much error as light; none is filtered."""
     bench = orbital(workbench)
     view, tiles = bench.view(size=24), Tiles(1)
@@ -145,5 +143,4 @@ def test_lent_light_at_rest_may_all_be_wrong(workbench: Make) -> None:
         found, filtered = filter_texel_light(texels, reading, lit, normals, light, tiles)
         assert (found.grade == CONVERGING).all()
         np.testing.assert_allclose(filtered[turned, :3], 0.5, rtol=1e-3)
-        told = filtered[turned, 3]
-        assert (told < 0.05).all() if moving else np.allclose(told, 0.5, rtol=1e-3)
+        np.testing.assert_allclose(filtered[turned, 3], 0.5, rtol=1e-3)

@@ -19,6 +19,7 @@ import { drawInto, fillTexture, makeTexture } from "./textures.js";
  * @property {import("./rays.js").Camera} camera in the world
  * @property {import("./light.js").Quaternion} light the light's turn in the world
  * @property {number} exposure
+ * @property {import("./document.js").Vec3} [albedo] as a multiple of the document's: what is shown is then predicted
  * @property {import("./document.js").Vec3} ground linear light behind the surface
  * @property {readonly import("./rays.js").Plane[]} [window] what planes take away for the eye, in the world; 12 at most
  * @property {boolean} [marked] whether what lacks light of its texels is hatched
@@ -107,6 +108,7 @@ export class Drawing {
       ...raysOf(document.grid, view.camera, size[0], size[1]),
       ...lightOf(document, light),
       ...latticeOf(document),
+      albedo: view.albedo ?? [1, 1, 1],
       ...sightOf(document, view.window ?? []),
       bricks: this.texels.bricks,
       records,

@@ -3,7 +3,7 @@
 import { Refusal } from "../card/device.js";
 import { Trouble } from "../net/trouble.js";
 import { Feed } from "./feed.js";
-import { anglesOf, cardView, chunksQuery, documentQuery, lightQuery } from "./view.js";
+import { albedoOf, anglesOf, cardView, chunksQuery, documentQuery, lightQuery, viewNear } from "./view.js";
 
 /** @typedef {import("../card/card.js").Card} Card */
 /** @typedef {import("../net/schemas.js").CardFacts} CardFacts */
@@ -14,6 +14,7 @@ import { anglesOf, cardView, chunksQuery, documentQuery, lightQuery } from "./vi
 /** @typedef {import("../view/rotation.js").Angles} Angles */
 
 const LIST_MS = 1000; // between two lists of chunks that a moving view reads
+const MOST_KNOWN = 256; // lists that are kept
 const SLOW_MS = 250; // that a card of no use is busy with a picture, of as few pixels as it draws
 const SLOW_PICTURES = 4; // in a row, after which the server draws
 
@@ -24,8 +25,8 @@ const SLOW_PICTURES = 4; // in a row, after which the server draws
  * @property {(query: FrameQuery) => Promise<ListedChunk[]>} chunks
  * @property {(what: "light"|"transfer", chunks: string[], query: FrameQuery) => Promise<ArrayBuffer>} blocks
  *
- * @typedef {{key: string, facts: NonNullable<CardFacts["scene"]>, feed: Feed}} Loaded what the card has, and what of a view
- *   that depends on
+ * @typedef {{key: string, look: string, albedo: import("../view/rotation.js").Vec3, facts: NonNullable<CardFacts["scene"]>, feed: Feed}} Loaded
+ *   what the card has, what of a view that depends on, also but for the albedo, and that
  *
  * @typedef {object} LiveHooks
  * @property {(allowed: {software: boolean}) => Card} open opens the card; throws a Refusal where there is none
@@ -48,6 +49,8 @@ export class Live {
   #loaded = null;
   /** What the newest list names. @type {ListedChunk[]} */
   #chunks = [];
+  /** Lists of all final light, by what they were asked for by: asking once more would tell nothing new. @type {Map<string, ListedChunk[]>} */
+  #known = new Map();
   #preparing = "";
   #refused = false;
   /** @type {Knobs|null} */
@@ -75,9 +78,15 @@ export class Live {
     this.#refused = choice === "server";
   }
 
-  /** Whether the card draws this view while it moves. @param {Knobs} values @returns {boolean} */
+  /** Whether the card draws this view while it moves: also in another albedo, as predicted. @param {Knobs} values @returns {boolean} */
   draws(values) {
-    return !this.#refused && !this.#card?.lost && this.#loaded !== null && this.#loaded.key === this.#keyOf(values);
+    if (this.#refused || this.#card?.lost || !this.#loaded) return false;
+    return this.#has(values) || (this.#loaded.look === this.#lookOf(values) && this.#loaded.albedo.every((share) => share > 0));
+  }
+
+  /** Whether the card has the light of this view. @param {Knobs} values @returns {boolean} */
+  #has(values) {
+    return this.#loaded?.key === this.#keyOf(values);
   }
 
   /**
@@ -86,7 +95,8 @@ export class Live {
    * @returns {number|null}
    */
   get predicted() {
-    if (!this.#card || !this.#loaded || !this.#chunks.length || !this.#chunks.every(({ final }) => final)) return null;
+    if (!this.#card || !this.#loaded || !this.#values || !this.#has(this.#values) || !this.#chunks.length) return null;
+    if (!this.#chunks.every(({ final }) => final)) return null;
     const here = this.#card.drawing?.texels.chunks, { target, expected } = this.#loaded.facts;
     return this.#chunks.every(({ at, version }) => here?.get(at)?.version === version) ? Math.hypot(target, expected) : null;
   }
@@ -122,7 +132,7 @@ export class Live {
    * @param {ListedChunk[]} [chunks] that it reads, where the server named them
    */
   rest(values, facts, chunks) {
-    const card = this.draws(values);
+    const card = this.draws(values) && this.#has(values);
     this.#values = values;
     if (values.overlay !== "none" || facts?.coverage.provisional === 0) this.#fade();
     if (card && chunks) this.#bring(chunks);
@@ -143,10 +153,11 @@ export class Live {
       if (this.#preparing !== key) return;
       this.#loaded?.feed.close();
       this.#loaded = null;
+      this.#known.clear();
       await card.load(facts, slabs);
       const ask = (/** @type {"light"|"transfer"} */ what, /** @type {string[]} */ chunks, /** @type {Angles} */ turn) =>
         this.#source.blocks(what, chunks, lightQuery(this.#scene, values, what === "light" ? turn : null));
-      this.#loaded = { key, facts, feed: new Feed(card, ask, anglesOf(values), () => this.#refresh()) };
+      this.#loaded = { key, look: this.#lookOf(values), albedo: albedoOf(this.#scene, values), facts, feed: new Feed(card, ask, anglesOf(values), () => this.#refresh()) };
       this.#list(true);
     } catch (error) {
       this.#preparing = "";
@@ -199,7 +210,7 @@ export class Live {
       return;
     }
     this.#fit();
-    if (this.#card.draw(cardView(this.#scene, this.#loaded.facts, this.#values))) this.#put();
+    if (this.#card.draw(cardView(this.#scene, this.#loaded.facts, this.#values, this.#loaded.albedo))) this.#put();
     else this.#busy = Math.min(this.#busy, performance.now());
     this.#animate();
   }
@@ -239,10 +250,20 @@ export class Live {
     if (!values || (!now && time - this.#listed < LIST_MS)) return;
     this.#listed = time;
     try {
-      this.#bring(await this.#source.chunks(chunksQuery(this.#scene, values, this.#hooks.size())));
+      this.#bring(await this.#listOf(chunksQuery(this.#scene, now ? values : viewNear(values), this.#hooks.size())));
     } catch (error) {
       if (!(error instanceof Trouble)) throw error;
     }
+  }
+
+  /** The chunks that a view reads. @param {FrameQuery} query @returns {Promise<ListedChunk[]>} */
+  async #listOf(query) {
+    const key = JSON.stringify(query), known = this.#known.get(key);
+    if (known) return known;
+    const chunks = await this.#source.chunks(query);
+    if (this.#known.size === MOST_KNOWN) this.#known.clear();
+    if (chunks.length && chunks.every(({ final }) => final)) this.#known.set(key, chunks);
+    return chunks;
   }
 
   /** @param {ListedChunk[]} chunks */
@@ -257,6 +278,11 @@ export class Live {
   /** What the card has depends on it. @param {Knobs} values */
   #keyOf(values) {
     return JSON.stringify(documentQuery(this.#scene, values));
+  }
+
+  /** What the card has depends on it, but for the albedo. @param {Knobs} values */
+  #lookOf(values) {
+    return this.#keyOf({ ...values, albedo: undefined });
   }
 
   /** Let the server's picture through, softly. */

@@ -1,20 +1,24 @@
 /** The view of the page's knobs, as the graphics card draws it, and as the server is asked for what that takes. */
 
 import { cutQuery, frameQuery, ground } from "../net/request.js";
+import { albedoQuery } from "../view/albedo.js";
 import { rayThrough } from "../view/camera.js";
 import { planesOf } from "../view/planes.js";
-import { fromAngles } from "../view/rotation.js";
+import { fromAngles, vector } from "../view/rotation.js";
 
 /** @typedef {import("../card/document.js").CardDocument} CardDocument */
 /** @typedef {import("../net/schemas.js").FrameQuery} FrameQuery */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/rotation.js").Angles} Angles */
+/** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 
 const VARIANT = ["environment", "cut", "time", "surfaces", "hide", "material"];
 const OF_DOCUMENT = [...VARIANT, "albedo", "shading", "shine", "roughness", "strength", "glow"];
 const OF_PICTURE = ["f", "overlay", "background", "exposure"]; // what a list of chunks does not depend on
 const WIDEST = 160; // pixels across, of a view whose chunks are asked for: a chunk is seldom smaller
+
+const STEP = 15; // degrees between the views that are listed while the camera turns
 
 /** @param {FrameQuery} query @param {string[]} names @returns {FrameQuery} */
 function only(query, names) {
@@ -44,6 +48,17 @@ export function chunksQuery(scene, values, { width, height }) {
 }
 
 /**
+ * A view that reads nearly the same chunks, one for many that move: whoever turns the object asks for few lists, and
+ * whoever turns the light, or changes the albedo, for none.
+ * @param {Knobs} values
+ * @returns {Knobs}
+ */
+export function viewNear(values) {
+  const near = (/** @type {number} */ angle) => STEP * Math.round(angle / STEP);
+  return { ...values, albedo: undefined, yaw: 0, pitch: 0, roll: 0, azimuth: ((near(values.azimuth) + 540) % 360) - 180, elevation: near(values.elevation) };
+}
+
+/**
  * The parameters that records of texels are asked for by, or their transfer.
  * @param {Scene} scene
  * @param {Knobs} values
@@ -60,14 +75,23 @@ export function anglesOf({ yaw, pitch, roll }) {
   return { yaw, pitch, roll };
 }
 
+/** What share of the light the surface reflects in a view. @param {Scene} scene @param {Knobs} values @returns {Vec3} linear RGB */
+export function albedoOf(scene, values) {
+  const { albedo } = albedoQuery(scene, values);
+  if (albedo === undefined) return scene.albedo;
+  const shares = String(albedo).split(",").map(Number);
+  return vector((i) => shares[i] ?? shares[0]);
+}
+
 /**
  * The view as a card draws it.
  * @param {Scene} scene
- * @param {CardDocument & {grounds: Record<string, import("../view/rotation.js").Vec3>}} document
+ * @param {CardDocument & {grounds: Record<string, Vec3>}} document
  * @param {Knobs} values
+ * @param {Vec3} [folded] the albedo that the card's light is for, where views may choose it
  * @returns {import("../card/drawing.js").View}
  */
-export function cardView(scene, document, values) {
+export function cardView(scene, document, values, folded) {
   const { eye, target, up } = rayThrough(scene, { ...values, projection: "perspective" }, 0, 0);
   const parallel = values.projection === "orthographic";
   return {
@@ -75,6 +99,7 @@ export function cardView(scene, document, values) {
     camera: { eye, target, up, fov: values.fov, parallel },
     light: fromAngles(scene.turns ? values : { yaw: 0, pitch: 0, roll: 0 }),
     exposure: values.exposure,
+    ...(folded && { albedo: vector((i) => (folded[i] > 0 ? albedoOf(scene, values)[i] / folded[i] : 1)) }),
     ground: document.grounds[ground(values)],
     window: planesOf(cutQuery(values).window ?? ""),
     marked: values.overlay === "provisional",

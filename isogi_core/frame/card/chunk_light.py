@@ -1,6 +1,6 @@
 """The light of whole chunks as a visitor's graphics card reads it: under one light, or as transfer for any."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from typing import NamedTuple
@@ -16,6 +16,7 @@ from isogi_core.frame.card.chunk_texels import ChunkTexels, hold_texels, with_ne
 from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.card.filtered_transfer import filter_numbers, number_noise
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.known_blocks import Block, Packed
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.shading import fill_texel_records, filter_texel_light, light_sources
@@ -26,21 +27,28 @@ from isogi_core.frame.unlit_view import undrawn_frame
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.irradiance_ratio import DIRECT, REFLECTED
 from isogi_core.model.view import View
-from isogi_core.prepared.prepared_scene import Index
+from isogi_core.prepared.prepared_scene import Index, PreparedScene
 
 CHUNKS = 64
 """Chunks that are packed together at most."""
 
 
-class Packed(NamedTuple):
-    """The ``blocks`` of chunks, and their ``versions``; whether each version stands for its block ``alone``.
+def known_light(renderer: Renderer, view: View, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
+    """``fold_chunks``, of which each is folded once for all that ask for it. Raises as that does."""
+    kind = FOLDED, view.light, view.albedo, target
+    return known(renderer, kind, chunks, lambda some: fold_chunks(renderer, view, some, target, tiles), tiles)
 
-    What was filtered depends on chunks beside it, too.
-    """
 
-    blocks: tuple[bytes, ...]
-    versions: tuple[bytes, ...]
-    alone: bool
+def known_transfer(renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
+    """``transfer_chunks``, of which each is filtered once for all that ask for it. Raises as that does."""
+    return known(renderer, (RAW, target), chunks, lambda some: transfer_chunks(renderer, some, target, tiles), tiles)
+
+
+def known(
+    renderer: Renderer, kind: Hashable, chunks: Sequence[Index], make: Callable[[Sequence[Index]], Packed], tiles: Tiles
+) -> Packed:
+    """Blocks of a ``kind`` that the renderer knows, or that ``make`` makes."""
+    return renderer.blocks.find(kind, chunks, renderer.caches.of("gi"), make, tiles.check)
 
 
 def fold_chunks(renderer: Renderer, view: View, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
@@ -52,12 +60,11 @@ def fold_chunks(renderer: Renderer, view: View, chunks: Sequence[Index], target:
     with hold_filtering(renderer, chunks, target, tiles) as (found, pool):
         lit = light_sources(found.reading.sources(pool), light, tiles)
     about, reading = normals_of(renderer, found.texels, tiles), found.reading
-    if grainy := bool(reading.grainy.any()):
+    if reading.grainy.any():
         reading, lit = filter_texel_light(found.texels, reading, lit, about, light, tiles)
     records = fill_texel_records(reading.grade, lit, about, light, tiles)
     values = np.column_stack([records[:, DIRECT : DIRECT + 3], records[:, REFLECTED : REFLECTED + 3]])
-    blocks = tuple(islice(pack(found, about, values, FOLDED), len(chunks)))
-    return Packed(blocks, found.versions[: len(chunks)], not grainy)
+    return packed(found, pack(found, about, values, FOLDED), len(chunks), renderer.prepared)
 
 
 def transfer_chunks(renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
@@ -67,8 +74,19 @@ def transfer_chunks(renderer: Renderer, chunks: Sequence[Index], target: float, 
     """
     with hold_filtering(renderer, chunks, target, tiles) as (found, pool):
         about, numbers = calm_numbers(renderer, found.texels, found.reading, pool, tiles)
-    blocks = tuple(islice(pack(found, about, numbers, RAW), len(chunks)))
-    return Packed(blocks, found.versions[: len(chunks)], not found.reading.grainy.any())
+    return packed(found, pack(found, about, numbers, RAW), len(chunks), renderer.prepared)
+
+
+def packed(found: ChunkTexels, blocks: Iterator[bytes], count: int, prepared: PreparedScene) -> Packed:
+    """The first ``count`` of some ``blocks``, with the versions of all that their light comes from."""
+    versions = dict(zip(found.chunks, found.versions, strict=True))
+    filtered = bool(found.reading.grainy.any())
+    return Packed(
+        tuple(
+            Block(data, versions[at], {n: versions[n] for n in with_neighbours([at], prepared)[1:]} if filtered else {})
+            for at, data in zip(found.chunks[:count], blocks, strict=False)
+        )
+    )
 
 
 def coded_chunks(

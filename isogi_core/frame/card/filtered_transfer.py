@@ -3,11 +3,11 @@
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec, square_light
-from isogi_core.frame.shading import STEPS, filter_records
+from isogi_core.frame.shading import filter_records
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels
-from isogi_core.kernels.shading.filtering import ALL, PATHS, VARIANCE
+from isogi_core.kernels.shading.filtering import PATHS, VARIANCE
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
 from isogi_core.kernels.shading.irradiance_ratio import BARE, DIRECT, GRADE, NORMAL, RECORD
 from isogi_core.kernels.shading.lattice import VOID
@@ -45,5 +45,5 @@ def filter_numbers(
     for k in range(numbers.shape[1]):
         before = records.copy()
         before[:, DIRECT : DIRECT + 3], before[:, VARIANCE] = numbers[:, k, None], noise[:, k]
-        filtered[:, k] = filter_records(texels, before, STEPS, ALL, tiles)[:, DIRECT]
+        filtered[:, k] = filter_records(texels, before, tiles)[:, DIRECT]
     return filtered

@@ -7,8 +7,9 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
-from isogi_core.frame.card.chunk_light import Packed, SeenChunk, fold_chunks, look_at, transfer_chunks
+from isogi_core.frame.card.chunk_light import SeenChunk, known_light, known_transfer, look_at
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.known_blocks import Packed, Part
 from isogi_core.frame.renderer import Renderer
 from isogi_core.plan.scene import Scene
 from server.api.binary import BINARY, binary_answer
@@ -76,7 +77,7 @@ async def read_voxels(
         codes = prepared.voxel_codes
         first, last = layers_of(layers, codes.shape[0], max(b - a for a, b in codes.slabs))
         body = codes.code(shown.volume.voxels[first:last]).tobytes()
-        return binary_answer(request, body, params.version == voxel_version(shown))
+        return binary_answer(request, [Part(body)], params.version == voxel_version(shown))
 
     return await service.compute(request, work)
 
@@ -116,7 +117,7 @@ async def read_light(
     picture = service.picture_of(lit, params.view)
 
     def pack(renderer: Renderer, named: list[ChunkName], target: float) -> Packed:
-        return fold_chunks(renderer, picture.view, [each.at for each in named], target, renderer.tiles)
+        return known_light(renderer, picture.view, [each.at for each in named], target, renderer.tiles)
 
     return await packed(request, service, lit, chunks, params, pack)
 
@@ -129,7 +130,7 @@ async def read_transfer(
     lit = await open_scene(service, scene, params)
 
     def pack(renderer: Renderer, named: list[ChunkName], target: float) -> Packed:
-        return transfer_chunks(renderer, [each.at for each in named], target, renderer.tiles)
+        return known_transfer(renderer, [each.at for each in named], target, renderer.tiles)
 
     return await packed(request, service, lit, chunks, params, pack)
 
@@ -159,6 +160,6 @@ async def packed(
         named = chunk_names(chunks, renderer.prepared.chunks)
         found = pack(renderer, named, params.max_error or scene.target_error)
         current = tuple(each.version for each in named) == found.versions
-        return binary_answer(request, b"".join(found.blocks), current and found.alone)
+        return binary_answer(request, found.blocks, current and found.alone)
 
     return await service.compute(request, work)

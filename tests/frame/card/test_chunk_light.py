@@ -31,7 +31,7 @@ def twin_of(bench: Workbench, view: View, raw: bool) -> Twin:
         packed = transfer_chunks(bench.renderer, indices, LOOSE, TILES)
     else:
         packed = fold_chunks(bench.renderer, view, indices, LOOSE, TILES)
-    twin.take(b"".join(packed.blocks))
+    twin.take(b"".join(each.data for each in packed.blocks))
     return twin
 
 
@@ -93,7 +93,7 @@ def test_a_brick_ends_with_its_mean(workbench: Make) -> None:
     bench = bench_of(workbench, "colours")
     view = bench.view(size=40)
     at = [each.at for each in seen_chunks(bench.renderer, view, LOOSE, TILES)][:3]
-    for block in blocks_in(b"".join(fold_chunks(bench.renderer, view, at, LOOSE, TILES).blocks)):
+    for block in blocks_in(b"".join(each.data for each in fold_chunks(bench.renderer, view, at, LOOSE, TILES).blocks)):
         bricks: dict[tuple[int, ...], list[int]] = {}
         for (z, y, x), number in block.numbers():
             bricks.setdefault((z // 4, y // 4, x // 4), []).append(number)
@@ -115,7 +115,7 @@ def test_versions_change_with_light_alone(workbench: Make) -> None:
         fold_chunks(bench.renderer, view, at, LOOSE, TILES),
         transfer_chunks(bench.renderer, at, LOOSE, TILES),
     ):
-        (empty,) = blocks_in(packed.blocks[0], 3 * columns)
+        (empty,) = blocks_in(packed.blocks[0].data, 3 * columns)
         assert (len(empty.masks), len(empty.records), empty.version) == (0, 0, "00" * 8)
     bench.bake(view)
     after = seen_chunks(bench.renderer, view, LOOSE, TILES)
@@ -146,9 +146,9 @@ def test_noisy_light_is_filtered_across_chunks(workbench: Make) -> None:
     indices = [each.at for each in seen_chunks(bench.renderer, view, 0.02, TILES)]
     packed = fold_chunks(bench.renderer, view, indices, 0.02, TILES)
     alone = fold_chunks(bench.renderer, view, indices[:1], 0.02, TILES)
-    assert not packed.alone and alone.blocks[0] == packed.blocks[0], "neighbours are asked for by themselves"
+    assert not packed.alone and alone.blocks[0].data == packed.blocks[0].data, "neighbours are asked for by themselves"
     twin = Twin(card_scene(bench.renderer, view, ()).model_dump())
-    twin.take(b"".join(packed.blocks))
+    twin.take(b"".join(each.data for each in packed.blocks))
     points, normals, expected = drawn(bench, view, 0.02)
     found = np.array([twin.shade(p, n) for p, n in zip(points.astype(float), normals.astype(float), strict=True)])
     assert np.sqrt(((found - expected) ** 2).mean()) / expected.mean() < 0.01
@@ -162,9 +162,9 @@ def test_transfer_of_noisy_texels_is_filtered_for_all_turns(workbench: Make) -> 
     indices = [each.at for each in seen_chunks(bench.renderer, view, 0.02, TILES)]
     packed = transfer_chunks(bench.renderer, indices, 0.02, TILES)
     alone = transfer_chunks(bench.renderer, indices[:1], 0.02, TILES)
-    assert not packed.alone and alone.blocks[0] == packed.blocks[0], "neighbours are asked for by themselves"
+    assert not packed.alone and alone.blocks[0].data == packed.blocks[0].data, "neighbours are asked for by themselves"
     twin = Twin(card_scene(bench.renderer, view, ()).model_dump(), rotation_matrix(TURN))
-    twin.take(b"".join(packed.blocks))
+    twin.take(b"".join(each.data for each in packed.blocks))
     points, normals, filtered = drawn(bench, view, 0.02)
     grainy = drawn(bench, view, 0.02, filters=False)[2]
     found = np.array([twin.shade(p, n) for p, n in zip(points.astype(float), normals.astype(float), strict=True)])

@@ -63,7 +63,7 @@ def test_blocks_in_few_bits_hold_the_transfer(colours: Workbench) -> None:
     indices = [each.at for each in seen_chunks(bench.renderer, view, LOOSE, tiles)]
     whole = transfer_chunks(bench.renderer, indices, LOOSE, tiles)
     few = coded_chunks(bench.renderer, indices, LOOSE, coding, tiles)
-    expected = blocks_in(b"".join(whole.blocks), len(coding.steps))
+    expected = blocks_in(b"".join(each.data for each in whole.blocks), len(coding.steps))
     for block, same in zip(few, expected, strict=True):
         assert int.from_bytes(block[14:16], "little") == 2
         bricks, records = (int.from_bytes(block[a : a + 4], "little") for a in (16, 20))

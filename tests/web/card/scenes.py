@@ -8,11 +8,11 @@ import numpy as np
 
 from isogi_core.bake.noise import Until
 from isogi_core.frame.card.chunk_light import CHUNKS, fold_chunks, seen_chunks, transfer_chunks
+from isogi_core.frame.known_blocks import LEVEL
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.model.view import Camera, Quaternion, View, quaternion_from_angles
-from server.api.binary import LEVEL
 from server.card_answers import card_scene
 from tests.web.card.lab import Lab
 
@@ -64,7 +64,7 @@ class CardScene:
             answers = [fold_chunks(self.renderer, view, some, target, tiles)]
             answers += [transfer_chunks(self.renderer, some, target, tiles)] if raw else []
             for answer in answers:
-                name = self.lab.put("answer", b"".join(answer.blocks))
+                name = self.lab.put("answer", b"".join(each.data for each in answer.blocks))
                 sent += len(gzip.compress(self.lab.data[name], LEVEL))
                 self.lab.ask("card.take(await bench.bytes('answer'), given);", view.light)
         return sent

@@ -214,6 +214,19 @@ def test_light_that_grows_replaces_what_was_there(lab: Lab, make_bench: Make) ->
     assert_same(difference(card.picture(view), *plain_light(bench.renderer, view, 0.05)))
 
 
+@pytest.mark.parametrize(("albedo", "most"), [(0.5, 0.02), (0.7, 0.03), (0.3, 0.05), (0.8, 0.08)])
+def test_another_albedo_is_predicted(lab: Lab, make_bench: Make, albedo: float, most: float) -> None:
+    """Without other light: reflected light grows by one more factor, to first order. Its error is what is left."""
+    bench = lit_bench(make_bench, lights=[SKY], albedo=0.6, albedos=[0.2, 0.8])
+    view = view_at(bench)
+    card = CardScene(lab, bench.renderer, view, SIZE)
+    card.light(view, LOOSE)
+    truth, on = plain_light(bench.renderer, replace(view, albedo=(albedo,) * 3), LOOSE)
+    found = difference(card.picture(view, albedo=[albedo / 0.6] * 3), truth, on)
+    unchanged = difference(card.picture(view), truth, on)
+    assert found.rmse < most and found.rmse < 0.3 * unchanged.rmse, (found, unchanged)
+
+
 def test_lobes_cast_shadows_while_the_view_moves(lab: Lab, make_bench: Make) -> None:
     bench = lit_bench(make_bench, "casting", lights=[SKY], target_error=0.05)
     view = view_at(bench)

@@ -2,9 +2,9 @@ import assert from "node:assert/strict";
 import { beforeEach, test } from "node:test";
 import { Refusal } from "../../../web/card/device.js";
 import { Live } from "../../../web/live/live.js";
-import { cardView, chunksQuery, documentQuery, lightQuery } from "../../../web/live/view.js";
+import { albedoOf, cardView, chunksQuery, documentQuery, lightQuery, viewNear } from "../../../web/live/view.js";
 import { troubleOf } from "../../../web/net/trouble.js";
-import { SCENE, FakeClock, knobs, settled } from "./fixtures.mjs";
+import { PAINTED, SCENE, FakeClock, knobs, settled } from "./fixtures.mjs";
 
 const DOCUMENT = { grounds: { dark: [0, 0, 0], light: [1, 1, 1] }, volume: { slabs: [{ href: "card/volume/0-2" }, { href: "card/volume/2-4" }] } };
 const [A, B] = [knobs({ azimuth: 10 }), knobs({ azimuth: 20 })];
@@ -16,6 +16,7 @@ let asked;
 let said;
 let canvas;
 let live;
+let listed;
 
 /** A card that notes what it is told; `busy` of one that still draws. */
 class FakeCard {
@@ -49,11 +50,11 @@ class FakeCanvas {
   removeAttribute = (name) => this.#attributes.delete(name);
 }
 
-function makeLive({ choice = null, document = { drawable: true, reason: "", scene: DOCUMENT }, open = () => card } = {}) {
+function makeLive({ scene = SCENE, choice = null, document = { drawable: true, reason: "", scene: DOCUMENT }, open = () => card } = {}) {
   const source = {
     document: async (query) => { asked.push(["document", query]); return document; },
     bytes: async (href) => { asked.push(["bytes", href]); return new ArrayBuffer(4); },
-    chunks: async (query) => { asked.push(["chunks", query]); return []; },
+    chunks: async (query) => { asked.push(["chunks", query]); return listed; },
     blocks: async () => assert.fail("there is no light"),
   };
   const hooks = {
@@ -63,7 +64,7 @@ function makeLive({ choice = null, document = { drawable: true, reason: "", scen
     lost: () => said.push("lost"),
     refused: (reason) => said.push(reason),
   };
-  return new Live(canvas, SCENE, source, hooks, choice);
+  return new Live(canvas, scene, source, hooks, choice);
 }
 
 /** What was asked of the server. */
@@ -78,7 +79,7 @@ async function ready(values = {}) {
 }
 
 beforeEach(() => {
-  [clock, card, asked, said, canvas] = [new FakeClock(), new FakeCard(), [], [], new FakeCanvas()];
+  [clock, card, asked, said, canvas, listed] = [new FakeClock(), new FakeCard(), [], [], new FakeCanvas(), []];
   globalThis.requestAnimationFrame = (run) => clock.after(16, run);
   Object.defineProperty(globalThis, "performance", { value: clock, configurable: true });
 });
@@ -160,6 +161,52 @@ test("chunks are listed now and then while a view moves", async () => {
   assert.deepEqual([...new Set(kinds())], ["chunks"]);
 });
 
+/** Turn the object once around, and back to where it began; how often chunks were asked for. */
+async function turnAround() {
+  asked.length = 0;
+  live.move(true);
+  for (let azimuth = -180; azimuth <= 180; azimuth++) {
+    live.show(knobs({ azimuth: ((azimuth + 540) % 360) - 180 }));
+    await clock.pass(1001);
+  }
+  return kinds().length;
+}
+
+test("whoever turns on over final light asks for no more lists", async () => {
+  await ready();
+  listed = [{ at: "0.0.1", version: "1a", final: true }];
+  assert.equal(await turnAround(), 24);
+  const angles = asked.map(([, { azimuth }]) => azimuth).sort((a, b) => a - b);
+  assert.deepEqual(angles, Array.from({ length: 24 }, (_, i) => 15 * i - 180));
+  assert.equal(await turnAround(), 0);
+  live.show(knobs({ azimuth: 0, isovalue: 80 }));
+  await clock.pass(1001);
+  assert.equal(kinds().length, 1, "another isosurface reads other chunks");
+});
+
+test("light that converges is listed again and again", async () => {
+  await ready();
+  listed = [{ at: "0.0.1", version: "1a", final: true }, { at: "0.0.2", version: "2b", final: false }];
+  assert.equal(await turnAround(), 360, "all but the first, which comes at once after another list");
+});
+
+test("a view at rest is listed as it is", async () => {
+  await ready();
+  asked.length = 0;
+  live.rest(knobs({ azimuth: 17.5, elevation: 31 }), LIT);
+  await settled();
+  assert.deepEqual(asked.map(([, { azimuth, elevation }]) => [azimuth, elevation]), [[17.5, 31]]);
+});
+
+test("views that move are listed by one nearby", () => {
+  for (const [azimuth, near] of [[7, 0], [8, 15], [-179, -180], [175, -180], [180, -180], [-8, -15]]) {
+    assert.equal(viewNear(knobs({ azimuth })).azimuth, near, String(azimuth));
+  }
+  assert.equal(viewNear(knobs({ elevation: 88 })).elevation, 90);
+  const { isovalue, yaw, pitch, roll } = viewNear(knobs({ isovalue: 80, yaw: 20, pitch: 5, roll: 1 }));
+  assert.deepEqual([isovalue, yaw, pitch, roll], [80, 0, 0, 0], "which chunks a view reads does not depend on light");
+});
+
 test("a card that is lost leaves what moves to the server", async () => {
   await ready();
   live.show(A);
@@ -205,6 +252,40 @@ test("a hand that pauses is no slow card", async () => {
     await clock.pass(400);
   }
   assert.equal(live.draws(A), true);
+});
+
+test("another albedo is drawn at once, and its light brought at rest", async () => {
+  const grey = knobs({ albedo: 0.7, tint: "#ffffff" }), dark = { ...grey, albedo: 0.35 };
+  live = makeLive({ scene: PAINTED });
+  live.rest(grey, LIT);
+  await settled();
+  asked.length = 0;
+  live.move(true);
+  live.show(grey);
+  await clock.pass(16);
+  live.show(dark);
+  await clock.pass(2000);
+  live.show(dark);
+  await clock.pass(16);
+  assert.deepEqual(card.drawn.map(({ albedo }) => albedo), [[1, 1, 1], [0.5, 0.5, 0.5], [0.5, 0.5, 0.5]]);
+  assert.deepEqual([live.draws(dark), live.predicted, kinds().filter((kind) => kind !== "chunks")], [true, null, []]);
+  live.move(false);
+  live.rest(dark, LIT, []);
+  await settled();
+  assert.deepEqual([card.loaded.length, asked.find(([kind]) => kind === "document")[1].albedo], [2, 0.35]);
+  live.show(dark);
+  await clock.pass(16);
+  assert.deepEqual(card.drawn.at(-1).albedo, [1, 1, 1]);
+});
+
+test("a black surface tells nothing of another albedo", async () => {
+  const black = knobs({ albedo: 0, tint: "#ffffff" });
+  live = makeLive({ scene: PAINTED });
+  live.rest(black, LIT);
+  await settled();
+  assert.deepEqual([live.draws(black), live.draws({ ...black, albedo: 0.5 })], [true, false]);
+  assert.deepEqual(cardView(PAINTED, DOCUMENT, black, [0, 0, 0]).albedo, [1, 1, 1]);
+  assert.deepEqual([albedoOf(SCENE, black), albedoOf(PAINTED, { ...black, albedo: 0.4 })], [[0.7, 0.7, 0.7], [0.4, 0.4, 0.4]]);
 });
 
 test("another light is drawn by the server, until the card has it", async () => {

@@ -57,6 +57,8 @@ float agree(vec3 m, vec3 n) {
   return weight * weight;
 }
 
+uniform vec3 albedo;    // what is shown, over that which light was folded for
+
 // Sums over the texels about a point, as blend_records of the kernel has them.
 struct Blend { vec3 direct, unshadowed, reflected; float weight, buried, lacking; };
 
@@ -73,7 +75,7 @@ void add_record(inout Blend sums, uvec4 record, float w, vec3 n) {
   sums.weight += w;
 }
 
-// Light at p of normal n, in the plan's unit. `lacking` is how much of it is of texels that are not there yet.
+// Light at p of normal n, in the plan's unit, before it meets the surface in its other albedo. `lacking` is how much of it is of texels that are not there yet.
 // Weights are trilinear (S1, section 4.2); ratios are to unshadowed light, which stands in where nothing is known.
 vec3 texel_light(vec3 p, vec3 n, out float lacking) {
   vec3 q = p * density, under = unshadowed_light(n);
@@ -96,6 +98,7 @@ vec3 texel_light(vec3 p, vec3 n, out float lacking) {
     }
   }
   lacking = sums.lacking;
+  sums.reflected *= albedo;    // paths that came by one more hit, to first order
   if (!(sums.weight > 0.0)) return sums.buried > 0.0 ? vec3(0.0) : under;
   if (RATIOS == 0) return (sums.direct + sums.reflected) / sums.weight;
   return sums.direct / max(sums.unshadowed, DARKEST) * under + sums.reflected / sums.weight;

@@ -25,7 +25,7 @@ vec3 shade(vec3 p, vec3 n, out float lacking) {
 #if SHADING == 1
   vec3 light = texel_light(p, n, lacking);
   if (LOBES > 0) light += lobe_light(p, n);
-  return unit * light;
+  return unit * albedo * light;
 #else
   lacking = 0.0;
   return ambient + max(dot(n, key), 0.0) * sun;
