@@ -13,7 +13,8 @@ from isogi_core.kernels.tracing.vec import SMALLEST, column, dot, normalize, put
 from isogi_core.kernels.tracing.walls import ROWS
 from isogi_core.kernels.transport.integrate import add_paths, gather_met, gather_sources
 from isogi_core.kernels.transport.integrator import about
-from isogi_core.kernels.transport.light_paths import FAR, cast_wave, to_world
+from isogi_core.kernels.transport.light_paths import FAR, to_world
+from isogi_core.kernels.transport.open_paths import cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import PAIRS, point_of_words
 from isogi_core.kernels.transport.room_paths import ROOM, STARTS, InRoom, gather_walls
@@ -61,7 +62,7 @@ def balance(glows, k, p, w, cosine):
 @kernel()
 def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
     """Turn the wave's rays towards region ``k``; returns how many there are, those in its ball and from behind none."""
-    shadow, rays, count = wave.shadow, wave.shadow.wave, vertices.count
+    shadow, rays, count = wave.shadow, wave.rays, vertices.count
     origins, normals = columns(vertices.points, count), columns(vertices.normals, count)
     starts, ways, directions = columns(shadow.starts, count), columns(rays.ways, count), columns(rays.directions, count)
     directions[:, count:] = 1.0
@@ -84,7 +85,7 @@ def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
 @kernel()
 def add_glow(wave, vertices, i, k, scene, glows, share):
     """Add the ``share`` of what the ray from vertex ``i`` gathers of region ``k`` before its end to its path."""
-    rays, count = wave.shadow.wave, vertices.count
+    rays, count = wave.rays, vertices.count
     m, w = rays.owners[i], column(columns(rays.ways, count), i)
     p = to_world(column(columns(vertices.points, count), i), scene.field.spacing)
     light = gather_on_way(scene.field, glows, k, p, w, rays.t[i])
@@ -109,9 +110,9 @@ def gather_aimed_glow(scene, state, vertices, bounce, glows):
 
 
 @gather_met.case(Glows)
-def gather_met_glow(scene, state, vertices, glows):
+def gather_met_glow(scene, state, vertices, bounce, glows):
     """Add what paths gather of all that glows on the ways that were cast; returns how many go on."""
-    rays, count = state.wave.shadow.wave, vertices.count
+    rays, count = state.wave.rays, vertices.count
     for k in range(glows.rates.shape[0]):
         for i in range(count):
             add_glow(state.wave, vertices, i, k, scene, glows, 1.0)

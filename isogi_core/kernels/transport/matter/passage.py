@@ -54,7 +54,7 @@ def make_passage(n):
 @kernel(inline=True)
 def draw(wave, i, bounce, step, second):
     """A pair of random numbers in [0, 1) of ray ``i`` of a wave at a ``step`` of its way; each step has two."""
-    rays = wave.shadow.wave
+    rays = wave.rays
     dimension = np.uint64(STEPS + (2 * step + second) * PAIRS + bounce)
     return point_of_words(np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i]), dimension)
 
@@ -78,7 +78,7 @@ def gather_rays(field, wave, passage, going):
 @kernel(inline=True)
 def dim(wave, i, shares):
     """Multiply what ray ``i`` of a wave carries by ``shares``."""
-    m = wave.shadow.wave.owners[i]
+    m = wave.rays.owners[i]
     for c in range(3):
         wave.carried[c, m] *= shares[c]
 
@@ -148,7 +148,7 @@ def pass_matter(field, cells, walls, matter, wave, passage, bounce, count):
         passage.pending[i] = i
     going = count
     for step in range(MOST):
-        rays, own = gather_rays(field, wave.shadow.wave, passage, going)
+        rays, own = gather_rays(field, wave.rays, passage, going)
         n = own.shape[0]
         t, came, met = np.empty(n), np.empty(n, np.int8), np.empty(n)
         cast_batch(field, cells, rays, t, came)
