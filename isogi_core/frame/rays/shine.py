@@ -12,6 +12,7 @@ from itertools import count
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
+from isogi_core.bake.path_light import add_paths
 from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.gbuffer import NO_WALLS, GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight, triple
@@ -33,7 +34,7 @@ from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, LampArrays
 from isogi_core.kernels.transport.microfacets import NODES, ShineLobe, fill_energy
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.ray_lights import Discs, Panels, ShineLights
-from isogi_core.kernels.transport.room_paths import Room, RoomStarts, light_in_room
+from isogi_core.kernels.transport.room_paths import InRoom, Room, RoomStarts
 from isogi_core.model.shine import DULL
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
@@ -267,9 +268,8 @@ def among_walls(
     given = in_columns(starts)
     sums, traced = np.zeros((len(given.walls), 3)), surface.traced(tiles.run)
     weights = PathRules(path_weights(np.ones(3), rules[0], 1.0), rules[1])
-    light_in_room(
-        traced.field, traced.cells, room_of(light), given, SampleRange(0, 1), weights, light.surroundings, sums
-    )
+    met = InRoom(traced.field, traced.cells, room_of(light))
+    add_paths(met, given, SampleRange(0, 1), weights, light.surroundings, sums)
     return sums
 
 

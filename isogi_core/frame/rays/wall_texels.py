@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
+from isogi_core.bake.path_light import add_paths
 from isogi_core.bake.precision import round_light
 from isogi_core.bake.refine import seeds_of
 from isogi_core.cache.wall_store import Planes, Side, planes_of, wall_layer
@@ -19,11 +20,9 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.glow_light import add_glow
 from isogi_core.frame.rays.pixel_rays import NEAR, PATH_POINTS
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.transport.matter.inside import Passable
-from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
+from isogi_core.kernels.transport.matter.matter_paths import Through
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.room_paths import RoomStarts, light_in_room
-from isogi_core.kernels.transport.surface_paths import Surfaces, light_among_surfaces
+from isogi_core.kernels.transport.room_paths import RoomStarts
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.prepared.surface import Surface
 
@@ -47,8 +46,7 @@ WALL_STREAM = 1 << 19
 def light_starts(
     light: RotatedLight, surface: Surface, starts: RoomStarts, rules: PathRules, samples: SampleRange, tiles: Tiles
 ) -> np.ndarray:
-    """Sums (g, 3) of a ``SampleRange`` of E/π, glow's too, at ``starts`` about a ``surface``; see ``light_in_room``,
-    ``light_among_surfaces`` where there are several, and ``light_through_matter`` where that lets light pass.
+    """Sums (g, 3) of a ``SampleRange`` of E/π, glow's too, at ``starts`` about a ``surface``; see ``add_paths``.
 
     Raises Cancelled.
     """
@@ -57,15 +55,9 @@ def light_starts(
 
     def _piece(a: int, b: int) -> None:
         some = RoomStarts(*(np.ascontiguousarray(each[..., a:b]) for each in starts))
-        given = some, samples, rules, light.surroundings, sums[a:b]
-        if isinstance(met, Passable):
-            light_through_matter(traced.field, traced.cells, met, *given)
-            return
-        if isinstance(met, Surfaces):
-            light_among_surfaces(traced.field, met, *given)
-        else:
-            light_in_room(traced.field, traced.cells, met, *given)
-        add_glow(sums[a:b], light, traced, some, rules, samples)
+        add_paths(met, some, samples, rules, light.surroundings, sums[a:b])
+        if not isinstance(met, Through):
+            add_glow(sums[a:b], light, traced, some, rules, samples)
 
     tiles.run(_piece, len(sums), PATH_POINTS)
     return sums

@@ -6,8 +6,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
-from isogi_core.kernels.tracing.field import FIELD, to_index
+from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.glow import GLOWS, Glows, gather_on_way, way_through_ball
 from isogi_core.kernels.tracing.vec import SMALLEST, column, dot, normalize, put_column, sub
 from isogi_core.kernels.tracing.walls import ROWS
@@ -17,7 +16,7 @@ from isogi_core.kernels.transport.light_paths import FAR, to_world
 from isogi_core.kernels.transport.open_paths import cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import PAIRS, point_of_words
-from isogi_core.kernels.transport.room_paths import ROOM, STARTS, InRoom, gather_walls
+from isogi_core.kernels.transport.room_paths import IN_ROOM, STARTS, InRoom, gather_walls
 from isogi_core.kernels.transport.wavefront import columns, partition
 
 
@@ -119,12 +118,13 @@ def gather_met_glow(scene, state, vertices, bounce, glows):
     return gather_walls(state.wave, vertices, partition(rays, count), scene.room)
 
 
-@kernel(types.void(FIELD, ACTIVE_CELLS, ROOM, STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, ROWS))
-def glow_in_room(field, cells, room, starts, samples, rules, glows, sums):
+@kernel(types.void(IN_ROOM, STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, ROWS))
+def glow_in_room(scene, starts, samples, rules, glows, sums):
     """Add E/π of each of k ``glows``, of radiance 1, at each of g ``RoomStarts`` to ``sums`` (g, 3 k).
 
-    All light that is reflected is in it; bounces count as in ``light_in_room``, the ``room`` gives off no light, and
-    may have no walls. Rays are drawn by cosine and towards the ball about each region, and both are balanced. Sums grow
-    sample by sample: the company of a start changes no bit. Source: Kajiya 1986, with emission along the way.
+    All light that is reflected is in it; bounces count as in ``light_in_room``, the room of the ``scene``, which is
+    InRoom, gives off no light, and may have no walls. Rays are drawn by cosine and towards the ball about each region,
+    and both are balanced. Sums grow sample by sample: the company of a start changes no bit. Source: Kajiya 1986, with
+    emission along the way.
     """
-    add_paths(InRoom(field, cells, room), starts, samples, rules, glows, sums)
+    add_paths(scene, starts, samples, rules, glows, sums)

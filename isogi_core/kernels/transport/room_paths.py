@@ -89,6 +89,9 @@ class InRoom(NamedTuple):
     room: Any
 
 
+IN_ROOM = record(InRoom, FIELD, ACTIVE_CELLS, ROOM)
+
+
 @kernel()
 def balance_area(room, k, cosine, slope, distance):
     """Share p_c/(p_c + p_a) of a ray to wall ``k`` between the two ways in which it is drawn.
@@ -263,16 +266,16 @@ def begin_in_room(scene, state, vertices, starts, first):
     begin_on_walls(state.wave, starts, first, vertices.count)
 
 
-@kernel(types.void(FIELD, ACTIVE_CELLS, ROOM, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
-def light_in_room(field, cells, room, starts, samples, rules, light, sums):
+@kernel(types.void(IN_ROOM, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
+def light_in_room(scene, starts, samples, rules, light, sums):
     """Add E/π of a ``SampleRange`` at each of g ``RoomStarts``, with all light that is reflected, to ``sums`` (g, 3).
 
-    Each bounce counts the albedo of what it hit, of the ``room`` or of the isosurface, and all the first of the
-    weights (bounces + 1, 3) of the ``rules``, of which the others are not read. ``light`` are the Surroundings: lamps
-    and what lies outside. Luminaires are drawn by area and by cosine, and both are balanced. Sums grow sample by
-    sample: the company of a start changes no bit. Source: Kajiya 1986; Veach and Guibas 1995.
+    The ``scene`` is InRoom. Each bounce counts the albedo of what it hit, of the room or of the isosurface, and all the
+    first of the weights (bounces + 1, 3) of the ``rules``, of which the others are not read. ``light`` are the
+    Surroundings: lamps and what lies outside. Luminaires are drawn by area and by cosine, and both are balanced. Sums
+    grow sample by sample: the company of a start changes no bit. Source: Kajiya 1986; Veach and Guibas 1995.
     """
-    add_paths(InRoom(field, cells, room), starts, samples, rules, light, sums)
+    add_paths(scene, starts, samples, rules, light, sums)
 
 
 @kernel(types.void(types.int64[:, ::1], types.uint64[::1]))

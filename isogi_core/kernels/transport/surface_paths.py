@@ -68,6 +68,9 @@ class Among(NamedTuple):
     room: Any
 
 
+AMONG = record(Among, FIELD, SURFACES, ROOM)
+
+
 class Company(NamedTuple):
     """A ``wave`` of paths among s surfaces in a room.
 
@@ -311,17 +314,17 @@ def begin_among(scene, state, vertices, starts, first):
     start_on_either_side(scene.field, scene.surfaces, state, vertices, starts)
 
 
-@kernel(types.void(FIELD, SURFACES, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
-def light_among_surfaces(field, surfaces, starts, samples, rules, light, sums):
+@kernel(types.void(AMONG, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
+def light_among_surfaces(scene, starts, samples, rules, light, sums):
     """Add E/π of a ``SampleRange`` at each of g ``RoomStarts``, with all light that is reflected, to ``sums`` (g, 3).
 
-    A ray that meets a surface passes straight through it with the chance ``clear``, or meets a diffuse one there: of a
-    thin shell that is lit on either side. Light of shadow rays is multiplied by the ``clear`` of all that they cross.
-    Each bounce counts the albedo of what it hit, or its transmission where it goes on from the other side, over the
-    chance of that side, and all the first of the weights (bounces + 1, 3) of the ``rules``, of which the others are not
-    read. Where the surface of the starts has a transmission t beside its albedo a, E is that of both its sides by their
-    shares in what leaves, (a E_own + t E_other) / (a + t). ``light`` are the Surroundings, and luminaires are balanced
-    as in ``light_in_room``. Sums grow sample by sample: the company of a start changes no bit. Source: Kajiya 1986;
-    clear shells as in Beason et al. 2006 (S3).
+    The ``scene`` is Among. A ray that meets a surface passes straight through it with the chance ``clear``, or meets a
+    diffuse one there: of a thin shell that is lit on either side. Light of shadow rays is multiplied by the ``clear``
+    of all that they cross. Each bounce counts the albedo of what it hit, or its transmission where it goes on from the
+    other side, over the chance of that side, and all the first of the weights (bounces + 1, 3) of the ``rules``, of
+    which the others are not read. Where the surface of the starts has a transmission t beside its albedo a, E is that
+    of both its sides by their shares in what leaves, (a E_own + t E_other) / (a + t). ``light`` are the Surroundings,
+    and luminaires are balanced as in ``light_in_room``. Sums grow sample by sample: the company of a start changes no
+    bit. Source: Kajiya 1986; clear shells as in Beason et al. 2006 (S3).
     """
-    add_paths(Among(field, surfaces, surfaces.room), starts, samples, rules, light, sums)
+    add_paths(scene, starts, samples, rules, light, sums)

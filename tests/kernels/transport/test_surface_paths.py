@@ -17,7 +17,7 @@ from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.room_paths import RoomStarts
 from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
-from isogi_core.kernels.transport.surface_paths import LEAVING, PASSING, light_among_surfaces
+from isogi_core.kernels.transport.surface_paths import LEAVING, PASSING, Among, light_among_surfaces
 from tests.kernels.fields import field_of
 from tests.kernels.rooms import X, Y, Z, box, room_of, sky, wall
 from tests.kernels.rooms import gather as gather_in_room
@@ -101,7 +101,7 @@ def gather(field, surfaces, starts, samples, bounces, light, walls=None, surviva
     levels, seeds = np.full(g, surfaces.isovalues[0]), np.arange(1, g + 1, dtype=np.uint64)
     paths = RoomStarts(points, normals, levels, seeds, np.array(walls or [NOWHERE] * g, float))
     rules, sums = PathRules(np.ones((bounces + 1, 3)), survival), np.zeros((g, 3))
-    light_among_surfaces(field, surfaces, paths, SampleRange(0, samples), rules, light, sums)
+    light_among_surfaces(Among(field, surfaces, surfaces.room), paths, SampleRange(0, samples), rules, light, sums)
     return sums / samples
 
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel
+from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.field import FIELD
 from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN
@@ -25,12 +25,12 @@ from isogi_core.kernels.transport.integrate import (
 from isogi_core.kernels.transport.integrator import about
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS, Surroundings
 from isogi_core.kernels.transport.lights import arriving, radiance, row
-from isogi_core.kernels.transport.matter.inside import PASSABLE
+from isogi_core.kernels.transport.matter.inside import MATTER
 from isogi_core.kernels.transport.matter.passage import make_passage, pass_matter
 from isogi_core.kernels.transport.open_paths import cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
-from isogi_core.kernels.transport.room_paths import STARTS, balance_area, cast_among_walls, lit_from
+from isogi_core.kernels.transport.room_paths import ROOM, STARTS, balance_area, cast_among_walls, lit_from
 from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
 from isogi_core.kernels.transport.wavefront import columns, compact, partition
 
@@ -46,6 +46,9 @@ class Through(NamedTuple):
     cells: Any
     room: Any
     matter: Any
+
+
+THROUGH = record(Through, FIELD, ACTIVE_CELLS, ROOM, MATTER)
 
 
 class Crossing(NamedTuple):
@@ -201,15 +204,15 @@ def advance_through(scene, state, vertices, following, bounce, rules):
     stand_on_walls(state.wave, state.passage, following, scene.room, rules.survival if bounce > 0 else 1.0)
 
 
-@kernel(types.void(FIELD, ACTIVE_CELLS, PASSABLE, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
-def light_through_matter(field, cells, met, starts, samples, rules, light, sums):
+@kernel(types.void(THROUGH, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
+def light_through_matter(scene, starts, samples, rules, light, sums):
     """Add what a ``SampleRange`` of paths brings to each of g ``RoomStarts`` to ``sums`` (g, 3).
 
-    Of a start on a wall that is E/π, with all light that is reflected by walls. Of one that goes INWARD it is the
-    radiance of the solid side over π and cosines there, B/π, of one ALONG a way the radiance that arrives from there.
-    Rays meet the isosurface as ``Matter`` does: refracted and mirrored by Fresnel's share, absorbed and scattered. So
-    what arrives through it of luminaires and of what lies outside, caustics, comes by chance alone, and lamps that no
-    ray can meet cast shadows. Bounces, weights and sums are as in ``light_in_room``. Source: Kajiya 1986; Beason et al.
-    2006 (S3).
+    The ``scene`` is Through. Of a start on a wall that is E/π, with all light that is reflected by walls. Of one that
+    goes INWARD it is the radiance of the solid side over π and cosines there, B/π, of one ALONG a way the radiance that
+    arrives from there. Rays meet the isosurface as ``Matter`` does: refracted and mirrored by Fresnel's share, absorbed
+    and scattered. So what arrives through it of luminaires and of what lies outside, caustics, comes by chance alone,
+    and lamps that no ray can meet cast shadows. Bounces, weights and sums are as in ``light_in_room``. Source: Kajiya
+    1986; Beason et al. 2006 (S3).
     """
-    add_paths(Through(field, cells, met.room, met.matter), starts, samples, rules, light, sums)
+    add_paths(scene, starts, samples, rules, light, sums)
