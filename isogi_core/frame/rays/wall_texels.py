@@ -20,6 +20,7 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.glow_light import add_glow
 from isogi_core.frame.rays.pixel_rays import NEAR, PATH_POINTS
 from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.matter.matter_paths import Through
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts
@@ -38,9 +39,6 @@ sixth of that. Where light is smooth it is a tenth of this.
 
 FIRST, MOST = 8, 1 << 12
 """Paths of each half of a texel at first, and at most."""
-
-WALL_STREAM = 1 << 19
-"""Sets the sequences of walls' texels apart from those of the lattice's, whose first word is smaller."""
 
 
 def light_starts(
@@ -272,7 +270,7 @@ class WallTexels:
         points += np.outer((row + 0.5) / rows, edges[1])
         points /= surface.field.spacing
         normals = np.tile(self.side * room.normals[self.wall], (len(points), 1))
-        words = np.column_stack([np.full(len(row), WALL_STREAM + 2 * self.wall + (self.side < 0)), row, column, half])
+        words = np.column_stack([np.full(len(row), streams.WALLS + 2 * self.wall + (self.side < 0)), row, column, half])
         return starts_on(points, normals, np.full(len(row), self.wall), surface, seeds_of(words))
 
     @cached_property

@@ -111,7 +111,7 @@ def write_ends(scene, state, vertices, bounce, ends):
 
 @kernel()
 def trace_ends(scene, starts, samples, tree, ends, carried):
-    """``trace_path`` of a ``SampleRange`` from each of g ``PathStarts``, by a ``PathTree``, to the same bits.
+    """Walk a ``SampleRange`` of paths from each of g ``PathStarts``, as a ``PathTree`` says, to their ends.
 
     Isovalues are within the range of the scene's cells. Writes the ``PathEnds`` of at least g · count paths, and what
     these have ``carried``.

@@ -15,8 +15,9 @@ from isogi_core.kernels.transport.integrator import about
 from isogi_core.kernels.transport.light_paths import FAR, to_world
 from isogi_core.kernels.transport.open_paths import cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
-from isogi_core.kernels.transport.rng import PAIRS, point_of_words
+from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.room_paths import IN_ROOM, STARTS, InRoom, gather_walls
+from isogi_core.kernels.transport.streams import PAIRS, SOURCES
 from isogi_core.kernels.transport.wavefront import columns, partition
 
 
@@ -65,7 +66,7 @@ def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
     origins, normals = columns(vertices.points, count), columns(vertices.normals, count)
     starts, ways, directions = columns(shadow.starts, count), columns(rays.ways, count), columns(rays.directions, count)
     directions[:, count:] = 1.0
-    dimension, aimed = np.uint64((1 + k) * PAIRS + bounce), 0
+    dimension, aimed = np.uint64(SOURCES + k * PAIRS + bounce), 0
     for i in range(count):
         low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
         u, v = point_of_words(low, high, sample, dimension)

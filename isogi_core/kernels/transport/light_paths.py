@@ -12,7 +12,8 @@ from isogi_core.kernels.tracing.vec import column, dot, put_column
 from isogi_core.kernels.transport.integrate import add_carried, gather_met, gather_sources
 from isogi_core.kernels.transport.lights import LAMPS, NO_LAMPS, NOTHING, arriving, draw_bright, illuminate
 from isogi_core.kernels.transport.open_paths import Open, cast_wave
-from isogi_core.kernels.transport.rng import PAIRS, point_of_words
+from isogi_core.kernels.transport.rng import point_of_words
+from isogi_core.kernels.transport.streams import PAIRS, SOURCES
 from isogi_core.kernels.transport.wavefront import columns, partition
 
 FAR = (math.inf, math.inf, math.inf)
@@ -74,7 +75,7 @@ def aim_shadow_rays(wave, vertices, bounce, light, source, spacing):
     starts, lights = columns(shadow.starts, count), columns(shadow.light, count)
     directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
-    dimension = np.uint64((1 + source) * PAIRS + bounce)  # after the directions
+    dimension = np.uint64(SOURCES + source * PAIRS + bounce)
     for i in range(count):
         low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
         u, v = point_of_words(low, high, sample, dimension)

@@ -35,7 +35,8 @@ from isogi_core.kernels.transport.light_paths import (
 from isogi_core.kernels.transport.lights import NOTHING, row
 from isogi_core.kernels.transport.open_paths import cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
-from isogi_core.kernels.transport.rng import PAIRS, mix, point_of_words
+from isogi_core.kernels.transport.rng import mix, point_of_words
+from isogi_core.kernels.transport.streams import PAIRS, SOURCES
 from isogi_core.kernels.transport.wavefront import columns, compact, intersect, next_vertex, whole
 
 SHORT = 1.0 - 1e-9
@@ -132,7 +133,7 @@ def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
     starts, lights = columns(shadow.starts, count), columns(shadow.light, count)
     directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
-    dimension = np.uint64((1 + source) * PAIRS + bounce)
+    dimension = np.uint64(SOURCES + source * PAIRS + bounce)
     for i in range(count):
         low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
         u, v = point_of_words(low, high, sample, dimension)

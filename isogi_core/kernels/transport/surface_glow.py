@@ -15,7 +15,8 @@ from isogi_core.kernels.transport.glow_paths import add_glow, aim_at_glow
 from isogi_core.kernels.transport.integrate import add_paths, gather_sources
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.room_paths import STARTS
-from isogi_core.kernels.transport.surface_paths import AMONG, CROSSINGS, Among, cast_at_all, cast_on, goes_on
+from isogi_core.kernels.transport.streams import CROSSINGS
+from isogi_core.kernels.transport.surface_paths import AMONG, Among, cast_at_all, cast_on, goes_on
 from isogi_core.kernels.transport.wavefront import columns
 
 

@@ -19,21 +19,13 @@ from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import SMALLEST, column, madd, put_column, scale
 from isogi_core.kernels.tracing.walls import NOWHERE, meet_walls
 from isogi_core.kernels.transport.integrate import add_paths, advance, begin, make_state, meet
-from isogi_core.kernels.transport.integrator import ROULETTE, launch
+from isogi_core.kernels.transport.integrator import launch
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS, add_sent
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
-from isogi_core.kernels.transport.rng import PAIRS, point_of_words
+from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.room_paths import ROOM, STARTS, begin_on_walls, stand_on_walls
+from isogi_core.kernels.transport.streams import CROSSINGS, LEAVING, PAIRS, PASSING
 from isogi_core.kernels.transport.wavefront import columns, compact, next_vertex, whole
-
-CROSSINGS = 64
-"""Surfaces that a ray passes at most: what comes next stops it."""
-
-PASSING = ROULETTE - CROSSINGS * PAIRS
-"""The first of the pairs of random numbers that decide which rays pass a surface: one for each crossing and vertex."""
-
-LEAVING = PASSING - PAIRS
-"""The first of those that decide on which side paths leave a surface, one for each vertex."""
 
 NONE = -1
 """The number of no surface: of what is a wall, or nothing."""

@@ -14,9 +14,10 @@ from isogi_core.kernels.tracing.field import gradients, to_index, to_world_norma
 from isogi_core.kernels.tracing.intersect import OUTSIDE
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, load_columns, madd, put_column, store_columns
-from isogi_core.kernels.transport.integrator import ROULETTE, about, launch, shading_normal
+from isogi_core.kernels.transport.integrator import about, launch, shading_normal
 from isogi_core.kernels.transport.rng import WORD, WORD_BITS, point_of_words
 from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
+from isogi_core.kernels.transport.streams import DIRECTIONS, ROULETTE
 
 WAVE = 4096
 """Paths of a wave: all that is known of them stays in the second-level cache."""
@@ -126,7 +127,7 @@ def sample_direction(wave, vertices, bounce, spacing):
         columns(wave.ways, count),
         columns(wave.directions, count),
     )
-    dimension = u32(bounce)
+    dimension = u32(DIRECTIONS + bounce)
     for i in range(0, count, PATH_WIDTH):
         low, high, sample = (
             load(wave.low, i, PATH_WIDTH),

@@ -32,6 +32,7 @@ from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.room_paths import ROOM, STARTS, balance_area, cast_among_walls, lit_from
 from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
+from isogi_core.kernels.transport.streams import DIRECTIONS
 from isogi_core.kernels.transport.wavefront import columns, compact, partition
 
 INWARD, ALONG = -2.0, -3.0
@@ -92,7 +93,7 @@ def first_way(rays, starts, k, i):
     if starts.walls[k] == ALONG:
         return n
     low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
-    u, v = point_of_words(low, high, sample, np.uint64(0))
+    u, v = point_of_words(low, high, sample, np.uint64(DIRECTIONS))
     return about(scale(n, -1.0), sample_cosine_hemisphere(u, v))
 
 
