@@ -7,26 +7,18 @@ from isogi_core.kernels._jit import entries_of, load
 from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, number_bricks, pack_bricks
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
-from isogi_core.kernels.transport.glow_paths import glow_in_room
-from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
-from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
-from isogi_core.kernels.transport.surface_glow import glow_among_surfaces
-from isogi_core.kernels.transport.surface_paths import light_among_surfaces
+from isogi_core.kernels.transport.entries import path_kernels
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
-from isogi_core.model.scene_plan import GLOW
-from isogi_core.plan.scene import AMONG, COLOURED, GLOW_AMONG, INSIDE, ROOM
+from isogi_core.plan.scene import COLOURED, PATH_KINDS
 
 PATHS = {
     **{"direct": (bake_texels,), "indirect": (bake_texels,), "whole": (bake_texels,)},
-    **{"irradiance": (bake_irradiance,), ROOM: (light_in_room, fill_seeds), COLOURED: (bake_coloured_texels,)},
-    GLOW: (glow_in_room, fill_seeds),
-    AMONG: (light_among_surfaces, fill_seeds),
-    GLOW_AMONG: (glow_among_surfaces, fill_seeds),
-    INSIDE: (light_through_matter, fill_seeds),
+    **{"irradiance": (bake_irradiance,), COLOURED: (bake_coloured_texels,)},
+    **{kind: path_kernels(*cell) for cell, kind in PATH_KINDS.items()},
 }
 """Entry kernels by the kind of layer that they bake; among walls or surfaces and on colours they are others."""
 
-KINDS = tuple(kind for kind in PATHS if kind not in (ROOM, COLOURED, AMONG, INSIDE, GLOW, GLOW_AMONG))
+KINDS = tuple(kind for kind in PATHS if kind not in (COLOURED, *PATH_KINDS.values()))
 """The kinds of layers of scenes with one surface, without walls, colours and glow."""
 
 OPENING = (fill_macrocells, fill_ranges, mark_bricks, pack_bricks, number_bricks)

@@ -16,6 +16,7 @@ from isogi_core.bake.precision import VOID, next_level, noise_codes, noise_of, r
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
+from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange, TransferRules
 from isogi_core.kernels.transport.room_paths import fill_seeds
 from isogi_core.kernels.transport.texel_points import PROJECTED, project_texels
@@ -203,11 +204,11 @@ def sample_irradiance(
     rules = PathRules(np.broadcast_to(start_weights(layers[0], spec), (bounces + 1, 3)).copy(), spec.plan.survival)
     for bricks, rows in by_isovalue(place[3], void, prepared):
         met = prepared.met(prepared.scene.albedo, bricks)
-        if met is None:
+        if isinstance(met, Open):
             bake_irradiance(prepared.field, bricks, place, rows, some, rules, around, sums)
             continue
         added = np.zeros((2 * len(rows), 3))
-        add_path_light(prepared.field, bricks, met, path_starts(place, rows), some, rules, around, added)
+        add_path_light(met, path_starts(place, rows), some, rules, around, added)
         sums[rows] += added.reshape(-1, 2, 3)
     for layer in layers:
         yield sums[:, :, : layer.channels, None], np.zeros(len(void))

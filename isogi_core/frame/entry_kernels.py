@@ -42,21 +42,19 @@ from isogi_core.kernels.shading.texel_table import add_part, find_fewest, judge_
 from isogi_core.kernels.shading.wall_light import light_walls
 from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, number_bricks, pack_bricks
 from isogi_core.kernels.tracing.camera import trace_pixels, trace_places
-from isogi_core.kernels.tracing.glow import gather_from_eye
+from isogi_core.kernels.tracing.glow import Glows, gather_from_eye
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.kernels.tracing.peels import peel_rays
 from isogi_core.kernels.tracing.sight import read_values, trace_pixels_in_sight, trace_places_in_sight
 from isogi_core.kernels.tracing.stiffness import count_stiffness
 from isogi_core.kernels.transport.colours import fill_albedos
-from isogi_core.kernels.transport.glow_paths import glow_in_room
+from isogi_core.kernels.transport.entries import path_kernels
 from isogi_core.kernels.transport.harmonics import rotate
+from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import project_lamps
-from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
 from isogi_core.kernels.transport.matter.sight import see_through
 from isogi_core.kernels.transport.microfacets import fill_energy
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
-from isogi_core.kernels.transport.surface_glow import glow_among_surfaces
-from isogi_core.kernels.transport.surface_paths import light_among_surfaces
 from isogi_core.kernels.transport.texel_points import measure_distances
 from isogi_core.plan.left_out import uncalled
 from isogi_core.plan.scene import Scene
@@ -77,7 +75,7 @@ LOBES = (
 )
 """Those that only lights with lobes call."""
 
-ROOM = (light_in_room, trace_pixels_in_sight, trace_places_in_sight, light_walls, fill_seeds)
+ROOM = (trace_pixels_in_sight, trace_places_in_sight, light_walls)
 """Those that only scenes with walls call, besides; not their ``trace_pixels`` and ``trace_places``. Where they have
 several surfaces, too, ``light_walls`` alone.
 """
@@ -85,17 +83,17 @@ several surfaces, too, ``light_walls`` alone.
 COLOURED = (fill_albedos,)
 """Those that only scenes with colours by data call; their paths are those of a room."""
 
-AMONG = (light_among_surfaces, peel_rays, fill_seeds)
+AMONG = (peel_rays,)
 """Those that only scenes with several surfaces call; not their ``trace_pixels`` and ``trace_places``."""
 
 SHINE = (cast_shine, fill_below, fill_energy, pool_noise, filter_shine)
 """Those that only scenes with a shine call; and, where lights have lobes, ``light_ends``."""
 
 GLOW = (gather_from_eye,)
-"""Those that only scenes call in which something glows; and, among walls, what ``glow_of`` says."""
+"""Those that only scenes call in which something glows."""
 
-MATTER = (see_through, pool_noise, light_through_matter)
-"""Those that only scenes call whose surface is glass; where light is scattered inside of it, the last alone."""
+MATTER = (see_through, pool_noise)
+"""Those that only scenes call whose surface is glass."""
 
 FRAME = (
     LOBES[0],
@@ -187,25 +185,26 @@ def frame_kernels(scenes: Iterable[Scene], surveyed: bool = True) -> tuple[Any, 
     lobes = (light_ends,) if any(scene.plan.lobes for scene in shining) else ()
     rooms += COLOURED if any(scene.colours for scene in shown) else ()
     rooms += GLOW if any(scene.glowing.any for scene in shown) else ()
-    rooms += tuple({glow_of(scene) for scene in shown if scene.glowing.any and scene.room.any})
-    rooms += MATTER[-1:] if any(scene.material.scatters and scene.room.any for scene in shown) else ()
-    rooms += (*MATTER, fill_seeds) if any(scene.material.refracts for scene in shown) else ()
+    rooms += MATTER if any(scene.material.refracts for scene in shown) else ()
     rooms += AMONG if any(scene.several for scene in shown) else ()
-    return (*rooms, *shines, *lobes, *(kernel for kernel in FRAME if kernel not in uncalled))
+    paths = dict.fromkeys(kernel for scene in shown if not only_checked(scene) for kernel in paths_of(scene))
+    return (*paths, *rooms, *shines, *lobes, *(kernel for kernel in FRAME if kernel not in uncalled))
 
 
 def other_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
-    """OTHERS, and those of whole paths over colours, and of what glows, where one of the ``scenes`` has these."""
-    shown = tuple(scenes)
-    coloured = (light_in_room, fill_seeds) if any(scene.colours for scene in shown) else ()
-    glowing = tuple({kernel for scene in shown if scene.glowing.any for kernel in (glow_of(scene), fill_seeds)})
-    inside = (light_through_matter, fill_seeds) if any(scene.material.scatters for scene in shown) else ()
-    return (*OTHERS, *coloured, *glowing, *inside)
+    """OTHERS, and those of whole paths of any of the ``scenes``: see ``paths_of``."""
+    return (*OTHERS, *dict.fromkeys(kernel for scene in scenes for kernel in paths_of(scene)))
 
 
-def glow_of(scene: Scene) -> Any:
-    """What gathers glow from points of a ``scene``."""
-    return glow_among_surfaces if scene.several else glow_in_room
+def paths_of(scene: Scene) -> tuple[Any, ...]:
+    """The kernels of whole paths among what a ``scene`` has: for its light, and for what glows."""
+    glow = path_kernels(scene.glow_meets, Glows) if scene.glowing.any else ()
+    return (*path_kernels(scene.meets, Surroundings), *glow)
+
+
+def only_checked(scene: Scene) -> bool:
+    """Whether frames of a ``scene`` send paths only where they are checked: no walls, no ways by chance."""
+    return not (scene.room.any or scene.several or scene.material.refracts)
 
 
 def uncalled_by(scene: Scene, surveyed: bool) -> set[Any]:

@@ -26,6 +26,7 @@ from isogi_core.kernels.shading.irradiance_ratio import (
 )
 from isogi_core.kernels.shading.lattice import LIT, UNBAKED, carry_light, light_texels
 from isogi_core.kernels.shading.local_models import find_shadows, shade_local
+from isogi_core.kernels.transport import streams
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.model.volume import Volume
@@ -92,7 +93,7 @@ def shade_by_paths(gbuffer: GBuffer, light: RotatedLight, target: float, tiles: 
     pixels, samples, framebuffer = gbuffer.pixels, light.view.samples, empty_framebuffer(gbuffer)
     replicas = replicas_for(samples)
     count, sums = max(samples // replicas, 1), np.zeros((len(pixels), replicas, 3))
-    Paths(light, gbuffer, tiles).add(sums, 0, 0, count)
+    Paths(light, gbuffer, tiles).add(sums, streams.PICTURE, 0, count)
     means = np.minimum(sums / count, np.finfo(np.float32).max)
     radiance, deviation = means.mean(axis=1), np.sqrt(pooled_variance(variance_of_mean(means), gbuffer))
     error = np.clip(deviation / np.maximum(radiance @ LUMINANCE, DARKEST * light.spec.unit), 0.0, 1.0)

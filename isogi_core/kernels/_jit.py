@@ -136,6 +136,8 @@ def let_kernels_call(entry: Entry, arguments: tuple[Any, ...], result: Any) -> N
 class Choice:
     """A helper with one body for each kind of record that it is called with, chosen when its caller is compiled."""
 
+    __name__: str
+
     def __init__(self, function: Callable[..., Any]) -> None:
         """Take name and meaning from a Python ``function``, whose body is never run."""
         update_wrapper(self, function)
@@ -161,9 +163,15 @@ class Choice:
         return self._cases.values()
 
     def chosen(self, given: Iterable[Any]) -> Any:
-        """Return the body of the case that names the most of the types ``given``, which are Numba's or Python's."""
+        """Return the body of the case that names the most of the types ``given``, which are Numba's or Python's.
+
+        TypeError where two cases name as many.
+        """
         kinds = {getattr(each, "instance_class", each) for each in given}
-        return self._cases[max((case for case in self._cases if case <= kinds), key=len)]
+        *others, best = sorted((case for case in self._cases if case <= kinds), key=len)
+        if others and len(others[-1]) == len(best):
+            raise TypeError(f"{self.__name__} has two cases for {kinds}: name more records in one of them.")
+        return self._cases[best]
 
 
 def let_kernels_choose(choice: Choice) -> None:

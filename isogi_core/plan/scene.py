@@ -12,7 +12,13 @@ from isogi_core.errors import SceneError, ViewError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.kernels.shading.lattice import CHUNK
 from isogi_core.kernels.tracing.field import OFFSET, Field
+from isogi_core.kernels.tracing.glow import Glows
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
+from isogi_core.kernels.transport.light_paths import Surroundings
+from isogi_core.kernels.transport.matter.matter_paths import Through
+from isogi_core.kernels.transport.open_paths import Open
+from isogi_core.kernels.transport.room_paths import InRoom
+from isogi_core.kernels.transport.surface_paths import Among
 from isogi_core.model.colours import SurfaceColours
 from isogi_core.model.environment import Environment, Lamps
 from isogi_core.model.glow import NO_GLOW, STRONGEST, Glowing
@@ -48,6 +54,12 @@ ROOM, COLOURED, AMONG, INSIDE, GLOW_AMONG = "room", "coloured", "among", "inside
 """Stand for the kinds of layers that are baked among walls, on a surface with colours where its light may turn, among
 several surfaces, or inside of one.
 """
+
+PATH_KINDS: dict[tuple[type, type], str] = {
+    **{(InRoom, Surroundings): ROOM, (Among, Surroundings): AMONG, (Through, Surroundings): INSIDE},
+    **{(InRoom, Glows): GLOW, (Among, Glows): GLOW_AMONG},
+}
+"""The kinds of layers by what their paths meet and gather: those of ``transport.entries``."""
 
 CHUNKS = (8, 16, 32)
 """Sides that a chunk may have, in texels. Small chunks spread over more workers; large ones are fewer objects."""
@@ -121,18 +133,33 @@ class Scene:
         return bool(self.pinned) or self.clear > 0.0 or any(self.transmission)
 
     @property
+    def meets(self) -> type:
+        """The record of what paths meet that gather light: it chooses their kernels, see ``transport.entries``.
+
+        One place decides: paths go Through matter, Among several surfaces, InRoom, or in the Open.
+        """
+        if self.material.passable:
+            return Through
+        if self.several:
+            return Among
+        return InRoom if self.many_albedos else Open
+
+    @property
+    def glow_meets(self) -> type:
+        """The record of what paths meet that gather glow: a room, too, where there are no walls."""
+        return Among if self.several else InRoom
+
+    @property
     def transmits(self) -> bool:
         """Whether light gets through any of the surfaces, diffuse."""
         return any(self.transmission) or any(any(each.transmission) for each in self.pinned)
 
     def kind_of(self, layer: Layer, plan: ScenePlan) -> str:
         """The kind of a ``layer`` of a ``plan``, or what stands for it, by whose kernels it is baked."""
-        if layer.kind == "irradiance" and self.material.scatters:
-            return INSIDE
         if layer.kind == "irradiance":
-            return AMONG if self.several else ROOM if self.many_albedos else layer.kind
+            return PATH_KINDS.get((self.meets, Surroundings), layer.kind)
         if layer.kind == GLOW:
-            return GLOW_AMONG if self.several else GLOW
+            return PATH_KINDS[self.glow_meets, Glows]
         reflected = any(each.reflected and each.kind != GLOW for each in plan.layers)
         return COLOURED if self.colours and reflected else layer.kind
 

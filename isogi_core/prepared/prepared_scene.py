@@ -18,8 +18,11 @@ from isogi_core.kernels.transport.colours import NO_COLOURS, Colours, colours_of
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import LampArrays
 from isogi_core.kernels.transport.matter.inside import Matter, Passable
-from isogi_core.kernels.transport.room_paths import Room
-from isogi_core.kernels.transport.surface_paths import Surfaces
+from isogi_core.kernels.transport.matter.matter_paths import Through
+from isogi_core.kernels.transport.open_paths import Open
+from isogi_core.kernels.transport.room_paths import InRoom, Room
+from isogi_core.kernels.transport.surface_paths import Among, Surfaces
+from isogi_core.model.lights import Colour
 from isogi_core.model.volume import Volume
 from isogi_core.plan.bands import project_environment
 from isogi_core.plan.scene import Scene
@@ -34,8 +37,8 @@ AROUND = 3
 Index = tuple[int, int, int]
 """Position of a chunk in the lattice, in chunks along z, y, x."""
 
-Met = Room | Surfaces | Passable
-"""What paths may meet, but for one surface of one albedo alone."""
+Met = Open | InRoom | Among | Through
+"""What paths may meet, as kernels take it: see ``transport.entries``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,20 +121,21 @@ class PreparedScene:
         scattering = 1.0 / material.mean_free_path, np.array(self.scene.albedo, np.float64)
         return Passable(self._room, Matter(material.index, np.array(material.absorption), *scattering))
 
-    def met(self, albedo: tuple[float, float, float], cells: ActiveCells, run: Run = serially) -> Met | None:
-        """What paths meet that start on isosurfaces of this ``albedo`` with a map; None where that is one surface of
-        one albedo.
-        """
-        if self.scene.material.passable:
-            return self.passable
-        if self.scene.several:
-            return self.company(cells, run)
-        return self.room(albedo) if self.scene.many_albedos else None
+    def met(self, albedo: Colour, cells: ActiveCells, run: Run = serially) -> Met:
+        """What paths meet that start on isosurfaces of this ``albedo``, within their active ``cells``."""
+        if self.scene.meets is Through:
+            return Through(self.field, cells, *self.passable)
+        if self.scene.meets is Among:
+            return Among(self.field, self.company(cells, run), self._room)
+        return InRoom(self.field, cells, self.room(albedo)) if self.scene.meets is InRoom else Open(self.field, cells)
 
-    def dark_room(self, albedo: tuple[float, float, float]) -> Room:
-        """The ``room`` with walls that give off no light, for paths that gather other light alone."""
+    def met_by_glow(self, albedo: Colour, cells: ActiveCells, run: Run = serially) -> InRoom | Among:
+        """What paths ``met`` that gather glow alone: walls give off no light."""
         room = self.room(albedo)
-        return room._replace(radiances=np.zeros_like(room.radiances))
+        dark = room._replace(radiances=np.zeros_like(room.radiances))
+        if self.scene.glow_meets is Among:
+            return Among(self.field, self.company(cells, run)._replace(room=dark), dark)
+        return InRoom(self.field, cells, dark)
 
     @cached_property
     def glows(self) -> Glows:

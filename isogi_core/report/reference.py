@@ -16,6 +16,7 @@ from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import Paths, variance_of_mean
 from isogi_core.frame.renderer import Renderer
+from isogi_core.kernels.transport import streams
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.value_survey import digest_of
 from isogi_core.model.view import View
@@ -24,9 +25,6 @@ from isogi_core.plan.scene import Scene
 
 REPLICAS = 8
 """Independent randomisations of a reference."""
-
-STREAM = 1 << 16
-"""Number of the first of them: frames of the same view draw other random numbers."""
 
 CUT = 0.001
 """Share of the light that the bounces which a reference leaves out may bring, at most."""
@@ -103,7 +101,7 @@ def trace_reference(
     paths, sums = Paths(RotatedLight(renderer.caches.spec("gi"), view), gbuffer, renderer.tiles), former.sums.copy()
     paths.prepare()
     begun = time.process_time()
-    paths.add(sums, STREAM, taken, wanted - taken, progress)
+    paths.add(sums, streams.REFERENCE, taken, wanted - taken, progress)
     return from_sums(gbuffer, sums, wanted, former.seconds + time.process_time() - begun, subject)
 
 

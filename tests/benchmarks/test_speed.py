@@ -17,8 +17,8 @@ from benchmarks.speed.frames import frames
 from benchmarks.speed.isovalue import isovalue
 from benchmarks.speed.paths import paths
 from benchmarks.speed.rays import rays
+from isogi_core.kernels.transport import streams
 from isogi_core.model.demo import demo_volume
-from isogi_core.report.reference import STREAM
 from tests.benchmarks.parts import figures, run
 
 OPTIONAL = ("embreex", "skimage", "vtk", "mitsuba")
@@ -117,7 +117,7 @@ class Coins:
     """Surfels whose sequences all have one random number, twice as many times as points."""
 
     def light(self, stream: int, sequences: int, points: int) -> np.ndarray:
-        assert points == 1 and stream >= 2 * STREAM
+        assert points == 1 and stream >= 2 * streams.REFERENCE
         return np.random.default_rng(stream).normal(size=(4000, sequences))
 
 

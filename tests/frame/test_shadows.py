@@ -13,10 +13,11 @@ from isogi_core.frame.rays import lobe_light
 from isogi_core.frame.rays.lobe_light import find_lobes, find_starts
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import BLUE, GREEN, RED
-from isogi_core.kernels.shading.lobes import AXES, EVEN, OWN, RAYS, RIM, SHARP, STREAM, rim_way
+from isogi_core.kernels.shading.lobes import AXES, EVEN, OWN, RAYS, RIM, SHARP, rim_way
 from isogi_core.kernels.shading.shadow_points import APART
 from isogi_core.kernels.tracing.field import OFFSET, to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE, cast
+from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.integrator import launch
 from isogi_core.kernels.transport.lights import DIRECTIONAL, LampArrays, draw_from_disc
 from isogi_core.kernels.transport.rng import mix, point_2d
@@ -98,7 +99,7 @@ def rims_seen(field: Any, lamps: LampArrays, k: int, m: int, p: np.ndarray) -> l
     """What a point sees along rays to a lobe's rim; to its middle, where it is sharp."""
     rim = [lamps.places[k]]
     if np.linalg.norm(lamps.edges[k, 0]) > SHARP:
-        first = 0.5 * math.pi * point_2d(np.uint64(mix(m, STREAM)), 0, k)[0]
+        first = 0.5 * math.pi * point_2d(np.uint64(mix(m, streams.LOBES)), 0, k)[0]
         rim = [np.array(rim_way(lamps, k, first + 2.0 * math.pi * i / RIM)) for i in range(RIM)]
     return [w[2] > 0.0 and free(field, p, w) for w in rim]
 
@@ -129,7 +130,9 @@ def share_of(field: Any, lamps: LampArrays, k: int, m: int, p: np.ndarray, rays:
     """What a point gets of a lobe's light by so many rays of its own, and the variance of that."""
     brought = []
     for i in range(rays):
-        w, cosine = draw_from_disc(tuple(lamps.places[k]), lamps.edges[k], *point_2d(np.uint64(mix(m, STREAM)), i, k))
+        w, cosine = draw_from_disc(
+            tuple(lamps.places[k]), lamps.edges[k], *point_2d(np.uint64(mix(m, streams.LOBES)), i, k)
+        )
         brought.append(max(w[2], 0.0) / cosine * free(field, p.astype(float), w))
     return float(np.mean(brought)), float(EVEN[rays] * np.var(brought) / (rays - 1))
 

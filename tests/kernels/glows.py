@@ -5,7 +5,7 @@ import numpy as np
 from isogi_core.kernels.tracing.glow import NO_BITS, Glows
 from isogi_core.kernels.transport.glow_paths import glow_in_room
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.room_paths import RoomStarts
+from isogi_core.kernels.transport.room_paths import InRoom, RoomStarts
 from tests.kernels.fields import cells_of
 
 
@@ -39,7 +39,7 @@ def gather_glow(field, room, starts, glows, samples, bounces=0, survival=1.0):
     around = np.ascontiguousarray(np.array(normals, float).T)
     given = RoomStarts(here, around, np.zeros(g), np.arange(1, g + 1, dtype=np.uint64), np.array(walls, float))
     rules, sums = PathRules(np.ones((bounces + 1, 3)), survival), np.zeros((g, 3 * k))
-    glow_in_room(field, cells_of(field, 0.0), room, given, SampleRange(0, samples), rules, glows, sums)
+    glow_in_room(InRoom(field, cells_of(field, 0.0), room), given, SampleRange(0, samples), rules, glows, sums)
     return sums.reshape(g, k, 3) / samples
 
 

@@ -6,7 +6,7 @@ from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.kernels.transport.colours import NO_COLOURS
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.room_paths import Room, RoomStarts, light_in_room
+from isogi_core.kernels.transport.room_paths import InRoom, Room, RoomStarts, light_in_room
 from tests.kernels.fields import cells_of
 
 X, Y, Z = np.eye(3)
@@ -53,5 +53,5 @@ def gather(field, room, starts, samples, bounces=0, light=None, survival=1.0):
     starts = RoomStarts(here, around, levels, np.arange(1, g + 1, dtype=np.uint64), np.array(walls, float))
     rules, sums = PathRules(np.ones((bounces + 1, 3)), survival), np.zeros((g, 3))
     cells = cells_of(field, 0.0)
-    light_in_room(field, cells, room, starts, SampleRange(0, samples), rules, light or sky(0.0), sums)
+    light_in_room(InRoom(field, cells, room), starts, SampleRange(0, samples), rules, light or sky(0.0), sums)
     return sums / samples

@@ -226,6 +226,28 @@ def test_a_choice_takes_the_body_for_its_record():
     assert area(Square(2.0), 1.0) == 4.0
 
 
+@_jit.Choice
+def rim(shape, other):
+    """The rim of two shapes."""
+
+
+@rim.case(Square)
+def rim_of_squares(shape, other):
+    """The rim of what has a square in it."""
+
+
+@rim.case(Box)
+def rim_of_boxes(shape, other):
+    """The rim of what has a box in it."""
+
+
+def test_a_choice_refuses_two_cases_that_fit_alike():
+    """No order of imports decides which of them runs: the one who adds a case hears of it."""
+    with pytest.raises(TypeError, match="rim has two cases"):
+        rim(Square(1.0), Box(1.0, 2.0))
+    assert rim(Square(1.0), Square(1.0)) is None
+
+
 def test_helpers_find_every_body_of_a_choice():
     """Entry kernels that any of the bodies calls must be loaded before: they count as parts."""
     found = {}

@@ -15,13 +15,11 @@ from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.transport import streams
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.budget import BOUNCES, bounces_for
 from isogi_core.plan.scene import Scene
-
-STREAM = 1 << 17
-"""Number of the first half's randomisation: frames and references draw other random numbers."""
 
 CUT = 0.001
 """Share of the light that bounces beyond those of control paths may bring, where the plan chose the bounces."""
@@ -124,7 +122,7 @@ def draw_places(gbuffer: GBuffer, uncertainty: np.ndarray, key: tuple[int, int],
     """
     order = np.argsort(interleaved(gbuffer.pixels % gbuffer.shape[1], gbuffer.pixels // gbuffer.shape[1]))
     reached = np.cumsum(chances(uncertainty)[order])
-    strata = (np.arange(count) + np.random.default_rng((STREAM, *key)).random(count)) / count
+    strata = (np.arange(count) + np.random.default_rng((streams.CONTROLS, *key)).random(count)) / count
     return np.asarray(order[np.minimum(np.searchsorted(reached, strata * reached[-1]), len(order) - 1)])
 
 
@@ -163,7 +161,7 @@ def trace_controls(
     distinct, each = np.unique(places, return_inverse=True)
     sums = np.zeros((len(distinct), 2, 3))
     paths_from = Paths(light, gbuffer.part(distinct, tiles), tiles, bounces_of_truth(light))
-    paths_from.add(sums, STREAM + 2 * stream, 0, paths)
+    paths_from.add(sums, streams.CONTROLS + 2 * stream, 0, paths)
     return np.asarray((sums @ LUMINANCE / paths)[each])
 
 

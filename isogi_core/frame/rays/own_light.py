@@ -16,10 +16,8 @@ from isogi_core.frame.rays.pixel_rays import Paths, pooled_variance, variance_of
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
 from isogi_core.kernels.shading.lattice import DARKEST
+from isogi_core.kernels.transport import streams
 from isogi_core.model.sky import LUMINANCE
-
-STREAM = 1 << 18
-"""Number of the first randomisation: controls and references draw other random numbers."""
 
 REPLICAS, FIRST_PATHS = 4, 16
 """Independent randomisations of each pixel, and paths of each after the first step."""
@@ -93,7 +91,7 @@ class PixelLight:
         for rows, first in ((np.flatnonzero(known), self.count), (np.flatnonzero(~known), 0)):
             if len(rows) and first < count:
                 some = sums[rows]
-                paths.of(rows).add(some, STREAM, first, count - first, progress)
+                paths.of(rows).add(some, streams.PIXEL_LIGHT, first, count - first, progress)
                 sums[rows] = some
         return PixelLight.of(places, sums, count, paths)
 

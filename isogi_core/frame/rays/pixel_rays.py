@@ -16,6 +16,7 @@ from isogi_core.frame.rays.shine import add_shine
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.local_models import trace_points
+from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.budget import survival_for
@@ -91,7 +92,7 @@ class Paths:
 
         def _piece(a: int, b: int) -> None:
             some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
-            if met is None:
+            if isinstance(met, Open):
                 trace_points(traced, some, around, rules, stream, samples, own[a:b])
             else:
                 own[a:b] += trace_among(traced, met, some, around, rules, replicas, samples)

@@ -28,7 +28,7 @@ def trace_among(
     scatters what comes from inside there.
     """
     starts, sums = path_starts(traced, points, replicas), np.zeros((len(replicas) * len(points.pixels), 3))
-    add_path_light(traced.field, traced.cells, met, starts, samples, rules, light, sums)
+    add_path_light(met, starts, samples, rules, light, sums)
     return sums.reshape(-1, len(replicas), 3)
 
 

@@ -12,6 +12,7 @@ from itertools import count
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
+from isogi_core.bake.path_light import add_paths
 from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.gbuffer import NO_WALLS, GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight, triple
@@ -28,12 +29,13 @@ from isogi_core.kernels.shading.shine import (
     fill_below,
 )
 from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.colours import NO_COLOURS, fill_albedos
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, LampArrays
 from isogi_core.kernels.transport.microfacets import NODES, ShineLobe, fill_energy
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.ray_lights import Discs, Panels, ShineLights
-from isogi_core.kernels.transport.room_paths import Room, RoomStarts, light_in_room
+from isogi_core.kernels.transport.room_paths import InRoom, Room, RoomStarts
 from isogi_core.model.shine import DULL
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
@@ -50,9 +52,6 @@ find lights better.
 
 WAYS = 8
 """Ways of which each ray is chosen, where there are lights to be drawn towards: each ray is then worth several."""
-
-STREAM = 1 << 20
-"""Sets the sequences of shine's rays apart from those of all other paths from a pixel, and those of its ends."""
 
 RAYS, PATHS, RAYS_OF_PATHS = 1 << 14, 256, 1 << 17
 """Rays that are cast together, paths from their ends, and rays whose ends are kept together where all send paths."""
@@ -184,7 +183,7 @@ def cast_rays(
     def _piece(a: int, b: int) -> None:
         some, own = PixelPoints(points[a:b], normals[a:b], pixels[a:b]), slice(a * each, b * each)
         point, replica, sample = (part.ravel() for part in np.indices((b - a, len(replicas), len(samples))))
-        seeds = seeds_of(np.column_stack([pixels[a:b][point], STREAM + replicas.start + replica]))
+        seeds = seeds_of(np.column_stack([pixels[a:b][point], streams.SHINE + replicas.start + replica]))
         draws = ShineDraws(point, seeds, samples.start + sample)
         cast_shine(traced, room, some, gbuffer.eye, lobe, lights, draws, some_of(ends, own))
 
@@ -192,7 +191,7 @@ def cast_rays(
     seen = np.flatnonzero(ends.met > NEVER)
     point, rest = np.divmod(seen, each)
     replica, sample = np.divmod(rest, len(samples))
-    words = [pixels[point], STREAM + replicas.start + replica, samples.start + sample]
+    words = [pixels[point], streams.SHINE + replicas.start + replica, samples.start + sample]
     kept, seeds = some_of(ends, seen), seeds_of(np.column_stack(words))
     hits = seen_by(kept.points, kept.normals, kept.met, gbuffer)
     lit = (kept.weights, kept.points, kept.normals, kept.met)
@@ -255,7 +254,7 @@ def in_the_open(
     points = PixelPoints(starts.points, starts.normals, (starts.seeds & np.uint64(0xFFFFFFFF)).astype(np.uint32))
     weights = path_weights(light.albedo, *rules)
     sums = np.zeros((len(starts.seeds), 1, 3))
-    given = PathRules(weights, rules[1]), STREAM, SampleRange(0, 1)
+    given = PathRules(weights, rules[1]), streams.SHINE, SampleRange(0, 1)
     trace_points(surface.traced(tiles.run), points, light.surroundings, *given, sums)
     return sums[:, 0]
 
@@ -267,9 +266,8 @@ def among_walls(
     given = in_columns(starts)
     sums, traced = np.zeros((len(given.walls), 3)), surface.traced(tiles.run)
     weights = PathRules(path_weights(np.ones(3), rules[0], 1.0), rules[1])
-    light_in_room(
-        traced.field, traced.cells, room_of(light), given, SampleRange(0, 1), weights, light.surroundings, sums
-    )
+    met = InRoom(traced.field, traced.cells, room_of(light))
+    add_paths(met, given, SampleRange(0, 1), weights, light.surroundings, sums)
     return sums
 
 

@@ -23,12 +23,10 @@ from isogi_core.frame.shading import empty_framebuffer
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_keys import check_key
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer
+from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.matter.sight import NONE, Chances, Leaves, see_through
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.sky import LUMINANCE
-
-STREAM = 1 << 21
-"""Sets the sequences of a point's trees apart from those of all else."""
 
 FIRST, BREADTH = 8, 64
 """Places that a point sees, at most, by its first tree, and by each of those drawn while the view rests: trees with 64
@@ -75,7 +73,7 @@ class Trees:
         """How they choose, of points in ``pixels`` (m,)."""
         shape = len(pixels), len(self.replicas), len(self.samples)
         point, replica, sample = (part.ravel() for part in np.indices(shape))
-        words = np.column_stack([pixels[point], STREAM + self.replicas.start + replica])
+        words = np.column_stack([pixels[point], streams.GLASS + self.replicas.start + replica])
         return Chances(seeds_of(words), self.samples.start + sample, DEEP)
 
 

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
+from isogi_core.bake.path_light import add_paths
 from isogi_core.bake.precision import round_light
 from isogi_core.bake.refine import seeds_of
 from isogi_core.cache.wall_store import Planes, Side, planes_of, wall_layer
@@ -19,11 +20,10 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.glow_light import add_glow
 from isogi_core.frame.rays.pixel_rays import NEAR, PATH_POINTS
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.transport.matter.inside import Passable
-from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
+from isogi_core.kernels.transport import streams
+from isogi_core.kernels.transport.matter.matter_paths import Through
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.room_paths import RoomStarts, light_in_room
-from isogi_core.kernels.transport.surface_paths import Surfaces, light_among_surfaces
+from isogi_core.kernels.transport.room_paths import RoomStarts
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.prepared.surface import Surface
 
@@ -40,15 +40,11 @@ sixth of that. Where light is smooth it is a tenth of this.
 FIRST, MOST = 8, 1 << 12
 """Paths of each half of a texel at first, and at most."""
 
-WALL_STREAM = 1 << 19
-"""Sets the sequences of walls' texels apart from those of the lattice's, whose first word is smaller."""
-
 
 def light_starts(
     light: RotatedLight, surface: Surface, starts: RoomStarts, rules: PathRules, samples: SampleRange, tiles: Tiles
 ) -> np.ndarray:
-    """Sums (g, 3) of a ``SampleRange`` of E/π, glow's too, at ``starts`` about a ``surface``; see ``light_in_room``,
-    ``light_among_surfaces`` where there are several, and ``light_through_matter`` where that lets light pass.
+    """Sums (g, 3) of a ``SampleRange`` of E/π, glow's too, at ``starts`` about a ``surface``; see ``add_paths``.
 
     Raises Cancelled.
     """
@@ -57,15 +53,9 @@ def light_starts(
 
     def _piece(a: int, b: int) -> None:
         some = RoomStarts(*(np.ascontiguousarray(each[..., a:b]) for each in starts))
-        given = some, samples, rules, light.surroundings, sums[a:b]
-        if isinstance(met, Passable):
-            light_through_matter(traced.field, traced.cells, met, *given)
-            return
-        if isinstance(met, Surfaces):
-            light_among_surfaces(traced.field, met, *given)
-        else:
-            light_in_room(traced.field, traced.cells, met, *given)
-        add_glow(sums[a:b], light, traced, some, rules, samples)
+        add_paths(met, some, samples, rules, light.surroundings, sums[a:b])
+        if not isinstance(met, Through):
+            add_glow(sums[a:b], light, traced, some, rules, samples)
 
     tiles.run(_piece, len(sums), PATH_POINTS)
     return sums
@@ -280,7 +270,7 @@ class WallTexels:
         points += np.outer((row + 0.5) / rows, edges[1])
         points /= surface.field.spacing
         normals = np.tile(self.side * room.normals[self.wall], (len(points), 1))
-        words = np.column_stack([np.full(len(row), WALL_STREAM + 2 * self.wall + (self.side < 0)), row, column, half])
+        words = np.column_stack([np.full(len(row), streams.WALLS + 2 * self.wall + (self.side < 0)), row, column, half])
         return starts_on(points, normals, np.full(len(row), self.wall), surface, seeds_of(words))
 
     @cached_property

@@ -46,6 +46,7 @@ from isogi_core.kernels.tracing.cast import SURFACE
 from isogi_core.kernels.tracing.vec import dot, length, madd, put_column, scale
 from isogi_core.kernels.transport.lights import LAMPS, draw_from_disc, row
 from isogi_core.kernels.transport.rng import mix, point_2d
+from isogi_core.kernels.transport.streams import LOBES as LOBES_STREAM
 
 RIM = 4
 """Rays to the rim of a lobe: at ends of diameters that cross, turned anew for each pixel."""
@@ -62,9 +63,6 @@ OWN = 4.0
 
 SHARP = math.sin(math.radians(0.25))
 """Lobes whose half angle has at most this sine are seen along one ray."""
-
-STREAM = 1 << 24
-"""Where the random numbers of lobes begin: paths from the same pixels have others."""
 
 EVEN = {4: 0.5, 8: 0.35, 16: 0.25}
 """Variance of the mean of stratified rays over that of as many random ones, where they see more or less of a lobe.
@@ -238,7 +236,7 @@ def see_rims(surface, picture, lamps, pairs, sees):
     owners, asking, ways = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((3, most))
     for j in range(pairs.shape[0]):
         k, m = divmod(pairs[j], points.pixels.shape[0])
-        first = 0.5 * math.pi * point_2d(mix(np.int64(points.pixels[m]), STREAM), 0, k)[0]
+        first = 0.5 * math.pi * point_2d(mix(np.int64(points.pixels[m]), LOBES_STREAM), 0, k)[0]
         for i in range(RIM):
             w = rim_way(lamps, k, first + 2.0 * math.pi * i / RIM)
             if dot(point_of(points.normals, m), w) > 0.0:
@@ -285,7 +283,7 @@ def see_discs(surface, picture, lamps, pairs, rays, even, shares):
     owners, ways, brought = np.empty(count, np.int64), np.empty((3, count)), np.empty(count)
     for i in range(count):
         k, m = divmod(pairs[i // rays], points.pixels.shape[0])
-        u, v = point_2d(mix(np.int64(points.pixels[m]), STREAM), i % rays, k)
+        u, v = point_2d(mix(np.int64(points.pixels[m]), LOBES_STREAM), i % rays, k)
         w, cosine = draw_from_disc(row(lamps.places, k), lamps.edges[k], u, v)
         owners[i], brought[i] = m, max(dot(point_of(points.normals, m), w), 0.0) / cosine
         put_column(ways, i, w)

@@ -23,8 +23,9 @@ from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, dot, length, madd, normalize, put_column, scale, sub
 from isogi_core.kernels.transport.integrate import add_paths
 from isogi_core.kernels.transport.integrator import launch
-from isogi_core.kernels.transport.light_paths import SURROUNDINGS, Open, to_world
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS, to_world
 from isogi_core.kernels.transport.lights import fog, row
+from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, PathStarts, SampleRange
 from isogi_core.kernels.transport.rng import mix
 from isogi_core.kernels.transport.wavefront import WAVE

@@ -60,9 +60,7 @@ from isogi_core.kernels.transport.ray_lights import (
 from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.room_paths import ROOM, lit_from
 from isogi_core.kernels.transport.sampling import BELOW_ONE
-
-WAY, CHOICE, LAMP = 0, 1, 2
-"""Pairs of random numbers of a ray: those of a way, and which way has the ray; each lamp has one more."""
+from isogi_core.kernels.transport.streams import SHINE_CHOICE, SHINE_LAMP, SHINE_WAY
 
 NEVER, ISOSURFACE = -2, -1
 """What a ray ``met``, besides the numbers of walls: nothing, or the isosurface."""
@@ -116,7 +114,7 @@ def to_viewer(p, n, eye, spacing):
 @kernel(inline=True)
 def draw_way(lobe, lights, p, n, v, seed, sample):
     """A world direction from the world point ``p``, by the lobe or towards a light."""
-    a, b = point_2d(seed, sample, WAY)
+    a, b = point_2d(seed, sample, SHINE_WAY)
     aside = share_aside(lobe, lights)
     if a < 1.0 - aside:
         return about(n, sample_reflected(lobe.alpha, v, a / (1.0 - aside), b))
@@ -159,7 +157,7 @@ def choose_way(lobe, lights, p, n, v, seed, sample):
     Of the ways x drawn with densities p(x) one is chosen as often as t(x)/p(x), t being what is expected; it counts
     f cosθ/t times the mean of all t/p.
     """
-    chance = point_2d(seed, sample, CHOICE)[0] if lights.ways > 1 else 0.0
+    chance = point_2d(seed, sample, SHINE_CHOICE)[0] if lights.ways > 1 else 0.0
     total, expected = 0.0, 1.0
     chosen, colour, bright = n, NOTHING, NOTHING
     for j in range(lights.ways):
@@ -318,7 +316,7 @@ def light_ends(surface, points, lamps, seeds, lit):
     for k in range(lamps.kinds.shape[0]):
         for i in range(count):
             p, n = point_of(points.points, i), point_of(points.normals, i)
-            a, b = point_2d(seeds[i], 0, LAMP + k)
+            a, b = point_2d(seeds[i], 0, SHINE_LAMP + k)
             w, _, light = illuminate(lamps, k, p, n, a, b)
             facing = max(light[0], light[1], light[2]) > 0.0
             put_column(origins, i, launch(field, surface.isovalue, p, n, OUTSIDE) if facing else FAR)

@@ -6,42 +6,16 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.simd.types import PATH_WIDTH
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.field import FIELD
 from isogi_core.kernels.tracing.vec import column, madd, put_column
 from isogi_core.kernels.transport.colours import COLOURS, albedo_at
-from isogi_core.kernels.transport.paths import SAMPLE_RANGE, SampleRange
-from isogi_core.kernels.transport.transfer import (
-    ORDERS,
-    PLACE,
-    ROWS,
-    SUMS,
-    exchange,
-    make_ends,
-    project,
-    start_halves,
-)
-from isogi_core.kernels.transport.wavefront import (
-    WAVE,
-    Vertices,
-    blocks,
-    branch_ends,
-    columns,
-    first_of_wave,
-    generate,
-    go_on,
-    intersect,
-    launch_all,
-    make_vertices,
-    make_wave,
-    open_ends,
-    partition,
-    russian_roulette,
-    sample_direction,
-    whole,
-    write_ends,
-)
+from isogi_core.kernels.transport.ends import begin_branches, blocks, branch_ends
+from isogi_core.kernels.transport.integrate import advance, limits
+from isogi_core.kernels.transport.open_paths import advance_in_the_open
+from isogi_core.kernels.transport.paths import SAMPLE_RANGE, PathEnds
+from isogi_core.kernels.transport.transfer import ORDERS, PLACE, ROWS, SUMS, bake_rows, count_ends, make_carried
+from isogi_core.kernels.transport.wavefront import columns
 
 
 class ColouredRules(NamedTuple):
@@ -67,58 +41,44 @@ ROWS_OF_RULES = (ORDERS, NUMBERS, NUMBERS, types.float64[:, ::1], types.boolean[
 COLOURED_RULES = record(ColouredRules, *ROWS_OF_RULES, types.int64, types.float64, types.int64)
 
 
-@kernel()
-def carry(wave, vertices, hits, chance, colours, carried):
-    """Multiply what paths carry, ``carried`` (3, paths), by the albedo of what they hit over the ``chance`` of that."""
-    origins, directions = columns(vertices.points, vertices.count), columns(wave.directions, vertices.count)
-    for i in wave.hits[:hits]:
-        albedo = albedo_at(colours, madd(column(origins, i), wave.t[i], column(directions, i)))
+class Coloured(NamedTuple):
+    """One isosurface of a ``field``, within its active ``cells``, whose albedo the ``colours`` say at each place."""
+
+    field: Any
+    cells: Any
+    colours: Any
+
+
+@limits.case(ColouredRules)
+def limits_of_colours(rules):
+    """Say how far paths go by ColouredRules."""
+    return rules.bounces, rules.branches
+
+
+@make_carried.case(Coloured)
+def make_albedos(scene, paths):
+    """Room for the albedos that each path has met, multiplied."""
+    return np.ones((3, paths))
+
+
+@advance.case(Coloured)
+def advance_on_colours(scene, state, vertices, following, bounce, rules):
+    """Move the paths that hit the surface there, to carry its albedo over the ``chance`` that they go on."""
+    rays, carried, chance = state.wave.rays, state.wave.carried, rules.survival if bounce > 0 else 1.0
+    origins, directions = columns(vertices.points, vertices.count), columns(rays.directions, vertices.count)
+    for i in rays.hits[: following.count]:
+        albedo = albedo_at(scene.colours, madd(column(origins, i), rays.t[i], column(directions, i)))
         for c in range(3):
-            carried[c, wave.owners[i]] *= albedo[c] / chance
+            carried[c, rays.owners[i]] *= albedo[c] / chance
+    advance_in_the_open(scene, state, vertices, following, bounce, rules)
 
 
-@kernel()
-def carry_along(wave, count, stride, carried):
-    """Let the wave's ``count`` branches carry what the paths do that they are of."""
-    for owner in wave.owners[:count]:
-        put_column(carried, owner, column(carried, owner % stride))
-
-
-@kernel()
-def walk_coloured_wave(field, cells, colours, walk, rules, ends, carried):
-    """``walk_wave``, with what its paths carry; ``walk`` is the wave, its vertices, and room for others."""
-    wave, vertices, spare = walk
-    stride = ends.bounces.shape[0] // blocks(rules.branches)
-    for bounce in range(rules.bounces + 1):
-        count = vertices.count
-        sample_direction(wave, vertices, bounce, field.spacing)
-        intersect(field, cells, wave, vertices.points, count)
-        hits = partition(wave, count)
-        write_ends(wave, count, count - hits, bounce, ends)
-        hits = russian_roulette(wave, hits, bounce, rules.survival)
-        if hits == 0 or bounce == rules.bounces:
-            return
-        carry(wave, vertices, hits, rules.survival if bounce > 0 else 1.0, colours, carried)
-        branches = rules.branches if bounce == 0 else 1
-        vertices, spare = go_on(field, wave, vertices, spare, hits, branches, stride)
-        if branches > 1:
-            branch_ends(wave, vertices.count, stride, ends)
-            carry_along(wave, vertices.count, stride, carried)
-
-
-@kernel()
-def walk_coloured_paths(field, cells, colours, starts, samples, rules, ends, carried):
-    """``walk_paths``, to the same ends; writes to ``carried`` (3, paths) the albedos that each path met, multiplied."""
-    total = starts.isovalues.shape[0] * samples.count
-    open_ends(ends, total)
-    carried[:, :total] = 1.0
-    origins, first = launch_all(field, starts), first_of_wave(rules.branches)
-    n = whole(min(first, total)) * rules.branches
-    wave, room, spare = make_wave(n), make_vertices(n), make_vertices(n)
-    for begin in range(0, total, first):
-        vertices = Vertices(room.points, room.normals, min(first, total - begin))
-        generate(wave, vertices, starts, origins, samples.first, begin)
-        walk_coloured_wave(field, cells, colours, (wave, vertices, spare), rules, ends, carried)
+@begin_branches.case(Coloured, PathEnds)
+def carry_along(scene, wave, count, ends):
+    """Say of the wave's branches that they have not left, and carry what the paths do that they are of."""
+    branch_ends(wave, count, ends)
+    for owner in wave.rays.owners[:count]:
+        put_column(wave.carried, owner, column(wave.carried, owner % wave.starting))
 
 
 @kernel()
@@ -131,32 +91,14 @@ def count_path(rules, row, bounces, carried, m):
     return rules.reflected[row] * (share * share if rules.squared[row] else share)
 
 
-@kernel()
-def project_coloured(ends, carried, rules, starts, samples, sums):
-    """``project_ends``, with what each path counts by the albedos that it met."""
+@count_ends.case(ColouredRules)
+def count_by_albedos(ends, carried, rules, c, counts):
+    """Count each path by the albedos that it met, and a branch as one of so many."""
     paths = ends.bounces.shape[0]
-    counts, stride = np.zeros(paths + PATH_WIDTH), paths // blocks(rules.branches)
-    for c in range(sums.shape[0]):
-        for m in range(paths):
-            counts[m] = count_path(rules, c, ends.bounces[m], carried, m)
-        counts[stride:paths] /= rules.branches
-        project(ends, counts, rules.orders[c], starts, samples, (0, blocks(rules.branches)), sums[c])
-
-
-@kernel()
-def bake_coloured_together(field, cells, colours, place, rows, samples, rules, out):
-    """``bake_coloured_texels`` for a few texels whose paths go together."""
-    g, last, starts = 2 * rows.shape[0], samples.first + samples.count, start_halves(place, rows)
-    step, most = min(max(WAVE // g, 1), samples.count), rules.orders.max()
-    ends = make_ends(g, step, rules.branches)
-    carried = np.ones((3, ends.bounces.shape[0]))
-    sums = np.zeros((rules.orders.shape[0], whole(g) // PATH_WIDTH, most * most * PATH_WIDTH))
-    exchange(sums, rows, out, False)
-    for begin in range(samples.first, last, step):
-        some = SampleRange(begin, min(step, last - begin))
-        walk_coloured_paths(field, cells, colours, starts, some, rules, ends, carried)
-        project_coloured(ends, carried, rules, g, (some.count, step), sums)
-    exchange(sums, rows, out, True)
+    for m in range(paths):
+        counts[m] = count_path(rules, c, ends.bounces[m], carried, m)
+    counts[paths // blocks(rules.branches) : paths] /= rules.branches
+    return 0, blocks(rules.branches)
 
 
 @kernel(types.void(FIELD, ACTIVE_CELLS, COLOURS, PLACE, ROWS, SAMPLE_RANGE, COLOURED_RULES, SUMS))
@@ -165,6 +107,4 @@ def bake_coloured_texels(field, cells, colours, place, rows, samples, rules, sum
 
     Adds to ``sums`` (m, 2, r, n²): τ_i = Σ (Π R(x_j)) Y_i(ω) / N over the points x_j that a path hits.
     """
-    together = max(WAVE // (2 * samples.count), PATH_WIDTH)
-    for i in range(0, rows.shape[0], together):
-        bake_coloured_together(field, cells, colours, place, rows[i : i + together], samples, rules, sums)
+    bake_rows(Coloured(field, cells, colours), place, rows, samples, rules, rules.orders, sums)

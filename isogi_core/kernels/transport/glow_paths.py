@@ -6,17 +6,18 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
-from isogi_core.kernels.tracing.field import FIELD, to_index
+from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.glow import GLOWS, Glows, gather_on_way, way_through_ball
 from isogi_core.kernels.tracing.vec import SMALLEST, column, dot, normalize, put_column, sub
 from isogi_core.kernels.tracing.walls import ROWS
 from isogi_core.kernels.transport.integrate import add_paths, gather_met, gather_sources
 from isogi_core.kernels.transport.integrator import about
-from isogi_core.kernels.transport.light_paths import FAR, cast_wave, to_world
+from isogi_core.kernels.transport.light_paths import FAR, to_world
+from isogi_core.kernels.transport.open_paths import cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
-from isogi_core.kernels.transport.rng import PAIRS, point_of_words
-from isogi_core.kernels.transport.room_paths import ROOM, STARTS, InRoom, gather_walls
+from isogi_core.kernels.transport.rng import point_of_words
+from isogi_core.kernels.transport.room_paths import IN_ROOM, STARTS, InRoom, gather_walls
+from isogi_core.kernels.transport.streams import PAIRS, SOURCES
 from isogi_core.kernels.transport.wavefront import columns, partition
 
 
@@ -61,11 +62,11 @@ def balance(glows, k, p, w, cosine):
 @kernel()
 def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
     """Turn the wave's rays towards region ``k``; returns how many there are, those in its ball and from behind none."""
-    shadow, rays, count = wave.shadow, wave.shadow.wave, vertices.count
+    shadow, rays, count = wave.shadow, wave.rays, vertices.count
     origins, normals = columns(vertices.points, count), columns(vertices.normals, count)
     starts, ways, directions = columns(shadow.starts, count), columns(rays.ways, count), columns(rays.directions, count)
     directions[:, count:] = 1.0
-    dimension, aimed = np.uint64((1 + k) * PAIRS + bounce), 0
+    dimension, aimed = np.uint64(SOURCES + k * PAIRS + bounce), 0
     for i in range(count):
         low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
         u, v = point_of_words(low, high, sample, dimension)
@@ -84,7 +85,7 @@ def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
 @kernel()
 def add_glow(wave, vertices, i, k, scene, glows, share):
     """Add the ``share`` of what the ray from vertex ``i`` gathers of region ``k`` before its end to its path."""
-    rays, count = wave.shadow.wave, vertices.count
+    rays, count = wave.rays, vertices.count
     m, w = rays.owners[i], column(columns(rays.ways, count), i)
     p = to_world(column(columns(vertices.points, count), i), scene.field.spacing)
     light = gather_on_way(scene.field, glows, k, p, w, rays.t[i])
@@ -109,21 +110,22 @@ def gather_aimed_glow(scene, state, vertices, bounce, glows):
 
 
 @gather_met.case(Glows)
-def gather_met_glow(scene, state, vertices, glows):
+def gather_met_glow(scene, state, vertices, bounce, glows):
     """Add what paths gather of all that glows on the ways that were cast; returns how many go on."""
-    rays, count = state.wave.shadow.wave, vertices.count
+    rays, count = state.wave.rays, vertices.count
     for k in range(glows.rates.shape[0]):
         for i in range(count):
             add_glow(state.wave, vertices, i, k, scene, glows, 1.0)
     return gather_walls(state.wave, vertices, partition(rays, count), scene.room)
 
 
-@kernel(types.void(FIELD, ACTIVE_CELLS, ROOM, STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, ROWS))
-def glow_in_room(field, cells, room, starts, samples, rules, glows, sums):
+@kernel(types.void(IN_ROOM, STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, ROWS))
+def glow_in_room(scene, starts, samples, rules, glows, sums):
     """Add E/π of each of k ``glows``, of radiance 1, at each of g ``RoomStarts`` to ``sums`` (g, 3 k).
 
-    All light that is reflected is in it; bounces count as in ``light_in_room``, the ``room`` gives off no light, and
-    may have no walls. Rays are drawn by cosine and towards the ball about each region, and both are balanced. Sums grow
-    sample by sample: the company of a start changes no bit. Source: Kajiya 1986, with emission along the way.
+    All light that is reflected is in it; bounces count as in ``light_in_room``, the room of the ``scene``, which is
+    InRoom, gives off no light, and may have no walls. Rays are drawn by cosine and towards the ball about each region,
+    and both are balanced. Sums grow sample by sample: the company of a start changes no bit. Source: Kajiya 1986, with
+    emission along the way.
     """
-    add_paths(InRoom(field, cells, room), starts, samples, rules, glows, sums)
+    add_paths(scene, starts, samples, rules, glows, sums)

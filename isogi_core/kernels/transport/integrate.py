@@ -1,7 +1,8 @@
-"""The loop of all paths that gather: what their rays meet, and what they gather, are chosen by record.
+"""The loop of all paths: what their rays meet, and what they gather, are chosen by record.
 
-``scene`` is what rays meet, with its ``field``: Open, InRoom, Among, or Through. ``source`` is what paths gather:
-Surroundings or Glows. Each of these says in its module how the steps of the loop are taken: see ``Choice``.
+``scene`` is what rays meet, with its ``field``: Open, Coloured, InRoom, Among, or Through. ``source`` is what paths
+gather: the light of Surroundings or of Glows, their PathEnds, or Strays. ``rules`` say how they go on: PathRules, or a
+PathTree. Each of these says in its module how the steps of the loop are taken: see ``Choice``.
 """
 
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ import numpy as np
 
 from isogi_core.kernels._jit import Choice, kernel
 from isogi_core.kernels.tracing.walls import NOWHERE
-from isogi_core.kernels.transport.paths import SampleRange
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.wavefront import (
     WAVE,
     Vertices,
@@ -24,20 +25,21 @@ from isogi_core.kernels.transport.wavefront import (
 
 
 class ShadowRays(NamedTuple):
-    """A ``wave`` and its shadow rays: room (3 n,) for where they start and what they carry, and how far they go."""
+    """Shadow rays of a wave: room (3 n,) for where they start and what they carry, and how far they reach, (n,)."""
 
-    wave: Any
     starts: Any
     light: Any
     reach: Any
 
 
 class PathWave(NamedTuple):
-    """A wave of paths and its ``shadow`` rays; (n,) the walls that vertices stand on, ``own``, and that rays ``met``.
+    """The ``rays`` of a wave of paths that gather light, and its ``shadow`` rays.
 
-    ``carried`` (3, paths) is what light at a path's vertex counts in what it has ``gathered`` (channels, paths).
+    (n,) are the walls that vertices stand on, ``own``, and that rays ``met``. ``carried`` (3, paths) is what light at a
+    path's vertex counts in what it has ``gathered`` (channels, paths).
     """
 
+    rays: Any
     shadow: Any
     own: Any
     met: Any
@@ -46,8 +48,13 @@ class PathWave(NamedTuple):
 
 
 @Choice
+def limits(rules):
+    """How many bounces paths have at most, and in how many branches they go on from what they hit first."""
+
+
+@Choice
 def make_state(scene, starts, wave):
-    """The state of a PathWave in a scene: a record with that ``wave``, and room for what rays need besides."""
+    """The state of a wave in a scene: a record with that ``wave``, and room for what rays need besides."""
 
 
 @Choice
@@ -71,8 +78,8 @@ def meet(scene, state, vertices, bounce):
 
 
 @Choice
-def gather_met(scene, state, vertices, source):
-    """Add what rays brought that were cast; list those that hit something to go on from: returns how many."""
+def gather_met(scene, state, vertices, bounce, source):
+    """Gather what rays brought that were cast; list those that hit something to go on from: returns how many."""
 
 
 @Choice
@@ -80,10 +87,32 @@ def advance(scene, state, vertices, following, bounce, rules):
     """Move the paths that go on to the vertices ``following``; what they carry is multiplied by what those reflect."""
 
 
+@Choice
+def split(scene, state, vertices, spare, bounce, rules, source):
+    """Let paths that go on from ``vertices`` branch: returns their vertices then, and those that are ``spare``."""
+
+
+@limits.case(PathRules)
+def limits_of_weights(rules):
+    """As many bounces as there are weights, and no branches."""
+    return rules.weights.shape[0] - 1, 1
+
+
+@split.case()
+def stay_single(scene, state, vertices, spare, bounce, rules, source):
+    """Let no path branch."""
+    return vertices, spare
+
+
+@gather_sources.case()
+def gather_nothing(scene, state, vertices, bounce, source):
+    """Cast no rays towards sources: there are none."""
+
+
 @kernel()
 def make_shadow_rays(n):
-    """Room for a wave of ``n`` paths and their shadow rays."""
-    return ShadowRays(make_wave(n), np.zeros(3 * n), np.empty(3 * n), np.empty(n))
+    """Room for the shadow rays of a wave of ``n`` paths."""
+    return ShadowRays(np.zeros(3 * n), np.empty(3 * n), np.empty(n))
 
 
 @kernel()
@@ -93,13 +122,13 @@ def make_paths(n, rules, total, gathered):
     carried = np.empty((3, total))
     for c in range(3):
         carried[c] = rules.weights[0, c]
-    return PathWave(make_shadow_rays(n), np.full(n, NOWHERE), np.full(n, NOWHERE), carried, gathered)
+    return PathWave(make_wave(n), make_shadow_rays(n), np.full(n, NOWHERE), np.full(n, NOWHERE), carried, gathered)
 
 
 @kernel()
 def add_carried(wave, i, light):
     """Add ``light`` that arrives at the vertex of path ``i`` of a wave to what it has gathered."""
-    m = wave.shadow.wave.owners[i]
+    m = wave.rays.owners[i]
     for c in range(3):
         wave.gathered[c, m] += wave.carried[c, m] * light[c]
 
@@ -107,35 +136,47 @@ def add_carried(wave, i, light):
 @kernel()
 def walk(scene, state, vertices, spare, rules, source):
     """Walk the paths of a wave to their ends, and gather on the way; ``spare`` is room for other vertices."""
-    rays, last = state.wave.shadow.wave, rules.weights.shape[0] - 1
+    rays, (last, _) = state.wave.rays, limits(rules)
     for bounce in range(last + 1):
         gather_sources(scene, state, vertices, bounce, source)
         sample_direction(rays, vertices, bounce, scene.field.spacing)
         meet(scene, state, vertices, bounce)
-        hits = gather_met(scene, state, vertices, source)
+        hits = gather_met(scene, state, vertices, bounce, source)
         hits = russian_roulette(rays, hits, bounce, rules.survival)
         if hits == 0 or bounce == last:
             return
         following = Vertices(spare.points, spare.normals, hits)
         advance(scene, state, vertices, following, bounce, rules)
-        vertices, spare = following, vertices
+        vertices, spare = split(scene, state, following, vertices, bounce, rules, source)
+
+
+@kernel()
+def places_for(total, branches):
+    """The places of a wave, at most WAVE or so, for ``total`` paths that go on in so many ``branches``."""
+    return whole(min(WAVE // branches, total)) * branches
+
+
+@kernel()
+def trace_paths(scene, starts, samples, rules, source, wave):
+    """Walk a ``SampleRange`` of paths from each of g ``starts``, in waves that fill the places of ``wave``.
+
+    Path s · g + i is the sample ``first + s`` of start i.
+    """
+    total, n, most = starts.isovalues.shape[0] * samples.count, wave.rays.owners.shape[0], WAVE // limits(rules)[1]
+    origins, room, spare = launch_starts(scene, starts), make_vertices(n), make_vertices(n)
+    state = make_state(scene, starts, wave)
+    for first in range(0, total, most):
+        vertices = Vertices(room.points, room.normals, min(most, total - first))
+        generate(wave.rays, vertices, starts, origins, samples.first, first)
+        begin(scene, state, vertices, starts, first)
+        walk(scene, state, vertices, spare, rules, source)
 
 
 @kernel()
 def gather_paths(scene, starts, samples, rules, source, gathered):
-    """Write what each path of a ``SampleRange`` gathers to ``gathered`` (channels, at least g · count).
-
-    Path s · g + i is the sample ``first + s`` of start i.
-    """
+    """Write what each path of ``trace_paths`` gathers to ``gathered`` (channels, at least g · count)."""
     total = starts.isovalues.shape[0] * samples.count
-    origins, n = launch_starts(scene, starts), whole(min(WAVE, total))
-    wave, room, spare = make_paths(n, rules, total, gathered), make_vertices(n), make_vertices(n)
-    state = make_state(scene, starts, wave)
-    for first in range(0, total, WAVE):
-        vertices = Vertices(room.points, room.normals, min(WAVE, total - first))
-        generate(wave.shadow.wave, vertices, starts, origins, samples.first, first)
-        begin(scene, state, vertices, starts, first)
-        walk(scene, state, vertices, spare, rules, source)
+    trace_paths(scene, starts, samples, rules, source, make_paths(places_for(total, 1), rules, total, gathered))
 
 
 @kernel()

@@ -1,4 +1,4 @@
-"""The path integrator: a diffuse path that wanders over one isosurface until it leaves the volume."""
+"""How rays leave an isosurface: from where, about which normal, and in which direction."""
 
 import math
 
@@ -8,9 +8,8 @@ from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.simd.maths import where
 from isogi_core.kernels.tracing.cast import ORIGINS, SIDES, VECTOR
 from isogi_core.kernels.tracing.field import FIELD, normal, to_index, value
-from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, cast
+from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID
 from isogi_core.kernels.tracing.vec import column, length, madd, orthonormal_basis, put_column, scale
-from isogi_core.kernels.transport.rng import PAIRS, point_2d
 from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
 
 
@@ -50,38 +49,6 @@ def shading_normal(field, p, side, d):
     if n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0:
         return scale(d, -1.0 / length(d))
     return n if side == OUTSIDE else scale(n, -1.0)
-
-
-ROULETTE = 0x7FFF * PAIRS
-"""The first of the pairs of random numbers that decide which paths go on."""
-
-
-@kernel()
-def trace_path(field, iso, start, seed, index, tree, way):
-    """One diffuse path from a ``start`` (point, normal, side): (bounces before it left, world direction in which).
-
-    Cosine-weighted directions, so that every path carries the same weight R^k; bounce b draws the
-    pair b of sample ``index`` of the sequence ``seed``. From the first hit of the ``PathTree`` it goes on in this
-    ``way``, one of its branches, and draws from sample ``branches`` · ``index`` + ``way``. Returns -1 bounces when
-    after all of its bounces the path is still inside, or has ended by chance: from the second on it goes on from a
-    hit with the chance ``survival``. Source: S1, section 4.1; DESIGN section 3.
-    """
-    p, n, side = start
-    for bounce in range(tree.bounces + 1):
-        u, v = point_2d(seed, index, bounce)
-        w = about(n, sample_cosine_hemisphere(u, v))
-        d = to_index(w, field.spacing)
-        o = launch(field, iso, p, n, side)
-        t, side = cast(field, iso, o, d, side)
-        if not t < math.inf:
-            return bounce, w
-        if bounce == 0:
-            index = index * tree.branches + way
-        elif not point_2d(seed, index, ROULETTE + bounce)[0] < tree.survival:
-            return -1, (0.0, 0.0, 0.0)
-        p = madd(o, t, d)
-        n = shading_normal(field, p, side, w)
-    return -1, (0.0, 0.0, 0.0)
 
 
 @kernel(types.void(FIELD, VECTOR, ORIGINS, ORIGINS, VECTOR, SIDES, ORIGINS))

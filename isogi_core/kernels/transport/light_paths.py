@@ -9,48 +9,17 @@ from numba import types
 from isogi_core.kernels._jit import Choice, kernel, record
 from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.vec import column, dot, put_column
-from isogi_core.kernels.transport.integrate import (
-    add_carried,
-    advance,
-    begin,
-    gather_met,
-    gather_sources,
-    launch_starts,
-    make_state,
-    meet,
-)
+from isogi_core.kernels.transport.integrate import add_carried, gather_met, gather_sources
 from isogi_core.kernels.transport.lights import LAMPS, NO_LAMPS, NOTHING, arriving, draw_bright, illuminate
-from isogi_core.kernels.transport.rng import PAIRS, point_of_words
-from isogi_core.kernels.transport.wavefront import (
-    columns,
-    compact,
-    intersect,
-    launch_all,
-    next_vertex,
-    partition,
-)
+from isogi_core.kernels.transport.open_paths import Open, cast_wave
+from isogi_core.kernels.transport.rng import point_of_words
+from isogi_core.kernels.transport.streams import PAIRS, SOURCES
+from isogi_core.kernels.transport.wavefront import columns, partition
 
 FAR = (math.inf, math.inf, math.inf)
 """Where rays start that are not to meet anything."""
 
 NO_TABLE = (np.zeros(0), np.zeros((0, 0)))
-
-
-class Open(NamedTuple):
-    """One isosurface of a ``field``, within its active ``cells``, and nothing else that rays meet.
-
-    What paths carry after k bounces is row k of their weights (bounces + 1, 3): R^k over the chance to get there (see
-    ``russian_roulette``).
-    """
-
-    field: Any
-    cells: Any
-
-
-class Alone(NamedTuple):
-    """The state of a ``wave`` that needs nothing else."""
-
-    wave: Any
 
 
 class Surroundings(NamedTuple):
@@ -99,16 +68,16 @@ def sample_source(light, source, p, n, u, v):
 
 
 @kernel()
-def aim_shadow_rays(shadow, vertices, bounce, light, source, spacing):
+def aim_shadow_rays(wave, vertices, bounce, light, source, spacing):
     """Turn the wave's rays towards a ``source``; those that it cannot light are to meet nothing."""
-    wave, count = shadow.wave, vertices.count
+    shadow, rays, count = wave.shadow, wave.rays, vertices.count
     origins, normals = columns(vertices.points, count), columns(vertices.normals, count)
     starts, lights = columns(shadow.starts, count), columns(shadow.light, count)
-    directions = columns(wave.directions, count)
+    directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
-    dimension = np.uint64((1 + source) * PAIRS + bounce)  # after the directions
+    dimension = np.uint64(SOURCES + source * PAIRS + bounce)
     for i in range(count):
-        low, high, sample = np.uint64(wave.low[i]), np.uint64(wave.high[i]), np.uint64(wave.samples[i])
+        low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
         u, v = point_of_words(low, high, sample, dimension)
         o = column(origins, i)
         w, shadow.reach[i], shine = sample_source(light, source, to_world(o, spacing), column(normals, i), u, v)
@@ -118,19 +87,8 @@ def aim_shadow_rays(shadow, vertices, bounce, light, source, spacing):
 
 
 @Choice
-def cast_wave(scene, state, points, count):
-    """Cast ``count`` rays of a wave from ``points`` to what they meet first."""
-
-
-@Choice
 def add_sent(scene, state, vertices, bounce):
     """Add the light of those shadow rays of a wave that reach their source."""
-
-
-@cast_wave.case(Open)
-def cast_at_surface(scene, state, points, count):
-    """Cast a wave's rays from ``points`` at the isosurface."""
-    intersect(scene.field, scene.cells, state.wave.shadow.wave, points, count)
 
 
 @add_sent.case()
@@ -140,7 +98,7 @@ def add_unblocked(scene, state, vertices, bounce):
     starts, lights = columns(shadow.starts, count), columns(shadow.light, count)
     cast_wave(scene, state, shadow.starts, count)
     for i in range(count):
-        if starts[0, i] < math.inf and not shadow.wave.t[i] < shadow.reach[i]:
+        if starts[0, i] < math.inf and not state.wave.rays.t[i] < shadow.reach[i]:
             add_carried(state.wave, i, column(lights, i))
 
 
@@ -149,14 +107,14 @@ def gather_from_outside(scene, state, vertices, bounce, light):
     """Add what lamps, and the bright parts of a sharp environment, send to the vertices of a wave."""
     first = 0 if light.table[0].shape[0] > 0 else 1
     for source in range(first, 1 + light.lamps.kinds.shape[0]):
-        aim_shadow_rays(state.wave.shadow, vertices, bounce, light, source, scene.field.spacing)
+        aim_shadow_rays(state.wave, vertices, bounce, light, source, scene.field.spacing)
         add_sent(scene, state, vertices, bounce)
 
 
 @kernel()
 def gather_ends(wave, vertices, light):
     """Add the environment that paths leave to; returns how many hit something."""
-    rays, count = wave.shadow.wave, vertices.count
+    rays, count = wave.rays, vertices.count
     normals, ways = columns(vertices.normals, count), columns(rays.ways, count)
     hits = partition(rays, count)
     for i in rays.escaped[: count - hits]:
@@ -167,40 +125,6 @@ def gather_ends(wave, vertices, light):
 
 
 @gather_met.case(Open, Surroundings)
-def gather_environment(scene, state, vertices, light):
+def gather_environment(scene, state, vertices, bounce, light):
     """Add the environment that paths leave to; returns how many go on."""
     return gather_ends(state.wave, vertices, light)
-
-
-@make_state.case()
-def make_alone(scene, starts, wave):
-    """The state of a wave that needs nothing else."""
-    return Alone(wave)
-
-
-@launch_starts.case(Open)
-def launch_in_the_open(scene, starts):
-    """Where first rays start, (3, g): off the surface."""
-    return launch_all(scene.field, starts)
-
-
-@begin.case(Open)
-def begin_in_the_open(scene, state, vertices, starts, first):
-    """Leave the vertices as they are: all stand on the surface."""
-
-
-@meet.case()
-def meet_nearest(scene, state, vertices, bounce):
-    """Cast the rays of a wave to what they meet first."""
-    cast_wave(scene, state, vertices.points, vertices.count)
-
-
-@advance.case(Open)
-def advance_in_the_open(scene, state, vertices, following, bounce, rules):
-    """Move the paths that hit the surface there, to carry the weight of one more bounce."""
-    rays, carried = state.wave.shadow.wave, state.wave.carried
-    for i in rays.hits[: following.count]:
-        for c in range(3):
-            carried[c, rays.owners[i]] = rules.weights[bounce + 1, c]
-    compact(rays, vertices, following)
-    next_vertex(scene.field, rays, vertices.count, following)

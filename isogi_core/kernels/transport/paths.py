@@ -62,14 +62,14 @@ class PathEnds(NamedTuple):
     """How paths end: ``bounces`` int64 (n,) before they left, or -1, and world ``directions`` (3, n), or zeros.
 
     In front are the paths as they start; where they branch, those of the first branches follow, those of the second,
-    and so on, as many each. ``NOWHERE`` stands for a path that branched, and for branches of one that did not.
+    and so on, as many each. ``NO_PATH`` stands for a path that branched, and for branches of one that did not.
     """
 
     bounces: Any
     directions: Any
 
 
-NOWHERE = -2
+NO_PATH = -2
 """The bounces of what is no path."""
 
 

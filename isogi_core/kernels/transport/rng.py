@@ -130,10 +130,6 @@ def point_of_words(low, high, index, dimension):
     return fraction(u), fraction(v)
 
 
-PAIRS = 1 << 16
-"""Pairs of random numbers for one purpose of a path, one for each vertex: its directions first, then others."""
-
-
 @kernel()
 def point_2d(seed, index, dimension):
     """Point (u, v) in [0, 1)² number 0 <= index < 2³² of a pair of dimensions; doubles with 32 bits.

@@ -28,14 +28,15 @@ from isogi_core.kernels.transport.light_paths import (
     SURROUNDINGS,
     Surroundings,
     add_sent,
-    cast_wave,
     gather_ends,
     gather_from_outside,
     to_world,
 )
 from isogi_core.kernels.transport.lights import NOTHING, row
+from isogi_core.kernels.transport.open_paths import cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
-from isogi_core.kernels.transport.rng import PAIRS, mix, point_of_words
+from isogi_core.kernels.transport.rng import mix, point_of_words
+from isogi_core.kernels.transport.streams import PAIRS, SOURCES
 from isogi_core.kernels.transport.wavefront import columns, compact, intersect, next_vertex, whole
 
 SHORT = 1.0 - 1e-9
@@ -89,6 +90,9 @@ class InRoom(NamedTuple):
     room: Any
 
 
+IN_ROOM = record(InRoom, FIELD, ACTIVE_CELLS, ROOM)
+
+
 @kernel()
 def balance_area(room, k, cosine, slope, distance):
     """Share p_c/(p_c + p_a) of a ray to wall ``k`` between the two ways in which it is drawn.
@@ -124,12 +128,12 @@ def sample_luminaire(room, k, p, n, u, v):
 @kernel()
 def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
     """Turn the wave's rays towards the luminaire ``k``, which draws the random numbers of a ``source``."""
-    shadow, rays, count = wave.shadow, wave.shadow.wave, vertices.count
+    shadow, rays, count = wave.shadow, wave.rays, vertices.count
     origins, normals = columns(vertices.points, count), columns(vertices.normals, count)
     starts, lights = columns(shadow.starts, count), columns(shadow.light, count)
     directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
-    dimension = np.uint64((1 + source) * PAIRS + bounce)
+    dimension = np.uint64(SOURCES + source * PAIRS + bounce)
     for i in range(count):
         low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
         u, v = point_of_words(low, high, sample, dimension)
@@ -141,10 +145,10 @@ def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
         put_column(starts, i, o if lit else FAR)
 
 
-@cast_wave.case()
+@cast_wave.case(InRoom)
 def cast_among_walls(scene, state, points, count):
     """Cast a wave's rays from ``points`` to what they meet first, the isosurface or a wall."""
-    wave, rays, n = state.wave, state.wave.shadow.wave, whole(count)
+    wave, rays, n = state.wave, state.wave.rays, whole(count)
     intersect(scene.field, scene.cells, rays, points, count)
     origins, directions = columns(points, count), columns(rays.directions, count)
     meet_walls(scene.room.walls, origins, directions, wave.own[:n], rays.t[:n], wave.met[:n])
@@ -162,7 +166,7 @@ def gather_from_all(scene, state, vertices, bounce, light):
 
 
 @gather_met.case(Surroundings)
-def gather_all_met(scene, state, vertices, light):
+def gather_all_met(scene, state, vertices, bounce, light):
     """Add the environment that paths leave to, and luminaires that they meet: returns how many go on."""
     return gather_walls(state.wave, vertices, gather_ends(state.wave, vertices, light), scene.room)
 
@@ -170,7 +174,7 @@ def gather_all_met(scene, state, vertices, light):
 @kernel()
 def gather_walls(wave, vertices, hits, room):
     """Add the light of luminaires that paths meet; ``hits`` stay that meet a lit side: returns how many."""
-    rays, staying = wave.shadow.wave, 0
+    rays, staying = wave.rays, 0
     normals, ways = columns(vertices.normals, vertices.count), columns(rays.ways, vertices.count)
     for h in range(hits):
         i = rays.hits[h]
@@ -196,7 +200,7 @@ def surface_albedo(room, p):
 @kernel()
 def carry(wave, vertices, hits, chance, room):
     """Multiply what paths carry by the albedo of what they hit, over the ``chance`` that they go on."""
-    rays, count = wave.shadow.wave, vertices.count
+    rays, count = wave.rays, vertices.count
     origins, directions = columns(vertices.points, count), columns(rays.directions, count)
     for i in rays.hits[:hits]:
         k, m = int(wave.met[i]), rays.owners[i]
@@ -209,7 +213,7 @@ def carry(wave, vertices, hits, chance, room):
 @kernel()
 def stand_on_walls(wave, vertices, following, room):
     """Put the vertices ``following`` that are on walls there, with the normals of the sides that were met."""
-    rays, count, hits = wave.shadow.wave, vertices.count, following.count
+    rays, count, hits = wave.rays, vertices.count, following.count
     origins, directions = columns(vertices.points, count), columns(rays.directions, count)
     points, normals, ways = columns(following.points, hits), columns(following.normals, hits), columns(rays.ways, count)
     for h in range(hits):
@@ -227,7 +231,7 @@ def stand_on_walls(wave, vertices, following, room):
 @advance.case(InRoom)
 def advance_in_room(scene, state, vertices, following, bounce, rules):
     """Move the paths that go on to where they hit the isosurface or a wall."""
-    rays, count, chance = state.wave.shadow.wave, vertices.count, rules.survival if bounce > 0 else 1.0
+    rays, count, chance = state.wave.rays, vertices.count, rules.survival if bounce > 0 else 1.0
     carry(state.wave, vertices, following.count, chance, scene.room)
     compact(rays, vertices, following)
     for h in range(following.count):
@@ -254,7 +258,7 @@ def begin_on_walls(wave, starts, first, count):
     for m in range(count):
         wave.own[m] = starts.walls[(first + m) % g]
         if wave.own[m] >= 0.0:
-            wave.shadow.wave.sides[m] = UNKNOWN
+            wave.rays.sides[m] = UNKNOWN
 
 
 @begin.case(InRoom)
@@ -263,16 +267,16 @@ def begin_in_room(scene, state, vertices, starts, first):
     begin_on_walls(state.wave, starts, first, vertices.count)
 
 
-@kernel(types.void(FIELD, ACTIVE_CELLS, ROOM, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
-def light_in_room(field, cells, room, starts, samples, rules, light, sums):
+@kernel(types.void(IN_ROOM, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
+def light_in_room(scene, starts, samples, rules, light, sums):
     """Add E/π of a ``SampleRange`` at each of g ``RoomStarts``, with all light that is reflected, to ``sums`` (g, 3).
 
-    Each bounce counts the albedo of what it hit, of the ``room`` or of the isosurface, and all the first of the
-    weights (bounces + 1, 3) of the ``rules``, of which the others are not read. ``light`` are the Surroundings: lamps
-    and what lies outside. Luminaires are drawn by area and by cosine, and both are balanced. Sums grow sample by
-    sample: the company of a start changes no bit. Source: Kajiya 1986; Veach and Guibas 1995.
+    The ``scene`` is InRoom. Each bounce counts the albedo of what it hit, of the room or of the isosurface, and all the
+    first of the weights (bounces + 1, 3) of the ``rules``, of which the others are not read. ``light`` are the
+    Surroundings: lamps and what lies outside. Luminaires are drawn by area and by cosine, and both are balanced. Sums
+    grow sample by sample: the company of a start changes no bit. Source: Kajiya 1986; Veach and Guibas 1995.
     """
-    add_paths(InRoom(field, cells, room), starts, samples, rules, light, sums)
+    add_paths(scene, starts, samples, rules, light, sums)
 
 
 @kernel(types.void(types.int64[:, ::1], types.uint64[::1]))

@@ -13,24 +13,12 @@ from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.field import FIELD
 from isogi_core.kernels.tracing.vec import column, madd
-from isogi_core.kernels.transport.paths import SAMPLE_RANGE
+from isogi_core.kernels.transport.ends import EndWave
+from isogi_core.kernels.transport.integrate import gather_met, places_for, trace_paths
+from isogi_core.kernels.transport.open_paths import Open
+from isogi_core.kernels.transport.paths import SAMPLE_RANGE, PathTree
 from isogi_core.kernels.transport.transfer import COLUMNS, PLACE, ROWS, start_halves
-from isogi_core.kernels.transport.wavefront import (
-    WAVE,
-    Vertices,
-    columns,
-    first_of_wave,
-    generate,
-    go_on,
-    intersect,
-    launch_all,
-    make_vertices,
-    make_wave,
-    partition,
-    russian_roulette,
-    sample_direction,
-    whole,
-)
+from isogi_core.kernels.transport.wavefront import WAVE, columns, make_wave, partition
 
 
 class Confines(NamedTuple):
@@ -45,6 +33,13 @@ class Confines(NamedTuple):
     box: Any
 
 
+class Strays(NamedTuple):
+    """Which of g starts have a path that met something outside of a ``box``, ``marks`` (g,): it ends there."""
+
+    box: Any
+    marks: Any
+
+
 CONFINES = record(Confines, types.int64, types.float64, types.int64, COLUMNS)
 
 
@@ -54,49 +49,28 @@ def is_within(p, box):
     return box[0, 0] <= p[0] <= box[1, 0] and box[0, 1] <= p[1] <= box[1, 1] and box[0, 2] <= p[2] <= box[1, 2]
 
 
-@kernel()
-def mark_strays(wave, points, count, hits, box, strays):
-    """Mark the starts whose rays, of ``count`` from ``points``, hit something outside of the ``box``.
-
-    The ``hits`` of all others are left; returns how many.
-    """
-    origins, directions, staying = columns(points, count), columns(wave.directions, count), 0
-    for h in range(hits):
-        i = wave.hits[h]
-        start = wave.owners[i] % strays.shape[0]
-        if not is_within(madd(column(origins, i), wave.t[i], column(directions, i)), box):
-            strays[start] = True
-        wave.hits[staying] = i
-        staying += not strays[start]
+@gather_met.case(Strays)
+def mark_strays(scene, state, vertices, bounce, strays):
+    """Mark the starts whose rays hit something outside of the box; returns how many go on, of all others."""
+    rays, count, staying = state.wave.rays, vertices.count, 0
+    origins, directions = columns(vertices.points, count), columns(rays.directions, count)
+    for h in range(partition(rays, count)):
+        i = rays.hits[h]
+        start = rays.owners[i] % strays.marks.shape[0]
+        if not is_within(madd(column(origins, i), rays.t[i], column(directions, i)), strays.box):
+            strays.marks[start] = True
+        rays.hits[staying] = i
+        staying += not strays.marks[start]
     return staying
 
 
 @kernel()
-def walk_within(field, cells, wave, vertices, spare, confines, stride, strays):
-    """Walk the paths of a wave as ``walk_wave`` does, but none of a stray any farther."""
-    for bounce in range(confines.bounces + 1):
-        count = vertices.count
-        sample_direction(wave, vertices, bounce, field.spacing)
-        intersect(field, cells, wave, vertices.points, count)
-        hits = mark_strays(wave, vertices.points, count, partition(wave, count), confines.box, strays)
-        hits = russian_roulette(wave, hits, bounce, confines.survival)
-        if hits == 0 or bounce == confines.bounces:
-            return
-        branches = confines.branches if bounce == 0 else 1
-        vertices, spare = go_on(field, wave, vertices, spare, hits, branches, stride)
-
-
-@kernel()
-def walk_strays(field, cells, starts, samples, confines, strays):
-    """Mark which of g ``PathStarts`` are ``strays`` (g,), by a ``SampleRange`` of the paths of ``walk_paths``."""
+def trace_strays(scene, starts, samples, confines, marks):
+    """Mark which of g ``PathStarts`` stray, ``marks`` (g,), by a ``SampleRange`` of the paths of ``trace_ends``."""
+    tree = PathTree(confines.bounces, confines.survival, confines.branches)
     total = starts.isovalues.shape[0] * samples.count
-    origins, first = launch_all(field, starts), first_of_wave(confines.branches)
-    n = whole(min(first, total)) * confines.branches
-    wave, room, spare = make_wave(n), make_vertices(n), make_vertices(n)
-    for begin in range(0, total, first):
-        vertices = Vertices(room.points, room.normals, min(first, total - begin))
-        generate(wave, vertices, starts, origins, samples.first, begin)
-        walk_within(field, cells, wave, vertices, spare, confines, total, strays)
+    wave = EndWave(make_wave(places_for(total, tree.branches)), total, np.ones((3, 0)))
+    trace_paths(scene, starts, samples, tree, Strays(confines.box, marks), wave)
 
 
 @kernel(types.void(FIELD, ACTIVE_CELLS, PLACE, ROWS, SAMPLE_RANGE, CONFINES, types.boolean[::1]))
@@ -109,6 +83,6 @@ def find_strays(field, cells, place, rows, samples, confines, strays):
     for i in range(0, rows.shape[0], together):
         some = rows[i : i + together]
         marks = np.zeros(2 * some.shape[0], np.bool_)
-        walk_strays(field, cells, start_halves(place, some), samples, confines, marks)
+        trace_strays(Open(field, cells), start_halves(place, some), samples, confines, marks)
         for k in range(some.shape[0]):
             strays[some[k]] |= marks[2 * k] | marks[2 * k + 1]

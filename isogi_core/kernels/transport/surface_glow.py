@@ -9,14 +9,14 @@ import math
 from numba import types
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.tracing.field import FIELD
 from isogi_core.kernels.tracing.glow import GLOWS, Glows
 from isogi_core.kernels.tracing.walls import ROWS
 from isogi_core.kernels.transport.glow_paths import add_glow, aim_at_glow
 from isogi_core.kernels.transport.integrate import add_paths, gather_sources
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.room_paths import STARTS
-from isogi_core.kernels.transport.surface_paths import CROSSINGS, SURFACES, Among, cast_at_all, cast_on, goes_on
+from isogi_core.kernels.transport.streams import CROSSINGS
+from isogi_core.kernels.transport.surface_paths import AMONG, Among, cast_at_all, cast_on, goes_on
 from isogi_core.kernels.transport.wavefront import columns
 
 
@@ -59,12 +59,12 @@ def gather_aimed_among(scene, state, vertices, bounce, glows):
                 cast_on(scene.field, scene.surfaces, state, surface, origins, count, going)
 
 
-@kernel(types.void(FIELD, SURFACES, STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, ROWS))
-def glow_among_surfaces(field, surfaces, starts, samples, rules, glows, sums):
+@kernel(types.void(AMONG, STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, ROWS))
+def glow_among_surfaces(scene, starts, samples, rules, glows, sums):
     """Add E/π of each of k ``glows``, of radiance 1, at each of g ``RoomStarts`` to ``sums`` (g, 3 k).
 
-    Rays meet ``surfaces`` as those of ``light_among_surfaces`` do, and gather as those of ``glow_in_room``; the room
-    about the surfaces gives off no light. Source: Kajiya 1986; a lesion behind clear surfaces as in Beason et al. 2006
-    (S3).
+    Rays meet the surfaces of the ``scene``, which is Among, as those of ``light_among_surfaces`` do, and gather as
+    those of ``glow_in_room``; the room about the surfaces gives off no light. Source: Kajiya 1986; a lesion behind
+    clear surfaces as in Beason et al. 2006 (S3).
     """
-    add_paths(Among(field, surfaces, surfaces.room), starts, samples, rules, glows, sums)
+    add_paths(scene, starts, samples, rules, glows, sums)

@@ -19,21 +19,13 @@ from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import SMALLEST, column, madd, put_column, scale
 from isogi_core.kernels.tracing.walls import NOWHERE, meet_walls
 from isogi_core.kernels.transport.integrate import add_paths, advance, begin, make_state, meet
-from isogi_core.kernels.transport.integrator import ROULETTE, launch
+from isogi_core.kernels.transport.integrator import launch
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS, add_sent
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
-from isogi_core.kernels.transport.rng import PAIRS, point_of_words
+from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.room_paths import ROOM, STARTS, begin_on_walls, stand_on_walls
+from isogi_core.kernels.transport.streams import CROSSINGS, LEAVING, PAIRS, PASSING
 from isogi_core.kernels.transport.wavefront import columns, compact, next_vertex, whole
-
-CROSSINGS = 64
-"""Surfaces that a ray passes at most: what comes next stops it."""
-
-PASSING = ROULETTE - CROSSINGS * PAIRS
-"""The first of the pairs of random numbers that decide which rays pass a surface: one for each crossing and vertex."""
-
-LEAVING = PASSING - PAIRS
-"""The first of those that decide on which side paths leave a surface, one for each vertex."""
 
 NONE = -1
 """The number of no surface: of what is a wall, or nothing."""
@@ -68,6 +60,9 @@ class Among(NamedTuple):
     room: Any
 
 
+AMONG = record(Among, FIELD, SURFACES, ROOM)
+
+
 class Company(NamedTuple):
     """A ``wave`` of paths among s surfaces in a room.
 
@@ -92,11 +87,11 @@ class Company(NamedTuple):
 def cast_at_all(field, surfaces, company, origins, count):
     """Cast a wave's rays from ``origins`` at each surface, ways and sides, and at the walls that end them."""
     wave, n = company.wave, whole(count)
-    isovalues, sides, directions = np.empty(n), np.empty(n, np.int8), columns(wave.shadow.wave.directions, count)
+    isovalues, sides, directions = np.empty(n), np.empty(n, np.int8), columns(wave.rays.directions, count)
     for k in range(surfaces.clears.shape[0]):
         for i in range(n):
             isovalues[i] = company.own[i] if k == 0 else surfaces.isovalues[k]
-            sides[i] = wave.shadow.wave.sides[i] if company.on[i] == k else UNKNOWN
+            sides[i] = wave.rays.sides[i] if company.on[i] == k else UNKNOWN
         rays = Rays(isovalues, origins, directions, sides)
         cast_batch(field, surfaces.cells[k], rays, company.t[k, :n], company.came[k, :n])
     company.end[:n] = math.inf
@@ -106,7 +101,7 @@ def cast_at_all(field, surfaces, company, origins, count):
 @kernel()
 def cast_on(field, surfaces, company, k, origins, count, going):
     """Cast those of the first ``going`` pending rays on that have just passed surface ``k``, from there."""
-    n, directions = whole(going), columns(company.wave.shadow.wave.directions, count)
+    n, directions = whole(going), columns(company.wave.rays.directions, count)
     some, size = np.empty(n, np.int64), 0
     for j in range(going):
         if company.met[company.pending[j]] == k:
@@ -157,8 +152,8 @@ def passes(rays, i, bounce, crossing, clear):
 @kernel()
 def goes_on(surfaces, company, i, bounce, crossing, aimed):
     """Whether ray ``i``, at its next crossing, goes on; an ``aimed`` one, as far as it reaches, with what it brings."""
-    shadow, k = company.wave.shadow, nearest(company, i)
-    rays, reach = shadow.wave, shadow.reach[i] if aimed else math.inf
+    rays, k = company.wave.rays, nearest(company, i)
+    reach = company.wave.shadow.reach[i] if aimed else math.inf
     walled = company.end[i] <= company.t[k, i]
     rays.t[i], rays.came[i] = company.end[i] if walled else company.t[k, i], company.came[k, i]
     company.met[i] = NONE if walled else k
@@ -211,7 +206,7 @@ def add_sent_among(scene, state, vertices, bounce):
     carried, gathered = state.wave.carried, state.wave.gathered
     for i in range(count):
         if state.passed[i] > 0.0 and starts[0, i] < math.inf:
-            m = shadow.wave.owners[i]
+            m = state.wave.rays.owners[i]
             for c in range(3):
                 gathered[c, m] += state.passed[i] * carried[c, m] * lights[c, i]
 
@@ -229,7 +224,7 @@ def leave(surfaces, company, h, k, vertex, chance):
     Each is drawn by what it leaves of the light that the path carries, so that no colour of it ever counts more than
     three times that. What it carries counts over that chance, and over the ``chance`` to get there.
     """
-    rays, carried = company.wave.shadow.wave, company.wave.carried
+    rays, carried = company.wave.rays, company.wave.carried
     m, back, through = rays.owners[h], 0.0, 0.0
     for c in range(3):
         back += carried[c, m] * surfaces.albedos[k, c]
@@ -247,7 +242,7 @@ def stand_on(surfaces, company, following, count, bounce, chance):
     """Put the vertices ``following`` the rays of a ``bounce`` on what was met: its number, its isovalue, and the side
     that paths leave; of a wall, what these carry. ``count`` rays were cast, and hits were followed with a ``chance``.
     """
-    rays, carried = company.wave.shadow.wave, company.wave.carried
+    rays, carried = company.wave.rays, company.wave.carried
     ways, walls = columns(rays.ways, count), surfaces.room.albedos
     for h in range(following.count):
         i = rays.hits[h]
@@ -265,7 +260,7 @@ def stand_on(surfaces, company, following, count, bounce, chance):
 @kernel()
 def start_on_either_side(field, surfaces, company, vertices, starts):
     """Have paths leave the surface that they start on, on one of its sides, each counting its share of what leaves."""
-    rays, g, through = company.wave.shadow.wave, starts.isovalues.shape[0], surfaces.transmissions[0]
+    rays, g, through = company.wave.rays, starts.isovalues.shape[0], surfaces.transmissions[0]
     origins, normals = columns(vertices.points, vertices.count), columns(vertices.normals, vertices.count)
     for h in range(vertices.count if max(through[0], through[1], through[2]) > 0.0 else 0):
         m = rays.owners[h]
@@ -283,7 +278,7 @@ def start_on_either_side(field, surfaces, company, vertices, starts):
 @advance.case(Among)
 def advance_among(scene, state, vertices, following, bounce, rules):
     """Move the paths that go on to where they hit surfaces or walls."""
-    rays, count = state.wave.shadow.wave, vertices.count
+    rays, count = state.wave.rays, vertices.count
     compact(rays, vertices, following)
     stand_on(scene.surfaces, state, following, count, bounce, rules.survival if bounce > 0 else 1.0)
     next_vertex(scene.field, rays, count, following)
@@ -305,23 +300,23 @@ def begin_among(scene, state, vertices, starts, first):
     wave = state.wave
     begin_on_walls(wave, starts, first, vertices.count)
     for h in range(wave.own.shape[0]):
-        state.own[h] = wave.shadow.wave.isovalues[h]
+        state.own[h] = wave.rays.isovalues[h]
     for h in range(vertices.count):
         state.on[h] = NONE if wave.own[h] >= 0.0 else 0
     start_on_either_side(scene.field, scene.surfaces, state, vertices, starts)
 
 
-@kernel(types.void(FIELD, SURFACES, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
-def light_among_surfaces(field, surfaces, starts, samples, rules, light, sums):
+@kernel(types.void(AMONG, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
+def light_among_surfaces(scene, starts, samples, rules, light, sums):
     """Add E/π of a ``SampleRange`` at each of g ``RoomStarts``, with all light that is reflected, to ``sums`` (g, 3).
 
-    A ray that meets a surface passes straight through it with the chance ``clear``, or meets a diffuse one there: of a
-    thin shell that is lit on either side. Light of shadow rays is multiplied by the ``clear`` of all that they cross.
-    Each bounce counts the albedo of what it hit, or its transmission where it goes on from the other side, over the
-    chance of that side, and all the first of the weights (bounces + 1, 3) of the ``rules``, of which the others are not
-    read. Where the surface of the starts has a transmission t beside its albedo a, E is that of both its sides by their
-    shares in what leaves, (a E_own + t E_other) / (a + t). ``light`` are the Surroundings, and luminaires are balanced
-    as in ``light_in_room``. Sums grow sample by sample: the company of a start changes no bit. Source: Kajiya 1986;
-    clear shells as in Beason et al. 2006 (S3).
+    The ``scene`` is Among. A ray that meets a surface passes straight through it with the chance ``clear``, or meets a
+    diffuse one there: of a thin shell that is lit on either side. Light of shadow rays is multiplied by the ``clear``
+    of all that they cross. Each bounce counts the albedo of what it hit, or its transmission where it goes on from the
+    other side, over the chance of that side, and all the first of the weights (bounces + 1, 3) of the ``rules``, of
+    which the others are not read. Where the surface of the starts has a transmission t beside its albedo a, E is that
+    of both its sides by their shares in what leaves, (a E_own + t E_other) / (a + t). ``light`` are the Surroundings,
+    and luminaires are balanced as in ``light_in_room``. Sums grow sample by sample: the company of a start changes no
+    bit. Source: Kajiya 1986; clear shells as in Beason et al. 2006 (S3).
     """
-    add_paths(Among(field, surfaces, surfaces.room), starts, samples, rules, light, sums)
+    add_paths(scene, starts, samples, rules, light, sums)

@@ -5,28 +5,30 @@ import math
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel
+from isogi_core.kernels._jit import Choice, kernel
 from isogi_core.kernels.simd.memory import load
 from isogi_core.kernels.simd.types import PATH_WIDTH
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.field import FIELD, OFFSET, normal, to_index, value
 from isogi_core.kernels.tracing.plateaus import along, leave_plateau
 from isogi_core.kernels.tracing.vec import column, is_zero, length, load_columns, put_column
+from isogi_core.kernels.transport.ends import blocks, make_ends, trace_ends
 from isogi_core.kernels.transport.harmonics import accumulate
-from isogi_core.kernels.transport.integrate import add_paths
-from isogi_core.kernels.transport.light_paths import SURROUNDINGS, Open
+from isogi_core.kernels.transport.integrate import add_paths, limits
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS
+from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import (
-    NOWHERE,
+    NO_PATH,
     PATH_RULES,
     SAMPLE_RANGE,
     TRANSFER_RULES,
-    PathEnds,
     PathStarts,
     PathTree,
     SampleRange,
+    TransferRules,
 )
 from isogi_core.kernels.transport.rng import mix
-from isogi_core.kernels.transport.wavefront import WAVE, blocks, walk_paths, whole
+from isogi_core.kernels.transport.wavefront import WAVE, whole
 
 VECTOR = types.float64[::1]
 COLUMNS = types.float64[:, ::1]
@@ -65,32 +67,48 @@ def locate_texels(field, step, texels, points, normals, isovalues, void):
         isovalues[m] = v
 
 
-@kernel()
-def make_ends(starts, count, branches):
-    """Room for the ``PathEnds`` of ``starts`` starts, ``count`` samples each."""
-    n = blocks(branches) * starts * count
-    return PathEnds(np.zeros(n, np.int64), np.zeros((3, n + PATH_WIDTH)))
+@Choice
+def make_carried(scene, paths):
+    """Room (3, n) for what n ``paths`` carry: none where all reflect alike."""
 
 
-@kernel()
-def count_ends(ends, weights, branches, counts):
-    """Fill ``counts`` (n,) with what each path counts by its ``weights``, and a branch as one of so many.
+@Choice
+def count_ends(ends, carried, rules, c, counts):
+    """Fill ``counts`` (n,) with what each path counts in channel ``c`` by the ``rules``.
 
     Returns which blocks of the ``PathEnds`` count at all, (first, last): the others are left.
     """
+
+
+@make_carried.case(Open)
+def make_nothing(scene, paths):
+    """No room: all paths reflect alike."""
+    return np.ones((3, 0))
+
+
+@limits.case(TransferRules)
+def limits_of_transfer(rules):
+    """Two weights are of no bounces, and of paths that never leave."""
+    return rules.weights.shape[1] - 2, rules.branches
+
+
+@count_ends.case(TransferRules)
+def count_by_weights(ends, carried, rules, c, counts):
+    """Count each path by the weight of its bounces, and a branch as one of so many."""
+    weights, branches = rules.weights[c], rules.branches
     straight, reflected = weights[:2].any(), weights[0] != 0.0 or weights[2:].any()
     first, last = 0 if straight or branches == 1 else 1, blocks(branches) if reflected else 1
     stride = ends.bounces.shape[0] // blocks(branches)
     for m in range(first * stride, last * stride):
         bounces = ends.bounces[m]
-        counts[m] = weights[bounces + 1] if bounces != NOWHERE else 0.0
+        counts[m] = weights[bounces + 1] if bounces != NO_PATH else 0.0
     counts[stride : last * stride] /= branches
     return first, last
 
 
 @kernel()
 def project(ends, counts, order, starts, samples, some, sums):
-    """Add harmonics of this ``order`` of the ends of ``walk_paths`` to ``sums`` (i // PATH_WIDTH, n² PATH_WIDTH).
+    """Add harmonics of this ``order`` of the ends of ``trace_ends`` to ``sums`` (i // PATH_WIDTH, n² PATH_WIDTH).
 
     They are from ``starts`` starts, so many ``samples`` each, and the blocks that are ``some`` (first, last) of the
     ``PathEnds``. Lane i % PATH_WIDTH is of start i, and takes its samples in their order, and each one's branches in
@@ -106,15 +124,15 @@ def project(ends, counts, order, starts, samples, some, sums):
 
 
 @kernel()
-def project_ends(ends, rules, orders, starts, samples, sums):
-    """Add the ends of ``walk_paths`` to ``sums`` (channels, …) of their own: see ``project``.
+def project_ends(ends, carried, rules, orders, starts, samples, sums):
+    """Add the ends of ``trace_ends`` to ``sums`` (channels, …), each by its rule: see ``count_ends`` and ``project``.
 
-    ``samples`` are how many each of the ``starts`` took, and how many there is room for. The ``rules`` are those of
-    ``bake_texels``. Source: S1, eq. 8 with cosine sampling, τ_i = Σ R^k Y_i(ω) / N.
+    ``samples`` are how many each of the ``starts`` took, and how many there is room for. Source: S1, eq. 8 with cosine
+    sampling, τ_i = Σ R^k Y_i(ω) / N.
     """
     counts = np.zeros(ends.bounces.shape[0] + PATH_WIDTH)
     for c in range(sums.shape[0]):
-        some = count_ends(ends, rules.weights[c], rules.branches, counts)
+        some = count_ends(ends, carried, rules, c, counts)
         project(ends, counts, orders[c], starts, samples, some, sums[c])
 
 
@@ -148,19 +166,27 @@ def start_halves(place, rows):
 
 
 @kernel()
-def bake_together(field, cells, place, rows, samples, rules, orders, out):
-    """``bake_texels`` for a few texels whose paths go together."""
-    g, bounces, last = 2 * rows.shape[0], rules.weights.shape[1] - 2, samples.first + samples.count
-    starts = start_halves(place, rows)
-    step, most = min(max(WAVE // g, 1), samples.count), orders.max()
-    tree, ends = PathTree(bounces, rules.survival, rules.branches), make_ends(g, step, rules.branches)
-    sums = np.zeros((rules.weights.shape[0], whole(g) // PATH_WIDTH, most * most * PATH_WIDTH))
+def bake_together(scene, place, rows, samples, rules, orders, out):
+    """``bake_rows`` of a few texels whose paths go together."""
+    g, last, (bounces, branches) = 2 * rows.shape[0], samples.first + samples.count, limits(rules)
+    starts, step, most = start_halves(place, rows), min(max(WAVE // g, 1), samples.count), orders.max()
+    tree, ends = PathTree(bounces, rules.survival, branches), make_ends(g, step, branches)
+    carried = make_carried(scene, ends.bounces.shape[0])
+    sums = np.zeros((orders.shape[0], whole(g) // PATH_WIDTH, most * most * PATH_WIDTH))
     exchange(sums, rows, out, False)
     for begin in range(samples.first, last, step):
         some = SampleRange(begin, min(step, last - begin))
-        walk_paths(field, cells, starts, some, tree, ends)
-        project_ends(ends, rules, orders, g, (some.count, step), sums)
+        trace_ends(scene, starts, some, tree, ends, carried)
+        project_ends(ends, carried, rules, orders, g, (some.count, step), sums)
     exchange(sums, rows, out, True)
+
+
+@kernel()
+def bake_rows(scene, place, rows, samples, rules, orders, sums):
+    """Add to ``sums`` what a ``SampleRange`` of paths brings to the ``rows``: see ``bake_texels``."""
+    together = max(WAVE // (2 * samples.count), PATH_WIDTH)
+    for i in range(0, rows.shape[0], together):
+        bake_together(scene, place, rows[i : i + together], samples, rules, orders, sums)
 
 
 PLACE = types.Tuple((TEXELS, COLUMNS, COLUMNS, VECTOR))
@@ -178,9 +204,7 @@ def bake_texels(field, cells, place, rows, samples, rules, orders, sums):
     Adds to ``sums`` (m, 2, channels, n²), n the greatest of the channels' ``orders``. Source: S1, section 4.1,
     "for all texels".
     """
-    together = max(WAVE // (2 * samples.count), PATH_WIDTH)
-    for i in range(0, rows.shape[0], together):
-        bake_together(field, cells, place, rows[i : i + together], samples, rules, orders, sums)
+    bake_rows(Open(field, cells), place, rows, samples, rules, orders, sums)
 
 
 @kernel()

@@ -14,10 +14,10 @@ from isogi_core.kernels.tracing.field import gradients, to_index, to_world_norma
 from isogi_core.kernels.tracing.intersect import OUTSIDE
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, load_columns, madd, put_column, store_columns
-from isogi_core.kernels.transport.integrator import ROULETTE, about, launch, shading_normal
-from isogi_core.kernels.transport.paths import NOWHERE
+from isogi_core.kernels.transport.integrator import about, launch, shading_normal
 from isogi_core.kernels.transport.rng import WORD, WORD_BITS, point_of_words
 from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
+from isogi_core.kernels.transport.streams import DIRECTIONS, ROULETTE
 
 WAVE = 4096
 """Paths of a wave: all that is known of them stays in the second-level cache."""
@@ -100,7 +100,7 @@ def columns(room, count):
 
 @kernel()
 def generate(wave, vertices, starts, origins, first, begin):
-    """Fill the wave with paths ``begin`` … ``begin + vertices.count``; see ``walk_paths``.
+    """Fill the wave with paths ``begin`` … ``begin + vertices.count``; see ``trace_paths``.
 
     ``origins`` (3, g) are where first rays start, ``first`` the number of the first sample.
     """
@@ -127,7 +127,7 @@ def sample_direction(wave, vertices, bounce, spacing):
         columns(wave.ways, count),
         columns(wave.directions, count),
     )
-    dimension = u32(bounce)
+    dimension = u32(DIRECTIONS + bounce)
     for i in range(0, count, PATH_WIDTH):
         low, high, sample = (
             load(wave.low, i, PATH_WIDTH),
@@ -181,16 +181,6 @@ def russian_roulette(wave, hits, bounce, survival):
 
 
 @kernel()
-def write_ends(wave, count, escaped, bounce, ends):
-    """Write the ends of the ``escaped`` paths among ``count``."""
-    last = columns(wave.ways, count)
-    for i in wave.escaped[:escaped]:
-        m = wave.owners[i]
-        ends.bounces[m] = bounce
-        put_column(ends.directions, m, column(last, i))
-
-
-@kernel()
 def compact(wave, vertices, following):
     """Move the paths that hit something to the first places, and where they hit it to the vertices ``following``."""
     count, hits = vertices.count, following.count
@@ -232,68 +222,6 @@ def next_vertex(field, wave, count, following):
 
 
 @kernel()
-def branch(wave, vertices, room, branches, stride):
-    """Let each of the wave's paths go on in so many ``branches``, from vertices in ``room``, which it returns.
-
-    Branch j of path m is path m + (1 + j) · ``stride``, and draws from sample ``branches`` · s + j.
-    """
-    hits, count = vertices.count, branches * vertices.count
-    points, normals = columns(vertices.points, hits), columns(vertices.normals, hits)
-    further, around = columns(room.points, count), columns(room.normals, count)
-    for h in range(hits - 1, -1, -1):  # each is read before others are written in its place
-        owner, sample, isovalue = wave.owners[h], wave.samples[h], wave.isovalues[h]
-        low, high, side, sign = wave.low[h], wave.high[h], wave.sides[h], wave.signs[h]
-        for j in range(branches):
-            i = branches * h + j
-            wave.owners[i], wave.samples[i] = owner + (1 + j) * stride, branches * sample + j
-            wave.low[i], wave.high[i], wave.isovalues[i] = low, high, isovalue
-            wave.sides[i], wave.signs[i] = side, sign
-            put_column(further, i, column(points, h))
-            put_column(around, i, column(normals, h))
-    return Vertices(room.points, room.normals, count)
-
-
-@kernel()
-def go_on(field, wave, vertices, spare, hits, branches, stride):
-    """Take the paths that hit something, so many ``hits``, to where they did, to go on in ``branches`` ways.
-
-    Returns their vertices and those that are ``spare`` now. For the ``stride`` see ``branch``.
-    """
-    following = Vertices(spare.points, spare.normals, hits)
-    compact(wave, vertices, following)
-    next_vertex(field, wave, vertices.count, following)
-    if branches == 1:
-        return following, vertices
-    return branch(wave, following, vertices, branches, stride), following
-
-
-@kernel()
-def first_of_wave(branches):
-    """How many paths begin a wave, so that their branches are no more than a WAVE."""
-    return WAVE // branches
-
-
-@kernel()
-def blocks(branches):
-    """How many parts the ``PathEnds`` have: one of paths as they start, and one for each of their ``branches``."""
-    return 1 if branches == 1 else 1 + branches
-
-
-@kernel()
-def open_ends(ends, total):
-    """Say of ``total`` paths that they have not left, and of all branches that there are none."""
-    ends.bounces[:total], ends.bounces[total:] = -1, NOWHERE
-    ends.directions[:] = 0.0
-
-
-@kernel()
-def branch_ends(wave, count, stride, ends):
-    """Say of the wave's ``count`` branches that they have not left, and of the paths that they are of nothing."""
-    for owner in wave.owners[:count]:
-        ends.bounces[owner % stride], ends.bounces[owner] = NOWHERE, -1
-
-
-@kernel()
 def launch_all(field, starts):
     """Where the first rays start, (3, g): see ``launch``."""
     origins = np.empty(starts.points.shape)
@@ -301,40 +229,3 @@ def launch_all(field, starts):
         p, n = column(starts.points, i), column(starts.normals, i)
         put_column(origins, i, launch(field, starts.isovalues[i], p, n, OUTSIDE))
     return origins
-
-
-@kernel()
-def walk_wave(field, cells, wave, vertices, spare, tree, ends):
-    """Walk the paths of a wave to their ends; ``spare`` is room for other vertices."""
-    stride = ends.bounces.shape[0] // blocks(tree.branches)
-    for bounce in range(tree.bounces + 1):
-        count = vertices.count
-        sample_direction(wave, vertices, bounce, field.spacing)
-        intersect(field, cells, wave, vertices.points, count)
-        hits = partition(wave, count)
-        write_ends(wave, count, count - hits, bounce, ends)
-        hits = russian_roulette(wave, hits, bounce, tree.survival)
-        if hits == 0 or bounce == tree.bounces:
-            return
-        branches = tree.branches if bounce == 0 else 1
-        vertices, spare = go_on(field, wave, vertices, spare, hits, branches, stride)
-        if branches > 1:
-            branch_ends(wave, vertices.count, stride, ends)
-
-
-@kernel()
-def walk_paths(field, cells, starts, samples, tree, ends):
-    """``trace_path`` of a ``SampleRange`` from each of g ``PathStarts``, by a ``PathTree``, to the same bits.
-
-    Isovalues are within the range of ``cells``. Path s · g + i is the sample ``first + s`` of start i. Writes
-    the ``PathEnds`` of at least g · count paths.
-    """
-    total = starts.isovalues.shape[0] * samples.count
-    open_ends(ends, total)
-    origins, first = launch_all(field, starts), first_of_wave(tree.branches)
-    n = whole(min(first, total)) * tree.branches
-    wave, room, spare = make_wave(n), make_vertices(n), make_vertices(n)
-    for begin in range(0, total, first):
-        vertices = Vertices(room.points, room.normals, min(first, total - begin))
-        generate(wave, vertices, starts, origins, samples.first, begin)
-        walk_wave(field, cells, wave, vertices, spare, tree, ends)

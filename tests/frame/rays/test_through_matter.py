@@ -10,6 +10,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.through_matter import BREADTH, SeenThrough, Trees, dark_row
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
+from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
@@ -123,5 +124,6 @@ def test_a_subsurface_becomes_what_paths_inside_say(tmp_path: Path) -> None:
 
 
 def test_only_scenes_that_light_passes_compile_its_kernels(room: Workbench) -> None:
-    assert set(MATTER) <= set(frame_kernels([room.scene]))
-    assert not set(MATTER) & set(frame_kernels([load_scene("demo:orbital", room="cornell")]))
+    called = {*MATTER, light_through_matter}
+    assert called <= set(frame_kernels([room.scene]))
+    assert not called & set(frame_kernels([load_scene("demo:orbital", room="cornell")]))

@@ -11,6 +11,8 @@ from isogi_core.frame.entry_kernels import AMONG, ROOM, frame_kernels
 from isogi_core.frame.several.surfaces_frame import SurfacesFrame
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
 from isogi_core.kernels.shading.wall_light import light_walls
+from isogi_core.kernels.transport.room_paths import light_in_room
+from isogi_core.kernels.transport.surface_paths import light_among_surfaces
 from isogi_core.model.view import View
 from isogi_core.plan.sides import OUTER, WALLS, Side
 from tests.frame.conftest import LOOSE, Workbench, ball, relative_rmse, scene_of
@@ -140,5 +142,5 @@ def test_local_shadings_show_walls_too(shading: str, tmp_path: Path) -> None:
 def test_its_kernels_are_those_of_surfaces_and_walls() -> None:
     own = {"room": "cornell", **ROOMS["clear"]}
     called = {*frame_kernels([load_scene("demo:orbital", **own)])}
-    assert {*AMONG, light_walls} <= called
-    assert not ({*ROOM} - {*AMONG, light_walls}) & called
+    assert {*AMONG, light_walls, light_among_surfaces} <= called
+    assert not ({*ROOM, light_in_room} - {light_walls}) & called

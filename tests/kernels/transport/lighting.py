@@ -5,11 +5,13 @@ import math
 import numpy as np
 from numba import njit
 
+from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE, cast
 from isogi_core.kernels.tracing.vec import column, dot, madd, put_column
+from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.integrator import about, launch, shading_normal
-from isogi_core.kernels.transport.light_paths import PAIRS, Surroundings, sample_source, to_world
+from isogi_core.kernels.transport.light_paths import Surroundings, sample_source, to_world
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, NO_LAMPS, POINT, LampArrays, arriving
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.rng import point_2d
@@ -31,6 +33,34 @@ UP = np.array([[0.0], [0.0], [1.0]])
 MIDDLE = np.full((3, 1), 20.0)
 
 
+@kernel()
+def trace_path(field, iso, start, seed, index, tree, way):
+    """One diffuse path from a ``start`` (point, normal, side): (bounces before it left, world direction in which).
+
+    Cosine-weighted directions, so that every path carries the same weight R^k; bounce b draws the
+    pair b of sample ``index`` of the sequence ``seed``. From the first hit of the ``PathTree`` it goes on in this
+    ``way``, one of its branches, and draws from sample ``branches`` · ``index`` + ``way``. Returns -1 bounces when
+    after all of its bounces the path is still inside, or has ended by chance: from the second on it goes on from a
+    hit with the chance ``survival``. Source: S1, section 4.1; DESIGN section 3.
+    """
+    p, n, side = start
+    for bounce in range(tree.bounces + 1):
+        u, v = point_2d(seed, index, bounce)
+        w = about(n, sample_cosine_hemisphere(u, v))
+        d = to_index(w, field.spacing)
+        o = launch(field, iso, p, n, side)
+        t, side = cast(field, iso, o, d, side)
+        if not t < math.inf:
+            return bounce, w
+        if bounce == 0:
+            index = index * tree.branches + way
+        elif not point_2d(seed, index, streams.ROULETTE + bounce)[0] < tree.survival:
+            return -1, (0.0, 0.0, 0.0)
+        p = madd(o, t, d)
+        n = shading_normal(field, p, side, w)
+    return -1, (0.0, 0.0, 0.0)
+
+
 @njit
 def light_path(field, iso, p, n, seed, index, weights, light):
     """One path, each of its rays cast by itself: what it gathers, linear RGB."""
@@ -40,7 +70,7 @@ def light_path(field, iso, p, n, seed, index, weights, light):
         o = launch(field, iso, p, n, side)
         x, y, z = weights[bounce]
         for source in range(first, 1 + light.lamps.kinds.shape[0]):
-            u, v = point_2d(seed, index, (1 + source) * PAIRS + bounce)
+            u, v = point_2d(seed, index, streams.SOURCES + source * streams.PAIRS + bounce)
             w, reach, shine = sample_source(light, source, to_world(o, field.spacing), n, u, v)
             if max(shine[0], shine[1], shine[2]) > 0.0:
                 t, _ = cast(field, iso, o, to_index(w, field.spacing), side)

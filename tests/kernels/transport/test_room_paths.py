@@ -5,7 +5,7 @@ import pytest
 
 from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.room_paths import RoomStarts, light_in_room
+from isogi_core.kernels.transport.room_paths import InRoom, RoomStarts, light_in_room
 from tests.kernels.fields import cells_of, field_of
 from tests.kernels.rooms import X, Y, Z, box, gather, room_of, sky, wall
 from tests.kernels.transport.lighting import BALL, LIGHTS, NOISY, halves_of, on_ball, place_at
@@ -106,5 +106,5 @@ def test_a_room_without_walls_is_no_room(name: str) -> None:
     starts = RoomStarts(points.copy(), normals.copy(), isovalues.copy(), seeds, np.full(2 * texels, NOWHERE))
     room, sums = room_of([])._replace(albedo=np.array([0.9, 0.7, 0.5])), np.zeros((2 * texels, 3))
     rules = PathRules(np.ones((4, 3)), 1.0)
-    light_in_room(field, cells_of(field, 0.0), room, starts, SampleRange(0, samples), rules, light, sums)
+    light_in_room(InRoom(field, cells_of(field, 0.0), room), starts, SampleRange(0, samples), rules, light, sums)
     np.testing.assert_allclose(sums.reshape(texels, 2, 3) / samples, expected, rtol=1e-12, atol=1e-14)

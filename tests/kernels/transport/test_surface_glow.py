@@ -7,6 +7,7 @@ from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts
 from isogi_core.kernels.transport.surface_glow import glow_among_surfaces
+from isogi_core.kernels.transport.surface_paths import Among
 from tests.kernels.fields import field_of
 from tests.kernels.glows import ball, block, gather_glow, glows_of
 from tests.kernels.rooms import X, Y, Z, room_of, wall
@@ -25,7 +26,7 @@ def gather(field, surfaces, starts, glows, samples, bounces=0, survival=1.0):
     here, around = (np.ascontiguousarray(np.array(each, float).T) for each in (points, normals))
     given = RoomStarts(here, around, np.zeros(g), np.arange(1, g + 1, dtype=np.uint64), np.array(walls, float))
     rules, sums = PathRules(np.ones((bounces + 1, 3)), survival), np.zeros((g, 3 * k))
-    glow_among_surfaces(field, surfaces, given, SampleRange(0, samples), rules, glows, sums)
+    glow_among_surfaces(Among(field, surfaces, surfaces.room), given, SampleRange(0, samples), rules, glows, sums)
     return sums.reshape(g, k, 3) / samples
 
 

@@ -10,14 +10,15 @@ from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN, cast
 from isogi_core.kernels.tracing.vec import column, dot, madd
 from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.integrator import about, launch, shading_normal
-from isogi_core.kernels.transport.light_paths import PAIRS, sample_source, to_world
+from isogi_core.kernels.transport.light_paths import sample_source, to_world
 from isogi_core.kernels.transport.lights import DIRECTIONAL, arriving
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.room_paths import RoomStarts
 from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
-from isogi_core.kernels.transport.surface_paths import LEAVING, PASSING, light_among_surfaces
+from isogi_core.kernels.transport.surface_paths import Among, light_among_surfaces
 from tests.kernels.fields import field_of
 from tests.kernels.rooms import X, Y, Z, box, room_of, sky, wall
 from tests.kernels.rooms import gather as gather_in_room
@@ -52,7 +53,7 @@ def path_among(field, surfaces, start, seed, index, bounces, light):
     (p, n), total, side, on = start, np.zeros(3), OUTSIDE, 0
     carried = 1.0 / (through[0] + albedos[0])
     share = (carried * through[0]).sum() / (carried * (through[0] + albedos[0])).sum()
-    if point_2d(seed, index, LEAVING)[0] < share:
+    if point_2d(seed, index, streams.LEAVING)[0] < share:
         carried *= through[0] / share
         n, side = (-n[0], -n[1], -n[2]), -side
     else:
@@ -61,7 +62,7 @@ def path_among(field, surfaces, start, seed, index, bounces, light):
     for bounce in range(bounces + 1):
         o = launch(field, isovalues[on], p, n, side)
         for source in range(first, 1 + light.lamps.kinds.shape[0]):
-            u, v = point_2d(seed, index, (1 + source) * PAIRS + bounce)
+            u, v = point_2d(seed, index, streams.SOURCES + source * streams.PAIRS + bounce)
             w, reach, shine = sample_source(light, source, to_world(o, field.spacing), n, u, v)
             if max(shine[0], shine[1], shine[2]) > 0.0:
                 passed = 1.0
@@ -74,7 +75,7 @@ def path_among(field, surfaces, start, seed, index, bounces, light):
         d = to_index(w, field.spacing)
         way, met, came = math.inf, 0, 0
         for crossing, (t, k, s) in enumerate(crossings(field, isovalues, on, side, o, d)):
-            if not point_2d(seed, index, PASSING + crossing * PAIRS + bounce)[0] < clears[k]:
+            if not point_2d(seed, index, streams.PASSING + crossing * streams.PAIRS + bounce)[0] < clears[k]:
                 way, met, came = t, k, s
                 break
         if way == math.inf:
@@ -86,7 +87,7 @@ def path_among(field, surfaces, start, seed, index, bounces, light):
         p = madd(o, way, d)
         n = shading_normal(field, p, side, w)
         share = (carried * through[on]).sum() / (carried * (through[on] + albedos[on])).sum()
-        if point_2d(seed, index, LEAVING + bounce + 1)[0] < share:
+        if point_2d(seed, index, streams.LEAVING + bounce + 1)[0] < share:
             carried *= through[on] / share
             n, side = (-n[0], -n[1], -n[2]), -side
         else:
@@ -101,7 +102,7 @@ def gather(field, surfaces, starts, samples, bounces, light, walls=None, surviva
     levels, seeds = np.full(g, surfaces.isovalues[0]), np.arange(1, g + 1, dtype=np.uint64)
     paths = RoomStarts(points, normals, levels, seeds, np.array(walls or [NOWHERE] * g, float))
     rules, sums = PathRules(np.ones((bounces + 1, 3)), survival), np.zeros((g, 3))
-    light_among_surfaces(field, surfaces, paths, SampleRange(0, samples), rules, light, sums)
+    light_among_surfaces(Among(field, surfaces, surfaces.room), paths, SampleRange(0, samples), rules, light, sums)
     return sums / samples
 
 

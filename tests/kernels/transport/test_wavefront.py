@@ -11,12 +11,12 @@ from isogi_core.kernels.tracing.field import OFFSET
 from isogi_core.kernels.tracing.intersect import OUTSIDE
 from isogi_core.kernels.tracing.vec import column
 from isogi_core.kernels.transport.harmonics import accumulate
-from isogi_core.kernels.transport.integrator import trace_path
 from isogi_core.kernels.transport.paths import PathTree, SampleRange, TransferRules
 from isogi_core.kernels.transport.transfer import bake_texels, texel_seed
 from isogi_core.model.volume import make_volume
 from isogi_core.prepared.prepared_scene import PreparedScene, make_field
 from tests.kernels.fields import cells_of
+from tests.kernels.transport.lighting import trace_path
 from tests.loaded import load_scene
 from tests.scale import PYTHON
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel
+from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.field import FIELD
 from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN
@@ -25,12 +25,14 @@ from isogi_core.kernels.transport.integrate import (
 from isogi_core.kernels.transport.integrator import about
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS, Surroundings
 from isogi_core.kernels.transport.lights import arriving, radiance, row
-from isogi_core.kernels.transport.matter.inside import PASSABLE
+from isogi_core.kernels.transport.matter.inside import MATTER
 from isogi_core.kernels.transport.matter.passage import make_passage, pass_matter
+from isogi_core.kernels.transport.open_paths import cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
-from isogi_core.kernels.transport.room_paths import STARTS, balance_area, lit_from
+from isogi_core.kernels.transport.room_paths import ROOM, STARTS, balance_area, cast_among_walls, lit_from
 from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
+from isogi_core.kernels.transport.streams import DIRECTIONS
 from isogi_core.kernels.transport.wavefront import columns, compact, partition
 
 INWARD, ALONG = -2.0, -3.0
@@ -45,6 +47,9 @@ class Through(NamedTuple):
     cells: Any
     room: Any
     matter: Any
+
+
+THROUGH = record(Through, FIELD, ACTIVE_CELLS, ROOM, MATTER)
 
 
 class Crossing(NamedTuple):
@@ -76,7 +81,7 @@ def begin_through(scene, state, vertices, starts, first):
     wave, g, normals = state.wave, starts.walls.shape[0], columns(vertices.normals, vertices.count)
     for m in range(vertices.count):
         wave.own[m] = starts.walls[(first + m) % g]
-        wave.shadow.wave.sides[m] = UNKNOWN
+        wave.rays.sides[m] = UNKNOWN
         if wave.own[m] < 0.0:
             put_column(normals, m, (0.0, 0.0, 0.0))
 
@@ -88,14 +93,14 @@ def first_way(rays, starts, k, i):
     if starts.walls[k] == ALONG:
         return n
     low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
-    u, v = point_of_words(low, high, sample, np.uint64(0))
+    u, v = point_of_words(low, high, sample, np.uint64(DIRECTIONS))
     return about(scale(n, -1.0), sample_cosine_hemisphere(u, v))
 
 
 @kernel()
 def set_out(wave, vertices, passage, starts, bounce):
     """Put the wave's rays at the start of their passage; the first ones of paths that start on no wall too."""
-    rays, count, g = wave.shadow.wave, vertices.count, starts.walls.shape[0]
+    rays, count, g = wave.rays, vertices.count, starts.walls.shape[0]
     points, ways = columns(vertices.points, count), columns(rays.ways, count)
     for i in range(count):
         k = rays.owners[i] % g
@@ -111,7 +116,7 @@ def set_out(wave, vertices, passage, starts, bounce):
 @kernel()
 def arrive(wave, passage, count):
     """Write where rays of a passage came to the wave's: 0 on a wall, inf for those that left."""
-    rays = wave.shadow.wave
+    rays = wave.rays
     for i in range(count):
         wave.met[i] = passage.met[i]
         rays.t[i] = math.inf if passage.met[i] == NOWHERE else 0.0
@@ -121,7 +126,7 @@ def arrive(wave, passage, count):
 def gather_ends(wave, vertices, passage, escaped, light):
     """Add the environment that the ``escaped`` paths leave to: all of it where no shadow ray could bring it."""
     normals = columns(vertices.normals, vertices.count)
-    for i in wave.shadow.wave.escaped[:escaped]:
+    for i in wave.rays.escaped[:escaped]:
         w = column(passage.ways, i)
         if passage.straight[i] > 0.0:
             cosine = dot(column(normals, i), w)
@@ -133,7 +138,7 @@ def gather_ends(wave, vertices, passage, escaped, light):
 @kernel()
 def gather_walls(wave, vertices, passage, hits, room, spacing):
     """Add the light of luminaires that paths meet; ``hits`` stay that meet a lit side: returns how many."""
-    rays, staying, count = wave.shadow.wave, 0, vertices.count
+    rays, staying, count = wave.rays, 0, vertices.count
     normals, starts = columns(vertices.normals, count), columns(vertices.points, count)
     for h in range(hits):
         i = rays.hits[h]
@@ -156,7 +161,7 @@ def gather_walls(wave, vertices, passage, hits, room, spacing):
 @kernel()
 def stand_on_walls(wave, passage, following, room, chance):
     """Put the vertices ``following`` on the walls that were met, whose albedo over the ``chance`` paths now carry."""
-    rays, hits = wave.shadow.wave, following.count
+    rays, hits = wave.rays, following.count
     points, normals = columns(following.points, hits), columns(following.normals, hits)
     for h in range(hits):
         i, m = rays.hits[h], rays.owners[h]
@@ -169,6 +174,12 @@ def stand_on_walls(wave, passage, following, room, chance):
             wave.carried[c, m] *= room.albedos[k, c] / chance
 
 
+@cast_wave.case(Through)
+def cast_past_matter(scene, state, points, count):
+    """Cast a wave's shadow rays from ``points`` to what they meet first: matter stops them as walls do."""
+    cast_among_walls(scene, state, points, count)
+
+
 @meet.case(Through)
 def meet_through(scene, state, vertices, bounce):
     """Follow the rays of a wave through matter to where they meet walls or leave."""
@@ -179,10 +190,10 @@ def meet_through(scene, state, vertices, bounce):
 
 
 @gather_met.case(Through, Surroundings)
-def gather_met_through(scene, state, vertices, light):
+def gather_met_through(scene, state, vertices, bounce, light):
     """Add the environment that paths leave to, and luminaires that they meet: returns how many go on."""
     wave, passage, count = state.wave, state.passage, vertices.count
-    hits = partition(wave.shadow.wave, count)
+    hits = partition(wave.rays, count)
     gather_ends(wave, vertices, passage, count - hits, light)
     return gather_walls(wave, vertices, passage, hits, scene.room, scene.field.spacing)
 
@@ -190,19 +201,19 @@ def gather_met_through(scene, state, vertices, light):
 @advance.case(Through)
 def advance_through(scene, state, vertices, following, bounce, rules):
     """Move the paths that go on to where they met walls."""
-    compact(state.wave.shadow.wave, vertices, following)
+    compact(state.wave.rays, vertices, following)
     stand_on_walls(state.wave, state.passage, following, scene.room, rules.survival if bounce > 0 else 1.0)
 
 
-@kernel(types.void(FIELD, ACTIVE_CELLS, PASSABLE, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
-def light_through_matter(field, cells, met, starts, samples, rules, light, sums):
+@kernel(types.void(THROUGH, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
+def light_through_matter(scene, starts, samples, rules, light, sums):
     """Add what a ``SampleRange`` of paths brings to each of g ``RoomStarts`` to ``sums`` (g, 3).
 
-    Of a start on a wall that is E/π, with all light that is reflected by walls. Of one that goes INWARD it is the
-    radiance of the solid side over π and cosines there, B/π, of one ALONG a way the radiance that arrives from there.
-    Rays meet the isosurface as ``Matter`` does: refracted and mirrored by Fresnel's share, absorbed and scattered. So
-    what arrives through it of luminaires and of what lies outside, caustics, comes by chance alone, and lamps that no
-    ray can meet cast shadows. Bounces, weights and sums are as in ``light_in_room``. Source: Kajiya 1986; Beason et al.
-    2006 (S3).
+    The ``scene`` is Through. Of a start on a wall that is E/π, with all light that is reflected by walls. Of one that
+    goes INWARD it is the radiance of the solid side over π and cosines there, B/π, of one ALONG a way the radiance that
+    arrives from there. Rays meet the isosurface as ``Matter`` does: refracted and mirrored by Fresnel's share, absorbed
+    and scattered. So what arrives through it of luminaires and of what lies outside, caustics, comes by chance alone,
+    and lamps that no ray can meet cast shadows. Bounces, weights and sums are as in ``light_in_room``. Source: Kajiya
+    1986; Beason et al. 2006 (S3).
     """
-    add_paths(Through(field, cells, met.room, met.matter), starts, samples, rules, light, sums)
+    add_paths(scene, starts, samples, rules, light, sums)

@@ -16,15 +16,10 @@ from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, madd, put_column
 from isogi_core.kernels.tracing.walls import NOWHERE, meet_walls
 from isogi_core.kernels.transport.matter.inside import brightest, meet_interface, transmitted, way_inside
-from isogi_core.kernels.transport.rng import PAIRS, point_of_words
+from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.sampling import sample_uniform_sphere
+from isogi_core.kernels.transport.streams import IN_MATTER, MAX_STEPS, PAIRS
 from isogi_core.kernels.transport.wavefront import whole
-
-MOST = 4096
-"""Interfaces and scatterings of a ray at most: what is left then is lost."""
-
-STEPS = 0x8000 * PAIRS
-"""The first of the pairs of random numbers on the way, two for each step and bounce: after those of all else."""
 
 
 class Passage(NamedTuple):
@@ -54,8 +49,8 @@ def make_passage(n):
 @kernel(inline=True)
 def draw(wave, i, bounce, step, second):
     """A pair of random numbers in [0, 1) of ray ``i`` of a wave at a ``step`` of its way; each step has two."""
-    rays = wave.shadow.wave
-    dimension = np.uint64(STEPS + (2 * step + second) * PAIRS + bounce)
+    rays = wave.rays
+    dimension = np.uint64(IN_MATTER + (2 * step + second) * PAIRS + bounce)
     return point_of_words(np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i]), dimension)
 
 
@@ -78,7 +73,7 @@ def gather_rays(field, wave, passage, going):
 @kernel(inline=True)
 def dim(wave, i, shares):
     """Multiply what ray ``i`` of a wave carries by ``shares``."""
-    m = wave.shadow.wave.owners[i]
+    m = wave.rays.owners[i]
     for c in range(3):
         wave.carried[c, m] *= shares[c]
 
@@ -147,8 +142,8 @@ def pass_matter(field, cells, walls, matter, wave, passage, bounce, count):
     for i in range(count):
         passage.pending[i] = i
     going = count
-    for step in range(MOST):
-        rays, own = gather_rays(field, wave.shadow.wave, passage, going)
+    for step in range(MAX_STEPS):
+        rays, own = gather_rays(field, wave.rays, passage, going)
         n = own.shape[0]
         t, came, met = np.empty(n), np.empty(n, np.int8), np.empty(n)
         cast_batch(field, cells, rays, t, came)

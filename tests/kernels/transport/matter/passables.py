@@ -3,7 +3,7 @@
 import numpy as np
 
 from isogi_core.kernels.transport.matter.inside import Matter, Passable
-from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
+from isogi_core.kernels.transport.matter.matter_paths import Through, light_through_matter
 from isogi_core.kernels.transport.matter.sight import NONE, Chances, Leaves, see_through
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts
@@ -37,7 +37,7 @@ def gather(field, met, starts, samples, light=None, bounces=0):
     starts = RoomStarts(here, around, np.zeros(g), np.arange(1, g + 1, dtype=np.uint64), walls)
     rules, sums = PathRules(np.ones((bounces + 1, 3)), 1.0), np.zeros((g, 3))
     some, around = SampleRange(0, samples), light or sky(0.0)
-    light_through_matter(field, cells_of(field, 0.0), met, starts, some, rules, around, sums)
+    light_through_matter(Through(field, cells_of(field, 0.0), *met), starts, some, rules, around, sums)
     return sums / samples
 
 
