@@ -68,6 +68,15 @@ def test_the_list_of_measurements_links_every_page() -> None:
     assert {path.name for path in MEASUREMENTS.glob("*.md")} - {"index.md"} == listed
 
 
+def test_pages_that_explain_are_short() -> None:
+    scene = set(links((DOCS / "scene.md").read_text(encoding="utf-8")))
+    listed = {"scene.md", "lights.md", "colours.md", "rooms.md", "surfaces.md", "materials.md"}
+    assert listed - {"scene.md"} <= scene
+    explaining = listed | {"architecture.md", "concepts.md", "tutorial.md"}
+    words = {name: len((DOCS / name).read_text(encoding="utf-8").split()) for name in explaining}
+    assert {name: count for name, count in words.items() if count > 1500} == {}
+
+
 def test_relative_links_resolve() -> None:
     wrong = {path.name: found for path in PAGES if (found := list(broken(path, path.read_text(encoding="utf-8"))))}
     assert wrong == {}
