@@ -249,7 +249,7 @@ class Settings(BaseSettings):
 
     @property
     def bearers(self) -> tuple[Bearer, ...]:
-        """Those who may ask, by their tokens; none where no token is needed."""
+        """The clients that may ask, by their tokens; none where no token is needed."""
         one = () if self.token is None else (Bearer(self.token.get_secret_value()),)
         return (*one, *(read_bearers(self.tokens_file) if self.tokens_file else ()))
 

@@ -63,7 +63,7 @@ class TimeLeft:
         return TimeLeft(self.low + other.low, self.likely + other.likely, self.high + other.high)
 
     def times(self, pace: float) -> "TimeLeft":
-        """The same work where each second of it takes ``pace`` seconds."""
+        """The time of the work where each second of it takes ``pace`` seconds."""
         return TimeLeft(pace * self.low, pace * self.likely, pace * self.high)
 
 

@@ -34,7 +34,7 @@ class EyeGlow:
 
     @classmethod
     def of(cls, prepared: PreparedScene, strength: float) -> "EyeGlow | None":
-        """That of a scene, at a ``strength``; None where nothing glows, and ViewError where a view asks for it."""
+        """The glow of a scene at a ``strength``; None where nothing glows. ViewError where a view asks for it there."""
         glowing, strength = prepared.scene.glowing, prepared.scene.glow_for(strength)
         return cls(prepared.field, prepared.glows, strength * glowing.radiances) if glowing.any else None
 

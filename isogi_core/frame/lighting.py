@@ -63,7 +63,10 @@ def reflected_weights(spec: BakeSpec) -> np.ndarray:
 
 
 def all_weights(spec: BakeSpec) -> np.ndarray:
-    """The same of all paths, over turns of the light that they meet, but for the surface itself; (terms,) float64."""
+    """Of band 0 of each term, in the mean square over all paths and all turns of the light; (terms,) float64.
+
+    The albedo of the surface that they start on is taken out.
+    """
     squares = np.array([term.square[0] for term in spec.terms])
     return np.asarray(squares / max(float(LUMINANCE @ spec.albedo) ** 2, 1e-30))
 
@@ -199,7 +202,7 @@ class RotatedLight:
 
     @cached_property
     def unshadowed(self) -> Unshadowed:
-        """The same by the normal, in single floats; what irradiance ratios of texels are ratios to.
+        """Unshadowed light by the normal, in single floats: texels' irradiance ratios are ratios to it.
 
         A colour of lamps that the middle of the volume sees nothing of counts as the brightest one there.
         """

@@ -103,7 +103,7 @@ class ProjectedReading(Reading):
 
     @property
     def projects(self) -> bool:
-        """That they are."""
+        """Whether texels are projected: here they are."""
         return True
 
     def sources(self, pool: PagePool) -> tuple[tuple[np.ndarray, PagePool], ...]:

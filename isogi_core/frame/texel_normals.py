@@ -111,7 +111,7 @@ def find_texel_normals(texels: ViewTexels, known: OwnNormals, prepared: Prepared
 def own_normals(
     texels: ViewTexels, places: np.ndarray, known: OwnNormals, prepared: PreparedScene, tiles: Tiles
 ) -> np.ndarray:
-    """The same of the texels at some of the ``places`` (k,) alone; (k, 3) float32."""
+    """The normals of the texels at some of the ``places`` (k,), which may be ``known``; (k, 3) float32."""
     numbers = texels.numbers(places)
     return known.of(numbers, lambda new: normals_of(texels, places[new], False, prepared, tiles), tiles)
 

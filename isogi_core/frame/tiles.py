@@ -54,7 +54,7 @@ class Tiles:
         self._cancelled: tuple[threading.Event, ...] = ()
 
     def cancelled_by(self, event: threading.Event) -> Self:
-        """The same threads, for work that ends once ``event`` is set, or what cancels the work of these tiles is."""
+        """Tiles on these threads, cancelled once ``event`` is set or whatever cancels these tiles."""
         bound = copy(self)
         bound._cancelled = (*self._cancelled, event)
         return bound

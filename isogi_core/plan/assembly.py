@@ -263,7 +263,7 @@ def may_rotate(settings: Settings, lamps: Lamps, room: Room, several: bool) -> b
 
 
 def right_side_out(settings: Settings, volume: Volume, base: Path, progress: Progress) -> Volume:
-    """The same volume, solid below where the scene does not say and its object is low: a distance field, pores."""
+    """The volume, solid below where the scene does not say and its object is low: a distance field, pores."""
     given = settings.text("solid", "") or find_labels(settings) is not None
     if given or settings.text("volume", DEFAULT_DEMO).startswith("demo:"):
         return volume

@@ -36,7 +36,7 @@ A root mean square over the mean luminance, as are all errors here; measured on 
 """
 
 HALF_SUM = 4.5e-4
-"""The same of a sum over harmonics of order 6 under light that turns.
+"""Error of the luminance by rounding to half floats, of a sum over harmonics of order 6 under light that turns.
 
 4.4e-4 (uffizi, grace) and 4.6e-4 (noon_grass) on those texels; of the luminance of each texel, where it is a
 tenth of the mean or more, 1.0e-3, 0.7e-3 and 0.8e-3.

@@ -28,7 +28,7 @@ def has_finer(scene: Scene) -> bool:
 
 
 def finer(scene: Scene) -> Scene:
-    """The same ``scene`` with finer light."""
+    """The ``scene`` with finer light."""
     lattice = DENSER * scene.lattice
     source = replace(scene.source, document={**scene.source.document, "lattice": lattice})
     plan = complete(further(scene.plan), scene.inputs, scene.overrides)

@@ -27,7 +27,7 @@ class Side:
 
     @property
     def peeled(self) -> int:
-        """Its number among all sides, as of ``Peeled``."""
+        """The number of the side among all sides, as of ``Peeled``."""
         return 2 * self.number + self.inner
 
 
@@ -66,7 +66,7 @@ def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
 
 
 def apart(surfaces: tuple[PinnedSurface, ...], scene: Scene) -> tuple[PinnedSurface, ...]:
-    """Those of some surfaces that are at no isovalue of one before them: of these two there is one."""
+    """The ``surfaces`` without any that lies at the isovalue of one before it."""
     found: dict[Isovalue, PinnedSurface] = {}
     for each in surfaces:
         found.setdefault(scene.volume.normalise_isovalue(each.isovalue), each)

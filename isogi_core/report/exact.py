@@ -139,7 +139,7 @@ def light_of_halves(turned: RotatedLight, place: Place, samples: int) -> np.ndar
 
 
 def light_of_glow(turned: RotatedLight, place: Place, samples: int) -> np.ndarray:
-    """The same of what glows, zero where nothing does; (m, 2, 3)."""
+    """Linear RGB (m, 2, 3) of each half of ``samples`` paths, of what glows; zero where nothing does."""
     spec, void, halves = turned.spec, np.zeros(len(place[3]), np.bool_), np.zeros((len(place[3]), 2, 3))
     for layer in spec.plan.layers:
         if isinstance(layer, GlowLayer):

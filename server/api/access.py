@@ -191,7 +191,7 @@ class TokenBearers:
         return dict(parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)).get("token")
 
     def admission(self, scope: Scope, token: Token) -> Response:
-        """The same address without the token, and the cookie; the browser's history forgets the token."""
+        """A redirect to the address without the token, with the cookie; the browser's history forgets the token."""
         pairs = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
         rest = urlencode([(name, value) for name, value in pairs if name != "token"])
         answer = RedirectResponse(f"./?{rest}" if rest else "./", 303, {"Cache-Control": "no-store"})

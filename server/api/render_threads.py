@@ -23,7 +23,7 @@ class RenderThreads:
         self.large, self.asking, self.checks = Renders(1), Renders(ASKING), Renders(1)
 
     def of(self, view: View) -> Renders:
-        """Those on which the picture of a view is drawn, and written as a file."""
+        """The threads on which the picture of a view is drawn, and written as a file."""
         if view.moving:
             return self.drafts
         return self.large if view.width * view.height > LARGE else self.pictures

@@ -155,7 +155,7 @@ class Service:
         return await self.variants.of(scene, change)
 
     def planned(self, scene: Scene) -> Scene:
-        """The same scene with the plan of the light that its store has, where that can be read now."""
+        """The ``scene`` with the plan of the light that its store has, where that can be read now."""
         if not self.startup.open:
             return scene
         with suppress(StoreError):

@@ -98,7 +98,7 @@ def keyframes(wishes: Wishes) -> list[dict[str, str]]:
 
 
 def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
-    """The same target in the environment, with the cut, at the time, of the material and without the labels that all
+    """The ``target`` in the environment, with the cut, at the time, of the material and without the labels that all
     views name.
 
     ParameterError where one names other surfaces.

@@ -109,7 +109,7 @@ def format_of(output: Path) -> str:
 
 
 def refine(engine: RenderEngine, scene: str, view: View, max_error: float | None, seconds: float | None) -> Frame:
-    """As ``awaited``, with the seconds that it takes on a bar meanwhile; it never runs back."""
+    """Bake and draw as ``awaited`` does, with the seconds left on a bar meanwhile; the bar never runs back."""
     begun, shown = time.monotonic(), 0.0
     with Progress("lighting", "") as bar:
 

@@ -10,7 +10,7 @@ from server.errors import ParameterError
 from server.values import shown
 
 STEPS = re.compile(r"(\d{1,7})(?::(\d{1,7})(?::0*([1-9]\d{0,6}))?)?", re.ASCII)
-"""Such as 3, 0:9 or 0:9:3."""
+"""What steps of a series look like: 3, 0:9 or 0:9:3."""
 
 
 def steps_in(text: str, scene: Scene) -> list[int]:

@@ -107,7 +107,7 @@ def remarks(found: StiffnessSchema) -> list[Remark]:
 
 
 def nothing(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """That the scene's isovalue has no surface."""
+    """The remark that the scene's isovalue has no surface."""
     others = [surface.isovalue for surface in found.surfaces if surface.cells]
     can = [f"choose an isovalue from {others[0]:.6g} to {others[-1]:.6g}."] if others else []
     yield Remark(about="nothing", means=f"No surface passes any cell at {own.isovalue:.6g}.", can=can)
@@ -123,7 +123,7 @@ def error(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
 
 
 def steep(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """That the field leaps."""
+    """The remark that the field leaps."""
     if own.steep >= WORTH:
         means = (
             f"{percent(own.steep)} of the surface lies on steps: within two voxels the value leaps from one plateau to"
@@ -134,7 +134,7 @@ def steep(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
 
 
 def plateau(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """That the field hardly changes."""
+    """The remark that the field hardly changes."""
     if own.plateau >= WORTH:
         means = (
             f"{percent(own.plateau)} of the surface lies on a plateau: half of a cell's corners have the isovalue"
@@ -146,7 +146,7 @@ def plateau(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
 
 
 def noisy(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """That normals stray."""
+    """The remark that the surface is noisy: normals stray."""
     if own.noisy >= WORTH:
         means = (
             f"{percent(own.noisy)} of the surface is noisy, or has detail as fine as two voxels: normals stray by 26°"
@@ -166,7 +166,7 @@ def calmer(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[str]:
 
 
 def holes(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """That voxels beside the surface are no numbers."""
+    """The remark that voxels next to the surface are no numbers."""
     if own.holes > 0.0:
         means = f"{percent(own.holes)} of the surface lies beside voxels that are no numbers."
         does = "shows no surface in the eight cells around such a voxel: there is a gap, and light passes."
@@ -174,7 +174,7 @@ def holes(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
 
 
 def box(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """That the surface meets the box."""
+    """The remark that the surface meets the box."""
     met = [f"{face} ({percent(share)} of its cells)" for face, share in own.box.items() if share >= MEETS]
     if met:
         means = f"The surface meets the box at {', '.join(met)}: it is cut open there, and light enters."
@@ -182,7 +182,7 @@ def box(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
 
 
 def void(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
-    """That texels can hold no light."""
+    """The remark that some texels can hold no light."""
     if found.void > 0.0:
         means = (
             f"{percent(found.void)} of the texels that can be shown have no gradient, no side of their own in a"
@@ -193,14 +193,14 @@ def void(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
 
 
 def coarse(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
-    """That values are rounded so coarsely that slopes may be terraces."""
+    """The remark that values are rounded so coarsely that slopes may be terraces."""
     if 0.0 < found.steps < FEW:
         means = f"Values come in only {found.steps:,.0f} steps: slopes gentler than one a voxel are terraces."
         yield Remark(about="coarse", means=means, can=["keep more digits, where the values come from."])
 
 
 def mark(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
-    """That a value looks like a mark of missing data."""
+    """The remark that a value looks like a mark of missing data."""
     if found.mark is not None:
         means = f"Many voxels have the value {found.mark:.10g}, which is far from all others: it looks like a mark."
         can = [f"say so in the scene, missing = {found.mark:.10g}: these voxels are then holes."]

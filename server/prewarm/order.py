@@ -64,7 +64,7 @@ class Levels:
     sampled: tuple[tuple[str, int], ...] = ()
 
     def found_in(self, scene: Scene) -> Levels:
-        """The same with those that are sampled from the range of a ``scene``."""
+        """The levels, with the isovalues that are to be sampled from the range of a ``scene``."""
         volume, ends = scene.volume, scene.isovalues
         sets = (sample_range(volume, ends, count, way, FEW).levels for way, count in self.sampled)
         found = (float(f"{level:.12g}") for levels in sets for level in levels)

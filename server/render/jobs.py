@@ -91,7 +91,7 @@ class Job:
         self.message, self.time_left, self.updated = message, left, now()
 
     def begin(self) -> None:
-        """It is worked on."""
+        """Mark the job as running."""
         self.status, self.started = Status.RUNNING, now()
 
     def end(self, status: Status, message: str, results: Iterable[Result] = ()) -> None:

@@ -166,7 +166,7 @@ class LoadedScene:
 
     @property
     def finer(self) -> "LoadedScene":
-        """The same scene with finer texels, loaded when first asked for. Raises StoreError."""
+        """The scene with finer texels, loaded when first asked for. Raises StoreError."""
         with self._lock:
             if self._finer is None:
                 prepared = self.renderer.prepared.beside(finer(self.scene))
@@ -176,11 +176,11 @@ class LoadedScene:
             return self._finer
 
     def level(self, fineness: int) -> "LoadedScene":
-        """The same scene with texels so many steps finer than its own. Raises StoreError."""
+        """The scene with texels ``fineness`` steps finer than the scene file says. Raises StoreError."""
         return self if fineness == self.fineness else self.finer.level(fineness)
 
     def held(self, fineness: int) -> "LoadedScene | None":
-        """The same, where it is loaded."""
+        """The scene with texels ``fineness`` steps finer, where it is loaded."""
         return self if fineness == self.fineness else self._finer and self._finer.held(fineness)
 
     def render(

@@ -27,7 +27,7 @@ class Memory(NamedTuple):
 
     @property
     def finer(self) -> "Memory":
-        """That of the same scene with finer texels, which has the same maps: all steps together a quarter more."""
+        """Memory of the scene with finer texels, which has the same maps: all steps together take a quarter more."""
         return Memory(self.light // FINER, self.views // FINER, self.maps)
 
 

@@ -37,7 +37,7 @@ class Client:
     open: int = 0
 
     def pay(self, seconds: float, now: float) -> None:
-        """Its work takes so many seconds more; the queue's clock is at ``now``."""
+        """Charge the client with ``seconds`` of work; the queue's clock is at ``now``."""
         self.spent = min(self.spent + seconds / self.weight, now + DEBT)
 
 
@@ -56,13 +56,13 @@ class Rank:
 
     @classmethod
     def within(cls, patience: float, longest: float = math.inf, client: Client | None = None) -> "Rank":
-        """That of work which can wait for ``patience`` seconds from now, and waits for ``longest`` at most."""
+        """The rank of work that can wait for ``patience`` seconds from now, and waits at most for ``longest``."""
         now = asyncio.get_running_loop().time()
         return cls(now + patience, now + longest, client or Client())
 
     @property
     def begun(self) -> "Rank":
-        """The same for work that was begun: it does not give up any more."""
+        """The rank of this work once it has begun: it does not give up any more."""
         return replace(self, until=math.inf)
 
     @property

@@ -62,7 +62,7 @@ MOST = 64
 """Variants that an engine has at a time: those asked for last."""
 
 MOST_CUTS = 4
-"""Those of them that are cut open, or hide labels, where their voxels are more than there is room for."""
+"""Variants at a time that are cut open or hide labels, where their voxels are more than there is room for."""
 
 MOST_STEPS = 2
 """Steps of those at other times than their scene's, where their voxels are more than there is room for."""
@@ -111,7 +111,7 @@ class Change:
         return None if self.material is None else _read("material", read_material_text, self.material)
 
     def apart_from(self, scene: Scene) -> "Change":
-        """The same change without what a ``scene`` has by itself. Raises ParameterError."""
+        """The change without what a ``scene`` has by itself. Raises ParameterError."""
         time = None if self.time == scene.volume.moment[0] else self.time
         own = self.made_of is not None and made_of(scene, self.made_of)
         return replace(self, time=time, material=None if own else self.material)
@@ -293,7 +293,7 @@ class Variants:
         raise BusyError(COMPILING)
 
     def _outdated(self) -> list[str]:
-        """Those that are too many: they count as not asked for."""
+        """The variants that are too many: they count as not asked for."""
         with self._lock:
             cuts = [each for each in self._asked if has_voxels(each)]
             old = cuts[: max(len(cuts) - self._most_cuts, 0)] if self._crowded(cuts) else []

@@ -48,7 +48,7 @@ class Part:
 
     @property
     def measured(self) -> TotalError | None:
-        """Its total error by control pixels; walls have none, and tell all that they know as noise."""
+        """The total error by control pixels; walls have no control pixels, and report their noise."""
         noise = self.frame.noise
         return TotalError(noise, noise, noise) if self.side == WALLS else self.frame.measured
 

@@ -32,7 +32,7 @@ NESTED = ("level", "channel", "time", "series")
 """Settings of a scene that choose a part of a file."""
 
 ZARR = NESTED[:3]
-"""Those of them that choose in a Zarr volume."""
+"""Settings of a scene that choose in a Zarr volume."""
 
 AXES = ("world", "raw")
 """What a scene's ``axes`` may be: as the volume's file says, or voxel indices times spacing."""
