@@ -18,7 +18,7 @@ import numpy as np
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MOST
 from isogi_core.prepared.prepared_scene import Index
-from worker.bake_requests import GUEST, SHORT, BakeRequest, Key, Shares, Viewer
+from worker.bake_requests import GUEST, SHORT_TASK_SECONDS, BakeRequest, Key, Shares, Viewer
 from worker.client_queues import ClientQueues, Rank
 from worker.tasks import BakeResult
 
@@ -99,15 +99,17 @@ class BakeQueue:
         return None
 
     def take_along(self, first: BakeRequest, most: int) -> list[BakeRequest]:
-        """Take what goes with the request that was just taken: of the same turn, ``most`` texels and SHORT together.
+        """Take what goes with the request that was just taken: ``most`` texels and SHORT_TASK_SECONDS of the same turn.
 
         They are the next of that client, as long as these are of the same bake, target and sample level.
         """
         taken, left, seconds = [first], most - len(first.next[0]), self.seconds(first)
         patient, client = self._turn
-        while left > 0 and seconds < SHORT and not first.suspect and (found := self._first(patient, client)):
+        while (
+            left > 0 and seconds < SHORT_TASK_SECONDS and not first.suspect and (found := self._first(patient, client))
+        ):
             left, seconds = left - len(found.next[0]), seconds + self.seconds(found)
-            if left < 0 or seconds > SHORT or not alike(first, found):
+            if left < 0 or seconds > SHORT_TASK_SECONDS or not alike(first, found):
                 self._rank_for(found, client)
                 break
             self._start(found, client)

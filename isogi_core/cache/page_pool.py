@@ -29,7 +29,7 @@ FEWEST_CHUNKS = 8
 """Least number of chunks in the indirection table."""
 
 
-NOTHING = b"\0" * 8
+UNLIT_VERSION = b"\0" * 8
 """The version of a chunk without light."""
 
 
@@ -164,9 +164,9 @@ class PagePool:
                         self._give_back(entry)
 
     def version(self, slot: int) -> bytes:
-        """What names how far the held chunk in a ``slot`` is baked, by which plan; NOTHING where it has no light."""
+        """Names how far the held chunk in a ``slot`` is baked, by which plan; UNLIT_VERSION where it has no light."""
         if slot < 0 or not (self.table[slot] != UNLIT).any():
-            return NOTHING
+            return UNLIT_VERSION
         if slot not in self._versions:
             rows = self.table[slot]
             stamps = np.where(rows >= 0, self.stamp[rows], rows.astype(np.float32))

@@ -147,7 +147,7 @@ views through a window.
 """
 
 
-FIRST = (
+FIRST_KERNELS = (
     *(trace_pixels, trace_pixels_in_sight, light_in_room, light_walls, fill_seeds, peel_rays),
     *(mark_bricks, fill_ranges, pack_bricks, number_bricks, fill_macrocells, count_stiffness),
     *(find_normals, tally, develop_rows, fill_curve),
@@ -158,7 +158,7 @@ FIRST = (
 def first_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     """The entry kernels of first pictures of the ``scenes``: by a local shading without shadows, edges not smoothed."""
     called = {*frame_kernels(scenes, surveyed=False)}
-    return (*(kernel for kernel in FIRST if kernel in called), shade_local)
+    return (*(kernel for kernel in FIRST_KERNELS if kernel in called), shade_local)
 
 
 def frame_kernels(scenes: Iterable[Scene], surveyed: bool = True) -> tuple[Any, ...]:

@@ -20,7 +20,7 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 Layer = tuple[np.ndarray, np.ndarray, np.ndarray | float]
 """What some rays show: see ``Frame.layers``."""
 
-LEAST = 1e-6
+MIN_RAY_SHARE = 1e-6
 """The share that is left of a ray below which nothing is gathered behind what it shows."""
 
 
@@ -71,7 +71,7 @@ class EyeGlow:
             reaches = np.sqrt(((points - np.array(eye)) ** 2).sum(axis=1) / (ways**2).sum(axis=1))
             gathered[rays] += np.reshape(shares, (-1, 1)) * self.along(eye, ways, reaches, tiles)
             left[rays] -= shares
-        open_air = np.flatnonzero(left > LEAST)
+        open_air = np.flatnonzero(left > MIN_RAY_SHARE)
         endless = self.along(eye, directions[open_air], np.full(len(open_air), math.inf), tiles)
         gathered[open_air] += left[open_air, None] * endless
         return gathered

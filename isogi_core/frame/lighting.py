@@ -27,7 +27,7 @@ from isogi_core.plan.scene import Scene
 FORMAT = 13
 """Counts up when pictures of the same light change: those that browsers keep are then asked for anew."""
 
-MOST = 100.0
+MAX_SQUARES_RATIO = 100.0
 """How much the mean square of paths may fall at most: where next to nothing arrives unreflected."""
 
 
@@ -40,7 +40,7 @@ def scatter_at(weights: np.ndarray, scatter: np.ndarray, reflected: np.ndarray, 
     """
     now, then, paths_now, paths_then = np.maximum(kept @ weights, np.float32(1e-30)).T
     variance = 1.0 - reflected * (1.0 - np.minimum(now / then, 1.0))
-    return np.asarray(scatter * np.sqrt(variance * np.clip(paths_then / paths_now, 1.0, MOST)), np.float32)
+    return np.asarray(scatter * np.sqrt(variance * np.clip(paths_then / paths_now, 1.0, MAX_SQUARES_RATIO)), np.float32)
 
 
 def weights_between(seen: BakeSpec, judged: BakeSpec) -> np.ndarray:

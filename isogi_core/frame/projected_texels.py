@@ -31,7 +31,7 @@ quarter of a voxel; projecting the others too changes the interpolation error fr
 0.77 to 0.40 % (at 170), and takes half as many texels again (``docs/measurements/accuracy-interpolation.md``).
 """
 
-PIECE = 16384
+TEXELS_A_PIECE = 16384
 """Texels whose distances one thread estimates in one go."""
 
 
@@ -68,7 +68,7 @@ def distances_of(positions: np.ndarray, isovalue: Isovalue, prepared: PreparedSc
     def _piece(a: int, b: int) -> None:
         measure_distances(prepared.field, prepared.step, isovalue, positions[a:b], voxels[a:b])
 
-    tiles.run(_piece, len(positions), PIECE)
+    tiles.run(_piece, len(positions), TEXELS_A_PIECE)
     return Distances(voxels.astype(np.float32))
 
 

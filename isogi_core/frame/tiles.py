@@ -36,7 +36,7 @@ class Stopwatch:
 
 Piece = Callable[[int, int], object]
 
-LEAST = 4096
+MIN_PIECE_ROWS = 4096
 """Points, texels or rows that a piece has where a thread has several: each piece asks for the interpreter anew."""
 
 
@@ -98,8 +98,8 @@ class Tiles:
         self.check()
 
     def even(self, total: int, share: int = 4) -> int:
-        """The size of equal pieces, ``share`` of them for each thread; fewer where they would be of less than LEAST."""
-        share = min(max(total // (LEAST * self.threads), 1), share)
+        """The size of equal pieces, ``share`` for each thread; fewer where each would be below MIN_PIECE_ROWS."""
+        share = min(max(total // (MIN_PIECE_ROWS * self.threads), 1), share)
         return max(-(-total // (share * self.threads)), 1)
 
     def close(self) -> None:

@@ -44,7 +44,7 @@ from isogi_core.model.view import PROJECTIONS
 from isogi_core.model.volume import BINS, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import read_presets
-from isogi_core.plan.lobe_choice import MOST as MOST_LOBES
+from isogi_core.plan.lobe_choice import MANY_LOBES_SEARCHED as MOST_LOBES
 from isogi_core.plan.materials import read_material, refuse_lamps
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import CHUNKS, NORMALS, Scene
@@ -299,7 +299,7 @@ def default_isovalue(settings: Settings, volume: Volume) -> float:
 LAYERS = 16
 """Layers of a volume whose voxels are looked at for values beside an isovalue."""
 
-NEAR = 2 / BINS
+NEAR_VALUES_SHARE = 2 / BINS
 """Share of the core's span up to which values are near each other: they fill the histogram's bins."""
 
 
@@ -312,7 +312,7 @@ def halfway(volume: Volume, isovalue: float) -> float:
     low = float(np.max(layers, where=layers < level, initial=-np.inf))
     high = float(np.min(layers, where=layers > level, initial=np.inf))
     least, most = volume.core_span()
-    if not NEAR * (most - least) < high - low < np.inf:
+    if not NEAR_VALUES_SHARE * (most - least) < high - low < np.inf:
         return isovalue
     return 0.5 * volume.file_value(low) + 0.5 * volume.file_value(high)
 

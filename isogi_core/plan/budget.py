@@ -17,7 +17,7 @@ HARMONICS = math.sqrt(0.5)
 Both together are then within the target, as independent errors add.
 """
 
-EVEN = 0.25
+EVEN_LIGHT_SHARE = 0.25
 """Share of the target for taking a light as the same from all sides."""
 
 BOUNCES = 0.5
@@ -137,7 +137,9 @@ def tail_of_bounces(albedo: Colour, bounces: int) -> float:
 
 def even(inputs: PlanInputs) -> bool:
     """Whether the light may be taken as the same from all sides."""
-    return not inputs.lamps.any and truncation_error(inputs.energy, 1, "direct") <= EVEN * inputs.target_error
+    return (
+        not inputs.lamps.any and truncation_error(inputs.energy, 1, "direct") <= EVEN_LIGHT_SHARE * inputs.target_error
+    )
 
 
 UNCUT = ("irradiance", GLOW)

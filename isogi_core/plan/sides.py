@@ -58,7 +58,7 @@ def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
     every = surfaces_of(scene, shown)
     own, others = every[side.number], every if side.number else scene.pinned
     others = apart((own, *others), scene)[1:]
-    document: dict[str, Any] = {key: value for key, value in scene.source.document.items() if key not in OWN}
+    document: dict[str, Any] = {key: value for key, value in scene.source.document.items() if key not in SIDE_SETTINGS}
     document |= {key: value for key, value in own.table.items() if key != "name"} | lying(scene, side)
     document |= {"isovalues": [own.isovalue] * 2 if side.number else list(scene.isovalues)}
     document |= {"surfaces": [each.table for each in others]} if others else {}
@@ -83,5 +83,5 @@ def lying(scene: Scene, side: Side) -> dict[str, Any]:
     return {"inside_out": turned != side.inner, "solid": solid}
 
 
-OWN = ("isovalue", "isovalues", "presets", "albedo", "transmission", "clear", "surfaces")
+SIDE_SETTINGS = ("isovalue", "isovalues", "presets", "albedo", "transmission", "clear", "surfaces")
 """What each side's scene has for itself."""

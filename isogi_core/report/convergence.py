@@ -25,7 +25,7 @@ SIZE = 32
 RUNGS = (16, 64, 256, 1024, 4096, 16384)
 """Samples of a texel, or paths of a pixel, of the points of a curve."""
 
-SECONDS, SHARE = 120.0, 0.1
+SECONDS, POINT_SHARE = 120.0, 0.1
 """Seconds that the next point of a curve may take, by what the last one took, and the share of those that are left."""
 
 TRACED = "path tracing from each pixel"
@@ -48,7 +48,7 @@ COLUMNS = (
 )
 
 
-NEAR = 1.1
+END_ERROR_FACTOR = 1.1
 """How many times the error that a curve ends at its point may have that stands for the whole bake."""
 
 EVENS = (
@@ -181,9 +181,9 @@ def points(bench: Bench, best: Reference, frame: Callable[[int], tuple[Frame, fl
 
 def fits(bench: Bench, seconds: float) -> bool:
     """Whether a point may take so long; the bench notes where time left forbids it."""
-    if seconds > SHARE * bench.left:
+    if seconds > POINT_SHARE * bench.left:
         bench.hurry.set()
-    return seconds <= min(SECONDS, SHARE * bench.left)
+    return seconds <= min(SECONDS, POINT_SHARE * bench.left)
 
 
 def evens(baked: Iterable[Curve], traced: Curve, size: str) -> Table:
@@ -194,7 +194,7 @@ def evens(baked: Iterable[Curve], traced: Curve, size: str) -> Table:
 
 def even(baked: Curve, traced: Curve) -> tuple[Cell, ...]:
     """A way's row of the table, of its cheapest point that is nearly as good as its last one."""
-    seconds, error = next((x, y) for x, y in zip(baked.x, baked.y, strict=True) if y <= NEAR * baked.y[-1])
+    seconds, error = next((x, y) for x, y in zip(baked.x, baked.y, strict=True) if y <= END_ERROR_FACTOR * baked.y[-1])
     picture = seconds_at(traced, error)
     pictures = None if picture is None else math.ceil(seconds / picture)
     return baked.name, error, seconds, picture, pictures

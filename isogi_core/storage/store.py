@@ -28,7 +28,7 @@ CONTENT = json.dumps({"kind": "isogi light", "format": FORMAT}).encode()
 CHECKED = 1.0
 """Seconds for which a check of the sentinel stands, and after which an unreachable store is checked again."""
 
-PATIENCE = 0.5
+CHECK_SECONDS = 0.5
 """Seconds that one caller waits for a check of a remote store that was away."""
 
 TOLD = 600.0
@@ -239,7 +239,7 @@ class Store:
                 return
             self._looking = looking = threading.Thread(target=self._look, name="store", daemon=True)
             looking.start()
-        looking.join(PATIENCE)
+        looking.join(CHECK_SECONDS)
 
     def _look(self) -> None:
         """Note whether the store is away."""

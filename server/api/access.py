@@ -43,7 +43,7 @@ class KnownHosts:
 SAFE = ("GET", "HEAD")
 """Methods that change nothing; a client without a browser's headers may use them from wherever it is."""
 
-OWN = ("same-origin", "none")
+SAME_SITE = ("same-origin", "none")
 """Values of Sec-Fetch-Site for requests of the server's own pages, and of a person who typed an address."""
 
 
@@ -78,7 +78,7 @@ class KnownOrigins:
         safe = scope["type"] == "http" and scope["method"] in SAFE
         if not safe and origin is not None and not is_own(origin, headers):
             return False
-        return site is None or site in OWN or (safe and is_link(headers))
+        return site is None or site in SAME_SITE or (safe and is_link(headers))
 
 
 def is_own(origin: str, headers: Headers) -> bool:

@@ -166,7 +166,7 @@ class Connection(H11Protocol):
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
         """Hand over to the socket's own protocol, unless there is no place."""
         if self.app is crowded:
-            self.refuse(503, CROWDED)
+            self.refuse(503, CONNECTIONS_TAKEN)
             return
         self._stop_checking()
         super().handle_websocket_upgrade(event)
@@ -277,12 +277,12 @@ class Connection(H11Protocol):
             self._next_check = None
 
 
-CROWDED = "All connections that this server has are taken: come back in a second."
+CONNECTIONS_TAKEN = "All connections that this server has are taken: come back in a second."
 
 
 async def crowded(scope: Scope, receive: Receive, send: Send) -> None:
     """The app of a connection without a place."""
-    await problem(503, CROWDED, scope["path"])(scope, receive, send)
+    await problem(503, CONNECTIONS_TAKEN, scope["path"])(scope, receive, send)
 
 
 def too_many(one: H11Protocol, connections: Iterable[H11Protocol], settings: Settings) -> list[H11Protocol]:

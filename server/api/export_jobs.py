@@ -37,7 +37,7 @@ BAKED = 0.9
 
 Made = TypeVar("Made")
 
-KEPT = 64 << 20
+EXPORT_BYTES = 64 << 20
 """Bytes that the renderer of an export keeps."""
 
 
@@ -131,7 +131,7 @@ class Export:
         view, exposure = self.view, self.params.exposure or self.scene.default_exposure
         with closing(Tiles(1)) as tiles:
             caches = self.service.engine.renderer(self.scene.id).caches
-            renderer = Renderer(caches, tiles.cancelled_by(self.cancelled), KEPT)
+            renderer = Renderer(caches, tiles.cancelled_by(self.cancelled), EXPORT_BYTES)
             if self._suffix in MESHES:
                 mesh = surface_mesh(renderer, view.isovalue)
                 write_mesh(output, lit_mesh(renderer, view, mesh, exposure, report))

@@ -92,7 +92,7 @@ WORTH = 0.05
 MEETS = 0.0005
 """Share of a surface's cells at a face of the box that is worth one: noise alone puts a few there."""
 
-FEW = 2**10
+COARSE_STEPS = 2**10
 """Steps of a type that make values coarse, where there are fewer of them."""
 
 BETTER = 0.5
@@ -194,7 +194,7 @@ def void(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
 
 def coarse(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
     """The remark that values are rounded so coarsely that slopes may be terraces."""
-    if 0.0 < found.steps < FEW:
+    if 0.0 < found.steps < COARSE_STEPS:
         means = f"Values come in only {found.steps:,.0f} steps: slopes gentler than one a voxel are terraces."
         yield Remark(about="coarse", means=means, can=["keep more digits, where the values come from."])
 
@@ -222,7 +222,7 @@ ALWAYS: tuple[Finder, ...] = (void, coarse, mark)
 """Each finds what is to be said of a volume."""
 
 
-MANY = 0.001
+MARK_SHARE = 0.001
 """Share of the voxels that have the value, at least: a single voxel is an outlier and not a mark."""
 
 
@@ -247,7 +247,7 @@ def numbers(volume: Volume) -> Iterator[np.ndarray]:
 
 def is_far(volume: Volume, end: Any, other: Any) -> bool:
     """Whether one ``end`` of the range of a volume's voxels is that of many, and far from all others."""
-    if sum(np.count_nonzero(slab == end) for slab in volume.slabs()) < MANY * volume.voxels.size:
+    if sum(np.count_nonzero(slab == end) for slab in volume.slabs()) < MARK_SHARE * volume.voxels.size:
         return False
     if end < other:
         beside = min(np.min(slab, where=slab > end, initial=other) for slab in volume.slabs())
@@ -259,7 +259,7 @@ def is_far(volume: Volume, end: Any, other: Any) -> bool:
 ISOVALUES = 32
 """Isovalues that are examined, over the range that views may ask for, besides the scene's own."""
 
-WHOLE = 4
+EXAMINED_ISOVALUES = 4
 """Integers are asked for whole isovalues: these are examined, where the range holds so many for each of them."""
 
 
@@ -290,7 +290,10 @@ def isovalues_of(scene: Scene) -> list[float]:
     low, high = scene.isovalues
     spread = np.linspace(0.0, 1.0, ISOVALUES + 2)[1:-1]
     values = low * (1.0 - spread) + high * spread
-    if not scene.volume.dtype.startswith(("float", "bool")) and high / ISOVALUES - low / ISOVALUES >= WHOLE:
+    if (
+        not scene.volume.dtype.startswith(("float", "bool"))
+        and high / ISOVALUES - low / ISOVALUES >= EXAMINED_ISOVALUES
+    ):
         values = np.round(values)
     return sorted({*values.tolist(), scene.isovalue})
 

@@ -7,7 +7,7 @@ from collections.abc import Hashable, Mapping
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.rays.picture_plan import HEAVIER
 from isogi_core.frame.view_checks import PathsLeft
-from worker.progress import PRIOR, UNKNOWN, TimeLeft, log_normal_ratios
+from worker.progress import PRIOR, UNREHEARSED_SPREAD, TimeLeft, log_normal_ratios
 
 WAITS = ("queue", "bake", "check", "demand")
 """Stages of a frame in which it is not drawn."""
@@ -21,7 +21,7 @@ def time_of_paths(left: PathsLeft, spent: Cost, threads: int, drawing: Mapping[s
     each = spent.seconds / max(spent.paths, 1) / threads
     once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITS)
     work = left.texels * each + left.pixels * (left.pace or each / HEAVIER) + left.times * once
-    return TimeLeft.of(work, PRIOR if left.pace is None else log_normal_ratios(UNKNOWN))
+    return TimeLeft.of(work, PRIOR if left.pace is None else log_normal_ratios(UNREHEARSED_SPREAD))
 
 
 RISE = 1.1

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from server.errors import BusyError
 
-USUAL = 0.02
+USUAL_WORK_SECONDS = 0.02
 """Seconds that a client's work is taken to need before any has ended."""
 
 FRESH = 0.3
@@ -32,7 +32,7 @@ class Client:
 
     weight: float = 1.0
     spent: float = 0.0
-    usual: float = USUAL
+    usual: float = USUAL_WORK_SECONDS
     claim: bool = False
     open: int = 0
 

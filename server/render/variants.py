@@ -52,13 +52,13 @@ BESIDE = "~"
 MADE_OF = "="
 """Between the environment that a variant is named by, and its material."""
 
-STEP = "+"
+STEP_MARK = "+"
 """Between the environment that a variant is named by, and its step in time."""
 
 WITHOUT = "!"
 """Between the environment that a variant is named by, and the labels that are hidden."""
 
-MOST = 64
+MAX_VARIANTS = 64
 """Variants that an engine has at a time: those asked for last."""
 
 MOST_CUTS = 4
@@ -71,7 +71,7 @@ REMEMBERED = 4096
 """Variants whose change is known after they made way: those made last."""
 
 
-CROWDED = "Others asked for cuts, or other changes of scenes, before you: ask again in a while."
+VARIANTS_TAKEN = "Others asked for cuts, or other changes of scenes, before you: ask again in a while."
 COMPILING = "What draws the surface of this material is being compiled, once on this machine: ask again in a while."
 
 Place = Callable[[str], str | None]
@@ -136,7 +136,7 @@ def variant_name(scene: Scene, change: Change) -> str:
     beside = "" if clears is None else BESIDE + ",".join(HIDDEN if each is None else f"{each!r}" for each in clears)
     without = "" if hidden is None else WITHOUT + ",".join(map(str, hidden))
     material = "" if made is None else MADE_OF + write_material_text(made)
-    step = "" if change.time is None else f"{STEP}{change.time}"
+    step = "" if change.time is None else f"{STEP_MARK}{change.time}"
     lit = f"{scene.id}{MARK}{change.environment or ''}{beside}{material}{without}{step}"
     if change.cut is None:
         return lit
@@ -150,12 +150,12 @@ def is_cut(variant: str) -> bool:
 
 def step_of(variant: str) -> str:
     """The step in time of the variant with this id, empty where it is its scene's own."""
-    return variant.partition(MARK)[2].partition(MARK)[0].partition(STEP)[2]
+    return variant.partition(MARK)[2].partition(MARK)[0].partition(STEP_MARK)[2]
 
 
 def labels_of(variant: str) -> str:
     """The labels that the variant with this id hides, with a WITHOUT before them; empty where they are its scene's."""
-    lit = variant.partition(MARK)[2].partition(MARK)[0].partition(STEP)[0]
+    lit = variant.partition(MARK)[2].partition(MARK)[0].partition(STEP_MARK)[0]
     return "".join(lit.partition(WITHOUT)[1:])
 
 
@@ -173,7 +173,7 @@ def may_lend(other: str, scene: str) -> bool:
     return other != scene and lit[0] == lit[1] and not is_cut(other) and not is_cut(scene)
 
 
-MAY_DIFFER = f"[{WITHOUT}{STEP}]"
+MAY_DIFFER = f"[{WITHOUT}{STEP_MARK}]"
 """From where on names of variants differ that lend each other light."""
 
 
@@ -189,7 +189,7 @@ class Variants:
         self,
         engine: "RenderEngine",
         place: Place,
-        most: int = MOST,
+        most: int = MAX_VARIANTS,
         most_cuts: int = MOST_CUTS,
         room: int | None = None,
         patience: float = math.inf,
@@ -231,7 +231,7 @@ class Variants:
             async with asyncio.timeout(None if math.isinf(self._patience) else self._patience):
                 await self._turn.acquire()
         except TimeoutError:
-            raise BusyError(CROWDED) from None
+            raise BusyError(VARIANTS_TAKEN) from None
         try:
             return await asyncio.to_thread(self.make, scene, change, place)
         finally:

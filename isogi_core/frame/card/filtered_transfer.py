@@ -3,7 +3,7 @@
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec, square_light
-from isogi_core.frame.shading import STEPS, filter_records
+from isogi_core.frame.shading import FILTER_DISTANCES, filter_records
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels
@@ -45,5 +45,5 @@ def filter_numbers(
     for k in range(numbers.shape[1]):
         before = records.copy()
         before[:, DIRECT : DIRECT + 3], before[:, VARIANCE] = numbers[:, k, None], noise[:, k]
-        filtered[:, k] = filter_records(texels, before, STEPS, ALL, tiles)[:, DIRECT]
+        filtered[:, k] = filter_records(texels, before, FILTER_DISTANCES, ALL, tiles)[:, DIRECT]
     return filtered
