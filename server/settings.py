@@ -17,7 +17,7 @@ from pydantic_settings import (
 from server.bearers import Bearer, read_bearers
 
 UNKNOWN_SCHEDULER = (
-    "whoever reaches a scheduler without certificates can run code there: name one at tls://… with scheduler_ca,"
+    "anybody who reaches a scheduler without certificates can run code there: name one at tls://… with scheduler_ca,"
     " scheduler_cert and scheduler_key (docs/cluster.md), or say --insecure-scheduler"
 )
 
@@ -92,7 +92,8 @@ class Settings(BaseSettings):
     )
     scheduler_key: FilePath | None = Field(None, description="File of that certificate's key, PEM.")
     insecure_scheduler: bool = Field(
-        False, description="Join a scheduler without certificates: all who reach it can run code as its workers' user."
+        False,
+        description="Join a scheduler without certificates: anybody who reaches it can run code as its workers' user.",
     )
     token: SecretStr | None = Field(
         None,

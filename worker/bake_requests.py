@@ -281,7 +281,7 @@ class BakeRequest:
         self.priority, self.effort = result.priority, result.effort
 
     def _change_priority(self, change: float) -> None:
-        """Add a change of one interest to the sum; summing anew would be slow with a thousand clients."""
+        """Add a change of one interest to the sum; summing all again would be slow with a thousand clients."""
         first = next(iter(self.interests.values())).priority if self.interests else 0.0
         self.priority = first if len(self.interests) < 2 else max(self.priority + change, 0.0)
 

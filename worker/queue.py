@@ -26,7 +26,7 @@ FORGET_AFTER, LOOK = 60.0, 1.0
 """Seconds after which a request that was not renewed expires, and between two checks for these."""
 
 GROWN, SUNK = 1.5, 1.0 / 3.0
-"""Growth of a request's priority, and share of its loss, from which on it is ranked anew in all its clients' queues.
+"""Growth of a request's priority, and share of its loss, from which on it is ranked again in all its clients' queues.
 
 Below these it keeps its places, as a thousand clients may see one chunk.
 """
@@ -202,7 +202,7 @@ class BakeQueue:
         return max(given_up, key=lambda request: request.asked).trouble if given_up else ""
 
     def _add_for(self, request: BakeRequest, client: Hashable) -> None:
-        """Note a client's new interest, and rank the request anew for all clients where it has changed much."""
+        """Note a client's new interest, and rank the request again for all clients where it has changed much."""
         self._interesting.setdefault(client, {}).pop(request.key, None)
         self._interesting[client][request.key] = request
         lacking, priority = request.ranked
@@ -228,7 +228,7 @@ class BakeQueue:
     def _first(self, patient: bool, client: Hashable) -> BakeRequest | None:
         """The first of a client's requests that can be worked on now; None where there is none.
 
-        One whose priority has sunk since it was ranked is ranked anew.
+        One whose priority has sunk since it was ranked is ranked again.
         """
         while found := self._queues.pop(patient, client):
             rank, request = found

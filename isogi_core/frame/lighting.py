@@ -25,7 +25,7 @@ from isogi_core.plan.albedos import mixing_weights
 from isogi_core.plan.scene import Scene
 
 FORMAT = 13
-"""Counts up when pictures of the same light change: those that browsers keep are then asked for anew."""
+"""Counts up when pictures of the same light change: those that browsers keep are then asked for again."""
 
 MAX_SQUARES_RATIO = 100.0
 """How much the mean square of paths may fall at most: where next to nothing arrives unreflected."""

@@ -48,7 +48,7 @@ class Distances:
 
     @property
     def errors(self) -> np.ndarray:
-        """What interpolation is expected to err by while each texel is not projected; (texels,) float32, relative."""
+        """The expected error of interpolation while each texel is not projected; (texels,) float32, relative."""
         return np.asarray(STEEPNESS * self.voxels)
 
     def beyond(self, target: float) -> np.ndarray:

@@ -33,7 +33,7 @@ from isogi_core.model.volume import Volume
 FILTER_DISTANCES = (1, 2)
 """Distances between the neighbours that light which converges is filtered by, pass by pass.
 
-Of the engine under uffizi after 16 samples each texel by itself errs by 12.4 %, filtered once by 7.4 %, twice by 5.1 %;
+Of the engine under uffizi after 16 samples the error of texels is 12.4 %, filtered once by 7.4 %, twice by 5.1 %;
 after 256 samples by 1.18, 0.89 and 0.83 %.
 """
 

@@ -37,7 +37,7 @@ class Stopwatch:
 Piece = Callable[[int, int], object]
 
 MIN_PIECE_ROWS = 4096
-"""Points, texels or rows that a piece has where a thread has several: each piece asks for the interpreter anew."""
+"""Points, texels or rows that a piece has where a thread has several: each piece asks for the interpreter again."""
 
 
 class Tiles:

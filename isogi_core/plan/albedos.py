@@ -27,7 +27,7 @@ EVALUATED_ALBEDOS = 48
 
 @cache
 def choose_nodes(most: float, bounces: int, allowed: float) -> tuple[float, ...]:
-    """Choose the fewest nodes up to the albedo ``most`` for which paths of ``bounces`` err by at most ``allowed``.
+    """Choose the fewest nodes up to an albedo ``most`` at which paths of ``bounces`` have the ``allowed`` error.
 
     The error is relative to all light of a texel. Where it is never reached, MAX_NODES nodes.
     """

@@ -384,7 +384,7 @@ def _image(light: SkyLight | ProbeLight | EnvironmentLight) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def _sky(light: SkyLight | EnvironmentLight) -> np.ndarray:
-    """The image of light by formula, read-only: scenes that are planned anew have the sky they had."""
+    """The image of light by formula, read-only: scenes that are planned again have the sky they had."""
     grid = pixel_directions(*SKY_SIZE), solid_angles(*SKY_SIZE)
     image = sky_image(light, *grid) if isinstance(light, SkyLight) else environment_image(light, *grid)
     image.flags.writeable = False

@@ -45,8 +45,8 @@ tenth of the mean or more, 1.0e-3, 0.7e-3 and 0.8e-3.
 BYTE = 0.033
 """Relative error of a coefficient that is kept as a byte.
 
-Codes are 9 % apart, so that one rounding errs by 2.5 %, and many levels by 3.2 %: from code to code a mean moves only
-when the newer half of its samples asks for it (``tests/stability/test_samples.py``). From band 3 on it
+Codes are 9 % apart, so that the error of one rounding is 2.5 %, and of many levels 3.2 %: from code to code a mean
+moves only when the newer half of its samples asks for it (``tests/stability/test_samples.py``). From band 3 on it
 costs 0.27 to 0.33 % of the luminance (uffizi), 0.37 to 0.45 % (grace) and 0.51 to 0.60 % (noon_grass) on texels
 of the engine at 70 and of the CT head at 110 to order 6; from band 2 on three times that.
 """

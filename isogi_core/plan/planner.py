@@ -80,7 +80,7 @@ def refuse_orders(representation: str, bounces: int, overrides: PlanOverrides) -
 def refuse_lobes(representation: str, inputs: PlanInputs, overrides: PlanOverrides) -> None:
     """Raise SceneError for more lobes than the light has, and for lobes of light that needs no harmonics."""
     if overrides.lobes and representation != "transfer":
-        raise SceneError(f"lobes = {overrides.lobes} are beside harmonics, and this light needs none: leave it out.")
+        raise SceneError(f"lobes = {overrides.lobes} go with harmonics, and this light needs none: leave it out.")
     if overrides.lobes and overrides.lobes > len(inputs.lobes):
         raise SceneError(f"lobes = {overrides.lobes} is more than this light has: take at most {len(inputs.lobes)}.")
 

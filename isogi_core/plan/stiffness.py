@@ -22,7 +22,7 @@ under constant light with texels at 2 %: relative RMSE against paths from each p
 """
 
 MIN_ERROR_FACTOR, MAX_ERROR_FACTOR = 0.2, 3.5
-"""Nine in ten of these surfaces erred between these multiples of the estimate.
+"""The error of nine in ten of these surfaces was between these multiples of the estimate.
 
 The estimate does not know what stands behind a surface at other isovalues: a table under a teapot, say.
 """

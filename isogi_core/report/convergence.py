@@ -33,8 +33,8 @@ TRACED = "path tracing from each pixel"
 
 ABOUT = """\
 Errors against the reference, of one view, as more samples are taken. Light of texels is baked once and serves all \
-cameras and, where it turns, all lights; paths from each pixel serve one picture. What a curve levels off at is what \
-more samples do not mend: interpolation, harmonics and bounces that are cut off. Each point of baked light grows from \
+cameras and, where it turns, all lights; paths from each pixel serve one picture. Where a curve levels off, \
+more samples do not help: interpolation, harmonics and bounces that are cut off. Each point of baked light grows from \
 the one before; seconds are of the processor, all threads together, without compiling. The bake pays for itself after \
 so many pictures that read the texels of this one, from cameras that see the same surface or under turned lights, as \
 paths from each pixel could trace to its own error in its time; frames of baked light take milliseconds, and count as \
@@ -153,7 +153,7 @@ def baked(bench: Bench, scene: Scene, best: Reference) -> list[Point]:
 
 
 def traced(bench: Bench, best: Reference) -> list[Point]:
-    """The points of paths from each pixel, each picture traced anew; with as many bounces as may matter."""
+    """The points of paths from each pixel, each picture traced again; with as many bounces as may matter."""
     renderer, view = bench.renderer(bench.whole), replace(bench.view, shading="path_traced")
     renderer.render(replace(view, samples=1))
 
@@ -166,7 +166,7 @@ def traced(bench: Bench, best: Reference) -> list[Point]:
 
 
 def points(bench: Bench, best: Reference, frame: Callable[[int], tuple[Frame, float]]) -> list[Point]:
-    """The points of ``frame``, which tells its seconds too, over RUNGS, until the next would take too long.
+    """The points of ``frame``, which returns its seconds too, over RUNGS, until the next would take too long.
 
     The first one is made in any case.
     """

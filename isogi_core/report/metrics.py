@@ -13,7 +13,7 @@ from isogi_core.report.reference import Reference
 from isogi_core.report.sections import Cell, Column
 
 WORST_PERCENTILE = 99.0
-"""The percentile of errors that tells of the worst pixels, and not of the single worst one."""
+"""The percentile of errors that stands for the worst pixels, and not of the single worst one."""
 
 
 SCORE_COLUMNS = (

@@ -100,7 +100,7 @@ PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>isogi: tok
 <p>If it has it already, and you came by a link from elsewhere: <a href="">go on</a>.</p></html>"""
 
 
-FORBIDDEN = "The token '{name}' does not allow this ({scope}): ask whoever runs this server for one that does."
+FORBIDDEN = "The token '{name}' does not allow this ({scope}): ask the operator of this server for one that does."
 
 
 def needed_scope(scope: Scope) -> str:
@@ -181,7 +181,7 @@ class TokenBearers:
         return max(held, key=lambda token: token.bearer.reach, default=None)
 
     def shown(self, given: bytes) -> Token | None:
-        """The token that this is, if any; how long that takes tells nothing."""
+        """The token that this is, if any; how long that takes reveals nothing."""
         return next((token for token in [each for each in self.tokens if each.is_shown(given)]), None)
 
     def given(self, scope: Scope) -> str | None:

@@ -252,7 +252,7 @@ class Connection(H11Protocol):
             self.cycle.message_event.set()
 
     def _note(self) -> None:
-        """Begin to count anew where the client has come from one part of a request to the next."""
+        """Begin to count again where the client has come from one part of a request to the next."""
         if self.conn.their_state is not self._state:
             self._state, self._since = self.conn.their_state, self.loop.time()
 

@@ -112,7 +112,7 @@ class Export:
         return order_of({"isovalues": [repr(self.view.isovalue)], "all_directions": True, **given})
 
     async def _in_thread(self, work: Callable[[], Made]) -> Made:
-        """Do some work on a thread; cancelled, it is told to stop, and waited for."""
+        """Do some work on a thread; if cancelled, it is asked to stop, and waited for."""
         return await to_its_end(asyncio.get_running_loop().run_in_executor(None, work), self.cancelled)
 
     def _check(self) -> int:

@@ -122,7 +122,9 @@ class Service:
         """End a job of this bearer's. Raises ForbiddenError, and as ``job`` does."""
         job = self.job(key)
         if not bearer.owns(job.owner):
-            raise ForbiddenError(f"The job '{job.id}' belongs to '{job.owner}', who may dismiss it, as an admin may.")
+            raise ForbiddenError(
+                f"The job '{job.id}' belongs to '{job.owner}', who may dismiss it, and so may an admin."
+            )
         return await self.jobs.dismiss(job.id)
 
     def reason(self) -> str:

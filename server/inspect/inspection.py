@@ -29,7 +29,7 @@ class SurfaceSchema(BaseModel):
 
     ``steep``: the field leaps from one plateau to another; ``plateau``: it hardly changes; ``noisy``: normals stray;
     ``holes``: beside a voxel that is no number. ``box`` names the faces of the box that the surface meets, each with
-    the share of the cells that do. ``error`` is what light is expected to err by for being interpolated between
+    the share of the cells that do. ``error`` is the expected error of light that is interpolated between
     texels, null where there is no surface.
     """
 
@@ -116,7 +116,7 @@ def nothing(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
 def error(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
     """What error is to be expected."""
     if own.error is not None:
-        means = f"Expect the light at {own.isovalue:.6g} to err by about {span(own.error)} for being interpolated."
+        means = f"Expect an error of about {span(own.error)} of the light at {own.isovalue:.6g}, by interpolation."
         none = "" if max(own.steep, own.plateau, own.noisy) >= WORTH else " Nothing is stiff there."
         can = ["measure it for a view of yours: isogi report."]
         yield Remark(about="error", means=f"{means}{none}", can=can)
@@ -168,7 +168,7 @@ def calmer(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[str]:
 def holes(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
     """The remark that voxels next to the surface are no numbers."""
     if own.holes > 0.0:
-        means = f"{percent(own.holes)} of the surface lies beside voxels that are no numbers."
+        means = f"{percent(own.holes)} of the surface lies next to voxels that are no numbers."
         does = "shows no surface in the eight cells around such a voxel: there is a gap, and light passes."
         yield Remark(about="holes", means=means, does=does, can=["fill them in before, where gaps are not meant."])
 

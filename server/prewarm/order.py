@@ -33,13 +33,13 @@ Direction = tuple[float, float]
 
 
 def all_sides(count: int) -> list[Direction]:
-    """So many points spread evenly over a sphere: a Fibonacci lattice."""
+    """``count`` points spread evenly over a sphere: a Fibonacci lattice."""
     heights = (1.0 - (2 * n + 1) / count for n in range(count))
     return [(n * GOLDEN % 360.0, math.degrees(math.asin(height))) for n, height in enumerate(heights)]
 
 
 def orbit(count: int, elevation: float) -> list[Direction]:
-    """So many azimuths around the object, from 0 on, at one elevation."""
+    """``count`` azimuths around the object, from 0 on, at one elevation."""
     return [(360.0 * n / count, elevation) for n in range(count)]
 
 
@@ -48,7 +48,7 @@ MOST_ISOVALUES = 10_000
 
 WANTED = (
     f"a number such as 70, first:last:step such as 60:120:5 with at most {MOST_ISOVALUES} of them, first:last for"
-    " all between, or so many of the scene's range, adaptive:20 or uniform:20"
+    " all between, or a number of levels of the scene's range, adaptive:20 or uniform:20"
 )
 
 

@@ -32,15 +32,15 @@ PICTURES = 256
 
 
 class Promises:
-    """The times left that were told of pictures: who waits sees none leap up. Any thread may use it."""
+    """The times left that were reported of pictures: no time leaps up before those that wait. Any thread may use it."""
 
     def __init__(self) -> None:
-        """None told yet."""
+        """None reported yet."""
         self._told: OrderedDict[Hashable, TimeLeft] = OrderedDict()
         self._lock = threading.Lock()
 
     def kept(self, picture: Hashable, left: TimeLeft) -> TimeLeft:
-        """What to tell of a ``picture`` with an estimate of what is ``left``: RISE times what was told, at most."""
+        """The time to report of a ``picture`` with an estimate of what is ``left``: at most RISE times the last one."""
         with self._lock:
             before = self._told.pop(picture, None)
             if before is not None and left.likely > RISE * before.likely > 0.0:

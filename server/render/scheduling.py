@@ -74,7 +74,7 @@ class Rank:
 class FairSemaphore:
     """So many ``places``, shared evenly among clients by the time that their work takes (start-time fair queueing).
 
-    A client that comes anew begins where the queue's clock is: nothing that waited before gives it a turn of its own,
+    A client that comes again begins where the queue's clock is: nothing that waited before gives it a turn of its own,
     and nobody waits longer than all others take once. While others are ``pressed`` one place alone is given: that
     which ends passes on as many as may be by then. Where turns are ``even``, each counts alike however long it takes.
     """

@@ -194,7 +194,7 @@ class Variants:
         room: int | None = None,
         patience: float = math.inf,
     ) -> None:
-        """None yet; ``place`` tells where an environment is.
+        """None yet; ``place`` finds where an environment is.
 
         When there are more than ``most``, the engine dismisses what was asked for longest ago. Voxels of cuts, and
         of steps, may take ``room`` bytes: by default what volumes in memory may take, MOST_CUTS times. Beyond that

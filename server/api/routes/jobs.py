@@ -188,7 +188,7 @@ async def prewarm(
 ) -> JobSchema:
     """Bake light ahead, or forecast (dry_run) how much that is and how long it takes.
 
-    It yields to people, goes on when the server starts anew, and is dismissed by DELETE.
+    It yields to people, goes on when the server starts again, and is dismissed by DELETE.
     """
     service.startup.check()
     await asyncio.to_thread(check, scene, asked.order, service.settings)
