@@ -104,6 +104,17 @@ def test_pictures_in_docs_are_shown_somewhere() -> None:
     assert {path.name for path in pictures if path.resolve() not in shown} == set()
 
 
+def bold(name: str) -> set[str]:
+    """The bold words of a page, in the singular."""
+    found = re.findall(r"\*\*([^*]+)\*\*", (DOCS / name).read_text(encoding="utf-8"))
+    return {re.sub(r"(?<=[^s])s$", "", word.strip(".").lower()) for word in found}
+
+
+def test_the_glossary_has_the_words_of_the_concepts() -> None:
+    assert len(bold("concepts.md")) > 20
+    assert bold("concepts.md") - bold("glossary.md") == set()
+
+
 def long_entries(text: str) -> list[str]:
     """Lines of a list that take more words than a change does."""
     return [line for line in text.splitlines() if line.startswith("- ") and len(line.split()) > LONGEST_ENTRY + 1]
