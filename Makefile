@@ -106,6 +106,7 @@ pictures: $(BIN)/.tools
 	  --width 480 --height 360 --target-error 0.03
 	$(BIN)/isogi render docs/surfaces.toml -o docs/surfaces.webp --azimuth 40 --elevation 20 --distance 2.2 \
 	  --width 480 --height 360 --target-error 0.03
+	$(BIN)/python docs/draw_concepts.py
 	$(BIN)/python docs/draw_labels.py
 	for albedo in 0.3 0.9; do $(BIN)/isogi render docs/albedo.toml -o docs/albedo-$$albedo.png --albedo $$albedo \
 	  --azimuth 35 --elevation 28 --distance 3 --width 480 --height 360 --target-error 0.03; done

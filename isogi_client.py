@@ -125,9 +125,9 @@ class Facts:
     """What the server knows of a frame's quality.
 
     ``coverage`` are the shares of the surface's pixels that are final, converging and provisional, ``error`` is the
-    estimated relative RMSE, ``chunks`` how many are needed and final. 99 % of the pixels err by less than ``p99``, None
-    where that is not measured. ``time_left`` is None where it is unknown or over, ``etag`` names the very picture, and
-    ``timing`` has the milliseconds of the stages of the work on it.
+    estimated relative RMSE, ``chunks`` how many are needed and final. 99 % of the pixels have an error below ``p99``,
+    None where that is not measured. ``time_left`` is None where it is unknown or over, ``etag`` names the very picture,
+    and ``timing`` has the milliseconds of the stages of the work on it.
     """
 
     provisional: bool
@@ -428,7 +428,7 @@ class Progress:
 
 
 class Job:
-    """Work that a server goes on with by itself, also when it is started anew; its ``id`` finds it again."""
+    """Work that a server goes on with by itself, also when it is started again; its ``id`` finds it again."""
 
     def __init__(self, isogi: Isogi, key: str) -> None:
         self.id = key
@@ -764,7 +764,7 @@ class Isogi:
                 return frame
 
     def _final(self, path: str, asked: dict[str, str], progress: Callable[[Facts], object] | None) -> Frame:
-        """The frame once it is final; what was final and is no more, such as after damage, is waited for anew."""
+        """The frame once it is final; what was final and is no more, such as after damage, is waited for again."""
         while (frame := self._frame(path, asked)).facts.provisional:
             self._listen(path, asked, progress or (lambda _: None))
         if progress is not None:

@@ -5,7 +5,7 @@ import ctypes
 MMAP_THRESHOLD, ARENA_MAX = -3, -8
 """The numbers of glibc's parameters for what goes back to the system when freed, and for arenas (malloc.h: M_…)."""
 
-LARGE = 256 << 10
+LARGE_ARRAY_BYTES = 256 << 10
 """Bytes from which on memory comes from the system, and goes back to it: a view's arrays, not those of a draft."""
 
 
@@ -20,7 +20,7 @@ def keep_memory_small() -> None:
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
         mallopt(ARENA_MAX, 1)
-        mallopt(MMAP_THRESHOLD, LARGE)
+        mallopt(MMAP_THRESHOLD, LARGE_ARRAY_BYTES)
 
 
 def give_memory_back() -> None:

@@ -142,7 +142,7 @@ def colour_scale(scene: Scene) -> ColourScale | None:
 
 
 def material_schemas(scene: Scene) -> list[MaterialSchema]:
-    """All materials; a scene is asked once, as its probes are read anew for each."""
+    """All materials; a scene is asked once, as its probes are read again for each."""
     if scene not in MATERIALS_OF:
         MATERIALS_OF[scene] = [material_schema(kind, found) for kind, found in find_materials(scene).items()]
     return MATERIALS_OF[scene]

@@ -88,7 +88,7 @@ def read_bearers(path: Path) -> tuple[Bearer, ...]:
 
 
 def read_bearer(name: str, table: Any) -> Bearer:
-    """One bearer. Raises ValueError, which tells no token."""
+    """One bearer. Raises ValueError, which names no token."""
     right = f"[{name}] must have a token of {SHORTEST} characters or more, and scopes, such as {list(SCOPES[:2])}"
     if not isinstance(table, dict) or set(table) != {"token", "scopes"} or not name:
         raise ValueError(right)

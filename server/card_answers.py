@@ -43,7 +43,9 @@ from server.card_schemas import (
 FORMAT = 1
 """Version of what is sent: counts up when an older page cannot read it."""
 
-KEPT = Obstacle("voxels kept", "This server hands out no voxels: it draws all pictures itself (hand_out_voxels).")
+VOXELS_KEPT = Obstacle(
+    "voxels kept", "This server hands out no voxels: it draws all pictures itself (hand_out_voxels)."
+)
 """What keeps cards from drawing anything that this server shows."""
 
 LINKS = CardLinks(chunks="card/chunks", light="card/light/", transfer="card/transfer/")
@@ -52,7 +54,7 @@ TONE = CardTone(gain=GAIN, toe=TOE, shoulder=SHOULDER)
 
 def card_obstacles(prepared: PreparedScene, view: View, hands_out: bool) -> list[Obstacle]:
     """What keeps a card from drawing a view; whether the server ``hands_out`` voxels. Raises ViewError."""
-    own = [] if hands_out else [KEPT]
+    own = [] if hands_out else [VOXELS_KEPT]
     return own + find_obstacles(prepared.scene, view, prepared.voxel_codes.nbytes)
 
 

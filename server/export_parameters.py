@@ -6,7 +6,7 @@ from pydantic import Field
 
 from isogi_core.model.view import Vec3
 from server.parameters import Isovalue, LightTurn, Pitch, Roll, VariantParams, ViewParams, Yaw, read, reader
-from server.values import LONGEST, Choice, Colour, Span
+from server.values import LONGEST_SECONDS, Choice, Colour, Span
 
 EXPORTS = ("glb", "usdz", "ply", "obj", "vti", "nrrd")
 
@@ -29,7 +29,7 @@ class ExportParams(VariantParams):
     max_error: Annotated[float | None, Span(0.0001, 1)] = Field(
         None, description="Relative error at which light is final; default: the scene's target_error."
     )
-    deadline: Annotated[float | None, Span(0, LONGEST)] = Field(
+    deadline: Annotated[float | None, Span(0, LONGEST_SECONDS)] = Field(
         None, description="Seconds of baking after which the file is made with the light that is there; default: none."
     )
 

@@ -22,7 +22,7 @@ def request_id(given: str | None) -> str:
     return given if given is not None and WELL_FORMED.fullmatch(given) else uuid4().hex
 
 
-MOST, SPAN = 10, 60.0
+MAX_WARNINGS, SPAN = 10, 60.0
 """Warnings of a kind that are written within so many seconds; of more, only how many there were."""
 
 
@@ -39,20 +39,21 @@ class Repeats(logging.Filter):
         self._seen: dict[Hashable, tuple[float, int]] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Let the first MOST of a kind pass in each SPAN; the next one after that says how many were dropped."""
+        """Let the first MAX_WARNINGS of a kind pass in each SPAN; the next one says how many were dropped."""
         if record.levelno < logging.WARNING:
             return True
         kind, now = kind_of(record), self._clock()
         begun, count = self._seen.get(kind, (now, 0))
         if now - begun >= SPAN:
-            record.msg, record.args = f"{record.getMessage()}{MORE.format(count - MOST) if count > MOST else ''}", None
+            more = MORE_OF_A_KIND.format(count - MAX_WARNINGS) if count > MAX_WARNINGS else ""
+            record.msg, record.args = record.getMessage() + more, None
             begun, count = now, 0
             self._seen = {each: seen for each, seen in self._seen.items() if now - seen[0] < SPAN or each == kind}
         self._seen[kind] = begun, count + 1
-        return count < MOST
+        return count < MAX_WARNINGS
 
 
-MORE = " (and {} more of its kind, which are not written)"
+MORE_OF_A_KIND = " (and {} more of its kind, which are not written)"
 
 
 def kind_of(record: logging.LogRecord) -> Hashable:

@@ -25,7 +25,7 @@ PLANES = 9
 BAND = 4 << 20
 """Bytes of such a file that are made at once."""
 
-NARROW = ("|u1", "<u2", "<i2", "<f4")
+SLICE_TYPES = ("|u1", "<u2", "<i2", "<f4")
 """Numbers that values of a slice are sent in, the narrowest first; what none of them holds is float64."""
 
 RLE = 3
@@ -124,18 +124,18 @@ def grey(values: np.ndarray, low: float, high: float) -> np.ndarray:
 
 
 def values_npy(values: np.ndarray, near: float) -> bytes:
-    """An npy file of ``values`` (h, w), float64, in the narrowest of NARROW that holds them.
+    """An npy file of ``values`` (h, w), float64, in the narrowest of SLICE_TYPES that holds them.
 
     Whole numbers are exact in it, others are off by ``near`` at most. What is not finite is in floats alone.
     """
-    form = next((form for form in NARROW if off(form, values) <= (near if form == "<f4" else 0.0)), "<f8")
+    form = next((form for form in SLICE_TYPES if off(form, values) <= (near if form == "<f4" else 0.0)), "<f8")
     buffer = io.BytesIO()
     np.lib.format.write_array(buffer, np.ascontiguousarray(values, form), version=(1, 0))
     return buffer.getvalue()
 
 
 def off(form: str, values: np.ndarray) -> float:
-    """How far numbers of a ``form`` of NARROW are from ``values``, at most."""
+    """How far numbers of a ``form`` of SLICE_TYPES are from ``values``, at most."""
     finite = np.isfinite(values)
     if form != "<f4" and not finite.all():
         return math.inf

@@ -9,7 +9,7 @@ from server.errors import ParameterError
 from server.parameters import LONGEST_SIDE, MOST_STEPS, Isovalue, NoParams, VariantParams, ViewParams, reader
 from server.values import Choice, Span
 
-AXES, MOST = ("x", "y", "z"), sys.float_info.max
+AXES, LARGEST_VALUE = ("x", "y", "z"), sys.float_info.max
 
 
 class PointParams(ViewParams):
@@ -37,10 +37,10 @@ class SliceParams(NoParams):
 
     axis: Annotated[str, Choice(AXES)] = Field(description="The voxel axis that the plane is across: x, y or z.")
     at: Annotated[float, Span(0, 1e9)] = Field(description="Where it is, as a voxel index; linear between voxels.")
-    low: Annotated[float | None, Span(-MOST, MOST)] = Field(
+    low: Annotated[float | None, Span(-LARGEST_VALUE, LARGEST_VALUE)] = Field(
         None, description="The value, in the volume's units, that is black; default: its least one, outliers aside."
     )
-    high: Annotated[float | None, Span(-MOST, MOST)] = Field(
+    high: Annotated[float | None, Span(-LARGEST_VALUE, LARGEST_VALUE)] = Field(
         None, description="The value that is white; default: its greatest one, outliers aside."
     )
     time: Annotated[int | None, Span(0, MOST_STEPS, whole=True)] = Field(

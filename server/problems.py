@@ -90,7 +90,7 @@ class Problem(BaseModel):
 
 
 def documented_problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """These statuses as OpenAPI responses of an operation."""
+    """The OpenAPI responses of an operation that answers with these ``statuses``."""
     content = {"application/problem+json": {"schema": Problem.model_json_schema()}}
     return {status: {"description": HTTPStatus(status).phrase, "content": content} for status in statuses}
 

@@ -48,7 +48,7 @@ def ticking(draw: Callable[[], object]) -> Iterator[None]:
 
 
 class Progress:
-    """A bar on stderr, drawn with the first progress; it begins anew with each new name. Close it by ``with``.
+    """A bar on stderr, drawn with the first progress; it begins again with each new name. Close it by ``with``.
 
     Its clock runs while nothing is reported.
     """

@@ -362,9 +362,9 @@ class TimeLeftSchema(BaseModel):
 class Coverage(BaseModel):
     """How far a view is: chunks, pixels by state, and the ``error`` of the frame: the total relative RMSE.
 
-    So many ``controls``, pixels with paths of their own, measured it, with a 95 % ``interval``; of none it is a
-    prediction, and the interval null. ``noise`` is the noise in it. 99 % of the pixels err by less than ``p99``, with a
-    95 % ``p99_interval``; both are null where that is not measured. ``time_left`` is null where it is unknown, or no
+    Control pixels, ``controls`` of them, measured it, with a 95 % ``interval``; of none it is a prediction, and the
+    interval null. ``noise`` is the noise in it. 99 % of the pixels have an error below ``p99``, with a 95 %
+    ``p99_interval``; both are null where that is not measured. ``time_left`` is null where it is unknown, or no
     worker is at the view.
     """
 

@@ -17,7 +17,7 @@ from pydantic_settings import (
 from server.bearers import Bearer, read_bearers
 
 UNKNOWN_SCHEDULER = (
-    "whoever reaches a scheduler without certificates can run code there: name one at tls://… with scheduler_ca,"
+    "anybody who reaches a scheduler without certificates can run code there: name one at tls://… with scheduler_ca,"
     " scheduler_cert and scheduler_key (docs/cluster.md), or say --insecure-scheduler"
 )
 
@@ -92,7 +92,8 @@ class Settings(BaseSettings):
     )
     scheduler_key: FilePath | None = Field(None, description="File of that certificate's key, PEM.")
     insecure_scheduler: bool = Field(
-        False, description="Join a scheduler without certificates: all who reach it can run code as its workers' user."
+        False,
+        description="Join a scheduler without certificates: anybody who reaches it can run code as its workers' user.",
     )
     token: SecretStr | None = Field(
         None,
@@ -249,7 +250,7 @@ class Settings(BaseSettings):
 
     @property
     def bearers(self) -> tuple[Bearer, ...]:
-        """Those who may ask, by their tokens; none where no token is needed."""
+        """The clients that may ask, by their tokens; none where no token is needed."""
         one = () if self.token is None else (Bearer(self.token.get_secret_value()),)
         return (*one, *(read_bearers(self.tokens_file) if self.tokens_file else ()))
 

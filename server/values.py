@@ -14,7 +14,7 @@ from isogi_core.errors import ViewError
 from isogi_core.model.window import read_window
 
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
+WHOLE_PATTERN = re.compile(r"[+-]?\d+", re.ASCII)
 FURTHEST = 1e12
 
 
@@ -49,7 +49,7 @@ class Span(GroupedMetadata):
     def read(self, value: object) -> float:
         """The number in ``value``; ValueError where it is none or out of range."""
         number = finite(value)
-        spelt = not self.whole or WHOLE.fullmatch(str(value)) is not None
+        spelt = not self.whole or WHOLE_PATTERN.fullmatch(str(value)) is not None
         if not (spelt and self.low <= number <= self.high):
             kind = "a whole number" if self.whole else "a number"
             raise ValueError(f"must be {kind} from {self.low:.10g} to {self.high:.10g}, not {shown(value)}.")
@@ -175,14 +175,14 @@ AGES = {"d": 86400.0, "w": 7 * 86400.0}
 
 AGE = re.compile(rf"({NUMBER.pattern})(d|w)", re.ASCII)
 
-LONGEST = 1e9
+LONGEST_SECONDS = 1e9
 
 
 def seconds_of(text: str) -> float:
     """Seconds of a span of time, none included; ValueError, which says what is allowed, where it is no span."""
     match = DURATION.fullmatch(text) if len(text) <= 40 else None
     seconds = float(match[1]) * UNITS[match.groups()[-1]] if match else -1.0
-    if not 0.0 <= seconds <= LONGEST:
+    if not 0.0 <= seconds <= LONGEST_SECONDS:
         raise ValueError(f"must be a span of time such as 90, 90s, 10m or 1h, not {shown(text)}.")
     return seconds
 

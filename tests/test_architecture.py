@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +85,48 @@ def has_no_docstring(path: Path) -> bool:
 def test_no_file_is_too_long_and_each_says_what_it_is() -> None:
     assert offenders(SOURCES, lines_beyond_the_longest) == {}
     assert offenders(SOURCES, has_no_docstring) == {}
+
+
+LEANING = re.compile(r"(The same|That|Those|These|They|Them|Its?|As|Such)\b")
+"""How docstrings begin that mean nothing in a help window, where the name above is not seen."""
+
+LATER = ("isogi_core/kernels", "isogi_core/bake", "isogi_core/frame/rays", "isogi_core/files")
+"""Rooms whose docstrings are not held to this yet."""
+
+
+def docstrings(path: Path) -> Iterator[str]:
+    """The docstrings of a module, its classes and functions, and the strings below assignments."""
+    for node in nodes(path):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            yield ast.get_docstring(node) or ""
+            yield from (below for above, below in pairwise(map(text_of, node.body)) if not above and below)
+
+
+def text_of(node: ast.stmt) -> str:
+    """The text of a statement that is a string alone; else nothing."""
+    value = node.value.value if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) else ""
+    return value if isinstance(value, str) else ""
+
+
+def leaning(path: Path) -> list[str]:
+    """First lines of docstrings that lean on what stands above them."""
+    return [text.splitlines()[0] for text in docstrings(path) if LEANING.match(text)]
+
+
+def test_docstrings_stand_alone_in_a_help_window() -> None:
+    clients = [ROOT / "isogi_client.py", ROOT / "isogi_widget.py"]
+    held = [path for path in (*SOURCES, *clients) if not name_of(path).startswith(LATER)]
+    assert len(held) > 200
+    assert offenders(held, leaning) == {}
+
+
+def test_the_search_for_leaning_docstrings_finds_them(tmp_path: Path) -> None:
+    module = tmp_path / "module.py"
+    texts = ("The same, held.", "Italic text.", "Its middle.", "That of a scene.", "A scene.", "Assembly.")
+    module.write_text(
+        "\n".join(f'def f{i}():\n    """{text}"""' for i, text in enumerate(texts)) + '\nX = 1\n"""Those."""\n'
+    )
+    assert leaning(module) == ["Those.", "The same, held.", "Its middle.", "That of a scene."]
 
 
 def forbidden_options(tree: Iterator[ast.AST]) -> list[str]:

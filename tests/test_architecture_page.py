@@ -16,6 +16,7 @@ LONGEST = {"An isovalue": 12, "A coefficient": 9}
 """How many files each journey may pass."""
 
 STOP = re.compile(r"^\d+\. `([^`]+)` `([^`]+)`", re.MULTILINE)
+ROW = re.compile(r"^\| (.+?) \| `([^`]+)` `([^`]+)` \| (.*) \|$", re.MULTILINE)
 FIGURE = re.compile(r"^\| .* \| ([^|]+) \| \[([\w-]+)\]\([^)]+\): `([^`]+)` \|$", re.MULTILINE)
 
 
@@ -51,6 +52,37 @@ def test_a_journey_is_short_and_turns_back_nowhere(title: str) -> None:
 def test_a_journey_names_functions_that_are_there(title: str) -> None:
     missing = [(file, name) for file, name in STOP.findall(section(title)) if name not in names_in(ROOT / file)]
     assert missing == []
+
+
+def rows_of(text: str) -> list[tuple[str, str, list[str]]]:
+    """The rows of the table "Where is …?": a file, the name to begin at, and the files that it works with."""
+    table = text.partition("## Where is")[2]
+    return [(file, name, re.findall(r"`([^`]+)`", more)) for _, file, name, more in ROW.findall(table)]
+
+
+def defines(path: Path, name: str) -> bool:
+    """Whether a Python module or a module of the page defines a name."""
+    if path.suffix == ".py":
+        return name in names_in(path)
+    return re.search(rf"^export (class|function|const) {name}\b", path.read_text(encoding="utf-8"), re.M) is not None
+
+
+def not_there(text: str) -> list[str]:
+    """What the table names that is not in the repository."""
+    files = [file for first, _, more in rows_of(text) for file in (first, *more) if not (ROOT / file).is_file()]
+    names = [(file, name) for file, name, _ in rows_of(text) if file not in files]
+    return files + [f"{file} {name}" for file, name in names if not defines(ROOT / file, name)]
+
+
+def test_the_table_leads_to_files_and_names_that_are_there() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert len(rows_of(text)) == text.partition("## Where is")[2].count("\n| ") - 1 >= 40
+    assert not_there(text) == []
+
+
+def test_the_search_of_the_table_finds_what_is_not_there() -> None:
+    text = "## Where is …?\n| a | `worker/queue.py` `Nothing` | `no/file.py` |\n| b | `web/live/live.js` `Live` |  |\n"
+    assert not_there(text) == ["no/file.py", "worker/queue.py Nothing"]
 
 
 def test_the_page_names_files_that_are_there() -> None:

@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -13,6 +14,9 @@ PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"
 
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)|<img src=\"([^\"]+)\"")
 CODE = re.compile(r"```.*?```", re.DOTALL)
+LONGEST_ENTRY = 40
+"""Words of a change."""
+
 TICKED = re.compile(r"`([^`\s]+)`")
 
 
@@ -68,6 +72,15 @@ def test_the_list_of_measurements_links_every_page() -> None:
     assert {path.name for path in MEASUREMENTS.glob("*.md")} - {"index.md"} == listed
 
 
+def test_pages_that_explain_are_short() -> None:
+    scene = set(links((DOCS / "scene.md").read_text(encoding="utf-8")))
+    listed = {"scene.md", "lights.md", "colours.md", "rooms.md", "surfaces.md", "materials.md"}
+    assert listed - {"scene.md"} <= scene
+    explaining = listed | {"architecture.md", "concepts.md", "tutorial.md"}
+    words = {name: len((DOCS / name).read_text(encoding="utf-8").split()) for name in explaining}
+    assert {name: count for name, count in words.items() if count > 1500} == {}
+
+
 def test_relative_links_resolve() -> None:
     wrong = {path.name: found for path in PAGES if (found := list(broken(path, path.read_text(encoding="utf-8"))))}
     assert wrong == {}
@@ -89,6 +102,38 @@ def test_pictures_in_docs_are_shown_somewhere() -> None:
     shown = {(path.parent / link).resolve() for path in PAGES for link in links(path.read_text(encoding="utf-8"))}
     pictures = [path for suffix in ("*.png", "*.svg") for path in DOCS.rglob(suffix)]
     assert {path.name for path in pictures if path.resolve() not in shown} == set()
+
+
+def bold(name: str) -> set[str]:
+    """The bold words of a page, in the singular."""
+    found = re.findall(r"\*\*([^*]+)\*\*", (DOCS / name).read_text(encoding="utf-8"))
+    return {re.sub(r"(?<=[^s])s$", "", word.strip(".").lower()) for word in found}
+
+
+def test_the_glossary_has_the_words_of_the_concepts() -> None:
+    assert len(bold("concepts.md")) > 20
+    assert bold("concepts.md") - bold("glossary.md") == set()
+
+
+def long_entries(text: str) -> list[str]:
+    """Lines of a list that take more words than a change does."""
+    return [line for line in text.splitlines() if line.startswith("- ") and len(line.split()) > LONGEST_ENTRY + 1]
+
+
+def test_entries_of_the_changelog_say_one_change() -> None:
+    assert long_entries((ROOT / "CHANGELOG.md").read_text(encoding="utf-8")) == []
+    assert long_entries(f"- {'word ' * LONGEST_ENTRY}\n- {'word ' * (LONGEST_ENTRY + 1)}") != []
+
+
+def test_changes_are_files_of_one_line_and_a_known_kind() -> None:
+    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["towncrier"]
+    kinds = {kind["directory"] for kind in config["type"]}
+    assert config["start_string"] in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    for path in sorted((ROOT / config["directory"]).glob("*.md")):
+        if path.name != "README.md":
+            assert re.fullmatch(rf"[\w-]+\.({'|'.join(kinds)})\.md", path.name), path.name
+            text = path.read_text(encoding="utf-8").strip()
+            assert "\n" not in text and 0 < len(text.split()) <= LONGEST_ENTRY, path.name
 
 
 def test_the_search_finds_what_is_wrong() -> None:

@@ -86,10 +86,10 @@ LONG = 1 << 14
 for which others may have to wait.
 """
 
-SHORT = 0.1
+SHORT_TASK_SECONDS = 0.1
 """Processor seconds below which a task is not split: each part costs up to 0.02 to hand out, read and write."""
 
-NOTHING = Effort(0, 0.0, 0.0)
+NO_EFFORT = Effort(0, 0.0, 0.0)
 
 
 @dataclass(eq=False)
@@ -151,7 +151,7 @@ class BakeRequest:
 
     key: Key
     interests: dict[Hashable, Interest] = field(default_factory=dict)
-    effort: Effort = NOTHING
+    effort: Effort = NO_EFFORT
     failures: int = 0
     trouble: str = ""
     suspect: bool = False
@@ -281,7 +281,7 @@ class BakeRequest:
         self.priority, self.effort = result.priority, result.effort
 
     def _change_priority(self, change: float) -> None:
-        """Add a change of one interest to the sum; summing anew would be slow with a thousand clients."""
+        """Add a change of one interest to the sum; summing all again would be slow with a thousand clients."""
         first = next(iter(self.interests.values())).priority if self.interests else 0.0
         self.priority = first if len(self.interests) < 2 else max(self.priority + change, 0.0)
 

@@ -13,7 +13,7 @@ Rank = tuple[bool, int, int, float, float]
 Place = tuple[Rank, int, BakeRequest]
 """A request with its rank, and the ticket of its interest when it was put there."""
 
-FEW = 64
+MIN_PLACES = 64
 """Places that a queue may always hold before outdated ones are removed."""
 
 
@@ -22,7 +22,7 @@ class ClientQueue:
     """The requests of one client: a heap of places, from which outdated ones are removed beyond ``most``."""
 
     places: list[Place] = field(default_factory=list)
-    most: int = FEW
+    most: int = MIN_PLACES
 
     def push(self, client: Hashable, place: Place) -> None:
         """Add a place."""
@@ -30,7 +30,7 @@ class ClientQueue:
         if len(self.places) > self.most:
             self.places = [each for each in self.places if is_current(each, client)]
             heapq.heapify(self.places)
-            self.most = 2 * len(self.places) + FEW
+            self.most = 2 * len(self.places) + MIN_PLACES
 
     def pop(self, client: Hashable) -> Place | None:
         """Take out the first current place; None where there is none."""

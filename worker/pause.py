@@ -6,7 +6,7 @@ A pause begins with the second failure in a row, as a single one says little.
 import threading
 from collections.abc import Callable
 
-SHORTEST, LONGEST = 1.0, 8.0
+SHORTEST, LONGEST_PAUSE = 1.0, 8.0
 """Seconds until the first try, and the most that pass until the next; each pause is twice as long as the last."""
 
 
@@ -38,7 +38,7 @@ class Pause:
             return
         if self.reason and not self.over:
             return
-        self._seconds = min(2.0 * self._seconds, LONGEST) if self.reason else SHORTEST
+        self._seconds = min(2.0 * self._seconds, LONGEST_PAUSE) if self.reason else SHORTEST
         self.reason, self._until = reason, self._clock() + self._seconds
         self._timer = threading.Timer(self._seconds, self._resume)
         self._timer.daemon = True

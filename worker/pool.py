@@ -48,7 +48,7 @@ class OwnClient(Client):
 TOGETHER = 2048
 """Most texels of a task: at 1024 and more their paths fill whole waves."""
 
-AHEAD = 2
+TASKS_AHEAD = 2
 """Tasks in flight per worker: few, as a task in flight can be neither re-ordered nor stopped."""
 
 SETTINGS: dict[str, object] = {
@@ -142,7 +142,7 @@ class WorkerPool:
     @property
     def room(self) -> int:
         """Most tasks in flight; none while the scheduler is away."""
-        return AHEAD * self.workers if self.connected else 0
+        return TASKS_AHEAD * self.workers if self.connected else 0
 
     @property
     def together(self) -> int:

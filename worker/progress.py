@@ -63,7 +63,7 @@ class TimeLeft:
         return TimeLeft(self.low + other.low, self.likely + other.likely, self.high + other.high)
 
     def times(self, pace: float) -> "TimeLeft":
-        """The same work where each second of it takes ``pace`` seconds."""
+        """The time of the work where each second of it takes ``pace`` seconds."""
         return TimeLeft(pace * self.low, pace * self.likely, pace * self.high)
 
 
@@ -76,10 +76,10 @@ def log_normal_ratios(spread: float) -> tuple[float, ...]:
 PRIOR = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Assumed ratios of true to estimated work, besides the known ones: the range is wide at first."""
 
-KEPT = 50
+MAX_KNOWN_RATIOS = 50
 """Known ratios that are kept; the oldest are dropped first."""
 
-APART, SHARE = 0.5, 0.25
+APART, MIN_JUDGING_SHARE = 0.5, 0.25
 """Least seconds between two estimates of one subject that are judged later, and the same as a share of their work."""
 
 AWAY = 60.0
@@ -114,7 +114,7 @@ class TimeEstimator:
     def __init__(self, clock: Callable[[], float] = time.monotonic, prior: tuple[float, ...] = PRIOR) -> None:
         """Begin without estimates; ``prior`` are assumed ratios of true to estimated times, ascending."""
         self._clock, self._prior = clock, prior
-        self._ratios: deque[float] = deque(maxlen=KEPT)
+        self._ratios: deque[float] = deque(maxlen=MAX_KNOWN_RATIOS)
         self._subjects: OrderedDict[Hashable, Subject] = OrderedDict()
 
     def estimate(self, subject: Hashable, work: float, worked: float) -> TimeLeft:
@@ -126,7 +126,7 @@ class TimeEstimator:
         estimate = Estimate(work, now, worked)
         self._judge(known, estimate)
         last = known.estimates[-1].made if known.estimates else -math.inf
-        if work > 0.0 and now - last >= max(APART, SHARE * work):
+        if work > 0.0 and now - last >= max(APART, MIN_JUDGING_SHARE * work):
             known.estimates.append(estimate)
         return TimeLeft.of(work, (*self._prior, *self._ratios))
 
@@ -258,7 +258,7 @@ class ChunkCost:
 PER_TASK = 0.008
 """Processor seconds of a worker that a task takes beside its paths."""
 
-UNKNOWN = math.log(2.0)
+UNREHEARSED_SPREAD = math.log(2.0)
 """Spread of true over estimated times that no rehearsal shows, relative: pictures end a rung sooner or later."""
 
 
@@ -283,7 +283,7 @@ class CostEstimate:
 
     def time_left(self, workers: int, around: float) -> TimeLeft:
         """The time of the whole bake with so many ``workers``, and of the seconds spent ``around`` it."""
-        ratios = log_normal_ratios(math.hypot(self.unsure, UNKNOWN))
+        ratios = log_normal_ratios(math.hypot(self.unsure, UNREHEARSED_SPREAD))
         return TimeLeft.of(self.seconds / workers, ratios, around + self.maps)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MOST
 from isogi_core.prepared.prepared_scene import Index
-from worker.bake_requests import GUEST, SHORT, BakeRequest, Key, Shares, Viewer
+from worker.bake_requests import GUEST, SHORT_TASK_SECONDS, BakeRequest, Key, Shares, Viewer
 from worker.client_queues import ClientQueues, Rank
 from worker.tasks import BakeResult
 
@@ -26,7 +26,7 @@ FORGET_AFTER, LOOK = 60.0, 1.0
 """Seconds after which a request that was not renewed expires, and between two checks for these."""
 
 GROWN, SUNK = 1.5, 1.0 / 3.0
-"""Growth of a request's priority, and share of its loss, from which on it is ranked anew in all its clients' queues.
+"""Growth of a request's priority, and share of its loss, from which on it is ranked again in all its clients' queues.
 
 Below these it keeps its places, as a thousand clients may see one chunk.
 """
@@ -99,15 +99,17 @@ class BakeQueue:
         return None
 
     def take_along(self, first: BakeRequest, most: int) -> list[BakeRequest]:
-        """Take what goes with the request that was just taken: of the same turn, ``most`` texels and SHORT together.
+        """Take what goes with the request that was just taken: ``most`` texels and SHORT_TASK_SECONDS of the same turn.
 
         They are the next of that client, as long as these are of the same bake, target and sample level.
         """
         taken, left, seconds = [first], most - len(first.next[0]), self.seconds(first)
         patient, client = self._turn
-        while left > 0 and seconds < SHORT and not first.suspect and (found := self._first(patient, client)):
+        while (
+            left > 0 and seconds < SHORT_TASK_SECONDS and not first.suspect and (found := self._first(patient, client))
+        ):
             left, seconds = left - len(found.next[0]), seconds + self.seconds(found)
-            if left < 0 or seconds > SHORT or not alike(first, found):
+            if left < 0 or seconds > SHORT_TASK_SECONDS or not alike(first, found):
                 self._rank_for(found, client)
                 break
             self._start(found, client)
@@ -200,7 +202,7 @@ class BakeQueue:
         return max(given_up, key=lambda request: request.asked).trouble if given_up else ""
 
     def _add_for(self, request: BakeRequest, client: Hashable) -> None:
-        """Note a client's new interest, and rank the request anew for all clients where it has changed much."""
+        """Note a client's new interest, and rank the request again for all clients where it has changed much."""
         self._interesting.setdefault(client, {}).pop(request.key, None)
         self._interesting[client][request.key] = request
         lacking, priority = request.ranked
@@ -226,7 +228,7 @@ class BakeQueue:
     def _first(self, patient: bool, client: Hashable) -> BakeRequest | None:
         """The first of a client's requests that can be worked on now; None where there is none.
 
-        One whose priority has sunk since it was ranked is ranked anew.
+        One whose priority has sunk since it was ranked is ranked again.
         """
         while found := self._queues.pop(patient, client):
             rank, request = found

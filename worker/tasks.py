@@ -185,7 +185,7 @@ def open_whole(
 
 
 def attempt(work: Callable[[], object]) -> None:
-    """Do some work ahead of its time: where it fails, it will fail again when it is due, and be told then."""
+    """Do some work ahead of its time: where it fails, it will fail again when it is due, and be reported then."""
     with suppress(Exception):
         work()
 
@@ -355,7 +355,7 @@ def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:
 def results_of(light: Light, spec: BakeSpec, tasks: Sequence[BakeTask]) -> list[BakeResult]:
     """The results of tasks of one target: what their ``light``, one's after the other's, still lacks of that.
 
-    What they cost is still to be told.
+    What they cost is still to be reported.
     """
     target, enough, count = tasks[0].target, tasks[0].enough, len(tasks)
     numbers = np.repeat(np.arange(count), [len(task.offsets) for task in tasks])

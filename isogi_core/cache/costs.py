@@ -2,7 +2,7 @@
 
 Chunks have the same bytes whoever bakes them, and hold no times. The attributes of one small Zarr group a bake do. They
 are written whole by the process that owns the queue: of two servers over one store, the last write stays. Where they
-are lost, times are measured anew.
+are lost, times are measured again.
 """
 
 import json

@@ -24,13 +24,13 @@ READERS = 16
 UNPACKERS = 4
 """Batches read at once from a store on this machine, where unpacking takes the time."""
 
-AHEAD = 2 * READERS
+MAX_BATCHES_AHEAD = 2 * READERS
 """Most batches of a view that are being read, or wait in memory."""
 
 BATCH = 1 << 23
 """Most bytes of records that are unpacked together: each call is then for thousands of texels."""
 
-FEW = 8
+CHUNKS_OF_ONE_READER = 8
 """Chunks for fewer of which no further thread is woken, where the store is on this machine."""
 
 Item = TypeVar("Item")
@@ -102,7 +102,7 @@ class Loader:
 
     def _batches(self, indices: Sequence[Index]) -> list[Sequence[Index]]:
         """The chunks in batches: as many as there are threads, none of few chunks, nor of more than BATCH bytes."""
-        least = 1 if self.chunk_store.store.url.remote else FEW
+        least = 1 if self.chunk_store.store.url.remote else CHUNKS_OF_ONE_READER
         size = max(min(BATCH // self.chunk_store.chunk_bytes, max(-(-len(indices) // self._many), least)), 1)
         return [indices[i : i + size] for i in range(0, len(indices), size)]
 
@@ -139,12 +139,12 @@ def ahead(
     items: Sequence[Item],
     wait: Callable[[Future[Made]], Made] = lambda reading: reading.result(),
 ) -> Generator[Made, None, None]:
-    """The results of ``work`` for the items, in order; AHEAD of them are begun, and the rest cancelled on closing."""
+    """The results of ``work`` for the items, in order; MAX_BATCHES_AHEAD are begun, and cancelled on closing."""
     waiting: deque[Future[Made]] = deque()
     try:
         for item in items:
             waiting.append(hands.submit(work, item))
-            if len(waiting) >= AHEAD:
+            if len(waiting) >= MAX_BATCHES_AHEAD:
                 yield wait(waiting.popleft())
         while waiting:
             yield wait(waiting.popleft())

@@ -29,7 +29,7 @@ FEWEST_CHUNKS = 8
 """Least number of chunks in the indirection table."""
 
 
-NOTHING = b"\0" * 8
+UNLIT_VERSION = b"\0" * 8
 """The version of a chunk without light."""
 
 
@@ -164,14 +164,14 @@ class PagePool:
                         self._give_back(entry)
 
     def version(self, slot: int) -> bytes:
-        """What names how far the held chunk in a ``slot`` is baked, by which plan; NOTHING where it has no light."""
+        """What names how far the held chunk in a ``slot`` is baked, by which plan; UNLIT_VERSION where it has no light."""
         if slot < 0:
-            return NOTHING
+            return UNLIT_VERSION
         if slot not in self._versions:
             rows = self.table[slot]
             stamps = np.where(rows >= 0, self.stamp[rows], rows.astype(np.float32))
             named = hashlib.blake2b(self.spec.digest.encode() + stamps.tobytes(), digest_size=8).digest()
-            self._versions[slot] = named if (rows != UNLIT).any() else NOTHING
+            self._versions[slot] = named if (rows != UNLIT).any() else UNLIT_VERSION
         return self._versions[slot]
 
     def versions(self, indices: Sequence[Index]) -> tuple[bytes, ...]:

@@ -110,7 +110,7 @@ class WallLayer(LayerStore):
 class WallStore:
     """The light of the walls of a ``prepared`` scene in a ``store``.
 
-    What cannot be read or written is told in the log: it is baked anew, or is not kept.
+    What cannot be read or written is named in the log: it is baked again, or is not kept.
     """
 
     def __init__(self, store: Store, prepared: PreparedScene) -> None:
@@ -123,7 +123,7 @@ class WallStore:
         try:
             means, counts = WallLayer(self._store, self._prepared, state, across).planes()
         except StoreError as error:
-            log.warning("Light of walls is baked anew: %s", error)
+            log.warning("Light of walls is baked again: %s", error)
             return None
         return (means, counts) if counts.any() else None
 

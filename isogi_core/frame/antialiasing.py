@@ -22,12 +22,12 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 COUNTS = (16, 8, 4)
 """Samples that a pixel at an edge may have: the most that the BUDGET allows for all edges."""
 
-BUDGET, FEW = 0.8, 1 << 16
-"""Samples of a picture, at most, over its pixels: where edges are everywhere, the strongest have them. So FEW are
-always allowed.
+BUDGET, MIN_SAMPLE_BUDGET = 0.8, 1 << 16
+"""Samples of a picture, at most, over its pixels: where edges are everywhere, the strongest have them.
+MIN_SAMPLE_BUDGET samples are always allowed.
 """
 
-LEAST = 12
+MIN_EDGE_CONTRAST = 12
 """How much neighbours differ, of 255 steps, where a pixel counts as at an edge."""
 
 SILHOUETTE = 255
@@ -36,10 +36,10 @@ SILHOUETTE = 255
 
 def find_edges(picture: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, int]:
     """The pixels at edges of a ``picture`` (h, w, 3) uint8, by ``state`` (h, w); and samples for each of them."""
-    found, most = np.empty(state.shape, np.uint8), max(int(BUDGET * state.size), FEW)
+    found, most = np.empty(state.shape, np.uint8), max(int(BUDGET * state.size), MIN_SAMPLE_BUDGET)
     find_contrasts(picture, state, found)
     contrast = found.ravel()
-    edges = np.flatnonzero(contrast >= LEAST)
+    edges = np.flatnonzero(contrast >= MIN_EDGE_CONTRAST)
     count = next((each for each in COUNTS if len(edges) * each <= most), COUNTS[-1])
     if len(edges) * count > most:
         strongest = np.argsort(contrast[edges], kind="stable")[::-1][: max(most // count, 1)]

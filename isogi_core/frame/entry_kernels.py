@@ -73,27 +73,27 @@ LOBES = (
     add_halves,
     add_lobes,
 )
-"""Those that only lights with lobes call."""
+"""Kernels that only lights with lobes call."""
 
 ROOM = (trace_pixels_in_sight, trace_places_in_sight, light_walls)
-"""Those that only scenes with walls call, besides; not their ``trace_pixels`` and ``trace_places``. Where they have
-several surfaces, too, ``light_walls`` alone.
+"""Kernels that only scenes with walls call, in addition; not their ``trace_pixels`` and ``trace_places``. Scenes that
+have several surfaces, too, call ``light_walls`` alone.
 """
 
 COLOURED = (fill_albedos,)
-"""Those that only scenes with colours by data call; their paths are those of a room."""
+"""Kernels that only scenes with colours by data call; their paths are those of a room."""
 
 AMONG = (peel_rays,)
-"""Those that only scenes with several surfaces call; not their ``trace_pixels`` and ``trace_places``."""
+"""Kernels that only scenes with several surfaces call; not their ``trace_pixels`` and ``trace_places``."""
 
 SHINE = (cast_shine, fill_below, fill_energy, pool_noise, filter_shine)
-"""Those that only scenes with a shine call; and, where lights have lobes, ``light_ends``."""
+"""Kernels that only scenes with a shine call; and, where lights have lobes, ``light_ends``."""
 
 GLOW = (gather_from_eye,)
-"""Those that only scenes call in which something glows."""
+"""Kernels that only scenes with glow call."""
 
 MATTER = (see_through, pool_noise)
-"""Those that only scenes call whose surface is glass."""
+"""Kernels that only scenes of glass call."""
 
 FRAME = (
     LOBES[0],
@@ -149,27 +149,27 @@ OTHERS = (
     read_values,
     trace_places_in_sight,
 )
-"""Those of pictures without light from texels, local shadings and path-traced ones; of checks of pictures; and those of
+"""Kernels of pictures without light from texels (local shadings and path-traced ones), of checks of pictures, and of
 views through a window.
 """
 
 
-FIRST = (
+FIRST_KERNELS = (
     *(trace_pixels, trace_pixels_in_sight, light_in_room, light_walls, fill_seeds, peel_rays),
     *(mark_bricks, fill_ranges, pack_bricks, number_bricks, fill_macrocells, count_stiffness),
     *(find_normals, tally, develop_rows, fill_curve),
 )
-"""Those of them that pictures without light from texels call as well, which come first where none are compiled."""
+"""Kernels that pictures without light from texels call as well: they come first where none are compiled."""
 
 
 def first_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     """The entry kernels of first pictures of the ``scenes``: by a local shading without shadows, edges not smoothed."""
     called = {*frame_kernels(scenes, surveyed=False)}
-    return (*(kernel for kernel in FIRST if kernel in called), shade_local)
+    return (*(kernel for kernel in FIRST_KERNELS if kernel in called), shade_local)
 
 
 def frame_kernels(scenes: Iterable[Scene], surveyed: bool = True) -> tuple[Any, ...]:
-    """Those that frames of any of the ``scenes`` call: ROOM where one has walls, COLOURED where one has colours,
+    """Kernels that frames of any of the ``scenes`` call: ROOM where one has walls, COLOURED where one has colours,
     MATTER where light passes one, AMONG where one has several surfaces, GLOW where something glows, SHINE where one
     shines, then in the order of FRAME.
 
@@ -208,7 +208,7 @@ def only_checked(scene: Scene) -> bool:
 
 
 def uncalled_by(scene: Scene, surveyed: bool) -> set[Any]:
-    """Those that frames of a ``scene`` never call; for ``surveyed`` see ``frame_kernels``."""
+    """Kernels that frames of a ``scene`` never call; for ``surveyed`` see ``frame_kernels``."""
     names = {*uncalled(scene.rotating, scene.environment, scene.lamps, scene.plan.lobes)}
     never = {kernel for kernel in FRAME if kernel.__name__ in names}
     never |= set() if scene.projected is None else {count_stiffness}

@@ -20,7 +20,7 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 Layer = tuple[np.ndarray, np.ndarray, np.ndarray | float]
 """What some rays show: see ``Frame.layers``."""
 
-LEAST = 1e-6
+MIN_RAY_SHARE = 1e-6
 """The share that is left of a ray below which nothing is gathered behind what it shows."""
 
 
@@ -34,7 +34,7 @@ class EyeGlow:
 
     @classmethod
     def of(cls, prepared: PreparedScene, strength: float) -> "EyeGlow | None":
-        """That of a scene, at a ``strength``; None where nothing glows, and ViewError where a view asks for it."""
+        """The glow of a scene at a ``strength``; None where nothing glows. ViewError where a view asks for it there."""
         glowing, strength = prepared.scene.glowing, prepared.scene.glow_for(strength)
         return cls(prepared.field, prepared.glows, strength * glowing.radiances) if glowing.any else None
 
@@ -71,7 +71,7 @@ class EyeGlow:
             reaches = np.sqrt(((points - np.array(eye)) ** 2).sum(axis=1) / (ways**2).sum(axis=1))
             gathered[rays] += np.reshape(shares, (-1, 1)) * self.along(eye, ways, reaches, tiles)
             left[rays] -= shares
-        open_air = np.flatnonzero(left > LEAST)
+        open_air = np.flatnonzero(left > MIN_RAY_SHARE)
         endless = self.along(eye, directions[open_air], np.full(len(open_air), math.inf), tiles)
         gathered[open_air] += left[open_air, None] * endless
         return gathered

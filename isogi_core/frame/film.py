@@ -47,7 +47,7 @@ MARK = (0.95, 0.42, 0.05)
 
 LEVELS = 4096
 
-LEAST = 1e-6
+MIN_PIXEL_COVER = 1e-6
 """What the samples of a pixel cover together at least, where that divides their light."""
 
 COVER = 205
@@ -137,7 +137,7 @@ def averaged(edges: EdgeSamples, exposure: float, ground: tuple[float, ...], cle
         return coded(shown.mean(axis=1))
     sums = np.where(edges.on[..., None], shown, np.float32(0)).sum(axis=1)
     cover = edges.cover.mean(axis=1)
-    light = sums / np.maximum(edges.cover.sum(axis=1), LEAST)[:, None]
+    light = sums / np.maximum(edges.cover.sum(axis=1), MIN_PIXEL_COVER)[:, None]
     return np.column_stack([coded(np.minimum(light, 1.0)), (255.0 * cover + 0.5).astype(np.uint8)])
 
 

@@ -23,7 +23,7 @@ SPECKS = 0.003
 """Share of the surface's pixels that may be outside at each side: noise afar does not push the camera away."""
 
 
-FEW = 9
+MIN_SURFACE_PIXELS = 9
 """Pixels of a surface, at least, that tell how large it is: of one the camera would be at no distance."""
 
 SHALLOW = 0.05
@@ -83,7 +83,7 @@ def cloud_of(renderer: Renderer, stand: Stand) -> Cloud | None:
     high = max(SIDE, round(SIDE * view.height / view.width))
     wide = max(SIDE, round(SIDE * view.width / view.height))
     seen = renderer.gbuffer(replace(view, camera=afar.in_box(orientation), width=wide, height=high))
-    if len(seen.points) < FEW:
+    if len(seen.points) < MIN_SURFACE_PIXELS:
         return None
     right, up, forward = afar.basis()
     axes = np.stack([right, up, -forward])

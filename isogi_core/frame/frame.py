@@ -69,7 +69,7 @@ class Frame:
     ``radiance`` (h, w, 3) float32 linear RGB; ``state`` (h, w) uint8, 0 none, 1 provisional,
     2 converging, 3 final; ``error`` (h, w) float32 relative standard error; ``gbuffer`` the surface.
     ``version`` is equal for equal pictures, also after a restart. ``lacking`` is what it was made of, and
-    wants more of, None where it reads no texels; ``seconds`` the time of each stage. ``projection`` tells of
+    wants more of, None where it reads no texels; ``seconds`` the time of each stage. ``projection`` is of
     texels projected onto the view's isosurface, None where its scene has none there. ``target`` is the total error that
     control pixels are to show, None of frames that have none; ``controls`` are those drawn so far, by the
     ``uncertainty`` (m,) of surface points, and it may be ``given_up``; its texels are to have ``enough`` samples, and
@@ -245,7 +245,7 @@ class Frame:
     def walls_lag(self) -> bool:
         """Whether walls are still coarse, or not final and more wrong in the picture, all together, than its surface.
 
-        Fine ones cost little at first, and what they cost later is spent where the picture errs most.
+        Fine ones cost little at first, and what they cost later is spent where the picture's error is largest.
         """
         return self.walls_coarse or (
             self.walls_waiting > 0 and self._wrong(self.gbuffer.walls.pixels) > self._wrong(self.gbuffer.pixels)

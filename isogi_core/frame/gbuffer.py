@@ -44,7 +44,7 @@ class PointsBeside:
         return cls(np.empty(0, np.uint32), np.empty((0, 3), np.float32), np.empty(0, np.int8))
 
     def part(self, some: np.ndarray) -> "PointsBeside":
-        """Those of ``some`` rows."""
+        """The points in ``some`` rows."""
         return PointsBeside(self.pixels[some], self.points[some], self.numbers[some])
 
     @property
@@ -123,7 +123,7 @@ class GBuffer:
         return rows
 
     def part(self, places: np.ndarray, tiles: Tiles) -> "GBuffer":
-        """The same picture with those points alone that are in rows ``places`` (k,), ascending. Raises Cancelled."""
+        """A G-buffer of the points in rows ``places`` (k,) alone, ascending. Raises Cancelled."""
         some, normals = (self.pixels[places], self.points[places]), self.normals(tiles)[places]
         return GBuffer(self.shape, self.spacing, self.eye, self.surface, *some, _normals=normals)
 
@@ -176,7 +176,7 @@ def sight_of(view: View, spacing: Vector, walls: Walls | None) -> Sight | None:
 
 
 def sight_among(view: View, spacing: Vector, walls: Walls | None) -> Sight:
-    """The same, with no walls and no planes of a window where there is nothing."""
+    """What rays of a view meet besides the surface: ``walls``, if any, and the planes of its window, if any."""
     planes = np.empty((0, 4)) if view.window is None else view.window.in_index(spacing)
     return Sight(NO_WALLS if walls is None else walls, planes)
 

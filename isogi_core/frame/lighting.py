@@ -25,9 +25,9 @@ from isogi_core.plan.albedos import mixing_weights
 from isogi_core.plan.scene import Scene
 
 FORMAT = 13
-"""Counts up when pictures of the same light change: those that browsers keep are then asked for anew."""
+"""Counts up when pictures of the same light change: those that browsers keep are then asked for again."""
 
-MOST = 100.0
+MAX_SQUARES_RATIO = 100.0
 """How much the mean square of paths may fall at most: where next to nothing arrives unreflected."""
 
 
@@ -40,7 +40,7 @@ def scatter_at(weights: np.ndarray, scatter: np.ndarray, reflected: np.ndarray, 
     """
     now, then, paths_now, paths_then = np.maximum(kept @ weights, np.float32(1e-30)).T
     variance = 1.0 - reflected * (1.0 - np.minimum(now / then, 1.0))
-    return np.asarray(scatter * np.sqrt(variance * np.clip(paths_then / paths_now, 1.0, MOST)), np.float32)
+    return np.asarray(scatter * np.sqrt(variance * np.clip(paths_then / paths_now, 1.0, MAX_SQUARES_RATIO)), np.float32)
 
 
 def weights_between(seen: BakeSpec, judged: BakeSpec) -> np.ndarray:
@@ -63,7 +63,10 @@ def reflected_weights(spec: BakeSpec) -> np.ndarray:
 
 
 def all_weights(spec: BakeSpec) -> np.ndarray:
-    """The same of all paths, over turns of the light that they meet, but for the surface itself; (terms,) float64."""
+    """Of band 0 of each term, in the mean square over all paths and all turns of the light; (terms,) float64.
+
+    The albedo of the surface that they start on is taken out.
+    """
     squares = np.array([term.square[0] for term in spec.terms])
     return np.asarray(squares / max(float(LUMINANCE @ spec.albedo) ** 2, 1e-30))
 
@@ -199,7 +202,7 @@ class RotatedLight:
 
     @cached_property
     def unshadowed(self) -> Unshadowed:
-        """The same by the normal, in single floats; what irradiance ratios of texels are ratios to.
+        """Unshadowed light by the normal, in single floats: texels' irradiance ratios are ratios to it.
 
         A colour of lamps that the middle of the volume sees nothing of counts as the brightest one there.
         """

@@ -17,9 +17,9 @@ KEY = 0.36
 DARKEST = 1e-4
 """Light darker than this share of the mean counts as this much where the middle is sought: black has no logarithm."""
 
-GLARE, REACH = 0.02, 16
+GLARE, GLARE_REACH = 0.02, 16
 """The share of light that strays around what is bright, as in an eye, and the part of the picture's width, one in
-REACH, over which it does, in steps of a pixel: a sun is smaller than a pixel, and would hardly be seen."""
+GLARE_REACH, over which it does, in steps of a pixel: a sun is smaller than a pixel, and would hardly be seen."""
 
 MARK = 0.05
 """Radius of the mark of a directional light, radians."""
@@ -46,7 +46,7 @@ def paint_panorama(environment: Environment, lamps: Lamps, width: int, turn: np.
 def glare(radiance: np.ndarray) -> np.ndarray:
     """A lat-long image (h, w, 3) of radiance with some of its light spread by binomial steps; see GLARE."""
     stray = radiance
-    for _ in range(radiance.shape[1] // REACH):
+    for _ in range(radiance.shape[1] // GLARE_REACH):
         across = (np.roll(stray, 1, axis=1) + 2.0 * stray + np.roll(stray, -1, axis=1)) / 4.0
         padded = np.pad(across, ((1, 1), (0, 0), (0, 0)), "edge")
         stray = (padded[:-2] + 2.0 * across + padded[2:]) / 4.0

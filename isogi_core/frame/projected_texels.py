@@ -31,7 +31,7 @@ quarter of a voxel; projecting the others too changes the interpolation error fr
 0.77 to 0.40 % (at 170), and takes half as many texels again (``docs/measurements/accuracy-interpolation.md``).
 """
 
-PIECE = 16384
+TEXELS_A_PIECE = 16384
 """Texels whose distances one thread estimates in one go."""
 
 
@@ -48,7 +48,7 @@ class Distances:
 
     @property
     def errors(self) -> np.ndarray:
-        """What interpolation is expected to err by while each texel is not projected; (texels,) float32, relative."""
+        """The expected error of interpolation while each texel is not projected; (texels,) float32, relative."""
         return np.asarray(STEEPNESS * self.voxels)
 
     def beyond(self, target: float) -> np.ndarray:
@@ -68,7 +68,7 @@ def distances_of(positions: np.ndarray, isovalue: Isovalue, prepared: PreparedSc
     def _piece(a: int, b: int) -> None:
         measure_distances(prepared.field, prepared.step, isovalue, positions[a:b], voxels[a:b])
 
-    tiles.run(_piece, len(positions), PIECE)
+    tiles.run(_piece, len(positions), TEXELS_A_PIECE)
     return Distances(voxels.astype(np.float32))
 
 
@@ -103,7 +103,7 @@ class ProjectedReading(Reading):
 
     @property
     def projects(self) -> bool:
-        """That they are."""
+        """Whether texels are projected: here they are."""
         return True
 
     def sources(self, pool: PagePool) -> tuple[tuple[np.ndarray, PagePool], ...]:

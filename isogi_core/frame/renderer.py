@@ -14,8 +14,8 @@ step and the surface that a view shows, by isovalue, camera and size (``surface_
 | ``SeenThrough`` | a surface, and the rotation of the light |
 | ``ShineLight`` | a surface, its shine and albedo, the rotation of the light, a glow, and whether it moves |
 
-``Reading``, ``FilteredLight``, ``LobeLight`` and ``ShineLight`` have a SHARE of its bytes each, so that a light that
-turns, or a bake that goes on, drives out no surface. What views have in common of texels is kept by ``TexelShading``:
+``Reading``, ``FilteredLight``, ``LobeLight`` and ``ShineLight`` have a KIND_SHARE of its bytes each, so that a light
+that turns, or a bake that goes on, drives out no surface. ``TexelShading`` keeps what views have in common of texels:
 see ``OwnNormals``.
 """
 
@@ -71,10 +71,10 @@ from isogi_core.model.shine import DULL
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 
-KEPT = 256 << 20
+VIEW_BYTES = 256 << 20
 """Bytes that are kept of views, for turning light and for asking again."""
 
-SHARE, COMMON = 1 / 16, 1 / 3
+KIND_SHARE, COMMON = 1 / 16, 1 / 3
 """Shares of these bytes: for what changes while a view stays, and for what views have in common of texels."""
 
 PACKED = 1 / 8
@@ -88,7 +88,7 @@ class Renderer:
         self,
         caches: Caches,
         tiles: Tiles,
-        most: int = KEPT,
+        most: int = VIEW_BYTES,
         filters: bool = True,
         stand_in: StandIn | None = None,
         levels: tuple[Level, ...] = (),
@@ -99,7 +99,7 @@ class Renderer:
         surfaces one is shown alone, as the others light it, where there are ``levels`` to mix its light of.
         """
         self.prepared, self.caches, self.tiles = caches.prepared, caches, tiles
-        changing = dict.fromkeys((Reading, FilteredLight, LobeLight, ShineLight), int(SHARE * most))
+        changing = dict.fromkeys((Reading, FilteredLight, LobeLight, ShineLight), int(KIND_SHARE * most))
         self._kept: LruCache[Any] = LruCache(most - int((COMMON + PACKED) * most), changing)
         self.blocks = KnownBlocks(int(PACKED * most))
         shown = levels or (Level(caches),)

@@ -12,10 +12,10 @@ from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals, keep_normals, look_up_normals
 from isogi_core.prepared.prepared_scene import PreparedScene
 
-PIECE = 4096
+TEXELS_A_PIECE = 4096
 """Texels whose normals one thread finds in one go."""
 
-MOST = 1 << 21
+MAX_TABLE_TEXELS = 1 << 21
 """Texels that a table has room for at most."""
 
 ENTRY = 20
@@ -30,7 +30,9 @@ class OwnNormals:
 
     def __init__(self, budget: int) -> None:
         """Know none yet, in ``budget`` bytes at most; they are taken when the first are asked for."""
-        self._room = min(1 << max((budget // ENTRY).bit_length() - 1, 0), MOST)  # a power of two, as keys are hashed
+        self._room = min(
+            1 << max((budget // ENTRY).bit_length() - 1, 0), MAX_TABLE_TEXELS
+        )  # a power of two, as keys are hashed
         self._full = self._room // 2  # fuller tables are slow
         self._held = 0
         self._lock = threading.Lock()
@@ -60,7 +62,7 @@ class OwnNormals:
 
         with self._lock:
             table = self._keys, self._normals
-            tiles.run(_piece, len(numbers), PIECE)
+            tiles.run(_piece, len(numbers), TEXELS_A_PIECE)
             new = np.flatnonzero(~found)
             if len(new):
                 normals[new] = find(new)
@@ -111,7 +113,7 @@ def find_texel_normals(texels: ViewTexels, known: OwnNormals, prepared: Prepared
 def own_normals(
     texels: ViewTexels, places: np.ndarray, known: OwnNormals, prepared: PreparedScene, tiles: Tiles
 ) -> np.ndarray:
-    """The same of the texels at some of the ``places`` (k,) alone; (k, 3) float32."""
+    """The normals of the texels at some of the ``places`` (k,), which may be ``known``; (k, 3) float32."""
     numbers = texels.numbers(places)
     return known.of(numbers, lambda new: normals_of(texels, places[new], False, prepared, tiles), tiles)
 
@@ -136,5 +138,5 @@ def normals_of(
     def _piece(a: int, b: int) -> None:
         fill_texel_normals(prepared.field, prepared.step, level, projected, positions[a:b], normals[a:b])
 
-    tiles.run(_piece, len(places), PIECE)
+    tiles.run(_piece, len(places), TEXELS_A_PIECE)
     return normals

@@ -21,7 +21,7 @@ from isogi_core.prepared.prepared_scene import Index
 GRAIN = 0.01
 """Relative noise of a texel below which no filter is needed: half of it is left in pixels, a step of eight bits."""
 
-PIECE = 16384
+TEXELS_A_PIECE = 16384
 """Texels that are looked up, and digested, together; the same on any number of threads."""
 
 
@@ -132,7 +132,7 @@ def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, until: Un
         grade[a:b] = grade_rows(rows[a:b], error[a:b], samples[a:b], *until)
         digests[a] = hashlib.sha256(stamp.data).digest()
 
-    tiles.run(_piece, len(places), PIECE)
+    tiles.run(_piece, len(places), TEXELS_A_PIECE)
     short = np.minimum.reduceat(grade, texels.bounds[:-1]) < FINAL if len(grade) else np.zeros(0, np.bool_)
     version = b"".join(digests[a] for a in sorted(digests))
     return Reading(rows, grade, version, samples, error, texels.bounds, short, *until)

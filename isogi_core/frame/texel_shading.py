@@ -158,7 +158,7 @@ class TexelShading:
     def _read(
         self, caches: Caches, texels: ViewTexels, view: View, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> Iterator[tuple[Reading, PagePool, Held]]:
-        """What the pool of some ``caches`` has of a view's texels, looked up anew where it has changed; held meanwhile.
+        """What the pool of ``caches`` has of a view's texels, looked up again where it has changed; held meanwhile.
 
         Raises what ``Loader.ensure`` does.
         """

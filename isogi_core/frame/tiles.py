@@ -36,8 +36,8 @@ class Stopwatch:
 
 Piece = Callable[[int, int], object]
 
-LEAST = 4096
-"""Points, texels or rows that a piece has where a thread has several: each piece asks for the interpreter anew."""
+MIN_PIECE_ROWS = 4096
+"""Points, texels or rows that a piece has where a thread has several: each piece asks for the interpreter again."""
 
 
 class Tiles:
@@ -54,7 +54,7 @@ class Tiles:
         self._cancelled: tuple[threading.Event, ...] = ()
 
     def cancelled_by(self, event: threading.Event) -> Self:
-        """The same threads, for work that ends once ``event`` is set, or what cancels the work of these tiles is."""
+        """Tiles on these threads, cancelled once ``event`` is set or whatever cancels these tiles."""
         bound = copy(self)
         bound._cancelled = (*self._cancelled, event)
         return bound
@@ -98,8 +98,8 @@ class Tiles:
         self.check()
 
     def even(self, total: int, share: int = 4) -> int:
-        """The size of equal pieces, ``share`` of them for each thread; fewer where they would be of less than LEAST."""
-        share = min(max(total // (LEAST * self.threads), 1), share)
+        """The size of equal pieces, ``share`` for each thread; fewer where each would be below MIN_PIECE_ROWS."""
+        share = min(max(total // (MIN_PIECE_ROWS * self.threads), 1), share)
         return max(-(-total // (share * self.threads)), 1)
 
     def close(self) -> None:

@@ -49,7 +49,7 @@ class ViewChecks:
         return self._kept.get(check_key(light.view, target), lambda: PictureCheck(light, gbuffer, PictureState(target)))
 
     def held(self, view: View, target: float) -> PictureCheck | None:
-        """The same, where anything is known."""
+        """The check of a view's picture, where anything is known of it."""
         return self._kept.held(check_key(view, target)) if is_checked(view) else None
 
     def asks_finer(self, view: View, target: float) -> bool:

@@ -23,7 +23,7 @@ MAPS = {
 van der Walt 2015), cividis (Nuñez, Anderton and Renslow 2018), coolwarm (Moreland 2009).
 """
 
-MOST = 0.95
+MAX_ALBEDO = 0.95
 """The highest albedo that colours may give: of more, light would hardly leave a hollow."""
 
 VALUES = 255
@@ -41,9 +41,9 @@ def code_of(light: float) -> float:
 
 
 def table_of(name: str) -> np.ndarray:
-    """The albedos of all VALUES by the map of this ``name``, (255, 3) float64, linear RGB, at most MOST."""
+    """The albedos of all VALUES by the map of this ``name``, (255, 3) float64, linear RGB, at most MAX_ALBEDO."""
     anchors = np.array([list(bytes.fromhex(colour)) for colour in MAPS[name].split()]) / 255.0
-    return np.vectorize(linear_of)(spread(anchors)).clip(0.0, MOST)
+    return np.vectorize(linear_of)(spread(anchors)).clip(0.0, MAX_ALBEDO)
 
 
 def spread(colours: np.ndarray) -> np.ndarray:

@@ -64,7 +64,7 @@ class Glow:
             raise SceneError("A glow's box has no volume: give two opposite corners that differ in x, y and z.")
 
     def place(self, volume: Volume, within: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Its middle and half edges in the box of a ``volume``, (3,) each; SceneError where it reaches out of it.
+        """The glow's middle and half edges in the box of a ``volume``, (3,) each; SceneError where it reaches out.
 
         Without a box and a sphere it is the box ``within`` two opposite corners (2, 3), in voxels, or all of it.
         """

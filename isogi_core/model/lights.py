@@ -17,7 +17,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class ConstantLight:
-    """The same linear RGB radiance from everywhere. LightError where it is negative, above LARGEST or no number."""
+    """Light of one linear RGB radiance from everywhere. LightError where it is negative, above LARGEST or no number."""
 
     radiance: Colour = (1.0, 1.0, 1.0)
 

@@ -100,7 +100,7 @@ class Room:
 
     @property
     def dark_digest(self) -> str:
-        """The same of what reflects light, whatever the walls give off."""
+        """Hex digest of all that reflects light, whatever the walls give off."""
         dark = tuple(replace(wall, radiance=(0.0, 0.0, 0.0)) for wall in self.walls)
         return Room(dark, self.corners, self.edges).digest
 

@@ -48,7 +48,7 @@ class PinnedSurface:
 
     @property
     def table(self) -> dict[str, Any]:
-        """It as a ``[[surfaces]]`` table."""
+        """The surface as a ``[[surfaces]]`` table."""
         through = {"transmission": list(self.transmission)} if any(self.transmission) else {}
         own = {"isovalue": self.isovalue, "albedo": list(self.albedo), "clear": self.clear, "name": self.name}
         return own | through

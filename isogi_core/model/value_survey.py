@@ -58,31 +58,31 @@ def count_steps(low: float, high: float, dtype: np.dtype[Any]) -> float:
     return high / unit - low / unit
 
 
-MOST = 1 << 20
+MAX_SURVEYED_VOXELS = 1 << 20
 """Most voxels that are sampled."""
 
 SLAB = 1 << 26
 """Bytes that are processed together."""
 
-FAR = 1024.0
+OUTLIER_SPANS = 1024.0
 """Values farther off than this many times the span of the others are outliers."""
 
 
 def sample_step(shape: tuple[int, ...]) -> int:
-    """The step from one sampled voxel to the next: at most MOST are sampled of a volume of ``shape`` (z, y, x).
+    """The step between sampled voxels, of which a volume of ``shape`` (z, y, x) has at most MAX_SURVEYED_VOXELS.
 
     The step shares no divisor with the length of a row, so that every column is sampled.
     """
-    step = max(-(-math.prod(shape) // MOST), 1)
+    step = max(-(-math.prod(shape) // MAX_SURVEYED_VOXELS), 1)
     while math.gcd(step, shape[2]) > 1:
         step += 1
     return step
 
 
 def sample_values(array: np.ndarray) -> np.ndarray:
-    """The distinct finite values of at most MOST voxels, evenly sampled from ``array`` (z, y, x), ascending.
+    """The distinct finite values of at most MAX_SURVEYED_VOXELS voxels, evenly sampled from ``array`` (z, y, x).
 
-    A few layers are read at a time: an array that is a file need not fit into memory.
+    They ascend. A few layers are read at a time: an array that is a file need not fit into memory.
     """
     step, layers = sample_step(array.shape), max(SLAB // max(array[0].nbytes, 1), 1)
     parts = [sample_layers(array[z : z + layers], step, z) for z in range(0, len(array), layers)]
@@ -98,8 +98,9 @@ def sample_layers(layers: np.ndarray, step: int, first: int) -> np.ndarray:
 def find_core(values: np.ndarray) -> tuple[float, float]:
     """The ends of the core of distinct ascending ``values``, exact Python numbers; without outliers all are the core.
 
-    The core begins as the two thirds of the values that lie closest together, and grows over gaps of up to FAR times
-    its span. Where the core has a smaller core itself, no value is an outlier: values may fall by powers of ten.
+    The core begins as the two thirds of the values that lie closest together, and grows over gaps of up to
+    OUTLIER_SPANS times its span. Where the core has a smaller core itself, no value is an outlier: values may
+    fall by powers of ten.
     """
     first, last = grow(values)
     if grow(values[first : last + 1]) != (0, last - first):
@@ -114,7 +115,7 @@ def grow(values: np.ndarray) -> tuple[int, int]:
     first = int(np.argmin(places[most - 1 :] - places[: count - most + 1]))
     last = first + most - 1
     while True:
-        far = np.flatnonzero(gaps / FAR > places[last] - places[first])
+        far = np.flatnonzero(gaps / OUTLIER_SPANS > places[last] - places[first])
         ends = int(far[far < first].max(initial=-1)) + 1, int(far[far >= last].min(initial=count - 1))
         if ends == (first, last):
             return ends
@@ -221,7 +222,7 @@ def survey(grid: Grid, solid: str, missing: Sequence[float] = (), progress: Prog
     spacing = checked_spacing(grid.spacing)
     kind = usable_type(grid.dtype)
     marks = find_marks(missing, kind)
-    narrow = kind.kind in "iu" and kind.itemsize <= NARROW and grid.size > FEW
+    narrow = kind.kind in "iu" and kind.itemsize <= COUNTED_BYTES and grid.size > MAX_UNSAMPLED_VOXELS
     low, high, holes, some, tally = (tallying if narrow else scan)(grid, marks, progress)
     ends = np.array([low, high], kind)
     core = find_core(np.union1d(some[present(some, marks)], ends))
@@ -289,10 +290,10 @@ def present(values: np.ndarray, marks: np.ndarray) -> np.ndarray:
     return np.asarray(finite)
 
 
-NARROW = 2
+COUNTED_BYTES = 2
 """Bytes of whole numbers of so few values that each can be counted: what is worked out of one serves all its voxels."""
 
-FEW = 1 << 20
+MAX_UNSAMPLED_VOXELS = 1 << 20
 """Voxels up to which that would take longer."""
 
 Scanned = tuple[float, float, int, np.ndarray, np.ndarray | None]
@@ -323,11 +324,11 @@ def tallying(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
     there = present(values, marks)
     found = values[there & (tally > 0)]
     if not len(found):
-        raise VolumeError(NOTHING)
+        raise VolumeError(NO_FINITE_VALUE)
     return found.min().item(), found.max().item(), int(tally[~there].sum()), np.unique(np.concatenate(some)), tally
 
 
-NOTHING = "The volume has no finite value: every voxel is NaN, infinite or missing."
+NO_FINITE_VALUE = "The volume has no finite value: every voxel is NaN, infinite or missing."
 
 
 def scan(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
@@ -345,7 +346,7 @@ def scan(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
             z += 1
             progress(z, STAGES * len(grid))
     if not lows:
-        raise VolumeError(NOTHING)
+        raise VolumeError(NO_FINITE_VALUE)
     return min(lows), max(highs), grid.size - count, np.unique(np.concatenate(some)), None
 
 

@@ -155,7 +155,7 @@ class Volume:
     def counted(
         self, bins: int = BINS, progress: Progress = no_progress, tally: tuple[np.ndarray, np.ndarray] | None = None
     ) -> "Volume":
-        """The same volume with its histogram's counts and the core's span kept: these take passes over all voxels.
+        """The volume with its histogram's counts and the core's span kept, which take passes over all voxels.
 
         Where there is a ``tally``, distinct voxels and how many there are of each, they take none. ``progress`` is
         called for the last stage of making a copy.
@@ -174,7 +174,7 @@ class Volume:
 
     @cached_property
     def inside_out(self) -> "Volume":
-        """The same values with the other side solid: what was the inner side of an isosurface is then its outer one.
+        """The volume with its other side solid: what was the inner side of an isosurface is then the outer one.
 
         Its voxels are 1 - v. Turned twice it is the volume itself.
         """

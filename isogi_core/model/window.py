@@ -10,10 +10,10 @@ from isogi_core.errors import ViewError
 from isogi_core.files.grid import Vector
 from isogi_core.model.orientation import Orientation, triple
 
-MOST = 12
+MAX_WINDOW_PLANES = 12
 """Most planes of a window: six at any angle, and the six of a box."""
 
-LEAST, FURTHEST = 1e-12, 1e12
+MIN_NORMAL_LENGTH, FURTHEST = 1e-12, 1e12
 """The least and the greatest length of a plane's normal, and the greatest distance of a plane from the origin."""
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -54,8 +54,8 @@ def read_window(text: str) -> Window:
     An axis stands for its unit normal; other normals, of any length, are three numbers. Raises ViewError.
     """
     terms = [part.replace(" ", "") for part in text.split(";")]
-    if len(terms) > MOST:
-        raise ViewError(f"A window has at most {MOST} planes, not {len(terms)}.")
+    if len(terms) > MAX_WINDOW_PLANES:
+        raise ViewError(f"A window has at most {MAX_WINDOW_PLANES} planes, not {len(terms)}.")
     return Window(tuple(map(_read_term, terms)))
 
 
@@ -67,7 +67,7 @@ def _read_term(term: str) -> Plane:
     named, sign, limit = match[1], -1.0 if match[2] == ">" else 1.0, float(match[3])
     normal = AXES.get(named) or triple([float(each) for each in named.split(",")])
     length = math.hypot(*normal)
-    if not LEAST <= length <= FURTHEST or not abs(limit) <= FURTHEST * length:
+    if not MIN_NORMAL_LENGTH <= length <= FURTHEST or not abs(limit) <= FURTHEST * length:
         raise ViewError(
             f"The plane '{term}' has no direction, or is too far away: give a longer normal or a less limit."
         )

@@ -15,25 +15,25 @@ from functools import cache
 
 import numpy as np
 
-MOST = 6
+MAX_NODES = 6
 """Most nodes."""
 
 CHANCES = np.geomspace(1e-3, 0.98, 96)
 """Chances f to leave at each hit that the weights are fitted to: from deep cavities to nearly open places."""
 
-STEPS = 48
+EVALUATED_ALBEDOS = 48
 """Albedos at which the error is evaluated."""
 
 
 @cache
 def choose_nodes(most: float, bounces: int, allowed: float) -> tuple[float, ...]:
-    """Choose the fewest nodes up to the albedo ``most`` for which paths of ``bounces`` err by at most ``allowed``.
+    """Choose the fewest nodes up to an albedo ``most`` at which paths of ``bounces`` have the ``allowed`` error.
 
-    The error is relative to all light of a texel. Where it is never reached, MOST nodes.
+    The error is relative to all light of a texel. Where it is never reached, MAX_NODES nodes.
     """
-    tries = (spread_nodes(count, most, bounces) for count in range(1, MOST + 1))
+    tries = (spread_nodes(count, most, bounces) for count in range(1, MAX_NODES + 1))
     return next(
-        (nodes for nodes in tries if mixing_error(nodes, bounces) <= allowed), spread_nodes(MOST, most, bounces)
+        (nodes for nodes in tries if mixing_error(nodes, bounces) <= allowed), spread_nodes(MAX_NODES, most, bounces)
     )
 
 
@@ -51,7 +51,7 @@ def spread_nodes(count: int, most: float, bounces: int) -> tuple[float, ...]:
 def mixing_error(nodes: tuple[float, ...], bounces: int) -> float:
     """The largest error of light mixed from ``nodes``, over all light of a texel, at any lower albedo."""
     kept = reflected_light(np.array(nodes), bounces)
-    albedos = nodes[-1] * np.arange(1, STEPS) / STEPS
+    albedos = nodes[-1] * np.arange(1, EVALUATED_ALBEDOS) / EVALUATED_ALBEDOS
     light = reflected_light(albedos, bounces)
     mixed = kept @ np.array([mixing_weights(albedo, nodes, bounces) for albedo in albedos]).T
     return float((np.abs(mixed - light) / (CHANCES[:, None] + light)).max())

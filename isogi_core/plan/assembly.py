@@ -44,7 +44,7 @@ from isogi_core.model.view import PROJECTIONS
 from isogi_core.model.volume import BINS, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import read_presets
-from isogi_core.plan.lobe_choice import MOST as MOST_LOBES
+from isogi_core.plan.lobe_choice import MANY_LOBES_SEARCHED as MOST_LOBES
 from isogi_core.plan.materials import read_material, refuse_lamps
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import CHUNKS, NORMALS, Scene
@@ -263,7 +263,7 @@ def may_rotate(settings: Settings, lamps: Lamps, room: Room, several: bool) -> b
 
 
 def right_side_out(settings: Settings, volume: Volume, base: Path, progress: Progress) -> Volume:
-    """The same volume, solid below where the scene does not say and its object is low: a distance field, pores."""
+    """The volume, solid below where the scene does not say and its object is low: a distance field, pores."""
     given = settings.text("solid", "") or find_labels(settings) is not None
     if given or settings.text("volume", DEFAULT_DEMO).startswith("demo:"):
         return volume
@@ -299,7 +299,7 @@ def default_isovalue(settings: Settings, volume: Volume) -> float:
 LAYERS = 16
 """Layers of a volume whose voxels are looked at for values beside an isovalue."""
 
-NEAR = 2 / BINS
+NEAR_VALUES_SHARE = 2 / BINS
 """Share of the core's span up to which values are near each other: they fill the histogram's bins."""
 
 
@@ -312,7 +312,7 @@ def halfway(volume: Volume, isovalue: float) -> float:
     low = float(np.max(layers, where=layers < level, initial=-np.inf))
     high = float(np.min(layers, where=layers > level, initial=np.inf))
     least, most = volume.core_span()
-    if not NEAR * (most - least) < high - low < np.inf:
+    if not NEAR_VALUES_SHARE * (most - least) < high - low < np.inf:
         return isovalue
     return 0.5 * volume.file_value(low) + 0.5 * volume.file_value(high)
 
@@ -384,7 +384,7 @@ def _image(light: SkyLight | ProbeLight | EnvironmentLight) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def _sky(light: SkyLight | EnvironmentLight) -> np.ndarray:
-    """The image of light by formula, read-only: scenes that are planned anew have the sky they had."""
+    """The image of light by formula, read-only: scenes that are planned again have the sky they had."""
     grid = pixel_directions(*SKY_SIZE), solid_angles(*SKY_SIZE)
     image = sky_image(light, *grid) if isinstance(light, SkyLight) else environment_image(light, *grid)
     image.flags.writeable = False

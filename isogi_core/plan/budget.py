@@ -17,7 +17,7 @@ HARMONICS = math.sqrt(0.5)
 Both together are then within the target, as independent errors add.
 """
 
-EVEN = 0.25
+EVEN_LIGHT_SHARE = 0.25
 """Share of the target for taking a light as the same from all sides."""
 
 BOUNCES = 0.5
@@ -36,7 +36,7 @@ A root mean square over the mean luminance, as are all errors here; measured on 
 """
 
 HALF_SUM = 4.5e-4
-"""The same of a sum over harmonics of order 6 under light that turns.
+"""Error of the luminance by rounding to half floats, of a sum over harmonics of order 6 under light that turns.
 
 4.4e-4 (uffizi, grace) and 4.6e-4 (noon_grass) on those texels; of the luminance of each texel, where it is a
 tenth of the mean or more, 1.0e-3, 0.7e-3 and 0.8e-3.
@@ -45,8 +45,8 @@ tenth of the mean or more, 1.0e-3, 0.7e-3 and 0.8e-3.
 BYTE = 0.033
 """Relative error of a coefficient that is kept as a byte.
 
-Codes are 9 % apart, so that one rounding errs by 2.5 %, and many levels by 3.2 %: from code to code a mean moves only
-when the newer half of its samples asks for it (``tests/stability/test_samples.py``). From band 3 on it
+Codes are 9 % apart, so that the error of one rounding is 2.5 %, and of many levels 3.2 %: from code to code a mean
+moves only when the newer half of its samples asks for it (``tests/stability/test_samples.py``). From band 3 on it
 costs 0.27 to 0.33 % of the luminance (uffizi), 0.37 to 0.45 % (grace) and 0.51 to 0.60 % (noon_grass) on texels
 of the engine at 70 and of the CT head at 110 to order 6; from band 2 on three times that.
 """
@@ -137,7 +137,9 @@ def tail_of_bounces(albedo: Colour, bounces: int) -> float:
 
 def even(inputs: PlanInputs) -> bool:
     """Whether the light may be taken as the same from all sides."""
-    return not inputs.lamps.any and truncation_error(inputs.energy, 1, "direct") <= EVEN * inputs.target_error
+    return (
+        not inputs.lamps.any and truncation_error(inputs.energy, 1, "direct") <= EVEN_LIGHT_SHARE * inputs.target_error
+    )
 
 
 UNCUT = ("irradiance", GLOW)

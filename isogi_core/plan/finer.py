@@ -16,7 +16,7 @@ DENSER = 2.0
 FURTHER = 2
 """Bands of harmonics that finer light has besides, of light that turns."""
 
-KEPT = ("projection", "presets", "seen")
+SURVEYS_KEPT = ("projection", "presets", "seen")
 """What was surveyed of a volume, and holds for finer light too."""
 
 
@@ -28,11 +28,11 @@ def has_finer(scene: Scene) -> bool:
 
 
 def finer(scene: Scene) -> Scene:
-    """The same ``scene`` with finer light."""
+    """The ``scene`` with finer light."""
     lattice = DENSER * scene.lattice
     source = replace(scene.source, document={**scene.source.document, "lattice": lattice})
     plan = complete(further(scene.plan), scene.inputs, scene.overrides)
-    return scene.altered(KEPT, source=source, lattice=lattice, plan=plan)
+    return scene.altered(SURVEYS_KEPT, source=source, lattice=lattice, plan=plan)
 
 
 def further(plan: ScenePlan) -> ScenePlan:

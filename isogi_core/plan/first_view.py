@@ -17,7 +17,7 @@ from isogi_core.model.lights import Colour
 from isogi_core.model.view import orbit
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.bands import evaluate_harmonics
-from isogi_core.plan.range_sampling import FEW, edges_between, extremes_between, slopes_between
+from isogi_core.plan.range_sampling import CELLS_WAITED_FOR, edges_between, extremes_between, slopes_between
 
 FRONT = (50.0, 25.0)
 """Azimuth and elevation from which a volume is seen that is as wide as it is deep."""
@@ -84,8 +84,8 @@ def find_seen(volume: Volume, level: Isovalue, front: tuple[float, float]) -> Se
 
 
 def surface_normals(volume: Volume, level: Isovalue) -> np.ndarray:
-    """Outward unit normals (n, 3) of the cells that an isosurface passes, of about FEW cells of the volume."""
-    step = max(math.ceil(math.sqrt(volume.voxels.size / FEW)), 1)
+    """Outward unit normals (n, 3) of the cells that an isosurface passes, among about CELLS_WAITED_FOR cells."""
+    step = max(math.ceil(math.sqrt(volume.voxels.size / CELLS_WAITED_FOR)), 1)
     found = [np.empty((0, 3))]
     for z in range(0, len(volume.voxels) - 1, step):
         edges = edges_between(volume.voxels[z], volume.voxels[z + 1], step)

@@ -20,7 +20,7 @@ SMOOTHING = 3.0
 SAMPLED = 1 << 21
 """Number of voxels that are sampled, in whole layers."""
 
-MOST = 4
+MAX_SUGGESTED_PRESETS = 4
 """Most boundaries that are suggested."""
 
 LEAST_AREA = 0.005
@@ -32,12 +32,12 @@ LEAST_FALL = 0.1
 TOP = 0.95
 """Share of its height down to which a peak reaches; the middle of that range is suggested."""
 
-MARGIN = 0.02
+RANGE_MARGIN = 0.02
 """Share of the range at either end in which peaks are left out: they are of values that were cut off."""
 
 
 def find_boundaries(volume: Volume, isovalues: tuple[float, float]) -> tuple[float, ...]:
-    """Find at most MOST isovalues within a range, ascending, in the volume's own units; see ``_own_value``."""
+    """Find at most MAX_SUGGESTED_PRESETS isovalues in a range, ascending, in the volume's units; see ``_own_value``."""
     total, area = surface_integrals(volume)
     sharpness = smooth(total / np.maximum(area, np.finfo(float).tiny))
     sharpness[smooth(area) < LEAST_AREA * area.max()] = 0.0
@@ -94,7 +94,7 @@ def smooth(curve: np.ndarray) -> np.ndarray:
 
 
 def peaks(curve: np.ndarray) -> list[float]:
-    """The middles of at most MOST peaks, the most prominent first: see LEAST_FALL, TOP and MARGIN."""
+    """The middles of the MAX_SUGGESTED_PRESETS most prominent peaks, or fewer: see LEAST_FALL, TOP and RANGE_MARGIN."""
     falls = np.array([prominence(curve, at) for at in range(len(curve))])
     found: list[tuple[int, int]] = []
     for at in np.argsort(-falls, kind="stable").tolist():
@@ -102,7 +102,9 @@ def peaks(curve: np.ndarray) -> list[float]:
         if not taken and falls[at] >= LEAST_FALL * curve[at] > 0.0:
             found.append(_top(curve, at))
     middles = [(first + last) / 2 for first, last in found]
-    return [middle for middle in middles if MARGIN <= (middle + 0.5) / len(curve) <= 1.0 - MARGIN][:MOST]
+    return [middle for middle in middles if RANGE_MARGIN <= (middle + 0.5) / len(curve) <= 1.0 - RANGE_MARGIN][
+        :MAX_SUGGESTED_PRESETS
+    ]
 
 
 def prominence(curve: np.ndarray, at: int) -> float:
@@ -125,7 +127,7 @@ def _top(curve: np.ndarray, at: int) -> tuple[int, int]:
 MOST_NAMED = 24
 """Most presets that a scene may name: a person finds one among these at a glance."""
 
-LONGEST = 40
+MAX_NAME_LENGTH = 40
 """Most characters of a preset's name."""
 
 
@@ -157,8 +159,8 @@ def _preset(entry: Mapping[str, Any], isovalues: tuple[float, float]) -> Preset:
         given = ", ".join(sorted(map(str, entry))) or "nothing"
         raise SceneError(f"A preset of the scene has {given}: give it name and isovalue, and no more.")
     name, isovalue = entry["name"], entry["isovalue"]
-    if not isinstance(name, str) or not name.strip() or len(name) > LONGEST or not name.isprintable():
-        raise SceneError(f"A preset's name is {name!r}: give it a word or a few, of {LONGEST} characters at most.")
+    if not isinstance(name, str) or not name.strip() or len(name) > MAX_NAME_LENGTH or not name.isprintable():
+        raise SceneError(f"A preset's name is {name!r}: give it a word or a few, {MAX_NAME_LENGTH} characters at most.")
     low, high = isovalues
     if not is_number(isovalue) or not low <= isovalue <= high:
         raise SceneError(f"The preset '{name}' has isovalue {isovalue!r}, not a number from {low:g} to {high:g}.")

@@ -78,7 +78,9 @@ def cut(layer: Layer, order: int, error: float, inputs: PlanInputs) -> LeftOut:
     """The bands below ``order`` that a layer does not keep, and the relative ``error`` that this causes."""
     names = f"bands {layer.order} to {order - 1}" if layer.order < order - 1 else f"band {layer.order}"
     kind = "reflected" if layer.kind == "indirect" else "direct"
-    why = f"Without them the lit surface errs by {percent(error)}, beside a target of {percent(inputs.target_error)}."
+    why = (
+        f"Without them the error of the lit surface is {percent(error)}; the target is {percent(inputs.target_error)}."
+    )
     return LeftOut(f"{names} of {kind} light", why, (added(layer, replace(layer, order=order)),))
 
 
@@ -133,7 +135,7 @@ def nodes(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
         if 0 < len(layer.nodes) < plan.bounces:
             albedos, error = ", ".join(f"{node:.2g}" for node in layer.nodes), mixing_error(layer.nodes, plan.bounces)
             mixed = f"Light of any other albedo is mixed of that of {albedos}"
-            why = f"{mixed}, which errs by {percent(error)} where all hits are alike."
+            why = f"{mixed}, at an error of {percent(error)} where all hits are alike."
             yield LeftOut("light after each bounce", why, (added(layer, replace(layer, channels=plan.bounces)),))
 
 
@@ -178,12 +180,12 @@ def halves(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     halved = tuple(replace(layer, coarse=None) for layer in plan.layers)
     saved = sum(added(layer, replace(layer, half=False)).amount for layer in plan.layers)
     error, target = rounding_error(halved, inputs, plan.lobes), inputs.target_error
-    why = f"Half floats err by {percent(error)}, beside a target of {percent(target)}."
+    why = f"The error of half floats is {percent(error)}; the target is {percent(target)}."
     yield LeftOut("half of each float", why, (Saving(saved, "bytes per texel"),))
     if plan.layers != halved:
         saved = sum(added(*pair).amount for pair in zip(plan.layers, halved, strict=True))
         error = rounding_error(plan.layers, inputs, plan.lobes)
-        why = f"Higher bands carry little: with them in bytes, rounding errs by {percent(error)} in all."
+        why = f"Higher bands carry little: with them in bytes, the error of rounding is {percent(error)} in all."
         yield LeftOut("second bytes of higher bands", why, (Saving(saved, "bytes per texel"),))
 
 
@@ -258,7 +260,7 @@ def unprojected(projection: ProjectionPlan, isovalue: Isovalue) -> tuple[LeftOut
     if projection.projects(isovalue):
         return ()
     error, allowed = projection.error(isovalue), projection.allowed
-    why = f"Interpolation errs by about {percent(error)} where views start; {percent(allowed)} is allowed for it."
+    why = f"The error of interpolation is about {percent(error)} where views start; {percent(allowed)} is allowed."
     why = why if allowed else "The scene forbids them."
     return (LeftOut("surface-projected texels", why, (Saving(100, "percent of a view's texels, at most"),)),)
 

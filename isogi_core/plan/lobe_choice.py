@@ -10,9 +10,9 @@ from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.environment import Environment, Lobe
 from isogi_core.model.latlong import solid_angles
 from isogi_core.model.sky import LUMINANCE
-from isogi_core.plan.bands import FAR_BANDS, REACH, band_energy, evaluate_harmonics, truncation_error
+from isogi_core.plan.bands import FAR_BANDS, FAR_BANDS_ERROR, band_energy, evaluate_harmonics, truncation_error
 
-FEW, MOST = 4, 64
+FEW, MANY_LOBES_SEARCHED = 4, 64
 """Lobes that are searched for in any environment, and in one that these leave too sharp for harmonics."""
 
 ORDER = 6
@@ -21,10 +21,10 @@ ORDER = 6
 GAIN = 0.9
 """The search ends where lobes no longer bring the error below this share of what it was."""
 
-PATIENCE = 8
+LOBES_TOGETHER = 8
 """Lobes that are to do so together where many are searched for: of sixty lamps each alone changes next to nothing."""
 
-ENOUGH = 0.004
+LOBE_ERROR = 0.004
 """Error below which no more lobes are taken."""
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(MAX_ORDER)
@@ -34,12 +34,12 @@ def find_lobes(environment: Environment, light: np.ndarray, target: float) -> tu
     """Find the lobes of an environment whose coefficients are ``light`` (3, MAX_ORDER²), each with its best edge.
 
     The brightest peak comes first. FEW are enough where harmonics of FAR_BANDS then err by less than the ``target``;
-    of light with more lamps than that, a street at night, up to MOST are taken.
+    of light with more lamps than that, a street at night, up to MANY_LOBES_SEARCHED are taken.
     """
     few = search(environment, light, FEW, 1)
-    if error_beside(light, few, FAR_BANDS) <= max(target, REACH):
+    if error_beside(light, few, FAR_BANDS) <= max(target, FAR_BANDS_ERROR):
         return few
-    return search(environment, light, MOST, PATIENCE)
+    return search(environment, light, MANY_LOBES_SEARCHED, LOBES_TOGETHER)
 
 
 def search(environment: Environment, light: np.ndarray, most: int, patience: int) -> tuple[Lobe, ...]:
@@ -50,7 +50,7 @@ def search(environment: Environment, light: np.ndarray, most: int, patience: int
     """
     lobes: list[Lobe] = []
     radiance, errors = environment.image.astype(np.float64), [error_beside(light, ())]
-    while len(lobes) < most and errors[-1] > ENOUGH:
+    while len(lobes) < most and errors[-1] > LOBE_ERROR:
         found = {error_beside(light, (*lobes, each.lobe)): each for each in outlines(radiance)}
         if not found:
             break
@@ -103,7 +103,7 @@ WIDEST = 0.1
 CONTRAST = 4.0
 """Least luminance of a lobe's peak over the mean luminance."""
 
-NEAR = 2
+RIM_WIDTH = 2
 """Width of the rim around a lobe that its surroundings are measured in, texels."""
 
 
@@ -169,9 +169,9 @@ def neighbours(places: np.ndarray, height: int, width: int, reach: int) -> np.nd
 
 
 def surround(radiance: np.ndarray, region: np.ndarray) -> np.ndarray:
-    """Mean radiance (3,) of the texels NEAR the ``region``."""
+    """Mean radiance (3,) of the texels RIM_WIDTH the ``region``."""
     height, width = radiance.shape[:2]
-    rim = np.setdiff1d(neighbours(region, height, width, NEAR), region, assume_unique=True)
+    rim = np.setdiff1d(neighbours(region, height, width, RIM_WIDTH), region, assume_unique=True)
     if not len(rim):
         return np.zeros(3)
     angles = solid_angles(height, width)[rim // width, 0]

@@ -7,7 +7,7 @@ from dataclasses import replace
 from isogi_core.errors import LightError, SceneError
 from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer, ScenePlan, most_samples
 from isogi_core.plan.albedos import choose_nodes, mixing_error
-from isogi_core.plan.bands import FAR_BANDS, REACH, choose_order, truncation_error
+from isogi_core.plan.bands import FAR_BANDS, FAR_BANDS_ERROR, choose_order, truncation_error
 from isogi_core.plan.budget import (
     HARMONICS,
     MIXING,
@@ -80,7 +80,7 @@ def refuse_orders(representation: str, bounces: int, overrides: PlanOverrides) -
 def refuse_lobes(representation: str, inputs: PlanInputs, overrides: PlanOverrides) -> None:
     """Raise SceneError for more lobes than the light has, and for lobes of light that needs no harmonics."""
     if overrides.lobes and representation != "transfer":
-        raise SceneError(f"lobes = {overrides.lobes} are beside harmonics, and this light needs none: leave it out.")
+        raise SceneError(f"lobes = {overrides.lobes} go with harmonics, and this light needs none: leave it out.")
     if overrides.lobes and overrides.lobes > len(inputs.lobes):
         raise SceneError(f"lobes = {overrides.lobes} is more than this light has: take at most {len(inputs.lobes)}.")
 
@@ -225,14 +225,14 @@ def direct_order(inputs: PlanInputs, lobes: int) -> int:
     """Choose the order of direct light beside ``lobes``: the least within its share of the target.
 
     Where MOST_BANDS are too few for that, the least order up to FAR_BANDS that is within the target; else FAR_BANDS
-    where these bring the error within REACH, or MOST_BANDS.
+    where these bring the error within FAR_BANDS_ERROR, or MOST_BANDS.
     """
     energy, target = inputs.energy_beside(lobes), inputs.target_error
     order, error = choose_order(energy, HARMONICS * target, "direct", MOST_BANDS)
     if error <= HARMONICS * target:
         return order
     further, left = choose_order(energy, target, "direct", FAR_BANDS)
-    return max(order, further) if left <= max(target, REACH) else order
+    return max(order, further) if left <= max(target, FAR_BANDS_ERROR) else order
 
 
 def indirect_order(inputs: PlanInputs, direct: int, lobes: int, most: int) -> int:

@@ -26,7 +26,7 @@ Span = tuple[Isovalue, Isovalue]
 
 @dataclass(frozen=True, eq=False)
 class ProjectionPlan:
-    """Where texels are projected: at isovalues where interpolation is expected to err by more than is ``allowed``.
+    """Where texels are projected: at isovalues where the expected error of interpolation is above ``allowed``.
 
     ``levels`` (m,) are the isovalues that were surveyed, ascending, and ``errors`` (m,) what interpolation between
     texels on their own isosurfaces errs by there, relative; that of the nearest level counts.
@@ -47,7 +47,7 @@ class ProjectionPlan:
         return bool((self.errors > self.allowed).any())
 
     def error(self, isovalue: Isovalue) -> float:
-        """What interpolation is expected to err by at an isovalue; relative."""
+        """The expected error of interpolation at an isovalue; relative."""
         return float(self.errors[np.searchsorted(self._between, isovalue)])
 
     def projects(self, isovalue: Isovalue) -> bool:

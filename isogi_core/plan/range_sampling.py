@@ -17,7 +17,7 @@ from isogi_core.model.volume import Volume
 BINS = 1024
 """Even parts of a range in which the isosurfaces are looked at."""
 
-FEW = 1 << 21
+CELLS_WAITED_FOR = 1 << 21
 """Cells that are looked at for what a person waits for, about: they take a tenth of a second."""
 
 WAYS = ("uniform", "adaptive")
@@ -71,7 +71,7 @@ def find_stops(volume: Volume, isovalues: tuple[float, float]) -> SampledRange:
     """The isovalues where a slider over a range stops, by the adaptive rule; none where the range is one isovalue."""
     if isovalues[0] == isovalues[1]:
         return SampledRange(())
-    return sample_range(volume, isovalues, STOPS, "adaptive", FEW)
+    return sample_range(volume, isovalues, STOPS, "adaptive", CELLS_WAITED_FOR)
 
 
 def shortened(levels: list[float], isovalues: tuple[float, float]) -> tuple[float, ...]:

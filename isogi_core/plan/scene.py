@@ -263,7 +263,7 @@ class Scene:
         return (*self.plan.left_out, *texels, *beside, *unshining(self.shine))
 
     def with_plan(self, plan: ScenePlan) -> "Scene":
-        """The same scene by another ``plan``; what was surveyed of its volume stays."""
+        """The scene by another ``plan``; what was surveyed of its volume stays."""
         return self.altered(SURVEYED, plan=plan)
 
     @property
@@ -272,7 +272,7 @@ class Scene:
         return {name: found for name, found in vars(self).items() if name in SURVEYED}
 
     def altered(self, kept: Collection[str], **changes: Any) -> "Scene":
-        """The same scene with ``changes``; properties ``kept``, as far as they were worked out, hold for it too."""
+        """The scene with ``changes``; properties ``kept``, as far as they were worked out, hold for it too."""
         scene = replace(self, **changes)
         vars(scene).update({name: found for name, found in vars(self).items() if name in kept})
         return scene
@@ -351,7 +351,7 @@ class Scene:
         return digest_of(parts + (self._coloured if layer.reflected else []))
 
     def _glow_digest(self, layer: GlowLayer, shown: Isovalue | None) -> str:
-        """The same of what glows: where that is, and what reflects it; no colour or strength, and no other light."""
+        """The digest of a layer of glow: where glow is, and what reflects it; no colour or strength, no other light."""
         parts = [BAKE_FORMAT, self.volume.digest, self.lattice, *astuple(layer), *self.departures, "shown", shown]
         parts += [self.albedo[: layer.colours], self.bounces, self.plan.survival, self.glowing.digest]
         walls = ["walls", self.room.dark_digest] if self.room.any else []

@@ -27,7 +27,7 @@ class Side:
 
     @property
     def peeled(self) -> int:
-        """Its number among all sides, as of ``Peeled``."""
+        """The number of the side among all sides, as of ``Peeled``."""
         return 2 * self.number + self.inner
 
 
@@ -58,7 +58,7 @@ def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
     every = surfaces_of(scene, shown)
     own, others = every[side.number], every if side.number else scene.pinned
     others = apart((own, *others), scene)[1:]
-    document: dict[str, Any] = {key: value for key, value in scene.source.document.items() if key not in OWN}
+    document: dict[str, Any] = {key: value for key, value in scene.source.document.items() if key not in SIDE_SETTINGS}
     document |= {key: value for key, value in own.table.items() if key != "name"} | lying(scene, side)
     document |= {"isovalues": [own.isovalue] * 2 if side.number else list(scene.isovalues)}
     document |= {"surfaces": [each.table for each in others]} if others else {}
@@ -66,7 +66,7 @@ def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
 
 
 def apart(surfaces: tuple[PinnedSurface, ...], scene: Scene) -> tuple[PinnedSurface, ...]:
-    """Those of some surfaces that are at no isovalue of one before them: of these two there is one."""
+    """The ``surfaces`` without any that lies at the isovalue of one before it."""
     found: dict[Isovalue, PinnedSurface] = {}
     for each in surfaces:
         found.setdefault(scene.volume.normalise_isovalue(each.isovalue), each)
@@ -83,5 +83,5 @@ def lying(scene: Scene, side: Side) -> dict[str, Any]:
     return {"inside_out": turned != side.inner, "solid": solid}
 
 
-OWN = ("isovalue", "isovalues", "presets", "albedo", "transmission", "clear", "surfaces")
+SIDE_SETTINGS = ("isovalue", "isovalues", "presets", "albedo", "transmission", "clear", "surfaces")
 """What each side's scene has for itself."""

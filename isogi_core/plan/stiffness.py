@@ -21,8 +21,8 @@ under constant light with texels at 2 %: relative RMSE against paths from each p
 (Spearman's ρ = 0.7); steep surfaces err little, as their texels are lit half-way of the step.
 """
 
-LEAST, MOST = 0.2, 3.5
-"""Nine in ten of these surfaces erred between these multiples of the estimate.
+MIN_ERROR_FACTOR, MAX_ERROR_FACTOR = 0.2, 3.5
+"""The error of nine in ten of these surfaces was between these multiples of the estimate.
 
 The estimate does not know what stands behind a surface at other isovalues: a table under a teapot, say.
 """
@@ -63,7 +63,7 @@ class Stiffness:
         """Expected error of light on the surface at ``levels[place]``, from its STEEP and NOISY shares."""
         steep, noisy = (float(self.share(each)[place]) for each in (self.steep, self.noisy))
         likely = SMOOTH_ERROR + STEEP_ERROR * steep + NOISY_ERROR * noisy
-        return Expectation(LEAST * likely, likely, MOST * likely)
+        return Expectation(MIN_ERROR_FACTOR * likely, likely, MAX_ERROR_FACTOR * likely)
 
 
 def measure_stiffness(field: Field, levels: Any, run: Run = serially, most: int | None = None) -> Stiffness:

@@ -40,7 +40,7 @@ def remade(scene: Scene, document: dict[str, Any], volume: Volume | None, name: 
 
 
 def under(scene: Scene, environment: str, name: str) -> Scene:
-    """The same scene in the light of an ``environment``, as a scene file names it, by another id, ``name``.
+    """The scene in the light of an ``environment``, as a scene file names it, by another id, ``name``.
 
     It replaces all of the scene's [[lights]]; walls stay, and their luminaires. The volume and what was surveyed of it
     are shared. Raises SceneError where the scene's own choices do not fit that light, and LightError.
@@ -51,7 +51,7 @@ def under(scene: Scene, environment: str, name: str) -> Scene:
 
 
 def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) -> Scene:
-    """The same scene with a ``cut``, besides its own, by another id, ``name``: see ``cut_away``.
+    """The scene with a ``cut`` in addition to its own, by another id, ``name``: see ``cut_away``.
 
     Where there is a ``volume`` that is cut so, it is taken.
 
@@ -65,7 +65,7 @@ def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) ->
 
 
 def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) -> Scene:
-    """The same scene of another step of its series in time, by another id, ``name``; of a ``volume`` where it is open.
+    """The scene at another step of its series in time, by another id, ``name``; of a ``volume`` where it is open.
 
     It starts at the same isovalue, as far as there is such. Raises SceneError for a step that is not there.
     """
@@ -82,7 +82,7 @@ def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) ->
 
 
 def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:
-    """The same scene with other shares of rays that pass its pinned surfaces, without those of None, by another id.
+    """The scene with other shares of rays that pass its pinned surfaces, and without surfaces of None, by another id.
 
     The volume and what was surveyed of it are shared. Raises as ``build_scene`` does.
     """
@@ -93,9 +93,9 @@ def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:
 
 
 def with_hidden(scene: Scene, hidden: Hidden, name: str, like: Scene | None = None) -> Scene:
-    """The same scene of a segmentation with these labels ``hidden`` in place of its own, by another id, ``name``.
+    """The scene of a segmentation with these labels ``hidden`` in place of its own, by another id, ``name``.
 
-    It is another volume, which is read anew unless a scene ``like`` it has it. Raises SceneError and VolumeError.
+    It is another volume, which is read again unless a scene ``like`` it has it. Raises SceneError and VolumeError.
     """
     document = put_hidden(scene.source.document, hidden)
     if like is None:
@@ -104,7 +104,7 @@ def with_hidden(scene: Scene, hidden: Hidden, name: str, like: Scene | None = No
 
 
 def with_material(scene: Scene, settings: MaterialSettings, name: str) -> Scene:
-    """The same scene of another material, by these ``settings`` of its surface, by another id, ``name``.
+    """The scene of another material, by these ``settings`` of its surface, by another id, ``name``.
 
     What only reflects is left behind: albedos of glass, and a range of them of a subsurface. The volume and what was
     surveyed of it are shared. Raises as ``build_scene`` does.
@@ -120,8 +120,8 @@ def made_of(scene: Scene, settings: MaterialSettings) -> bool:
 
 
 def find_materials(scene: Scene) -> dict[str, Scene | str]:
-    """The same scene of each of MATERIALS, with the numbers that it has by itself; why not, in a sentence, where the
-    scene cannot be of it.
+    """The scene of each of MATERIALS, with the numbers that it has by itself; a sentence that says why where the scene
+    cannot be of it.
     """
     return {kind: scene if kind == scene.material.kind else _of_material(scene, kind) for kind in MATERIALS}
 

@@ -30,7 +30,7 @@ alone (engine 1 %, bonsai 5 %, CT head 6 %), one of 1/32 up to 13 %; a slider cr
 byte in such a step, for which one map is made.
 """
 
-CROWDED = 15 / 16
+CROWDED_SHARE = 15 / 16
 """Share of a volume's values in one group from which on it is parted by their ranks: smooth fields reach 0.86."""
 
 
@@ -52,19 +52,19 @@ def find_levels(voxels: np.ndarray) -> np.ndarray:
 def parted(values: np.ndarray, low: float, high: float) -> list[float]:
     """The levels of one group, without its upper end; ``values`` are all, distinct and ascending."""
     inner = values[np.searchsorted(values, low) : np.searchsorted(values, high)]
-    if len(inner) <= max(CROWDED * len(values), PARTS):
+    if len(inner) <= max(CROWDED_SHARE * len(values), PARTS):
         return [low]
     ranks = np.arange(PARTS) * len(inner) // PARTS
     return [low, *inner[ranks].tolist()]
 
 
-KEPT = 768 << 20
+MAP_BYTES = 768 << 20
 """Bytes of maps that are kept (for each 64 cells and map 4 bytes, and 16 more where any of them is marked)."""
 
-USUAL = 6
+USUAL_BLOCK_BYTES = 6
 """Bytes that a map which is yet to be made is taken to have for each 64 cells."""
 
-NARROW = 2
+NARROW_LEVELS = 2
 """Levels across which the maps of a bake reach, as long as all that it asks for are kept.
 
 Through maps 12 levels wide paths in a volume of 1024³ voxels took 1.7 times as long: they look at more cells.
@@ -89,21 +89,21 @@ class ActiveCellMaps:
     ``levels`` are where maps begin and end, from -inf to inf in the voxels' units, as all isovalues here are.
     """
 
-    def __init__(self, voxels: np.ndarray, most: int = KEPT, survey: Survey = anew) -> None:
+    def __init__(self, voxels: np.ndarray, most: int = MAP_BYTES, survey: Survey = anew) -> None:
         """Find the ranges of the ``voxels``' blocks, by a ``survey``; keep maps of at most ``most`` bytes.
 
         Maps that are large beside the budget of voxels lie in files, as voxels do.
         """
         self._voxels = voxels
         self._bricks = math.prod(brick_shape(voxels.shape))
-        self._dear = USUAL * self._bricks > OWN * budget()
+        self._dear = USUAL_BLOCK_BYTES * self._bricks > OWN * budget()
         self._take = get_scratch if self._dear else np.empty
         measured = survey("ranges", lambda: measure_ranges(voxels))
         self._ranges = block_ranges(voxels, take=self._take, measured=measured)
         self.levels = survey("levels", lambda: find_levels(voxels))
         self._kept: LruCache[tuple[int, int]] = LruCache(most)
         self._most, self._sizes, self._lock = most, dict[tuple[int, int], int](), threading.Lock()
-        self._width, self._asked = NARROW, np.zeros(len(self.levels) - 1, np.bool_)
+        self._width, self._asked = NARROW_LEVELS, np.zeros(len(self.levels) - 1, np.bool_)
         self._grouped: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
@@ -128,8 +128,8 @@ class ActiveCellMaps:
     def groups(self, isovalues: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """For isovalues (m,), none NaN: the number of the group that each is in; and the span (2,) of each group.
 
-        Spans reach over what was asked for. Groups are NARROW, or so wide that the maps of all that were asked for
-        are kept: each may be needed again and again. They become wider as more is asked for; each call has its own.
+        Spans reach over what was asked for. Groups are NARROW_LEVELS, or so wide that the maps of all that were asked
+        for are kept: each may be needed again and again. They become wider as more is asked for; each call has its own.
         """
         places = np.searchsorted(self.levels, isovalues, "right") - 1
         with self._lock:
@@ -162,7 +162,7 @@ class ActiveCellMaps:
     def _make(self, first: int, last: int, run: Run) -> ActiveCells:
         """The map from one level to another."""
         ends = float(self.levels[first]), float(self.levels[last])
-        self._kept.make_room(USUAL * self._bricks)
+        self._kept.make_room(USUAL_BLOCK_BYTES * self._bricks)
         made = make_active_cells(self._voxels, self._ranges, *ends, partial(run, size=LAYERS), self._take)
         with self._lock:
             self._sizes[first, last] = made.nbytes
@@ -191,6 +191,6 @@ class ActiveCellMaps:
 
     def _together(self) -> int:
         """Bytes of the maps of all groups that were asked for, as far as their sizes are known."""
-        usual, spans = USUAL * self._bricks, map(tuple, self._spans().tolist())
+        usual, spans = USUAL_BLOCK_BYTES * self._bricks, map(tuple, self._spans().tolist())
         asked = [span for span in spans if self._asked[slice(*span)].any()]
         return sum(self._sizes.get(span, usual) + OVERHEAD for span in asked)

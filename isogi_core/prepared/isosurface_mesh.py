@@ -13,7 +13,7 @@ from isogi_core.model.volume import Isovalue
 CELLS = 1 << 16
 """Cells whose vertices are found together."""
 
-STEPS = 6
+NEWTON_STEPS = 6
 """Newton steps from the mean of a cell's crossings onto the surface."""
 
 CORNERS = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)])
@@ -85,7 +85,7 @@ def _settled(corners: np.ndarray, level: float) -> np.ndarray:
         share = np.where(crossed, (level - one) / (other - one), 0.0)
     ends = CORNERS[EDGES[:, 0]] + share[..., None] * (CORNERS[EDGES[:, 1]] - CORNERS[EDGES[:, 0]])
     place = (ends * crossed[..., None]).sum(axis=1) / crossed.sum(axis=1)[:, None]
-    for _ in range(STEPS):
+    for _ in range(NEWTON_STEPS):
         value, slope = _trilinear(corners, place)
         square = (slope**2).sum(axis=1)
         step = np.divide(level - value, square, out=np.zeros_like(value), where=square > 0.0)

@@ -26,7 +26,7 @@ from isogi_core.model.lights import Colour
 from isogi_core.model.volume import Volume
 from isogi_core.plan.bands import project_environment
 from isogi_core.plan.scene import Scene
-from isogi_core.prepared.active_cell_maps import KEPT, ActiveCellMaps, Survey, anew
+from isogi_core.prepared.active_cell_maps import MAP_BYTES, ActiveCellMaps, Survey, anew
 from isogi_core.prepared.surface import Surface
 from isogi_core.prepared.voxel_codes import VoxelCodes, find_codes
 from isogi_core.runs import Run, serially
@@ -46,7 +46,7 @@ class PreparedScene:
     """A scene as kernels take it; at most ``most`` bytes of active-cell maps are kept."""
 
     scene: Scene
-    most: int = KEPT
+    most: int = MAP_BYTES
 
     @cached_property
     def field(self) -> Field:

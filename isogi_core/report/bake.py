@@ -23,7 +23,7 @@ from isogi_core.model.view import View
 NEVER = 1e-9
 """A target error that no texel reaches: all take as many samples as they are asked for."""
 
-PIECE = 256
+TEXELS_A_PIECE = 256
 """Texels that one thread bakes in one go."""
 
 
@@ -62,7 +62,7 @@ class Bake:
                 refine(light, self.texels[rows], spec, until, target)
                 self.light.put(rows, light)
 
-        self.tiles.run(piece, len(self.texels), PIECE)
+        self.tiles.run(piece, len(self.texels), TEXELS_A_PIECE)
         self.seconds += time.process_time() - begun
 
     def _specs(self, a: int, b: int) -> Iterator[tuple[BakeSpec, np.ndarray]]:

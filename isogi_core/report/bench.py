@@ -35,13 +35,13 @@ from isogi_core.report.reference import (
 MEMORY = 1 << 30
 """Bytes of light that frames of one scene may hold."""
 
-FIRST, MOST = 64, 16384
+MIN_REFERENCE_PATHS, MAX_REFERENCE_PATHS = 64, 16384
 """Paths from each pixel of the shortest reference, and of the longest."""
 
 FINE = 0.1
 """What a reference's noise may be of the error that it is to tell."""
 
-SHARE = 0.1
+REFERENCE_SHARE = 0.1
 """What growing a reference may take of the time that is left; two more of as many paths are made for the split."""
 
 
@@ -124,7 +124,7 @@ class Bench:
     @cached_property
     def _first_error(self) -> float:
         """The relative error of the plan's frame, by the shortest reference."""
-        return self.score(self.planned.frame().leaving, self.reference(FIRST)).rmse
+        return self.score(self.planned.frame().leaving, self.reference(MIN_REFERENCE_PATHS)).rmse
 
     def grown(self, noise: float) -> Reference:
         """The view's reference, grown once until its own ``noise`` is so small, or as far as the time left allows."""
@@ -134,8 +134,8 @@ class Bench:
         return found
 
     def _grow(self, noise: float) -> Reference:
-        found, scene = self.reference(FIRST), self.whole
-        goal = replace(goal_of(noise), seconds=SHARE * self.left if math.isfinite(self.left) else None)
+        found, scene = self.reference(MIN_REFERENCE_PATHS), self.whole
+        goal = replace(goal_of(noise), seconds=REFERENCE_SHARE * self.left if math.isfinite(self.left) else None)
         for grown in grow(self.renderer(scene), self.view, goal, found):
             found = self._keep(grown, scene)
         return found
@@ -189,7 +189,7 @@ class Bench:
 
 def goal_of(noise: float) -> Goal:
     """Where a reference is good enough whose own noise is to be so small."""
-    return Goal(samples=MOST, noise=noise)
+    return Goal(samples=MAX_REFERENCE_PATHS, noise=noise)
 
 
 def whole_paths(scene: Scene, bounces: int | None = None) -> Scene:

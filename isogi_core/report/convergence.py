@@ -25,7 +25,7 @@ SIZE = 32
 RUNGS = (16, 64, 256, 1024, 4096, 16384)
 """Samples of a texel, or paths of a pixel, of the points of a curve."""
 
-SECONDS, SHARE = 120.0, 0.1
+SECONDS, POINT_SHARE = 120.0, 0.1
 """Seconds that the next point of a curve may take, by what the last one took, and the share of those that are left."""
 
 TRACED = "path tracing from each pixel"
@@ -33,8 +33,8 @@ TRACED = "path tracing from each pixel"
 
 ABOUT = """\
 Errors against the reference, of one view, as more samples are taken. Light of texels is baked once and serves all \
-cameras and, where it turns, all lights; paths from each pixel serve one picture. What a curve levels off at is what \
-more samples do not mend: interpolation, harmonics and bounces that are cut off. Each point of baked light grows from \
+cameras and, where it turns, all lights; paths from each pixel serve one picture. Where a curve levels off, \
+more samples do not help: interpolation, harmonics and bounces that are cut off. Each point of baked light grows from \
 the one before; seconds are of the processor, all threads together, without compiling. The bake pays for itself after \
 so many pictures that read the texels of this one, from cameras that see the same surface or under turned lights, as \
 paths from each pixel could trace to its own error in its time; frames of baked light take milliseconds, and count as \
@@ -48,7 +48,7 @@ COLUMNS = (
 )
 
 
-NEAR = 1.1
+END_ERROR_FACTOR = 1.1
 """How many times the error that a curve ends at its point may have that stands for the whole bake."""
 
 EVENS = (
@@ -153,7 +153,7 @@ def baked(bench: Bench, scene: Scene, best: Reference) -> list[Point]:
 
 
 def traced(bench: Bench, best: Reference) -> list[Point]:
-    """The points of paths from each pixel, each picture traced anew; with as many bounces as may matter."""
+    """The points of paths from each pixel, each picture traced again; with as many bounces as may matter."""
     renderer, view = bench.renderer(bench.whole), replace(bench.view, shading="path_traced")
     renderer.render(replace(view, samples=1))
 
@@ -166,7 +166,7 @@ def traced(bench: Bench, best: Reference) -> list[Point]:
 
 
 def points(bench: Bench, best: Reference, frame: Callable[[int], tuple[Frame, float]]) -> list[Point]:
-    """The points of ``frame``, which tells its seconds too, over RUNGS, until the next would take too long.
+    """The points of ``frame``, which returns its seconds too, over RUNGS, until the next would take too long.
 
     The first one is made in any case.
     """
@@ -181,9 +181,9 @@ def points(bench: Bench, best: Reference, frame: Callable[[int], tuple[Frame, fl
 
 def fits(bench: Bench, seconds: float) -> bool:
     """Whether a point may take so long; the bench notes where time left forbids it."""
-    if seconds > SHARE * bench.left:
+    if seconds > POINT_SHARE * bench.left:
         bench.hurry.set()
-    return seconds <= min(SECONDS, SHARE * bench.left)
+    return seconds <= min(SECONDS, POINT_SHARE * bench.left)
 
 
 def evens(baked: Iterable[Curve], traced: Curve, size: str) -> Table:
@@ -194,7 +194,7 @@ def evens(baked: Iterable[Curve], traced: Curve, size: str) -> Table:
 
 def even(baked: Curve, traced: Curve) -> tuple[Cell, ...]:
     """A way's row of the table, of its cheapest point that is nearly as good as its last one."""
-    seconds, error = next((x, y) for x, y in zip(baked.x, baked.y, strict=True) if y <= NEAR * baked.y[-1])
+    seconds, error = next((x, y) for x, y in zip(baked.x, baked.y, strict=True) if y <= END_ERROR_FACTOR * baked.y[-1])
     picture = seconds_at(traced, error)
     pictures = None if picture is None else math.ceil(seconds / picture)
     return baked.name, error, seconds, picture, pictures

@@ -21,7 +21,7 @@ from isogi_core.report.reference import Reference
 OUTSIDE = -1
 """Where points stand in the lattice, for their random numbers' sake: outside it."""
 
-PIECE = 64
+POINTS_A_PIECE = 64
 """Points that one thread lights in one go."""
 
 PATHS = 1024
@@ -31,7 +31,7 @@ PATHS = 1024
 TIMES = 4
 """How many times the samples that a texel of the frame has make converged light of it, at most."""
 
-FEWEST, MOST = 256, 16384
+FEWEST, MAX_EXACT_SAMPLES = 256, 16384
 """Bounds of these samples."""
 
 
@@ -101,7 +101,7 @@ def lit_by_transfer(bench: Bench, samples: int) -> Lit:
         place = place_of(gbuffer.pixels[a:b], gbuffer.points[a:b], normals[a:b], gbuffer.isovalue)
         halves[a:b] = light_of_halves(turned, place, samples)
 
-    bench.tiles.run(piece, len(halves), PIECE)
+    bench.tiles.run(piece, len(halves), POINTS_A_PIECE)
     if turned.coloured:
         halves *= turned.tints(gbuffer, bench.tiles)[:, None]
     half = (halves[:, 0] - halves[:, 1]) @ LUMINANCE / 2.0
@@ -139,7 +139,7 @@ def light_of_halves(turned: RotatedLight, place: Place, samples: int) -> np.ndar
 
 
 def light_of_glow(turned: RotatedLight, place: Place, samples: int) -> np.ndarray:
-    """The same of what glows, zero where nothing does; (m, 2, 3)."""
+    """Linear RGB (m, 2, 3) of each half of ``samples`` paths, of what glows; zero where nothing does."""
     spec, void, halves = turned.spec, np.zeros(len(place[3]), np.bool_), np.zeros((len(place[3]), 2, 3))
     for layer in spec.plan.layers:
         if isinstance(layer, GlowLayer):
@@ -194,6 +194,6 @@ def unrounded(layer: Layer) -> Layer:
 def rung_below(samples: float) -> int:
     """The last rung of the ladder of samples, of those that count as converged, that is not above ``samples``."""
     rung = FEWEST
-    while 2 * rung <= min(samples, MOST):
+    while 2 * rung <= min(samples, MAX_EXACT_SAMPLES):
         rung *= 2
     return rung

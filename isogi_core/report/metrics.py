@@ -12,8 +12,8 @@ from isogi_core.model.sky import LUMINANCE
 from isogi_core.report.reference import Reference
 from isogi_core.report.sections import Cell, Column
 
-FAR = 99.0
-"""The percentile of errors that tells of the worst pixels, and not of the single worst one."""
+WORST_PERCENTILE = 99.0
+"""The percentile of errors that stands for the worst pixels, and not of the single worst one."""
 
 
 SCORE_COLUMNS = (
@@ -74,7 +74,11 @@ def spread_of(wrong: np.ndarray, noise: np.ndarray | float, mean: float) -> Spre
     if not len(wrong):
         return Spread(0.0, 0.0, 0.0)
     square = max(float((wrong**2).mean()) - float(np.mean(noise)), 0.0)
-    return Spread(math.sqrt(square) / mean, float(wrong.mean()) / mean, float(np.percentile(np.abs(wrong), FAR)) / mean)
+    return Spread(
+        math.sqrt(square) / mean,
+        float(wrong.mean()) / mean,
+        float(np.percentile(np.abs(wrong), WORST_PERCENTILE)) / mean,
+    )
 
 
 def luminance(radiance: np.ndarray) -> np.ndarray:

@@ -29,10 +29,10 @@ REPLICAS = 8
 CUT = 0.001
 """Share of the light that the bounces which a reference leaves out may bring, at most."""
 
-FIRST = 16
+FIRST_ROUND_PATHS = 16
 """Paths per pixel of the first round; each further one doubles what there is."""
 
-MOST = REPLICAS << 32
+MAX_PIXEL_PATHS = REPLICAS << 32
 """Paths per pixel for which there are random numbers."""
 
 DECAY = 1.75
@@ -71,7 +71,7 @@ class Reference:
         return float(np.sqrt(self.variance[self.on].mean(dtype=np.float64))) / light if light > 0.0 else 0.0
 
 
-KEPT = fields(Reference)
+REFERENCE_FIELDS = fields(Reference)
 """What a file keeps."""
 
 
@@ -160,7 +160,9 @@ def save_reference(path: Path, reference: Reference, scene: Scene, view: View) -
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         with partial.open("wb") as file:
-            np.savez(file, about=json.dumps(about), **{each.name: getattr(reference, each.name) for each in KEPT})
+            np.savez(
+                file, about=json.dumps(about), **{each.name: getattr(reference, each.name) for each in REFERENCE_FIELDS}
+            )
         os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)
@@ -173,7 +175,7 @@ def load_reference(path: Path, scene: Scene, view: View) -> Reference:
             about = json.loads(str(file["about"]))
             if about["format"] != FORMAT:
                 raise ReportError(f"{path} was written by another version of isogi: remove it, or name another file.")
-            kept = {each.name: file[each.name] for each in KEPT}
+            kept = {each.name: file[each.name] for each in REFERENCE_FIELDS}
     except (ValueError, KeyError, EOFError, BadZipFile) as error:
         raise ReportError(f"{path} is no whole reference ({error}): remove it, or name another file.") from None
     if kept["subject"] != subject_of(scene, view):
@@ -223,7 +225,7 @@ def grow(
     begun, reference, before = time.monotonic(), former, former.samples if former is not None else 0
     while reference is None or not goal.met(reference):
         taken = reference.samples if reference is not None else 0
-        wanted = min(max(2 * taken, FIRST), goal.samples or MOST)
+        wanted = min(max(2 * taken, FIRST_ROUND_PATHS), goal.samples or MAX_PIXEL_PATHS)
         if goal.seconds is not None and taken > before:
             spent = time.monotonic() - begun
             wanted = min(wanted, taken + fitting(goal.seconds - spent, spent / (taken - before)))

@@ -27,10 +27,10 @@ CALL_VARIABLES = ("ALLOW_HTTP", "ALLOW_INVALID_CERTIFICATES", "PROXY_URL", "PROX
 FULL = ("status code: 507", "QuotaExceeded", "StorageFull", "storage quota")
 """Words in the answers of object stores that have no room."""
 
-UNKNOWN = "status code: 501"
+NOT_IMPLEMENTED = "status code: 501"
 """The answer to a conditional write where a store has none."""
 
-CLOSED = ("status code: 405", UNKNOWN)
+CLOSED = ("status code: 405", NOT_IMPLEMENTED)
 """Answers of HTTP servers that are read-only."""
 
 
@@ -83,7 +83,7 @@ class Bucket:
         try:
             self._obstore.put(self._store, key, data, mode=mode, use_multipart=False)
         except (self._obstore.exceptions.GenericError, NotImplementedError) as error:
-            if not isinstance(error, NotImplementedError) and UNKNOWN not in str(error):
+            if not isinstance(error, NotImplementedError) and NOT_IMPLEMENTED not in str(error):
                 raise
             self._obstore.put(self._store, key, data, use_multipart=False)
 

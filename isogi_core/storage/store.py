@@ -28,16 +28,16 @@ CONTENT = json.dumps({"kind": "isogi light", "format": FORMAT}).encode()
 CHECKED = 1.0
 """Seconds for which a check of the sentinel stands, and after which an unreachable store is checked again."""
 
-PATIENCE = 0.5
+CHECK_SECONDS = 0.5
 """Seconds that one caller waits for a check of a remote store that was away."""
 
 TOLD = 600.0
-"""Seconds for which news of an object is told once."""
+"""Seconds in which news of an object is logged once."""
 
 RETRIED = 10.0
 """Seconds after which a read-only store is tested again for writing."""
 
-GONE = "its isogi.json is missing; bring the store back, or start isogi anew to begin with an empty one"
+GONE = "its isogi.json is missing; bring the store back, or start isogi again to begin with an empty one"
 
 
 def check_sentinel(sentinel: bytes, url: StoreUrl) -> None:
@@ -46,7 +46,7 @@ def check_sentinel(sentinel: bytes, url: StoreUrl) -> None:
         version = json.loads(sentinel)["format"]
     except (ValueError, KeyError, TypeError):
         raise StoreError(
-            f"{SENTINEL} in the store at {url} is damaged: delete it, and start isogi anew, which makes it again."
+            f"{SENTINEL} in the store at {url} is damaged: delete it, and start isogi again, which makes it."
         ) from None
     if version != FORMAT:
         raise StoreError(
@@ -206,7 +206,7 @@ class Store:
         return self._away
 
     def is_news(self, text: str) -> bool:
-        """Whether this was not told of an object in the last TOLD seconds: it is told now."""
+        """Whether this was not logged of an object in the last TOLD seconds: it is logged now."""
         now = self._clock()
         with self._opening:
             self._told = {each: at for each, at in self._told.items() if now - at < TOLD}
@@ -239,7 +239,7 @@ class Store:
                 return
             self._looking = looking = threading.Thread(target=self._look, name="store", daemon=True)
             looking.start()
-        looking.join(PATIENCE)
+        looking.join(CHECK_SECONDS)
 
     def _look(self) -> None:
         """Note whether the store is away."""

@@ -43,7 +43,7 @@ class KnownHosts:
 SAFE = ("GET", "HEAD")
 """Methods that change nothing; a client without a browser's headers may use them from wherever it is."""
 
-OWN = ("same-origin", "none")
+SAME_SITE = ("same-origin", "none")
 """Values of Sec-Fetch-Site for requests of the server's own pages, and of a person who typed an address."""
 
 
@@ -78,7 +78,7 @@ class KnownOrigins:
         safe = scope["type"] == "http" and scope["method"] in SAFE
         if not safe and origin is not None and not is_own(origin, headers):
             return False
-        return site is None or site in OWN or (safe and is_link(headers))
+        return site is None or site in SAME_SITE or (safe and is_link(headers))
 
 
 def is_own(origin: str, headers: Headers) -> bool:
@@ -100,7 +100,7 @@ PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>isogi: tok
 <p>If it has it already, and you came by a link from elsewhere: <a href="">go on</a>.</p></html>"""
 
 
-FORBIDDEN = "The token '{name}' does not allow this ({scope}): ask whoever runs this server for one that does."
+FORBIDDEN = "The token '{name}' does not allow this ({scope}): ask the operator of this server for one that does."
 
 
 def needed_scope(scope: Scope) -> str:
@@ -181,7 +181,7 @@ class TokenBearers:
         return max(held, key=lambda token: token.bearer.reach, default=None)
 
     def shown(self, given: bytes) -> Token | None:
-        """The token that this is, if any; how long that takes tells nothing."""
+        """The token that this is, if any; how long that takes reveals nothing."""
         return next((token for token in [each for each in self.tokens if each.is_shown(given)]), None)
 
     def given(self, scope: Scope) -> str | None:
@@ -191,7 +191,7 @@ class TokenBearers:
         return dict(parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)).get("token")
 
     def admission(self, scope: Scope, token: Token) -> Response:
-        """The same address without the token, and the cookie; the browser's history forgets the token."""
+        """A redirect to the address without the token, with the cookie; the browser's history forgets the token."""
         pairs = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
         rest = urlencode([(name, value) for name, value in pairs if name != "token"])
         answer = RedirectResponse(f"./?{rest}" if rest else "./", 303, {"Cache-Control": "no-store"})

@@ -166,7 +166,7 @@ class Connection(H11Protocol):
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
         """Hand over to the socket's own protocol, unless there is no place."""
         if self.app is crowded:
-            self.refuse(503, CROWDED)
+            self.refuse(503, CONNECTIONS_TAKEN)
             return
         self._stop_checking()
         super().handle_websocket_upgrade(event)
@@ -252,7 +252,7 @@ class Connection(H11Protocol):
             self.cycle.message_event.set()
 
     def _note(self) -> None:
-        """Begin to count anew where the client has come from one part of a request to the next."""
+        """Begin to count again where the client has come from one part of a request to the next."""
         if self.conn.their_state is not self._state:
             self._state, self._since = self.conn.their_state, self.loop.time()
 
@@ -277,12 +277,12 @@ class Connection(H11Protocol):
             self._next_check = None
 
 
-CROWDED = "All connections that this server has are taken: come back in a second."
+CONNECTIONS_TAKEN = "All connections that this server has are taken: come back in a second."
 
 
 async def crowded(scope: Scope, receive: Receive, send: Send) -> None:
     """The app of a connection without a place."""
-    await problem(503, CROWDED, scope["path"])(scope, receive, send)
+    await problem(503, CONNECTIONS_TAKEN, scope["path"])(scope, receive, send)
 
 
 def too_many(one: H11Protocol, connections: Iterable[H11Protocol], settings: Settings) -> list[H11Protocol]:

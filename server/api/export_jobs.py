@@ -37,7 +37,7 @@ BAKED = 0.9
 
 Made = TypeVar("Made")
 
-KEPT = 64 << 20
+EXPORT_BYTES = 64 << 20
 """Bytes that the renderer of an export keeps."""
 
 
@@ -112,7 +112,7 @@ class Export:
         return order_of({"isovalues": [repr(self.view.isovalue)], "all_directions": True, **given})
 
     async def _in_thread(self, work: Callable[[], Made]) -> Made:
-        """Do some work on a thread; cancelled, it is told to stop, and waited for."""
+        """Do some work on a thread; if cancelled, it is asked to stop, and waited for."""
         return await to_its_end(asyncio.get_running_loop().run_in_executor(None, work), self.cancelled)
 
     def _check(self) -> int:
@@ -131,7 +131,7 @@ class Export:
         view, exposure = self.view, self.params.exposure or self.scene.default_exposure
         with closing(Tiles(1)) as tiles:
             caches = self.service.engine.renderer(self.scene.id).caches
-            renderer = Renderer(caches, tiles.cancelled_by(self.cancelled), KEPT)
+            renderer = Renderer(caches, tiles.cancelled_by(self.cancelled), EXPORT_BYTES)
             if self._suffix in MESHES:
                 mesh = surface_mesh(renderer, view.isovalue)
                 write_mesh(output, lit_mesh(renderer, view, mesh, exposure, report))

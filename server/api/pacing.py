@@ -12,10 +12,10 @@ def mixed(newest: float, before: float, fresh: float) -> float:
 HALF, QUARTER = 0.5, 0.25
 """Shares of the full width and height that drafts have."""
 
-LONGEST = 0.045
+MAX_DRAFT_SECONDS = 0.045
 """Seconds that a draft may be drawn and shown for."""
 
-MARGIN = 0.8
+PACE_MARGIN = 0.8
 """Share of that time in which larger drafts must be expected to come before they are tried."""
 
 FRESH = 0.5
@@ -38,19 +38,19 @@ class Drafts:
         """A draft at ``scale`` was drawn for so long: size the next."""
         self._drawn = mixed(seconds, self._drawn, FRESH)
         took, pixels = self._drawn + self._shown, (HALF / QUARTER) ** 2
-        if self.scale == HALF and took > LONGEST:
+        if self.scale == HALF and took > MAX_DRAFT_SECONDS:
             self._resize(QUARTER, 1.0 / pixels)
-        elif self.scale == QUARTER and pixels * took < MARGIN * LONGEST:
+        elif self.scale == QUARTER and pixels * took < PACE_MARGIN * MAX_DRAFT_SECONDS:
             self._resize(HALF, pixels)
 
     def _resize(self, scale: float, pixels: float) -> None:
         self.scale, self._drawn, self._shown = scale, pixels * self._drawn, pixels * self._shown
 
 
-MOST = 2
+MAX_PICTURES_AHEAD = 2
 """Pictures that may be under way."""
 
-PATIENCE = 1.0
+RECEIPT_SECONDS = 1.0
 """Seconds after which a picture that was not acknowledged is taken for shown."""
 
 
@@ -74,8 +74,8 @@ class Window:
 
     async def room(self) -> None:
         """Returns when another picture may be sent."""
-        while len(self._sent) >= MOST:
-            left = self._sent[0][1] + PATIENCE - asyncio.get_running_loop().time()
+        while len(self._sent) >= MAX_PICTURES_AHEAD:
+            left = self._sent[0][1] + RECEIPT_SECONDS - asyncio.get_running_loop().time()
             if left <= 0.0:
                 self._sent.popleft()
                 continue

@@ -194,7 +194,7 @@ class Prewarm:
 
 
 async def to_its_end(working: asyncio.Future[Done], cancelled: threading.Event) -> Done:
-    """What a thread's work comes to. Where this is cancelled, the thread is told so, and waited for."""
+    """What a thread's work comes to. Where this is cancelled, the thread is asked to stop, and waited for."""
     try:
         return await asyncio.shield(working)
     except asyncio.CancelledError:

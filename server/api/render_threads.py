@@ -6,7 +6,7 @@ from server.render.scheduling import Renders
 DRAFTS = 2
 """Threads for drafts alone, so that none waits for a full picture to end."""
 
-LARGE = 1 << 21
+LARGE_PICTURE_PIXELS = 1 << 21
 """Pixels beyond which pictures are drawn one at a time: each takes some 45 bytes a pixel besides what is kept."""
 
 ASKING = 2
@@ -23,10 +23,10 @@ class RenderThreads:
         self.large, self.asking, self.checks = Renders(1), Renders(ASKING), Renders(1)
 
     def of(self, view: View) -> Renders:
-        """Those on which the picture of a view is drawn, and written as a file."""
+        """The threads on which the picture of a view is drawn, and written as a file."""
         if view.moving:
             return self.drafts
-        return self.large if view.width * view.height > LARGE else self.pictures
+        return self.large if view.width * view.height > LARGE_PICTURE_PIXELS else self.pictures
 
     def close(self) -> None:
         """Take no more work; what still waits is dropped."""

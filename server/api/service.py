@@ -122,7 +122,9 @@ class Service:
         """End a job of this bearer's. Raises ForbiddenError, and as ``job`` does."""
         job = self.job(key)
         if not bearer.owns(job.owner):
-            raise ForbiddenError(f"The job '{job.id}' belongs to '{job.owner}', who may dismiss it, as an admin may.")
+            raise ForbiddenError(
+                f"The job '{job.id}' belongs to '{job.owner}', who may dismiss it, and so may an admin."
+            )
         return await self.jobs.dismiss(job.id)
 
     def reason(self) -> str:
@@ -155,7 +157,7 @@ class Service:
         return await self.variants.of(scene, change)
 
     def planned(self, scene: Scene) -> Scene:
-        """The same scene with the plan of the light that its store has, where that can be read now."""
+        """The ``scene`` with the plan of the light that its store has, where that can be read now."""
         if not self.startup.open:
             return scene
         with suppress(StoreError):

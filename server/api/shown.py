@@ -23,7 +23,7 @@ class PictureRequest:
     target: float
 
     def draft(self, scale: float) -> Self:
-        """The same of a view that moves, in a picture of ``scale`` times the width and the height."""
+        """The draft of this view while it moves, in a picture of ``scale`` times the width and the height."""
         width, height = (max(round(scale * side), 1) for side in (self.view.width, self.view.height))
         return replace(self, view=replace(self.view, width=width, height=height, moving=True))
 

@@ -173,18 +173,18 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
     @click.option("--material", help=MATERIAL)
     @wraps(command)
     def placed(**given: Any) -> Any:
-        name, told = "scene" if "scene" in given else "target", {key: given.pop(key) for key in PLACING}
-        if "." in (told["environment"] or ""):
-            told["environment"] = str(Path(told["environment"]).resolve())
-        given[name] = placed_target(given[name], told)
+        name, placing = "scene" if "scene" in given else "target", {key: given.pop(key) for key in PLACING}
+        if "." in (placing["environment"] or ""):
+            placing["environment"] = str(Path(placing["environment"]).resolve())
+        given[name] = placed_target(given[name], placing)
         return command(**given)
 
     return placed
 
 
-def placed_target(target: str | None, told: Mapping[str, str | None]) -> str | None:
+def placed_target(target: str | None, placing: Mapping[str, str | None]) -> str | None:
     """A command's target with what its options say of the volume after its #; None where nothing is said of none."""
-    for key, value in told.items():
+    for key, value in placing.items():
         if value is not None:
             target = target or "demo:casting"
             chosen = "#" in target and not Path(target).exists()

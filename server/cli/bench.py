@@ -48,7 +48,7 @@ DONE = 1.0
 """A target error that FEWEST samples meet: what is measured are frames of light that is final, as most light is."""
 
 Candidate = Callable[[int], float]
-"""Does its work in the given round and tells the seconds that it took."""
+"""Does its work in the given round and returns the seconds that it took."""
 
 
 Offsets = dict[Index, np.ndarray]
@@ -326,7 +326,7 @@ class Bench:
         return {"relight_ms": taken.pop("relight"), "frame_ms": taken}
 
     def isovalues(self) -> Figures:
-        """``isovalue_ms``: from an isovalue to its picture, its map made anew, lit by Lambert's law."""
+        """``isovalue_ms``: from an isovalue to its picture, its map made again, lit by Lambert's law."""
         levels = isovalues_near(self.scene, self.repeats + 1)
 
         def show(turn: int) -> float:

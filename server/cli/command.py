@@ -115,7 +115,7 @@ def render(
 @volume_options
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="A file, .npz.")
 @options({name: text for name, text in VIEW_OPTIONS.items() if name not in DEVELOPED})
-@click.option("--samples", type=click.IntRange(1), help="Stop at so many paths per pixel.")
+@click.option("--samples", type=click.IntRange(1), help="Stop at this number of paths per pixel.")
 @click.option("--target-error", callback=number(1e-6, 1), help="Stop at this noise; default: 0.005.")
 @click.option("--time", "seconds", callback=duration, help="Stop after so long: 90, 90s, 10m or 1h.")
 @click.option("--bounces", type=click.IntRange(0, 1000), help="Default: all but 0.1 % of the light.")
@@ -173,7 +173,7 @@ def report(
 )
 @click.option("--view", "directions", multiple=True, metavar="azimuth=40,elevation=30", help="One direction.")
 @click.option("--views-file", type=THERE, help="Such, .json or .toml.")
-@click.option("--orbit", "orbits", multiple=True, metavar="36@20", help="So many directions at an elevation.")
+@click.option("--orbit", "orbits", multiple=True, metavar="36@20", help="A number of directions at an elevation.")
 @click.option("--all-directions", is_flag=True, default=None, help="Whole isosurfaces, from whatever side.")
 @options(PREWARM_OPTIONS)
 @click.option("--deadline", callback=duration, help="End by then, with what is baked: 90, 90s, 10m or 1h.")
@@ -375,7 +375,7 @@ def stats(where: str | None, quick: bool, as_json: bool) -> None:
 @store.command()
 @STORE
 @click.option("--older-than", callback=age, help="Light that was neither baked nor read for so long: 30d, 12h.")
-@click.option("--keep-gb", type=click.FloatRange(0), help="The longest unused light beyond so many gigabytes.")
+@click.option("--keep-gb", type=click.FloatRange(0), help="The longest unused light beyond this number of gigabytes.")
 @click.option("--scene", help="Light of this scene or volume alone; with no other option, all of it.")
 @click.option("--empty", is_flag=True, help="Layers that hold no light.")
 @click.option("--yes", is_flag=True, help="Delete it; without this, only list what would go.")

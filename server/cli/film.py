@@ -98,7 +98,7 @@ def keyframes(wishes: Wishes) -> list[dict[str, str]]:
 
 
 def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
-    """The same target in the environment, with the cut, at the time, of the material and without the labels that all
+    """The ``target`` in the environment, with the cut, at the time, of the material and without the labels that all
     views name.
 
     ParameterError where one names other surfaces.
@@ -137,14 +137,14 @@ def shots_of(
     return [smoothed(shot, "png") for shot in shots]
 
 
-LONGEST = 1 << 26
+MAX_VIEWS_BYTES = 1 << 26
 """Bytes of a file of views, at most."""
 
 
 def document_in(file: Path) -> Any:
     """What is in a JSON or TOML file, or the lines of any other. Raises ParameterError."""
     try:
-        text = read_small(file, LONGEST).decode()
+        text = read_small(file, MAX_VIEWS_BYTES).decode()
         if file.suffix == ".json":
             return json.loads(text)
         return tomllib.loads(text) if file.suffix == ".toml" else [line for line in text.split() if line]

@@ -27,7 +27,7 @@ def is_placed(given: Iterable[str]) -> bool:
 
 
 def seen_whole(renderer: Renderer, shots: Sequence[FrameParams], settings: Settings) -> list[FrameParams]:
-    """The same pictures, with one target and one distance for all of them; from the directions that they give."""
+    """The ``shots`` with one target and one distance for all of them, from the directions that they give."""
     scene = renderer.prepared.scene
     turned = [from_front(scene, shot) for shot in shots]
     few = np.unique(np.linspace(0, len(turned) - 1, LOOKED_AT).round().astype(int))
@@ -37,7 +37,7 @@ def seen_whole(renderer: Renderer, shots: Sequence[FrameParams], settings: Setti
 
 
 def from_front(scene: Scene, shot: FrameParams) -> FrameParams:
-    """The same picture from the angles that it gives, and where it gives none, from the scene's front."""
+    """The ``shot`` from the angles that it gives, and where it gives none, from the scene's front."""
     azimuth, elevation = front_of(scene.volume, scene.room.any)
     front = {"azimuth": azimuth, "elevation": elevation}
     return shot.model_copy(update={name: angle for name, angle in front.items() if name not in shot.model_fields_set})

@@ -37,7 +37,7 @@ GROUPS = {
 }
 """The options of each group, by name; those of none come first, under Options."""
 
-FIRST = "Options"
+FIRST_HEADING = "Options"
 
 WIDEST = 46
 """Columns of the longest example that has its explanation on the same line."""
@@ -59,7 +59,7 @@ class GroupedCommand(WithExamples):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, group by group."""
-        rows: dict[str, list[tuple[str, str]]] = {FIRST: [], **{title: [] for title in GROUPS}}
+        rows: dict[str, list[tuple[str, str]]] = {FIRST_HEADING: [], **{title: [] for title in GROUPS}}
         for param in self.get_params(ctx):
             record = param.get_help_record(ctx)
             if record is not None and isinstance(param, click.Option):
@@ -72,7 +72,7 @@ class GroupedCommand(WithExamples):
 
 def group_of(name: str) -> str:
     """The group that an option is in."""
-    return next((title for title, names in GROUPS.items() if name in names), FIRST)
+    return next((title for title, names in GROUPS.items() if name in names), FIRST_HEADING)
 
 
 class Group(WithExamples, click.Group):

@@ -27,7 +27,7 @@ CODECS = {
 
 COLOURS = ["-vf", "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p", "-colorspace", "bt709"]
 COLOURS += ["-color_primaries", "bt709", "-color_trc", "iec61966-2-1", "-color_range", "tv"]
-"""What players are told of the pictures: sRGB, by the matrix of BT.709."""
+"""What players need to know of the pictures: sRGB, by the matrix of BT.709."""
 
 
 def check_movie(output: Path, width: int, height: int) -> None:

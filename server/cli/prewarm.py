@@ -24,7 +24,7 @@ from server.prewarm.order import PrewarmOrder, Views, order_of
 from server.prewarm.record import Record, Summary, last_unfinished
 from server.prewarm.work import carry_out, carry_out_dry, wanted
 from server.progress import Progress, compiling, open_scene
-from server.render.bakes import PATIENCE
+from server.render.bakes import STALLED_SECONDS
 from server.render.engine import RenderEngine
 from server.render.jobs import Status
 from server.render.resources import root_of
@@ -144,7 +144,7 @@ def desk_of(
         lambda view, prices: engine.check(scene.id, view, target, prices=prices),
         report,
         deadline,
-        PATIENCE,
+        STALLED_SECONDS,
         begun=begun,
     )
 
@@ -195,14 +195,14 @@ def orbit_in(text: str) -> dict[str, str]:
     return {"count": count, "elevation": elevation} if at else {"count": count}
 
 
-LONGEST = 1 << 26
+MAX_FILE_BYTES = 1 << 26
 """Bytes of a file of directions, at most."""
 
 
 def directions_in(file: Path) -> list[Any]:
     """The ``directions`` in a JSON or TOML file, each such as {"azimuth": 40, "elevation": 30}."""
     try:
-        text = read_small(file, LONGEST).decode()
+        text = read_small(file, MAX_FILE_BYTES).decode()
         document = tomllib.loads(text) if file.suffix == ".toml" else json.loads(text)
     except (OSError, RecursionError, ValueError) as error:
         raise ParameterError(f"{file.name} cannot be read: {error}.", "views-file") from None

@@ -162,7 +162,7 @@ def offers(
 
 
 def coding_at(renderer: Renderer, error: float) -> Coding:
-    """The coding of a scene's transfer that errs so much."""
+    """The coding of a scene's transfer with this error."""
     spec = renderer.caches.spec("gi")
     return coding_for(spec, raw_scale(spec), error)
 

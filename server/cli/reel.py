@@ -32,7 +32,7 @@ PAUSE = 1.0
 """Seconds between two writings of what is known of the pictures; after a crash, the last ones are made again."""
 
 
-STEPS = 2
+OPEN_STEPS = 2
 """Steps of a series that are open at a time, besides the scene's."""
 
 
@@ -100,7 +100,7 @@ class Reel:
                     self._write_list()
 
     def _shoot(self, engine: RenderEngine, budget: "Budget", settings: Settings, bar: Progress) -> None:
-        missing, shots, variants = self.missing, self.shots, Variants(engine, lambda _: None, most=STEPS)
+        missing, shots, variants = self.missing, self.shots, Variants(engine, lambda _: None, most=OPEN_STEPS)
         if not self._placed:
             whole = seen_whole(engine.renderer(self._scene.id), list(shots.values()), settings)
             shots = dict(zip(shots, whole, strict=True))

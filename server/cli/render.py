@@ -31,7 +31,7 @@ from server.views import view_of
 from worker.errors import WorkersError
 from worker.progress import TimeLeft
 
-STEP = 2.0
+FRAME_SECONDS = 2.0
 """Seconds between two frames, while light is baked."""
 
 
@@ -109,7 +109,7 @@ def format_of(output: Path) -> str:
 
 
 def refine(engine: RenderEngine, scene: str, view: View, max_error: float | None, seconds: float | None) -> Frame:
-    """As ``awaited``, with the seconds that it takes on a bar meanwhile; it never runs back."""
+    """Bake and draw as ``awaited`` does, with the seconds left on a bar meanwhile; the bar never runs back."""
     begun, shown = time.monotonic(), 0.0
     with Progress("lighting", "") as bar:
 
@@ -140,7 +140,7 @@ def awaited(
     deadline = math.inf if seconds is None else time.monotonic() + seconds
     while True:
         left = max(0.0, deadline - time.monotonic())
-        frame = engine.frame(scene, view, max_error=max_error, wait=min(STEP, left))
+        frame = engine.frame(scene, view, max_error=max_error, wait=min(FRAME_SECONDS, left))
         coming = frame.checkable or engine.lacking(scene, frame)[1].demands
         show(frame)
         if frame.final or time.monotonic() >= deadline or not coming:

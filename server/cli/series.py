@@ -9,8 +9,8 @@ from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.values import shown
 
-STEPS = re.compile(r"(\d{1,7})(?::(\d{1,7})(?::0*([1-9]\d{0,6}))?)?", re.ASCII)
-"""Such as 3, 0:9 or 0:9:3."""
+STEPS_PATTERN = re.compile(r"(\d{1,7})(?::(\d{1,7})(?::0*([1-9]\d{0,6}))?)?", re.ASCII)
+"""What steps of a series look like: 3, 0:9 or 0:9:3."""
 
 
 def steps_in(text: str, scene: Scene) -> list[int]:
@@ -21,7 +21,7 @@ def steps_in(text: str, scene: Scene) -> list[int]:
     count = scene.volume.moment[1]
     if count < 2:
         raise ParameterError(f"The volume '{scene.volume.name}' is no series in time: leave times out.", "times")
-    found = STEPS.fullmatch(text)
+    found = STEPS_PATTERN.fullmatch(text)
     if text != "all" and found is None:
         raise ParameterError(f"times must be all, a step, or first:last:step, not {shown(text)}.", "times")
     first, last, step = ("0", str(count - 1), "1") if found is None else found.groups()

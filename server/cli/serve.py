@@ -32,7 +32,7 @@ LAST = 3.0
 HAND_OVER = 0.0005
 """Seconds after which a thread that holds the interpreter lets another have it; a tenth of what Python has by itself.
 
-Each step of a picture asks for it anew, beside threads that load light and answer requests.
+Each step of a picture asks for it again, next to threads that load light and answer requests.
 """
 
 UNLIT = " (without light until all is compiled)"

@@ -11,8 +11,8 @@ from isogi_core.storage.atomic_file import PARTIAL
 from server.errors import FullError, UnknownResultError
 
 TOO_LARGE = (
-    "This export takes about {needed:,} MB, and this server keeps {quota:,} MB of exports (exports_mb): ask whoever"
-    " runs it for more, or use isogi export."
+    "This export takes about {needed:,} MB, and this server keeps {quota:,} MB of exports (exports_mb): ask its"
+    " operator for more, or use isogi export."
 )
 GONE = "The file of the job '{job}' is not there: it is not made yet, or gave way to newer ones; export it again."
 MEGABYTE = 1 << 20

@@ -76,7 +76,7 @@ def write_volume(output: Path, lit: LitVolume) -> None:
 
 
 def with_colour(lit: LitVolume) -> LitVolume:
-    """The same with light as sRGB bytes besides, for tools that show no floats as colours."""
+    """The volume with light as sRGB bytes, too, for tools that show no floats as colours."""
     colour = np.stack([srgb_bytes(layer) for layer in lit.arrays["light"]])
     return replace(lit, arrays={**lit.arrays, "colour": colour})
 

@@ -73,9 +73,9 @@ def surface(own: SurfaceSchema) -> str:
 
 def stiffness(own: SurfaceSchema, error: ErrorSchema) -> str:
     """What share of the surface is stiff, and which ``error`` of light to expect for that."""
-    shares = {"on steps": own.steep, "on plateaus": own.plateau, "noisy": own.noisy, "beside holes": own.holes}
+    shares = {"on steps": own.steep, "on plateaus": own.plateau, "noisy": own.noisy, "next to holes": own.holes}
     stiff = ", ".join(f"{percent(share)} {name}" for name, share in shares.items() if share >= WORTH)
-    return f"{stiff or 'nothing is stiff'}: interpolated light errs by about {span(error)}"
+    return f"{stiff or 'nothing is stiff'}: error of interpolated light about {span(error)}"
 
 
 def few(names: list[str]) -> str:

@@ -29,7 +29,7 @@ class SurfaceSchema(BaseModel):
 
     ``steep``: the field leaps from one plateau to another; ``plateau``: it hardly changes; ``noisy``: normals stray;
     ``holes``: beside a voxel that is no number. ``box`` names the faces of the box that the surface meets, each with
-    the share of the cells that do. ``error`` is what light is expected to err by for being interpolated between
+    the share of the cells that do. ``error`` is the expected error of light that is interpolated between
     texels, null where there is no surface.
     """
 
@@ -92,7 +92,7 @@ WORTH = 0.05
 MEETS = 0.0005
 """Share of a surface's cells at a face of the box that is worth one: noise alone puts a few there."""
 
-FEW = 2**10
+COARSE_STEPS = 2**10
 """Steps of a type that make values coarse, where there are fewer of them."""
 
 BETTER = 0.5
@@ -107,7 +107,7 @@ def remarks(found: StiffnessSchema) -> list[Remark]:
 
 
 def nothing(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """That the scene's isovalue has no surface."""
+    """The remark that the scene's isovalue has no surface."""
     others = [surface.isovalue for surface in found.surfaces if surface.cells]
     can = [f"choose an isovalue from {others[0]:.6g} to {others[-1]:.6g}."] if others else []
     yield Remark(about="nothing", means=f"No surface passes any cell at {own.isovalue:.6g}.", can=can)
@@ -116,14 +116,14 @@ def nothing(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
 def error(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
     """What error is to be expected."""
     if own.error is not None:
-        means = f"Expect the light at {own.isovalue:.6g} to err by about {span(own.error)} for being interpolated."
+        means = f"Expect an error of about {span(own.error)} of the light at {own.isovalue:.6g}, by interpolation."
         none = "" if max(own.steep, own.plateau, own.noisy) >= WORTH else " Nothing is stiff there."
         can = ["measure it for a view of yours: isogi report."]
         yield Remark(about="error", means=f"{means}{none}", can=can)
 
 
 def steep(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """That the field leaps."""
+    """The remark that the field leaps."""
     if own.steep >= WORTH:
         means = (
             f"{percent(own.steep)} of the surface lies on steps: within two voxels the value leaps from one plateau to"
@@ -134,7 +134,7 @@ def steep(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
 
 
 def plateau(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """That the field hardly changes."""
+    """The remark that the field hardly changes."""
     if own.plateau >= WORTH:
         means = (
             f"{percent(own.plateau)} of the surface lies on a plateau: half of a cell's corners have the isovalue"
@@ -146,7 +146,7 @@ def plateau(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
 
 
 def noisy(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """That normals stray."""
+    """The remark that the surface is noisy: normals stray."""
     if own.noisy >= WORTH:
         means = (
             f"{percent(own.noisy)} of the surface is noisy, or has detail as fine as two voxels: normals stray by 26°"
@@ -166,15 +166,15 @@ def calmer(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[str]:
 
 
 def holes(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """That voxels beside the surface are no numbers."""
+    """The remark that voxels next to the surface are no numbers."""
     if own.holes > 0.0:
-        means = f"{percent(own.holes)} of the surface lies beside voxels that are no numbers."
+        means = f"{percent(own.holes)} of the surface lies next to voxels that are no numbers."
         does = "shows no surface in the eight cells around such a voxel: there is a gap, and light passes."
         yield Remark(about="holes", means=means, does=does, can=["fill them in before, where gaps are not meant."])
 
 
 def box(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
-    """That the surface meets the box."""
+    """The remark that the surface meets the box."""
     met = [f"{face} ({percent(share)} of its cells)" for face, share in own.box.items() if share >= MEETS]
     if met:
         means = f"The surface meets the box at {', '.join(met)}: it is cut open there, and light enters."
@@ -182,7 +182,7 @@ def box(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
 
 
 def void(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
-    """That texels can hold no light."""
+    """The remark that some texels can hold no light."""
     if found.void > 0.0:
         means = (
             f"{percent(found.void)} of the texels that can be shown have no gradient, no side of their own in a"
@@ -193,14 +193,14 @@ def void(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
 
 
 def coarse(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
-    """That values are rounded so coarsely that slopes may be terraces."""
-    if 0.0 < found.steps < FEW:
+    """The remark that values are rounded so coarsely that slopes may be terraces."""
+    if 0.0 < found.steps < COARSE_STEPS:
         means = f"Values come in only {found.steps:,.0f} steps: slopes gentler than one a voxel are terraces."
         yield Remark(about="coarse", means=means, can=["keep more digits, where the values come from."])
 
 
 def mark(found: StiffnessSchema, _: SurfaceSchema) -> Iterator[Remark]:
-    """That a value looks like a mark of missing data."""
+    """The remark that a value looks like a mark of missing data."""
     if found.mark is not None:
         means = f"Many voxels have the value {found.mark:.10g}, which is far from all others: it looks like a mark."
         can = [f"say so in the scene, missing = {found.mark:.10g}: these voxels are then holes."]
@@ -222,7 +222,7 @@ ALWAYS: tuple[Finder, ...] = (void, coarse, mark)
 """Each finds what is to be said of a volume."""
 
 
-MANY = 0.001
+MARK_SHARE = 0.001
 """Share of the voxels that have the value, at least: a single voxel is an outlier and not a mark."""
 
 
@@ -247,7 +247,7 @@ def numbers(volume: Volume) -> Iterator[np.ndarray]:
 
 def is_far(volume: Volume, end: Any, other: Any) -> bool:
     """Whether one ``end`` of the range of a volume's voxels is that of many, and far from all others."""
-    if sum(np.count_nonzero(slab == end) for slab in volume.slabs()) < MANY * volume.voxels.size:
+    if sum(np.count_nonzero(slab == end) for slab in volume.slabs()) < MARK_SHARE * volume.voxels.size:
         return False
     if end < other:
         beside = min(np.min(slab, where=slab > end, initial=other) for slab in volume.slabs())
@@ -259,7 +259,7 @@ def is_far(volume: Volume, end: Any, other: Any) -> bool:
 ISOVALUES = 32
 """Isovalues that are examined, over the range that views may ask for, besides the scene's own."""
 
-WHOLE = 4
+EXAMINED_ISOVALUES = 4
 """Integers are asked for whole isovalues: these are examined, where the range holds so many for each of them."""
 
 
@@ -290,7 +290,10 @@ def isovalues_of(scene: Scene) -> list[float]:
     low, high = scene.isovalues
     spread = np.linspace(0.0, 1.0, ISOVALUES + 2)[1:-1]
     values = low * (1.0 - spread) + high * spread
-    if not scene.volume.dtype.startswith(("float", "bool")) and high / ISOVALUES - low / ISOVALUES >= WHOLE:
+    if (
+        not scene.volume.dtype.startswith(("float", "bool"))
+        and high / ISOVALUES - low / ISOVALUES >= EXAMINED_ISOVALUES
+    ):
         values = np.round(values)
     return sorted({*values.tolist(), scene.isovalue})
 

@@ -26,7 +26,7 @@ BAR = 48
 ROWS = 10
 """Isovalues in the table, besides the scene's own and the stiffest."""
 
-MORE = "--plan shows the plan, the histogram, every remark, and more isovalues; prewarm --dry-run, the time."
+MORE_TO_ASK = "--plan shows the plan, the histogram, every remark, and more isovalues; prewarm --dry-run, the time."
 
 HEAD = f"  {'isovalue':>11} {'cells':>13} {'steep':>6} {'plateau':>8} {'noisy':>6} {'holes':>6}   error about"
 
@@ -98,7 +98,7 @@ def inspect(target: str, picture: Path | None = None, as_json: bool = False, pla
         save_picture(picture, facts)
     if as_json:
         return facts.model_dump_json(indent=2)
-    return report(scene, facts) if plan else f"{brief(scene, facts)}\n{MORE}"
+    return report(scene, facts) if plan else f"{brief(scene, facts)}\n{MORE_TO_ASK}"
 
 
 def check_picture(path: Path) -> None:

@@ -16,13 +16,13 @@ from pydantic import BeforeValidator, Field, StrictBool, WithJsonSchema, model_v
 
 from isogi_core.model.shine import DULL
 from isogi_core.model.view import View
-from isogi_core.plan.range_sampling import FEW, sample_range
+from isogi_core.plan.range_sampling import CELLS_WAITED_FOR, sample_range
 from isogi_core.plan.range_sampling import WAYS as SAMPLINGS
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.parameters import TURN, NoParams, ViewParams, read
 from server.settings import Settings
-from server.values import LONGEST, Span, finite, shown
+from server.values import LONGEST_SECONDS, Span, finite, shown
 from server.views import isovalue_of, view_of
 
 GOLDEN = 180.0 * (3.0 - math.sqrt(5.0))
@@ -33,13 +33,13 @@ Direction = tuple[float, float]
 
 
 def all_sides(count: int) -> list[Direction]:
-    """So many points spread evenly over a sphere: a Fibonacci lattice."""
+    """``count`` points spread evenly over a sphere: a Fibonacci lattice."""
     heights = (1.0 - (2 * n + 1) / count for n in range(count))
     return [(n * GOLDEN % 360.0, math.degrees(math.asin(height))) for n, height in enumerate(heights)]
 
 
 def orbit(count: int, elevation: float) -> list[Direction]:
-    """So many azimuths around the object, from 0 on, at one elevation."""
+    """``count`` azimuths around the object, from 0 on, at one elevation."""
     return [(360.0 * n / count, elevation) for n in range(count)]
 
 
@@ -48,7 +48,7 @@ MOST_ISOVALUES = 10_000
 
 WANTED = (
     f"a number such as 70, first:last:step such as 60:120:5 with at most {MOST_ISOVALUES} of them, first:last for"
-    " all between, or so many of the scene's range, adaptive:20 or uniform:20"
+    " all between, or a number of levels of the scene's range, adaptive:20 or uniform:20"
 )
 
 
@@ -64,9 +64,9 @@ class Levels:
     sampled: tuple[tuple[str, int], ...] = ()
 
     def found_in(self, scene: Scene) -> Levels:
-        """The same with those that are sampled from the range of a ``scene``."""
+        """The levels, with the isovalues that are to be sampled from the range of a ``scene``."""
         volume, ends = scene.volume, scene.isovalues
-        sets = (sample_range(volume, ends, count, way, FEW).levels for way, count in self.sampled)
+        sets = (sample_range(volume, ends, count, way, CELLS_WAITED_FOR).levels for way, count in self.sampled)
         found = (float(f"{level:.12g}") for levels in sets for level in levels)
         return Levels(tuple(dict.fromkeys((*self.single, *found))), self.ranges)
 
@@ -140,7 +140,7 @@ MOST_DIRECTIONS, MOST_VIEWS = 10_000, 100_000
 MOST_GIVEN = 1000
 """Isovalues, directions and orbits that are given one by one, at most."""
 
-USUAL = 12
+USUAL_DIRECTIONS = 12
 """Directions from all sides by default."""
 
 WAYS = ("views", "directions", "orbits")
@@ -182,7 +182,8 @@ class PrewarmOrder(NoParams):
         " spaced (adaptive:20); default: the scene's isovalue.",
     )
     views: Count | None = Field(
-        None, description=f"Directions, spread evenly over all sides; default: {USUAL} where no others are given."
+        None,
+        description=f"Directions, spread evenly over all sides; default: {USUAL_DIRECTIONS} if no others are given.",
     )
     directions: tuple[From, ...] = Field((), max_length=MOST_GIVEN, description="Directions, one by one.")
     orbits: tuple[Orbit, ...] = Field((), max_length=MOST_GIVEN, description="Directions around the object.")
@@ -196,7 +197,7 @@ class PrewarmOrder(NoParams):
     target_error: Annotated[float, Span(0.0001, 1)] | None = Field(
         None, description="Total relative error that pictures are to reach; default: the scene's target_error."
     )
-    deadline: Annotated[float, Span(0, LONGEST)] | None = Field(
+    deadline: Annotated[float, Span(0, LONGEST_SECONDS)] | None = Field(
         None, description="Seconds after which it ends, whatever is baked by then; default: none."
     )
 
@@ -228,7 +229,7 @@ class PrewarmOrder(NoParams):
         """The directions, each once."""
         single = [(each.azimuth, each.elevation) for each in self.directions]
         around = [each for path in self.orbits for each in orbit(path.count, path.elevation)]
-        count = self.views if self.views is not None else 0 if single or around else USUAL
+        count = self.views if self.views is not None else 0 if single or around else USUAL_DIRECTIONS
         return list(dict.fromkeys([*(all_sides(count) if count else ()), *single, *around]))
 
     def isovalues_of(self, scene: Scene) -> Levels:

@@ -164,7 +164,7 @@ class RecordDocument(BaseModel):
 
     @property
     def left(self) -> bool:
-        """Whether its process is known to have ended before the prewarm did, without being told to stop."""
+        """Whether its process is known to have ended before the prewarm did, without being asked to stop."""
         return self.status in OPEN and gone(self.worker)
 
 

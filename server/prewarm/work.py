@@ -40,7 +40,7 @@ CHECKING = 0.25
 that costs less than the next rung.
 """
 
-USUAL = 1 / 64
+USUAL_END_SHARE = 1 / 64
 """At how many samples pictures end, over those at which the last of their texels would: 16 to 64 at 2 %."""
 
 
@@ -138,9 +138,9 @@ def same(found: Survey, left: Survey) -> bool:
 
 
 def rung_ahead(context: PrewarmContext, found: Survey) -> int:
-    """The samples at which pictures are expected to end: those of USUAL, or those that they want now."""
+    """The samples at which pictures are expected to end: those of USUAL_END_SHARE, or those that they want now."""
     wanted_now = max((batch.enough for batch, _ in found.demands), default=FIRST_LEVEL)
-    return max(wanted_now, int(USUAL * most_samples(context.target)))
+    return max(wanted_now, int(USUAL_END_SHARE * most_samples(context.target)))
 
 
 def paths_to(found: Survey, rung: int) -> float:

@@ -101,7 +101,7 @@ class BackgroundBake:
         return self._baker.time_left(self.bake, self._viewer, self.chunks)
 
 
-MOST = 32
+MAX_BAKES = 32
 """Bakes of projected or finer texels, and of sides, of all scenes, that may be at work: those asked for last."""
 
 
@@ -155,7 +155,7 @@ class SideBakes:
                 self._baker.add(name, make())
             self._names[name] = own
             self._names.move_to_end(name)
-            old = [self._names.popitem(last=False)[0] for _ in range(len(self._names) - MOST)]
+            old = [self._names.popitem(last=False)[0] for _ in range(len(self._names) - MAX_BAKES)]
         for each in old:
             self._baker.forget(each)
         if new and shown is not None:
@@ -201,14 +201,14 @@ class SideBakes:
                 self._trimming.release()
 
 
-PATIENCE = 120.0
+STALLED_SECONDS = 120.0
 """Seconds without anything new after which the workers are taken for broken."""
 
 
 class Patience:
     """How long to wait for light: so many ``seconds`` without anything new, while workers can bake."""
 
-    def __init__(self, seconds: float = PATIENCE, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, seconds: float = STALLED_SECONDS, clock: Callable[[], float] = time.monotonic) -> None:
         """Begin now."""
         self._seconds, self._clock = seconds, clock
         self._since, self._seen = clock(), None

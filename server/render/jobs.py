@@ -24,7 +24,7 @@ from worker.progress import TimeLeft
 
 log = logging.getLogger("isogi.server")
 
-KEPT = timedelta(hours=1)
+ENDED_JOB_TIME = timedelta(hours=1)
 """Time for which a job that has ended is known."""
 
 MOST_KEPT = 1000
@@ -83,7 +83,7 @@ class Job:
     @property
     def expires(self) -> datetime | None:
         """When it is forgotten; None before its end."""
-        return None if self.finished is None else self.finished + KEPT
+        return None if self.finished is None else self.finished + ENDED_JOB_TIME
 
     def report(self, share: float, message: str, left: TimeLeft | None = None) -> None:
         """Say that so large a share is done, and the time that the rest takes."""
@@ -91,7 +91,7 @@ class Job:
         self.message, self.time_left, self.updated = message, left, now()
 
     def begin(self) -> None:
-        """It is worked on."""
+        """Mark the job as running."""
         self.status, self.started = Status.RUNNING, now()
 
     def end(self, status: Status, message: str, results: Iterable[Result] = ()) -> None:

@@ -36,10 +36,10 @@ from worker.keeping import Whole
 
 log = logging.getLogger("isogi.render")
 
-OWN = 1 << 20
+SCENE_BYTES = 1 << 20
 """Bytes that a scene of a few voxels took besides what it keeps: tables, pools and threads."""
 
-AHEAD = 2
+VALUES_AHEAD = 2
 """Values to come that are prepared."""
 
 Prepare = Callable[[float, threading.Event], object]
@@ -132,7 +132,7 @@ def next_values(before: float, now: float, levels: np.ndarray) -> list[float]:
     ``levels`` (m,), ascending from -inf to inf, are where groups begin; there is none beyond the first and the last.
     """
     pace, coming = now - before, [now]
-    for _ in range(AHEAD):
+    for _ in range(VALUES_AHEAD):
         group, value = group_of(coming[-1], levels), coming[-1] + pace
         if group_of(value, levels) == group:
             value = float(levels[group + 1] if pace > 0.0 else np.nextafter(levels[group], -math.inf))
@@ -166,7 +166,7 @@ class LoadedScene:
 
     @property
     def finer(self) -> "LoadedScene":
-        """The same scene with finer texels, loaded when first asked for. Raises StoreError."""
+        """The scene with finer texels, loaded when first asked for. Raises StoreError."""
         with self._lock:
             if self._finer is None:
                 prepared = self.renderer.prepared.beside(finer(self.scene))
@@ -176,11 +176,11 @@ class LoadedScene:
             return self._finer
 
     def level(self, fineness: int) -> "LoadedScene":
-        """The same scene with texels so many steps finer than its own. Raises StoreError."""
+        """The scene with texels ``fineness`` steps finer than the scene file says. Raises StoreError."""
         return self if fineness == self.fineness else self.finer.level(fineness)
 
     def held(self, fineness: int) -> "LoadedScene | None":
-        """The same, where it is loaded."""
+        """The scene with texels ``fineness`` steps finer, where it is loaded."""
         return self if fineness == self.fineness else self._finer and self._finer.held(fineness)
 
     def render(
@@ -228,7 +228,7 @@ class LoadedScene:
     @property
     def nbytes(self) -> int:
         """Bytes of light, views and maps that it keeps, and what it takes besides."""
-        return OWN + self.renderer.nbytes + (self._finer.nbytes if self._finer else 0)
+        return SCENE_BYTES + self.renderer.nbytes + (self._finer.nbytes if self._finer else 0)
 
     def close(self) -> None:
         """Stop prefetching."""

@@ -44,7 +44,7 @@ class LoadedScenes:
         return self._kept.held(scene)
 
     def latest(self, scenes: Iterable[str]) -> LoadedScene | None:
-        """That of some scenes which was looked at last, where any is loaded."""
+        """The one of some ``scenes`` that was looked at last, where any is loaded."""
         with self._lock:
             looked = [scene for scene in scenes if scene in self._looked]
             last = max(looked, key=self._looked.__getitem__, default=None)

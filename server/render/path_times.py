@@ -7,7 +7,7 @@ from collections.abc import Hashable, Mapping
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.rays.picture_plan import HEAVIER
 from isogi_core.frame.view_checks import PathsLeft
-from worker.progress import PRIOR, UNKNOWN, TimeLeft, log_normal_ratios
+from worker.progress import PRIOR, UNREHEARSED_SPREAD, TimeLeft, log_normal_ratios
 
 WAITS = ("queue", "bake", "check", "demand")
 """Stages of a frame in which it is not drawn."""
@@ -21,7 +21,7 @@ def time_of_paths(left: PathsLeft, spent: Cost, threads: int, drawing: Mapping[s
     each = spent.seconds / max(spent.paths, 1) / threads
     once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITS)
     work = left.texels * each + left.pixels * (left.pace or each / HEAVIER) + left.times * once
-    return TimeLeft.of(work, PRIOR if left.pace is None else log_normal_ratios(UNKNOWN))
+    return TimeLeft.of(work, PRIOR if left.pace is None else log_normal_ratios(UNREHEARSED_SPREAD))
 
 
 RISE = 1.1
@@ -32,15 +32,15 @@ PICTURES = 256
 
 
 class Promises:
-    """The times left that were told of pictures: who waits sees none leap up. Any thread may use it."""
+    """The times left that were reported of pictures: no time leaps up before those that wait. Any thread may use it."""
 
     def __init__(self) -> None:
-        """None told yet."""
+        """None reported yet."""
         self._told: OrderedDict[Hashable, TimeLeft] = OrderedDict()
         self._lock = threading.Lock()
 
     def kept(self, picture: Hashable, left: TimeLeft) -> TimeLeft:
-        """What to tell of a ``picture`` with an estimate of what is ``left``: RISE times what was told, at most."""
+        """The time to report of a ``picture`` with an estimate of what is ``left``: at most RISE times the last one."""
         with self._lock:
             before = self._told.pop(picture, None)
             if before is not None and left.likely > RISE * before.likely > 0.0:

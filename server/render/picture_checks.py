@@ -18,7 +18,7 @@ log = logging.getLogger("isogi.render")
 CHECK: Index = (-1, -1, -1)
 """Stands for a picture's check among the chunks that are coming for it."""
 
-MOST = 64
+MAX_WAITING_PICTURES = 64
 """Pictures that wait to be checked: those asked for last."""
 
 
@@ -59,7 +59,7 @@ class PictureChecks:
                 return
             self._drop(viewer)
             self._wanted[viewer] = Picture(scene, view, target)
-            if len(self._wanted) > MOST:
+            if len(self._wanted) > MAX_WAITING_PICTURES:
                 self._drop(next(iter(self._wanted)))
             if self._thread is None:
                 self._thread = threading.Thread(target=self._work, name="checking", daemon=True)

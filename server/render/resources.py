@@ -27,7 +27,7 @@ class Memory(NamedTuple):
 
     @property
     def finer(self) -> "Memory":
-        """That of the same scene with finer texels, which has the same maps: all steps together a quarter more."""
+        """Memory of the scene with finer texels, which has the same maps: all steps together take a quarter more."""
         return Memory(self.light // FINER, self.views // FINER, self.maps)
 
 
@@ -37,10 +37,10 @@ def shared(total: int) -> Memory:
     return Memory(total - 2 * quarter, quarter, quarter)
 
 
-KEPT = 5.0
+FINDING_SECONDS = 5.0
 """Seconds for which a finding stands: probes come often, and from many."""
 
-PATIENCE = 0.5
+PROBE_SECONDS = 0.5
 """Seconds that a probe waits for the store: it answers whatever the store does."""
 
 
@@ -59,17 +59,17 @@ class StoreProbe:
     def reasons(self) -> list[str]:
         """Why light cannot be read or kept; none where it can, or where the store is one that is only read.
 
-        Looked up at most every ``KEPT`` seconds, in a thread of its own: a store that hangs holds nobody. What was
-        found before stands for as long again.
+        Looked up at most every ``FINDING_SECONDS`` seconds, in a separate thread: a store that hangs holds nobody. What
+        was found before stands for as long again.
         """
         with self._lock:
             if self._looking is None and self._clock() >= self._until:
-                self._late = self._clock() + KEPT
+                self._late = self._clock() + FINDING_SECONDS
                 self._looking = threading.Thread(target=self._look_up, name="probe", daemon=True)
                 self._looking.start()
             looking = self._looking
         if looking is not None:
-            looking.join(PATIENCE)
+            looking.join(PROBE_SECONDS)
         with self._lock:
             late = self._looking is not None and self._clock() >= self._late
             return self._silent() if late else self._found
@@ -81,7 +81,7 @@ class StoreProbe:
         """Note what is found."""
         found = self._look()
         with self._lock:
-            self._found, self._until, self._looking = found, self._clock() + KEPT, None
+            self._found, self._until, self._looking = found, self._clock() + FINDING_SECONDS, None
 
     def _look(self) -> list[str]:
         try:

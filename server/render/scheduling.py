@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from server.errors import BusyError
 
-USUAL = 0.02
+USUAL_WORK_SECONDS = 0.02
 """Seconds that a client's work is taken to need before any has ended."""
 
 FRESH = 0.3
@@ -32,12 +32,12 @@ class Client:
 
     weight: float = 1.0
     spent: float = 0.0
-    usual: float = USUAL
+    usual: float = USUAL_WORK_SECONDS
     claim: bool = False
     open: int = 0
 
     def pay(self, seconds: float, now: float) -> None:
-        """Its work takes so many seconds more; the queue's clock is at ``now``."""
+        """Charge the client with ``seconds`` of work; the queue's clock is at ``now``."""
         self.spent = min(self.spent + seconds / self.weight, now + DEBT)
 
 
@@ -56,13 +56,13 @@ class Rank:
 
     @classmethod
     def within(cls, patience: float, longest: float = math.inf, client: Client | None = None) -> "Rank":
-        """That of work which can wait for ``patience`` seconds from now, and waits for ``longest`` at most."""
+        """The rank of work that can wait for ``patience`` seconds from now, and waits at most for ``longest``."""
         now = asyncio.get_running_loop().time()
         return cls(now + patience, now + longest, client or Client())
 
     @property
     def begun(self) -> "Rank":
-        """The same for work that was begun: it does not give up any more."""
+        """The rank of this work once it has begun: it does not give up any more."""
         return replace(self, until=math.inf)
 
     @property
@@ -74,7 +74,7 @@ class Rank:
 class FairSemaphore:
     """So many ``places``, shared evenly among clients by the time that their work takes (start-time fair queueing).
 
-    A client that comes anew begins where the queue's clock is: nothing that waited before gives it a turn of its own,
+    A client that comes again begins where the queue's clock is: nothing that waited before gives it a turn of its own,
     and nobody waits longer than all others take once. While others are ``pressed`` one place alone is given: that
     which ends passes on as many as may be by then. Where turns are ``even``, each counts alike however long it takes.
     """

@@ -52,17 +52,17 @@ BESIDE = "~"
 MADE_OF = "="
 """Between the environment that a variant is named by, and its material."""
 
-STEP = "+"
+STEP_MARK = "+"
 """Between the environment that a variant is named by, and its step in time."""
 
 WITHOUT = "!"
 """Between the environment that a variant is named by, and the labels that are hidden."""
 
-MOST = 64
+MAX_VARIANTS = 64
 """Variants that an engine has at a time: those asked for last."""
 
 MOST_CUTS = 4
-"""Those of them that are cut open, or hide labels, where their voxels are more than there is room for."""
+"""Variants at a time that are cut open or hide labels, where their voxels are more than there is room for."""
 
 MOST_STEPS = 2
 """Steps of those at other times than their scene's, where their voxels are more than there is room for."""
@@ -71,7 +71,7 @@ REMEMBERED = 4096
 """Variants whose change is known after they made way: those made last."""
 
 
-CROWDED = "Others asked for cuts, or other changes of scenes, before you: ask again in a while."
+VARIANTS_TAKEN = "Others asked for cuts, or other changes of scenes, before you: ask again in a while."
 COMPILING = "What draws the surface of this material is being compiled, once on this machine: ask again in a while."
 
 Place = Callable[[str], str | None]
@@ -111,7 +111,7 @@ class Change:
         return None if self.material is None else _read("material", read_material_text, self.material)
 
     def apart_from(self, scene: Scene) -> "Change":
-        """The same change without what a ``scene`` has by itself. Raises ParameterError."""
+        """The change without what a ``scene`` has by itself. Raises ParameterError."""
         time = None if self.time == scene.volume.moment[0] else self.time
         own = self.made_of is not None and made_of(scene, self.made_of)
         return replace(self, time=time, material=None if own else self.material)
@@ -136,7 +136,7 @@ def variant_name(scene: Scene, change: Change) -> str:
     beside = "" if clears is None else BESIDE + ",".join(HIDDEN if each is None else f"{each!r}" for each in clears)
     without = "" if hidden is None else WITHOUT + ",".join(map(str, hidden))
     material = "" if made is None else MADE_OF + write_material_text(made)
-    step = "" if change.time is None else f"{STEP}{change.time}"
+    step = "" if change.time is None else f"{STEP_MARK}{change.time}"
     lit = f"{scene.id}{MARK}{change.environment or ''}{beside}{material}{without}{step}"
     if change.cut is None:
         return lit
@@ -150,12 +150,12 @@ def is_cut(variant: str) -> bool:
 
 def step_of(variant: str) -> str:
     """The step in time of the variant with this id, empty where it is its scene's own."""
-    return variant.partition(MARK)[2].partition(MARK)[0].partition(STEP)[2]
+    return variant.partition(MARK)[2].partition(MARK)[0].partition(STEP_MARK)[2]
 
 
 def labels_of(variant: str) -> str:
     """The labels that the variant with this id hides, with a WITHOUT before them; empty where they are its scene's."""
-    lit = variant.partition(MARK)[2].partition(MARK)[0].partition(STEP)[0]
+    lit = variant.partition(MARK)[2].partition(MARK)[0].partition(STEP_MARK)[0]
     return "".join(lit.partition(WITHOUT)[1:])
 
 
@@ -173,7 +173,7 @@ def may_lend(other: str, scene: str) -> bool:
     return other != scene and lit[0] == lit[1] and not is_cut(other) and not is_cut(scene)
 
 
-MAY_DIFFER = f"[{WITHOUT}{STEP}]"
+MAY_DIFFER = f"[{WITHOUT}{STEP_MARK}]"
 """From where on names of variants differ that lend each other light."""
 
 
@@ -189,12 +189,12 @@ class Variants:
         self,
         engine: "RenderEngine",
         place: Place,
-        most: int = MOST,
+        most: int = MAX_VARIANTS,
         most_cuts: int = MOST_CUTS,
         room: int | None = None,
         patience: float = math.inf,
     ) -> None:
-        """None yet; ``place`` tells where an environment is.
+        """None yet; ``place`` finds where an environment is.
 
         When there are more than ``most``, the engine dismisses what was asked for longest ago. Voxels of cuts, and
         of steps, may take ``room`` bytes: by default what volumes in memory may take, MOST_CUTS times. Beyond that
@@ -231,7 +231,7 @@ class Variants:
             async with asyncio.timeout(None if math.isinf(self._patience) else self._patience):
                 await self._turn.acquire()
         except TimeoutError:
-            raise BusyError(CROWDED) from None
+            raise BusyError(VARIANTS_TAKEN) from None
         try:
             return await asyncio.to_thread(self.make, scene, change, place)
         finally:
@@ -293,7 +293,7 @@ class Variants:
         raise BusyError(COMPILING)
 
     def _outdated(self) -> list[str]:
-        """Those that are too many: they count as not asked for."""
+        """The variants that are too many: they count as not asked for."""
         with self._lock:
             cuts = [each for each in self._asked if has_voxels(each)]
             old = cuts[: max(len(cuts) - self._most_cuts, 0)] if self._crowded(cuts) else []

@@ -7,7 +7,7 @@ from functools import partial
 
 from isogi_core.report.sections import Cell, Column, Table
 
-NOTHING = "–"
+EMPTY_CELL = "–"
 """What stands for a cell that does not apply or was not measured."""
 
 TOGETHER = "\u00a0"
@@ -43,7 +43,7 @@ def text_column(column: Column, cells: Sequence[Cell]) -> TextColumn:
     def text(cell: Cell) -> str:
         if isinstance(cell, str):
             return cell
-        return write(cell / size) if cell is not None and math.isfinite(cell) else NOTHING
+        return write(cell / size) if cell is not None and math.isfinite(cell) else EMPTY_CELL
 
     head = f"{column.name},{TOGETHER}{name}" if name else column.name
     return TextColumn(head, tuple(map(text, cells)), column.unit != "text")

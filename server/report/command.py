@@ -105,7 +105,7 @@ def notes(measured: Measured, deadline: float | None) -> Iterator[str]:
     elif late:
         yield f"Left out, as {span(deadline or 0.0)} did not suffice: {late}. The same command goes on from here."
     if measured.hurried:
-        yield f"Cut short for want of time: {titles(measured.hurried)}. The same command measures these anew."
+        yield f"Cut short for want of time: {titles(measured.hurried)}. The same command measures these again."
     for study, what in measured.failed:
         yield f"Failed: {study.title} ({what})."
     if measured.unasked:
@@ -118,7 +118,7 @@ def titles(studies: Iterable[Study]) -> str:
 
 
 def outcome(page: Path, drawn: Report, measured: Measured) -> dict[str, Any]:
-    """What the command tells of a report, as a document; seconds of the processor, by section."""
+    """The command's summary of a report, as a document; seconds of the processor, by section."""
     return {
         "page": str(page),
         "data": str(page.with_name("report.json")),
@@ -143,7 +143,7 @@ def headline(sections: Iterable[Section]) -> dict[str, Any]:
 
 
 def sentence(facts: Mapping[str, Any]) -> str:
-    """What the command tells of a report, for a person."""
+    """The command's summary of a report, for a person."""
     score = ", ".join(f"{name} {cell:.3g}" for name, cell in facts["headline"].items())
     before = f", {facts['found']} of them measured before" if facts["found"] else ""
     count = len(facts["sections"])

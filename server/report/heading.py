@@ -149,7 +149,7 @@ def machine() -> dict[str, Any]:
 
 
 def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
-    """The processor's name as the system tells it."""
+    """The processor's name as the system has it."""
     try:
         lines = listing.read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -178,7 +178,7 @@ def scene_rows(scene: Scene, view: View) -> Rows:
 
 
 def named(facts: SceneSchema, *names: str) -> Rows:
-    """Some of the facts that ``isogi inspect`` tells."""
+    """Some of the facts that ``isogi inspect`` prints."""
     rows = dict(summary(facts))
     return tuple((name, rows[name]) for name in names)
 

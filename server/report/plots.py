@@ -21,7 +21,7 @@ from server.report.cells import PREFIXES
 WIDTH, HEIGHT = 4.6, 3.1
 """Inches of a plot, 72 units of SVG each."""
 
-STEPS = ((100.0, (1.0,)), (10.0, (1.0, 2.0, 5.0)), (1.0, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)))
+TICK_STEPS = ((100.0, (1.0,)), (10.0, (1.0, 2.0, 5.0)), (1.0, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)))
 """First digits of the ticks of a logarithmic axis, where its ends are so many times apart."""
 
 ROW = 14.0
@@ -157,7 +157,7 @@ def mark(axis: Axis, column: Column) -> None:
     """Ticks with the unit in them."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: tick(value, column.unit)))
     low, high = axis.get_view_interval()
-    axis.set_major_locator(LogLocator(10, next(firsts for times, firsts in STEPS if high >= times * low)))
+    axis.set_major_locator(LogLocator(10, next(firsts for times, firsts in TICK_STEPS if high >= times * low)))
     axis.set_minor_locator(NullLocator())
     axis.set_minor_formatter(NullFormatter())
 

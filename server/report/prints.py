@@ -16,21 +16,21 @@ from server.report.report import Report
 COLOURS = "RdBu_r"
 """matplotlib's name of the colours of errors: blue too dark, white right, red too bright."""
 
-STEPS = (1.0, 2.0, 5.0, 10.0)
+SCALE_STEPS = (1.0, 2.0, 5.0, 10.0)
 """First digits of an error map's scale."""
 
-MOST = 99.0
+SCALE_PERCENTILE = 99.0
 """Percentile of the absolute errors that the scale of their maps reaches."""
 
-SMALL = 0.1
+MIN_SCALE_SHARE = 0.1
 """Part of a section's scale that a map on it reaches at least."""
 
 
 def scales_of(pictures: Sequence[Picture]) -> tuple[float | None, ...]:
     """The error at the ends of each map's colours; None for what is no map of errors.
 
-    It is the same for all maps of a section, round, and at least what MOST percent of their pixels stay below; a
-    map in which that is less than a SMALL part of it has a scale of its own.
+    It is round, the same for all maps of a section, and at least what SCALE_PERCENTILE percent of their pixels stay
+    below. A map in which that is less than a MIN_SCALE_SHARE part of it has another scale.
     """
     maps = [each.pixels[np.isfinite(each.pixels)] if each.kind == "error" else None for each in pictures]
     common = round_up(most_of(np.concatenate([np.empty(0), *(errors for errors in maps if errors is not None)])))
@@ -39,12 +39,12 @@ def scales_of(pictures: Sequence[Picture]) -> tuple[float | None, ...]:
 
 def own_scale(most: float, common: float) -> float:
     """The scale of a map whose errors reach ``most``, in a section whose scale is the ``common`` one."""
-    return round_up(most) if 0.0 < most < SMALL * common else common
+    return round_up(most) if 0.0 < most < MIN_SCALE_SHARE * common else common
 
 
 def most_of(errors: np.ndarray) -> float:
-    """What MOST percent of errors stay below."""
-    return float(np.percentile(np.abs(errors), MOST)) if errors.size else 0.0
+    """What SCALE_PERCENTILE percent of errors stay below."""
+    return float(np.percentile(np.abs(errors), SCALE_PERCENTILE)) if errors.size else 0.0
 
 
 def round_up(error: float) -> float:
@@ -52,7 +52,7 @@ def round_up(error: float) -> float:
     if error <= 0.0:
         return 0.01
     power = 10.0 ** math.floor(math.log10(error))
-    return next(step * power for step in STEPS if step * power >= error * (1.0 - 1e-9))
+    return next(step * power for step in SCALE_STEPS if step * power >= error * (1.0 - 1e-9))
 
 
 def print_picture(picture: Picture, report: Report, scale: float | None) -> bytes:

@@ -16,7 +16,7 @@ from isogi_core.model.latlong import resample
 VOLUME, ENVIRONMENT = "volume", "environment"
 """Kinds of files that may be uploaded."""
 
-LARGEST = (512, 1024)
+MAX_PROBE_SHAPE = (512, 1024)
 """Rows and columns that are kept of a probe: what is finer is averaged by solid angle, without change of energy."""
 
 ROWS = 256
@@ -27,7 +27,7 @@ MOST_PIXELS = 1 << 25
 
 HEADER = "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\nNAME={name}\n\n-Y {height} +X {width}\n"
 FORM = re.compile(rb"#\?RADIANCE\nFORMAT=32-bit_rle_rgbe\nNAME=([!-~]*)\n\n-Y (\d+) \+X (\d+)\n", re.ASCII)
-LONGEST = 4096
+MAX_HEADER_BYTES = 4096
 """Bytes that no header is longer than."""
 
 PIXEL = 64
@@ -61,7 +61,7 @@ def write_environment(file: IO[bytes], data: bytes, name: str) -> str:
         raise LightError(f"The picture has {width} × {height} pixels: a probe is twice as wide as high, all around.")
     if not image.any():
         raise LightError("The picture is black: give one with light in it.")
-    if height > LARGEST[0]:
+    if height > MAX_PROBE_SHAPE[0]:
         image = made_small(image)
     pixels = encode_rgbe(np.asarray(image, np.float64))
     height, width, _ = image.shape
@@ -72,8 +72,8 @@ def write_environment(file: IO[bytes], data: bytes, name: str) -> str:
 
 
 def made_small(image: np.ndarray) -> np.ndarray:
-    """An image of LARGEST pixels: made narrow some rows at a time, so that little is in memory as 64-bit numbers."""
-    height, width = LARGEST
+    """The image in MAX_PROBE_SHAPE pixels: made narrow some rows at a time, so few 64-bit numbers are in memory."""
+    height, width = MAX_PROBE_SHAPE
     blocks = (image[row : row + ROWS] for row in range(0, len(image), ROWS))
     narrow = np.concatenate([resample(block, len(block), width) for block in blocks])
     return resample(narrow, height, width).astype(np.float32)
@@ -82,7 +82,7 @@ def made_small(image: np.ndarray) -> np.ndarray:
 def read_environment(path: Path) -> UploadedEnvironment | None:
     """What a file whose name is its id says of itself; None where it is not as ``write_environment`` left it."""
     with path.open("rb") as file:
-        head = FORM.match(file.read(LONGEST))
+        head = FORM.match(file.read(MAX_HEADER_BYTES))
     if head is None:
         return None
     name, height, width = (part.decode() for part in head.groups())

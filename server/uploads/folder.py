@@ -20,7 +20,7 @@ import numpy as np
 
 from isogi_core.files.grid import PATIENT, Grid, LabelName
 from isogi_core.model.orientation import Orientation
-from isogi_core.plan.volumes.labels import MOST
+from isogi_core.plan.volumes.labels import MAX_LABELS
 from isogi_core.storage.atomic_file import write_whole
 from server.errors import FullError, UploadFolderError
 from server.uploads.environments import UploadedEnvironment, read_environment
@@ -52,7 +52,7 @@ FORM = re.compile(
     rb"(?:Segment\d+_(?:LabelValue|Name|Color):=[^\n]*\n)*\n",
     re.ASCII,
 )
-LONGEST = 1 << 17
+MAX_HEADER_BYTES = 1 << 17
 """Bytes that no header is longer than."""
 
 LABEL_NAME = 64
@@ -102,7 +102,7 @@ def write(file: IO[bytes], grid: Grid, name: str) -> str:
 
 def labels_of(grid: Grid) -> tuple[LabelName, ...]:
     """The labels that a grid names, as many as can be shown; of a segmentation without names a nameless one."""
-    return () if grid.labels is None else grid.labels[:MOST] or (LabelName(1),)
+    return () if grid.labels is None else grid.labels[:MAX_LABELS] or (LabelName(1),)
 
 
 def segment(number: int, label: LabelName) -> str:
@@ -139,7 +139,7 @@ def vector(row: Sequence[float]) -> str:
 def read_facts(path: Path) -> UploadedVolume | None:
     """What a file whose name is its id says of itself; None where it is not as ``write`` left it."""
     with path.open("rb") as file:
-        head = FORM.match(file.read(LONGEST))
+        head = FORM.match(file.read(MAX_HEADER_BYTES))
     if head is None:
         return None
     kind, *sizes, name = (part.decode() for part in head.groups())

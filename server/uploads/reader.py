@@ -30,7 +30,7 @@ from isogi_core.model.latlong import resample
 from isogi_core.model.value_survey import survey
 from isogi_core.plan.volumes.labels import Segmentation
 from server.uploads.environments import ENVIRONMENT, write_environment
-from server.uploads.folder import LONGEST, write
+from server.uploads.folder import MAX_HEADER_BYTES, write
 from server.uploads.sandbox import confine
 
 SPARE = 128 << 20
@@ -98,7 +98,7 @@ def limit(voxels: int, seconds: float) -> None:
     limits = {
         resource.RLIMIT_AS: mapped_bytes() + SPARE + PER_VOXEL * voxels,
         resource.RLIMIT_CPU: math.ceil(time.process_time() + seconds),
-        resource.RLIMIT_FSIZE: LONGEST + 8 * voxels,
+        resource.RLIMIT_FSIZE: MAX_HEADER_BYTES + 8 * voxels,
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_NOFILE: 0,
     }

@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PACE = 8 << 20
 """Bytes of an upload for which the reader has a second more of the processor."""
 
-SLOWEST, LONGEST = 10.0, 60.0
+SLOWEST, READER_SECONDS = 10.0, 60.0
 """Seconds on the clock for each of the processor, and besides, after which a reader is given up: others compute."""
 
 ALONE = {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1", "PYTHONUTF8": "1"}
@@ -72,7 +72,7 @@ class Reader:
         """
         patience = seconds + os.fstat(self._upload.fileno()).st_size / PACE
         try:
-            async with asyncio.timeout(LONGEST + SLOWEST * patience):
+            async with asyncio.timeout(READER_SECONDS + SLOWEST * patience):
                 return await self._answer(patience)
         except TimeoutError:
             raise LateError("The machine is too busy to read the file: send it again in a while.") from None

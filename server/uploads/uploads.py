@@ -211,7 +211,7 @@ class Uploads:
                 raise UnknownVolumeError(f"There is no upload '{number}' any more.")
             owners = self.folder.owners_of(number)
             if not any(map(bearer.owns, owners or [""])):
-                raise ForbiddenError(f"The upload '{number}' is another's: who sent it may delete it, and an admin.")
+                raise ForbiddenError(f"The upload '{number}' belongs to another: its sender or an admin may delete it.")
             if not bearer.may("admin") and len(owners) > 1:
                 await asyncio.to_thread(self.folder.take_back, number, bearer.name)
                 return False

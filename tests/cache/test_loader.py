@@ -16,7 +16,7 @@ from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.refine import refine
 from isogi_core.cache import loader as loading
 from isogi_core.cache.chunk_store import ChunkStore
-from isogi_core.cache.loader import AHEAD, ASK_AGAIN, Loader, ahead
+from isogi_core.cache.loader import ASK_AGAIN, MAX_BATCHES_AHEAD, Loader, ahead
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.errors import Cancelled, StoreAwayError, StoreError
 from isogi_core.frame.tiles import Tiles
@@ -281,11 +281,11 @@ def test_a_frame_that_nobody_waits_for_stops_loading(loader: Loader, monkeypatch
 def test_no_more_than_a_few_batches_wait_in_memory() -> None:
     done = 0
     with ThreadPoolExecutor(2) as hands:
-        found = ahead(hands, lambda item: item, range(10 * AHEAD))
+        found = ahead(hands, lambda item: item, range(10 * MAX_BATCHES_AHEAD))
         for item in found:
             done += 1
             assert item == done - 1
-            assert hands._work_queue.qsize() <= AHEAD
+            assert hands._work_queue.qsize() <= MAX_BATCHES_AHEAD
 
 
 def test_a_view_that_does_not_fit_the_memory_is_an_error(tmp_path: Path, spec: BakeSpec, clock: Clock) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import nibabel as nib
 import nrrd
 import numpy as np
 
@@ -19,6 +20,7 @@ HERE = "http://127.0.0.1:8000"
 FENCED = re.compile(r"^```(sh|python)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
 ELSEWHERE = {
+    "curl -LO https://raw": "needs the network: the tests have a file of this name",
     "make serve": "serves until it is stopped: the server of these tests stands for it",
     "make test": "runs these tests",
     "isogi serve": "serves until it is stopped: tests/cluster/test_tls.py holds its options",
@@ -73,6 +75,7 @@ def write_files(folder: Path) -> Path:
     engine = np.clip(255 * (1.3 - radii) / 1.3, 0, 255).astype(np.uint8)
     for name in ("engine.nhdr", "engine.nrrd"):
         nrrd.write(str(folder / name), engine, index_order="C")
+    nib.save(nib.Nifti1Image(engine.T, np.eye(4)), str(folder / "T1.nii.gz"))
     write_hdr(folder / "grace.hdr", np.linspace(2.0, 0.2, 8)[:, None, None] * np.ones((8, 16, 3)))
     (folder / "engine.toml").write_text(scene_of_the_readme())
     (folder / "views.txt").write_text("?azimuth=0&elevation=10\n?azimuth=90&elevation=40\n")

@@ -98,7 +98,7 @@ def test_efforts_of_chunks_in_pieces_are_those_of_their_texels(
     for demand in bench.renderer.render(view).demands[::2]:
         refine_chunk(loader, 16, bench.scene.target_error, demand)
     whole = reading_of(bench, view, Tiles(1))
-    monkeypatch.setattr("isogi_core.frame.texel_reading.PIECE", 7)
+    monkeypatch.setattr("isogi_core.frame.texel_reading.TEXELS_A_PIECE", 7)
     pieces = reading_of(bench, view, Tiles(2))
     efforts, same = (
         [d.effort for d in Lacking(texels, each, planes_of(view, 1.0)).demands] for each in (whole, pieces)

@@ -5,7 +5,7 @@ import pytest
 
 from isogi_core.files.grid import Grid
 from isogi_core.model import value_survey
-from isogi_core.model.value_survey import MOST, find_core, sample_values, survey
+from isogi_core.model.value_survey import MAX_SURVEYED_VOXELS, find_core, sample_values, survey
 from isogi_core.model.volume import Volume
 
 RAMP = np.linspace(0.0, 1.0, 200)
@@ -46,7 +46,7 @@ def test_core(values: list[float], core: tuple[float, float]) -> None:
 
 def test_the_sample_has_every_column_of_a_large_volume() -> None:
     columns = np.broadcast_to(np.arange(512, dtype=np.int16), (64, 128, 512))
-    assert columns.size > MOST
+    assert columns.size > MAX_SURVEYED_VOXELS
     assert sample_values(columns).tolist() == list(range(512))
 
 
@@ -61,7 +61,7 @@ def test_values_that_are_counted_make_the_same_volume(kind: str, monkeypatch: py
     drawn[0, 0, 0] = 9999.0 if drawn.dtype.itemsize == 2 else 200
     grid, missing = Grid.of(drawn), (3.0,)
     looked = survey(grid, "below", missing)
-    monkeypatch.setattr(value_survey, "FEW", 0)
+    monkeypatch.setattr(value_survey, "MAX_UNSAMPLED_VOXELS", 0)
     counted = survey(grid, "below", missing)
     assert looked.tally is None and counted.tallied()
     voxels = [np.stack(list(each.planes())) for each in (looked, counted)]

@@ -7,7 +7,7 @@ import pytest
 
 from isogi_core.errors import SceneError
 from isogi_core.model.scene_plan import Layer
-from isogi_core.plan.albedos import MOST, choose_nodes, mixing_error, mixing_weights, spread_nodes
+from isogi_core.plan.albedos import MAX_NODES, choose_nodes, mixing_error, mixing_weights, spread_nodes
 from isogi_core.plan.budget import MIXING
 from isogi_core.plan.left_out import percent
 from tests.loaded import load_scene
@@ -53,7 +53,7 @@ def test_nodes_are_the_fewest_within_what_is_allowed(allowed: float) -> None:
 
 
 def test_where_no_nodes_are_enough_there_are_the_most() -> None:
-    assert len(choose_nodes(1.0, 64, 1e-9)) == MOST
+    assert len(choose_nodes(1.0, 64, 1e-9)) == MAX_NODES
 
 
 def test_three_nodes_mix_no_noise_up() -> None:

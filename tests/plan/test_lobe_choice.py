@@ -14,7 +14,15 @@ from isogi_core.model.scene_plan import ScenePlan
 from isogi_core.plan.bands import band_energy, project_environment, project_image, truncation_error
 from isogi_core.plan.budget import HARMONICS
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
-from isogi_core.plan.lobe_choice import ENOUGH, FEW, MOST, ORDER, disc_means, find_lobes, project_lobes
+from isogi_core.plan.lobe_choice import (
+    FEW,
+    LOBE_ERROR,
+    MANY_LOBES_SEARCHED,
+    ORDER,
+    disc_means,
+    find_lobes,
+    project_lobes,
+)
 from isogi_core.plan.planner import MOST_BANDS, MUCH, plan_scene
 
 SHAPE = (128, 256)
@@ -74,13 +82,13 @@ def test_a_street_of_lamps_has_more_lobes_than_a_few() -> None:
     inputs = PlanInputs(street, gather_lamps([]), (0.0, 0.0, 0.0), 1.0, True, (0.7,) * 3, 0.02)
     errors = [truncation_error(inputs.energy_beside(n), MOST_BANDS, "direct") for n in range(len(inputs.lobes) + 1)]
     plan = plan_scene(inputs, PlanOverrides())
-    assert FEW < plan.lobes <= MOST and errors[plan.lobes] <= HARMONICS * 0.02 < errors[FEW]
+    assert FEW < plan.lobes <= MANY_LOBES_SEARCHED and errors[plan.lobes] <= HARMONICS * 0.02 < errors[FEW]
 
 
 def test_what_suns_leave_has_nothing_that_harmonics_lack() -> None:
     inputs = inputs_of((3.0, 2000.0), (5.0, 900.0))
     errors = [truncation_error(inputs.energy_beside(n), ORDER, "direct") for n in range(3)]
-    assert errors[0] > errors[1] > errors[2] and errors[2] < ENOUGH
+    assert errors[0] > errors[1] > errors[2] and errors[2] < LOBE_ERROR
     np.testing.assert_allclose([inputs.energy_beside(n)[0] for n in range(3)], inputs.energy[0], rtol=1e-12)
     np.testing.assert_allclose(inputs.energy_beside(0), inputs.energy)
     left = band_energy(inputs.harmonics - project_lobes(inputs.lobes, MAX_ORDER))

@@ -15,7 +15,7 @@ from isogi_core.model.latlong import pixel_directions
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, PointLight, ProbeLight, SkyLight
 from isogi_core.model.scene_plan import Layer, ScenePlan
 from isogi_core.plan.bands import FAR_BANDS, truncation_error
-from isogi_core.plan.budget import BOUNCES, EVEN, LONGEST_PATH, ROUNDING, bounces_for, even, rounding_error
+from isogi_core.plan.budget import BOUNCES, EVEN_LIGHT_SHARE, LONGEST_PATH, ROUNDING, bounces_for, even, rounding_error
 from isogi_core.plan.inputs import PlanOverrides
 from isogi_core.plan.planner import MOST_BANDS, MOST_REFLECTED, plan_scene, vicinity_plan
 from tests.plan.planning import NOTHING, inputs_of, plan_of
@@ -178,7 +178,7 @@ def test_a_smaller_target_never_takes_fewer_bands(shared_data: Path, name: str) 
 def test_a_probe_that_is_even_enough_is_constant_light(tmp_path: Path, slope: float) -> None:
     inputs = inputs_of([probe(tmp_path, slope)])
     error = truncation_error(inputs.energy, 1, "direct")
-    assert even(inputs) == (error <= EVEN * inputs.target_error)
+    assert even(inputs) == (error <= EVEN_LIGHT_SHARE * inputs.target_error)
     assert (plan_scene(inputs, PlanOverrides()).representation == "constant") == even(inputs)
     assert even(inputs) == (slope <= 0.01)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from isogi_core.prepared.active_cell_maps import ABOVE, CROWDED, PARTS, ActiveCellMaps, find_levels
+from isogi_core.prepared.active_cell_maps import ABOVE, CROWDED_SHARE, PARTS, ActiveCellMaps, find_levels
 
 EVEN = np.random.default_rng(1).random((20, 21, 22)).astype(np.float32)
 UNIFORM = [-np.inf, 0.0, ABOVE, *(np.arange(1, PARTS + 1) / PARTS), np.inf]
@@ -28,7 +28,7 @@ def test_a_mask_has_even_levels() -> None:
 def test_crowded_values_are_parted_by_rank() -> None:
     squeezed = EVEN / 100
     squeezed[0, 0, 0] = 1.0
-    assert np.histogram(squeezed, UNIFORM[1:-1])[0].max() > CROWDED * squeezed.size
+    assert np.histogram(squeezed, UNIFORM[1:-1])[0].max() > CROWDED_SHARE * squeezed.size
     assert crowd(squeezed) < 1.1 / PARTS
     levels = find_levels(squeezed)
     assert (np.diff(levels) > 0).all() and set(UNIFORM) <= set(levels.tolist())

@@ -59,7 +59,7 @@ def test_the_error_falls_until_the_view_is_final(page: Page, live_server: str) -
     assert [x for x, _ in points] == sorted(x for x, _ in points)
     assert area(page, "final") > 0.0
     expect(page.locator("#error .note")).to_have_text(re.compile(r"^done after [\d.]+ s$"))
-    expect(page.locator("#error .tail")).to_have_text(re.compile(r"^1 % of pixels err by over [\d.]+ % \("))
+    expect(page.locator("#error .tail")).to_have_text(re.compile(r"^1 % of pixels are off by more than [\d.]+ % \("))
     expect(page.locator("#error .legend .final b")).to_have_text("100 %")
     words = page.locator("#error svg").get_attribute("aria-label") or ""
     assert re.search(r"error from \d+ % to [\d.]+ %, target 50 %; .* from \d+ % to 100 %; over", words)

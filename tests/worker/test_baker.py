@@ -18,7 +18,7 @@ from isogi_core.storage.url import StoreUrl
 from worker.bake_requests import GUEST, MOST_FAILURES, Viewer
 from worker.baker import LONGEST_REST, REST, WAY, Bake, Baker, after
 from worker.errors import WorkersAwayError
-from worker.pause import LONGEST, SHORTEST
+from worker.pause import LONGEST_PAUSE, SHORTEST
 from worker.pool import AllDone, Done
 from worker.progress import TimeLeft
 from worker.queue import FORGET_AFTER
@@ -472,11 +472,11 @@ def test_an_absent_store_is_tried_now_and_then_by_one_task(bench: Bench, caplog:
         bench.request(1, 2, 3)
         assert len(pool.tasks()) == 1, "one is tried"
         pool.end(None, GONE)
-        seconds = min(2.0 * seconds, LONGEST)
+        seconds = min(2.0 * seconds, LONGEST_PAUSE)
     tally = bench.baker.tally()
     assert (tally.waiting, tally.given_up, tally.failed, tally.in_flight) == (3, 0, 0, 0)
     assert bench.baker.trouble() == "" and caplog.text.count("baking waits for the store") == 1
-    bench.now += LONGEST
+    bench.now += LONGEST_PAUSE
     bench.request(1, 2, 3)
     pool.end()
     assert bench.baker.paused() == "" and len(pool.tasks()) == 2

@@ -8,7 +8,7 @@ from isogi_core.cache.costs import Cost
 from isogi_core.frame.view_texels import Demand
 from tests.worker.clock import Clock
 from worker.bake_requests import BakeRequest, Key, Viewer
-from worker.client_queues import FEW
+from worker.client_queues import MIN_PLACES
 from worker.queue import SUNK, BakeQueue
 from worker.tasks import BakeResult
 
@@ -40,7 +40,7 @@ def test_a_long_drag_leaves_no_places_behind() -> None:
     for move in range(500):
         request(queue, VIEWERS[0], *range(move, move + 10))
     assert len(queue.requests) == 10
-    assert places(queue) <= 2 * FEW + 10
+    assert places(queue) <= 2 * MIN_PLACES + 10
 
 
 def test_a_request_that_grew_for_another_client_moves_up() -> None:

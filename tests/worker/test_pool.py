@@ -31,7 +31,7 @@ from worker.baker import Baker
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.kernels import KINDS, OPENING, bake_kernels
 from worker.niceness import BACK, FORWARD, NICENESS
-from worker.pool import AHEAD, FOREVER, OwnClient, WorkerPool, report
+from worker.pool import FOREVER, TASKS_AHEAD, OwnClient, WorkerPool, report
 from worker.tasks import BakeResult, BakeTask, open_spec
 
 pytestmark = pytest.mark.cluster
@@ -106,7 +106,7 @@ def test_workers_are_processes_of_their_own(pool: WorkerPool) -> None:
     assert os.getpid() not in pids
     children = {child.pid for child in psutil.Process().children(recursive=True)}
     assert children.issuperset(pids)
-    assert pool.room == AHEAD * WORKERS
+    assert pool.room == TASKS_AHEAD * WORKERS
 
 
 def test_tasks_leave_their_chunks_in_the_store(pool: WorkerPool, tmp_path: Path) -> None:
@@ -317,7 +317,7 @@ def test_workers_of_others_are_joined_and_left_alone(pool: WorkerPool, tmp_path:
     with known_to(pool._cluster):
         joined = WorkerPool(1, pool._cluster.scheduler_address)
     assert sorted(joined.pids()) == sorted(pool.pids())
-    assert joined.room == AHEAD * WORKERS
+    assert joined.room == TASKS_AHEAD * WORKERS
     assert joined.connected
     assert len(bake_all(joined, tasks_for(tmp_path))) == 4
     joined.close()

@@ -1,7 +1,7 @@
 import pytest
 
 from tests.worker.clock import Clock
-from worker.progress import KEPT, LATELY, PRIOR, Pace, TimeEstimator, TimeLeft
+from worker.progress import LATELY, MAX_KNOWN_RATIOS, PRIOR, Pace, TimeEstimator, TimeLeft
 
 
 @pytest.fixture
@@ -38,14 +38,14 @@ def test_predictions_are_corrected_by_what_came_of_earlier_ones(estimator: TimeE
         watch(estimator, clock, f"view {turn}", 10, 3.0)
     before = estimator.estimate("another", 10.0, clock.now)
     assert before.low < before.likely == pytest.approx(30.0)
-    for turn in range(KEPT):
+    for turn in range(MAX_KNOWN_RATIOS):
         watch(estimator, clock, f"view {turn}", 10, 3.0)
     sure = estimator.estimate("another", 10.0, clock.now)
     assert (sure.low, sure.likely, sure.high) == pytest.approx((30.0, 30.0, 30.0), rel=0.05)
 
 
 def test_the_range_holds_four_of_five_outcomes(estimator: TimeEstimator, clock: Clock) -> None:
-    for turn in range(4 * KEPT):
+    for turn in range(4 * MAX_KNOWN_RATIOS):
         watch(estimator, clock, f"view {turn}", 10, 1.0 + turn % 11 / 10.0)
     reported = estimator.estimate("next", 1.0, clock.now)
     assert (reported.low, reported.likely, reported.high) == pytest.approx((1.05, 1.5, 1.95), abs=0.06)
@@ -67,7 +67,7 @@ def test_a_view_that_nobody_works_on_teaches_nothing(estimator: TimeEstimator, c
 
 def test_work_for_others_counts_for_views_that_take_turns(estimator: TimeEstimator, clock: Clock) -> None:
     """Each second of work is for one of two: in the end twice as much was done as was estimated."""
-    for turn in range(KEPT):
+    for turn in range(MAX_KNOWN_RATIOS):
         for worked, left in ((0.0, 1.0), (1.0, 0.5), (2.0, 0.0)):
             for subject in ("one", "other"):
                 estimator.estimate(subject, left, 2.0 * turn + worked)
@@ -88,7 +88,7 @@ def test_work_that_does_not_end_when_it_should_is_told_as_longer(estimator: Time
 
 def test_less_work_than_was_thought_is_told_as_less(estimator: TimeEstimator, clock: Clock) -> None:
     """What is found to be less, without work, says that estimates are high, once some was worked."""
-    for turn in range(KEPT):
+    for turn in range(MAX_KNOWN_RATIOS):
         estimator.estimate(f"view {turn}", 10.0, 5.0 * turn)
         estimator.estimate(f"view {turn}", 4.0, 5.0 * turn + 1.0)
         estimator.estimate(f"view {turn}", 0.0, 5.0 * turn + 5.0)

@@ -8,7 +8,7 @@ from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MOST
 from tests.worker.clock import Clock
 from worker import bake_requests
-from worker.bake_requests import GUEST, LONG, MOST_FAILURES, SHORT, Key, Viewer
+from worker.bake_requests import GUEST, LONG, MOST_FAILURES, SHORT_TASK_SECONDS, Key, Viewer
 from worker.queue import FORGET_AFTER, LOOK, BakeQueue
 from worker.tasks import BakeResult
 
@@ -451,7 +451,7 @@ def test_given_up_chunks_are_not_retried_by_short_visits(queue: BakeQueue) -> No
 
 
 def test_what_goes_with_a_request_is_alike_and_not_too_much(clock: Clock) -> None:
-    queue = BakeQueue(clock, rate=lambda _: SHORT / 200.0)
+    queue = BakeQueue(clock, rate=lambda _: SHORT_TASK_SECONDS / 200.0)
     request(queue, (4, 1.0), target=0.2)
     request(queue, *((x, 1.0) for x in range(4)))
     first = queue.take()
@@ -469,7 +469,7 @@ def test_what_goes_with_a_request_is_alike_and_not_too_much(clock: Clock) -> Non
 def test_later_tasks_are_joined_by_what_they_will_take(clock: Clock) -> None:
     """Not by all that their texels will ever take: where that is long, a task climbs one level."""
     effort = Effort(0, 48.0, 1e6, lit=3)
-    queue, lit = BakeQueue(clock, rate=lambda _: SHORT / 150.0), BakeResult(3, 1.0, effort, Cost(9.0, 48))
+    queue, lit = BakeQueue(clock, rate=lambda _: SHORT_TASK_SECONDS / 150.0), BakeResult(3, 1.0, effort, Cost(9.0, 48))
     request(queue, *((x, 1.0) for x in range(4)))
     assert sum(take(queue) is not None for _ in range(4)) == 4
     for x in range(4):

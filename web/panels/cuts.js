@@ -67,7 +67,7 @@ const SIDES = 6; // of a box
  */
 function cutInWords(opened, oblique) {
   if (!opened) return "All stays lit as a whole, and cut faces show values.";
-  return oblique ? "Light comes in by the sides of the box. Oblique planes are windows, and show values: of voxels, their faces would be stairs." : "What is left is lit anew.";
+  return oblique ? "Light comes in by the sides of the box. Oblique planes are windows, and show values: of voxels, their faces would be stairs." : "What is left is lit again.";
 }
 
 /** @param {HTMLElement[]} buttons */

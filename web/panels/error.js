@@ -127,7 +127,7 @@ export function momentInWords({ seconds, provisional, error }, timeLeft) {
 }
 
 /**
- * What the worst pixels err by, such as "1 % of pixels err by over 6.2 % (5.1 % to 7.9 %)"; nothing while it is
+ * The error of the worst pixels, such as "1 % of pixels are off by more than 6.2 % (5.1 % to 7.9 %)"; nothing while it is
  * not measured.
  * @param {Pick<Facts, "p99"|"p99_interval">} facts
  * @returns {string}
@@ -136,7 +136,7 @@ export function tailInWords({ p99, p99_interval: ends }) {
   if (p99 == null || !ends) return "";
   const [low, high] = ends.map(errorInWords);
   const range = ends[1] < 1 ? `${low} to ${high}` : `at least ${low}`;
-  return `1 % of pixels err by over ${errorInWords(p99)} (${range})`;
+  return `1 % of pixels are off by more than ${errorInWords(p99)} (${range})`;
 }
 
 /**

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from benchmarks.scaling.simulator.light import Light
 from benchmarks.scaling.simulator.world import World
 from isogi_core.errors import StoreError
-from worker.pool import AHEAD, Done
+from worker.pool import TASKS_AHEAD, Done
 from worker.tasks import BakeTask
 
 OBJECTS = 4
@@ -68,7 +68,7 @@ class Cluster:
     @property
     def room(self) -> int:
         """How many tasks may be in flight."""
-        return AHEAD * self.workers
+        return TASKS_AHEAD * self.workers
 
     def submit(self, task: BakeTask, done: Done) -> None:
         """Hand a task to the scheduler, which has others to pass on first."""

@@ -30,7 +30,7 @@ CODES = {BURIED: 0x80008001, VOID: 0x80008002}
 FLAT = 0x80008003
 """The word of a texel with light whose normal is (0, 0, 0)."""
 
-MOST = float(np.finfo(np.float16).max)
+MAX_HALF_FLOAT = float(np.finfo(np.float16).max)
 
 
 class Order(NamedTuple):
@@ -92,7 +92,7 @@ def with_means(order: Order, grade: np.ndarray, values: np.ndarray) -> tuple[np.
 
 def halves(values: np.ndarray) -> np.ndarray:
     """Numbers as half floats, those beyond these at their ends."""
-    return np.clip(values, -MOST, MOST).astype("<f2")
+    return np.clip(values, -MAX_HALF_FLOAT, MAX_HALF_FLOAT).astype("<f2")
 
 
 def folded_body(words: np.ndarray, light: np.ndarray) -> bytes:

@@ -151,7 +151,7 @@ def seen_chunks(renderer: Renderer, view: View, target: float, tiles: Tiles) -> 
 
 
 def look_at(renderer: Renderer, view: View, target: float, tiles: Tiles) -> tuple[list[SeenChunk], Frame]:
-    """The same, and a frame that is not drawn, which tells what light the ``view`` lacks."""
+    """The chunks that a ``view`` reads, and a frame that is not drawn, which says what light it lacks."""
     texels, loader = renderer.texels(view, renderer.gbuffer(view, tiles), tiles), renderer.caches.of("gi")
     loader.ensure(texels.chunks, tiles.check)
     with loader.pool.hold(texels.chunks) as held:

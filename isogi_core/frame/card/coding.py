@@ -33,10 +33,10 @@ class Coding:
 
 
 def coding_for(spec: BakeSpec, scale: float, error: float) -> Coding:
-    """The coding of a spec's transfer over a ``scale`` by which texels err by about ``error``, a share of their light.
+    """The coding of a spec's transfer over a ``scale`` at which texels have about an ``error``, relative to light.
 
-    Rounding errs by a twelfth of the squared step in each number. Errors are the least for their bits where each number
-    brings as much: steps are inverse to the light that it meets, in the mean over a band, as the light may turn.
+    The squared error of rounding is a twelfth of the squared step. Errors are the least for their bits where each
+    number brings as much: steps are inverse to the light that it meets, in the mean over a band, as the light may turn.
     """
     meets = np.concatenate([band_means(term.luminance) for term in spec.terms], axis=1).ravel() * scale / spec.unit
     lit = meets > 0.0

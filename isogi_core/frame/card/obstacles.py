@@ -41,7 +41,7 @@ TESTS: tuple[tuple[Obstacle, Test], ...] = (
     ),
 )
 
-LARGE = Obstacle("volume too large", f"The volume takes more than {BYTES >> 20} MB: the server draws it.")
+VOLUME_TOO_LARGE = Obstacle("volume too large", f"The volume takes more than {BYTES >> 20} MB: the server draws it.")
 
 
 def find_obstacles(scene: Scene, view: View, nbytes: int) -> list[Obstacle]:
@@ -50,4 +50,4 @@ def find_obstacles(scene: Scene, view: View, nbytes: int) -> list[Obstacle]:
     ViewError where views of the scene may not ask for the view's shine.
     """
     found = [obstacle for obstacle, meets in TESTS if meets(scene, view)]
-    return found + ([LARGE] if nbytes > BYTES else [])
+    return found + ([VOLUME_TOO_LARGE] if nbytes > BYTES else [])

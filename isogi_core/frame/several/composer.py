@@ -85,7 +85,7 @@ class Composer:
         """
         try:
             return self._drawn(view, until, tiles, watch)
-        except NoRoomError:  # light of other isovalues takes the room: what this view reads is read anew
+        except NoRoomError:  # light of other isovalues takes the room: what this view reads is read again
             self._let_go()
             return self._drawn(view, until, tiles, watch)
 
@@ -127,7 +127,7 @@ class Composer:
     def refine(self, view: View, target: float, tiles: Tiles, prices: Prices) -> bool:
         """Bring the picture of a view whose light is final a step nearer to the ``target``; whether there was one.
 
-        The side that errs most, as far as is known, comes first. Sides have no finer texels, whatever the ``prices``.
+        The side with the largest known error comes first. Sides have no finer texels, whatever the ``prices``.
         """
         frame = self.draw(view, Until(target, FIRST_LEVEL), tiles, Stopwatch())
         if not frame.refinable:

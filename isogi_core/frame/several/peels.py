@@ -33,7 +33,7 @@ class Hits:
 
     @classmethod
     def joined(cls, parts: Sequence["Hits"]) -> "Hits":
-        """Those of several sets of rays."""
+        """The hits of several sets of rays, one set after the other."""
         names = ("pixels", "points", "sides", "ranks", "weights")
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
@@ -42,7 +42,7 @@ class Hits:
         return np.flatnonzero(np.minimum(self.sides, WALL) == side.peeled)
 
     def beside(self, rows: np.ndarray) -> PointsBeside:
-        """Those in some ``rows``, which are of walls or of faces."""
+        """The hits in some ``rows``, which are on walls or faces."""
         sides = self.sides[rows]
         return PointsBeside(self.pixels[rows], self.points[rows], np.where(sides < WALL, sides, sides - WALL))
 
@@ -98,7 +98,7 @@ class Peeler:
     def of(
         cls, view: View, surfaces: Sequence[Surface], clears: np.ndarray, tiles: Tiles, walls: Walls | None = None
     ) -> "Peeler":
-        """That of some ``surfaces``, of which the shares ``clears`` of rays pass, and of ``walls``.
+        """The peeler of some ``surfaces``, which the shares ``clears`` of rays pass, and of ``walls``.
 
         A surface at the isovalue of one before it is that one: it is left out.
         """

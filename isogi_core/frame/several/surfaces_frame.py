@@ -48,7 +48,7 @@ class Part:
 
     @property
     def measured(self) -> TotalError | None:
-        """Its total error by control pixels; walls have none, and tell all that they know as noise."""
+        """The total error by control pixels; walls have no control pixels, and report their noise."""
         noise = self.frame.noise
         return TotalError(noise, noise, noise) if self.side == WALLS else self.frame.measured
 
@@ -77,7 +77,7 @@ class SurfacesFrame(Frame):
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """All light that is to be baked until the picture is final: first that of the side which errs most."""
+        """All light that is to be baked until the picture is final: first of the side with the largest error."""
         return tuple(
             replace(stage, caches=None if part.side == OUTER else stage.caches or part.caches)
             for part in sorted(self.parts, key=wrong_of, reverse=True)
@@ -92,7 +92,7 @@ class SurfacesFrame(Frame):
 
     @cached_property
     def walls_lag(self) -> bool:
-        """See ``Frame``: more wrong than the side that errs most."""
+        """See ``Frame``: more wrong than the side with the largest error."""
         walls = [part for part in self.parts if part.side == WALLS and part.frame.walls_waiting]
         worst = max((wrong_of(part) for part in self.parts if part.side != WALLS), default=0.0)
         return any(part.frame.walls_coarse or wrong_of(part) > worst for part in walls)
@@ -132,7 +132,7 @@ class SurfacesFrame(Frame):
 
 
 def wrong_of(part: Part) -> float:
-    """How much a part errs in the picture, as far as is known."""
+    """The error of a part in the picture, as far as is known."""
     return part.frame.total.likely * part.frame.true_mean * part.weight**0.5
 
 

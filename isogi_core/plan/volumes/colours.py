@@ -14,7 +14,7 @@ from isogi_core.files.mappings import budget
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, is_number
 from isogi_core.kernels.transport.colours import sample_layer, slope_layer
-from isogi_core.model.colours import MAPS, MOST, VALUES, Colour, Scale, SurfaceColours, spread, table_of
+from isogi_core.model.colours import MAPS, MAX_ALBEDO, VALUES, Colour, Scale, SurfaceColours, spread, table_of
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.volumes.masks import matrix_into
 from isogi_core.plan.volumes.opening import AXES, chosen_part, open_grid, open_series, stem_of
@@ -31,7 +31,7 @@ MOST_CODES = 1 << 26
 LAYERS = 48
 """Layers of the volume in which the usual range of values is looked up."""
 
-USUAL = (1.0, 99.0)
+COLOUR_PERCENTILES = (1.0, 99.0)
 """Percentiles of the values on the surface that views start with: the range where a scene gives none."""
 
 USUAL_EVEN = 90.0
@@ -117,7 +117,7 @@ def is_albedo(each: Any) -> bool:
 
 def capped(albedo: Colour | list[float]) -> Colour:
     """An albedo as dark as colours have to be."""
-    red, green, blue = (min(float(share), MOST) for share in albedo)
+    red, green, blue = (min(float(share), MAX_ALBEDO) for share in albedo)
     return red, green, blue
 
 
@@ -246,7 +246,7 @@ def codes_of(values: np.ndarray, span: tuple[float, float]) -> np.ndarray:
 def usual_span(
     volume: Volume, layer: Layer, factor: float, isovalue: Isovalue, source: str, even: bool = False
 ) -> tuple[float, float]:
-    """The USUAL percentiles of values beside the surface at an ``isovalue``; of all values where that is nowhere.
+    """The COLOUR_PERCENTILES of values at the surface of an ``isovalue``; of all values where that is nowhere.
 
     An ``even`` range has 0 in its middle. Raises SceneError where there is no value at all.
     """
@@ -264,7 +264,7 @@ def usual_span(
     found = np.concatenate(everywhere) if len(found) < FEWEST else found
     if not len(found):
         raise SceneError(f"The volume has no value of '{source}' anywhere: check where both lie, or give another file.")
-    low, high = (factor * np.percentile(found.astype(np.float64), USUAL)).tolist()
+    low, high = (factor * np.percentile(found.astype(np.float64), COLOUR_PERCENTILES)).tolist()
     if even:
         high = factor * float(np.percentile(np.abs(found), USUAL_EVEN))
         low = -high

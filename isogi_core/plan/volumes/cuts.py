@@ -29,10 +29,10 @@ would be flatter, and edges beside them rounder: normals are smoothed over four 
 ALONG = 1e-6
 """How much a plane's normal may be off an axis of the voxels."""
 
-NEAR = 1e-6
+PLANE_TOLERANCE = 1e-6
 """Voxels by which a plane may miss those that it leaves, and leave them still."""
 
-REACH = 2.5
+NORMAL_REACH = 2.5
 """Voxels from a face within which a texel is lit about another normal than in the whole volume: four are smoothed."""
 
 Ranges = tuple[range, range, range]
@@ -83,9 +83,9 @@ def voxels_left(volume: Volume, text: str) -> Ranges:
         place = -plane[3] / plane[axis] / volume.spacing[axis]
         first, last = left[axis].start, left[axis].stop
         if plane[axis] > 0.0:
-            first = max(first, math.ceil(min(place - NEAR, last)))
+            first = max(first, math.ceil(min(place - PLANE_TOLERANCE, last)))
         else:
-            last = min(last, math.floor(max(place + NEAR, -1.0)) + 1)
+            last = min(last, math.floor(max(place + PLANE_TOLERANCE, -1.0)) + 1)
         left[axis] = range(first, max(last, first))
     if not all(left):
         raise SceneError(f"cut = '{text}' leaves nothing of the volume '{volume.name}': take less away.")
@@ -102,12 +102,12 @@ def _axis_of(plane: Plane, text: str) -> int:
 
 
 def box_left(left: Ranges, size: tuple[int, int, int]) -> np.ndarray:
-    """The box in which surfaces are what they are in the whole volume, of this ``size``: REACH from all faces.
+    """The box in which surfaces are what they are in the whole volume, of this ``size``: NORMAL_REACH from all faces.
 
     (2, 3) float64, its least and its greatest corner in index space; infinite where nothing is taken away.
     """
-    low = [each.start + REACH if each.start else -np.inf for each in left]
-    high = [each.stop - 1 - REACH if each.stop < n else np.inf for each, n in zip(left, size, strict=True)]
+    low = [each.start + NORMAL_REACH if each.start else -np.inf for each in left]
+    high = [each.stop - 1 - NORMAL_REACH if each.stop < n else np.inf for each, n in zip(left, size, strict=True)]
     return np.array([low, high])
 
 

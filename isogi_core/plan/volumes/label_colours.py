@@ -15,7 +15,7 @@ from isogi_core.kernels.transport.colours import weigh_labels
 from isogi_core.model.colours import VALUES, Colour, Scale, SurfaceColours
 from isogi_core.model.volume import Volume
 from isogi_core.plan.volumes.colours import capped, volume_grids
-from isogi_core.plan.volumes.labels import REACH, SIGMA, LabelTable, Segmentation
+from isogi_core.plan.volumes.labels import SIGMA, SMOOTHING_REACH, LabelTable, Segmentation
 from isogi_core.plan.volumes.masks import matrix_into, nearest_layer
 
 PLACES = 355**3
@@ -66,17 +66,19 @@ def weighed(codes: np.ndarray) -> np.ndarray:
     lowest = _extreme(codes - np.uint8(1), np.minimum) + np.uint8(1)
     labels = np.zeros((*codes.shape, 3), np.uint8)
     labels[..., 0] = highest
-    bell = np.rint(UNIT * np.exp(-0.5 * (np.arange(-REACH, REACH + 1) / SIGMA) ** 2)).astype(np.int64)
+    bell = np.rint(UNIT * np.exp(-0.5 * (np.arange(-SMOOTHING_REACH, SMOOTHING_REACH + 1) / SIGMA) ** 2)).astype(
+        np.int64
+    )
     weigh_labels(codes, np.ascontiguousarray(lowest < highest), bell, labels)
     return labels
 
 
 def _extreme(codes: np.ndarray, extreme: np.ufunc) -> np.ndarray:
-    """The extreme of the codes around each place, REACH along each axis."""
+    """The extreme of the codes around each place, SMOOTHING_REACH along each axis."""
     for axis in range(3):
         before = np.moveaxis(codes, axis, 0)
         after = before.copy()
-        for step in range(1, min(REACH, len(before) - 1) + 1):
+        for step in range(1, min(SMOOTHING_REACH, len(before) - 1) + 1):
             extreme(after[step:], before[:-step], out=after[step:])
             extreme(after[:-step], before[step:], out=after[:-step])
         codes = np.moveaxis(after, 0, axis)

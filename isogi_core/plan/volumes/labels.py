@@ -20,19 +20,19 @@ from isogi_core.model.volume import Volume
 ALL = "all"
 """What ``labels`` is where a scene lists none: its volume is a segmentation, and all that is not zero is shown."""
 
-MOST = 255
+MAX_LABELS = 255
 """Most labels that are shown: codes of a byte, less the one of places without a label."""
 
 HALF = 0.5
 """The isovalue of the labels' surfaces: half-way from voxels within to voxels without."""
 
-SIGMA, REACH = 1.0, 3
+SIGMA, SMOOTHING_REACH = 1.0, 3
 """Width of the Gaussian that smooths labels, and how far it is summed, in voxels along each axis."""
 
 THIN = 0.8
 """What the field is in parts that the Gaussian would take away: of a lone voxel 0.8 of its width stays."""
 
-LARGEST = 2**53
+MAX_LABEL_VALUE = 2**53
 """Values of labels are less: beyond, pages and scripts that read JSON cannot tell two from each other."""
 
 VALUED = (
@@ -122,7 +122,9 @@ class Segmentation:
                 raise VolumeError(
                     f"The segmentation holds {wrong[0]:g}: labels are whole numbers; or leave labels out."
                 )
-            large = next((int(value) for value in (distinct[0], distinct[-1]) if abs(int(value)) >= LARGEST), None)
+            large = next(
+                (int(value) for value in (distinct[0], distinct[-1]) if abs(int(value)) >= MAX_LABEL_VALUE), None
+            )
             if large is not None:
                 raise VolumeError(f"The segmentation has the label {large}: give its labels numbers below 2^53.")
             found.append(distinct.astype(np.int64))
@@ -147,8 +149,8 @@ class Segmentation:
         shown = sum(label.shown for label in found)
         if not shown:
             raise SceneError("All labels of the segmentation are hidden: show one.")
-        if shown > MOST:
-            raise VolumeError(f"The segmentation has {shown} labels, and {MOST} can be shown: hide or join some.")
+        if shown > MAX_LABELS:
+            raise VolumeError(f"The segmentation has {shown} labels, and {MAX_LABELS} can be shown: hide or join some.")
         return found
 
     @cached_property
@@ -197,7 +199,7 @@ def smooth(shown: np.ndarray) -> Iterator[np.ndarray]:
     Parts so thin that nothing of them or beside them would be above HALF are THIN instead, up to what is. The volume's
     outermost voxels go on beyond it.
     """
-    nz, halo = len(shown), REACH + 2
+    nz, halo = len(shown), SMOOTHING_REACH + 2
     layers = layers_of(4 * shown[0].size)
     for z in range(0, nz, layers):
         end = min(z + layers, nz)
@@ -219,10 +221,10 @@ def _moved(array: np.ndarray, axis: int, step: int) -> np.ndarray:
 
 def _blurred(field: np.ndarray, axis: int) -> np.ndarray:
     """The field's Gaussian sums along an axis: the same numbers whichever way round it lies."""
-    weights = np.exp(-0.5 * (np.arange(REACH + 1) / SIGMA) ** 2)
+    weights = np.exp(-0.5 * (np.arange(SMOOTHING_REACH + 1) / SIGMA) ** 2)
     weights = (weights / (2.0 * weights.sum() - weights[0])).astype(np.float32)
     total = weights[0] * field
-    for step in range(1, REACH + 1):
+    for step in range(1, SMOOTHING_REACH + 1):
         total += weights[step] * (_moved(field, axis, -step) + _moved(field, axis, step))
     return np.asarray(total)
 

@@ -13,10 +13,10 @@ from isogi_core.files.mappings import budget
 from isogi_core.files.scene_file import SceneSource, Settings
 from isogi_core.model.value_survey import check, find_marks, survey, usable, usable_type
 
-MOST = 8
+MAX_VOLUME_TABLES = 8
 """Most tables [[volumes]] of a scene."""
 
-FAR = 1 << 40
+BEYOND_ALL_VOXELS = 1 << 40
 """An index beyond any voxel."""
 
 USES = ("mask", "colour")
@@ -38,7 +38,7 @@ def read_tables(settings: Settings) -> list[MaskTable]:
     """
     return [
         _read_table(SceneSource(f"{settings.source.name}: [[volumes]]", entry, settings.source.base))
-        for entry in settings.tables("volumes", MOST)
+        for entry in settings.tables("volumes", MAX_VOLUME_TABLES)
         if entry.get("use") != "colour"
     ]
 
@@ -113,7 +113,7 @@ def _nearest(row: np.ndarray, steps: tuple[np.ndarray, np.ndarray], z: int) -> n
     for factor, along in zip(row, steps, strict=False):
         if abs(factor) * along.size > 1e-6:
             place = place + factor * along
-    return np.clip(np.floor(np.asarray(place) + 0.5), -1, FAR).astype(np.int64)
+    return np.clip(np.floor(np.asarray(place) + 0.5), -1, BEYOND_ALL_VOXELS).astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ NESTED = ("level", "channel", "time", "series")
 """Settings of a scene that choose a part of a file."""
 
 ZARR = NESTED[:3]
-"""Those of them that choose in a Zarr volume."""
+"""Settings of a scene that choose in a Zarr volume."""
 
 AXES = ("world", "raw")
 """What a scene's ``axes`` may be: as the volume's file says, or voxel indices times spacing."""
@@ -84,14 +84,14 @@ def chosen_part(settings: Settings) -> dict[str, Any]:
     return {**numbers, **{key: value for key, value in others.items() if value}}
 
 
-FIRST = "The file holds {steps} steps in time: the first is shown, and time = 0 to {last} chooses another."
+FIRST_STEP_NOTE = "The file holds {steps} steps in time: the first is shown, and time = 0 to {last} chooses another."
 
 
 def open_series(base: Path, name: str, chosen: dict[str, Any], raw: bool = False) -> tuple[Grid, str]:
     """Open a grid as ``open_grid`` does; of a series in time of which no step is chosen the first one, with a note."""
     grid, stem = _open_placed(base, name, chosen)
     steps = grid.moment[1]
-    notes = (FIRST.format(steps=steps, last=steps - 1),) if grid.unchosen else ()
+    notes = (FIRST_STEP_NOTE.format(steps=steps, last=steps - 1),) if grid.unchosen else ()
     grid = replace(grid, notes=(*grid.notes, *notes))
     return grid.raw(chosen.get("region")) if raw else grid, stem
 

@@ -40,7 +40,9 @@ DOCUMENT: dict[int | str, dict[str, Any]] = {
     304: {"description": "The document is the one that If-None-Match names."},
 }
 PARTS = BINARY | PROBLEMS
-KEPT = "This server hands out no voxels, and no light of chunks: ask for pictures, or have hand_out_voxels set."
+VOXELS_WITHHELD = (
+    "This server hands out no voxels, and no light of chunks: ask for pictures, or have hand_out_voxels set."
+)
 
 
 @router.get("", response_class=Response, openapi_extra=documented(ViewParams), responses=DOCUMENT | PROBLEMS)
@@ -140,7 +142,7 @@ async def open_scene(service: Service, scene: Scene, params: VariantParams) -> S
     ``Service.variant``.
     """
     if not service.settings.hands_out_voxels:
-        raise ForbiddenError(KEPT)
+        raise ForbiddenError(VOXELS_WITHHELD)
     service.startup.check()
     return await service.variant(scene, params)
 

@@ -89,7 +89,7 @@ def address(job: Job) -> str:
 
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"], dependencies=[NoParamsDep])
-UNKNOWN: dict[int | str, dict[str, Any]] = documented_problems(404, 422, 503)
+JOB_PROBLEMS: dict[int | str, dict[str, Any]] = documented_problems(404, 422, 503)
 JobId = Annotated[str, Path(description="As in the Location of the answer that the job began with.")]
 
 
@@ -101,14 +101,14 @@ async def list_jobs(service: ServiceDep, response: Response) -> JobList:
     return JobList(jobs=[job_schema(job) for job in service.jobs.all()], links=[own])
 
 
-@router.get("/{job}", responses=UNKNOWN)
+@router.get("/{job}", responses=JOB_PROBLEMS)
 async def read_job(job: JobId, service: ServiceDep, response: Response) -> JobSchema:
     """How far a job is, the time that is left, and at the end where its results are."""
     response.headers["Cache-Control"] = "no-store"
     return job_schema(service.job(job))
 
 
-@router.get("/{job}/results", responses=UNKNOWN)
+@router.get("/{job}/results", responses=JOB_PROBLEMS)
 async def read_results(job: JobId, service: ServiceDep, response: Response) -> Summary:
     """What a prewarm came to: what was asked, what there was to do, what it took and how good the light is."""
     response.headers["Cache-Control"] = "no-store"
@@ -118,14 +118,14 @@ async def read_results(job: JobId, service: ServiceDep, response: Response) -> S
     return found.document
 
 
-@router.get("/{job}/file", response_class=FileResponse, responses=UNKNOWN)
+@router.get("/{job}/file", response_class=FileResponse, responses=JOB_PROBLEMS)
 async def read_file(job: JobId, service: ServiceDep) -> FileResponse:
     """The file that an export has made; it is kept while its job is known, and there is room for it."""
     file = service.exports.find(service.job(job).id)
     return FileResponse(file, media_type=media_type(file), filename=file.name, headers={"Cache-Control": "no-store"})
 
 
-@router.delete("/{job}", responses=UNKNOWN)
+@router.delete("/{job}", responses=JOB_PROBLEMS)
 async def dismiss_job(job: JobId, service: ServiceDep, bearer: BearerDep) -> JobSchema:
     """End a job: nothing more is baked for it. One that has ended is forgotten at once."""
     return job_schema(await service.dismiss(job, bearer))
@@ -188,7 +188,7 @@ async def prewarm(
 ) -> JobSchema:
     """Bake light ahead, or forecast (dry_run) how much that is and how long it takes.
 
-    It yields to people, goes on when the server starts anew, and is dismissed by DELETE.
+    It yields to people, goes on when the server starts again, and is dismissed by DELETE.
     """
     service.startup.check()
     await asyncio.to_thread(check, scene, asked.order, service.settings)

@@ -139,7 +139,7 @@ async def livez(request: Request) -> Live:
 def readyz(request: Request, service: ServiceDep) -> Response | Ready:
     """Ready: pictures can be drawn, the store takes light, workers are alive, no stop is asked; 503 with reasons.
 
-    Where the server wants a token, whoever shows none is not told the reasons: they name paths and keys.
+    Where the server wants a token, a client without one gets no reasons: they name paths and keys.
     """
     stopping = ["isogi is stopping."] if request.app.state.closing.begun else []
     of_store = request.app.state.probe.reasons()  # it is the probe that finds a store read-only, which is no reason

@@ -38,7 +38,7 @@ SLICE: dict[int | str, dict[str, Any]] = {
 DRAWN = 1
 """Version of how slices are drawn."""
 
-NEAR = 1e-6
+VALUE_TOLERANCE = 1e-6
 """How far values that are sent may be off, of their range: what is smaller is seen in no picture, and no contour."""
 
 PACKED = 1
@@ -109,7 +109,7 @@ def sliced(request: Request, scene: Scene, params: SliceParams) -> Response:
     plane = volume.plane(axis, params.at)
     if params.is_picture:
         return Response(compress(grey(plane, *window), "png"), 200, headers, MEDIA_TYPES["png"])
-    values = values_npy(plane, NEAR * volume.core[1] - NEAR * volume.core[0])
+    values = values_npy(plane, VALUE_TOLERANCE * volume.core[1] - VALUE_TOLERANCE * volume.core[0])
     if packed:
         values, headers = gzip.compress(values, PACKED), headers | {"Content-Encoding": "gzip"}
     return Response(values, 200, headers, MEDIA_TYPES["npy"])

@@ -7,7 +7,7 @@ import pytest
 
 from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.cache.page_pool import NOTHING
+from isogi_core.cache.page_pool import UNLIT_VERSION
 from isogi_core.frame.card.chunk_light import fold_chunks, seen_chunks, transfer_chunks
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.tiles import Stopwatch
@@ -109,7 +109,7 @@ def test_versions_change_with_light_alone(workbench: Make) -> None:
     bench = workbench(load_scene("demo:orbital", bounces=2, target_error=LOOSE, **SCENES["colours"]))
     view = bench.view(size=24)
     before = seen_chunks(bench.renderer, view, LOOSE, TILES)
-    assert before and {each.version for each in before} == {NOTHING} and not any(each.final for each in before)
+    assert before and {each.version for each in before} == {UNLIT_VERSION} and not any(each.final for each in before)
     at, columns = [before[0].at], bench.caches.spec("gi").columns
     for packed in (
         fold_chunks(bench.renderer, view, at, LOOSE, TILES),
@@ -120,7 +120,7 @@ def test_versions_change_with_light_alone(workbench: Make) -> None:
     bench.bake(view)
     after = seen_chunks(bench.renderer, view, LOOSE, TILES)
     assert [each.at for each in after] == [each.at for each in before]
-    assert NOTHING not in {each.version for each in after} and all(each.final for each in after)
+    assert UNLIT_VERSION not in {each.version for each in after} and all(each.final for each in after)
     assert seen_chunks(bench.again().renderer, view, LOOSE, TILES) == after
     assert [each.version for each in seen_chunks(bench.renderer, bench.view(size=24, light=TURN), LOOSE, TILES)] == [
         each.version for each in after

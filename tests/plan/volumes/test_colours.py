@@ -9,7 +9,7 @@ import pytest
 
 from isogi_core.cache.scene_assets import receive_assets, receive_colours, send_assets
 from isogi_core.errors import IsogiError, SceneError, ViewError, VolumeError
-from isogi_core.model.colours import MAPS, MOST, SurfaceColours, table_of
+from isogi_core.model.colours import MAPS, MAX_ALBEDO, SurfaceColours, table_of
 from isogi_core.model.shine import Shine
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
@@ -56,7 +56,7 @@ def test_maps_are_those_of_matplotlib(name: str) -> None:
     """Between the places that are kept they err by a few codes of 255."""
     maps = pytest.importorskip("matplotlib").colormaps
     srgb = maps[name](np.linspace(0.0, 1.0, 255))[:, :3]
-    expected = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).clip(0.0, MOST)
+    expected = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).clip(0.0, MAX_ALBEDO)
     np.testing.assert_allclose(table_of(name), expected, atol=0.03)
 
 

@@ -6,7 +6,16 @@ from typing import Any
 
 import pytest
 
-from server.api.pacing import HALF, LONGEST, MARGIN, MOST, PATIENCE, QUARTER, Drafts, Window
+from server.api.pacing import (
+    HALF,
+    MAX_DRAFT_SECONDS,
+    MAX_PICTURES_AHEAD,
+    PACE_MARGIN,
+    QUARTER,
+    RECEIPT_SECONDS,
+    Drafts,
+    Window,
+)
 from server.api.stream import IDLE, POLICY, TOO_BIG, Inbox
 from server.errors import StreamError
 from server.render.admission import Place
@@ -31,8 +40,8 @@ def test_drafts_are_as_large_as_they_can_come_in_time(full: float, shown: float,
     scales = settle(lambda scale: full * scale**2, Drafts(crowded), shown)
     last, half = scales[-1], (full + shown) * HALF**2
     assert len(set(scales[-20:])) == 1, "it does not swing"
-    if not MARGIN * LONGEST < half < LONGEST:
-        assert last == (HALF if half <= LONGEST else QUARTER)
+    if not PACE_MARGIN * MAX_DRAFT_SECONDS < half < MAX_DRAFT_SECONDS:
+        assert last == (HALF if half <= MAX_DRAFT_SECONDS else QUARTER)
 
 
 def test_drafts_that_are_too_slow_at_any_size_are_the_smallest() -> None:
@@ -46,7 +55,7 @@ def test_drafts_begin_smaller_where_others_wait() -> None:
 def test_a_single_slow_draft_does_not_shrink_the_next_for_long() -> None:
     drafts = Drafts()
     before = settle(lambda scale: 0.03 * scale, drafts)[-1]
-    drafts.drawn(5 * LONGEST)
+    drafts.drawn(5 * MAX_DRAFT_SECONDS)
     assert drafts.scale < before
     assert settle(lambda scale: 0.03 * scale, drafts)[-1] == before
 
@@ -54,7 +63,7 @@ def test_a_single_slow_draft_does_not_shrink_the_next_for_long() -> None:
 def test_a_third_picture_waits_until_the_first_is_shown() -> None:
     async def play() -> list[bool]:
         window, full = Window(), []
-        for wish in range(MOST):
+        for wish in range(MAX_PICTURES_AHEAD):
             await asyncio.wait_for(window.room(), 0.1)
             window.sent(wish)
         waiting = asyncio.create_task(window.room())
@@ -88,12 +97,12 @@ def test_a_client_that_says_nothing_is_waited_for_a_second() -> None:
     async def play() -> float:
         window, loop = Window(), asyncio.get_running_loop()
         begun = loop.time()
-        for wish in range(MOST + 1):
+        for wish in range(MAX_PICTURES_AHEAD + 1):
             await window.room()
             window.sent(wish)
         return loop.time() - begun
 
-    assert played(play()) == pytest.approx(PATIENCE)
+    assert played(play()) == pytest.approx(RECEIPT_SECONDS)
 
 
 class Socket:

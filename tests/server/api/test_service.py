@@ -366,7 +366,7 @@ def test_large_pictures_are_drawn_one_at_a_time(
     engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each takes memory besides what is kept."""
-    monkeypatch.setattr(render_threads, "LARGE", 100)
+    monkeypatch.setattr(render_threads, "LARGE_PICTURE_PIXELS", 100)
     drawing, most = set[int](), [0]
 
     def work(_: threading.Event) -> None:

@@ -199,7 +199,7 @@ def test_no_more_than_two_pictures_are_under_way(play: Callable[[Play], Any], mo
             await client.say(shown=wish - 2)
             assert (await client.hear())[0]["id"] == wish
 
-    monkeypatch.setattr(window, "PATIENCE", PATIENCE)
+    monkeypatch.setattr(window, "RECEIPT_SECONDS", PATIENCE)
     play(act)
 
 

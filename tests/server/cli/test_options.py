@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from server.cli.command import run
-from server.cli.help import FIRST, group_of
+from server.cli.help import FIRST_HEADING, group_of
 from server.cli.options import SECRET, flag, rows, variable
 from server.settings import Settings
 
@@ -23,7 +23,7 @@ def test_the_help_lists_every_setting(capsys: pytest.CaptureFixture[str]) -> Non
 
 def test_only_where_to_listen_is_in_no_group() -> None:
     """Where it fails: a new setting belongs into a group of ``server.cli.help``."""
-    assert [name for name in Settings.model_fields if group_of(name) == FIRST] == ["host", "port", *SECRET]
+    assert [name for name in Settings.model_fields if group_of(name) == FIRST_HEADING] == ["host", "port", *SECRET]
 
 
 def test_the_document_has_a_row_for_each_setting() -> None:

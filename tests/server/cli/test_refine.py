@@ -58,7 +58,7 @@ def refine(engine: Script, max_error: float | None = None, seconds: float | None
 def test_it_asks_until_the_frame_is_final(capsys: pytest.CaptureFixture[str]) -> None:
     engine = Script("a", "b", "c", "final")
     assert refine(engine, max_error=0.1).version == "final"
-    assert engine.asked == [{"max_error": 0.1, "wait": render.STEP}] * 4
+    assert engine.asked == [{"max_error": 0.1, "wait": render.FRAME_SECONDS}] * 4
     bar = capsys.readouterr().err
     assert "lighting" in bar and "about 3.3 min left (1 min to 2 h)" in bar
 
@@ -66,7 +66,7 @@ def test_it_asks_until_the_frame_is_final(capsys: pytest.CaptureFixture[str]) ->
 def test_it_ends_when_the_time_is_spent() -> None:
     engine = Script("a")
     assert refine(engine, seconds=9).version == "a"
-    assert engine.asked[-1]["wait"] < render.STEP
+    assert engine.asked[-1]["wait"] < render.FRAME_SECONDS
 
 
 def test_it_asks_once_where_there_is_no_time() -> None:

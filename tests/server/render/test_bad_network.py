@@ -38,7 +38,7 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.05)
     monkeypatch.setattr("isogi_core.cache.loader.ASK_AGAIN", 0.0)
     monkeypatch.setattr("worker.pause.SHORTEST", 0.05)
-    monkeypatch.setattr("worker.pause.LONGEST", 0.2)
+    monkeypatch.setattr("worker.pause.LONGEST_PAUSE", 0.2)
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 
 from isogi_core.errors import Cancelled
 from isogi_core.model.view import Camera, View
-from server.render.picture_checks import MOST, PictureChecks
+from server.render.picture_checks import MAX_WAITING_PICTURES, PictureChecks
 from worker.bake_requests import Viewer
 
 VIEW = View(0.5, Camera((5.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
@@ -102,8 +102,8 @@ def test_who_leaves_or_moves_on_ends_the_check_at_work(steps: Steps) -> None:
 def test_no_more_than_so_many_pictures_wait(steps: Steps) -> None:
     steps.ask(0.0)
     assert steps.begun.acquire(timeout=LONG)
-    for number in range(MOST + 5):
+    for number in range(MAX_WAITING_PICTURES + 5):
         steps.ask(1.0 + number, Viewer(number, number))
-    steps.end(MOST + 1)
-    assert len(steps.taken) == MOST + 1
+    steps.end(MAX_WAITING_PICTURES + 1)
+    assert len(steps.taken) == MAX_WAITING_PICTURES + 1
     assert min(steps.taken[1:]) == 1.0 + 5, "those asked for first are dropped"

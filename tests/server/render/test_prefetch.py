@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import Cancelled
-from server.render.loaded_scene import AHEAD, Prefetch, next_values
+from server.render.loaded_scene import VALUES_AHEAD, Prefetch, next_values
 
 STEP = 0.02
 LEVELS = np.array([-np.inf, *(np.arange(51) * STEP), np.inf])
@@ -74,7 +74,7 @@ def test_a_slider_that_moves_is_prepared_for() -> None:
     prepare = Preparing()
     prefetch = Prefetch(prepare, LEVELS, (0.0, 1.0))
     show(prefetch, 0.5, 0.51)
-    prepare.wait_for(lambda: len(prepare.done) == AHEAD)
+    prepare.wait_for(lambda: len(prepare.done) == VALUES_AHEAD)
     prefetch.close()
     assert prepare.done == next_values(0.5, 0.51, LEVELS)
 
@@ -103,7 +103,7 @@ def test_nothing_is_prepared_while_a_frame_is_worked_on() -> None:
     with prefetch.frame(0.4):
         show(prefetch, 0.5, 0.51)
         assert not prepare.begun
-    prepare.wait_for(lambda: len(prepare.done) == AHEAD)
+    prepare.wait_for(lambda: len(prepare.done) == VALUES_AHEAD)
     prefetch.close()
 
 

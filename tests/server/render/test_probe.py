@@ -11,14 +11,14 @@ import pytest
 from isogi_core.storage import folder
 from isogi_core.storage.store import Store
 from server.render import resources
-from server.render.resources import KEPT, StoreProbe
+from server.render.resources import FINDING_SECONDS, StoreProbe
 from tests.worker.clock import Clock
 
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """A slow disk is waited for."""
-    monkeypatch.setattr(resources, "PATIENCE", 60.0)
+    monkeypatch.setattr(resources, "PROBE_SECONDS", 60.0)
 
 
 def test_a_store_that_works_has_nothing_left_of_it(tmp_path: Path) -> None:
@@ -38,10 +38,10 @@ def test_a_store_that_is_gone_is_told(tmp_path: Path) -> None:
     probe = StoreProbe(Store(tmp_path / "light"), clock := Clock())
     assert probe.reasons() == []
     (tmp_path / "light").rename(tmp_path / "away")
-    clock.now += KEPT
+    clock.now += FINDING_SECONDS
     assert "is gone: its isogi.json is missing" in probe.reasons()[0]
     (tmp_path / "away").rename(tmp_path / "light")
-    clock.now += KEPT
+    clock.now += FINDING_SECONDS
     assert probe.reasons() == []
 
 
@@ -78,19 +78,19 @@ def test_a_finding_stands_for_a_while(tmp_path: Path) -> None:
     assert probe.reasons() != []
     store.unlink()
     assert probe.reasons() != []
-    clock.now += KEPT
+    clock.now += FINDING_SECONDS
     assert probe.reasons() == []
 
 
 def test_a_store_that_hangs_holds_no_probe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     probe, hangs = StoreProbe(Store(tmp_path), clock := Clock()), threading.Event()
     assert probe.reasons() == []
-    monkeypatch.setattr(resources, "PATIENCE", 0.01)
+    monkeypatch.setattr(resources, "PROBE_SECONDS", 0.01)
     monkeypatch.setattr(Store, "check_writable", lambda _: hangs.wait(60))
-    clock.now += KEPT
+    clock.now += FINDING_SECONDS
     assert probe.reasons() == [], "what was found before stands for a while"
-    clock.now += KEPT
+    clock.now += FINDING_SECONDS
     assert probe.reasons() == [f"The store at {tmp_path} does not answer."]
     hangs.set()
-    monkeypatch.setattr(resources, "PATIENCE", 60.0)
+    monkeypatch.setattr(resources, "PROBE_SECONDS", 60.0)
     assert probe.reasons() == []

@@ -73,7 +73,7 @@ def begin(scene: Scene, tmp_path: Path) -> Iterator[Open]:
 
 
 def test_a_bake_is_made_once_and_the_oldest_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(room, "MOST", 2)
+    monkeypatch.setattr(room, "MAX_BAKES", 2)
     baker: Any = FakeBaker()
     monkeypatch.setattr(room, "trim_projected", lambda store, most: 0)
     bakes = SideBakes(baker, Store("memory://projected"), 0)

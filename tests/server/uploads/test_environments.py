@@ -9,7 +9,7 @@ import pytest
 
 from isogi_core.files.radiance import read_hdr, write_hdr
 from isogi_core.model.latlong import mean_radiance
-from server.uploads.environments import LARGEST
+from server.uploads.environments import MAX_PROBE_SHAPE
 from server.uploads.folder import UploadFolder
 from tests.server.uploads.site import Site
 
@@ -62,10 +62,10 @@ def test_the_same_light_is_kept_once(site: Site, sent: dict[str, str], tmp_path:
 
 @pytest.mark.slow
 def test_a_large_one_is_made_smaller_with_its_energy(site: Site, tmp_path: Path) -> None:
-    image = lamp(2 * LARGEST[0])
+    image = lamp(2 * MAX_PROBE_SHAPE[0])
     facts = site.client.post(LIGHTS, content=picture(tmp_path, image)).raise_for_status().json()
     kept = read_hdr(site.folder / f"{facts['id']}.hdr")
-    assert kept.shape == (*LARGEST, 3)
+    assert kept.shape == (*MAX_PROBE_SHAPE, 3)
     assert np.allclose(mean_radiance(kept), mean_radiance(image), rtol=0.01)
     assert site.client.delete(facts["href"]).status_code == 204
 

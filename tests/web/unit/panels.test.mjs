@@ -94,7 +94,7 @@ test("a moment says its time, and how long is left", () => {
 });
 
 test("the worst pixels have a sentence with its interval", () => {
-  const said = "1 % of pixels err by over 6.2 %";
+  const said = "1 % of pixels are off by more than 6.2 %";
   assert.equal(tailInWords({ p99: 0.0621, p99_interval: [0.051, 0.0794] }), `${said} (5.1 % to 7.9 %)`);
   assert.equal(tailInWords({ p99: 0.0621, p99_interval: [0.051, 1] }), `${said} (at least 5.1 %)`);
   assert.equal(tailInWords({ p99: null, p99_interval: null }), "");
