@@ -164,7 +164,7 @@ class PagePool:
                         self._give_back(entry)
 
     def version(self, slot: int) -> bytes:
-        """What names how far the held chunk in a ``slot`` is baked, by which plan; UNLIT_VERSION where it has no light."""
+        """How far the held chunk in a ``slot`` is baked, by which plan; UNLIT_VERSION where it has no light."""
         if slot < 0:
             return UNLIT_VERSION
         if slot not in self._versions:
