@@ -26,10 +26,11 @@ MOST_PATHS = 1 << 14
 """Paths of each replica, at most: 65,536 from a pixel."""
 
 FILTERED = 0.7
-"""What filtering leaves of the variance of light that pixels have of their own: 0.46 to 0.9, as it is most at edges."""
+"""What filtering leaves of the variance of light that pixels have of their own: 0.46 to 0.9, as it is most at edges.
 
-CORRECTED = 0.6
-"""What is left of that where it corrects the light of texels: 0.28 to 0.63."""
+Where it corrects the light of texels 0.3 to 1 is left of that: all where texels are much noisier, so that none is
+counted on.
+"""
 
 DARK = 1e-3
 """The share of the brightest colour below which a surface counts as black."""
@@ -154,7 +155,7 @@ class Growth:
     @property
     def enough(self) -> bool:
         """Whether the points' noise is as small as it is to be."""
-        return bool(CORRECTED * self.light.variance.sum() <= self.choice.variance)
+        return bool(self.light.variance.sum() <= self.choice.variance)
 
     @property
     def has_new(self) -> bool:
@@ -166,7 +167,7 @@ class Growth:
         """Paths of each replica that it will take, by the noise after those that there are."""
         if self.has_new:
             return self.choice.count
-        more = float(times_as_many(CORRECTED * float(self.light.variance.sum()), self.choice.variance))
+        more = float(times_as_many(float(self.light.variance.sum()), self.choice.variance))
         return min(self.light.count * more, MOST_PATHS)
 
     @property
@@ -202,7 +203,7 @@ def choose(errors: np.ndarray, variance: np.ndarray, paths: int, own: np.ndarray
     order = np.concatenate([own, others[np.argsort(-errors[others], kind="stable")]])
     left = np.append(errors[order][::-1].cumsum()[::-1], 0.0)[len(own) :]
     room = allowed * len(errors) - left
-    noise = CORRECTED * FILTERED * np.append(0.0, variance[order].cumsum())[len(own) :] / REPLICAS
+    noise = FILTERED * np.append(0.0, variance[order].cumsum())[len(own) :] / REPLICAS
     many = np.arange(len(own), len(errors) + 1)
     counts = np.clip(paths * times_as_many(noise, room), FIRST_PATHS, MOST_PATHS)
     costs = np.where(room > 0.0, many * counts, np.inf)

@@ -9,7 +9,6 @@ from isogi_core.bake.noise import RATE
 from isogi_core.frame.rays.control_pixels import ControlPixels, spread_errors, variance_of_halves
 from isogi_core.frame.rays.own_light import (
     AIM,
-    CORRECTED,
     FILTERED,
     FIRST_PATHS,
     REPLICAS,
@@ -62,7 +61,7 @@ def test_what_is_left_and_noise_make_what_is_allowed(wrong: np.ndarray, controls
     assert choice.count > FIRST_PATHS
     left = np.delete(spread_errors(wrong, controls, np.zeros(POINTS)) ** 2, choice.places).sum()
     assert left + choice.variance == pytest.approx(0.002 * POINTS)
-    each = CORRECTED * FILTERED * NOISE**2 / REPLICAS * (PATHS / choice.count) ** (2.0 / RATE)
+    each = FILTERED * NOISE**2 / REPLICAS * (PATHS / choice.count) ** (2.0 / RATE)
     assert len(choice.places) * each == pytest.approx(choice.variance, rel=0.1)
 
 
@@ -74,9 +73,7 @@ def test_no_other_number_of_points_takes_fewer_paths(wrong: np.ndarray, controls
         variance = allowed * POINTS - squares[many:].sum()
         if variance <= 0.0:
             return np.inf
-        return many * max(
-            PATHS * (many * CORRECTED * FILTERED * NOISE**2 / REPLICAS / variance) ** (RATE / 2.0), FIRST_PATHS
-        )
+        return many * max(PATHS * (many * FILTERED * NOISE**2 / REPLICAS / variance) ** (RATE / 2.0), FIRST_PATHS)
 
     least = min(cost(many) for many in range(1, POINTS + 1))
     assert cost(len(choice.places)) == pytest.approx(least, rel=0.02)
@@ -98,13 +95,13 @@ def test_growing_light_says_what_is_left_of_it() -> None:
     assert begun.left == 10 * REPLICAS * 100 and begun.next == FIRST_PATHS
     begun.note(10)
     assert begun.left == 10 * REPLICAS * 100 - 10
-    known = Growth(begun.choice, light_of(places, 16, 2.0 * 0.2 / np.sqrt(CORRECTED)))
+    known = Growth(begun.choice, light_of(places, 16, 2.0 * 0.2))
     assert not known.enough and known.next == 32
     assert known.wanted == pytest.approx(16 * 2.0**RATE)
     assert known.left == pytest.approx(10 * REPLICAS * (16 * 2.0**RATE - 16))
-    near = Growth(begun.choice, light_of(places, 64, 2.0 * 0.11 / np.sqrt(CORRECTED)))
+    near = Growth(begun.choice, light_of(places, 64, 2.0 * 0.11))
     assert 64 < near.next < 128
-    assert Growth(begun.choice, light_of(places, 128, 2.0 * 0.09 / np.sqrt(CORRECTED))).enough
+    assert Growth(begun.choice, light_of(places, 128, 2.0 * 0.09)).enough
 
 
 def test_more_points_begin_with_as_many_paths_as_others_have() -> None:
