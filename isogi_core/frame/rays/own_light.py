@@ -44,7 +44,8 @@ class PixelLight:
     """Surface points with light of their own: their rows ``places`` (k,), ascending, and the ``sums`` of their paths.
 
     Sums (k, REPLICAS, 3) are of ``count`` paths of each replica. They show ``light`` (k, 3), linear RGB, which is
-    filtered, and whose luminance has the ``variance`` (k,).
+    filtered, and whose luminance has the ``variance`` (k,). Of all points (m,) the luminance of texels' light is
+    ``expected`` to be so wrong.
     """
 
     places: np.ndarray
@@ -52,39 +53,43 @@ class PixelLight:
     count: int
     light: np.ndarray
     variance: np.ndarray
+    expected: np.ndarray
 
     @classmethod
     def none(cls) -> "PixelLight":
         """No pixel has light of its own."""
-        return cls(np.empty(0, np.int64), np.empty((0, REPLICAS, 3)), 0, np.empty((0, 3)), np.empty(0))
+        return cls(np.empty(0, np.int64), np.empty((0, REPLICAS, 3)), 0, np.empty((0, 3)), np.empty(0), np.empty(0))
 
     @classmethod
-    def of(cls, places: np.ndarray, sums: np.ndarray, count: int, paths: Paths) -> "PixelLight":
+    def of(cls, places: np.ndarray, sums: np.ndarray, count: int, paths: Paths, expected: np.ndarray) -> "PixelLight":
         """The light of points by the sums of their ``paths``, filtered without their colours. Raises Cancelled."""
         means, buffer, tiles = sums / max(count, 1), paths.gbuffer, paths.tiles
         tints = tints_of(paths.light, buffer, tiles)
         grey, variance = (tints @ LUMINANCE) ** 2, pooled_variance(variance_of_mean(means), buffer)
         light, variance = filter_pixels(means.mean(axis=1) / tints, variance / grey, buffer, tiles)
-        return cls(places, sums, count, light * tints, variance * grey)
+        return cls(places, sums, count, light * tints, variance * grey, expected)
 
     @property
     def nbytes(self) -> int:
         """Bytes that it takes."""
-        return self.places.nbytes + self.sums.nbytes + self.light.nbytes + self.variance.nbytes
+        held = self.places, self.sums, self.light, self.variance, self.expected
+        return sum(each.nbytes for each in held)
 
     def grown(
         self,
-        places: np.ndarray,
+        choice: "Choice",
         count: int,
         light: RotatedLight,
         gbuffer: GBuffer,
         tiles: Tiles,
         progress: Callable[[int], object] | None = None,
     ) -> "PixelLight":
-        """The same of more points, or after more paths: those known are not traced again. Raises Cancelled.
+        """Light of the points of a ``choice``, or after more paths: those known are not traced again. Raises Cancelled.
 
         ``progress`` is called with the number of paths that each piece traced.
         """
+        places, expected = choice.places, choice.errors.copy()
+        expected[self.places] = self.expected[self.places]
         paths = Paths(light, gbuffer.part(places, tiles), tiles, bounces_of_truth(light))
         sums = np.zeros((len(places), REPLICAS, 3))
         known = np.isin(places, self.places, assume_unique=True)
@@ -94,7 +99,7 @@ class PixelLight:
                 some = sums[rows]
                 paths.of(rows).add(some, streams.PIXEL_LIGHT, first, count - first, progress)
                 sums[rows] = some
-        return PixelLight.of(places, sums, count, paths)
+        return PixelLight.of(places, sums, count, paths, expected)
 
     def put(self, framebuffer: Framebuffer, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> None:
         """Write it into a picture of a G-buffer, as final light, and correct pixels around it. Raises Cancelled."""
@@ -102,7 +107,7 @@ class PixelLight:
             return
         pixels, own, tints = gbuffer.pixels, gbuffer.pixels[self.places], tints_of(light, gbuffer, tiles)
         some, grey = tints[self.places], (tints[self.places] @ LUMINANCE) ** 2
-        given = self.places, self.light / some, self.variance / grey
+        given = self.expected / (tints @ LUMINANCE), self.places, self.light / some, self.variance / grey
         whole, variance = correct(framebuffer.radiance[pixels] / tints, *given, gbuffer, tiles)
         framebuffer.radiance[pixels] = np.clip(whole * tints, 0.0, np.finfo(np.float32).max)
         shown = np.maximum(framebuffer.radiance[own] @ LUMINANCE, DARKEST * light.spec.unit)
@@ -125,12 +130,13 @@ def times_as_many(found: np.ndarray | float, allowed: np.ndarray | float) -> np.
 class Choice:
     """The points at ``places`` (k,), ascending, are to have light of their own whose variances add up to ``variance``.
 
-    That is expected to take ``count`` paths of each replica.
+    That is expected to take ``count`` paths of each replica. Texels leave ``errors`` (m,) in the luminance of points.
     """
 
     places: np.ndarray
     variance: float
     count: float
+    errors: np.ndarray
 
     @property
     def paths(self) -> float:
@@ -209,7 +215,7 @@ def choose(errors: np.ndarray, variance: np.ndarray, paths: int, own: np.ndarray
     costs = np.where(room > 0.0, many * counts, np.inf)
     costs[-1] = many[-1] * counts[-1]  # of all points also where nothing is allowed, as in the dark
     best = int(np.argmin(costs))
-    return Choice(np.sort(order[: many[best]]), float(room[best]), float(counts[best]))
+    return Choice(np.sort(order[: many[best]]), float(room[best]), float(counts[best]), np.sqrt(errors))
 
 
 SHARES = 64

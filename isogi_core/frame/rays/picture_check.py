@@ -213,8 +213,9 @@ class PictureCheck:
         return min(plans, key=lambda plan: plan.cost(prices))
 
     def _aim(self, measured: TotalError) -> float:
-        """The relative error that the next attempt is to leave."""
-        return min(AIM * STRICTER**self.known.attempt * self.known.target, STRICTER * measured.likely)
+        """The relative error that the next attempt is to leave; below half the target only controls are in doubt."""
+        target = self.known.target
+        return min(AIM * STRICTER**self.known.attempt * target, max(STRICTER * measured.likely, 0.5 * target))
 
     def _control_paths(self, measured: TotalError, likely: float) -> float:
         """Paths of all controls that it takes to say that the target is met by a picture with a ``likely`` error."""
@@ -234,7 +235,7 @@ class PictureCheck:
         if count > MOST_PATHS:
             return False
         self.growing, begun = Growth(growth.choice, growth.light), time.perf_counter()
-        light = growth.light.grown(growth.choice.places, count, self.light, self.gbuffer, tiles, self.growing.note)
+        light = growth.light.grown(growth.choice, count, self.light, self.gbuffer, tiles, self.growing.note)
         self.pace = (time.perf_counter() - begun) / max(self.growing.traced, 1)
         self.growing = Growth(growth.choice, light)
         if count == MOST_PATHS or self.growing.enough:

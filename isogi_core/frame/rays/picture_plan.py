@@ -188,6 +188,6 @@ def controls_to(measured: TotalError, likely: float, target: float) -> int:
 
     The logarithm of the interval's width falls with the root of their number.
     """
-    room = math.log(target / likely) if likely < target else 0.0
+    room = math.log(target / likely) if 0.0 < likely < target else 0.0
     wide = math.log(max(measured.high / measured.likely, 1.0)) if measured.likely > 0.0 else 0.0
     return min(math.ceil(measured.controls * (wide / room) ** 2), MOST) if room > 0.0 else MOST

@@ -90,20 +90,28 @@ def beyond_noise(apart: np.ndarray, noise: np.ndarray) -> np.ndarray:
 
 
 def correct(
-    light: np.ndarray, places: np.ndarray, own: np.ndarray, variance: np.ndarray, gbuffer: GBuffer, tiles: Tiles
+    light: np.ndarray,
+    expected: np.ndarray,
+    places: np.ndarray,
+    own: np.ndarray,
+    variance: np.ndarray,
+    gbuffer: GBuffer,
+    tiles: Tiles,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The texels' ``light`` (m, 3) of a picture, corrected by the ``own`` light (k, 3) of points in rows ``places``.
 
-    Own light has so much ``variance`` (k,) of its luminance; returns what is left of it, too. A texel's error reaches
-    as far as the texel, so differences are spread a voxel and more. Raises Cancelled.
+    Its luminance has so much ``variance`` (k,); returns what is left of it, too. A texel's error reaches as far as the
+    texel, so differences are spread a voxel and more: by the error that is ``expected`` (m,) of each point, so that
+    little changes where little is expected. Raises Cancelled.
     """
     around, known = Surroundings(gbuffer, tiles), np.zeros((len(light), 4))
-    known[places] = np.column_stack([own - light[places], np.ones(len(places))])
+    scale = np.maximum(expected, 1e-3 * expected.mean() + 1e-30)[:, None]
+    known[places] = np.column_stack([(own - light[places]) / scale[places], np.ones(len(places))])
     none = np.zeros(len(light))
     for level in range(max(math.ceil(math.log2(around.texel)), 0) + 1):
         known, _ = around.means(known, none, 1 << level)
     share = np.minimum(known[:, 3:] / WHOLE, 1.0)
-    light = light + share**2 * (3.0 - 2.0 * share) * known[:, :3] / np.maximum(known[:, 3:], 1e-300)
+    light = light + share**2 * (3.0 - 2.0 * share) * scale * known[:, :3] / np.maximum(known[:, 3:], 1e-300)
     apart = own - light[places]
     near = Surroundings(gbuffer.part(places, tiles), tiles)
     means, _ = near.means(np.column_stack([variance, (apart @ LUMINANCE) ** 2]), variance)

@@ -47,7 +47,7 @@ def light_of(places: np.ndarray, count: int, deviation: float) -> PixelLight:
     """Light whose replicas' means have this standard deviation of luminance about 1."""
     means = 1.0 + deviation * np.array([-1.0, 1.0, -1.0, 1.0]) * np.sqrt(3.0 / 4.0)
     sums = np.repeat(count * means[None, :, None], len(places), axis=0) * np.ones(3)
-    return PixelLight(places, sums, count, np.ones((len(places), 3)), variance_of_mean(sums / count))
+    return PixelLight(places, sums, count, np.ones((len(places), 3)), variance_of_mean(sums / count), NONE)
 
 
 def test_those_that_err_most_are_chosen(wrong: np.ndarray, controls: ControlPixels) -> None:
@@ -91,7 +91,7 @@ def test_all_are_chosen_where_nothing_else_will_do(controls: ControlPixels) -> N
 
 def test_growing_light_says_what_is_left_of_it() -> None:
     places = np.arange(10)
-    begun = Growth(Choice(places, 10 * 0.1**2, 100.0), PixelLight.none())
+    begun = Growth(Choice(places, 10 * 0.1**2, 100.0, NONE), PixelLight.none())
     assert begun.left == 10 * REPLICAS * 100 and begun.next == FIRST_PATHS
     begun.note(10)
     assert begun.left == 10 * REPLICAS * 100 - 10
@@ -105,7 +105,7 @@ def test_growing_light_says_what_is_left_of_it() -> None:
 
 
 def test_more_points_begin_with_as_many_paths_as_others_have() -> None:
-    grown = Growth(Choice(np.arange(20), 1.0, 40.0), light_of(np.arange(10), 32, 0.1))
+    grown = Growth(Choice(np.arange(20), 1.0, 40.0, NONE), light_of(np.arange(10), 32, 0.1))
     assert grown.next == 32 and grown.left == REPLICAS * (20 * 40.0 - 10 * 32)
 
 

@@ -76,10 +76,13 @@ def test_a_pixel_alone_keeps_its_light() -> None:
     assert found.tolist() == [[0.7] * 3] and variance.tolist() == [0.01]
 
 
-def corrected(own: np.ndarray, error: np.ndarray, gbuffer: GBuffer) -> tuple[np.ndarray, np.ndarray]:
+def corrected(
+    own: np.ndarray, error: np.ndarray, gbuffer: GBuffer, expected: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Even light of 1 whose texels have an ``error`` (k,), corrected by own light where ``own`` (k,) is true."""
     places = np.flatnonzero(own)
-    given = places, noisy(np.ones(len(places))), np.full(len(places), NOISE**2)
+    even = np.ones(len(error)) if expected is None else expected
+    given = even, places, noisy(np.ones(len(places))), np.full(len(places), NOISE**2)
     light, variance = correct((1.0 + error)[:, None].repeat(3, axis=1), *given, gbuffer, Tiles(1))
     return light @ LUMINANCE, variance
 
@@ -99,6 +102,13 @@ def test_no_border_shows_beside_light_of_their_own() -> None:
     assert np.abs(np.diff(across)).max() < 0.06, "a fifth of the error, where it would be the whole of it"
     assert across[SIZE // 2 + 2] < 1.1 and across[-1] == pytest.approx(1.3), "and it fades out"
     assert ((light - 1.0)[own] ** 2).mean() < 0.15 * NOISE**2
+
+
+def test_light_that_is_expected_to_be_right_stays() -> None:
+    """Each fourth column is right, and known to be, among others that are far off."""
+    own = np.arange(SIZE**2) % 4 > 0
+    light, _ = corrected(own, np.where(own, 0.5, 0.01), from_afar(8.0), np.where(own, 0.5, 0.01))
+    assert np.abs(light - 1.0)[~own].max() < 0.03
 
 
 def test_a_line_with_an_error_of_its_own_is_kept() -> None:
