@@ -64,7 +64,7 @@ class BakeSpec:
         return self.seen or self.prepared.scene.inputs.albedo
 
     def of_albedo(self, albedo: Colour) -> "BakeSpec":
-        """The same light in the store, as surfaces of an ``albedo`` reflect it."""
+        """The spec of this light in the store, as surfaces of an ``albedo`` reflect it."""
         if albedo == self.albedo:
             return self
         return self._own if albedo == self.prepared.scene.albedo else self._seen(albedo)
@@ -81,7 +81,7 @@ class BakeSpec:
 
     @cached_property
     def moving(self) -> "BakeSpec":
-        """The same light in the store with few lobes beside it: for views that move."""
+        """The spec of this light in the store with few lobes in addition: for views that move."""
         return self if self.plan.lobes <= FEW else replace(self, plan=replace(self.plan, lobes=FEW))
 
     @cached_property

@@ -16,7 +16,7 @@ from isogi_core.runs import Run, serially
 
 
 def on_wall(starts: PathStarts, wall: float = NOWHERE) -> RoomStarts:
-    """The same starts, all of them on the ``wall`` of this number, or on what stands for one: by default on none."""
+    """The ``starts``, all of them on the ``wall`` of this number, or on what stands for one: by default on none."""
     return RoomStarts(*starts, np.full(len(starts.seeds), wall))
 
 

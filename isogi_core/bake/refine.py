@@ -125,7 +125,7 @@ def seeds_of(words: np.ndarray) -> np.ndarray:
 
 
 def some_located(located: Located, rows: np.ndarray) -> Located:
-    """The same of some ``rows`` of texels."""
+    """Where the texels in some ``rows`` are located."""
     (texels, points, normals, isovalues), void = located
     points, normals = (np.ascontiguousarray(v[:, rows]) for v in (points, normals))
     return (texels[rows], points, normals, isovalues[rows]), void[rows]
@@ -186,7 +186,7 @@ def sample_greys(layers: Sequence[Layer], orders: np.ndarray, spec: BakeSpec) ->
 
 
 def sample_colours(layers: Sequence[Layer], orders: np.ndarray, spec: BakeSpec) -> Sample:
-    """The same of a surface with colours by data."""
+    """How the transfer of texels is sampled on a surface with colours by data."""
     rules = spec.coloured_rules(layers, orders)
 
     def _sample(bricks: ActiveCells, place: Place, rows: np.ndarray, some: SampleRange, sums: np.ndarray) -> None:
@@ -198,7 +198,7 @@ def sample_colours(layers: Sequence[Layer], orders: np.ndarray, spec: BakeSpec) 
 def sample_irradiance(
     layers: Sequence[Layer], place: Place, void: np.ndarray, spec: BakeSpec, samples: int, count: int
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """The same of the light that paths meet, and no squares; where a layer keeps one channel, all three are alike."""
+    """Samples of the light that paths meet, without squares; where a layer keeps one channel, all three are alike."""
     prepared, sums, bounces = spec.prepared, np.zeros((len(void), 2, 3)), spec.plan.bounces
     around, some = prepared.surroundings(np.eye(3)), SampleRange(samples // 2, count // 2)
     rules = PathRules(np.broadcast_to(start_weights(layers[0], spec), (bounces + 1, 3)).copy(), spec.plan.survival)
@@ -225,7 +225,7 @@ def start_weights(layer: Layer, spec: BakeSpec) -> np.ndarray:
 def sample_glow(
     layers: Sequence[Layer], place: Place, void: np.ndarray, spec: BakeSpec, samples: int, count: int
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """The same of what glows, one glow's channels after the other's, each of radiance 1."""
+    """Samples of what glows, one glow's channels after the other's, each of radiance 1."""
     prepared, plan = spec.prepared, spec.plan
     some, rules = SampleRange(samples // 2, count // 2), PathRules(np.ones((plan.bounces + 1, 3)), plan.survival)
     sums = np.zeros((len(void), 2, 3 * len(prepared.glows.rates)))

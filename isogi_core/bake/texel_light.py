@@ -46,7 +46,7 @@ class Part:
         return Part(self.layer, self.samples[which], self.noise[which], self.coefficients[which])
 
     def channel(self, number: int) -> "Part":
-        """The same texels with that channel of their coefficients alone."""
+        """The texels with channel ``number`` of their coefficients alone."""
         own = np.ascontiguousarray(self.coefficients[:, number : number + 1])
         return Part(self.layer, self.samples, self.noise, own)
 

@@ -141,7 +141,7 @@ class Grid:
         return replace(self, affine=Affine.of(rows))
 
     def loaded(self) -> "Grid":
-        """The same grid with all values in memory."""
+        """The grid with all values in memory."""
         array = self.whole()
         return replace(self, slabs=lambda: iter((array,)))
 

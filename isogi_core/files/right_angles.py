@@ -24,7 +24,7 @@ GROWTH = 8
 
 
 def on_right_angles(grid: Grid, spacing: tuple[float, ...] | None = None) -> Grid:
-    """The same field with an affine that is a rotation of a box, right-handed, whose ``spacing`` may be given.
+    """The field with an affine that is a rotation of a box, right-handed, whose ``spacing`` may be given.
 
     Mirrored axes are read the other way round along x: no value changes. Skewed axes are resampled linearly along the
     layers, and a note says so. A grid without an affine stays as it is. Raises VolumeError where axes lie in one plane.

@@ -39,7 +39,7 @@ def find_source(target: str | Path | None, overrides: Mapping[str, Any]) -> Scen
 
 
 def source_at(text: str, overrides: Mapping[str, Any]) -> SceneSource:
-    """The same of a target without settings of its own."""
+    """The source of a target that has no settings after its #."""
     if text.startswith("demo:"):
         return SceneSource(text.removeprefix("demo:"), {"volume": text, **overrides}, Path.cwd())
     if "://" in text:

@@ -59,7 +59,7 @@ class ControlPixels:
         return cls(np.empty(0, np.int64), np.empty(0), np.empty((0, 2)))
 
     def joined(self, other: "ControlPixels") -> "ControlPixels":
-        """These and others of the same picture."""
+        """The controls and ``other`` ones of the same picture."""
         places, weights = np.append(self.places, other.places), np.append(self.weights, other.weights)
         return ControlPixels(places, weights, np.concatenate([self.halves, other.halves]))
 
@@ -192,7 +192,7 @@ class TotalError:
     controls: int = 0
 
     def at_least(self, noise: float) -> "TotalError":
-        """The same of a picture whose noise alone is so large: controls of few pixels may find less."""
+        """The error of a picture whose ``noise`` alone is this large: controls of few pixels may find less."""
         return replace(self, likely=max(self.likely, noise), high=max(self.high, noise))
 
     @property

@@ -23,7 +23,7 @@ class NoisyLight:
 
     @classmethod
     def of(cls, means: np.ndarray, gbuffer: GBuffer, tiles: Tiles) -> Self:
-        """That of halves' ``means`` (m, 1 or 2, 3); of a single one neighbouring pixels tell the noise.
+        """The light of halves' ``means`` (m, 1 or 2, 3); of a single half, neighbouring pixels give the noise.
 
         Raises Cancelled.
         """
@@ -85,7 +85,7 @@ class HalfSums:
         return np.flatnonzero((variance > allowed**2) & (self.counts == self.most))
 
     def joined(self, places: np.ndarray, added: np.ndarray, last: int) -> "HalfSums":
-        """The same with what was ``added`` (k, HALVES, 3) to the points in rows ``places``: they have ``last`` rays."""
+        """The sums with what was ``added`` (k, HALVES, 3) to the points in rows ``places``: they have ``last`` rays."""
         found = replace(self, sums=self.sums.copy(), counts=self.counts.copy())
         found.sums[places] += added
         found.counts[places] = last

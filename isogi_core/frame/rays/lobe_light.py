@@ -48,7 +48,7 @@ class LobeLight:
         return self.lit.nbytes
 
     def tinted(self, tint: np.ndarray) -> "LobeLight":
-        """The same from a surface that reflects ``tint`` (3,) times as much of each colour."""
+        """The light from a surface that reflects ``tint`` (3,) times as much of each colour."""
         if (tint == 1.0).all():
             return self
         if (tint == tint[0]).all():
@@ -191,7 +191,7 @@ class Shadows:
         return shares
 
     def _shares(self, pairs: np.ndarray, rays: int) -> np.ndarray:
-        """The same by so many ``rays`` of each pair alone."""
+        """The shares of lobes that points see, by ``rays`` of each pair."""
         shares = np.empty((len(pairs), 2))
 
         def _piece(a: int, b: int) -> None:

@@ -262,7 +262,7 @@ def in_the_open(
 def among_walls(
     surface: Surface, starts: RoomStarts, light: RotatedLight, rules: tuple[int, float], tiles: Tiles
 ) -> np.ndarray:
-    """The same in the room of a scene."""
+    """E/π by one path from each of the ``starts`` in the room of a scene, whose vectors are rows; (k, 3)."""
     given = in_columns(starts)
     sums, traced = np.zeros((len(given.walls), 3)), surface.traced(tiles.run)
     weights = PathRules(path_weights(np.ones(3), rules[0], 1.0), rules[1])

@@ -49,7 +49,7 @@ class WallLight:
         return own + (self.lent.nbytes if self.lent else 0)
 
     def best(self, target: float, tiles: Tiles) -> WallTexels:
-        """Its own texels where these are final at a ``target``, else those that err least, with some light at least.
+        """The wall's texels where these are final at a ``target``, else the ones with the least error that have light.
 
         Raises Cancelled.
         """

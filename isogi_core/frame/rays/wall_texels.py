@@ -203,7 +203,7 @@ class WallTexels:
         return self.relative(self.unsharp) > 0.5 * target
 
     def nearer(self, light: RotatedLight, surface: Surface, target: float, tiles: Tiles) -> "WallTexels":
-        """The same a step nearer to a ``target``: fine ones, more paths, or twice as fine ones. Raises Cancelled."""
+        """The texels a step nearer to a ``target``: fine ones, more paths, or twice as fine ones. Raises Cancelled."""
         if not self.fine:
             return WallTexels.begun(light, self.wall, self.side, FINE).grown(light, surface, tiles)
         if not self.has_enough_paths(target):
@@ -249,7 +249,7 @@ class WallTexels:
         return replace(self, means=means, count=0, made_of=made_of, moved=moved)
 
     def grown(self, light: RotatedLight, surface: Surface, tiles: Tiles, more: int = FIRST) -> "WallTexels":
-        """The same after so many ``more`` paths of each half of those that are asked, rounded as the store keeps them.
+        """The texels after ``more`` paths of each half of the ones asked, rounded as the store keeps them.
 
         Raises Cancelled.
         """
