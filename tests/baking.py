@@ -1,7 +1,7 @@
 """Bakes by an engine that no picture's check decides about: each texel alone, as far as its own noise asks."""
 
 from isogi_core.frame.frame import Frame
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from server.render.engine import RenderEngine
 
@@ -12,7 +12,7 @@ LONG = 120.0
 def bake_each_texel(engine: RenderEngine, scene: str, view: View) -> Frame:
     """The frame of a view once each of its texels is good enough for any picture of the scene's target error."""
     target = engine.planned(scene).target_error
-    while (frame := engine.survey(scene, view, target, enough=MOST)).stages:
+    while (frame := engine.survey(scene, view, target, enough=MAX_SAMPLES)).stages:
         bake, stage = engine.lacking(scene, frame)
         engine.bake(bake, stage).wait(LONG)
     return frame

@@ -94,6 +94,33 @@ LATER = ("isogi_core/kernels",)
 """Rooms whose docstrings are not held to this yet."""
 
 
+SAYS_NOTHING = re.compile(
+    "AHEAD|CROWDED|ENOUGH|EVEN|FAR|FEW|FIRST|KEPT|LARGE|LARGEST|LEAST|LONGEST|MANY|MARGIN|MORE|MOST|NARROW|NEAR|NOTHING"
+    "|ONE|OWN|PATIENCE|PIECE|REACH|SHARE|SHORT|SMALL|STEP|STEPS|UNKNOWN|USUAL|WHOLE"
+)
+"""Names of constants that do not say of what: MAX_SURVEYED_VOXELS does, and MOST does not."""
+
+
+def vague_constants(path: Path) -> list[str]:
+    """Constants of a module whose names say how much, and not of what."""
+    lines = [node for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.Assign)]
+    targets = [each for line in lines for target in line.targets for each in ast.walk(target)]
+    names = [each.id for each in targets if isinstance(each, ast.Name)]
+    return [name for name in names if SAYS_NOTHING.fullmatch(name)]
+
+
+def test_constants_say_of_what() -> None:
+    held = [path for path in SOURCES if not name_of(path).startswith((*LATER, "isogi_core/frame/rays"))]
+    assert len(held) > 200
+    assert offenders(held, vague_constants) == {}
+
+
+def test_the_search_for_vague_constants_finds_them(tmp_path: Path) -> None:
+    module = tmp_path / "module.py"
+    module.write_text("MOST = 3\nFEW, MAX_CHUNKS = 1, 2\nSTEP_MARK = '+'\n")
+    assert vague_constants(module) == ["MOST", "FEW"]
+
+
 def docstrings(path: Path) -> Iterator[str]:
     """The docstrings of a module, its classes and functions, and the strings below assignments."""
     for node in nodes(path):

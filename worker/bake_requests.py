@@ -10,7 +10,7 @@ import numpy as np
 from isogi_core.bake.noise import Effort
 from isogi_core.bake.precision import FIRST_LEVEL, next_level
 from isogi_core.frame.view_texels import Demand, first_texels
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.prepared.prepared_scene import Index
 from worker.tasks import BakeResult
 
@@ -110,7 +110,7 @@ class Interest:
     view: int
     asked: float
     since: float
-    enough: int = MOST
+    enough: int = MAX_SAMPLES
     ticket: int = 0
 
     def covers(self, offsets: np.ndarray, target: float, enough: int) -> bool:
@@ -243,7 +243,7 @@ class BakeRequest:
         return not (self.in_flight or self.postponed or self.given_up)
 
     def add_interest(
-        self, demand: Demand, target: float, viewer: Viewer, view: int, now: float, enough: int = MOST
+        self, demand: Demand, target: float, viewer: Viewer, view: int, now: float, enough: int = MAX_SAMPLES
     ) -> None:
         """Add the demand of a ``viewer``'s newest ``view``.
 
@@ -305,7 +305,7 @@ def next_until(effort: Effort) -> int:
     if effort.unlit:
         return FIRST_LEVEL
     mean = max(effort.taken / max(effort.lit, 1.0), 1.0)
-    return MOST if effort.left <= LONG else next_level(2 ** int(math.log2(mean)))
+    return MAX_SAMPLES if effort.left <= LONG else next_level(2 ** int(math.log2(mean)))
 
 
 def merged(interests: Collection[Interest]) -> MergedInterest:

@@ -15,7 +15,7 @@ from isogi_core.errors import StoreAwayError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.view_texels import Demand
-from isogi_core.model.scene_plan import MOST, ScenePlan
+from isogi_core.model.scene_plan import MAX_SAMPLES, ScenePlan
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.url import StoreUrl
@@ -121,7 +121,7 @@ class Baker:
         self._listeners.append(listener)
 
     def request(
-        self, scene: str, demands: Iterable[Demand], target: float, viewer: Viewer = GUEST, enough: int = MOST
+        self, scene: str, demands: Iterable[Demand], target: float, viewer: Viewer = GUEST, enough: int = MAX_SAMPLES
     ) -> frozenset[Index]:
         """Request the light that a viewer's newest view lacks. Returns the chunks that will be baked.
 

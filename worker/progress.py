@@ -13,7 +13,7 @@ import numpy as np
 from isogi_core.bake.noise import RATE, Effort
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.costs import Costs
-from isogi_core.model.scene_plan import FEWEST, MOST, most_samples
+from isogi_core.model.scene_plan import FEWEST, MAX_SAMPLES, most_samples
 from isogi_core.prepared.prepared_scene import Index
 
 
@@ -201,7 +201,7 @@ class Work(NamedTuple):
     chunk: Index
     effort: Effort
     target: float
-    enough: int = MOST
+    enough: int = MAX_SAMPLES
 
 
 def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:

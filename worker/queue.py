@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from isogi_core.frame.view_texels import Demand
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.prepared.prepared_scene import Index
 from worker.bake_requests import GUEST, SHORT_TASK_SECONDS, BakeRequest, Key, Shares, Viewer
 from worker.client_queues import ClientQueues, Rank
@@ -56,7 +56,7 @@ class BakeQueue:
     _turn: tuple[bool, Hashable] = (False, "")
 
     def request(
-        self, demands: Iterable[tuple[Key, Demand]], target: float, viewer: Viewer = GUEST, enough: int = MOST
+        self, demands: Iterable[tuple[Key, Demand]], target: float, viewer: Viewer = GUEST, enough: int = MAX_SAMPLES
     ) -> None:
         """Add the demands of a ``viewer``'s newest view."""
         self._forget()
@@ -128,7 +128,9 @@ class BakeQueue:
         """The rank of a request among those of a view."""
         return request.stage, -request.priority / (self.rate(request.key) or 1.0), request.effort.left
 
-    def finish(self, key: Key, offsets: np.ndarray, target: float, result: BakeResult, enough: int = MOST) -> None:
+    def finish(
+        self, key: Key, offsets: np.ndarray, target: float, result: BakeResult, enough: int = MAX_SAMPLES
+    ) -> None:
         """Take over the result of a task for ``offsets`` of a chunk; the request stays where work is left."""
         request = self.requests[key]
         self._end_task(request, result.cost.seconds)

@@ -29,7 +29,7 @@ from isogi_core.files.scene_changes import MATERIAL_NUMBERS
 from isogi_core.files.scene_file import FOLLOWED, SceneSource
 from isogi_core.kernels._jit import load
 from isogi_core.kernels.transport.texel_points import project_texels
-from isogi_core.model.scene_plan import MOST, ScenePlan
+from isogi_core.model.scene_plan import MAX_SAMPLES, ScenePlan
 from isogi_core.model.value_survey import no_progress
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.assembly import build_scene
@@ -67,7 +67,7 @@ class BakeTask:
     insists: bool = False
     shown: Isovalue | None = None
     whole: Whole | None = None
-    enough: int = MOST
+    enough: int = MAX_SAMPLES
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from isogi_core.bake.refine import refine
 from isogi_core.cache.loader import Loader
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.view_texels import Demand
-from isogi_core.model.scene_plan import MOST, Layer, most_samples
+from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, most_samples
 from isogi_core.plan.left_out import S1_BYTES, lattice_bytes
 from isogi_core.plan.reachable_texels import TexelCount
 from isogi_core.plan.scene import Scene
@@ -135,7 +135,7 @@ def baked(scene: Scene, size: int, best: Frame) -> Bake:
     """Bake what the view reads to a new store, and compare its frame with the ``best``."""
     with tempfile.TemporaryDirectory() as store:
         renderer, view = make_renderer(scene, store), view_of(scene, size)
-        demands, loader = renderer.render(view, enough=MOST).demands, renderer.caches.of(view.shading)
+        demands, loader = renderer.render(view, enough=MAX_SAMPLES).demands, renderer.caches.of(view.shading)
         begun = time.process_time()
         renderer.tiles.run(lambda a, b: bake(loader, demands[a:b], scene.target_error), len(demands), 1)
         taken = time.process_time() - begun

@@ -26,7 +26,7 @@ from benchmarks.common.measurement import Measurement
 from benchmarks.common.suite import part
 from benchmarks.scaling.copies import LONG, Copies, Speed, processor_seconds
 from isogi_core.bake.bake_spec import spec_for
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
@@ -65,7 +65,7 @@ def tasks_of(scene: Scene, size: int, most: int, store: str) -> list[BakeTask]:
         demands = engine.survey(scene.id, view_of(scene, size), scene.target_error).demands
     some = sorted(demands[:: max(len(demands) // most, 1)][:most], key=lambda demand: -len(demand.offsets))
     what = scene.source, spec.plan, spec.digest, StoreUrl(store)
-    return [BakeTask(*what, d.index, d.offsets, d.footprints, MOST, scene.target_error) for d in some]
+    return [BakeTask(*what, d.index, d.offsets, d.footprints, MAX_SAMPLES, scene.target_error) for d in some]
 
 
 def pooled(pool: WorkerPool, tasks: Sequence[BakeTask]) -> Speed:

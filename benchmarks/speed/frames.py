@@ -22,7 +22,7 @@ from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
 from isogi_core.frame.film import develop
 from isogi_core.frame.renderer import Renderer
-from isogi_core.model.scene_plan import FEWEST, MOST
+from isogi_core.model.scene_plan import FEWEST, MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.model.window import Window
 from isogi_core.plan.scene import Scene
@@ -55,7 +55,7 @@ def frames(target: str | None, size: int, repeats: int) -> Measurement:
     """Frame times of all shadings side by side, light baked, and of turning only the light."""
     scene = benchmark_scene(target)
     with lit(scene, size) as (renderer, view):
-        texels = sum(len(demand.offsets) for demand in renderer.render(view, NEVER, enough=MOST).demands)
+        texels = sum(len(demand.offsets) for demand in renderer.render(view, NEVER, enough=MAX_SAMPLES).demands)
         figures = summarise(medians(candidates(renderer, view), repeats))
         figures["lattice / texels of this view"] = math.prod(renderer.prepared.shape) / texels
     data = None if target else shared_data()

@@ -15,7 +15,7 @@ from isogi_core.model.volume import Isovalue
 from isogi_core.plan.albedos import mixing_weights
 from isogi_core.plan.bands import evaluate_harmonics, project_environment, sphere_nodes
 from isogi_core.plan.inputs import Colour
-from isogi_core.plan.lobe_choice import FEW, project_lobes
+from isogi_core.plan.lobe_choice import FEW_LOBES_SEARCHED, project_lobes
 from isogi_core.plan.planner import vicinity_plan
 from isogi_core.plan.scene import COLOURED
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -82,7 +82,11 @@ class BakeSpec:
     @cached_property
     def moving(self) -> "BakeSpec":
         """The spec of this light in the store with few lobes in addition: for views that move."""
-        return self if self.plan.lobes <= FEW else replace(self, plan=replace(self.plan, lobes=FEW))
+        return (
+            self
+            if self.plan.lobes <= FEW_LOBES_SEARCHED
+            else replace(self, plan=replace(self.plan, lobes=FEW_LOBES_SEARCHED))
+        )
 
     @cached_property
     def digest(self) -> str:

@@ -16,15 +16,15 @@ from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.transport.paths import SampleRange
 from isogi_core.kernels.transport.strays import Confines, find_strays
 from isogi_core.model.volume import Volume
-from isogi_core.plan.volumes.cuts import FAR, Ranges, box_left, is_within, values_beyond
+from isogi_core.plan.volumes.cuts import CUT_AWAY_VALUE, Ranges, box_left, is_within, values_beyond
 
-KEPT = frozenset(("direct", "indirect", "whole"))
+KEEPABLE_KINDS = frozenset(("direct", "indirect", "whole"))
 """The kinds of layers whose light a cut may leave as it is: their paths meet one surface, and nothing else."""
 
 
 def keeps(spec: BakeSpec) -> bool:
     """Whether light of a ``spec`` of a whole volume may stay where that is cut."""
-    return spec.shown is None and spec.kinds <= KEPT and bool(spec.prepared.field.low.min() >= FAR)
+    return spec.shown is None and spec.kinds <= KEEPABLE_KINDS and bool(spec.prepared.field.low.min() >= CUT_AWAY_VALUE)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec, band_of
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.shading.lattice import LEAST_SPREAD
-from isogi_core.model.scene_plan import FEWEST, MOST, GlowLayer, Layer, most_samples, texel_target
+from isogi_core.model.scene_plan import FEWEST, MAX_SAMPLES, GlowLayer, Layer, most_samples, texel_target
 from isogi_core.plan.albedos import mixing_weights
 
 FLOOR = 0.5
@@ -99,7 +99,7 @@ def relative_error(light: Light, spec: BakeSpec) -> np.ndarray:
     return np.asarray(standard_error(light, spec) / level(light, spec))
 
 
-def finished(light: Light, spec: BakeSpec, target: float, enough: int = MOST) -> np.ndarray:
+def finished(light: Light, spec: BakeSpec, target: float, enough: int = MAX_SAMPLES) -> np.ndarray:
     """Whether each texel needs no more for pictures of a ``target`` error: good enough, or void; (texels,) bool."""
     return light.void | good_enough(relative_error(light, spec), light.samples, target, enough)
 
@@ -108,10 +108,10 @@ class Until(NamedTuple):
     """When texels need no more samples: at the ``target`` error of pictures, or once they have ``enough`` of them."""
 
     target: float
-    enough: int = MOST
+    enough: int = MAX_SAMPLES
 
 
-def good_enough(error: np.ndarray, samples: np.ndarray, target: float, enough: int = MOST) -> np.ndarray:
+def good_enough(error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES) -> np.ndarray:
     """Whether texels of this relative ``error`` need no more samples for pictures of a ``target`` error; bool.
 
     Their error is within ``texel_target``, or their ``samples`` are spent: those of the target, or as many as are
@@ -218,13 +218,13 @@ class Effort(NamedTuple):
     lit: float = 0.0
 
     @classmethod
-    def of(cls, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MOST) -> Self:
+    def of(cls, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES) -> Self:
         """The effort of texels by their relative ``error`` and their ``samples``, void ones left out."""
         unlit, *rest = efforts(np.zeros(len(error), np.intp), 1, error, samples, target, enough)[0].tolist()
         return cls(int(unlit), *rest)
 
 
-def samples_left(error: np.ndarray, samples: np.ndarray, target: float, enough: int = MOST) -> np.ndarray:
+def samples_left(error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES) -> np.ndarray:
     """The samples that texels of this relative ``error`` take until pictures are at a ``target``; (texels,) float64.
 
     They must be lit and not final: each climbs one sample level at least.
@@ -232,7 +232,7 @@ def samples_left(error: np.ndarray, samples: np.ndarray, target: float, enough: 
     return np.asarray(np.maximum(samples_needed(error, samples, target, enough), 2.0 * samples) - samples)
 
 
-def samples_needed(error: np.ndarray, samples: np.ndarray, target: float, enough: int = MOST) -> np.ndarray:
+def samples_needed(error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES) -> np.ndarray:
     """The sample level at which lit texels of this relative ``error`` are good enough; (texels,) float64."""
     most = min(most_samples(target), enough)
     needed = np.clip(samples * (error / texel_target(target)) ** RATE, min(FEWEST, most), most)
@@ -240,7 +240,7 @@ def samples_needed(error: np.ndarray, samples: np.ndarray, target: float, enough
 
 
 def efforts(
-    chunks: np.ndarray, count: int, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MOST
+    chunks: np.ndarray, count: int, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
 ) -> np.ndarray:
     """``Effort.of`` the texels of each of ``count`` chunks, (count, 5) float64; ``chunks`` is where each texel is."""
     unlit, waiting = samples == 0, (samples > 0) & ~good_enough(error, samples, target, enough)
@@ -251,7 +251,7 @@ def efforts(
 
 
 def expected_samples(
-    chunks: np.ndarray, count: int, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MOST
+    chunks: np.ndarray, count: int, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
 ) -> np.ndarray:
     """What texels of each of ``count`` chunks will take that are like others of this ``error`` after ``samples``.
 

@@ -19,10 +19,10 @@ VOID_CODE = 255
 NOISIEST = 16.0
 """The noise, in units of a layer's scale, that code 0 stands for."""
 
-LARGEST = 65504.0
+LARGEST_HALF = 65504.0
 """The most that is kept, in units of a layer's scale: the largest half float. A lamp next to the surface gives more."""
 
-STEPS = 8
+CODES_PER_HALVING = 8
 """Codes that halve a number: 9 % apart."""
 
 NEGATIVE, SMALLEST = 0x80, 0x7F
@@ -40,15 +40,15 @@ def round_light(light: np.ndarray, layer: Layer) -> np.ndarray:
 
 
 def light_floats(light: np.ndarray, layer: Layer) -> np.ndarray:
-    """Coefficients, in units of the layer's scale, as the floats it keeps; what is beyond LARGEST is cut there."""
-    return np.clip(light, -LARGEST, LARGEST).astype(np.float16 if layer.half else np.float32)
+    """Coefficients, in units of the layer's scale, as the floats it keeps; what is beyond LARGEST_HALF is cut there."""
+    return np.clip(light, -LARGEST_HALF, LARGEST_HALF).astype(np.float16 if layer.half else np.float32)
 
 
 def light_codes(light: np.ndarray) -> np.ndarray:
     """Bytes of coefficients within ±1: a sign, and 1 + the steps from 1 down, to the nearest; 0 is none; uint8."""
     size = np.abs(np.asarray(light, np.float64))
     with np.errstate(divide="ignore"):
-        codes = 1.0 + np.rint(-STEPS * np.log2(size))
+        codes = 1.0 + np.rint(-CODES_PER_HALVING * np.log2(size))
     codes = np.where(codes > SMALLEST, 0.0, np.maximum(codes, 1.0)).astype(np.uint8)
     return np.where((light < 0.0) & (codes > 0), codes | NEGATIVE, codes).astype(np.uint8)
 
@@ -61,7 +61,7 @@ def light_of(codes: np.ndarray) -> np.ndarray:
 def _light_table() -> np.ndarray:
     """What each byte of ``light_codes`` stands for; (256,) float32."""
     steps = (np.arange(256) & SMALLEST) - 1.0
-    size = np.where(steps < 0.0, 0.0, 2.0 ** (-steps / STEPS))
+    size = np.where(steps < 0.0, 0.0, 2.0 ** (-steps / CODES_PER_HALVING))
     return np.where(np.arange(256) & NEGATIVE, -size, size).astype(np.float32)
 
 
@@ -69,9 +69,9 @@ LIGHT_OF = _light_table()
 
 
 def noise_codes(noise: np.ndarray, scale: float) -> np.ndarray:
-    """Bytes of ``noise``: NOISIEST · scale · 2^(-code / STEPS), to the nearest; uint8."""
+    """Bytes of ``noise``: NOISIEST · scale · 2^(-code / CODES_PER_HALVING), to the nearest; uint8."""
     with np.errstate(divide="ignore"):
-        codes = np.rint(-STEPS * np.log2(np.asarray(noise, np.float64) / (NOISIEST * scale)))
+        codes = np.rint(-CODES_PER_HALVING * np.log2(np.asarray(noise, np.float64) / (NOISIEST * scale)))
     return np.clip(codes, 0, SILENT).astype(np.uint8)
 
 
@@ -83,7 +83,7 @@ def noise_of(codes: np.ndarray, scale: float | np.ndarray) -> np.ndarray:
 def _noise_table() -> np.ndarray:
     """The noise that each byte stands for in units of a layer's scale; (256,) float32."""
     codes = np.arange(256)
-    return np.where(codes == SILENT, 0.0, NOISIEST * 2.0 ** (codes / -STEPS)).astype(np.float32)
+    return np.where(codes == SILENT, 0.0, NOISIEST * 2.0 ** (codes / -CODES_PER_HALVING)).astype(np.float32)
 
 
 NOISE_OF = _noise_table()

@@ -21,7 +21,7 @@ from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRang
 from isogi_core.kernels.transport.room_paths import fill_seeds
 from isogi_core.kernels.transport.texel_points import PROJECTED, project_texels
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
-from isogi_core.model.scene_plan import GLOW, MOST, Layer, most_samples
+from isogi_core.model.scene_plan import GLOW, MAX_SAMPLES, Layer, most_samples
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import PreparedScene
 
@@ -57,7 +57,7 @@ def refine(
             climb(parts, rows[(level == pattern[:, None]).all(axis=0)], located, spec)
 
 
-def next_samples(light: Light, spec: BakeSpec, target: float, enough: int = MOST) -> np.ndarray:
+def next_samples(light: Light, spec: BakeSpec, target: float, enough: int = MAX_SAMPLES) -> np.ndarray:
     """Samples of the parts of each texel that climb next; -1 where the texel is finished and none lags; (texels,) int.
 
     A part that was lost, or not written before a kill, catches up with the others, and so has the samples it had.

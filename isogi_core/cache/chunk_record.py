@@ -23,10 +23,10 @@ from isogi_core.bake.precision import (
 from isogi_core.bake.texel_light import Part
 from isogi_core.errors import DamagedChunkError
 from isogi_core.kernels.shading.texel_table import Numbers, Texels, unpack_texels
-from isogi_core.model.scene_plan import MOST, Layer
+from isogi_core.model.scene_plan import MAX_SAMPLES, Layer
 from isogi_core.prepared.prepared_scene import Index
 
-HIGHEST_LEVEL = 1 + (MOST // FIRST_LEVEL).bit_length() - 1
+HIGHEST_LEVEL = 1 + (MAX_SAMPLES // FIRST_LEVEL).bit_length() - 1
 """The code of the highest sample level."""
 
 NUMBERS = Numbers(SAMPLES_OF, NOISE_OF, LIGHT_OF)

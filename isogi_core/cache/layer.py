@@ -15,7 +15,7 @@ import numpy as np
 import zarr
 from zarr.codecs import BytesCodec, Crc32cCodec, ZstdCodec
 
-from isogi_core.bake.precision import FIRST_LEVEL, NEGATIVE, NOISIEST, SILENT, STEPS, VOID, VOID_CODE
+from isogi_core.bake.precision import CODES_PER_HALVING, FIRST_LEVEL, NEGATIVE, NOISIEST, SILENT, VOID, VOID_CODE
 from isogi_core.bake.texel_light import Part
 from isogi_core.cache.chunk_record import belongs, pack, record_type, unpack_all
 from isogi_core.errors import ChangedError, DamagedChunkError, StoreError, StoreFullError, StoreReadOnlyError
@@ -37,7 +37,7 @@ CODES = {
     "first_rung": FIRST_LEVEL,
     "void": VOID_CODE,
     "noisiest": NOISIEST,
-    "steps": STEPS,
+    "steps": CODES_PER_HALVING,
     "silent": SILENT,
     "negative": NEGATIVE,
 }

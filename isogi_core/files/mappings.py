@@ -21,13 +21,13 @@ from isogi_core.files.single_pages import SinglePages
 BUDGET = 2048
 """Most megabytes of mapped voxels in memory, unless ``ISOGI_VOLUME_MB`` says otherwise."""
 
-OWN = 1 / 8
+UNMAPPED_SHARE = 1 / 8
 """Share of the budget up to which a volume's voxels are in each process's own memory, and not mapped."""
 
-SMALL = 1 << 30
+SMALL_BUDGET = 1 << 30
 """Budget below which larger volumes are read by single pages: that costs time, and bounds are else passed by 300 MB."""
 
-KEPT = 3 / 4
+KEPT_PAGES_SHARE = 3 / 4
 """Share of the bound down to which pages are let go of."""
 
 MAPPINGS = 4096
@@ -102,7 +102,7 @@ class Resident:
         with self._lock:
             if self._thread is None:
                 self._begin(most)
-            if most < SMALL and int(self._table[:, 1].sum()) + size > most:
+            if most < SMALL_BUDGET and int(self._table[:, 1].sum()) + size > most:
                 self._pages.add(mapping, address)
             free = np.flatnonzero(self._table[:, 1] == 0)
             if len(free):
@@ -128,7 +128,7 @@ class Resident:
         from isogi_core.kernels._pages import bound_pages  # noqa: PLC0415 (loads Numba, which readers do not need)
 
         run = getattr(bound_pages, "ready", bound_pages)
-        self._bounds[:] = most, int(KEPT * most), file_bytes()
+        self._bounds[:] = most, int(KEPT_PAGES_SHARE * most), file_bytes()
         self._thread = threading.Thread(target=self._run, args=[run], name="resident", daemon=True)
         self._thread.start()
         atexit.register(self._end)

@@ -42,11 +42,11 @@ NAMES = "data file names"
 """The key under which a header has the lines that follow ``data file: LIST``."""
 
 SPACE, TIME, RGB = ("domain", "space"), ("time",), {"rgb-color": 3, "rgba-color": 4, "3-color": 3, "4-color": 4}
-"""Kinds of axes: of space, of time, and of colours; others but UNKNOWN are channels."""
+"""Kinds of axes: of space, of time, and of colours; others but UNKNOWN_VALUES are channels."""
 
-UNKNOWN = ("none", "???", "")
+UNKNOWN_VALUES = ("none", "???", "")
 
-STEPS = ("axis 0 index type", "multivolume.framelabels")
+TIME_KEYS = ("axis 0 index type", "multivolume.framelabels")
 """Keys by which 3D Slicer says that a list is a series in time."""
 
 _SPACES = {
@@ -148,20 +148,20 @@ def layout_of(source: Source, header: Header) -> Layout:
 
 
 def _kinds(header: Header, sizes: list[int]) -> list[str]:
-    """What each axis is: a kind of SPACE, TIME or RGB, a channel, or one of UNKNOWN."""
+    """What each axis is: a kind of SPACE, TIME or RGB, a channel, or one of UNKNOWN_VALUES."""
     given = [str(kind).lower() for kind in header.get("kinds", ())]
     kinds = given if len(given) == len(sizes) else [""] * len(sizes)
     rows = header.get("space directions")
     rows = np.asarray(rows, np.float64) if rows is not None else np.zeros((0, 0))
     if not given and len(rows) == len(sizes) > 3:  # an axis without a direction is none of space
         kinds = ["domain" if np.isfinite(row).all() else "list" for row in rows]
-    series = any(key in STEPS for key in map(str.lower, header))
+    series = any(key in TIME_KEYS for key in map(str.lower, header))
     return ["time" if kind == "list" and series else kind for kind in kinds]
 
 
 def _space(name: str, header: Header, kinds: list[str], sizes: list[int]) -> tuple[int, int, int]:
     """The places of x, y, z. Axes of unknown kinds are of space where these are needed, the fastest first."""
-    unknown = [n for n, kind in enumerate(kinds) if kind in UNKNOWN]
+    unknown = [n for n, kind in enumerate(kinds) if kind in UNKNOWN_VALUES]
     spatial = [n for n, kind in enumerate(kinds) if kind in SPACE]
     for n in sorted(unknown, key=lambda n: (sizes[n] == 1, n)):
         spatial += [n] if len(spatial) < 3 else []
@@ -169,7 +169,7 @@ def _space(name: str, header: Header, kinds: list[str], sizes: list[int]) -> tup
         spatial += [n for n, kind in enumerate(kinds) if kind in TIME]
     spatial.sort()
     given = header.get("kinds", kinds)
-    other = next((given[n] for n, kind in enumerate(kinds) if n not in spatial and kind not in UNKNOWN), "")
+    other = next((given[n] for n, kind in enumerate(kinds) if n not in spatial and kind not in UNKNOWN_VALUES), "")
     if len(spatial) != 3:
         why = f"an axis of kind '{other}', and " if other else ""
         raise VolumeError(f"'{name}' has {why}{len(spatial)} dimensions in space, not 3: save one scalar field of it.")

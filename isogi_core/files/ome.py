@@ -29,7 +29,14 @@ METRES = {
 }
 """Metres of the units that NGFF names."""
 
-SHORT = {"meter": "m", "millimeter": "mm", "centimeter": "cm", "micrometer": "µm", "nanometer": "nm", "angstrom": "Å"}
+UNIT_SIGNS = {
+    "meter": "m",
+    "millimeter": "mm",
+    "centimeter": "cm",
+    "micrometer": "µm",
+    "nanometer": "nm",
+    "angstrom": "Å",
+}
 """Signs of units; others are written out."""
 
 
@@ -190,12 +197,12 @@ def _in_one_unit(resolution: Resolution) -> tuple[np.ndarray, str]:
     matrix = resolution.matrix[[rows.index(name) for name in SPACE]]
     matrix = matrix[:, [*(columns.index(name) for name in SPACE), -1]]
     if len(set(units)) == 1:
-        return matrix, SHORT.get(units[0], units[0])
+        return matrix, UNIT_SIGNS.get(units[0], units[0])
     unknown = next((each for each in units if each not in METRES), None)
     if unknown is not None:
         raise VolumeError(f"The axes have different units, and '{unknown}' is no known one: set spacing in the scene.")
     lengths = np.array([METRES[each] / METRES[units[0]] for each in units])
-    return matrix * lengths[:, None], SHORT.get(units[0], units[0])
+    return matrix * lengths[:, None], UNIT_SIGNS.get(units[0], units[0])
 
 
 def first_image(attributes: Mapping[str, Any], name: str, inside: str = "") -> tuple[str, str]:

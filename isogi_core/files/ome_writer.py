@@ -10,13 +10,13 @@ import zarr
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.grid import Grid
-from isogi_core.files.ome import ORIENTATIONS, SHORT
+from isogi_core.files.ome import ORIENTATIONS, UNIT_SIGNS
 from isogi_core.files.right_angles import on_right_angles
 
 CHUNK = 64
 """Voxels along each side of a chunk; levels are added until one fits into a chunk."""
 
-LEAST = 8
+MIN_HALVED_SIDE = 8
 """Voxels of a side, at least, that is halved in the next level."""
 
 TURNED = "OME-Zarr keeps no turned axes: voxels are written as they lie, without their place in the world."
@@ -65,7 +65,7 @@ class Lying:
 
     def axes(self, unit: str) -> list[dict[str, Any]]:
         """The axes as NGFF has them."""
-        words = {sign: word for word, sign in SHORT.items()}
+        words = {sign: word for word, sign in UNIT_SIGNS.items()}
         unit_of = {"unit": words.get(unit, unit)} if unit else {}
         return [{"name": name, "type": "space", **unit_of, **self._towards(name)} for name in self.names]
 
@@ -79,7 +79,7 @@ def _write(grid: Grid, lies: Lying, path: Path, progress: Progress) -> None:
     """Write all levels and their description."""
     shapes = [np.array(grid.shape)]
     while shapes[-1].max() > CHUNK:
-        shapes.append(np.where(shapes[-1] >= LEAST, -(-shapes[-1] // 2), shapes[-1]))
+        shapes.append(np.where(shapes[-1] >= MIN_HALVED_SIDE, -(-shapes[-1] // 2), shapes[-1]))
     total, done, datasets = sum(int(shape[0]) for shape in shapes), 0, []
     group, before = zarr.open_group(path, mode="w"), None
     factor, labelled = np.ones(3), grid.labels is not None

@@ -29,7 +29,7 @@ def read_small(path: Path, most: int) -> bytes:
     return data
 
 
-LONGEST = 60
+MAX_REPEATED_CHARACTERS = 60
 """Characters of a value that messages repeat."""
 
 
@@ -39,7 +39,7 @@ def in_short(value: Any) -> str:
         text = repr(value)
     except (ValueError, RecursionError):
         return "a number of many digits, or lists in lists"
-    return text if len(text) <= LONGEST else f"{text[:LONGEST]}…"
+    return text if len(text) <= MAX_REPEATED_CHARACTERS else f"{text[:MAX_REPEATED_CHARACTERS]}…"
 
 
 def reason_of(error: OSError) -> str:

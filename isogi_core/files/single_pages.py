@@ -22,7 +22,7 @@ API, REGISTER = 0xC018AA3F, 0xC020AA00
 VERSION, WRITE_PROTECTED_ASYNC, WRITE_PROTECTED = 0xAA, 1 << 15, 2
 """The interface's number; the feature by which the system itself answers faults (Linux 6.7); and the mode of that."""
 
-PIECE, PIECES = 1 << 18, 1 << 14
+MIN_PIECE_BYTES, PIECES = 1 << 18, 1 << 14
 """Least bytes of a piece of a mapping, and most pieces: a process may have 65,530 mappings on Linux."""
 
 
@@ -71,7 +71,7 @@ def part(mapping: mmap.mmap) -> None:
 
     Neighbours differ in whether core dumps hold them: that alone keeps them apart.
     """
-    size = max(PIECE, -(-len(mapping) // PIECES // mmap.PAGESIZE) * mmap.PAGESIZE)
+    size = max(MIN_PIECE_BYTES, -(-len(mapping) // PIECES // mmap.PAGESIZE) * mmap.PAGESIZE)
     with suppress(OSError, AttributeError):  # too many mappings, or another system
         for start in range(0, len(mapping), 2 * size):
             mapping.madvise(mmap.MADV_DONTDUMP, start, min(size, len(mapping) - start))

@@ -16,7 +16,7 @@ from isogi_core.files.voxel_file import HEADER, Draft, new_voxels, read_voxels
 from isogi_core.kernels._cache_folder import locked
 from isogi_core.storage.atomic_file import write_whole
 
-MOST = 65536
+MAX_COPIES_MB = 65536
 """Most megabytes of copies, unless ``ISOGI_VOLUME_CACHE_MB`` says otherwise."""
 
 SUFFIX = ".voxels"
@@ -34,7 +34,7 @@ def copies_folder() -> Path:
 
 def most_bytes() -> int:
     """Most bytes of copies; VolumeError where the environment variable is no number."""
-    given = os.environ.get("ISOGI_VOLUME_CACHE_MB") or str(MOST)
+    given = os.environ.get("ISOGI_VOLUME_CACHE_MB") or str(MAX_COPIES_MB)
     if not given.isdecimal():
         raise VolumeError(f"ISOGI_VOLUME_CACHE_MB is '{given}': give a whole number of megabytes.")
     return int(given) << 20

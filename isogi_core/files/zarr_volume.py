@@ -26,7 +26,7 @@ from isogi_core.files.ome import (
 from isogi_core.files.packing import Packing, climate_packing
 from isogi_core.files.zarr_location import Hierarchy, hierarchy_at
 
-MOST = 1 << 29
+MAX_LAYER_BYTES = 1 << 29
 """Most bytes of a layer of chunks that is read at once; chunks of larger layers are read several times."""
 
 MOST_CHUNKS = 1 << 22
@@ -321,7 +321,7 @@ def _slabs(
     inside = chosen[order[0]]
     begin, end = inside.start or 0, (inside.start or 0) + shape[0]
     layer, deep = shape[1] * shape[2] * array.dtype.itemsize, array.chunks[order[0]]
-    step = deep * max(layers_of(layer) // deep, 1) if deep * layer <= MOST else layers_of(layer)
+    step = deep * max(layers_of(layer) // deep, 1) if deep * layer <= MAX_LAYER_BYTES else layers_of(layer)
     turned = np.argsort(np.argsort(order)) if sorted(order) != list(order) else None
     for z in range(begin // deep * deep, end, step):
         layers = slice(max(z, begin), min(z + step, end))

@@ -66,7 +66,7 @@ from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.lru_cache import LruCache
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.shine import DULL
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
@@ -127,9 +127,9 @@ class Renderer:
         """The frame of ``view`` with the light that is there now.
 
         ``target`` is the relative error that it is to reach, the scene's own by default: its texels are final there
-        each alone, or with as many samples as its check found ``enough``, or those given; where these are MOST, nothing
-        checks it. ``watch`` goes on with this frame's stages. Raises Cancelled once ``cancelled`` is set, and ViewError
-        where the scene's light is not of the albedo that the view asks for, or the camera stands in a wall.
+        each alone, or with as many samples as its check found ``enough``, or those given; where these are MAX_SAMPLES,
+        nothing checks it. ``watch`` goes on with this frame's stages. Raises Cancelled once ``cancelled`` is set, and
+        ViewError where the scene's light is not of the albedo that the view asks for, or the camera stands in a wall.
         """
         tiles = self.tiles.cancelled_by(cancelled) if cancelled else self.tiles
         until, watch = Until(target or self.prepared.scene.target_error, enough), watch or Stopwatch()
@@ -230,7 +230,7 @@ class Renderer:
     ) -> Frame:
         """The frame out of the illumination cache: global illumination, or vicinity shading (S1, section 4.2)."""
         target = until.target
-        checked = is_checked(light.view) and until.enough < MOST
+        checked = is_checked(light.view) and until.enough < MAX_SAMPLES
         known = self.checks.of(light, gbuffer, target).known if checked else None
         with watch.stage("texels"):
             texels = self.texels(light.view, gbuffer, tiles)

@@ -14,7 +14,7 @@ from isogi_core.frame.view_texels import Demand, ViewTexels
 from isogi_core.kernels.shading.chunks import Pages, find_rows
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index
 
@@ -147,7 +147,7 @@ class Stage:
 
     demands: tuple[Demand, ...]
     target: float
-    enough: int = MOST
+    enough: int = MAX_SAMPLES
     caches: Caches | None = None
 
     @property
@@ -229,7 +229,7 @@ GRADES = {UNLIT: UNBAKED, VOID_ROW: VOID, BURIED_ROW: BURIED}
 
 
 def grade_rows(
-    rows: np.ndarray, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MOST
+    rows: np.ndarray, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
 ) -> np.ndarray:
     """How good the light in each row is, after at least so many ``samples`` in each part; (texels,) uint8."""
     grade = good_enough(error, samples, target, enough).view(np.uint8)

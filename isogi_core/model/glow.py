@@ -11,7 +11,7 @@ import numpy as np
 
 from isogi_core.errors import SceneError, advice
 from isogi_core.files.scene_file import is_number
-from isogi_core.model.lights import LARGEST, Colour, Vector
+from isogi_core.model.lights import LARGEST_LIGHT, Colour, Vector
 from isogi_core.model.orientation import triple
 from isogi_core.model.volume import Volume
 
@@ -55,9 +55,9 @@ class Glow:
             raise SceneError("A glow says nowhere what glows: give it a box, a sphere, a range of values or a mask.")
         if self.labels and not self.mask:
             raise SceneError("A glow has labels of no mask: add mask, the file that they are in, or leave them out.")
-        if not all(0.0 <= light <= LARGEST for light in self.radiance):
+        if not all(0.0 <= light <= LARGEST_LIGHT for light in self.radiance):
             given = ", ".join(f"{light:g}" for light in self.radiance)
-            raise SceneError(f"A glow's radiance is {given}: it must be from 0 to {LARGEST:g}.")
+            raise SceneError(f"A glow's radiance is {given}: it must be from 0 to {LARGEST_LIGHT:g}.")
         if self.sphere is not None and not self.sphere[3] > 0.0:
             raise SceneError(f"A glow's sphere has the radius {self.sphere[3]:g}: give it one above 0.")
         if self.box is not None and any(a == b for a, b in zip(*self.box, strict=True)):

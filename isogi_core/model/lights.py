@@ -8,7 +8,7 @@ from typing import Any
 
 from isogi_core.errors import LightError, SceneError, advice
 
-LARGEST = 1e30
+LARGEST_LIGHT = 1e30
 """Largest number of a light: squares and products of such numbers are finite in the kernels."""
 
 Colour = tuple[float, float, float]
@@ -17,7 +17,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class ConstantLight:
-    """Light of one linear RGB radiance from everywhere. LightError where it is negative, above LARGEST or no number."""
+    """Light of one linear RGB radiance from everywhere. LightError where it is not from 0 to LARGEST_LIGHT."""
 
     radiance: Colour = (1.0, 1.0, 1.0)
 
@@ -46,7 +46,7 @@ class SkyLight:
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        _check_range("sun_azimuth", (self.sun_azimuth,), low=-LARGEST)
+        _check_range("sun_azimuth", (self.sun_azimuth,), low=-LARGEST_LIGHT)
         _check_range("sun_elevation", (self.sun_elevation,), high=90.0)
         _check_range("turbidity", (self.turbidity,), 1.9, 10.0)
         _check_range("ground", self.ground, high=1.0)
@@ -89,7 +89,7 @@ class DirectionalLight:
     angle: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_range("azimuth", (self.azimuth,), low=-LARGEST)
+        _check_range("azimuth", (self.azimuth,), low=-LARGEST_LIGHT)
         _check_range("elevation", (self.elevation,), -90.0, 90.0)
         _check_range("irradiance", self.irradiance)
         _check_range("angle", (self.angle,), high=90.0)
@@ -108,7 +108,7 @@ class PointLight:
     intensity: Colour
 
     def __post_init__(self) -> None:
-        _check_range("position", self.position, low=-LARGEST)
+        _check_range("position", self.position, low=-LARGEST_LIGHT)
         _check_range("intensity", self.intensity)
 
     @property
@@ -131,7 +131,7 @@ class AreaLight:
 
     def __post_init__(self) -> None:
         for name in ("corner", "u", "v"):
-            _check_range(name, getattr(self, name), low=-LARGEST)
+            _check_range(name, getattr(self, name), low=-LARGEST_LIGHT)
         _check_range("radiance", self.radiance)
         if not any(_cross(self.u, self.v)):
             raise LightError("An area light's u and v span no area: give two edges that are not parallel.")
@@ -183,7 +183,7 @@ def _cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def _check_range(name: str, values: tuple[float, ...], low: float = 0.0, high: float = LARGEST) -> None:
+def _check_range(name: str, values: tuple[float, ...], low: float = 0.0, high: float = LARGEST_LIGHT) -> None:
     """LightError where a value is outside [low, high] or no number."""
     if not all(low <= value <= high for value in values):
         given = ", ".join(f"{value:g}" for value in values)

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from isogi_core.errors import SceneError
-from isogi_core.model.lights import LARGEST, Colour
+from isogi_core.model.lights import LARGEST_LIGHT, Colour
 
 INDICES = (1.0, 4.0)
 """Indices of refraction that a surface may have: from that of what is around it to that of germanium."""
@@ -32,7 +32,7 @@ class Material:
         low, high = INDICES
         if not low <= self.index <= high:
             raise SceneError(f"The index of refraction is {self.index:g}: give a number from {low:g} to {high:g}.")
-        if not all(0.0 <= share <= LARGEST for share in self.absorption):
+        if not all(0.0 <= share <= LARGEST_LIGHT for share in self.absorption):
             given = ", ".join(f"{share:g}" for share in self.absorption)
             raise SceneError(f"The absorption is {given}: it must not be less than 0, per unit of length.")
         if not self.mean_free_path > 0.0:

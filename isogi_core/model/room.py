@@ -11,7 +11,7 @@ import numpy as np
 
 from isogi_core.errors import SceneError, ViewError, advice
 from isogi_core.files.scene_file import is_number
-from isogi_core.model.lights import LARGEST, AreaLight, Colour, Vector
+from isogi_core.model.lights import LARGEST_LIGHT, AreaLight, Colour, Vector
 from isogi_core.model.orientation import triple
 from isogi_core.model.view import Camera
 from isogi_core.model.volume import Volume
@@ -44,8 +44,8 @@ class Wall:
         _check_edges(*map(np.array, self.edges))
         if not all(0.0 <= share <= 1.0 for share in self.albedo):
             raise SceneError(f"A wall's albedo is {_listed(self.albedo)}: it must be from 0 to 1.")
-        if not all(0.0 <= light <= LARGEST for light in self.radiance):
-            raise SceneError(f"A wall's radiance is {_listed(self.radiance)}: it must be from 0 to {LARGEST:g}.")
+        if not all(0.0 <= light <= LARGEST_LIGHT for light in self.radiance):
+            raise SceneError(f"A wall's radiance is {_listed(self.radiance)}: it must be from 0 to {LARGEST_LIGHT:g}.")
 
     @property
     def lamps(self) -> tuple[AreaLight, ...]:
@@ -58,7 +58,7 @@ class Wall:
 def _check_edges(u: np.ndarray, v: np.ndarray) -> None:
     """SceneError where two edges do not span a rectangle."""
     longest = max(float(np.linalg.norm(u)), float(np.linalg.norm(v)))
-    if not 0.0 < np.linalg.norm(np.cross(u, v)) <= LARGEST or longest > LARGEST:
+    if not 0.0 < np.linalg.norm(np.cross(u, v)) <= LARGEST_LIGHT or longest > LARGEST_LIGHT:
         raise SceneError("A wall's edges span no area: give two edges that are not parallel.")
     if abs(u @ v) > SKEW * np.linalg.norm(u) * np.linalg.norm(v):
         raise SceneError("A wall's edges are not at a right angle: walls are rectangles.")

@@ -12,7 +12,7 @@ from isogi_core.model.latlong import solid_angles
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.bands import FAR_BANDS, FAR_BANDS_ERROR, band_energy, evaluate_harmonics, truncation_error
 
-FEW, MANY_LOBES_SEARCHED = 4, 64
+FEW_LOBES_SEARCHED, MANY_LOBES_SEARCHED = 4, 64
 """Lobes that are searched for in any environment, and in one that these leave too sharp for harmonics."""
 
 ORDER = 6
@@ -33,10 +33,10 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(MAX_ORDER)
 def find_lobes(environment: Environment, light: np.ndarray, target: float) -> tuple[Lobe, ...]:
     """Find the lobes of an environment whose coefficients are ``light`` (3, MAX_ORDER²), each with its best edge.
 
-    The brightest peak comes first. FEW are enough where harmonics of FAR_BANDS then err by less than the ``target``;
-    of light with more lamps than that, a street at night, up to MANY_LOBES_SEARCHED are taken.
+    The brightest peak comes first. FEW_LOBES_SEARCHED are enough where the error of harmonics of FAR_BANDS is
+    then below the ``target``; of light with more lamps, a street at night, up to MANY_LOBES_SEARCHED are taken.
     """
-    few = search(environment, light, FEW, 1)
+    few = search(environment, light, FEW_LOBES_SEARCHED, 1)
     if error_beside(light, few, FAR_BANDS) <= max(target, FAR_BANDS_ERROR):
         return few
     return search(environment, light, MANY_LOBES_SEARCHED, LOBES_TOGETHER)

@@ -3,7 +3,7 @@
 from isogi_core.errors import SceneError
 from isogi_core.files.scene_changes import MATERIAL_NUMBERS, MaterialSettings
 from isogi_core.files.scene_file import Settings
-from isogi_core.model.lights import LARGEST, Colour, Lamp, Light
+from isogi_core.model.lights import LARGEST_LIGHT, Colour, Lamp, Light
 from isogi_core.model.material import DIFFUSE, INDICES, MATERIALS, WINDOW_GLASS, Material
 from isogi_core.model.scene_plan import LeftOut, Saving
 from isogi_core.model.volume import Volume
@@ -36,7 +36,7 @@ def read_material(settings: Settings, volume: Volume) -> Material:
     """What the scene's surface is made of. SceneError where a value has no meaning, or the scene has what it cannot."""
     kind, given = settings.choice("material", MATERIALS) or MATERIALS[0], settings.source.document
     index, absorption = settings.number("index", WINDOW_GLASS, *INDICES), _colour(settings, "absorption")
-    path = settings.number("mean_free_path", THICK * volume.radius, 0.0, LARGEST)
+    path = settings.number("mean_free_path", THICK * volume.radius, 0.0, LARGEST_LIGHT)
     for key, of in MATERIAL_NUMBERS.items():
         if key in given and of != kind:
             raise SceneError(f'{key} is of {of}: add material = "{of}" to the scene, or leave {key} out.')

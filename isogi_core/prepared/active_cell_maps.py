@@ -8,7 +8,7 @@ from itertools import chain, pairwise
 
 import numpy as np
 
-from isogi_core.files.mappings import OWN, budget
+from isogi_core.files.mappings import UNMAPPED_SHARE, budget
 from isogi_core.files.volume_copies import get_scratch
 from isogi_core.kernels.tracing.active_cells import (
     ActiveCells,
@@ -96,7 +96,7 @@ class ActiveCellMaps:
         """
         self._voxels = voxels
         self._bricks = math.prod(brick_shape(voxels.shape))
-        self._dear = USUAL_BLOCK_BYTES * self._bricks > OWN * budget()
+        self._dear = USUAL_BLOCK_BYTES * self._bricks > UNMAPPED_SHARE * budget()
         self._take = get_scratch if self._dear else np.empty
         measured = survey("ranges", lambda: measure_ranges(voxels))
         self._ranges = block_ranges(voxels, take=self._take, measured=measured)

@@ -5,7 +5,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from isogi_core.files.mappings import OWN, budget
+from isogi_core.files.mappings import UNMAPPED_SHARE, budget
 from isogi_core.files.volume_copies import get_survey
 from isogi_core.kernels.shading.lattice import Lattice
 from isogi_core.kernels.tracing.active_cells import ActiveCells
@@ -197,7 +197,7 @@ def survey_of(volume: Volume) -> Survey:
 
     To read all voxels of 1024³ takes each process seconds, and lets go of those pages that its rays need.
     """
-    large = volume.voxels.nbytes > OWN * budget()
+    large = volume.voxels.nbytes > UNMAPPED_SHARE * budget()
     return partial(get_survey, f"{volume.digest}-{SURVEYS}") if large else anew
 
 

@@ -15,7 +15,7 @@ from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.files.light_volumes import WRITERS
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from server.api.prewarm_jobs import Prewarm, stand_back, to_its_end
@@ -87,7 +87,7 @@ class Export:
     async def work(self, job: Job) -> Iterable[Result]:
         """Do all of it; returns when that has ended, also when this is cancelled. Raises FullError and ViewError."""
         exports, needed = self.service.exports, await self._in_thread(self._check)
-        rung = MOST if self._coefficients else FIRST_LEVEL
+        rung = MAX_SAMPLES if self._coefficients else FIRST_LEVEL
         prewarm = Prewarm(self.service, self.scene, self._order(), owner=self.owner, recorded=False, rung=rung)
         summary = await prewarm.carry_out(lambda share, text, left: job.report(BAKED * share, text, left))
         async with exports.turn:

@@ -29,7 +29,7 @@ from isogi_core.kernels.tracing import ray_stream
 from isogi_core.kernels.tracing.cast import cast_batch
 from isogi_core.kernels.tracing.intersect import UNKNOWN
 from isogi_core.kernels.transport.integrator import bounce_rays
-from isogi_core.model.scene_plan import FEWEST, MOST
+from isogi_core.model.scene_plan import FEWEST, MAX_SAMPLES
 from isogi_core.model.view import SHADINGS, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
@@ -101,11 +101,11 @@ def make_renderer(scene: Scene, store: str, threads: int | None = None) -> Rende
 
 def bake_view(renderer: Renderer, view: View, until: int) -> Frame:
     """Bake in this process what ``view`` lacks, to ``until`` samples a texel, and render it."""
-    wanted = wanted_of(renderer.render(view, NEVER, enough=MOST))
+    wanted = wanted_of(renderer.render(view, NEVER, enough=MAX_SAMPLES))
     bake_offsets(
         renderer, view.shading, wanted, until, tqdm(desc="baking", unit="chunk", total=len(wanted), leave=False)
     )
-    return renderer.render(view, NEVER, enough=MOST)
+    return renderer.render(view, NEVER, enough=MAX_SAMPLES)
 
 
 def wanted_of(frame: Frame) -> Offsets:

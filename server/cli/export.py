@@ -12,7 +12,7 @@ from isogi_core.errors import ViewError
 from isogi_core.files.light_volumes import WRITERS, check_zarr
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -61,7 +61,7 @@ def export(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Sett
     places = {path: read(ViewParams, {**turn, "isovalue": levels.spans[0][0]}.items()) for path, turn in files.items()}
     views = {path: view_of(scene, params, settings) for path, params in places.items()}
     order = {"isovalues": isovalues, "all_directions": True, "target_error": wishes.target_error}
-    rung = MOST if wishes.coefficients else FIRST_LEVEL
+    rung = MAX_SAMPLES if wishes.coefficients else FIRST_LEVEL
     given = order_of({name: value for name, value in order.items() if value})
     summary = prewarm_scene(scene, given, settings, rung=rung)
     renderer = Renderer(Caches(PreparedScene(scene), root_of(settings), settings.memory_mb << 20), Tiles())

@@ -20,7 +20,7 @@ from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.stand_in import StandIn
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.finer import finer, has_finer
@@ -196,7 +196,7 @@ class LoadedScene:
         Finer texels are shown once all of them have their first samples, and until then those of this scene.
         """
         with self.prefetch.frame(self.renderer.prepared.surface(view.isovalue).isovalue):
-            coming = self._render_finer(view, target, cancelled, watch) if enough < MOST else None
+            coming = self._render_finer(view, target, cancelled, watch) if enough < MAX_SAMPLES else None
             if coming is not None and (coming.measured is not None or not coming.provisional):
                 return coming
             frame = self.renderer.render(view, target, cancelled, watch, enough)

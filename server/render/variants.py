@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 from isogi_core.errors import LightError, SceneError, VolumeError
-from isogi_core.files.mappings import OWN, budget
+from isogi_core.files.mappings import UNMAPPED_SHARE, budget
 from isogi_core.files.scene_changes import (
     HIDDEN,
     Clears,
@@ -202,7 +202,7 @@ class Variants:
         One is made at a time, and whoever asks waits for ``patience`` seconds at most.
         """
         self._engine, self._place, self._most, self._most_cuts = engine, place, most, most_cuts
-        self._room = int(MOST_CUTS * OWN * budget()) if room is None else room
+        self._room = int(MOST_CUTS * UNMAPPED_SHARE * budget()) if room is None else room
         self._asked: OrderedDict[str, None] = OrderedDict()
         self._made: OrderedDict[str, tuple[Change, str | None]] = OrderedDict()
         engine.again = self.again

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.precision import (
+    CODES_PER_HALVING,
     FIRST_LEVEL,
-    LARGEST,
+    LARGEST_HALF,
     NEGATIVE,
     NOISIEST,
     SAMPLES_OF,
     SILENT,
     SMALLEST,
-    STEPS,
     VOID,
     VOID_CODE,
     level_codes,
@@ -24,7 +24,7 @@ from isogi_core.bake.precision import (
     noise_of,
     round_light,
 )
-from isogi_core.model.scene_plan import MOST, Layer
+from isogi_core.model.scene_plan import MAX_SAMPLES, Layer
 
 SCALES = (1.0, 2.0**-9, 2.0**6)
 CODES = np.arange(256, dtype=np.uint8)
@@ -39,9 +39,9 @@ def test_codes_of_noise_survive_the_round_trip(scale: float) -> None:
 
 @pytest.mark.parametrize("scale", SCALES)
 def test_noise_is_kept_to_half_a_step(scale: float) -> None:
-    noise = scale * NOISIEST * 2.0 ** np.random.default_rng(1).uniform(-254 / STEPS, 0.0, 5000)
+    noise = scale * NOISIEST * 2.0 ** np.random.default_rng(1).uniform(-254 / CODES_PER_HALVING, 0.0, 5000)
     kept = noise_of(noise_codes(noise, scale), scale)
-    assert np.abs(np.log2(kept / noise)).max() <= 0.5 / STEPS + 1e-6
+    assert np.abs(np.log2(kept / noise)).max() <= 0.5 / CODES_PER_HALVING + 1e-6
 
 
 def test_noise_beyond_the_codes_is_the_loudest_or_none() -> None:
@@ -58,7 +58,7 @@ def test_sample_levels_double_from_the_first() -> None:
 
 def test_every_sample_level_has_a_code_of_its_own() -> None:
     levels = [0]
-    while levels[-1] < 64 * MOST:
+    while levels[-1] < 64 * MAX_SAMPLES:
         levels.append(next_level(levels[-1]))
     codes = level_codes(np.array([*levels, VOID], np.int32))
     assert codes.dtype == np.uint8
@@ -89,10 +89,26 @@ def test_half_floats_are_the_nearest_and_rounded_once(scale: float) -> None:
 def test_light_beyond_the_largest_is_cut_and_finite(scale: float) -> None:
     light = scale * np.array([1e9, -1e9, 65519.0, 65521.0, 65503.0, 65504.0, -2.0])[:, None]
     rounded = round_light(light, Layer("irradiance", scale=scale)) / scale
-    assert np.finfo(np.float16).max == LARGEST
-    assert rounded[:, 0].tolist() == [LARGEST, -LARGEST, LARGEST, LARGEST, LARGEST, LARGEST, -2.0]
+    assert np.finfo(np.float16).max == LARGEST_HALF
+    assert rounded[:, 0].tolist() == [
+        LARGEST_HALF,
+        -LARGEST_HALF,
+        LARGEST_HALF,
+        LARGEST_HALF,
+        LARGEST_HALF,
+        LARGEST_HALF,
+        -2.0,
+    ]
     single = round_light(light, Layer("irradiance", half=False, scale=scale)) / scale
-    assert single[:, 0].tolist() == [LARGEST, -LARGEST, LARGEST, LARGEST, 65503.0, LARGEST, -2.0]
+    assert single[:, 0].tolist() == [
+        LARGEST_HALF,
+        -LARGEST_HALF,
+        LARGEST_HALF,
+        LARGEST_HALF,
+        65503.0,
+        LARGEST_HALF,
+        -2.0,
+    ]
 
 
 def test_single_floats_are_kept_as_they_are() -> None:
@@ -114,8 +130,8 @@ def test_bytes_keep_light_to_half_a_step_and_its_sign() -> None:
     for sign in (1.0, -1.0):
         kept = light_of(light_codes(sign * 2.0**size))
         assert (sign * kept > 0.0).all()
-        assert np.abs(np.log2(np.abs(kept)) - size).max() <= 0.5 / STEPS + 1e-6
-    assert not light_of(light_codes(np.array([0.9, -0.9]) * smallest * 2.0 ** (-0.5 / STEPS))).any()
+        assert np.abs(np.log2(np.abs(kept)) - size).max() <= 0.5 / CODES_PER_HALVING + 1e-6
+    assert not light_of(light_codes(np.array([0.9, -0.9]) * smallest * 2.0 ** (-0.5 / CODES_PER_HALVING))).any()
 
 
 @pytest.mark.parametrize("scale", SCALES)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from isogi_core.frame.view_texels import Demand
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.store import Store
@@ -34,7 +34,7 @@ class Bench:
 
     def demands(self, view: View) -> tuple[Demand, ...]:
         """The light that a view lacks."""
-        return self.engine.survey(self.scene.id, view, self.scene.target_error, enough=MOST).demands
+        return self.engine.survey(self.scene.id, view, self.scene.target_error, enough=MAX_SAMPLES).demands
 
     def arm(self, point: str, fault: str, more: str = "once") -> Path:
         """Have a fault at a point."""
@@ -49,7 +49,7 @@ def bake_here(bench: Bench, demands: tuple[Demand, ...], store: Path) -> None:
     Store(store).open()
     for demand in demands:
         what = (bench.scene.source, spec.plan, spec.digest, StoreUrl(str(store)), demand.index)
-        bake(BakeTask(*what, demand.offsets, demand.footprints, MOST, bench.scene.target_error))
+        bake(BakeTask(*what, demand.offsets, demand.footprints, MAX_SAMPLES, bench.scene.target_error))
 
 
 def objects_in(store: Path) -> dict[str, bytes]:

@@ -76,7 +76,7 @@ def test_slabs_follow_the_chunks_and_hold_all(tmp_path: Path, chunks: tuple[int,
 
 def test_a_layer_of_chunks_too_large_for_memory_is_read_in_parts(tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setattr("isogi_core.files.grid.SLAB", 1)
-    monkeypatch.setattr("isogi_core.files.zarr_volume.MOST", 1000)
+    monkeypatch.setattr("isogi_core.files.zarr_volume.MAX_LAYER_BYTES", 1000)
     save(tmp_path / "v.zarr", FIELD, chunks=(7, 5, 6))
     grid = open_zarr(tmp_path / "v.zarr")
     check(grid, FIELD)

@@ -23,7 +23,7 @@ from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.latlong import pixel_directions
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.model.volume import Volume, make_volume
@@ -69,22 +69,22 @@ class Workbench:
 
     def bake(self, view: View, target: float | None = None) -> Frame:
         """Bake rung by rung all that `view` demands, and render its final frame."""
-        rung, frame = FIRST_LEVEL, self.renderer.render(view, target, enough=MOST)
+        rung, frame = FIRST_LEVEL, self.renderer.render(view, target, enough=MAX_SAMPLES)
         with ThreadPoolExecutor(os.cpu_count()) as threads:
             while frame.demands:
                 loader = self.caches.of(view.shading)
                 list(threads.map(partial(refine_chunk, loader, rung, target or self.scene.target_error), frame.demands))
-                rung, frame = 2 * rung, self.renderer.render(view, target, enough=MOST)
+                rung, frame = 2 * rung, self.renderer.render(view, target, enough=MAX_SAMPLES)
         return self.renderer.render(view, target)
 
     def project(self, view: View, target: float | None = None) -> Frame:
         """Bake rung by rung all projected texels that a baked view demands, and render it."""
-        rung, frame = FIRST_LEVEL, self.renderer.render(view, target, enough=MOST)
+        rung, frame = FIRST_LEVEL, self.renderer.render(view, target, enough=MAX_SAMPLES)
         while frame.projection and frame.projection.demands:
             loader = self.caches.projected(frame.gbuffer.isovalue)
             given = partial(refine_chunk, loader, rung, target or self.scene.target_error)
             list(map(given, frame.projection.demands))
-            rung, frame = 2 * rung, self.renderer.render(view, target, enough=MOST)
+            rung, frame = 2 * rung, self.renderer.render(view, target, enough=MAX_SAMPLES)
         return self.renderer.render(view, target)
 
     @property

@@ -20,7 +20,7 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
 from isogi_core.kernels.shading.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
 from tests.loaded import load_scene
@@ -71,7 +71,7 @@ def view_of(bench: Workbench, **settings: Any) -> View:
 
 def test_a_scene_may_forbid_projected_texels(bench: Workbench) -> None:
     plain = Workbench(replace(bench.scene, projected=False), bench.folder)
-    frame = plain.renderer.render(view_of(plain), enough=MOST)
+    frame = plain.renderer.render(view_of(plain), enough=MAX_SAMPLES)
     assert frame.projection is None and not frame.provisional
     assert frame.reported_state is frame.state
     assert plain.scene.bake_digest == bench.scene.bake_digest, "the light that serves every isovalue is the same"
@@ -141,7 +141,7 @@ def test_texels_that_cannot_be_projected_are_read_from_the_base(
     view = bench.view(size=24, isovalue=0.6 * bench.scene.isovalue)
     bench.bake(view)
     bench.project(view)
-    frame = bench.renderer.render(view, enough=MOST)
+    frame = bench.renderer.render(view, enough=MAX_SAMPLES)
     assert not frame.provisional and frame.projection
     reading, corners = frame.projection.reading, frame.projection.texels.corners
     assert 0.0 < frame.projection.shares["unreachable"] < 0.5, "a lattice half as dense has corners out of reach"
@@ -200,4 +200,4 @@ def reading(rng: np.random.Generator, count: int, bounds: np.ndarray) -> Reading
         rows[grade == kind] = row
     short = np.minimum.reduceat(grade, bounds[:-1]) < FINAL
     error = rng.random(count).astype(np.float32)
-    return Reading(rows, grade, b"", np.full(count, 16, np.int32), error, bounds, short, LOOSE, MOST)
+    return Reading(rows, grade, b"", np.full(count, 16, np.int32), error, bounds, short, LOOSE, MAX_SAMPLES)

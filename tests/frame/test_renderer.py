@@ -19,7 +19,7 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import first_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import IDENTITY, SHADINGS, quaternion_from_angles
 from isogi_core.model.volume import make_volume
 from tests.frame.conftest import (
@@ -55,7 +55,7 @@ def test_before_the_bake_a_frame_is_provisional_and_never_black(workbench: Make)
 
 
 def test_after_the_bake_a_frame_is_final(orbital: Workbench) -> None:
-    frame = orbital.renderer.render(orbital.view(), enough=MOST)
+    frame = orbital.renderer.render(orbital.view(), enough=MAX_SAMPLES)
     on = frame.state > 0
     assert (frame.state[on] == FINAL).all() and not frame.provisional
     assert frame.coverage["final"] == 1.0 and frame.demands == ()
@@ -68,11 +68,11 @@ def test_half_baked_light_is_converging(workbench: Make) -> None:
     bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=2))
     view = bench.view(size=32)
     bench.bake(view, target=1.0)
-    frame = bench.renderer.render(view, target=0.001, enough=MOST)
+    frame = bench.renderer.render(view, target=0.001, enough=MAX_SAMPLES)
     states = set(np.unique(frame.state))
     assert CONVERGING in states and PROVISIONAL not in states
     assert frame.coverage["converging"] > 0.9 and len(frame.demands) > 0
-    assert bench.renderer.render(view, target=1.0, enough=MOST).coverage["final"] == 1.0
+    assert bench.renderer.render(view, target=1.0, enough=MAX_SAMPLES).coverage["final"] == 1.0
 
 
 @pytest.mark.slow
@@ -286,7 +286,7 @@ def test_a_cancelled_frame_stops(orbital: Workbench) -> None:
     for shading in SHADINGS:
         with pytest.raises(Cancelled):
             orbital.again().renderer.render(orbital.view(shading=shading), cancelled=cancelled)
-    assert orbital.renderer.render(orbital.view(), enough=MOST).coverage["final"] == 1.0
+    assert orbital.renderer.render(orbital.view(), enough=MAX_SAMPLES).coverage["final"] == 1.0
 
 
 @pytest.mark.slow

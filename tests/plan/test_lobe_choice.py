@@ -15,7 +15,7 @@ from isogi_core.plan.bands import band_energy, project_environment, project_imag
 from isogi_core.plan.budget import HARMONICS
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.lobe_choice import (
-    FEW,
+    FEW_LOBES_SEARCHED,
     LOBE_ERROR,
     MANY_LOBES_SEARCHED,
     ORDER,
@@ -69,7 +69,7 @@ def test_a_lobe_without_size_is_its_harmonics_alone() -> None:
 def test_suns_are_found_until_few_are_enough(suns: int) -> None:
     environment = light_of(*[(3.0, 2000.0 / (1 + n)) for n in range(suns)])
     lobes = find_lobes(environment, project_environment(environment, MAX_ORDER), 0.02)
-    assert len(lobes) == min(suns, FEW)
+    assert len(lobes) == min(suns, FEW_LOBES_SEARCHED)
     for lobe, towards in zip(lobes, SUNS, strict=False):
         assert np.dot(lobe.towards, towards) > math.cos(math.radians(0.5))
 
@@ -82,7 +82,10 @@ def test_a_street_of_lamps_has_more_lobes_than_a_few() -> None:
     inputs = PlanInputs(street, gather_lamps([]), (0.0, 0.0, 0.0), 1.0, True, (0.7,) * 3, 0.02)
     errors = [truncation_error(inputs.energy_beside(n), MOST_BANDS, "direct") for n in range(len(inputs.lobes) + 1)]
     plan = plan_scene(inputs, PlanOverrides())
-    assert FEW < plan.lobes <= MANY_LOBES_SEARCHED and errors[plan.lobes] <= HARMONICS * 0.02 < errors[FEW]
+    assert (
+        FEW_LOBES_SEARCHED < plan.lobes <= MANY_LOBES_SEARCHED
+        and errors[plan.lobes] <= HARMONICS * 0.02 < errors[FEW_LOBES_SEARCHED]
+    )
 
 
 def test_what_suns_leave_has_nothing_that_harmonics_lack() -> None:

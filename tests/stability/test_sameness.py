@@ -24,7 +24,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Piece, Tiles
 from isogi_core.kernels.tracing.active_cells import ActiveCells
-from isogi_core.model.scene_plan import MOST, most_samples
+from isogi_core.model.scene_plan import MAX_SAMPLES, most_samples
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import CHUNKS, Scene
@@ -81,7 +81,7 @@ class Site:
         spec, target = self.renderer.caches.spec(view.shading), self.scene.target_error
         what = (self.scene.source, spec.plan, spec.digest, StoreUrl.of(self.store))
         most = until or most_samples(target)
-        demands = self.renderer.render(view, enough=MOST).demands
+        demands = self.renderer.render(view, enough=MAX_SAMPLES).demands
         return [BakeTask(*what, each.index, each.offsets, each.footprints, most, target) for each in demands]
 
     def bake(self, view: View, do: DoTasks, until: int | None = None) -> None:

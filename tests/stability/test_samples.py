@@ -14,7 +14,7 @@ from isogi_core.bake.refine import add_to_mean, locate, refine, sample_transfer
 from isogi_core.bake.texel_light import Light
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import Paths
-from isogi_core.model.scene_plan import MOST, Layer
+from isogi_core.model.scene_plan import MAX_SAMPLES, Layer
 from isogi_core.plan.budget import BYTE, HALF_ONE
 from isogi_core.report.bake import NEVER, ViewBake
 from tests.stability.scenes import body_volume, is_finite, lit, view_bake, view_of
@@ -65,7 +65,7 @@ def errors_of_means(kept: str) -> np.ndarray:
     random, texels = np.random.default_rng(3), 20_000
     true = np.exp(random.uniform(-6.0, 0.0, texels)) * random.choice([-1.0, 1.0], texels)
     mean, total, samples = np.zeros((texels, 4), np.float32), np.zeros(texels), 0
-    while samples < MOST:
+    while samples < MAX_SAMPLES:
         count = max(samples, FIRST_LEVEL)
         added = count * true + math.sqrt(count) * 0.3 * true * random.normal(size=texels)
         light = np.repeat(added[:, None], 4, axis=1)
@@ -74,7 +74,7 @@ def errors_of_means(kept: str) -> np.ndarray:
     return np.asarray(mean[:, 3] * samples / total - 1.0)
 
 
-@pytest.mark.parametrize("count", [1 << 14, pytest.param(MOST, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [1 << 14, pytest.param(MAX_SAMPLES, marks=pytest.mark.slow)])
 def test_the_light_of_a_texel_is_the_mean_of_its_samples(count: int) -> None:
     """Baked rung by rung, as it is kept, beside one sum of the same paths; luminance, over the mean of it."""
     with under_half_a_sky(3) as bake:

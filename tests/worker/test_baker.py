@@ -12,7 +12,7 @@ from isogi_core.cache.costs import Cost, Costs
 from isogi_core.errors import StoreAwayError, StoreError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.view_texels import Demand
-from isogi_core.model.scene_plan import MOST, Layer, ScenePlan
+from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, ScenePlan
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.url import StoreUrl
 from worker.bake_requests import GUEST, MOST_FAILURES, Viewer
@@ -124,7 +124,7 @@ def test_each_chunk_is_reported_and_refined_until_final(bench: Bench) -> None:
     bench.request(1)
     assert pool.end(left(2, 0.8, 100.0)).until == 16
     assert bench.arrived == [(0, 0, 1)]
-    assert pool.end().until == MOST
+    assert pool.end().until == MAX_SAMPLES
     assert bench.arrived == [(0, 0, 1)] * 2
     assert pool.tasks() == []
 

@@ -18,7 +18,7 @@ import pytest
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.frame.frame import Frame
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
@@ -138,7 +138,7 @@ def test_after_a_restart_the_same_view_is_final_at_once(
 ) -> None:
     with closing(EngineWithoutWorkers([scene], str(undisturbed.store))) as engine:
         engine.start()
-        after = engine.survey(scene.id, views[0], scene.target_error, enough=MOST)
+        after = engine.survey(scene.id, views[0], scene.target_error, enough=MAX_SAMPLES)
     assert not after.provisional
     assert after.version == undisturbed.frames[0].version
     assert after.radiance.tobytes() == undisturbed.frames[0].radiance.tobytes()

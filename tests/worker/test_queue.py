@@ -5,7 +5,7 @@ from isogi_core.bake.noise import Effort
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.view_texels import Demand
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from tests.worker.clock import Clock
 from worker import bake_requests
 from worker.bake_requests import GUEST, LONG, MOST_FAILURES, SHORT_TASK_SECONDS, Key, Viewer
@@ -120,7 +120,7 @@ def test_each_task_climbs_one_level_until_the_rest_is_short(queue: BakeQueue) ->
         assert taken is not None
         steps.append(taken.until)
         end(queue, 1, BakeResult(2, 0.5, Effort(0, 2.0 * samples, more, lit=2), Cost(0.01, 100)))
-    assert steps == [FIRST_LEVEL, 2 * FIRST_LEVEL, 4 * FIRST_LEVEL, MOST]
+    assert steps == [FIRST_LEVEL, 2 * FIRST_LEVEL, 4 * FIRST_LEVEL, MAX_SAMPLES]
     assert take(queue) == 1
     end(queue, 1, DONE)
     assert queue.take() is None
@@ -131,11 +131,11 @@ def test_more_samples_of_lit_texels_are_one_task(queue: BakeQueue) -> None:
     """Nothing is without light, so no task looks for what is."""
     request(queue, (1, 1.0), target=0.1, effort=Effort(0, 48.0, 48.0, lit=3))
     taken = queue.take()
-    assert taken is not None and taken.until == MOST
+    assert taken is not None and taken.until == MAX_SAMPLES
     request(queue, (1, 1.0), target=0.05, effort=Effort(0, 48.0, 480.0, lit=3))
     queue.finish(key(1), taken.offsets, 0.1, DONE)
     taken = queue.take()
-    assert taken is not None and taken.until == MOST
+    assert taken is not None and taken.until == MAX_SAMPLES
 
 
 def test_a_request_in_flight_is_not_taken_twice(queue: BakeQueue) -> None:
@@ -421,7 +421,7 @@ def test_a_quarter_of_the_texels_has_light_first(queue: BakeQueue) -> None:
             queue.finish(
                 request.key, offsets, 0.1, BakeResult(texels, 1.0, Effort(0, 48.0, 96.0), Cost(0.1, 48, 3, 0.1))
             )
-    assert all(request.until == MOST for request in queue.requests.values())
+    assert all(request.until == MAX_SAMPLES for request in queue.requests.values())
 
 
 @pytest.mark.parametrize(("viewer", "unlit"), [(PREWARM, 512), (ANNA, 511)])

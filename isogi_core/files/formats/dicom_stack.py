@@ -9,10 +9,10 @@ import numpy as np
 from isogi_core.errors import VolumeError
 from isogi_core.files.packing import Packing
 
-EVEN = 0.05
+EVEN_STEP_SHARE = 0.05
 """Largest part of the usual step by which a step between slices may stray and still be even."""
 
-MOST = 8
+MAX_LAYERS_PER_SLICE = 8
 """Most times as many layers as slices, where these are uneven."""
 
 Layers = tuple[tuple[tuple[Any, float, Packing], ...], ...]
@@ -110,7 +110,7 @@ def _placed(
     given = first.between if sparse or not len(steps) else None
     usual = given or (float(np.median(steps)) if len(steps) else 1.0)
     whole = np.round(steps / usual)
-    if np.all(np.abs(steps - usual * whole) <= EVEN * usual) and np.all(whole >= 1):
+    if np.all(np.abs(steps - usual * whole) <= EVEN_STEP_SHARE * usual) and np.all(whole >= 1):
         layers = _with_gaps(slices, whole.astype(int))
         missing = len(layers) - len(slices)
         if missing and not sparse:
@@ -120,7 +120,7 @@ def _placed(
     else:
         usual = float(steps.min())
         count = round(float(heights[-1] - heights[0]) / usual) + 1
-        if count > MOST * len(slices):
+        if count > MAX_LAYERS_PER_SLICE * len(slices):
             raise VolumeError(f"The slices of '{name}' lie from {usual:.3g} to {steps.max():.3g} apart: resample them.")
         usual = float(heights[-1] - heights[0]) / (count - 1)
         layers = _mixed(slices, heights, heights[0] + usual * np.arange(count))

@@ -17,7 +17,7 @@ from isogi_core.files.packing import ATTRIBUTES, Packing, climate_packing
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 
-EVEN = 1e-3
+EVEN_STEP_SHARE = 1e-3
 """Largest part of a step by which a coordinate may stray for its axis to be even."""
 
 MINC = "The file is MINC: the scaling of its slices, and where it lies, are read of files named .mnc alone."
@@ -175,7 +175,9 @@ def place_by(scales: Sequence[tuple[np.ndarray, str] | None]) -> Place:
         return (1.0, 1.0, 1.0), None, "", ()
     steps = [np.diff(values) for values, _ in known]
     mean = [float(step.mean()) if step.size else 1.0 for step in steps]
-    uneven = any(step.size and np.abs(step - m).max() > EVEN * abs(m) for step, m in zip(steps, mean, strict=True))
+    uneven = any(
+        step.size and np.abs(step - m).max() > EVEN_STEP_SHARE * abs(m) for step, m in zip(steps, mean, strict=True)
+    )
     if uneven or 0.0 in mean:
         return (1.0, 1.0, 1.0), None, "", ("The coordinates of its axes are uneven: its voxels are taken as cubes.",)
     x, y, z = (abs(m) for m in mean)

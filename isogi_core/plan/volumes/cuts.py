@@ -1,7 +1,7 @@
 """Cuts: parts of a volume that are taken away, so that light comes in. What is left is a volume like any other.
 
-Voxels that are taken away lie FAR outside of every isosurface. Between them and what is left the field falls so steeply
-that each isosurface has its face at the last voxels left: flat, and at the same place for all isovalues.
+Voxels that are taken away hold CUT_AWAY_VALUE, outside of every isosurface. Between them and what is left the field
+falls so steeply that each isosurface has its face at the last voxels left: flat, at the same place for all isovalues.
 """
 
 import hashlib
@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, ViewError
-from isogi_core.files.mappings import OWN, budget
+from isogi_core.files.mappings import UNMAPPED_SHARE, budget
 from isogi_core.files.volume_copies import get_copy
 from isogi_core.files.voxel_file import Draft
 from isogi_core.model.volume import BESIDE, Volume
 from isogi_core.model.window import Plane, read_window
 
-FAR = -8.0
+CUT_AWAY_VALUE = -8.0
 """What voxels that are taken away hold, in units of voxels: those that are left are from 0 to 1, but for outliers.
 
-A face of the isovalue c lies (f - c) / (f - FAR) of a voxel before the last voxels left, f. Were it farther, faces
-would be flatter, and edges beside them rounder: normals are smoothed over four voxels.
+A face of the isovalue c lies (f - c) / (f - CUT_AWAY_VALUE) of a voxel before the last voxels left, f. Were it farther,
+faces would be flatter, and edges beside them rounder: normals are smoothed over four voxels.
 """
 
 ALONG = 1e-6
@@ -49,7 +49,7 @@ def cut_away(volume: Volume, text: str) -> Volume:
     if digest == volume.digest:
         return volume
     known = replace(volume.counted(), digest=digest)
-    if volume.voxels.nbytes <= OWN * budget():
+    if volume.voxels.nbytes <= UNMAPPED_SHARE * budget():
         return replace(known, voxels=np.concatenate(list(slabs_left(volume, left))))
 
     def write(draft: Draft) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def cut_digest(volume: Volume, text: str) -> str:
     digest, whole = volume.digest, tuple(map(range, volume.size))
     for left in (voxels_left(volume, term) for term in text.split(";")):
         if left != whole:
-            digest = hashlib.blake2b(f"{digest} {left} {FAR}".encode(), digest_size=16).hexdigest()
+            digest = hashlib.blake2b(f"{digest} {left} {CUT_AWAY_VALUE}".encode(), digest_size=16).hexdigest()
     return digest
 
 
@@ -136,10 +136,10 @@ def is_within(points: np.ndarray, box: np.ndarray) -> np.ndarray:
 
 
 def slabs_left(volume: Volume, left: Ranges) -> Iterator[np.ndarray]:
-    """The slabs of a ``volume``, with FAR in place of the voxels that are not ``left``."""
+    """The slabs of a ``volume``, with CUT_AWAY_VALUE in place of the voxels that are not ``left``."""
     z, inside = 0, tuple(slice(each.start, each.stop) for each in (left[1], left[0]))
     for slab in volume.slabs():
-        cut = np.full_like(slab, FAR)
+        cut = np.full_like(slab, CUT_AWAY_VALUE)
         first, last = (min(max(end - z, 0), len(slab)) for end in (left[2].start, left[2].stop))
         cut[(slice(first, last), *inside)] = slab[(slice(first, last), *inside)]
         z += len(slab)

@@ -13,7 +13,7 @@ from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.fill_values import without_fill
 from isogi_core.files.formats.opening import open_file, split_part
 from isogi_core.files.grid import Grid, Region
-from isogi_core.files.mappings import OWN, budget
+from isogi_core.files.mappings import UNMAPPED_SHARE, budget
 from isogi_core.files.regular import in_short, reason_of
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, is_zarr, name_of
@@ -154,7 +154,7 @@ def volume_of(grid: Grid, solid: str, name: str, missing: Sequence[float], progr
     """Make the volume of a ``grid``: in memory where it is small beside the budget, else as a copy that is mapped."""
     check(grid, solid)
     size = grid.size * np.dtype(np.float32).itemsize
-    if size <= OWN * budget():
+    if size <= UNMAPPED_SHARE * budget():
         return make_volume(grid.whole(), grid.spacing, solid, name, missing)
     lying = [] if grid.affine is None else [grid.affine.array.tolist(), grid.shape]  # it may be mirrored or resampled
     parts = [FORMAT, grid.stamp(), checked_spacing(grid.spacing), solid, missing, *lying]

@@ -18,7 +18,7 @@ from isogi_core.kernels.transport.lights import DIRECTIONAL
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
-from isogi_core.plan.lobe_choice import FEW
+from isogi_core.plan.lobe_choice import FEW_LOBES_SEARCHED
 from tests.frame.conftest import LOOSE, SKY, Workbench, ball, luminance, relative_rmse, scene_of
 from tests.loaded import load_scene
 
@@ -106,7 +106,7 @@ def test_a_moving_view_has_few_lobes_and_one_at_rest_all(workbench: Make, tmp_pa
     light = {"type": "probe", "file": str(tmp_path / "street.hdr")}
     bench = set_out(workbench, table(), lights=[light], bounces=0, target_error=0.02)
     spec, view = bench.caches.spec("gi"), bench.view(elevation=50.0, size=24)
-    assert len(spec.lobes) > FEW == len(spec.moving.lobes) and spec.moving.digest == spec.digest
+    assert len(spec.lobes) > FEW_LOBES_SEARCHED == len(spec.moving.lobes) and spec.moving.digest == spec.digest
     truth = bench.renderer.render(replace(view, shading="path_traced", samples=4096))
     at_rest = bench.bake(view)
     moving = bench.renderer.render(replace(view, moving=True))

@@ -10,7 +10,7 @@ from isogi_core.frame.several.mixing import Level, MixedReading, mixed
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
 from isogi_core.kernels.shading.lattice import BURIED, LIT, PARTIAL, UNBAKED, VOID
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 
 ONE, OTHER = cast(Caches, "one"), cast(Caches, "other")
 LEVELS = (Level(ONE, 0.75), Level(OTHER, 0.25))
@@ -21,7 +21,7 @@ def reading(grades: list[int], error: float) -> Reading:
     rows = np.where(np.isin(grade, (UNBAKED, BURIED, VOID)), -1, 0).astype(np.int32)
     samples, errors = np.full(len(grade), 64, np.int32), np.full(len(grade), error, np.float32)
     short = np.array([(grade < FINAL).any()])
-    return Reading(rows, grade, bytes(grades), samples, errors, np.array([0, len(grade)]), short, 0.02, MOST)
+    return Reading(rows, grade, bytes(grades), samples, errors, np.array([0, len(grade)]), short, 0.02, MAX_SAMPLES)
 
 
 def mix(one: list[int], other: list[int]) -> tuple[Reading, np.ndarray]:

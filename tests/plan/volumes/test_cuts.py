@@ -11,7 +11,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.orientation import Orientation
 from isogi_core.model.view import View
 from isogi_core.plan.variants import cut_open
-from isogi_core.plan.volumes.cuts import FAR, box_left, cut_away, values_beyond, voxels_left
+from isogi_core.plan.volumes.cuts import CUT_AWAY_VALUE, box_left, cut_away, values_beyond, voxels_left
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import MIDDLE, scene_of, shell
 from tests.loaded import load_scene
@@ -34,7 +34,7 @@ def test_planes_leave_the_voxels_before_them(text: str, left: tuple[range, ...])
     cut = cut_away(volume, text)
     inside = np.zeros(volume.shape, bool)
     inside[tuple(slice(each.start, each.stop) for each in left[::-1])] = True
-    assert np.array_equal(cut.voxels, np.where(inside, volume.voxels, np.float32(FAR)))
+    assert np.array_equal(cut.voxels, np.where(inside, volume.voxels, np.float32(CUT_AWAY_VALUE)))
 
 
 @pytest.mark.parametrize("text", ["x>20", "x<9;x>25;z>3", "y<4;y>9", "y<16;z<16.5", "x>900", "x>1;y>1;z>1"])

@@ -11,7 +11,7 @@ import pytest
 from isogi_core.bake.noise import Effort, Until
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.view_texels import Demand
-from isogi_core.model.scene_plan import MOST
+from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.plan.assembly import load_scene
 from server.prewarm.forecast import FEWEST_TRIED, MOST_TRIED, forecast, rehearse, stratified
 from server.render.engine import RenderEngine
@@ -55,10 +55,10 @@ def test_a_rehearsal_does_the_tasks_of_a_bake_and_keeps_nothing(
         engine.start()
         patient = Viewer("a test", patient=True)
         view, renderer = view_of(scene), engine.renderer("blocks")
-        demands = engine.survey("blocks", view, 0.1, enough=MOST).demands
+        demands = engine.survey("blocks", view, 0.1, enough=MAX_SAMPLES).demands
         tried = [rehearse(renderer, each, Until(0.1, 128), math.inf, threading.Event()) for each in demands]
         cut = rehearse(renderer, demands[0], Until(0.1, 128), 0.0, threading.Event())
-        before = engine.survey("blocks", view, 0.1, enough=MOST)
+        before = engine.survey("blocks", view, 0.1, enough=MAX_SAMPLES)
         assert before.counts["provisional"] == before.surface > 0
         engine.bake("blocks", Stage(demands, 0.1, 128), patient).wait(LONG)
         assert sum(one.tasks for one in tried) == Counting.tasks
@@ -67,7 +67,7 @@ def test_a_rehearsal_does_the_tasks_of_a_bake_and_keeps_nothing(
         assert all(one.seconds > 0.0 for one in tried)
         assert cut.tasks == pytest.approx(tried[0].tasks, rel=5.0)
         assert not engine.survey("blocks", view, 0.1, enough=128).provisional
-        rest = engine.survey("blocks", view, 0.002, enough=MOST).demands
+        rest = engine.survey("blocks", view, 0.002, enough=MAX_SAMPLES).demands
         assert rehearse(renderer, rest[0], Until(0.002), math.inf, threading.Event()).tasks >= 1.0
         assert forecast(renderer, (), Until(0.1), 1, 1.0, threading.Event()).seconds == 0.0
 
