@@ -13,13 +13,13 @@ from isogi_core.errors import VolumeError
 from isogi_core.files.grid import Grid
 from isogi_core.files.packing import Packing
 
-SHARE = 0.02
+FILLED_SHARE = 0.02
 """Least share of the voxels that a fill value takes; the corners beside a circle take a fifth."""
 
 APART, TAIL = 1 / 16, 0.001
 """Least gap above a fill value, as a share of the range of the other values without a tail at each end."""
 
-FEW = 64
+FEW_VALUES = 64
 """Distinct values that others have at least: phantoms and labels have fewer, and gaps between all of them."""
 
 ENCLOSED = 0.001
@@ -118,7 +118,12 @@ class Seen:
     def is_fill(self, size: int) -> bool:
         """Whether the value fills what is outside of a field of view in a volume of ``size`` voxels."""
         others, beside = np.concatenate(self.others), np.concatenate(self.beside)
-        if self.filled < SHARE * size or not len(others) or not len(beside) or self.enclosed > ENCLOSED * self.filled:
+        if (
+            self.filled < FILLED_SHARE * size
+            or not len(others)
+            or not len(beside)
+            or self.enclosed > ENCLOSED * self.filled
+        ):
             return False
         bright = np.mean(others > np.quantile(beside, BESIDE, method="nearest"))
         return bool(bright >= ABOVE) and self._is_apart(others.astype(np.float64))
@@ -126,7 +131,7 @@ class Seen:
     def _is_apart(self, others: np.ndarray) -> bool:
         """Whether the fill value is far below all ``others``, of which there are many."""
         low, high = np.quantile(others, (TAIL, 1.0 - TAIL))
-        return len(np.unique(others)) >= FEW and bool(self.least - float(self.fill) >= APART * (high - low))
+        return len(np.unique(others)) >= FEW_VALUES and bool(self.least - float(self.fill) >= APART * (high - low))
 
 
 def _between(inside: np.ndarray) -> np.ndarray:

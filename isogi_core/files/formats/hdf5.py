@@ -11,7 +11,16 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import LAYERED, STEPS, Source, is_unchosen, library, moment_of, pick_axes, reading
+from isogi_core.files.formats.source import (
+    LAYERED,
+    TIME_STEPS,
+    Source,
+    is_unchosen,
+    library,
+    moment_of,
+    pick_axes,
+    reading,
+)
 from isogi_core.files.grid import Affine, Grid, layers_of
 from isogi_core.files.packing import ATTRIBUTES, Packing, climate_packing
 
@@ -108,7 +117,7 @@ def says_time(names: Iterable[str], units: Iterable[Any]) -> bool:
 
 def layered(film: bool) -> tuple[str, ...]:
     """The note that planes of a ``film`` are shown as layers; none of what is none."""
-    return (LAYERED.format(what=STEPS),) if film else ()
+    return (LAYERED.format(what=TIME_STEPS),) if film else ()
 
 
 def text_of(value: Any) -> str:

@@ -107,7 +107,7 @@ LACKING = re.compile(r"requires the '([\w-]+)' package")
 LAYERED = "Its planes are {what}: they are shown as layers."
 """The note on a field of two dimensions and time, which is no volume otherwise."""
 
-STEPS = "steps in time"
+TIME_STEPS = "steps in time"
 
 
 @contextmanager

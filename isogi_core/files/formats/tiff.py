@@ -13,7 +13,7 @@ import numpy as np
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import (
     COLOURS,
-    STEPS,
+    TIME_STEPS,
     Source,
     library,
     luminance,
@@ -34,7 +34,7 @@ COLOURED = (PLANE + COLOUR, COLOUR + PLANE)
 TIME, REPEATS, CHANNELS, DEPTH = "T", "R", "CL", "Z"
 """Letters of axes along which a field is chosen; other ones before y and x are z, as Z is."""
 
-FRAMES = {TIME: STEPS, **dict.fromkeys(REPEATS, STEPS), **dict.fromkeys(CHANNELS, "channels")}
+FRAMES = {TIME: TIME_STEPS, **dict.fromkeys(REPEATS, TIME_STEPS), **dict.fromkeys(CHANNELS, "channels")}
 """What planes along an axis are that is no depth."""
 
 
