@@ -1,9 +1,7 @@
 """``isogi film``: the frames of a film, each as good as asked, as pictures in a folder or as a movie."""
 
-import json
 import shutil
 import time
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +9,9 @@ from typing import Any
 from urllib.parse import quote
 
 from isogi_core.errors import ViewError
-from isogi_core.files.regular import read_small
 from isogi_core.plan.first_view import front_of
 from isogi_core.plan.scene import Scene
+from server.cli.documents import document_in
 from server.cli.film_path import film_path, view_in, views_in
 from server.cli.first_camera import is_placed
 from server.cli.movie import FRAMES, check_movie, write_movie
@@ -91,7 +89,7 @@ def keyframes(wishes: Wishes) -> list[dict[str, str]]:
     """The parameters of each view that is given. Raises ParameterError where one is none, or alone."""
     views = [view_in(text) for text in wishes.views]
     if wishes.views_file is not None:
-        views += views_in(document_in(wishes.views_file))
+        views += views_in(document_in(wishes.views_file, str.split))
     if len(views) == 1:
         raise ParameterError("One view is no path: give two or more.", "view")
     return views
@@ -135,21 +133,6 @@ def shots_of(
         path = [{**shot, "time": str(steps[n * len(steps) // count])} for n, shot in enumerate(path)]
     shots = (read(FrameParams, {**shot, "max_error": own["max_error"], "f": "png"}.items()) for shot in path)
     return [smoothed(shot, "png") for shot in shots]
-
-
-MAX_VIEWS_BYTES = 1 << 26
-"""Bytes of a file of views, at most."""
-
-
-def document_in(file: Path) -> Any:
-    """What is in a JSON or TOML file, or the lines of any other. Raises ParameterError."""
-    try:
-        text = read_small(file, MAX_VIEWS_BYTES).decode()
-        if file.suffix == ".json":
-            return json.loads(text)
-        return tomllib.loads(text) if file.suffix == ".toml" else [line for line in text.split() if line]
-    except (OSError, RecursionError, ValueError) as error:
-        raise ParameterError(f"{file.name} cannot be read: {error}.", "views-file") from None
 
 
 def filmed(facts: Mapping[str, Any]) -> str:

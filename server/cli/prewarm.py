@@ -3,7 +3,6 @@
 import json
 import math
 import time
-import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from functools import partial
@@ -14,9 +13,9 @@ import click
 
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import Cancelled, SceneError
-from isogi_core.files.regular import read_small
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import at_time
+from server.cli.documents import document_in
 from server.cli.series import at_step, steps_in
 from server.errors import ParameterError
 from server.prewarm.context import PrewarmContext, Step
@@ -195,17 +194,9 @@ def orbit_in(text: str) -> dict[str, str]:
     return {"count": count, "elevation": elevation} if at else {"count": count}
 
 
-MAX_FILE_BYTES = 1 << 26
-"""Bytes of a file of directions, at most."""
-
-
 def directions_in(file: Path) -> list[Any]:
     """The ``directions`` in a JSON or TOML file, each such as {"azimuth": 40, "elevation": 30}."""
-    try:
-        text = read_small(file, MAX_FILE_BYTES).decode()
-        document = tomllib.loads(text) if file.suffix == ".toml" else json.loads(text)
-    except (OSError, RecursionError, ValueError) as error:
-        raise ParameterError(f"{file.name} cannot be read: {error}.", "views-file") from None
+    document = document_in(file, json.loads)
     found = document.get("directions") if isinstance(document, dict) else document
     if not isinstance(found, list) or not found:
         raise ParameterError(f'{file.name} needs a list "directions", such as [{{"azimuth": 40}}].', "views-file")
