@@ -15,7 +15,7 @@ from isogi_core.frame.rays.pixel_rays import Paths, pooled_variance, replicas_fo
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import PAIRED, ViewTexels
-from isogi_core.kernels.shading.filtering import ALL, PATHS, VARIANCE, filter_texels, lend_texels, take_filtered
+from isogi_core.kernels.shading.filtering import PATHS, VARIANCE, filter_texels, lend_texels, take_filtered
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer, PixelPoints
 from isogi_core.kernels.shading.irradiance_ratio import (
     GRADE,
@@ -199,7 +199,7 @@ def filter_records(texels: ViewTexels, records: np.ndarray, tiles: Tiles) -> np.
 
         def _piece(a: int, b: int) -> None:
             numbering, bits = texels.numbering, texels.lattice.bits
-            filter_texels(numbering, bits, positions[a:b], a, step, ALL, before, after)  # noqa: B023
+            filter_texels(numbering, bits, positions[a:b], a, step, before, after)  # noqa: B023
 
         tiles.run(_piece, len(records), tiles.even(len(records)))
         records = after

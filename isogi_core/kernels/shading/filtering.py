@@ -26,9 +26,6 @@ PATHS, VARIANCE = 14, 15
 NEAR = np.exp(np.arange(4, dtype=np.float32) / np.float32(-2.0))
 """What a neighbour counts by its squared distance, 0 … 3, in steps: a Gauss curve of a step's width."""
 
-FACES, ALL = 1, 3
-"""Squared distances, in steps, of the farthest neighbours that are asked: those at a texel's faces, or all 27."""
-
 SHARED = np.float32(27 / 8)
 """How much more the variance of what neighbours share counts in pixels than that of each texel's own noise.
 
@@ -87,22 +84,19 @@ def likeness(texels, t, s):
 
 
 @kernel()
-def neighbours_of(numbering, bits, texels, at, step, farthest, found, weights):
+def neighbours_of(numbering, bits, texels, at, step, found, weights):
     """Fill ``found`` (27,) with the lit texels about the one ``at`` (t, z, y, x), and what they count in ``weights``.
 
-    They are those at a squared distance of ``farthest`` steps at most. Returns how many there are, itself among them.
+    They are those of 3 × 3 × 3, a ``step`` apart. Returns how many there are, itself among them.
     """
     t, z, y, x = at
     count, inside = 0, step <= within(x, bits) < (1 << bits) - step
     for k in range(-1, 2):
         for j in range(-1, 2):
-            if k * k + j * j > farthest:
-                continue
             row = row_at(numbering, bits, z + k * step, y + j * step, x)
             if inside and row < 0:
                 continue
-            reach = 1 if k * k + j * j < farthest else 0
-            for i in range(-reach, reach + 1):
+            for i in range(-1, 2):
                 own = row if inside else row_at(numbering, bits, z + k * step, y + j * step, x + i * step)
                 number = number_of(numbering, own, within(x + i * step, bits)) if own >= 0 else -1
                 s = np.uint64(max(number, 0))
@@ -170,12 +164,11 @@ def mean_paths(texels, found, weights, count):
     return paths / total
 
 
-@kernel(types.void(NUMBERING, types.int64, POSITIONS, types.int64, types.int64, types.int64, TEXELS, TEXELS))
-def filter_texels(numbering, bits, positions, first, step, farthest, texels, filtered):
+@kernel(types.void(NUMBERING, types.int64, POSITIONS, types.int64, types.int64, TEXELS, TEXELS))
+def filter_texels(numbering, bits, positions, first, step, texels, filtered):
     """Write to ``filtered`` (texels, RECORD) the records ``texels``, from the ``first`` on one for each position.
 
-    ``positions`` (m, 3; z, y, x) are those texels' own, ``step`` is the distance between neighbours, of which those at
-    a squared distance of ``farthest`` steps at most are asked: FACES or ALL. Their VARIANCE is
+    ``positions`` (m, 3; z, y, x) are those texels' own, ``step`` is the distance between neighbours. Their VARIANCE is
     what is left of it, and NOISE what pixels are to be told of it. Those without light are CONVERGING once they have
     that of two neighbours, which count LENDS at least.
     """
@@ -188,7 +181,7 @@ def filter_texels(numbering, bits, positions, first, step, farthest, texels, fil
         if texels[t, GRADE] != CONVERGING and not unlit:
             continue
         at = t, np.int64(positions[m, 0]), np.int64(positions[m, 1]), np.int64(positions[m, 2])
-        count = neighbours_of(numbering, bits, texels, at, step, farthest, found, weights)
+        count = neighbours_of(numbering, bits, texels, at, step, found, weights)
         if count < 2:
             continue
         ratio, reflected, variance = mean_of(texels, found, weights, count)
