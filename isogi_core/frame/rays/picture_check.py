@@ -50,6 +50,9 @@ from isogi_core.frame.tiles import Tiles
 STRICTER = 0.9
 """Factor on the error that is aimed at with each attempt."""
 
+DOUBTFUL = 0.5
+"""Share of the target below which a small measured error puts the controls in doubt, not the light: none aims lower."""
+
 
 @dataclass(frozen=True, eq=False)
 class PictureState:
@@ -213,9 +216,9 @@ class PictureCheck:
         return min(plans, key=lambda plan: plan.cost(prices))
 
     def _aim(self, measured: TotalError) -> float:
-        """The relative error that the next attempt is to leave; below half the target only controls are in doubt."""
+        """The relative error that the next attempt is to leave."""
         target = self.known.target
-        return min(AIM * STRICTER**self.known.attempt * target, max(STRICTER * measured.likely, 0.5 * target))
+        return min(AIM * STRICTER**self.known.attempt * target, max(STRICTER * measured.likely, DOUBTFUL * target))
 
     def _control_paths(self, measured: TotalError, likely: float) -> float:
         """Paths of all controls that it takes to say that the target is met by a picture with a ``likely`` error."""

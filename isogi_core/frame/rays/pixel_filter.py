@@ -44,7 +44,7 @@ class Surroundings:
         return ShownPoints(buffer.rows, buffer.pixels, points, buffer.normals(self.tiles))
 
     @property
-    def texel(self) -> float:
+    def voxel(self) -> float:
         """Width of a voxel in the picture, in pixels: the median over pixels beside others that show the surface."""
         beside = np.flatnonzero(np.diff(self.gbuffer.pixels.astype(np.int64)) == 1)
         if not len(beside):
@@ -108,7 +108,7 @@ def correct(
     scale = np.maximum(expected, 1e-3 * expected.mean() + 1e-30)[:, None]
     known[places] = np.column_stack([(own - light[places]) / scale[places], np.ones(len(places))])
     none = np.zeros(len(light))
-    for level in range(max(math.ceil(math.log2(around.texel)), 0) + 1):
+    for level in range(max(math.ceil(math.log2(around.voxel)), 0) + 1):
         known, _ = around.means(known, none, 1 << level)
     share = np.minimum(known[:, 3:] / WHOLE, 1.0)
     light = light + share**2 * (3.0 - 2.0 * share) * scale * known[:, :3] / np.maximum(known[:, 3:], 1e-300)
