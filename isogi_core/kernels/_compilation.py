@@ -98,7 +98,7 @@ def with_callees(kernels: Iterable[Any]) -> list[Entry]:
 
 
 def in_order(entries: Iterable[Entry], before: Collection[Entry] = ()) -> list[Entry]:
-    """Those first that call none that does not come ``before``, and of these the largest: what comes last is short."""
+    """Kernels first that call none but ``before``, and of these the largest: what comes last is short."""
     return sorted(entries, key=lambda entry: (any(each not in before for each in entry.callees), -entry.size))
 
 

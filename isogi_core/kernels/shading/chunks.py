@@ -145,7 +145,7 @@ def is_nearer(c, corner):
 
 @kernel(types.void(LATTICE, POINTS, SLOTS, WORDS, PLACES, CORNERS))
 def find_coarse_corners(lattice, points, slots, read, first, corners):
-    """As ``find_corners``, of a view that reads the lattice coarsely: two texels of each cell stand for all.
+    """Find corners of a view that reads the lattice coarsely: two texels of each cell stand for all.
 
     They are the corners whose indices are all even or all odd (``view_texels.first_texels``), each for the four corners
     that are nearer to it.

@@ -156,7 +156,7 @@ def trace_together(surface, points, light, rules, stream, samples, sums):
 
 @kernel()
 def part_of(points, first, last):
-    """Those of ``PixelPoints`` from ``first`` up to ``last``."""
+    """The ``PixelPoints`` from ``first`` up to ``last``."""
     return PixelPoints(points.points[first:last], points.normals[first:last], points.pixels[first:last])
 
 

@@ -64,14 +64,14 @@ def take_halves(plane, offsets, scale, into):
 
 @kernel()
 def take_singles(plane, offsets, scale, into):
-    """As ``take_halves``, of single floats."""
+    """Write the single floats at ``offsets`` (m,) in a ``plane``, times ``scale``, ``into`` (m,)."""
     for m, t in enumerate(offsets):
         into[m] = plane[np.uint32(t)] * scale
 
 
 @kernel()
 def take_codes(plane, offsets, numbers, scale, into):
-    """As ``take_halves``, of bytes that stand for ``numbers`` (256,)."""
+    """Write the ``numbers`` (256,) of bytes at ``offsets`` (m,) in a ``plane``, times ``scale``, ``into`` (m,)."""
     for m, t in enumerate(offsets):
         into[m] = numbers[plane[np.uint32(t)]] * scale
 

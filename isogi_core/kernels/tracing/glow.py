@@ -60,7 +60,7 @@ def way_through_ball(away, radius, w):
 
 @kernel()
 def way_through_box(away, half, w):
-    """The same of a box with half edges ``half``."""
+    """Part (near, far) of a ray along the unit vector ``w`` in a box with half edges ``half`` that is ``away``."""
     near, far = 0.0, math.inf
     for c in range(3):
         if w[c] != 0.0:
