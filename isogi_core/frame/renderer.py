@@ -43,8 +43,7 @@ from isogi_core.frame.rays.lobe_light import LobeLight, ShadowStarts, find_lobes
 from isogi_core.frame.rays.picture_check import PictureState
 from isogi_core.frame.rays.picture_plan import PRESENT, Prices
 from isogi_core.frame.rays.shine import ShineRays
-from isogi_core.frame.rays.shine_light import SHARE as SHINE_SHARE
-from isogi_core.frame.rays.shine_light import SeenLight, ShineLight, add_lobes_seen, walls_seen
+from isogi_core.frame.rays.shine_light import SHINE_NOISE_SHARE, SeenLight, ShineLight, add_lobes_seen, walls_seen
 from isogi_core.frame.rays.through_matter import ViewThrough
 from isogi_core.frame.rays.view_walls import ViewWalls
 from isogi_core.frame.several.composer import Composer
@@ -269,7 +268,7 @@ class Renderer:
                 self._kept.drop((kind, surface_key(rays.view(light.view)), False))
             return found
 
-        allowed = SHINE_SHARE * target * frame.true_mean
+        allowed = SHINE_NOISE_SHARE * target * frame.true_mean
         return self._shine(frame.gbuffer, light, tiles).step(frame.rays, allowed, lit, bounces_of_truth(light), tiles)
 
     def _shine(self, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> ShineLight:

@@ -8,7 +8,7 @@ from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.control_pixels import ENOUGH, paths_for
+from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, paths_for
 from isogi_core.frame.rays.own_light import foreseen_paths
 from isogi_core.frame.rays.picture_check import PictureCheck, PictureState
 from isogi_core.frame.rays.picture_plan import AWAITED, rungs_above
@@ -79,7 +79,7 @@ class ViewChecks:
 def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:
     """Paths that a ``frame`` will take after its first ones, by the noise of its texels' ``reading``: the fewest."""
     points, effort, ways = len(frame.gbuffer.pixels), reading.effort, []
-    controls = 2.0 * paths_for(target) * ENOUGH
+    controls = 2.0 * paths_for(target) * CONTROLS_IF_MISSED
     for times, rung in enumerate([FIRST_LEVEL, *rungs_above(FIRST_LEVEL, target)], start=2):
         noise = (effort / rung) ** (1.0 / RATE) / FILTERED
         own = foreseen_paths(points, math.hypot(noise, frame.expected), target, PIXELS * effort)

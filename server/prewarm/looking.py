@@ -13,7 +13,7 @@ from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import ViewError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.projected_texels import distances_of
-from isogi_core.frame.rays.picture_plan import AWAITED, KEPT
+from isogi_core.frame.rays.picture_plan import AWAITED, SHARED_PRICES
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
@@ -119,7 +119,7 @@ class Pictures:
         context = self._context
         frame, more = context.frame_of(view), True
         while more and frame.checkable and not context.late(end):
-            more = context.refine(view, KEPT if self._sample else AWAITED)
+            more = context.refine(view, SHARED_PRICES if self._sample else AWAITED)
             frame = context.frame_of(view)
         return frame
 

@@ -24,12 +24,12 @@ from isogi_core.plan.scene import Scene
 CUT = 0.001
 """Share of the light that bounces beyond those of control paths may bring, where the plan chose the bounces."""
 
-FIRST, ENOUGH, MOST = 256, 1024, 4096
+FIRST_CONTROLS, CONTROLS_IF_MISSED, MAX_CONTROLS = 256, 1024, 4096
 """Pixels of the first round of controls; of all rounds of a picture that seems to miss its target, and of one that
 seems to reach it, whose interval costs less to narrow than better light. Each further round doubles what there is.
 """
 
-EVEN = 0.5
+EVENLY_DRAWN = 0.5
 """Share of the controls that is drawn evenly from the picture; the others where it is uncertain."""
 
 FEWEST_PATHS, MOST_PATHS = 16, 512
@@ -130,7 +130,7 @@ def chances(uncertainty: np.ndarray) -> np.ndarray:
     """The chance of each point (m,) to be drawn."""
     total = float(uncertainty.sum())
     uneven = uncertainty / total if total > 0.0 else np.full(len(uncertainty), 1.0 / len(uncertainty))
-    return np.asarray(EVEN / len(uncertainty) + (1.0 - EVEN) * uneven)
+    return np.asarray(EVENLY_DRAWN / len(uncertainty) + (1.0 - EVENLY_DRAWN) * uneven)
 
 
 def interleaved(x: np.ndarray, y: np.ndarray) -> np.ndarray:

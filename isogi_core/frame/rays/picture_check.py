@@ -19,9 +19,9 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import (
-    ENOUGH,
-    FIRST,
-    MOST,
+    CONTROLS_IF_MISSED,
+    FIRST_CONTROLS,
+    MAX_CONTROLS,
     ControlPixels,
     TotalError,
     chances,
@@ -141,7 +141,10 @@ class PictureCheck:
                 return self._climb(frame)
             return self._add_controls(frame.measured, uncertainty(), tiles)
         plan = self._cheapest(frame, frame.measured, uncertainty(), climbs, prices)
-        first, last = 2.0 * self.known.paths * FIRST, self._control_paths(frame.measured, self._aim(frame.measured))
+        first, last = (
+            2.0 * self.known.paths * FIRST_CONTROLS,
+            self._control_paths(frame.measured, self._aim(frame.measured)),
+        )
         self.coarse, self.ahead = plan.finer, plan.ahead(first, last)
         if plan.rungs:
             return not plan.finer and self._climb(frame, rungs_at_once(plan.rungs, climbs, first))
@@ -153,7 +156,7 @@ class PictureCheck:
 
     def _decided(self, measured: TotalError) -> bool:
         """Whether a picture that is not at its target needs better light, and no further controls."""
-        most = MOST if measured.likely <= self.known.target else ENOUGH
+        most = MAX_CONTROLS if measured.likely <= self.known.target else CONTROLS_IF_MISSED
         return measured.low > self.known.target or measured.controls >= most
 
     def _climbing_decides(self, frame: Frame, measured: TotalError, climbs: Sequence[float]) -> bool:
@@ -168,14 +171,14 @@ class PictureCheck:
     def _begin_rung(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles) -> bool:
         """Draw the first controls of a rung, or of an attempt: as exactly as the picture's noise is worth."""
         known, paths = self.known, paths_for(max(self.known.target, frame.noise))
-        first = self._draw(uncertainty, 0, FIRST, paths, tiles)
+        first = self._draw(uncertainty, 0, FIRST_CONTROLS, paths, tiles)
         self.known = replace(known, uncertainty=uncertainty, controls=first, drawn=known.enough, paths=paths)
         return True
 
     def _add_controls(self, measured: TotalError, uncertainty: np.ndarray, tiles: Tiles) -> bool:
         """Draw as many controls again as it takes to decide: at least as many as there are, at most three times."""
         known, before = self.known, len(self.known.controls.places)
-        most = MOST if measured.likely <= known.target else ENOUGH
+        most = MAX_CONTROLS if measured.likely <= known.target else CONTROLS_IF_MISSED
         wanted = min(controls_to(measured, measured.likely, known.target), most)
         more = self._draw(uncertainty, before, int(np.clip(wanted - before, before, 3 * before)), known.paths, tiles)
         self.known = replace(known, uncertainty=uncertainty, controls=known.controls.joined(more))

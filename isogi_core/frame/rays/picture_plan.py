@@ -12,7 +12,7 @@ import numpy as np
 
 from isogi_core.bake.precision import FIRST_LEVEL, next_level
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.rays.control_pixels import MOST, TotalError
+from isogi_core.frame.rays.control_pixels import MAX_CONTROLS, TotalError
 from isogi_core.frame.rays.own_light import Choice, choose
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.plan.finer import DENSER
@@ -58,7 +58,7 @@ AWAITED = Prices()
 PRESENT = AWAITED.of_present
 """Prices of such a picture where there are no finer texels."""
 
-KEPT = Prices(SHARED, 0.0).of_present
+SHARED_PRICES = Prices(SHARED, 0.0).of_present
 """Prices of a picture that stands for others, of any size: they all read its texels, and none its pixels' light."""
 
 AGAIN = DENSER**2
@@ -190,4 +190,4 @@ def controls_to(measured: TotalError, likely: float, target: float) -> int:
     """
     room = math.log(target / likely) if 0.0 < likely < target else 0.0
     wide = math.log(max(measured.high / measured.likely, 1.0)) if measured.likely > 0.0 else 0.0
-    return min(math.ceil(measured.controls * (wide / room) ** 2), MOST) if room > 0.0 else MOST
+    return min(math.ceil(measured.controls * (wide / room) ** 2), MAX_CONTROLS) if room > 0.0 else MAX_CONTROLS

@@ -20,12 +20,12 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.same_surface import ShownPoints, mean_around
 from isogi_core.model.sky import LUMINANCE
 
-STEPS = ((1, 1.0), (2, 1.8))
+FILTER_PASSES = ((1, 1.0), (2, 1.8))
 """Distances, in pixels, between those that a pass mixes; and how much more variance their mean has than that of
 independent ones: those of the second pass took over from the same pixels (1.8 times, on even light).
 """
 
-WHOLE = 0.4
+FULL_COVERAGE = 0.4
 """The share of pixels around one, by what they count, that corrects it wholly: less than at a straight border."""
 
 
@@ -73,7 +73,7 @@ def filter_pixels(
     Raises Cancelled.
     """
     around = Surroundings(gbuffer, tiles)
-    for step, shared in STEPS:
+    for step, shared in FILTER_PASSES:
         shown = light @ LUMINANCE
         means, taken = around.means(np.column_stack([light, variance, shown**2]), variance, step)
         mean, noise, square = means[:, :3], means[:, 3], means[:, 4]
@@ -110,7 +110,7 @@ def correct(
     none = np.zeros(len(light))
     for level in range(max(math.ceil(math.log2(around.voxel)), 0) + 1):
         known, _ = around.means(known, none, 1 << level)
-    share = np.minimum(known[:, 3:] / WHOLE, 1.0)
+    share = np.minimum(known[:, 3:] / FULL_COVERAGE, 1.0)
     light = light + share**2 * (3.0 - 2.0 * share) * scale * known[:, :3] / np.maximum(known[:, 3:], 1e-300)
     apart = own - light[places]
     near = Surroundings(gbuffer.part(places, tiles), tiles)

@@ -24,7 +24,7 @@ from isogi_core.plan.budget import survival_for
 PATH_POINTS, PATHS = 256, 1 << 16
 """Surface points of a tile when each of them sends paths, and paths of one, at most: some 30 ms until it can end."""
 
-NEAR = np.array([1.0, 4.0, 6.0, 4.0, 1.0])
+BINOMIAL = np.array([1.0, 4.0, 6.0, 4.0, 1.0])
 """What neighbours count along an axis, where variances are pooled."""
 
 
@@ -143,7 +143,7 @@ def pooled_variance(variance: np.ndarray, gbuffer: GBuffer, shown: np.ndarray | 
     both.reshape(2, -1)[:, pixels] = variance, np.ones_like(variance)
     for axis in (1, 2):
         padded = np.pad(both, [(2 * int(a == axis),) * 2 for a in range(3)])
-        windows = np.lib.stride_tricks.sliding_window_view(padded, len(NEAR), axis)
-        both = windows @ NEAR
+        windows = np.lib.stride_tricks.sliding_window_view(padded, len(BINOMIAL), axis)
+        both = windows @ BINOMIAL
     total, weight = both.reshape(2, -1)[:, pixels]
     return np.asarray(total / weight)

@@ -24,18 +24,18 @@ from isogi_core.kernels.shading.shine_filter import filter_shine
 from isogi_core.model.shine import DULL
 from isogi_core.model.sky import LUMINANCE
 
-LEAST, MOST = 8, 1 << 12
+MIN_RAYS, MAX_RAYS = 8, 1 << 12
 """Rays of each half from a point: so many find highlights that a few miss; and at most."""
 
-STEP, TOGETHER = 1 << 20, 1 << 18
+STEP_RAYS, TOGETHER = 1 << 20, 1 << 18
 """Rays of a step, about, of a point at least one of each half, and as many again as there are at most; and those whose
 ends are looked up together.
 """
 
-SHARE = 0.5
+SHINE_NOISE_SHARE = 0.5
 """Share of the target error that the noise of shine may have."""
 
-STEPS, ALIKE = (1, 2), 0.2
+FILTER_STEPS, ALIKE = (1, 2), 0.2
 """How far apart the pixels are that the filter of first rays looks at, step after step; and how much their unit normals
 differ at most of what mirrors sharply: rougher lobes see as much from normals farther apart.
 """
@@ -118,7 +118,7 @@ class ShineLight:
         gbuffer, shine = self.gbuffer, self.light.shine or DULL
         rows, normals, width = gbuffer.rows, gbuffer.normals(tiles), float(np.hypot(ALIKE, 2.0 * shine.alpha))
         steps = [np.column_stack([single.light, single.variance]).astype(np.float32)]
-        for step in STEPS:
+        for step in FILTER_STEPS:
             before, after = steps[-1], np.empty_like(steps[-1])
 
             def _piece(a: int, b: int) -> None:
@@ -145,10 +145,10 @@ class ShineLight:
             if not shown.startswith(self.version):
                 return True
             places = self._noisy(allowed, tiles)
-            if not len(places) or self.count >= MOST:
+            if not len(places) or self.count >= MAX_RAYS:
                 return False
             some, each = self.gbuffer.part(places, tiles), HALVES * len(places)
-            numbers = self.sums.next(STEP // each)
+            numbers = self.sums.next(STEP_RAYS // each)
             added, together = np.zeros((len(places), HALVES, 3)), max(TOGETHER // each, 1)
             for first in range(0, len(numbers), together):
                 rays = cast_rays(self.light, some, range(HALVES), numbers[first : first + together], tiles)
@@ -161,7 +161,7 @@ class ShineLight:
 
     def _noisy(self, allowed: float, tiles: Tiles) -> np.ndarray:
         """Rows of the points that are to have more rays: all at first, none where the picture's noise is allowed."""
-        if self.count < LEAST:
+        if self.count < MIN_RAYS:
             return np.arange(len(self.gbuffer.points))
         return self.sums.noisy(self._gleam(tiles).variance, allowed)
 

@@ -16,10 +16,10 @@ import numpy as np
 
 from isogi_core.frame.rays.control_pixels import ControlPixels, classes_of
 
-SHARE = 0.01
+TAIL_SHARE = 0.01
 """Share of a picture's pixels that may err by more."""
 
-LEAST, STEPS = 1e-4, 80
+MIN_ERROR, ERROR_STEPS = 1e-4, 80
 """The least relative error that is told from none, and errors from there to 1, by equal factors."""
 
 ROUNDS = 60
@@ -28,7 +28,7 @@ ROUNDS = 60
 TRUSTED = 4.0
 """What the noise of a control's class counts in its noise, beside the two halves of its paths."""
 
-MARGIN = 1.1
+INTERVAL_MARGIN = 1.1
 """Factor on either end of an interval, for noise that is not distributed normally."""
 
 QUANTILE = 1.96
@@ -68,11 +68,11 @@ def measure_tail(wrong: np.ndarray, weights: np.ndarray, classes: np.ndarray) ->
     ``weights`` (k,) say what each counts among all pixels, and ``classes`` (k,) from 0 which controls have about
     as much noise.
     """
-    errors = np.geomspace(LEAST, 1.0, STEPS)
+    errors = np.geomspace(MIN_ERROR, 1.0, ERROR_STEPS)
     counts = weights / weights.sum()
     above = shares_above(likelihoods(wrong, noise_of(wrong, classes), errors), counts)
-    low, likely, high = (falls_below(SHARE, each, errors) for each in bounds(above, counts))
-    return TailError(likely, low / MARGIN, min(high * MARGIN, 1.0))
+    low, likely, high = (falls_below(TAIL_SHARE, each, errors) for each in bounds(above, counts))
+    return TailError(likely, low / INTERVAL_MARGIN, min(high * INTERVAL_MARGIN, 1.0))
 
 
 def noise_of(wrong: np.ndarray, classes: np.ndarray) -> np.ndarray:
@@ -84,7 +84,7 @@ def noise_of(wrong: np.ndarray, classes: np.ndarray) -> np.ndarray:
 
 def likelihoods(wrong: np.ndarray, variance: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """How likely what each control shows is if it errs by so much either way; (k, STEPS), at most 1 in each row."""
-    seen, spread = np.minimum(np.abs(wrong.mean(axis=1)), 1.0)[:, None], np.maximum(variance, LEAST**2)[:, None]
+    seen, spread = np.minimum(np.abs(wrong.mean(axis=1)), 1.0)[:, None], np.maximum(variance, MIN_ERROR**2)[:, None]
     apart = -((seen - errors) ** 2) / (2.0 * spread)
     return np.asarray(np.exp(apart - apart.max(axis=1, keepdims=True)))
 

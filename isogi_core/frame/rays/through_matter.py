@@ -28,7 +28,7 @@ from isogi_core.kernels.transport.matter.sight import NONE, Chances, Leaves, see
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.sky import LUMINANCE
 
-FIRST, BREADTH = 8, 64
+FIRST_BREADTH, BREADTH = 8, 64
 """Places that a point sees, at most, by its first tree, and by each of those drawn while the view rests: trees with 64
 take twice as long as those with 8, and have a tenth of the noise.
 """
@@ -36,12 +36,12 @@ take twice as long as those with 8, and have a tenth of the noise.
 DEEP = 256
 """Interfaces that a point's light passes, at most."""
 
-PLACES, TOGETHER, STEP = 1 << 13, 1 << 18, 1 << 22
+PLACES, TOGETHER, STEP_PLACES = 1 << 13, 1 << 18, 1 << 22
 """Places of a tile; those that are looked up together; and those of a step, about: of a point by one tree of each half
 at least, and by as many again as there are at most.
 """
 
-LEAST, MOST = 8, 1 << 12
+MIN_TREES, MAX_TREES = 8, 1 << 12
 """Trees of each half that all points have before some may have more than others, as fewer say too little of one point;
 and at most.
 """
@@ -49,7 +49,7 @@ and at most.
 SURE = 0.25
 """What the first trees may tell of their error, over what is allowed, where no others are drawn: it is a guess."""
 
-SHARE = 0.5
+SEEN_NOISE_SHARE = 0.5
 """Share of the target error that the noise of what is seen may have, beside that of walls."""
 
 
@@ -77,7 +77,7 @@ class Trees:
         return Chances(seeds_of(words), self.samples.start + sample, DEEP)
 
 
-GREATEST = Trees(FIRST, range(1), range(NONE, NONE + 1))
+GREATEST = Trees(FIRST_BREADTH, range(1), range(NONE, NONE + 1))
 """A tree of each point that leaves nothing to chance."""
 
 
@@ -194,12 +194,12 @@ class SurfaceSeen:
 
     def noisy(self, sums: HalfSums, shown: NoisyLight, target: float) -> np.ndarray:
         """Rows of the points that are to have more trees than in ``sums`` before what is ``shown`` is at its target."""
-        allowed = (SHARE if len(self.first.rows) else 1.0) * target * float((shown.light @ LUMINANCE).mean())
+        allowed = (SEEN_NOISE_SHARE if len(self.first.rows) else 1.0) * target * float((shown.light @ LUMINANCE).mean())
         count = sums.most
-        if count >= MOST:
+        if count >= MAX_TREES:
             return np.empty(0, np.int64)
         found = sums.noisy(shown.variance, allowed if count else SURE * allowed)
-        return found if count >= LEAST or not len(found) else np.arange(len(shown.light))
+        return found if count >= MIN_TREES or not len(found) else np.arange(len(shown.light))
 
     def step(self, target: float, lit: Light, tiles: Tiles) -> SeenThrough | bool:
         """Draw trees for the points whose noise is too much: as many again as there are. Raises Cancelled.
@@ -212,7 +212,7 @@ class SurfaceSeen:
             if not len(places):
                 return False
             numbers, added = (
-                self.sums.next(STEP // (HALVES * BREADTH * len(places))),
+                self.sums.next(STEP_PLACES // (HALVES * BREADTH * len(places))),
                 np.zeros((len(places), HALVES, 3)),
             )
             trees = Trees(BREADTH, range(HALVES), numbers)

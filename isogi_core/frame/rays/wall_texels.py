@@ -18,7 +18,7 @@ from isogi_core.bake.refine import seeds_of
 from isogi_core.cache.wall_store import Planes, Side, planes_of, wall_layer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.glow_light import add_glow
-from isogi_core.frame.rays.pixel_rays import NEAR, PATH_POINTS
+from isogi_core.frame.rays.pixel_rays import BINOMIAL, PATH_POINTS
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.matter.matter_paths import Through
@@ -37,7 +37,7 @@ That is anywhere between two texels: these are twice its height squared together
 sixth of that. Where light is smooth it is a tenth of this.
 """
 
-FIRST, MOST = 8, 1 << 12
+FIRST_PATHS, MAX_PATHS = 8, 1 << 12
 """Paths of each half of a texel at first, and at most."""
 
 
@@ -194,7 +194,7 @@ class WallTexels:
 
     def has_enough_paths(self, target: float) -> bool:
         """Whether their noise is within a ``target``, or they have taken all paths that they may."""
-        return self.count >= MOST or self.relative(self.variance) <= target
+        return self.count >= MAX_PATHS or self.relative(self.variance) <= target
 
     def too_coarse(self, target: float) -> bool:
         """Whether what lies between them errs more than they do, and by more than half of a ``target``."""
@@ -248,7 +248,7 @@ class WallTexels:
         moved = share * (1.0 - share) * np.maximum(pooled(apart), 0.0)
         return replace(self, means=means, count=0, made_of=made_of, moved=moved)
 
-    def grown(self, light: RotatedLight, surface: Surface, tiles: Tiles, more: int = FIRST) -> "WallTexels":
+    def grown(self, light: RotatedLight, surface: Surface, tiles: Tiles, more: int = FIRST_PATHS) -> "WallTexels":
         """The texels after ``more`` paths of each half of the ones asked, rounded as the store keeps them.
 
         Raises Cancelled.
@@ -294,5 +294,5 @@ def pooled(variance: np.ndarray) -> np.ndarray:
     """Variances (rows, columns), each a mean with its neighbours', by NEAR."""
     for axis in (0, 1):
         padded = np.pad(variance, [(2 * int(a == axis),) * 2 for a in range(2)], "edge")
-        variance = np.lib.stride_tricks.sliding_window_view(padded, len(NEAR), axis) @ (NEAR / NEAR.sum())
+        variance = np.lib.stride_tricks.sliding_window_view(padded, len(BINOMIAL), axis) @ (BINOMIAL / BINOMIAL.sum())
     return variance

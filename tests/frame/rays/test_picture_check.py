@@ -16,7 +16,7 @@ from isogi_core.errors import Cancelled
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import TAIL, Frame
 from isogi_core.frame.rays.control_pixels import (
-    FIRST,
+    FIRST_CONTROLS,
     ControlPixels,
     TotalError,
     chances,
@@ -24,7 +24,7 @@ from isogi_core.frame.rays.control_pixels import (
     measure_total,
 )
 from isogi_core.frame.rays.picture_check import PictureCheck, PictureState
-from isogi_core.frame.rays.picture_plan import KEPT, PRESENT, noise_of_climbers
+from isogi_core.frame.rays.picture_plan import PRESENT, SHARED_PRICES, noise_of_climbers
 from isogi_core.frame.texel_reading import Reading, grade_rows
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.sky import LUMINANCE
@@ -147,7 +147,7 @@ def climbed(bench: Workbench, view: View, target: float) -> list[Frame]:
     A rung costs its paths alone: of small pictures the tasks would cost more.
     """
     frames = [baked_so_far(bench, view, target)]
-    while bench.renderer.refine(view, target, prices=KEPT):
+    while bench.renderer.refine(view, target, prices=SHARED_PRICES):
         frames.append(baked_so_far(bench, view, target))
     return frames
 
@@ -207,7 +207,7 @@ def test_a_rung_is_for_noise_that_it_takes_away(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setattr(PictureCheck, "_add_controls", lambda *_: bool(taken.append("controls")))
     climbs = np.arange(1000) < noisy
     reading = reading_of(np.where(climbs, 0.05, 0.03), np.where(climbs, 16, 64))
-    state, total = PictureState(0.02, drawn=FIRST_LEVEL, paths=64), TotalError(0.019, 0.017, 0.022, 2 * FIRST)
+    state, total = PictureState(0.02, drawn=FIRST_LEVEL, paths=64), TotalError(0.019, 0.017, 0.022, 2 * FIRST_CONTROLS)
     frame: Any = SimpleNamespace(lacking=SimpleNamespace(reading=reading), noise=0.02, measured=total, surface=9)
     frame.controls, frame.enough, frame.final = state.controls, state.enough, False
     unused: Any = None
@@ -229,7 +229,7 @@ def test_controls_of_a_rung_tell_of_the_next_one_first(workbench: Make) -> None:
     view, target = bench.view(size=32), 0.015
     frame = baked_so_far(bench, view, target)
     while frame.enough == FIRST_LEVEL:
-        assert bench.renderer.refine(view, target, prices=KEPT)
+        assert bench.renderer.refine(view, target, prices=SHARED_PRICES)
         frame = bench.renderer.render(view, target)
     assert frame.outdated and frame.measured is not None and frame.demands and not frame.final
     above = baked_so_far(bench, view, target)
@@ -266,7 +266,7 @@ def test_a_frame_that_others_have_overtaken_takes_no_step(coarse: Workbench) -> 
         seen.append(frame.total.controls)
         for _ in range(2):
             assert renderer.refine_frame(frame, TARGET, renderer.tiles, PRESENT)
-    assert seen[:2] == [0, FIRST], "the second step waits for a frame that shows the first"
+    assert seen[:2] == [0, FIRST_CONTROLS], "the second step waits for a frame that shows the first"
     one, other = checked(bench, view), checked(coarse, view)
     assert (one.version, one.total) == (other.version, other.total)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.frame.rays.control_pixels import MOST, TotalError
+from isogi_core.frame.rays.control_pixels import MAX_CONTROLS, TotalError
 from isogi_core.frame.rays.picture_plan import (
     AGAIN,
     AWAITED,
@@ -93,7 +93,7 @@ def test_narrow_intervals_take_more_controls() -> None:
     measured = TotalError(0.018, 0.015, 0.018 * 1.2, 256)
     room = math.sqrt(1.2)
     assert controls_to(measured, TARGET / room, TARGET) in (1024, 1025)
-    assert controls_to(measured, TARGET, TARGET) == controls_to(measured, 0.019999, TARGET) == MOST
+    assert controls_to(measured, TARGET, TARGET) == controls_to(measured, 0.019999, TARGET) == MAX_CONTROLS
 
 
 def test_cheap_rungs_are_climbed_at_once() -> None:

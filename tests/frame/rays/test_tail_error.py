@@ -10,7 +10,7 @@ from scipy import stats
 from isogi_core.frame.rays.control_pixels import ControlPixels, chances
 from isogi_core.frame.rays.tail_error import (
     QUANTILE,
-    SHARE,
+    TAIL_SHARE,
     TailError,
     bounds,
     falls_below,
@@ -64,7 +64,7 @@ def told(kind: Kind, count: int, rng: np.random.Generator) -> tuple[TailError, f
     halves = 5.0 - MEAN * noise[places, None] * drift / math.sqrt(2.0)
     controls = ControlPixels(places, 1.0 / (POINTS * chance[places]), halves)
     tail = tail_of(controls, 5.0 + MEAN * wrong[places], uncertainty, MEAN)
-    return tail, float(np.percentile(np.abs(wrong), 100.0 * (1.0 - SHARE)))
+    return tail, float(np.percentile(np.abs(wrong), 100.0 * (1.0 - TAIL_SHARE)))
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -14,7 +14,7 @@ import pytest
 
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame import projected_texels
-from isogi_core.frame.rays.picture_plan import KEPT
+from isogi_core.frame.rays.picture_plan import SHARED_PRICES
 from isogi_core.kernels.shading.framebuffer import CONVERGING
 from isogi_core.plan.assembly import load_scene
 from server.api.prewarm_jobs import Silence
@@ -125,7 +125,7 @@ def test_projected_texels_are_prewarmed_too(
 def test_a_dry_run_bakes_nothing_and_tells_what_there_is(
     blocks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    weigh_at(KEPT, monkeypatch)
+    weigh_at(SHARED_PRICES, monkeypatch)
     dry = warmed(blocks, tmp_path, "0.5", dry=True)
     assert (dry.final, dry.refined, dry.stopped, chunks_in(tmp_path)) == (0.0, 0, "dry run", {})
     assert not (tmp_path / "jobs").exists()

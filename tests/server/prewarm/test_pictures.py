@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.frame.rays.picture_plan import KEPT, SHARED, Prices
+from isogi_core.frame.rays.picture_plan import SHARED, SHARED_PRICES, Prices
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.reachable_texels import surface_texels
@@ -81,7 +81,7 @@ def rungs_in(scene: Path, store: Path, low: float, high: float) -> np.ndarray:
 def test_a_prewarm_bakes_what_serving_the_view_would(
     lit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    weigh_at(KEPT, monkeypatch)
+    weigh_at(SHARED_PRICES, monkeypatch)
     one = VIEWS | {"views": 1, "width": 160, "height": 128, "target_error": 0.004}
     summary = warmed(lit, tmp_path / "warmed", one)
     (view,) = views_of(lit, one)
@@ -166,10 +166,10 @@ def test_a_check_can_be_cancelled_and_yields(monkeypatch: pytest.MonkeyPatch) ->
     work = Prewarm(service, SimpleNamespace(id="a scene"), order_of({}))  # type: ignore[arg-type]
     rests: list[float] = []
     monkeypatch.setattr(work.cancelled, "wait", rests.append)
-    assert work._refine("a view", 0.1, KEPT) and not rests  # type: ignore[arg-type]
+    assert work._refine("a view", 0.1, SHARED_PRICES) and not rests  # type: ignore[arg-type]
     service.attended = True
-    assert work._refine("a view", 0.1, KEPT) and rests[0] >= 0.05  # type: ignore[arg-type]
-    assert asked == [("a scene", "a view", 0.1, work.cancelled, KEPT)] * 2
+    assert work._refine("a view", 0.1, SHARED_PRICES) and rests[0] >= 0.05  # type: ignore[arg-type]
+    assert asked == [("a scene", "a view", 0.1, work.cancelled, SHARED_PRICES)] * 2
 
 
 @pytest.mark.parametrize("order", [VIEWS, WHOLE], ids=["views", "whole isosurfaces"])
