@@ -27,8 +27,8 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER
 from isogi_core.kernels.tracing import ray_stream
 from isogi_core.kernels.tracing.cast import cast_batch
-from isogi_core.kernels.tracing.intersect import UNKNOWN
-from isogi_core.kernels.transport.integrator import bounce_rays
+from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
+from isogi_core.kernels.transport.wavefront import bounce_rays
 from isogi_core.model.scene_plan import FEWEST, MAX_SAMPLES
 from isogi_core.model.view import SHADINGS, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
@@ -178,7 +178,7 @@ def primary_rays(prepared: PreparedScene, size: int) -> Rays:
     corner, right, down, eye = (np.array(v)[:, None] for v in (camera.corner, camera.right, camera.down, camera.eye))
     levels = np.full(len(x), prepared.surface(prepared.scene.isovalue).isovalue)
     origins, directions = np.repeat(eye, len(x), axis=1), corner + x * right + y * down
-    return Rays(origins, directions, levels, np.full(len(x), UNKNOWN, np.int8))
+    return Rays(origins, directions, levels, np.full(len(x), UNKNOWN_SIDE, np.int8))
 
 
 def cast(prepared: PreparedScene, rays: Rays, by: Callable[..., None] = cast_batch) -> tuple[np.ndarray, np.ndarray]:

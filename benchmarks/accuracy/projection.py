@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.accuracy import carrying
 from benchmarks.accuracy.carrying import Neighbourhood, carry, compared, neighbourhood, texels_around, trilinear
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.kernels.shading.irradiance_ratio import LEAST, LEAST_COSINE, TURNED
+from isogi_core.kernels.shading.irradiance_ratio import LEAST_COSINE, MIN_UNSHADOWED, TURNED
 from isogi_core.kernels.transport.texel_points import measure_distances
 from isogi_core.plan.bands import evaluate_harmonics
 from isogi_report.bench import Bench
@@ -79,7 +79,7 @@ def bare_light(turned: RotatedLight) -> Callable[[np.ndarray], np.ndarray]:
     def bare(normals: np.ndarray) -> np.ndarray:
         theta, phi = np.arccos(np.clip(normals[:, 2], -1.0, 1.0)), np.arctan2(normals[:, 1], normals[:, 0])
         light = (sky.lobe * sky.light) @ evaluate_harmonics(sky.order, theta, phi)
-        return luminance(np.maximum(light.T, LEAST * mean))
+        return luminance(np.maximum(light.T, MIN_UNSHADOWED * mean))
 
     return bare
 

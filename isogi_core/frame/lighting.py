@@ -10,7 +10,7 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec, Term, band_of
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.shading.irradiance_ratio import LEAST, Unshadowed
+from isogi_core.kernels.shading.irradiance_ratio import MIN_UNSHADOWED, Unshadowed
 from isogi_core.kernels.shading.lattice import Sky
 from isogi_core.kernels.shading.local_models import LocalModel
 from isogi_core.kernels.simd.types import REGISTER
@@ -209,7 +209,7 @@ class RotatedLight:
         shining = self.spec.prepared.scene.lamps.arrays.colours.any(axis=0) & (self.mean == 0.0)
         mean = self.albedo * np.where(shining, self.mean.max() or 1.0, self.mean) / self.spec.unit
         quadric = quadric_of(self.sky.lobe * self.sky.light)
-        return Unshadowed(*(np.ascontiguousarray(each, np.float32) for each in (quadric, LEAST * mean)))
+        return Unshadowed(*(np.ascontiguousarray(each, np.float32) for each in (quadric, MIN_UNSHADOWED * mean)))
 
     @cached_property
     def surroundings(self) -> Surroundings:

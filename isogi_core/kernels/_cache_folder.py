@@ -1,4 +1,4 @@
-"""The folder of compiled kernels: named after their sources, and pruned when those have changed often."""
+"""The folder of compiled kernels: named after their sources, and pruned when sources have changed often."""
 
 import fcntl
 import hashlib
@@ -12,8 +12,8 @@ import llvmlite
 import llvmlite.binding as llvm
 import numba
 
-KEPT = 8
-"""Folders of other sources that are kept besides the own one, those used last."""
+KEPT_FOLDERS = 8
+"""Folders of other sources that are kept besides the folder in use: the ones used last."""
 
 SETTINGS = (
     *("BOUNDSCHECK", "OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "USING_SVML", "ENABLE_AVX", "DEBUGINFO_DEFAULT"),
@@ -60,13 +60,13 @@ def hold(folder: Path) -> int:
         os.close(mark)
 
 
-def prune(folder: Path) -> None:
-    """Remove the siblings of ``folder`` but the ``KEPT`` used last, and those that a process holds.
+def prune_folders(folder: Path) -> None:
+    """Remove the siblings of ``folder`` but the ``KEPT_FOLDERS`` used last, and but folders that a process holds.
 
     What another process removes meanwhile, or another user owns, is passed over.
     """
     others = [each for each in folder.parent.iterdir() if each != folder and each.is_dir()]
-    for old in sorted(others, key=last_used)[: max(len(others) - KEPT, 0)]:
+    for old in sorted(others, key=last_used)[: max(len(others) - KEPT_FOLDERS, 0)]:
         with suppress(OSError), locked(old / IN_USE, wait=False) as ours:
             if ours:
                 shutil.rmtree(old, ignore_errors=True)
@@ -74,7 +74,7 @@ def prune(folder: Path) -> None:
 
 @contextmanager
 def locked(path: Path, wait: bool = True) -> Iterator[bool]:
-    """Be the only one, of all threads and processes, who has the lock on the file ``path``; tells whether it is so."""
+    """Lock the file ``path`` against all other threads and processes; yields whether the lock was free."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a") as file:
         try:

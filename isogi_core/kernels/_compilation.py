@@ -17,7 +17,7 @@ LOOK = 0.02
 """Seconds between two looks at whether the wait for a compilation is given up."""
 
 KNOWN = 0.1
-"""Share of a compilation after which the time that it takes is told."""
+"""Share of a compilation after which its time is estimated."""
 
 NICENESS = 5
 """Niceness of processes that compile beside a server: pictures that can be drawn already come first."""
@@ -39,7 +39,7 @@ class Compilation:
     """
 
     def __init__(self, *stages: Iterable[Any]) -> None:
-        """Compile nothing yet: list the kernels of the ``stages``, and those that they call, that are not stored."""
+        """Compile nothing yet: list the kernels of the ``stages``, and their callees, that are not stored."""
         listed: dict[Entry, None] = {}
         for stage in stages:
             listed |= dict.fromkeys(in_order(with_callees(stage), listed))
@@ -78,7 +78,7 @@ class Compilation:
 
 
 def warm(kernels: Iterable[Any], stopped: threading.Event | None = None, niceness: int = 0) -> None:
-    """Load ``kernels``; those that were never compiled are compiled first, on all cores.
+    """Load ``kernels``; kernels that were never compiled are compiled first, on all cores.
 
     Once ``stopped`` is set it returns as soon as it can. For the ``niceness`` see ``Compilation``.
     """
@@ -90,7 +90,7 @@ def warm(kernels: Iterable[Any], stopped: threading.Event | None = None, nicenes
 
 
 def with_callees(kernels: Iterable[Any]) -> list[Entry]:
-    """The entry kernels among ``kernels`` and those that they call, each once and before its callers."""
+    """The entry kernels among ``kernels`` and their callees, each once and before its callers."""
     found: dict[Entry, None] = {}
     for entry in entries_of(kernels):
         found |= dict.fromkeys((*with_callees(entry.callees), entry))
@@ -119,7 +119,7 @@ def compile_beside(names: list[str], stopped: threading.Event, niceness: int = 0
 
 
 def compile_named(names: list[str], niceness: int) -> None:
-    """Compile those kernels that are not stored yet and that no other process is at."""
+    """Compile the kernels that are not stored yet and that no other process compiles."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(niceness)
     for name in names:

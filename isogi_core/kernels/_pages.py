@@ -47,7 +47,7 @@ unlock_mutex = system_function("pthread_mutex_unlock", types.int32, types.int64)
 
 @kernel()
 def resident(status, line):
-    """Bytes of files in memory: the third number that the open file ``status`` tells, read into ``line`` (uint8)."""
+    """Bytes of files in memory: the third number in the open file ``status``, read into ``line`` (uint8)."""
     count = pread(status, line.ctypes.data, line.size, 0)
     field, pages = 0, 0
     for i in range(count):
@@ -74,10 +74,10 @@ def let_go(status, line, enough, table, row, start):
     return row, start, done >= total
 
 
-WHOLE = types.int64[::1]
+INTEGERS = types.int64[::1]
 
 
-@kernel(types.void(types.int32, WHOLE, types.int64[:, ::1], WHOLE))
+@kernel(types.void(types.int32, INTEGERS, types.int64[:, ::1], INTEGERS))
 def bound_pages(status, bounds, table, mutex):
     """Let go of mappings' pages when more than ``bounds[0]`` bytes are resident, down to ``bounds[1]``, until it is 0.
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from isogi_core.files.scene_file import DEFAULT_DEMO
-from isogi_core.kernels.tracing.peels import MOST
+from isogi_core.kernels.tracing.peels import MAX_SURFACES
 from isogi_core.model.surfaces import PinnedSurface
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
@@ -34,7 +34,7 @@ class Side:
 OUTER = Side(0)
 """The side whose light is that of the scene itself."""
 
-WALLS = Side(MOST)
+WALLS = Side(MAX_SURFACES)
 """Stands for the sides of the walls about the surfaces."""
 
 

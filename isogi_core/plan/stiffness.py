@@ -7,7 +7,16 @@ from typing import Any
 import numpy as np
 
 from isogi_core.kernels.tracing.field import Field
-from isogi_core.kernels.tracing.stiffness import CELLS, FACES, HOLED, NOISY, PLATEAU, ROWS, STEEP, count_stiffness
+from isogi_core.kernels.tracing.stiffness import (
+    CELLS,
+    COUNTED_ROWS,
+    FACES,
+    HOLED,
+    NOISY,
+    PLATEAU,
+    STEEP,
+    count_stiffness,
+)
 from isogi_core.runs import Run, serially
 
 LAYERS, SAMPLED = 8, 2
@@ -76,7 +85,7 @@ def measure_stiffness(field: Field, levels: Any, run: Run = serially, most: int 
     thick = LAYERS if stride == 1 else SAMPLED
     begins = range(stride // 2 * thick, layers, stride * thick) or range(1)
     ascending = np.unique(np.asarray(levels, np.float32))
-    counts, lock = np.zeros((ROWS, len(ascending) + 1), np.int64), threading.Lock()
+    counts, lock = np.zeros((COUNTED_ROWS, len(ascending) + 1), np.int64), threading.Lock()
 
     def piece(first: int, last: int) -> None:
         own = np.zeros_like(counts)

@@ -12,7 +12,7 @@ from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.tracing.field import OFFSET, Field
 from isogi_core.kernels.tracing.glow import Glows
 from isogi_core.kernels.tracing.macrocells import fill_macrocells, macrocell_shape
-from isogi_core.kernels.tracing.peels import MOST
+from isogi_core.kernels.tracing.peels import MAX_SURFACES
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.kernels.transport.colours import NO_COLOURS, Colours, colours_of
 from isogi_core.kernels.transport.light_paths import Surroundings
@@ -134,7 +134,7 @@ class PreparedScene:
         room = self.room(albedo)
         dark = room._replace(radiances=np.zeros_like(room.radiances))
         if self.scene.glow_meets is Among:
-            return Among(self.field, self.company(cells, run)._replace(room=dark), dark)
+            return Among(self.field, self.company(cells, run), dark)
         return InRoom(self.field, cells, dark)
 
     @cached_property
@@ -171,15 +171,15 @@ class PreparedScene:
         return self._room.walls._replace(backs=backs)
 
     def company(self, cells: ActiveCells, run: Run = serially) -> Surfaces:
-        """The surfaces of the scene, and its walls, as paths meet them about an isosurface with this map, its own."""
+        """The surfaces of the scene as paths meet them about an isosurface whose active ``cells`` are given."""
         scene = self.scene
         levels = [scene.volume.normalise_isovalue(each.isovalue) for each in scene.pinned]
         maps = [cells, *(self.maps.at(level, run) for level in levels)]
         albedos = np.array([scene.albedo, *(each.albedo for each in scene.pinned)], np.float64)
         clears = np.array([scene.clear, *(each.clear for each in scene.pinned)], np.float64)
-        filled = tuple(maps + [cells] * (MOST - len(maps)))
+        filled = tuple(maps + [cells] * (MAX_SURFACES - len(maps)))
         through = np.array([scene.transmission, *(each.transmission for each in scene.pinned)], np.float64)
-        return Surfaces(filled, np.array([np.nan, *levels], np.float64), albedos, clears, through, self._room)
+        return Surfaces(filled, np.array([np.nan, *levels], np.float64), albedos, clears, through)
 
     def surroundings(self, matrix: np.ndarray) -> Surroundings:
         """All light as it is, for paths that meet it; the environment turned by ``matrix`` (3, 3).

@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection
 from typing import Any
 
 from isogi_core.frame.entry_kernels import first_kernels, frame_kernels, other_kernels
-from isogi_core.kernels._cache_folder import prune
+from isogi_core.kernels._cache_folder import prune_folders
 from isogi_core.kernels._compilation import NICENESS, Compilation, KernelProgress, warm
 from isogi_core.kernels._jit import FOLDER, load
 from isogi_core.plan.scene import Scene
@@ -57,7 +57,7 @@ class SceneKernels:
         """Have kernels of pictures with light in this process, and those of bakes on this machine."""
         self._all.wait(self._lit)
         load(frame_kernels(self._scenes()), self._stopped)
-        prune(FOLDER)
+        prune_folders(FOLDER)
 
     def others(self) -> None:
         """Have kernels of pictures without light from texels, and of whole paths, in this process."""

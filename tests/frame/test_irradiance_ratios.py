@@ -17,7 +17,7 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_normals import OwnNormals, find_texel_normals
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import carries_irradiance_ratios
-from isogi_core.kernels.shading.irradiance_ratio import LEAST
+from isogi_core.kernels.shading.irradiance_ratio import MIN_UNSHADOWED
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
 from isogi_core.kernels.transport.lights import unshadowed
@@ -58,7 +58,7 @@ def test_unshadowed_light_is_the_provisional_light(albedo: Any) -> None:
     light, normals = turned(lights=[SKY], albedo=albedo, lobes=0), some_normals()
     sky, basis = light.sky, np.empty(9)
     expected = np.array([unshadowed(sky.order, sky.lobe, sky.light, tuple(n), basis) for n in normals.tolist()])
-    least = LEAST * light.albedo * light.mean / light.spec.unit
+    least = MIN_UNSHADOWED * light.albedo * light.mean / light.spec.unit
     assert (expected < least).any() or (expected > least).all()
     np.testing.assert_allclose(bare_about(light, normals), np.maximum(expected, least), rtol=2e-5)
     np.testing.assert_allclose(sky.lobe[[0, 1, 4]], cosine_lobe_factors(3) / math.pi)

@@ -13,12 +13,11 @@ from isogi_core.frame.rays import lobe_light
 from isogi_core.frame.rays.lobe_light import find_lobes, find_starts
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import BLUE, GREEN, RED
-from isogi_core.kernels.shading.lobes import AXES, EVEN, OWN, RAYS, RIM, SHARP, rim_way
+from isogi_core.kernels.shading.lobes import AXES, POINT_WEIGHT, RAYS, RIM, SHARP, STRATIFIED_VARIANCE, rim_way
 from isogi_core.kernels.shading.shadow_points import APART
 from isogi_core.kernels.tracing.field import OFFSET, to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE, cast
+from isogi_core.kernels.tracing.intersect import OUTSIDE, cast, launch
 from isogi_core.kernels.transport import streams
-from isogi_core.kernels.transport.integrator import launch
 from isogi_core.kernels.transport.lights import DIRECTIONAL, LampArrays, draw_from_disc
 from isogi_core.kernels.transport.rng import mix, point_2d
 from tests.kernels.fields import field_of, surface_of
@@ -108,7 +107,10 @@ def half_seen(
     field: Any, lamps: LampArrays, k: int, points: np.ndarray, half: np.ndarray, m: int
 ) -> tuple[float, float]:
     """What a point in the half-shadow gets of a lobe's light, and its variance: by those beside it, too."""
-    given = [(m, OWN), *((n, weight) for pair, weight in pairs_beside(half, math.isqrt(len(points)), m) for n in pair)]
+    given = [
+        (m, POINT_WEIGHT),
+        *((n, weight) for pair, weight in pairs_beside(half, math.isqrt(len(points)), m) for n in pair),
+    ]
     total, share, variance = sum(weight for _, weight in given), 0.0, 0.0
     for n, weight in given:
         rays = RAYS[len(pairs_beside(half, math.isqrt(len(points)), n))]
@@ -134,7 +136,7 @@ def share_of(field: Any, lamps: LampArrays, k: int, m: int, p: np.ndarray, rays:
             tuple(lamps.places[k]), lamps.edges[k], *point_2d(np.uint64(mix(m, streams.LOBES)), i, k)
         )
         brought.append(max(w[2], 0.0) / cosine * free(field, p.astype(float), w))
-    return float(np.mean(brought)), float(EVEN[rays] * np.var(brought) / (rays - 1))
+    return float(np.mean(brought)), float(STRATIFIED_VARIANCE[rays] * np.var(brought) / (rays - 1))
 
 
 @pytest.mark.slow

@@ -46,20 +46,20 @@ def test_every_setting_is_one_that_numba_has():
 
 
 def test_the_oldest_go_and_the_own_one_stays(folders):
-    _folder.prune(folders / "00")
-    assert names(folders) == ["00", *(f"{n:02}" for n in range(11 - _folder.KEPT, 11))]
+    _folder.prune_folders(folders / "00")
+    assert names(folders) == ["00", *(f"{n:02}" for n in range(11 - _folder.KEPT_FOLDERS, 11))]
 
 
 def test_few_folders_all_stay(folders):
-    _folder.prune(folders / "00")
+    _folder.prune_folders(folders / "00")
     before = names(folders)
-    _folder.prune(folders / "00")
+    _folder.prune_folders(folders / "00")
     assert names(folders) == before
 
 
 def test_an_unmarked_folder_counts_from_when_it_was_made(folders):
     (folders / "unmarked").mkdir()
-    _folder.prune(folders / "10")
+    _folder.prune_folders(folders / "10")
     assert "unmarked" in names(folders)
 
 
@@ -68,15 +68,15 @@ def test_what_another_process_uses_stays_until_it_ends(folders):
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as user:
         assert user.stdout.read(4) == b"held"
         os.utime(folders / "01" / _folder.IN_USE, (1, 1))
-        _folder.prune(folders / "10")
+        _folder.prune_folders(folders / "10")
         assert names(folders)[:2] == ["01", "02"]
-    _folder.prune(folders / "10")
+    _folder.prune_folders(folders / "10")
     assert names(folders)[:2] == ["02", "03"]
 
 
 def test_using_a_folder_makes_it_the_newest(folders):
     os.close(_folder.hold(folders / "00"))
-    _folder.prune(folders / "10")
+    _folder.prune_folders(folders / "10")
     assert "00" in names(folders)
 
 
@@ -103,7 +103,7 @@ def test_a_folder_that_goes_while_the_old_are_sought_is_skipped(folders, monkeyp
 
     monkeypatch.setattr(type(folders), "iterdir", gone_once_listed)
     monkeypatch.setattr(type(folders), "is_dir", lambda folder: True)
-    _folder.prune(folders / "10")
+    _folder.prune_folders(folders / "10")
     monkeypatch.undo()
     assert names(folders) == ["01", "02", *(f"{n:02}" for n in range(4, 11))]
 
@@ -116,9 +116,9 @@ def test_a_folder_of_another_user_is_passed_over(folders, monkeypatch):
             raise PermissionError(path)
         return lock(path, wait)
 
-    monkeypatch.setattr(_folder, "KEPT", _folder.KEPT - 1)
+    monkeypatch.setattr(_folder, "KEPT_FOLDERS", _folder.KEPT_FOLDERS - 1)
     monkeypatch.setattr(_folder, "locked", refused)
-    _folder.prune(folders / "10")
+    _folder.prune_folders(folders / "10")
     assert names(folders)[:2] == ["00", "03"]
 
 

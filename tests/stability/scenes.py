@@ -20,7 +20,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.tracing.active_cells import ActiveCells, block_ranges, make_active_cells
 from isogi_core.kernels.tracing.cast import cast_batch, cast_one_by_one
 from isogi_core.kernels.tracing.field import Field
-from isogi_core.kernels.tracing.intersect import UNKNOWN
+from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.model.view import View
@@ -166,7 +166,7 @@ class Surface:
     level: Isovalue
 
     def cast(
-        self, origins: np.ndarray, directions: np.ndarray, sides: Any = UNKNOWN, by: str = "float32"
+        self, origins: np.ndarray, directions: np.ndarray, sides: Any = UNKNOWN_SIDE, by: str = "float32"
     ) -> tuple[np.ndarray, np.ndarray]:
         """Where rays (n, 3) in index space meet it: t (n,), inf where they do not, and the side they came from."""
         count = len(origins)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.tracing.field import OFFSET
-from isogi_core.kernels.tracing.intersect import OUTSIDE, SKIN, SOLID, UNKNOWN
-from isogi_core.kernels.transport.integrator import bounce_rays
+from isogi_core.kernels.tracing.intersect import OUTSIDE, SKIN, SOLID, UNKNOWN_SIDE
+from isogi_core.kernels.transport.wavefront import bounce_rays
 from tests.stability.scenes import ARITHMETICS, Surface, surface_of
 from tests.stability.volumes import CLOSED, CLOSED_SIDE, RADIUS, grid
 
@@ -115,15 +115,15 @@ def follow(surface: Surface, origins: np.ndarray, directions: np.ndarray, by: st
     heights = surface.height(origins)
     starts = np.where(heights > 0.0, SOLID, OUTSIDE)
     judged, ends = (heights == 0.0) | (abs(heights) > SHALLOW), starts.copy()
-    faults, alive, sides, short = Faults(), np.arange(len(origins)), np.int8(UNKNOWN), np.zeros(len(origins), bool)
+    faults, alive, sides, short = Faults(), np.arange(len(origins)), np.int8(UNKNOWN_SIDE), np.zeros(len(origins), bool)
     for _ in range(MOST_CROSSINGS):
         t, came = surface.cast(origins, directions, sides, by)
         hit = np.isfinite(t)
         ways = t * abs(directions).max(axis=1)
-        sure = hit & (ways > np.where(sides == UNKNOWN, SKIN, TOUCH))
+        sure = hit & (ways > np.where(sides == UNKNOWN_SIDE, SKIN, TOUCH))
         between = surface.height(origins[sure] + 0.5 * t[sure, None] * directions[sure])
         faults.wrong += int((between * came[sure] > 1e-9).sum())
-        hop = hit & (ways < TOUCH) & (sides != UNKNOWN)
+        hop = hit & (ways < TOUCH) & (sides != UNKNOWN_SIDE)
         faults.doubles += int((hop & short).sum())
         if not hit.any():
             break

@@ -11,9 +11,9 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.lobes import (
-    EVEN,
     HALF,
     RAYS,
+    STRATIFIED_VARIANCE,
     add_halves,
     find_sides,
     light_points,
@@ -195,7 +195,7 @@ class Shadows:
         shares = np.empty((len(pairs), 2))
 
         def _piece(a: int, b: int) -> None:
-            see_discs(self.traced, self.picture, self.lamps, pairs[a:b], rays, EVEN[rays], shares[a:b])
+            see_discs(self.traced, self.picture, self.lamps, pairs[a:b], rays, STRATIFIED_VARIANCE[rays], shares[a:b])
 
         self.tiles.run(_piece, len(pairs), HALVES * RAYS[0] // rays)
         return shares

@@ -9,7 +9,7 @@ import numpy as np
 from isogi_core.frame.gbuffer import RAYS, GBuffer, PointsBeside, sight_among, view_pinhole
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.tracing.camera import Pinhole
-from isogi_core.kernels.tracing.peels import LAYERS, MOST, WALL, Peeled, Shells, peel_rays
+from isogi_core.kernels.tracing.peels import LAYERS, MAX_SURFACES, WALL, Peeled, Shells, peel_rays
 from isogi_core.kernels.tracing.sight import FACE, Sight
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.model.view import View
@@ -105,7 +105,7 @@ class Peeler:
         field, levels = surfaces[0].field, [float(each.isovalue) for each in surfaces]
         clears = np.where([level in levels[:k] for k, level in enumerate(levels)], 1.0, clears)
         maps = [each.cells(tiles.run) for each in surfaces]
-        filled = tuple(maps + [maps[0]] * (MOST - len(maps)))
+        filled = tuple(maps + [maps[0]] * (MAX_SURFACES - len(maps)))
         sight = sight_among(view, field.spacing, walls)
         return cls(Shells(field, filled, np.array(levels), clears), view_pinhole(view, field.spacing), sight)
 

@@ -1,4 +1,4 @@
-"""Chunks: the cubes that the lattice's texels are kept in, and how a view numbers those texels that it reads."""
+"""Chunks: the cubes that the lattice's texels are kept in, and how a view numbers the texels that it reads."""
 
 from typing import Any, NamedTuple
 

@@ -10,7 +10,7 @@ from isogi_core.kernels._jit import kernel, record
 CLOSE = np.float32(0.1**2)
 """Squared distance, in pixels, within which a sample is as good as at a pixel's middle."""
 
-HALF, NOTHING = np.float32(0.5), np.float32(0.0)
+HALF_F32, ZERO_F32 = np.float32(0.5), np.float32(0.0)
 
 
 @kernel(types.void(types.uint8[:, :, ::1], types.uint8[:, ::1], types.uint8[:, ::1]))
@@ -107,13 +107,13 @@ def borrow_light(shown, places, found, points, light):
     for m in range(found.shape[0]):
         i = found[m]
         unit = shown.fine / max(squared_distance(shown.spacing, points, m, shown.eye), np.float32(1e-30))
-        x, y = int(np.floor(places[i, 0] - HALF)), int(np.floor(places[i, 1] - HALF))
-        total = NOTHING, NOTHING, NOTHING, NOTHING
+        x, y = int(np.floor(places[i, 0] - HALF_F32)), int(np.floor(places[i, 1] - HALF_F32))
+        total = ZERO_F32, ZERO_F32, ZERO_F32, ZERO_F32
         for ring in range(2):
-            if total[3] == NOTHING:
+            if total[3] == ZERO_F32:
                 for v in range(y - ring, y + 2 + ring):
                     for u in range(x - ring, x + 2 + ring):
                         total = add_pixel(shown, u, v, (points, m), unit, total)
-        if total[3] > NOTHING:
+        if total[3] > ZERO_F32:
             for c in range(3):
                 light[i, c] = total[c] / total[3]

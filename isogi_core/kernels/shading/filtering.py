@@ -23,11 +23,11 @@ from isogi_core.kernels.transport.transfer import TEXELS as POSITIONS
 PATHS, VARIANCE = 14, 15
 """Where a record has how many samples a texel took, and the variance of its own light's luminance, for filtering."""
 
-NEAR = np.exp(np.arange(4, dtype=np.float32) / np.float32(-2.0))
+DISTANCE_WEIGHTS = np.exp(np.arange(4, dtype=np.float32) / np.float32(-2.0))
 """What a neighbour counts by its squared distance, 0 … 3, in steps: a Gauss curve of a step's width."""
 
 SHARED = np.float32(27 / 8)
-"""How much more the variance of what neighbours share counts in pixels than that of each texel's own noise.
+"""How much more the variance that neighbours share counts in pixels than the variance of one texel's noise.
 
 Pixels mix eight texels with trilinear weights, whose squares sum up to (2/3)³ in the mean over a cell: to so little of
 a texel's own variance. What all of them took over from the same neighbours does not average out.
@@ -36,7 +36,7 @@ a texel's own variance. What all of them took over from the same neighbours does
 LENDS = np.float32(1e-4)
 """What neighbours count together at least that lend their light: one next to it whose normal is 54° away does."""
 
-NONE, ONE = np.float32(0.0), np.float32(1.0)
+ZERO_F32, ONE_F32 = np.float32(0.0), np.float32(1.0)
 
 
 class Numbering(NamedTuple):
@@ -79,7 +79,7 @@ def likeness(texels, t, s):
     """What texel ``s`` counts for ``t`` by the cosine between their normals: its 16th power, half at 17°."""
     cosine = texels[t, NORMAL] * texels[s, NORMAL]
     cosine += texels[t, NORMAL + 1] * texels[s, NORMAL + 1] + texels[t, NORMAL + 2] * texels[s, NORMAL + 2]
-    square = max(cosine, NONE) ** 2
+    square = max(cosine, ZERO_F32) ** 2
     return square**2 * square**2 * (square**2 * square**2)
 
 
@@ -101,8 +101,8 @@ def neighbours_of(numbering, bits, texels, at, step, found, weights):
                 number = number_of(numbering, own, within(x + i * step, bits)) if own >= 0 else -1
                 s = np.uint64(max(number, 0))
                 if number >= 0 and CONVERGING <= texels[s, GRADE] <= FINAL:
-                    weight = NEAR[k * k + j * j + i * i] * likeness(texels, t, s)
-                    if weight > NONE:
+                    weight = DISTANCE_WEIGHTS[k * k + j * j + i * i] * likeness(texels, t, s)
+                    if weight > ZERO_F32:
                         found[count], weights[count] = s, weight
                         count += 1
     return count
@@ -114,8 +114,8 @@ def mean_of(texels, found, weights, count):
 
     They count by their samples too.
     """
-    direct = bare = reflected = (NONE, NONE, NONE)
-    total, variance = DARKEST, NONE
+    direct = bare = reflected = (ZERO_F32, ZERO_F32, ZERO_F32)
+    total, variance = DARKEST, ZERO_F32
     for n in range(np.uint64(count)):
         s = np.uint64(found[n])
         w = weights[n] * texels[s, PATHS]
@@ -142,7 +142,7 @@ def differences(texels, found, weights, count, ratio, reflected):
     Variance is that of the luminance about what is ``expected``; what noise explains of it is taken off. The noise is
     that of all of them, as a few paths may agree by chance and show none.
     """
-    apart, noise, total = NONE, NONE, DARKEST
+    apart, noise, total = ZERO_F32, ZERO_F32, DARKEST
     for n in range(np.uint64(count)):
         s, w = np.uint64(found[n]), weights[n]
         direct, around = expected(texels, s, ratio, reflected)
@@ -151,13 +151,13 @@ def differences(texels, found, weights, count, ratio, reflected):
         b = texels[s, 2] + texels[s, REFLECTED + 2] - direct[2] - around[2]
         difference = luminance(r, g, b)
         apart, noise, total = apart + w * difference * difference, noise + w * texels[s, VARIANCE], total + w
-    return max(apart - noise, NONE), noise, total
+    return max(apart - noise, ZERO_F32), noise, total
 
 
 @kernel()
 def mean_paths(texels, found, weights, count):
     """How many samples a texel's neighbours took, in the mean."""
-    paths, total = NONE, DARKEST
+    paths, total = ZERO_F32, DARKEST
     for n in range(np.uint64(count)):
         s, w = np.uint64(found[n]), weights[n]
         paths, total = paths + w * texels[s, PATHS], total + w
@@ -169,7 +169,7 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
     """Write to ``filtered`` (texels, RECORD) the records ``texels``, from the ``first`` on one for each position.
 
     ``positions`` (m, 3; z, y, x) are those texels' own, ``step`` is the distance between neighbours. Their VARIANCE is
-    what is left of it, and NOISE what pixels are to be told of it. Those without light are CONVERGING once they have
+    what is left of it, and NOISE the part of it that pixels report. Those without light are CONVERGING once they have
     that of two neighbours, which count LENDS at least.
     """
     found, weights = np.empty(27, np.uint32), np.empty(27, np.float32)
@@ -188,12 +188,12 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
         signal, noise, total = differences(texels, found, weights, count, ratio, reflected)
         if unlit and total < LENDS:
             continue
-        own = NONE if unlit else signal / max(signal + noise, DARKEST)
+        own = ZERO_F32 if unlit else signal / max(signal + noise, DARKEST)
         direct, around = expected(texels, t, ratio, reflected)
         for c in range(3):
-            filtered[t, DIRECT + c] = own * texels[t, DIRECT + c] + (ONE - own) * direct[c]
-            filtered[t, REFLECTED + c] = own * texels[t, REFLECTED + c] + (ONE - own) * around[c]
-        kept, taken = signal / total if unlit else own * (noise / total), (ONE - own) ** 2 * variance
+            filtered[t, DIRECT + c] = own * texels[t, DIRECT + c] + (ONE_F32 - own) * direct[c]
+            filtered[t, REFLECTED + c] = own * texels[t, REFLECTED + c] + (ONE_F32 - own) * around[c]
+        kept, taken = signal / total if unlit else own * (noise / total), (ONE_F32 - own) ** 2 * variance
         if unlit:
             filtered[t, GRADE], filtered[t, PATHS] = CONVERGING, mean_paths(texels, found, weights, count)
         filtered[t, VARIANCE], filtered[t, NOISE] = kept + taken, math.sqrt(kept + SHARED * taken)
@@ -227,15 +227,15 @@ def lend_texels(corners, grade, lit, graded, lent):
     """
     mean = np.empty(lit.shape[1], np.float32)
     for cell in corners:
-        lenders, unlit = NONE, False
-        mean[:] = NONE
+        lenders, unlit = ZERO_F32, False
+        mean[:] = ZERO_F32
         for t in cell:
             unlit = unlit or grade[t] == UNBAKED
             if CONVERGING <= grade[t] <= FINAL:
-                lenders += ONE
+                lenders += ONE_F32
                 for c in range(mean.shape[0]):
                     mean[c] += lit[t, c]
-        if unlit and lenders > NONE:
+        if unlit and lenders > ZERO_F32:
             for t in cell:
                 if grade[t] == UNBAKED:
                     graded[t] = CONVERGING

@@ -34,7 +34,7 @@ from isogi_core.kernels.shading.lattice import (
     trilinear,
 )
 
-LEAST = 0.05
+MIN_UNSHADOWED = 0.05
 """Share of the light's mean that unshadowed light is taken to be at least, so that ratios stay small."""
 
 LEAST_COSINE = np.float32(1e-3)
@@ -43,7 +43,7 @@ LEAST_COSINE = np.float32(1e-3)
 TURNED = np.float32(0.1055)
 """1 - cosine, of 27°, at which weights have fallen to a fifth; they are a half at 16°."""
 
-NONE, ONE = np.float32(0.0), np.float32(1.0)
+ZERO_F32, ONE_F32 = np.float32(0.0), np.float32(1.0)
 
 DIRECT, NOISE, BARE, GRADE, REFLECTED, NORMAL, RECORD = 0, 3, 4, 7, 8, 11, 16
 """Where numbers of a texel begin in its record, and how many there are, a cache line: its direct light, linear RGB, the
@@ -98,10 +98,10 @@ def fill_records(grade, lit, normals, unshadowed, whole, texels):
         under = unshadowed_light(unshadowed, x, y, z)
         there, unbaked = PARTIAL <= grade[t] <= FINAL, grade[t] == UNBAKED
         for c in range(3):
-            reflected = max(lit[t, 4 + c], lit[t, c] - under[c] if whole else NONE) if there else NONE
-            texels[t, DIRECT + c] = lit[t, c] - reflected if there else under[c] if unbaked else NONE
+            reflected = max(lit[t, 4 + c], lit[t, c] - under[c] if whole else ZERO_F32) if there else ZERO_F32
+            texels[t, DIRECT + c] = lit[t, c] - reflected if there else under[c] if unbaked else ZERO_F32
             texels[t, BARE + c], texels[t, REFLECTED + c] = under[c], reflected
-        texels[t, NOISE] = lit[t, 3] if there else NONE
+        texels[t, NOISE] = lit[t, 3] if there else ZERO_F32
         texels[t, NORMAL], texels[t, NORMAL + 1], texels[t, NORMAL + 2] = x, y, z
         texels[t, GRADE] = np.float32(grade[t])
 
@@ -111,10 +111,11 @@ def agree(texels, t, n):
     """What texel ``t`` counts by the cosine c between its normal and ``n``: (c / (1 + (1 - c) / TURNED))².
 
     It falls off slowly, so that where all texels are turned away from a pixel no single one decides: with the 16th
-    power of the cosine rims of thin walls err by a sixth more at their 99th percentile. What faces away hardly counts.
+    power of the cosine the error at rims of thin walls is a sixth higher, at its 99th percentile. What faces away
+    hardly counts.
     """
     cosine = n[0] * texels[t, NORMAL] + n[1] * texels[t, NORMAL + 1] + n[2] * texels[t, NORMAL + 2]
-    weight = max(cosine, LEAST_COSINE) / (ONE + (ONE - cosine) / TURNED)
+    weight = max(cosine, LEAST_COSINE) / (ONE_F32 + (ONE_F32 - cosine) / TURNED)
     return weight * weight
 
 
@@ -126,18 +127,18 @@ def madd_colour(sums, w, texels, t, first):
 
 @kernel(inline=True)
 def blend_records(corners, m, texels, n, f):
-    """Sums over those of point ``m``'s texels that are not void or buried, float32, and the least grade of all eight.
+    """Sums over the texels of point ``m`` that are not void or buried, float32, and the least grade of all eight.
 
     They are of direct, unshadowed and reflected light, of variance, and of the weights: trilinear ones, for fractions
     ``f`` (z, y, x), times what ``agree`` makes of the point's normal ``n``.
     """
-    direct = unshadowed = reflected = (NONE, NONE, NONE)
-    variance, weight, least, (fz, fy, fx) = NONE, NONE, np.float32(VOID), f
+    direct = unshadowed = reflected = (ZERO_F32, ZERO_F32, ZERO_F32)
+    variance, weight, least, (fz, fy, fx) = ZERO_F32, ZERO_F32, np.float32(VOID), f
     for c in range(8):
         t = corners[m, c]
         grade = texels[t, GRADE]
-        w = (fz if c & 4 else ONE - fz) * (fy if c & 2 else ONE - fy) * (fx if c & 1 else ONE - fx)
-        w *= agree(texels, t, n) if grade <= FINAL else NONE
+        w = (fz if c & 4 else ONE_F32 - fz) * (fy if c & 2 else ONE_F32 - fy) * (fx if c & 1 else ONE_F32 - fx)
+        w *= agree(texels, t, n) if grade <= FINAL else ZERO_F32
         direct, unshadowed = madd_colour(direct, w, texels, t, DIRECT), madd_colour(unshadowed, w, texels, t, BARE)
         reflected, noise = madd_colour(reflected, w, texels, t, REFLECTED), w * texels[t, NOISE]
         variance, weight, least = variance + noise * noise, weight + w, min(least, grade)
@@ -154,7 +155,7 @@ def stand_in(corners, m, texels, under, f):
     for c in range(8):
         if texels[corners[m, c], GRADE] == BURIED:
             buried += trilinear(c, f[0], f[1], f[2])
-    return (NONE, NONE, NONE) if buried > 0.0 else under
+    return (ZERO_F32, ZERO_F32, ZERO_F32) if buried > 0.0 else under
 
 
 @kernel()
@@ -184,10 +185,10 @@ def carry_ratios(lattice, points, corners, texels, unshadowed, unit, framebuffer
         under = unshadowed_light(unshadowed, n[0], n[1], n[2])
         blended = blend_records(corners, m, texels, n, f)
         least = blended[5]
-        if blended[4] > NONE:
+        if blended[4] > ZERO_F32:
             (r, g, b), noise = shade_ratio(blended, under)
         else:
-            (r, g, b), noise = stand_in(corners, m, texels, under, f), NONE
-        error = ONE if least <= PARTIAL else min(noise / max(luminance(r, g, b), DARKEST), ONE)
+            (r, g, b), noise = stand_in(corners, m, texels, under, f), ZERO_F32
+        error = ONE_F32 if least <= PARTIAL else min(noise / max(luminance(r, g, b), DARKEST), ONE_F32)
         state = np.uint8(min(max(least, np.float32(PROVISIONAL)), np.float32(FINAL)))
         put_pixel(framebuffer, points.pixels[m], (r * unit, g * unit, b * unit), state, error)

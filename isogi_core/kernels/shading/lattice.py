@@ -48,7 +48,7 @@ LIT = 7
 
 DARK = np.float32(0.0)
 DARKEST = np.float32(1e-30)
-ONE = np.float32(1.0)
+ONE_F32 = np.float32(1.0)
 
 UNBAKED, PARTIAL, BURIED, VOID = 0, PROVISIONAL, FINAL + 1, FINAL + 2
 """Grades of texels besides CONVERGING and FINAL: nothing baked, not all layers baked, buried, void.
@@ -66,7 +66,7 @@ class Lattice(NamedTuple):
 
     @classmethod
     def of(cls, shape: Shape, density: tuple[float, float, float], chunk: int = CHUNK) -> "Lattice":
-        """The lattice with so many texels along each side of a ``chunk``, a power of two up to 32."""
+        """The lattice whose ``chunk`` has this number of texels along each side, a power of two up to 32."""
         return cls(shape, density, chunk.bit_length() - 1)
 
     @property
@@ -191,13 +191,13 @@ def trilinear(c, fz, fy, fx):
 
 
 @kernel(inline=True)
-def blend(corners, m, lit, fz, fy, fx):
+def blend_texels(corners, m, lit, fz, fy, fx):
     """Weighted sums over the eight texels of point ``m``, all of which are lit: (r, g, b, variance), float32."""
     z, y, x = np.float32(fz), np.float32(fy), np.float32(fx)
     r = g = b = variance = np.float32(0.0)
     for c in range(8):
         t = corners[m, c]
-        w = (z if c & 4 else ONE - z) * (y if c & 2 else ONE - y) * (x if c & 1 else ONE - x)
+        w = (z if c & 4 else ONE_F32 - z) * (y if c & 2 else ONE_F32 - y) * (x if c & 1 else ONE_F32 - x)
         noise = w * lit[t, 3]
         r, g, b, variance = r + w * lit[t, 0], g + w * lit[t, 1], b + w * lit[t, 2], variance + noise * noise
     return r, g, b, variance
@@ -205,7 +205,7 @@ def blend(corners, m, lit, fz, fy, fx):
 
 @kernel()
 def blend_some(corners, m, grade, lit, fz, fy, fx):
-    """``blend`` where texels may be missing: (r, g, b, variance, weights of lit, unbaked, buried texels), float64."""
+    """``blend_texels`` where texels may be missing: (r, g, b, variance, weights of lit, unbaked and buried ones)."""
     r, g, b, variance, weight, unbaked, buried = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for c in range(8):
         t = corners[m, c]
@@ -266,11 +266,11 @@ def carry_light(lattice, points, corners, grade, lit, sky, unit, framebuffer):
         _, _, _, fz, fy, fx = base_texel(lattice, points.points, m)
         least, most = span_of(grade, corners, m)
         if PARTIAL <= least and most <= FINAL:
-            r, g, b, variance = blend(corners, m, lit, fz, fy, fx)
+            r, g, b, variance = blend_texels(corners, m, lit, fz, fy, fx)
         else:
             some = blend_some(corners, m, grade, lit, fz, fy, fx)
             r, g, b, variance = fill_in(some, point_of(points.normals, m), sky, basis)
-        noise = min(math.sqrt(variance) / max(luminance(r, g, b), DARKEST), ONE)
-        error = ONE if least <= PARTIAL else noise
+        noise = min(math.sqrt(variance) / max(luminance(r, g, b), DARKEST), ONE_F32)
+        error = ONE_F32 if least <= PARTIAL else noise
         state = min(max(least, PROVISIONAL), FINAL)
         put_pixel(framebuffer, points.pixels[m], (r * unit, g * unit, b * unit), state, error)

@@ -2,7 +2,7 @@
 
 A lobe is a directional lamp. Few rays find where its shadows have their edges: one to its middle from every fourth
 pixel of every fourth row, and from the others where those around disagree. Where the answers change from pixel to
-pixel, rays to the lobe's rim tell what sees all of it, or nothing, of which the light is known. Pixels whose rim rays
+pixel, rays to the lobe's rim find points that see all of it, or nothing, and whose light is known. Pixels whose rays
 disagree are in the half-shadow: from these it is followed by every fourth pixel, as far as it goes, then filled between
 pixels that are in it, and its ends are sought pixel by pixel. In the half-shadow more rays are drawn, fewer the
 more neighbours share theirs (interleaved sampling: Keller and Heidrich 2001): those opposite each other, whose mean is
@@ -31,6 +31,7 @@ from isogi_core.kernels.shading.framebuffer import (
 )
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.local_models import find_unoccluded
+from isogi_core.kernels.shading.same_surface import number_at
 from isogi_core.kernels.shading.shadow_points import (
     ANY,
     ORDER,
@@ -38,7 +39,6 @@ from isogi_core.kernels.shading.shadow_points import (
     SHADOW_POINTS,
     near_between,
     neighbours,
-    row_at,
     step_of,
     turn_of,
 )
@@ -49,7 +49,7 @@ from isogi_core.kernels.transport.rng import mix, point_2d
 from isogi_core.kernels.transport.streams import LOBES as LOBES_STREAM
 
 RIM = 4
-"""Rays to the rim of a lobe: at ends of diameters that cross, turned anew for each pixel."""
+"""Rays to the rim of a lobe: at ends of diameters that cross, turned by another angle for each pixel."""
 
 RAYS = (16, 8, 8, 4, 4)
 """Rays to a lobe from a point in its half-shadow, by how many pairs of neighbours share theirs with it; powers of two.
@@ -58,14 +58,14 @@ RAYS = (16, 8, 8, 4, 4)
 AXES = ((0, 1, 2.0), (1, 0, 2.0), (1, 1, 1.0), (1, -1, 1.0))
 """Steps along y and x to the two neighbours of a pair, on either side, and what each counts beside OWN."""
 
-OWN = 4.0
+POINT_WEIGHT = 4.0
 """What a point's own rays count: with all four pairs the mean is binomial along x and y."""
 
 SHARP = math.sin(math.radians(0.25))
 """Lobes whose half angle has at most this sine are seen along one ray."""
 
-EVEN = {4: 0.5, 8: 0.35, 16: 0.25}
-"""Variance of the mean of stratified rays over that of as many random ones, where they see more or less of a lobe.
+STRATIFIED_VARIANCE = {4: 0.5, 8: 0.35, 16: 0.25}
+"""Variance of the mean of stratified rays over the variance of as many random rays, where they see a part of a lobe.
 
 0.18 behind straight edges at any distance from its middle, by 16 rays, which leave an error of 4.3 % of its light; what
 rays to the rim miss of them, a tenth of all half-shadow at its ends, is another 0.9 %. It falls as the root of rays.
@@ -74,7 +74,7 @@ rays to the rim miss of them, a tenth of all half-shadow at its ends, is another
 GRAZING = 0.03
 """What a lobe brings at most, over what it would from straight above, where its half-shadows are not looked for."""
 
-AWAY, DARK, LIT, HALF, UNKNOWN = range(5)
+AWAY, DARK, LIT, HALF, UNASKED = range(5)
 """What a point sees of what is above its horizon of a lobe: none is there; nothing; all; a part; not known yet."""
 
 SEEN = types.uint8[:, ::1]
@@ -115,10 +115,10 @@ def irradiance(cosine, s):
 def agreed(around, m, seen):
     """What the neighbours ``around`` point ``m`` all have ``seen`` (m,) of a lobe, DARK or LIT; else UNKNOWN."""
     if around[m, 0] < 0:
-        return UNKNOWN
+        return UNASKED
     found = seen[around[m, 0]]
     same = found == seen[around[m, 1]] and found == seen[around[m, 2]] and found == seen[around[m, 3]]
-    return found if same and (found == DARK or found == LIT) else UNKNOWN
+    return found if same and (found == DARK or found == LIT) else UNASKED
 
 
 @kernel(types.void(SURFACE, SHADOW_POINTS, LAMPS, PART, SEEN))
@@ -137,7 +137,7 @@ def see_middles(surface, picture, lamps, part, seen):
             n = point_of(picture.points.normals, m)
             cosine = dot(n, towards)
             seen[k, m] = AWAY if cosine <= -s else agreed(picture.around, m, seen[k])
-            if seen[k, m] == UNKNOWN:
+            if seen[k, m] == UNASKED:
                 owners[count], lobes[count] = m, k
                 put_column(ways, count, madd(towards, 0.5 * max(s - cosine, 0.0), n))
                 count += 1
@@ -202,7 +202,7 @@ def spread_edges(picture, lamps, halves, turn, seen, asked, more):
             continue  # none of that turn believes it
         for above in range(step * ((y - 1) // step), y + step + 1, step):
             for aside in range(step * ((x - 1) // step), x + step + 1, step):
-                n = row_at(picture.rows, above, aside)
+                n = number_at(picture.rows, above, aside)
                 if n < 0 or asked[k, n] or (turn != ANY and turn_of(aside, above) != turn):
                     continue
                 amid = halves_around(picture, n, seen[k])
@@ -257,7 +257,7 @@ def opposite(picture, m, axis):
     """The numbers of the two points beside point ``m`` along one of the AXES."""
     y, x = divmod(np.int64(picture.points.pixels[m]), picture.rows.shape[1])
     dy, dx, _ = AXES[axis]
-    return row_at(picture.rows, y - dy, x - dx), row_at(picture.rows, y + dy, x + dx)
+    return number_at(picture.rows, y - dy, x - dx), number_at(picture.rows, y + dy, x + dx)
 
 
 @kernel(types.void(SHADOW_POINTS, PAIRS, SEEN, SIDES))
@@ -275,7 +275,7 @@ def find_sides(picture, pairs, seen, sides):
 
 @kernel(types.void(SURFACE, SHADOW_POINTS, LAMPS, PAIRS, types.int64, types.float64, SHARES))
 def see_discs(surface, picture, lamps, pairs, rays, even, shares):
-    """Fill ``shares`` (pairs, 2): E/π from lobes by so many ``rays`` of each of the ``pairs``, and its variance.
+    """Fill ``shares`` (pairs, 2): E/π from lobes by a number of ``rays`` of each of the ``pairs``, and its variance.
 
     It is that over E/π of the lobe from straight above, were all of it there; the rays are spread as EVEN says.
     """
@@ -300,14 +300,14 @@ def see_discs(surface, picture, lamps, pairs, rays, even, shares):
 
 @kernel(types.void(SHADOW_POINTS, LAMPS, PAIRS, SIDES, ORDER, SHARES, PART, SHARES))
 def share_rays(picture, lamps, pairs, sides, places, own, part, shares):
-    """Fill ``shares`` (pairs, 2) of a ``part`` of the ``pairs`` by their own rays and those beside that share theirs.
+    """Fill ``shares`` (pairs, 2) of a ``part`` of the ``pairs`` by their rays and by rays that neighbours share.
 
     The part is of one lobe, whose points have their ``places`` (m,) among the pairs. ``own`` (pairs, 2) are the shares
     by each pair's own rays. What is shared is how much of what is above a point's horizon it sees.
     """
     for j in range(part[0], part[1]):
         k, m = divmod(pairs[j], places.shape[0])
-        mean, variance, total = OWN * own[j, 0], OWN * OWN * own[j, 1], OWN
+        mean, variance, total = POINT_WEIGHT * own[j, 0], POINT_WEIGHT * POINT_WEIGHT * own[j, 1], POINT_WEIGHT
         bare = irradiance(cosine_of(picture.points, lamps, k, m), radius(lamps, k))
         for axis in range(len(AXES)):
             if not sides[j] >> axis & 1:
@@ -321,7 +321,7 @@ def share_rays(picture, lamps, pairs, sides, places, own, part, shares):
 
 
 @kernel()
-def add_light(lit, m, colour, share, variance):
+def add_lobe_light(lit, m, colour, share, variance):
     """Add a ``share`` of the light ``colour``, whose ``variance`` is known, to point ``m``."""
     for c in range(3):
         lit[m, c] += share * colour[c]
@@ -334,7 +334,7 @@ def share_around(picture, m, seen):
     width, lit, facing = picture.rows.shape[1], 0.0, 0.0
     y, x = divmod(np.int64(picture.points.pixels[m]), width)
     for i in range(9):
-        n = row_at(picture.rows, y + i // 3 - 1, x + i % 3 - 1)
+        n = number_at(picture.rows, y + i // 3 - 1, x + i % 3 - 1)
         if n >= 0 and seen[n] != AWAY:
             lit, facing = lit + (seen[n] == LIT), facing + 1.0
     return lit / facing
@@ -355,7 +355,7 @@ def light_points(picture, lamps, part, smooth, seen, lit):
                 continue
             share = share_around(picture, m, seen[k]) if smooth else 1.0 if seen[k, m] == LIT else 0.0
             if share > 0.0:
-                add_light(lit, m, colour, share * irradiance(cosine_of(picture.points, lamps, k, m), s), 0.0)
+                add_lobe_light(lit, m, colour, share * irradiance(cosine_of(picture.points, lamps, k, m), s), 0.0)
 
 
 @kernel(types.void(LAMPS, PAIRS, SHARES, types.float32[:, ::1]))
@@ -363,7 +363,7 @@ def add_halves(lamps, pairs, shares, lit):
     """Add the ``shares`` (pairs, 2) of lobes that points see in part to their light; see ``frame.rays.lobe_light``."""
     for j in range(pairs.shape[0]):
         k, m = divmod(pairs[j], lit.shape[0])
-        add_light(lit, m, row(lamps.colours, k), shares[j, 0], shares[j, 1])
+        add_lobe_light(lit, m, row(lamps.colours, k), shares[j, 0], shares[j, 1])
 
 
 @kernel(types.void(PIXELS, types.float32[:, ::1], types.float64, FRAMEBUFFER))

@@ -18,11 +18,10 @@ from isogi_core.kernels.shading.framebuffer import (
 )
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
 from isogi_core.kernels.tracing.field import FIELD, normal, to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE
+from isogi_core.kernels.tracing.intersect import OUTSIDE, launch
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, dot, length, madd, normalize, put_column, scale, sub
 from isogi_core.kernels.transport.integrate import add_paths
-from isogi_core.kernels.transport.integrator import launch
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS, to_world
 from isogi_core.kernels.transport.lights import fog, row
 from isogi_core.kernels.transport.open_paths import Open

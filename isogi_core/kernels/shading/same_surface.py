@@ -23,7 +23,7 @@ class ShownPoints(NamedTuple):
     normals: Any
 
 
-NEAR = np.exp(np.arange(3) / -2.0)
+DISTANCE_WEIGHTS = np.exp(np.arange(3) / -2.0)
 """What a pixel counts by its squared distance, 0 to 2, in steps."""
 
 VECTORS = types.float32[:, ::1]
@@ -48,9 +48,9 @@ def sameness(points, normals, m, n):
 
 
 @kernel(inline=True)
-def row_beside(shown, y, x):
+def number_at(rows, y, x):
     """The number of the point in a pixel; -1 where none is, and outside the picture."""
-    return shown.rows[y, x] if 0 <= y < shown.rows.shape[0] and 0 <= x < shown.rows.shape[1] else -1
+    return np.int64(rows[y, x]) if 0 <= y < rows.shape[0] and 0 <= x < rows.shape[1] else -1
 
 
 @kernel()
@@ -59,7 +59,7 @@ def find_around(shown, m, step, found):
     y, x = divmod(np.int64(shown.pixels[m]), shown.rows.shape[1])
     for dy in range(-1, 2):
         for dx in range(-1, 2):
-            found[3 * dy + dx + 4] = row_beside(shown, y + dy * step, x + dx * step)
+            found[3 * dy + dx + 4] = number_at(shown.rows, y + dy * step, x + dx * step)
 
 
 @kernel()
@@ -92,7 +92,8 @@ def mean_around(shown, step, first, values, variance, means, left):
         for k in range(9):
             if k != 4 and found[k] >= 0:
                 n = np.uint64(found[k])
-                weight = NEAR[(k // 3 - 1) ** 2 + (k % 3 - 1) ** 2] * sameness(shown.points, shown.normals, m, n)
+                same, square = sameness(shown.points, shown.normals, m, n), (k // 3 - 1) ** 2 + (k % 3 - 1) ** 2
+                weight = DISTANCE_WEIGHTS[square] * same
                 total, noise = total + weight, noise + weight * weight * variance[n]
                 for c in range(means.shape[1]):
                     means[i, c] += weight * values[n, c]

@@ -1,4 +1,4 @@
-"""What shadow rays from a picture's points have in common, whatever the light: where they start, and who asks when.
+"""Shadow rays from a picture's points, whatever the light: where they start, and which point asks in which turn.
 
 Pixels are asked in turns, so that a point may believe those around it that were asked before, where these are of one
 smooth surface with it.
@@ -12,10 +12,10 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.shading.framebuffer import PIXEL_POINTS, PIXELS, point_of
+from isogi_core.kernels.shading.same_surface import number_at
 from isogi_core.kernels.tracing.cast import SURFACE
-from isogi_core.kernels.tracing.intersect import OUTSIDE
+from isogi_core.kernels.tracing.intersect import OUTSIDE, launch
 from isogi_core.kernels.tracing.vec import add, length, scale, sub
-from isogi_core.kernels.transport.integrator import launch
 
 BENT = 0.25
 """How far a point may be from the middle of two neighbours, over their distance, for what these see to hold for it."""
@@ -66,13 +66,6 @@ SHADOW_POINTS = record(
 
 
 @kernel()
-def row_at(rows, y, x):
-    """The number of the point in a pixel, -1 where there is none or the picture ends."""
-    inside = 0 <= y < rows.shape[0] and 0 <= x < rows.shape[1]
-    return np.int64(rows[y, x]) if inside else -1
-
-
-@kernel()
 def turn_of(x, y):
     """When a pixel is asked: 0 where 4 divides x and y; the last two turns amid next neighbours, others two apart."""
     if (x | y) & 1:
@@ -87,7 +80,7 @@ def step_of(turn):
 
 
 @kernel()
-def between(points, m, a, b):
+def is_midway(points, m, a, b):
     """Whether point ``m`` is in the middle of its neighbours ``a`` and ``b``, as on one smooth surface."""
     if a < 0 or b < 0:
         return False
@@ -111,7 +104,7 @@ def are_near(points, a, b):
 @kernel()
 def near_between(points, m, a, b):
     """Whether point ``m`` is in the middle of ``a`` and ``b``, as on one smooth surface, and these are near."""
-    return between(points, m, a, b) and are_near(points, a, b)
+    return is_midway(points, m, a, b) and are_near(points, a, b)
 
 
 @kernel()
@@ -128,14 +121,14 @@ def amid_near(points, m, four):
 @kernel()
 def neighbours(rows, y, x, aside, step):
     """Numbers of the four points at a distance of ``step`` about a pixel: diagonal where ``aside`` is that, too."""
-    a, b = row_at(rows, y - aside, x - step), row_at(rows, y + aside, x + step)
-    return a, b, row_at(rows, y - step, x + aside), row_at(rows, y + step, x - aside)
+    a, b = number_at(rows, y - aside, x - step), number_at(rows, y + aside, x + step)
+    return a, b, number_at(rows, y - step, x + aside), number_at(rows, y + step, x - aside)
 
 
 @kernel()
 def on_one_surface(points, m, four):
     """Whether point ``m`` is amid ``four`` neighbours, two and two of them opposite, as on one smooth surface."""
-    return between(points, m, four[0], four[1]) and between(points, m, four[2], four[3])
+    return is_midway(points, m, four[0], four[1]) and is_midway(points, m, four[2], four[3])
 
 
 @kernel(types.void(SURFACE, SHADOW_POINTS, PART))

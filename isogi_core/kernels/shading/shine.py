@@ -17,7 +17,7 @@ from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.shading.framebuffer import PIXEL_POINTS, point_of
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
 from isogi_core.kernels.tracing.field import normal, to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE
+from isogi_core.kernels.tracing.intersect import OUTSIDE, launch
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import (
     SMALLEST,
@@ -33,22 +33,21 @@ from isogi_core.kernels.tracing.vec import (
     times,
 )
 from isogi_core.kernels.tracing.walls import NOWHERE, nearest_wall
-from isogi_core.kernels.transport.integrator import about, launch
-from isogi_core.kernels.transport.light_paths import FAR, to_world
+from isogi_core.kernels.transport.light_paths import NO_START, to_world
 from isogi_core.kernels.transport.lights import (
     LAMPS,
-    NOTHING,
+    NO_LIGHT,
     illuminate,
     row,
 )
 from isogi_core.kernels.transport.microfacets import (
     GRAZING,
     SHINE_LOBE,
-    fresnel,
     light_below,
     reflected,
     reflected_pdf,
     sample_reflected,
+    schlick_fresnel,
 )
 from isogi_core.kernels.transport.ray_lights import (
     SHINE_LIGHTS,
@@ -59,7 +58,7 @@ from isogi_core.kernels.transport.ray_lights import (
 )
 from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.room_paths import ROOM, lit_from
-from isogi_core.kernels.transport.sampling import BELOW_ONE
+from isogi_core.kernels.transport.sampling import BELOW_ONE, about
 from isogi_core.kernels.transport.streams import SHINE_CHOICE, SHINE_LAMP, SHINE_WAY
 
 NEVER, ISOSURFACE = -2, -1
@@ -133,7 +132,7 @@ def share_aside(lobe, lights):
 @kernel()
 def mirrored(lobe, v, l):
     """What the lobe mirrors from ``l`` to ``v``, times cosθ and its strength; linear RGB."""
-    return scale(fresnel(lobe.facing, v, l), lobe.strength * reflected(lobe.alpha, v, l))
+    return scale(schlick_fresnel(lobe.facing, v, l), lobe.strength * reflected(lobe.alpha, v, l))
 
 
 @kernel(inline=True)
@@ -142,7 +141,7 @@ def judge_way(lobe, lights, p, v, l, w):
     expected of both, and that over the density of ``draw_way``.
     """
     if not l[2] > 0.0:
-        return NOTHING, NOTHING, 0.0, 0.0
+        return NO_LIGHT, NO_LIGHT, 0.0, 0.0
     share, aside = mirrored(lobe, v, l), share_aside(lobe, lights)
     light, density = expect_along(lights, p, w)
     hope = dot(share, light) + lights.ambient * (share[0] + share[1] + share[2])
@@ -159,7 +158,7 @@ def choose_way(lobe, lights, p, n, v, seed, sample):
     """
     chance = point_2d(seed, sample, SHINE_CHOICE)[0] if lights.ways > 1 else 0.0
     total, expected = 0.0, 1.0
-    chosen, colour, bright = n, NOTHING, NOTHING
+    chosen, colour, bright = n, NO_LIGHT, NO_LIGHT
     for j in range(lights.ways):
         w = draw_way(lobe, lights, p, n, v, seed, sample * lights.ways + j)
         share, light, hope, part = judge_way(lobe, lights, p, v, to_local(n, w), w)
@@ -245,7 +244,7 @@ def aim_rays(surface, points, eye, lobe, lights, draws, rays, ends):
         w, weight, light = choose_way(lobe, lights, to_world(o, field.spacing), n, v, draws.seeds[i], draws.samples[i])
         alive = max(weight[0], weight[1], weight[2]) > 0.0
         put_column(ways, i, w)
-        put_column(origins, i, o if alive else FAR)
+        put_column(origins, i, o if alive else NO_START)
         put_row(ends.weights, i, weight)
         put_row(ends.brought, i, times(weight, light))
         if alive:
@@ -281,8 +280,8 @@ def add_lamp(surface, room, points, eye, lobe, lamp, draws, ends):
         o, v = launch(field, surface.isovalue, p, n, OUTSIDE), to_viewer(p, n, eye, field.spacing)
         w, reach[i], light = illuminate(lamps, k, to_world(o, field.spacing), n, 0.5, 0.5)
         l = to_local(n, w)
-        put_column(origins, i, FAR)
-        put_column(lights, i, NOTHING)
+        put_column(origins, i, NO_START)
+        put_column(lights, i, NO_LIGHT)
         if l[2] > 0.0:
             share = scale(mirrored(lobe, v, l), math.pi / l[2])
             put_column(origins, i, o)
@@ -319,7 +318,7 @@ def light_ends(surface, points, lamps, seeds, lit):
             a, b = point_2d(seeds[i], 0, SHINE_LAMP + k)
             w, _, light = illuminate(lamps, k, p, n, a, b)
             facing = max(light[0], light[1], light[2]) > 0.0
-            put_column(origins, i, launch(field, surface.isovalue, p, n, OUTSIDE) if facing else FAR)
+            put_column(origins, i, launch(field, surface.isovalue, p, n, OUTSIDE) if facing else NO_START)
             put_column(directions, i, to_index(w, field.spacing))
             put_column(lights, i, light)
         cast_from(surface, origins, directions, t)

@@ -4,20 +4,20 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.shading.picture_noise import BINOMIAL, NEAR
+from isogi_core.kernels.shading.picture_noise import BINOMIAL, RADIUS
 
-NONE, ONE = np.float32(0.0), np.float32(1.0)
+ZERO_F32, ONE_F32 = np.float32(0.0), np.float32(1.0)
 
 COLUMNS = types.float32[:, ::1]
 
 
 @kernel(inline=True)
-def likeness(normals, n, normal, narrow):
+def biweight(normals, n, normal, narrow):
     """What the normal of point ``n`` counts for a ``normal``: Tukey's biweight of the length between both, by the
     inverse of its squared width.
     """
     x, y, z = normals[n, 0] - normal[0], normals[n, 1] - normal[1], normals[n, 2] - normal[2]
-    rest = max(ONE - (x * x + y * y + z * z) * narrow, NONE)
+    rest = max(ONE_F32 - (x * x + y * y + z * z) * narrow, ZERO_F32)
     return rest * rest
 
 
@@ -33,19 +33,19 @@ def filter_shine(rows, pixels, normals, first, light, step, width, found):
     which count binomially, and by how like their ``normals`` (m, 3) are within a ``width``. ``rows`` and ``pixels`` are
     as of ``pool_noise``. Source: Dammertz and others 2010; Schied and others 2017 on variance.
     """
-    (height, across), narrow = rows.shape, ONE / (width * width)
+    (height, across), narrow = rows.shape, ONE_F32 / (width * width)
     for i in range(found.shape[0]):
         m = first + i
         y, x = divmod(np.int64(pixels[m]), across)
         normal = normals[m, 0], normals[m, 1], normals[m, 2]
-        red = green = blue = variance = total = NONE
-        for dy in range(-NEAR, NEAR + 1):
+        red = green = blue = variance = total = ZERO_F32
+        for dy in range(-RADIUS, RADIUS + 1):
             v = y + dy * step
-            for dx in range(-NEAR if 0 <= v < height else NEAR + 1, NEAR + 1):
+            for dx in range(-RADIUS if 0 <= v < height else RADIUS + 1, RADIUS + 1):
                 u = x + dx * step
                 n = np.int64(rows[v, u]) if 0 <= u < across else -1
                 if n >= 0:
-                    w = np.float32(BINOMIAL[dy + NEAR] * BINOMIAL[dx + NEAR]) * likeness(normals, n, normal, narrow)
+                    w = np.float32(BINOMIAL[dy + RADIUS] * BINOMIAL[dx + RADIUS]) * biweight(normals, n, normal, narrow)
                     red, green, blue = red + w * light[n, 0], green + w * light[n, 1], blue + w * light[n, 2]
                     variance, total = variance + w * w * light[n, 3], total + w
         found[i, 0], found[i, 1], found[i, 2] = red / total, green / total, blue / total

@@ -1,4 +1,4 @@
-"""Texel normals: those that texels are lit about, found anew for a view's texels, as no store keeps them."""
+"""Normals that texels are lit about. They are computed for the texels of each view, as no store keeps them."""
 
 import math
 
@@ -8,7 +8,7 @@ from numba import types
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.shading.framebuffer import POINTS
 from isogi_core.kernels.tracing.field import FIELD, SIXTH, normal, to_world_normal
-from isogi_core.kernels.tracing.plateaus import along
+from isogi_core.kernels.tracing.plateaus import point_within
 from isogi_core.kernels.tracing.vec import is_zero
 from isogi_core.kernels.transport.texel_points import way_to
 from isogi_core.kernels.transport.transfer import TEXELS, VECTOR
@@ -18,7 +18,7 @@ NEARLY = 8
 
 
 @kernel()
-def row_of(voxels, k, j, i0, i, i2):
+def blur_row(voxels, k, j, i0, i, i2):
     """The smoothed value and slope along x of a row at voxel ``i``, whose neighbours are ``i0`` and ``i2``."""
     low, here, high = np.float64(voxels[k, j, i0]), np.float64(voxels[k, j, i]), np.float64(voxels[k, j, i2])
     return SIXTH * (low + high) + 4.0 * SIXTH * here, 0.5 * (high - low)
@@ -27,7 +27,7 @@ def row_of(voxels, k, j, i0, i, i2):
 @kernel()
 def plane_of(voxels, k, j0, j, j2, i0, i, i2):
     """The smoothed value of a plane at voxel (j, i), and its slopes along y and x."""
-    a, b, c = row_of(voxels, k, j0, i0, i, i2), row_of(voxels, k, j, i0, i, i2), row_of(voxels, k, j2, i0, i, i2)
+    a, b, c = blur_row(voxels, k, j0, i0, i, i2), blur_row(voxels, k, j, i0, i, i2), blur_row(voxels, k, j2, i0, i, i2)
     return (
         SIXTH * (a[0] + c[0]) + 4.0 * SIXTH * b[0],
         0.5 * (c[0] - a[0]),
@@ -67,7 +67,7 @@ def normal_there(field, p, n, level):
     if is_zero(n):
         return n
     d, t = way_to(field, p, n, level, NEARLY)
-    return normal(field, along(field.voxels.shape, p, d, t)) if t < math.inf else (0.0, 0.0, 0.0)
+    return normal(field, point_within(field.voxels.shape, p, d, t)) if t < math.inf else (0.0, 0.0, 0.0)
 
 
 @kernel(types.void(FIELD, VECTOR, types.float64, types.boolean, TEXELS, POINTS))
@@ -94,7 +94,7 @@ SPREAD = np.uint64(0x9E3779B97F4A7C15)
 
 
 @kernel()
-def place_of(number, keys):
+def slot_of(number, keys):
     """Where in a table of a power of two of ``keys`` the texel ``number`` is, or where it may be put."""
     last, key = np.uint64(keys.shape[0] - 1), number + np.uint64(1)
     at = (number * SPREAD >> np.uint64(32)) & last
@@ -107,7 +107,7 @@ def place_of(number, keys):
 def look_up_normals(numbers, keys, table, normals, found):
     """Fill ``normals`` (m, 3) of the texels ``numbers`` (m,) that a ``table`` holds, and which are ``found`` (m,)."""
     for m in range(numbers.shape[0]):
-        at = place_of(numbers[m], keys)
+        at = slot_of(numbers[m], keys)
         found[m] = keys[at] != np.uint64(0)
         if found[m]:
             normals[m, 0], normals[m, 1], normals[m, 2] = table[at, 0], table[at, 1], table[at, 2]
@@ -117,6 +117,6 @@ def look_up_normals(numbers, keys, table, normals, found):
 def keep_normals(numbers, normals, keys, table):
     """Put the ``normals`` (m, 3) of the texels ``numbers`` (m,) into a ``table`` that has room for them."""
     for m in range(numbers.shape[0]):
-        at = place_of(numbers[m], keys)
+        at = slot_of(numbers[m], keys)
         keys[at] = numbers[m] + np.uint64(1)
         table[at, 0], table[at, 1], table[at, 2] = normals[m, 0], normals[m, 1], normals[m, 2]

@@ -104,7 +104,7 @@ def unpack_texels(offsets, bounds, planes, numbers, texels):
                 take_codes(codes[k, c, i - second], own, numbers.light, scale, light[:, c, i])
 
 
-LIT, LACKING, FEW, NEVER = 1, 2, 4, 8
+LIT, LACKING, SPARSE, NEVER = 1, 2, 4, 8
 """What a part may say of a texel: it has light; shown light lacks; it has too few samples to be dark; it is void."""
 
 VOID = -1
@@ -155,10 +155,10 @@ class Role(NamedTuple):
     fewest: int
 
 
-COLUMN, WHOLE = types.float32[::1], types.int64[::1]
+COLUMN, INTEGERS = types.float32[::1], types.int64[::1]
 REAL = types.float64[::1]
 ROWS = record(Rows, types.float32[:, :, ::1], COLUMN, COLUMN, COLUMN)
-SUMS = record(Sums, REAL, REAL, WHOLE, WHOLE, types.uint8[::1])
+SUMS = record(Sums, REAL, REAL, INTEGERS, INTEGERS, types.uint8[::1])
 TERM = (types.int64, types.int64, types.boolean)
 ROLE = record(Role, REAL, REAL, *TERM, types.int64, types.boolean, types.boolean, types.int64)
 SAMPLES, NUMBERS = types.int32[::1], types.int32[::1]
@@ -176,7 +176,7 @@ def rung_of(samples):
 
 
 @kernel()
-def add_light(light, m, role, transfer, row):
+def add_texel_light(light, m, role, transfer, row):
     """Add the ``light`` of a texel to its term's columns of a ``row``, or put it there; whether there is any.
 
     A light of one channel is that of all.
@@ -208,10 +208,11 @@ def variance_of(noise, m, gains):
 
 @kernel()
 def mark_of(samples, lit, role):
-    """What a part with so many ``samples`` says of a texel, ``lit`` or dark in it."""
+    """The marks that a part with this number of ``samples`` gives a texel, ``lit`` or dark in it."""
     lacks = role.straight and samples == 0 and not lit
     marks = LIT if lit or not role.telling else 0
-    return marks | (LACKING if lacks else 0) | (FEW if samples < role.fewest else 0) | (NEVER if samples == VOID else 0)
+    marks |= (LACKING if lacks else 0) | (SPARSE if samples < role.fewest else 0)
+    return marks | (NEVER if samples == VOID else 0)
 
 
 @kernel()
@@ -231,7 +232,7 @@ def add_part(samples, noise, light, bits, role, rows, into, sums):
     Of the part, ``samples`` (m,), ``noise`` (m, noises) and ``light`` (m, channels, n²), also as its ``bits``.
     """
     for m in range(len(samples)):
-        lit = add_light(light, m, role, into.transfer, np.uint32(rows[m]))
+        lit = add_texel_light(light, m, role, into.transfer, np.uint32(rows[m]))
         sums.variance[m] += variance_of(noise, m, role.gains)
         for c in range(light.shape[1]):
             sums.luminance[m] += light[m, c, 0] * role.weights[c]
@@ -242,13 +243,13 @@ def add_part(samples, noise, light, bits, role, rows, into, sums):
 
 
 @kernel()
-def place_of(marks, row):
+def lookup_of(marks, row):
     """Where a texel with these ``marks`` is looked up: its ``row``, or why it has none."""
     if marks & NEVER:
         return VOID_ROW
     if marks & LACKING:
         return UNLIT
-    return row if marks & (LIT | FEW) else BURIED_ROW
+    return row if marks & (LIT | SPARSE) else BURIED_ROW
 
 
 class Judge(NamedTuple):
@@ -272,7 +273,7 @@ class Judge(NamedTuple):
 
 
 POWERS = types.float64[:, :, :, :, ::1]
-JUDGE = record(Judge, WHOLE, WHOLE, REAL, POWERS, *[types.float64] * 3, types.int64, types.int64)
+JUDGE = record(Judge, INTEGERS, INTEGERS, REAL, POWERS, *[types.float64] * 3, types.int64, types.int64)
 
 
 @kernel()
@@ -320,12 +321,12 @@ def judge_rows(rows, into, sums, judge, places):
         into.scatter[row] = wrong / max(judge.unit * math.sqrt(spread), judge.darkest)
         into.error[row] = wrong / max(sums.luminance[m], judge.level)
         into.stamp[row] = sums.rungs[m] + judge.beyond * (sums.shown[m] % judge.checksums)
-        places[m] = place_of(sums.marks[m], rows[m])
+        places[m] = lookup_of(sums.marks[m], rows[m])
 
 
 @kernel(types.void(types.float32[::1], types.int64, types.int64, types.int32[::1], types.int32[::1]))
 def find_fewest(stamps, parts, levels, numbers, fewest):
-    """Fill ``fewest`` (m,): the fewest samples of any of so many ``parts`` of texels with these ``stamps`` (m,).
+    """Fill ``fewest`` (m,): the fewest samples of any of the ``parts`` of texels with these ``stamps`` (m,).
 
     A stamp has as many ``levels`` for each part, which stand for ``numbers`` (256,) of samples; negative ones for none.
     """

@@ -30,12 +30,12 @@ class WallTable(NamedTuple):
     states: Any
 
 
-WHOLE = types.int64[::1]
-WALL_TABLE = record(WallTable, types.float32[:, ::1], WHOLE, WHOLE, WHOLE, types.uint8[::1])
+INTEGERS = types.int64[::1]
+WALL_TABLE = record(WallTable, types.float32[:, ::1], INTEGERS, INTEGERS, INTEGERS, types.uint8[::1])
 
 
 @kernel()
-def between(share, count):
+def texel_before(share, count):
     """The texel before a ``share`` of an edge with ``count`` texels, in their middles, and the way on to the next."""
     place = min(max(share * count - 0.5, 0.0), count - 1.0)
     low = min(int(place), count - 2)
@@ -43,7 +43,7 @@ def between(share, count):
 
 
 @kernel()
-def mixed(table, first, columns, way, c):
+def mix_texels(table, first, columns, way, c):
     """Column ``c`` of a wall's texels between the four from row ``first`` on, at a ``way`` (x, y) between them."""
     light, (x, y) = table.light, way
     low = (1.0 - x) * light[first, c] + x * light[first + 1, c]
@@ -60,14 +60,14 @@ def light_walls(walls, table, pixels, points, numbers, darkest, framebuffer):
     for m in range(pixels.shape[0]):
         k = int(numbers[m])
         away = sub(point_of(points, m), row(walls.corners, k))
-        i, x = between(inner(walls.across[k], 0, away), table.columns[k])
-        j, y = between(inner(walls.across[k], 1, away), table.rows[k])
+        i, x = texel_before(inner(walls.across[k], 0, away), table.columns[k])
+        j, y = texel_before(inner(walls.across[k], 1, away), table.rows[k])
         first, way = table.first[k] + j * table.columns[k] + i, (x, y)
         r, g, b = (
-            mixed(table, first, table.columns[k], way, 0),
-            mixed(table, first, table.columns[k], way, 1),
-            mixed(table, first, table.columns[k], way, 2),
+            mix_texels(table, first, table.columns[k], way, 0),
+            mix_texels(table, first, table.columns[k], way, 1),
+            mix_texels(table, first, table.columns[k], way, 2),
         )
-        noise = math.sqrt(mixed(table, first, table.columns[k], way, VARIANCE))
+        noise = math.sqrt(mix_texels(table, first, table.columns[k], way, VARIANCE))
         error = min(noise / max(luminance(r, g, b), darkest), 1.0)
         put_pixel(framebuffer, pixels[m], (r, g, b), table.states[k], np.float32(error))

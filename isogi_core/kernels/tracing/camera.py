@@ -8,7 +8,7 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
-from isogi_core.kernels.tracing.intersect import UNKNOWN
+from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, madd, put_column
 
@@ -78,7 +78,7 @@ def cast_from_eye(surface, eye, directions, t):
     origins, came = np.empty((3, count)), np.empty(count, np.int8)
     for i in range(count):
         put_column(origins, i, eye)
-    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN, np.int8))
+    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN_SIDE, np.int8))
     cast_batch(surface.field, surface.cells, rays, t, came)
 
 

@@ -12,7 +12,7 @@ from isogi_core.kernels.simd.memory import gather, load, scatter
 from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS, POSITION_ERROR
 from isogi_core.kernels.tracing.field import FIELD
-from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN, cast
+from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN_SIDE, cast
 from isogi_core.kernels.tracing.ray_stream import Rays, fill_stream, make_stream
 from isogi_core.kernels.tracing.simd_intersect import cross_cells
 from isogi_core.kernels.tracing.slabs import longest
@@ -25,7 +25,7 @@ BATCH = 4096
 SIMD = REGISTER is not None
 
 MOST_VOXELS, LONGEST_SIDE = 2**31, 2**18
-"""Volumes of so many are too large for the traversal's words of 32 bits, or for what it proves in float32."""
+"""Larger or longer volumes overflow the traversal's words of 32 bits, or its proofs in float32."""
 
 ORIGINS = types.float64[:, ::1]
 SIDES = types.int8[::1]
@@ -46,7 +46,7 @@ SURFACE = record(TracedSurface, FIELD, ACTIVE_CELLS, types.float64)
 
 @kernel()
 def settle_vector(volume, rays, columns, stream, found, entries, hits):
-    """Settle RAY_WIDTH rays of a stream, which stand in ``columns``; returns, as bits, those to ask ``cast`` for."""
+    """Settle RAY_WIDTH rays of a stream, which stand in ``columns``; returns, as bits, the rays that need ``cast``."""
     (flat, shape), (isovalues, origins, directions, _), (_, spans, owners), (t, came) = volume, rays, stream, hits
     word, m = gather(found, columns), gather(owners, columns)
     known = (word != MISS) & (word != UNSURE)
@@ -92,7 +92,7 @@ def cast_simd(field, cells, rays, t, came):
     shape = field.voxels.shape
     volume, hits = (field.voxels.reshape(field.voxels.size), shape), (t, came)
     t[:] = math.inf
-    came[:] = UNKNOWN
+    came[:] = UNKNOWN_SIDE
     for first in range(0, t.shape[0], BATCH):
         count = fill_stream(shape, cells.shape, rays, first, min(first + BATCH, t.shape[0]), stream)
         found[:count] = MISS

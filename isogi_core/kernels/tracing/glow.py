@@ -11,7 +11,7 @@ from isogi_core.kernels.tracing.field import FIELD, value
 from isogi_core.kernels.tracing.vec import column, dot, length, madd, scale, sub
 from isogi_core.kernels.tracing.walls import NUMBERS, ROWS
 
-STEP = 0.5
+VALUE_STEP = 0.5
 """Steps in which a range of values is looked for along a ray, in voxels of the least spacing."""
 
 NO_WAY = (0.0, -math.inf)
@@ -105,7 +105,7 @@ def share_within(field, low, high, p, w, near, far):
     In steps of at most STEP voxels, between which values go evenly: so thin layers are as bright as they are thick.
     """
     sx, sy, sz = field.spacing
-    steps = int(math.ceil((far - near) / (STEP * min(sx, sy, sz))))
+    steps = int(math.ceil((far - near) / (VALUE_STEP * min(sx, sy, sz))))
     length, inside, before = (far - near) / steps, 0.0, value_on(field, p, near, w)
     for i in range(steps):
         after = value_on(field, p, near + (i + 1) * length, w)
@@ -129,7 +129,7 @@ def share_in_mask(field, glows, k, p, w, near, far):
     By the steps of ``share_within``, each of which is in the mask where its middle is.
     """
     sx, sy, sz = field.spacing
-    steps = int(math.ceil((far - near) / (STEP * min(sx, sy, sz))))
+    steps = int(math.ceil((far - near) / (VALUE_STEP * min(sx, sy, sz))))
     length, inside, before = (far - near) / steps, 0.0, value_on(field, p, near, w)
     for i in range(steps):
         x, y, z = madd(p, near + (i + 0.5) * length, w)

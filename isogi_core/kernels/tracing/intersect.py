@@ -9,16 +9,17 @@ surface is given its side, it does not ask the value.
 import math
 
 from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.simd.maths import where
 from isogi_core.kernels.simd.voxels import cube
 from isogi_core.kernels.tracing.cubic import cubic_along, ends_solid, first_crossing
-from isogi_core.kernels.tracing.field import clamp_cell
+from isogi_core.kernels.tracing.field import clamp_cell, normal, to_index, value
 from isogi_core.kernels.tracing.macrocells import SIZE
 from isogi_core.kernels.tracing.slabs import clip_box, cut_cell, leave_block, longest, reciprocals
-from isogi_core.kernels.tracing.vec import madd
+from isogi_core.kernels.tracing.vec import length, madd, scale
 
 OUTSIDE = 1
 SOLID = -1
-UNKNOWN = 0
+UNKNOWN_SIDE = 0
 
 SLIVER = 1e-5
 """Way through a cell, in voxels, below which values are rounding: more than a root's own error.
@@ -71,13 +72,13 @@ def cross_cell(volume, ray, cell, box, side):
     c = less(cube(voxels, cell[2], cell[1], cell[0]), iso)
     low, high, total = extent(c)
     if math.isnan(total):
-        return math.inf, UNKNOWN
+        return math.inf, UNKNOWN_SIDE
     if low > 0.0 or not high > 0.0:
         return carry_side(near, side, SOLID if low > 0.0 else OUTSIDE)
     a = (o[0] + near * d[0] - cell[0], o[1] + near * d[1] - cell[1], o[2] + near * d[2] - cell[2])
     span = far - near
     q = cubic_along(c, a, (d[0] * span, d[1] * span, d[2] * span))
-    if side == UNKNOWN:
+    if side == UNKNOWN_SIDE:
         side = SOLID if q[3] * through > SKIN * abs(q[2]) else OUTSIDE
     t, crosses = first_crossing(q, side == SOLID, BLUR * max(voxels.shape) * max(high, -low), True)
     return (near + t * span, side) if crosses else (math.inf, SOLID if ends_solid(q) else OUTSIDE)
@@ -125,14 +126,14 @@ def cast(field, iso, o, d, side):
     box = clip_box(field.voxels.shape, o, d)
     near, far = box
     if not near < far:
-        return math.inf, UNKNOWN
+        return math.inf, UNKNOWN_SIDE
     t, most = math.inf, longest(d)
     nz, ny, nx = field.voxels.shape
     mz, my, mx = field.low.shape
     p = madd(o, near, d)
     i, j, k = clamp_cell(p[0], nx) // SIZE, clamp_cell(p[1], ny) // SIZE, clamp_cell(p[2], nz) // SIZE
     if near > 0.0:
-        side = UNKNOWN
+        side = UNKNOWN_SIDE
     inv = reciprocals(d)
     volume, ray = (field.voxels, iso), (o, d, inv)
     while 0 <= i < mx and 0 <= j < my and 0 <= k < mz:
@@ -148,4 +149,31 @@ def cast(field, iso, o, d, side):
         if leave >= far:
             break
         i, j, k, near = i + si, j + sj, k + sk, leave
-    return math.inf, UNKNOWN
+    return math.inf, UNKNOWN_SIDE
+
+
+@kernel(exact=True)
+def launch(field, iso, p, n, side):
+    """Where a ray starts that leaves the surface at ``p`` along the world normal ``n`` on ``side``.
+
+    The field's offset off the surface; ``p`` itself where that point is on the other side, in a crease
+    or in noise: the ray is given its side and cannot hit what it starts on. Takes vectors of points
+    too.
+    """
+    x, y, z = to_index(n, field.spacing)
+    rise = field.offset / math.sqrt(x * x + y * y + z * z)
+    x, y, z = p[0] + rise * x, p[1] + rise * y, p[2] + rise * z
+    nz, ny, nx = field.voxels.shape
+    within = (x >= 0.0) & (x <= nx - 1) & (y >= 0.0) & (y <= ny - 1) & (z >= 0.0) & (z <= nz - 1)
+    there = where(value(field.voxels, (x, y, z)) > iso, float(SOLID), float(OUTSIDE))
+    astray = within & (there * side < 0.0)
+    return where(astray, p[0], x), where(astray, p[1], y), where(astray, p[2], z)
+
+
+@kernel()
+def shading_normal(field, p, side, d):
+    """Unit world normal at a hit, towards the ``side`` that the ray came from; -d where the field is flat."""
+    n = normal(field, p)
+    if n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0:
+        return scale(d, -1.0 / length(d))
+    return n if side == OUTSIDE else scale(n, -1.0)

@@ -14,28 +14,28 @@ from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.camera import put_point
 from isogi_core.kernels.tracing.cast import TracedSurface, cast_batch
 from isogi_core.kernels.tracing.field import FIELD, clamp_cell
-from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN, cross_cell
+from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN_SIDE, cross_cell
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.sight import FACE, SIGHT, is_solid, look_through
 from isogi_core.kernels.tracing.slabs import clip_box, cut_cell, reciprocals
 from isogi_core.kernels.tracing.vec import column, madd, put_column
 from isogi_core.kernels.tracing.walls import NOWHERE, nearest_wall
 
-MOST = 4
-"""Isosurfaces of a scene: the one that slides, and those beside it."""
+MAX_SURFACES = 4
+"""Isosurfaces of a scene at most: the one that slides, and the pinned ones."""
 
 LAYERS = 64
 """Surfaces that a ray shows behind each other, at most. Where each lets nine tenths pass, what is left of a ray's light
 is below LEAST before. The last of them is the first opaque one that is left.
 """
 
-LEAST = 1.0 / 512.0
+MIN_RAY_SHARE = 1.0 / 512.0
 """Share of a ray's light below which what lies behind is left out."""
 
-NOTHING = -3
+NO_SIDE = -3
 """The side that a ray meets where it meets nothing; FACE is that of a window, and others are from 0 on."""
 
-WALL = 2 * MOST
+WALL = 2 * MAX_SURFACES
 """The side that a ray meets on the first wall; one more on the next."""
 
 
@@ -90,7 +90,7 @@ class Layers(NamedTuple):
 
 
 NUMBERS, ROWS, BYTES = types.float64[::1], types.float64[:, ::1], types.int8[::1]
-SHELLS = record(Shells, FIELD, types.UniTuple(ACTIVE_CELLS, MOST), NUMBERS, NUMBERS)
+SHELLS = record(Shells, FIELD, types.UniTuple(ACTIVE_CELLS, MAX_SURFACES), NUMBERS, NUMBERS)
 PEELED = record(Peeled, types.uint32[::1], types.float32[:, ::1], BYTES, BYTES, types.float32[::1])
 
 
@@ -134,7 +134,7 @@ def leave_cells(shells, crossings, k, eye, directions, some):
 
 
 @kernel()
-def cast_on(shells, crossings, k, eye, directions, some):
+def cast_to_next(shells, crossings, k, eye, directions, some):
     """Replace the crossings with surface ``k`` of ``some`` rays (m,), by their numbers, by the next ones."""
     n = some.shape[0]
     rays = Rays(np.full(n, shells.isovalues[k]), np.empty((3, n)), np.empty((3, n)), np.empty(n, np.int8))
@@ -152,7 +152,7 @@ def cast_on(shells, crossings, k, eye, directions, some):
 
 @kernel()
 def opens(shells, p):
-    """Whether a point is within an opaque surface: one looks into those that let rays pass."""
+    """Whether a point is within an opaque surface; surfaces that let rays pass are looked into."""
     for k in range(shells.clears.shape[0]):
         if shells.clears[k] <= 0.0 and is_solid(TracedSurface(shells.field, shells.cells[k], shells.isovalues[k]), p):
             return True
@@ -164,7 +164,7 @@ def first_crossings(shells, sight, eye, directions, layers, left):
     """The first crossings of rays from the ``eye`` behind a window, whose faces end rays as their first layer."""
     s, n = shells.clears.shape[0], directions.shape[1]
     ways, every = np.empty((3, n)), np.arange(n)
-    crossings = Crossings(np.empty((s, n)), np.full((s, n), UNKNOWN, np.int8), ways[0], ways[1], ways[2])
+    crossings = Crossings(np.empty((s, n)), np.full((s, n), UNKNOWN_SIDE, np.int8), ways[0], ways[1], ways[2])
     for i in range(n):
         d = column(directions, i)
         near, far = look_through(sight.window, eye, d)
@@ -175,14 +175,14 @@ def first_crossings(shells, sight, eye, directions, layers, left):
             layers.sides[0, i], layers.t[0, i], layers.weights[0, i], left[i] = FACE, near, 1.0, 0.0
     for k in range(s):
         if shells.clears[k] < 1.0:
-            cast_on(shells, crossings, k, eye, directions, every)
+            cast_to_next(shells, crossings, k, eye, directions, every)
         else:
             crossings.t[k] = math.inf
     return crossings
 
 
 @kernel()
-def nearest(shells, crossings, i, opaque):
+def next_surface(shells, crossings, i, opaque):
     """The surface whose crossing is next on ray ``i``, of those that are ``opaque`` alone where asked; -1 for none."""
     best, way = -1, math.inf
     for k in range(shells.clears.shape[0]):
@@ -199,12 +199,12 @@ def take_layer(shells, crossings, layers, number, left):
     """
     some = False
     for i in range(left.shape[0]):
-        k = nearest(shells, crossings, i, number == LAYERS - 1) if left[i] > 0.0 else -1
+        k = next_surface(shells, crossings, i, number == LAYERS - 1) if left[i] > 0.0 else -1
         if k >= 0:
             clear = shells.clears[k]
             layers.sides[number, i] = 2 * k + (crossings.came[k, i] == SOLID)
             layers.t[number, i], layers.weights[number, i] = crossings.t[k, i], left[i] * (1.0 - clear)
-            left[i] = left[i] * clear if left[i] * clear >= LEAST else 0.0
+            left[i] = left[i] * clear if left[i] * clear >= MIN_RAY_SHARE else 0.0
             some = some or left[i] > 0.0
     return some
 
@@ -215,7 +215,7 @@ def take_walls(crossings, layers, left):
     for i in range(left.shape[0]):
         if left[i] > 0.0 and crossings.walls[i] != NOWHERE:
             last = 0
-            while layers.sides[last, i] != NOTHING:
+            while layers.sides[last, i] != NO_SIDE:
                 last += 1
             layers.sides[last, i] = WALL + int(crossings.walls[i])
             layers.t[last, i], layers.weights[last, i], left[i] = crossings.ends[i], left[i], 0.0
@@ -239,7 +239,7 @@ def write_layers(eye, directions, layers, peeled):
         first = count
         for layer in range(LAYERS + 1):
             side = layers.sides[layer, i]
-            if side == NOTHING:
+            if side == NO_SIDE:
                 break
             put_point(peeled.points, count, madd(eye, layers.t[layer, i], column(directions, i)))
             peeled.rays[count], peeled.sides[count], peeled.weights[count] = i, side, layers.weights[layer, i]
@@ -267,7 +267,7 @@ def peel_rays(shells, sight, eye, directions, peeled, left):
     """
     n = directions.shape[1]
     ways = np.empty((2, LAYERS + 1, n))
-    layers = Layers(np.full((LAYERS + 1, n), NOTHING, np.int8), ways[0], ways[1])
+    layers = Layers(np.full((LAYERS + 1, n), NO_SIDE, np.int8), ways[0], ways[1])
     left[:] = 1.0
     crossings, some = first_crossings(shells, sight, eye, directions, layers, left), np.empty(n, np.int64)
     number = 0
@@ -276,7 +276,7 @@ def peel_rays(shells, sight, eye, directions, peeled, left):
             count = find_passing(layers, number, k, left, some)
             count = leave_cells(shells, crossings, k, eye, directions, some[:count])
             if count > 0:
-                cast_on(shells, crossings, k, eye, directions, some[:count])
+                cast_to_next(shells, crossings, k, eye, directions, some[:count])
         number += 1
     take_walls(crossings, layers, left)
     return write_layers(eye, directions, layers, peeled)

@@ -21,7 +21,7 @@ FLAT = 2 / 7
 """Share of the voxels about a texel that are as it is, at the edge of a plateau: a cube's corner has 8 of 27.
 
 Without it the texels of noisy fields, many of which are the least or the greatest for a voxel around, would leave their
-isosurfaces too, and err by a quarter more.
+isosurfaces too, and have a quarter more error.
 """
 
 FARTHEST = 1.5
@@ -44,7 +44,7 @@ def reach(x, n):
 
 
 @kernel(exact=True)
-def span(voxels, p):
+def value_span(voxels, p):
     """The least and the greatest voxel about ``p``, up to two away along each axis, and whether one is no number."""
     nz, ny, nx = voxels.shape
     xs, ys, zs = reach(p[0], nx), reach(p[1], ny), reach(p[2], nz)
@@ -73,13 +73,13 @@ def flat(voxels, p, own, edge):
 
 @kernel(exact=True)
 def at_edge(voxels, p, own, low, high):
-    """Whether a point ``p`` of value ``own`` is at the edge of a plateau; ``low`` and ``high`` are its ``span``."""
+    """Whether a point ``p`` of value ``own`` is at the edge of a plateau between the values ``low`` and ``high``."""
     edge = EDGE * (np.float64(high) - np.float64(low))
     return low < high and not low + edge < own < high - edge and flat(voxels, p, own, edge)
 
 
 @kernel(exact=True)
-def along(shape, p, d, t):
+def point_within(shape, p, d, t):
     """The point p + t·d, or the nearest to it within a box of ``shape`` (nz, ny, nx) voxels."""
     x, y, z = p[0] + t * d[0], p[1] + t * d[1], p[2] + t * d[2]
     return (
@@ -99,13 +99,13 @@ def crossing(voxels, p, d, level, halvings=HALVINGS):
     solid = v > level
     while t < FARTHEST and (v > level) == solid and not math.isnan(v):
         t += STRIDE
-        v = value(voxels, along(voxels.shape, p, d, t))
+        v = value(voxels, point_within(voxels.shape, p, d, t))
     if (v > level) == solid or math.isnan(v):
         return math.inf
     near, far = t - STRIDE, t
     for _ in range(halvings):
         middle = 0.5 * (near + far)
-        if (value(voxels, along(voxels.shape, p, d, middle)) > level) == solid:
+        if (value(voxels, point_within(voxels.shape, p, d, middle)) > level) == solid:
             near = middle
         else:
             far = middle
@@ -126,7 +126,7 @@ def thin(voxels, p, d, level):
     for place in range(27):
         o = (place % 3 - 1.0, place // 3 % 3 - 1.0, place // 9 - 1.0)
         behind = o[0] * d[0] + o[1] * d[1] + o[2] * d[2] < BEHIND
-        if behind and value(voxels, along(voxels.shape, p, o, 1.0)) <= level:
+        if behind and value(voxels, point_within(voxels.shape, p, o, 1.0)) <= level:
             return True
     return False
 
@@ -139,7 +139,7 @@ def leave_plateau(field, p, n):
     near, one at the foot of it stays; one on top has no side, as in a thin wall, and its normal is (0, 0, 0).
     """
     own = np.float32(value(field.voxels, p))
-    low, high, _ = span(field.voxels, p)
+    low, high, _ = value_span(field.voxels, p)
     if not at_edge(field.voxels, p, own, low, high):
         return p, n, own
     level = np.float32(0.5 * (np.float64(low) + np.float64(high)))
@@ -147,6 +147,6 @@ def leave_plateau(field, p, n):
     d = downhill(n, field.spacing, 1.0 if top else -1.0)
     t = math.inf if top and thin(field.voxels, p, d, level) else crossing(field.voxels, p, d, level)
     if t < math.inf:
-        there = along(field.voxels.shape, p, d, t)
+        there = point_within(field.voxels.shape, p, d, t)
         return there, normal(field, there), level
     return p, (0.0, 0.0, 0.0) if top else n, own

@@ -10,7 +10,7 @@ from isogi_core.kernels.simd.maths import bits, f32, lane_numbers, where
 from isogi_core.kernels.simd.memory import load, store
 from isogi_core.kernels.simd.types import RAY_WIDTH
 from isogi_core.kernels.tracing.active_cells import BRICK
-from isogi_core.kernels.tracing.intersect import UNKNOWN
+from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.tracing.slabs import clip_box, longest
 
 FIELDS = 10
@@ -54,7 +54,7 @@ def make_stream(n):
 
 
 @kernel()
-def mirrored(d, here, size):
+def mirrored_axis(d, here, size):
     """A direction's component and a place along an axis of ``size``, mirrored where descending: (d, place, mask)."""
     descends = d < 0.0
     return f32(abs(d)), f32(where(descends, size - here, here)), descends
@@ -77,14 +77,14 @@ def put_rays(shape, bricks, rays, m, stream, r):
     mirror = where(sound, 0, STRAY)
     for a in range(3):
         step, here = where(sound, d[a] * shrink, 1.0), where(sound, o[a] + near * d[a], 0.0)
-        step, here, descends = mirrored(step, here, float(BRICK * bricks[2 - a]))
+        step, here, descends = mirrored_axis(step, here, float(BRICK * bricks[2 - a]))
         mirror = mirror + where(descends, 1 << a, 0)
         store(records[a], r, here)
         store(records[3 + a], r, step)
     side = f32(load(sides, m, RAY_WIDTH))
     store(records[6], r, f32((far - near) * most))
     store(records[7], r, f32(load(isovalues, m, RAY_WIDTH)))
-    store(records[8], r, where(near == 0.0, -side, float(UNKNOWN)))
+    store(records[8], r, where(near == 0.0, -side, float(UNKNOWN_SIDE)))
     store(records[9], r, f32(mirror))
     store(spans[0], r, near)
     store(spans[1], r, far)
@@ -92,7 +92,7 @@ def put_rays(shape, bricks, rays, m, stream, r):
 
 
 @kernel()
-def compact(stream, r, met):
+def compact_rays(stream, r, met):
     """Move those of the RAY_WIDTH columns from ``r`` on whose bit is set in ``met`` together; returns their end."""
     records, spans, owners = stream
     for column in range(r, r + RAY_WIDTH):
@@ -118,5 +118,5 @@ def fill_stream(shape, bricks, rays, first, last, stream):
         met = put_rays(shape, bricks, rays, m, stream, count)
         store(stream.owners, count, lane_numbers() + m)
         met &= EVERY << (i - m)
-        count = count + RAY_WIDTH if met == EVERY else compact(stream, count, met)
+        count = count + RAY_WIDTH if met == EVERY else compact_rays(stream, count, met)
     return count

@@ -13,7 +13,7 @@ from isogi_core.kernels.simd.types import PATH_WIDTH
 from isogi_core.kernels.tracing.camera import PINHOLE, pixel_ray, put_point, write_hits
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
 from isogi_core.kernels.tracing.field import VOXELS, value
-from isogi_core.kernels.tracing.intersect import UNKNOWN
+from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, load_columns, madd, put_column
 from isogi_core.kernels.tracing.walls import NOWHERE, ROWS, WALLS, inner, nearest_wall
@@ -66,7 +66,7 @@ def cast_through(surface, window, eye, directions, t, met):
         d = column(directions, i)
         near[i], far[i] = look_through(window, eye, d)
         put_column(origins, i, madd(eye, near[i], d))
-    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN, np.int8))
+    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN_SIDE, np.int8))
     cast_batch(surface.field, surface.cells, rays, t, came)
     for i in range(count):
         opened = near[i] > 0.0 and is_solid(surface, column(origins, i))

@@ -14,7 +14,7 @@ BITS = 4
 No skip is 0, so that words of skips are those whose uppermost four bits are not.
 """
 
-LONGEST = 2**BITS - 1
+LONGEST_SKIP = 2**BITS - 1
 """Longest skip, in bricks."""
 
 WORD = 64
@@ -51,7 +51,7 @@ def flip(bits, others):
 
 
 @kernel()
-def meet(cubes, dy, dz, first, last, rows):
+def find_empty_pairs(cubes, dy, dz, first, last, rows):
     """Write to ``rows`` which ``cubes`` from ``first`` to ``last`` are empty with those next along y, z, and both."""
     a, b = cubes[first:last], cubes[first + dy : last + dy]
     c, d = cubes[first + dz : last + dz], cubes[first + dy + dz : last + dy + dz]
@@ -82,7 +82,7 @@ def enlarge(cubes, octant, outside, steps, rows, larger):
     along_y, along_z = steps
     dx, dy, dz = octant & 1, (-along_y if octant & 2 else along_y), (-along_z if octant & 4 else along_z)
     first, last = along_y + along_z + 1, cubes.size - along_y - along_z - 1
-    meet(cubes, dy, dz, first - 1, last + 1, rows[first - 1 : last + 1])
+    find_empty_pairs(cubes, dy, dz, first - 1, last + 1, rows[first - 1 : last + 1])
     following = rows[first - 1 : last - 1] if dx else rows[first + 1 : last + 1]
     meet_next(rows[first:last], following, dx, outside[first:last], larger[first:last])
 
@@ -127,7 +127,7 @@ def fill_skips(empty, tops):
         bits[:] = NONE
         for b in range(count):
             cubes[b] = first_cubes[b]
-        for side in range(1, LONGEST + 1):
+        for side in range(1, LONGEST_SKIP + 1):
             for p in range(BITS):
                 if side % 2**p == 0:
                     flip(bits[p], cubes)

@@ -12,7 +12,7 @@ from numba import types
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.simd.voxels import cube
 from isogi_core.kernels.tracing.field import FIELD, normal
-from isogi_core.kernels.tracing.plateaus import at_edge, span
+from isogi_core.kernels.tracing.plateaus import at_edge, value_span
 from isogi_core.kernels.tracing.vec import is_zero
 
 EDGE, VOID, HOLE = 1, 2, 4
@@ -22,17 +22,17 @@ A texel at the edge of a plateau is not lit on its own isosurface: see ``kernels
 """
 
 CELLS, STEEP, PLATEAU, NOISY, HOLED, FACES = 0, 1, 2, 3, 4, 5
-"""Rows of counts; those of the six faces of the box, x = 0, x = 1, y = 0, …, come last."""
+"""Rows of counts; the six faces of the box, x = 0, x = 1, y = 0, …, come last."""
 
-ROWS = FACES + 6
+COUNTED_ROWS = FACES + 6
 
-MANY = 4
+STEEP_CORNERS = 4
 """Corners, half of a cell's, that make it steep where they are at an edge, or part of a plateau that they lie on."""
 
 COHERENT = 0.9
 """Length of the mean of a cell's unit normals below which it counts as noisy: they then stray by 26° or more.
 
-On a ball that is so at a radius of two voxels: detail as fine as that cannot be told from noise.
+On a ball that is so at a radius of two voxels: finer detail cannot be distinguished from noise.
 """
 
 LEVELS = types.float32[::1]
@@ -59,7 +59,7 @@ def look_at(field, levels, k, normals, marks):
     for j in range(ny):
         for i in range(nx):
             p = (float(i), float(j), float(k))
-            low, high, hole = span(field.voxels, p)
+            low, high, hole = value_span(field.voxels, p)
             if not first_at(levels, low) < first_at(levels, high):
                 continue
             n, edge = normal(field, p), at_edge(field.voxels, p, field.voxels[k, j, i], low, high)
@@ -68,7 +68,7 @@ def look_at(field, levels, k, normals, marks):
 
 
 @kernel()
-def add(row, first, last):
+def count_levels(row, first, last):
     """Count one for the isovalues ``first`` … ``last`` - 1."""
     row[first] += 1
     row[last] -= 1
@@ -76,7 +76,7 @@ def add(row, first, last):
 
 @kernel()
 def passing(levels, corners, bit, side):
-    """The isovalues whose surface parts those of a cell's corners whose ``bit`` is ``side``: first, one past the last.
+    """The isovalues whose surface parts the corners of a cell whose ``bit`` is ``side``: first, one past the last.
 
     All corners where ``bit`` is 0. A corner at the isovalue is outside, as it is for rays.
     """
@@ -111,8 +111,8 @@ def count_plateaus(levels, corners, first, last, row):
         same = 0
         for c in range(8):
             same += corners[c] == levels[level]
-        if same >= MANY:
-            add(row, level, level + 1)
+        if same >= STEEP_CORNERS:
+            count_levels(row, level, level + 1)
 
 
 @kernel()
@@ -123,22 +123,22 @@ def count_faces(levels, corners, place, shape, counts):
         if place[axis] == (shape[2 - axis] - 2 if side else 0):
             first, last = passing(levels, corners, 1 << axis, side << axis)
             if first < last:
-                add(counts[FACES + face], first, last)
+                count_levels(counts[FACES + face], first, last)
 
 
 @kernel()
 def count_cell(levels, corners, first, last, seen, counts):
     """Count a cell that isovalues ``first`` … ``last`` - 1 pass; ``seen`` is what ``corner_of`` says of it."""
     edges, together, coherence = seen
-    add(counts[CELLS], first, last)
-    if edges >= MANY:
-        add(counts[STEEP], first, last)
+    count_levels(counts[CELLS], first, last)
+    if edges >= STEEP_CORNERS:
+        count_levels(counts[STEEP], first, last)
     if coherence < COHERENT:
-        add(counts[NOISY], first, last)
+        count_levels(counts[NOISY], first, last)
     if together & HOLE:
-        add(counts[HOLED], first, last)
+        count_levels(counts[HOLED], first, last)
     if together & VOID:
-        add(counts[PLATEAU], first, last)
+        count_levels(counts[PLATEAU], first, last)
     else:
         count_plateaus(levels, corners, first, last, counts[PLATEAU])
 

@@ -19,7 +19,7 @@ WAITING = max(RAY_WIDTH // 3, 1)
 """Lanes at a cell that may hold the surface before these cells are looked at."""
 
 MISS, UNSURE = -1, -2
-"""What the traversal finds where it is not a cell: nothing, or that only ``cast`` can tell.
+"""Results of the traversal that are no cell: the ray meets nothing, or only ``cast`` can decide.
 
 Of 2³¹ voxels none of the last two names a cell, so that no word of a cell is one of these.
 """
@@ -52,13 +52,13 @@ class Ray(NamedTuple):
 
 
 @kernel()
-def along(p, t, d):
+def points_along(p, t, d):
     """The points p + t·d of lanes."""
     return fma(t, d[0], p[0]), fma(t, d[1], p[1]), fma(t, d[2], p[2])
 
 
 @kernel()
-def choose(mask, a, b):
+def choose_points(mask, a, b):
     """The vectors a where the mask is set, else b."""
     return where(mask, a[0], b[0]), where(mask, a[1], b[1]), where(mask, a[2], b[2])
 
@@ -138,7 +138,7 @@ def leave(ray, c, low, size):
     ty = (f32(n[1]) - ray.o[1]) * ray.inv[1]
     tz = (f32(n[2]) - ray.o[2]) * ray.inv[2]
     t = min(min(tx, ty), tz)
-    p = along(ray.o, t, ray.d)
+    p = points_along(ray.o, t, ray.d)
     x = where(tx <= t, n[0], max(c[0], i32(p[0])))
     y = where(ty <= t, n[1], max(c[1], i32(p[1])))
     z = where(tz <= t, n[2], max(c[2], i32(p[2])))
@@ -203,7 +203,7 @@ def certain(volume, cells, ray, c, span, sign, lanes):
     v = corner_values(flat, where(lanes, place, 0), turned, sy, sz, ray.iso)
     corner = f32(c[0]), f32(c[1]), f32(c[2])
     p = ray.o[0] - corner[0], ray.o[1] - corner[1], ray.o[2] - corner[2]
-    b = bernstein(v, along(p, span[0], ray.d), along(p, span[1], ray.d))
+    b = bernstein(v, points_along(p, span[0], ray.d), points_along(p, span[1], ray.d))
     margin = gather(cells.margins, linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), ray.stride, ray.base))
     inner = (b[0] * sign > margin) & (b[1] * sign > margin)
     return lanes & inner & (b[2] * sign > margin) & (b[3] * sign > margin)
@@ -256,7 +256,7 @@ def take_rays(records, following, turn, fresh, ray, shape, cells):
     bz, by, bx = cells.shape
     x, y, z = take(records[0], following, fresh), take(records[1], following, fresh), take(records[2], following, fresh)
     u, v, w = take(records[3], following, fresh), take(records[4], following, fresh), take(records[5], following, fresh)
-    o, d = choose(fresh, (x, y, z), ray.o), choose(fresh, (u, v, w), ray.d)
+    o, d = choose_points(fresh, (x, y, z), ray.o), choose_points(fresh, (u, v, w), ray.d)
     inv = min(1.0 / d[0], HUGE), min(1.0 / d[1], HUGE), min(1.0 / d[2], HUGE)
     end = where(fresh, take(records[6], following, fresh), ray.end)
     iso = where(fresh, take(records[7], following, fresh), ray.iso)
@@ -303,7 +303,7 @@ def traverse(volume, cells, records, count, found, entries):
             ray = take_rays(records, following, turn, fresh, ray, shape, cells)
             start, first, doubtful = enter(volume, cells, ray, take(records[8], following, fresh))
             put_word(found, ray.owner, UNSURE, fresh & doubtful)
-            c, t, sign = choose(fresh, start, c), where(fresh, 0.0, t), where(fresh, first, sign)
+            c, t, sign = choose_points(fresh, start, c), where(fresh, 0.0, t), where(fresh, first, sign)
             walking = walking | (fresh & ~doubtful)
             following = min(count, following + popcount(idle))
         if popcount(walking | waiting) == 0:
@@ -322,12 +322,12 @@ def traverse(volume, cells, records, count, found, entries):
             out, after, outside = leave(ray, c, (c[0] & keep, c[1] & keep, c[2] & keep), size)
             put_word(found, ray.owner, UNSURE, walking & outside & (out < ray.end - slack))
             walking = walking & ~outside
-            t, c = where(walking, out, t), choose(walking, after, c)
+            t, c = where(walking, out, t), choose_points(walking, after, c)
         if popcount(waiting) >= WAITING or popcount(walking) == 0:
             out, after, outside = leave(ray, c, c, i32(1))
             passed = certain(volume, cells, ray, c, (t, out), sign, waiting)
             put_cells(found, entries, ray.owner, least_node(c, ray.mirror, shape), sign, t, waiting & ~passed)
             put_word(found, ray.owner, UNSURE, passed & outside & (out < ray.end - slack))
             passed = passed & ~outside
-            t, c = where(passed, out, t), choose(passed, after, c)
+            t, c = where(passed, out, t), choose_points(passed, after, c)
             walking, waiting = walking | passed, mask_of(False)

@@ -83,7 +83,7 @@ def carry_along(scene, wave, count, ends):
 
 @kernel()
 def count_path(rules, row, bounces, carried, m):
-    """What path ``m`` counts in a ``row`` of sums that left after so many ``bounces``; nothing if it never did."""
+    """What path ``m`` counts in a ``row`` of sums that left after its ``bounces``; nothing if it never did."""
     if bounces <= 0:
         return rules.straight[row] if bounces == 0 else 0.0
     mix = rules.mixes[row]
@@ -93,7 +93,7 @@ def count_path(rules, row, bounces, carried, m):
 
 @count_ends.case(ColouredRules)
 def count_by_albedos(ends, carried, rules, c, counts):
-    """Count each path by the albedos that it met, and a branch as one of so many."""
+    """Count each path by the albedos that it met, and a branch over the number of branches."""
     paths = ends.bounces.shape[0]
     for m in range(paths):
         counts[m] = count_path(rules, c, ends.bounces[m], carried, m)

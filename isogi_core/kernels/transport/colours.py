@@ -15,7 +15,7 @@ NO_VALUE = 0
 LAST = 255
 """The code of the highest value; 1 is that of the lowest."""
 
-SHARE = 1.0 / 510.0
+LABEL_SHARE = 1.0 / 510.0
 """What a byte of the second label's share counts: it has half at most."""
 
 SLACK = 1e-6
@@ -76,7 +76,7 @@ def next_label(labels, p, after):
     for corner in range(8):
         a, b, c = corner & 1, corner >> 1 & 1, corner >> 2
         weight = (x if a else 1.0 - x) * (y if b else 1.0 - y) * (z if c else 1.0 - z)
-        second = SHARE * labels[k + c, j + b, i + a, 2]
+        second = LABEL_SHARE * labels[k + c, j + b, i + a, 2]
         for which in range(2):
             label = np.int64(labels[k + c, j + b, i + a, which])
             if after < label <= least:
@@ -184,4 +184,4 @@ def weigh_labels(codes, mixed, bell, labels):
         weights[first] = 0
         second = np.argmax(weights)
         share = weights[second] / (weight + weights[second])
-        labels[k, j, i, 0], labels[k, j, i, 1], labels[k, j, i, 2] = first, second, np.uint8(share / SHARE + 0.5)
+        labels[k, j, i, 0], labels[k, j, i, 1], labels[k, j, i, 2] = first, second, np.uint8(share / LABEL_SHARE + 0.5)

@@ -30,7 +30,7 @@ def begin_branches(scene, wave, count, source):
 
 @begin_branches.case()
 def begin_alike(scene, wave, count, source):
-    """Leave all as it is: branches are told by the paths that they are of."""
+    """Leave all as it is: branches are known by the paths that they are of."""
 
 
 @limits.case(PathTree)
@@ -54,7 +54,7 @@ def make_ends(starts, count, branches):
 
 @kernel()
 def branch(wave, vertices, room, branches, stride):
-    """Let each of the wave's paths go on in so many ``branches``, from vertices in ``room``, which it returns.
+    """Let each of the wave's paths go on in a number of ``branches``, from vertices in ``room``, which it returns.
 
     Branch j of path m is path m + (1 + j) · ``stride``, and draws from sample ``branches`` · s + j.
     """

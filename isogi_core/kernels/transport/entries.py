@@ -24,5 +24,5 @@ Paths in the Open start from texels or pixels, in kernels of these: ``bake_irrad
 
 
 def path_kernels(meets: type, gathers: type) -> tuple[Any, ...]:
-    """The entry kernels that paths call which meet and gather this; none for those in the Open."""
+    """The entry kernels of paths that meet and gather this; none for paths in the Open."""
     return (PATHS[meets, gathers], fill_seeds) if (meets, gathers) in PATHS else ()

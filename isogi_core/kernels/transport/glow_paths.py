@@ -11,12 +11,12 @@ from isogi_core.kernels.tracing.glow import GLOWS, Glows, gather_on_way, way_thr
 from isogi_core.kernels.tracing.vec import SMALLEST, column, dot, normalize, put_column, sub
 from isogi_core.kernels.tracing.walls import ROWS
 from isogi_core.kernels.transport.integrate import add_paths, gather_met, gather_sources
-from isogi_core.kernels.transport.integrator import about
-from isogi_core.kernels.transport.light_paths import FAR, to_world
+from isogi_core.kernels.transport.light_paths import NO_START, to_world
 from isogi_core.kernels.transport.open_paths import cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.room_paths import IN_ROOM, STARTS, InRoom, gather_walls
+from isogi_core.kernels.transport.sampling import about
 from isogi_core.kernels.transport.streams import PAIRS, SOURCES
 from isogi_core.kernels.transport.wavefront import columns, partition
 
@@ -49,7 +49,7 @@ def draw_towards(glows, k, p, u, v):
 
 
 @kernel()
-def balance(glows, k, p, w, cosine):
+def balance_cone(glows, k, p, w, cosine):
     """Share p_c/(p_c + p_k) of a ray between the two ways in which it is drawn, by cosine and towards region ``k``.
 
     The same share of its radiance is what a ray of either sort adds to E/π. Source: Veach and Guibas 1995, balance
@@ -61,7 +61,7 @@ def balance(glows, k, p, w, cosine):
 
 @kernel()
 def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
-    """Turn the wave's rays towards region ``k``; returns how many there are, those in its ball and from behind none."""
+    """Turn the wave's rays towards region ``k``; returns how many; rays from its ball, or from behind, are none."""
     shadow, rays, count = wave.shadow, wave.rays, vertices.count
     origins, normals = columns(vertices.points, count), columns(vertices.normals, count)
     starts, ways, directions = columns(shadow.starts, count), columns(rays.ways, count), columns(rays.directions, count)
@@ -78,7 +78,7 @@ def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
         aimed += lit
         put_column(ways, i, w)
         put_column(directions, i, to_index(w, spacing))
-        put_column(starts, i, o if lit else FAR)
+        put_column(starts, i, o if lit else NO_START)
     return aimed
 
 
@@ -90,7 +90,7 @@ def add_glow(wave, vertices, i, k, scene, glows, share):
     p = to_world(column(columns(vertices.points, count), i), scene.field.spacing)
     light = gather_on_way(scene.field, glows, k, p, w, rays.t[i])
     if light > 0.0:
-        light *= share * balance(glows, k, p, w, dot(column(columns(vertices.normals, count), i), w))
+        light *= share * balance_cone(glows, k, p, w, dot(column(columns(vertices.normals, count), i), w))
         for c in range(3):
             wave.gathered[3 * k + c, m] += wave.carried[c, m] * light
 

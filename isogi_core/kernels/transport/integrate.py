@@ -63,7 +63,7 @@ def launch_starts(scene, starts):
 
 
 @Choice
-def begin(scene, state, vertices, starts, first):
+def begin_wave(scene, state, vertices, starts, first):
     """Say on what the first vertices of a wave stand, whose first path has the number ``first``."""
 
 
@@ -79,22 +79,22 @@ def meet(scene, state, vertices, bounce):
 
 @Choice
 def gather_met(scene, state, vertices, bounce, source):
-    """Gather what rays brought that were cast; list those that hit something to go on from: returns how many."""
+    """Gather what the cast rays brought; list the rays whose paths go on from what they hit: returns how many."""
 
 
 @Choice
 def advance(scene, state, vertices, following, bounce, rules):
-    """Move the paths that go on to the vertices ``following``; what they carry is multiplied by what those reflect."""
+    """Move the paths that go on to the vertices ``following``; what they carry is multiplied by the albedo there."""
 
 
 @Choice
 def split(scene, state, vertices, spare, bounce, rules, source):
-    """Let paths that go on from ``vertices`` branch: returns their vertices then, and those that are ``spare``."""
+    """Let paths that go on from ``vertices`` branch: returns their vertices then, and the ``spare`` vertices."""
 
 
 @limits.case(PathRules)
 def limits_of_weights(rules):
-    """As many bounces as there are weights, and no branches."""
+    """Paths have as many bounces as there are weights beside the first, and no branches."""
     return rules.weights.shape[0] - 1, 1
 
 
@@ -152,7 +152,7 @@ def walk(scene, state, vertices, spare, rules, source):
 
 @kernel()
 def places_for(total, branches):
-    """The places of a wave, at most WAVE or so, for ``total`` paths that go on in so many ``branches``."""
+    """The places of a wave, at most WAVE or so, for ``total`` paths that go on in this number of ``branches``."""
     return whole(min(WAVE // branches, total)) * branches
 
 
@@ -168,7 +168,7 @@ def trace_paths(scene, starts, samples, rules, source, wave):
     for first in range(0, total, most):
         vertices = Vertices(room.points, room.normals, min(most, total - first))
         generate(wave.rays, vertices, starts, origins, samples.first, first)
-        begin(scene, state, vertices, starts, first)
+        begin_wave(scene, state, vertices, starts, first)
         walk(scene, state, vertices, spare, rules, source)
 
 

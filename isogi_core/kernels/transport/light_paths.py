@@ -10,13 +10,13 @@ from isogi_core.kernels._jit import Choice, kernel, record
 from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.vec import column, dot, put_column
 from isogi_core.kernels.transport.integrate import add_carried, gather_met, gather_sources
-from isogi_core.kernels.transport.lights import LAMPS, NO_LAMPS, NOTHING, arriving, draw_bright, illuminate
+from isogi_core.kernels.transport.lights import LAMPS, NO_LAMPS, NO_LIGHT, arriving, draw_bright, illuminate
 from isogi_core.kernels.transport.open_paths import Open, cast_wave
 from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.streams import PAIRS, SOURCES
 from isogi_core.kernels.transport.wavefront import columns, partition
 
-FAR = (math.inf, math.inf, math.inf)
+NO_START = (math.inf, math.inf, math.inf)
 """Where rays start that are not to meet anything."""
 
 NO_TABLE = (np.zeros(0), np.zeros((0, 0)))
@@ -63,7 +63,7 @@ def sample_source(light, source, p, n, u, v):
     w = draw_bright(light.table, light.matrix, u, v)
     cosine = dot(n, w)
     if not cosine > 0.0:
-        return w, math.inf, NOTHING
+        return w, math.inf, NO_LIGHT
     return w, math.inf, arriving(light.constant, light.image, light.matrix, light.table, w, cosine)
 
 
@@ -83,7 +83,7 @@ def aim_shadow_rays(wave, vertices, bounce, light, source, spacing):
         w, shadow.reach[i], shine = sample_source(light, source, to_world(o, spacing), column(normals, i), u, v)
         put_column(directions, i, to_index(w, spacing))
         put_column(lights, i, shine)
-        put_column(starts, i, o if max(shine[0], shine[1], shine[2]) > 0.0 else FAR)
+        put_column(starts, i, o if max(shine[0], shine[1], shine[2]) > 0.0 else NO_START)
 
 
 @Choice

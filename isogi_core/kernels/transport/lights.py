@@ -66,7 +66,7 @@ def draw_bright(table, matrix, u, v):
 
 
 @kernel()
-def balance(table, row, column, cosine):
+def balance_image(table, row, column, cosine):
     """Share p_c/(p_c + p_e) of a direction, at a place of the image, between the two ways in which it is drawn.
 
     p_c is the density of cosine sampling, p_e that of ``draw_bright``. The same share of the radiance is
@@ -81,15 +81,15 @@ def balance(table, row, column, cosine):
 def arriving(constant, image, matrix, table, w, cosine):
     """What a ray in world direction ``w``, at ``cosine`` to the normal, adds to E/π by the environment it reaches.
 
-    The radiance, and with a ``table`` that is not empty its share by ``balance``.
+    The radiance, and with a ``table`` that is not empty its share by ``balance_image``.
     """
     row, column = direction_to_latlong(turn_back(matrix, w))
     light = glow(constant, image, row, column)
-    return scale(light, balance(table, row, column, cosine)) if table[0].shape[0] > 0 else light
+    return scale(light, balance_image(table, row, column, cosine)) if table[0].shape[0] > 0 else light
 
 
 @kernel()
-def irradiance(order, lobe, light, n, basis, c):
+def unshadowed_irradiance(order, lobe, light, n, basis, c):
     """Unoccluded irradiance over π at unit normal ``n``: Σ A_l/π ℓ_lm Y_lm(n), clamped to 0, for channel ``c``.
 
     ``lobe`` (n²) holds A_l/π per coefficient, ``light`` (3, n²) the turned environment, ``basis``
@@ -106,9 +106,9 @@ def unshadowed(order, lobe, light, n, basis):
     """Irradiance over π, linear RGB, of a point with normal ``n`` that nothing shadows. Overwrites ``basis``."""
     evaluate(order, n[0], n[1], n[2], basis)
     return (
-        irradiance(order, lobe, light, n, basis, 0),
-        irradiance(order, lobe, light, n, basis, 1),
-        irradiance(order, lobe, light, n, basis, 2),
+        unshadowed_irradiance(order, lobe, light, n, basis, 0),
+        unshadowed_irradiance(order, lobe, light, n, basis, 1),
+        unshadowed_irradiance(order, lobe, light, n, basis, 2),
     )
 
 
@@ -121,7 +121,7 @@ def fog(depth, near, far):
 
 DIRECTIONAL, POINT, AREA = 0, 1, 2
 
-NOTHING = (0.0, 0.0, 0.0)
+NO_LIGHT = (0.0, 0.0, 0.0)
 
 
 class LampArrays(NamedTuple):
@@ -177,7 +177,7 @@ def illuminate(lamps, k, p, n, u, v):
     distance = length(away)
     square = distance * distance
     if not square > 0.0:
-        return n, 0.0, NOTHING
+        return n, 0.0, NO_LIGHT
     w = scale(away, 1.0 / distance)
     share = max(dot(n, w), 0.0) / square
     if lamps.kinds[k] == AREA:

@@ -117,7 +117,7 @@ def sample_reflected(alpha, v, a, b):
 
 
 @kernel()
-def fresnel(facing, v, l):
+def schlick_fresnel(facing, v, l):
     """Schlick's Fresnel of facets that mirror ``v`` to ``l``; linear RGB."""
     edge = grazing(dot(v, facet_between(v, l)))
     return (
@@ -176,7 +176,7 @@ def energy_at(energy, cosine):
 
 @kernel()
 def light_below(lobe, cosine):
-    """The share of diffuse light that a lobe leaves to who looks at a ``cosine``; linear RGB.
+    """The share of diffuse light that a lobe leaves to the eye at a ``cosine``; linear RGB.
 
     Of a metal 1 - strength; of a coat 1 - strength · (F₀ A + B), so that a white surface stays white in white light.
     """

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 from isogi_core.kernels._jit import Choice
-from isogi_core.kernels.transport.integrate import advance, begin, launch_starts, make_state, meet
+from isogi_core.kernels.transport.integrate import advance, begin_wave, launch_starts, make_state, meet
 from isogi_core.kernels.transport.paths import PathRules, PathStarts
 from isogi_core.kernels.transport.wavefront import compact, intersect, launch_all, next_vertex
 
@@ -42,7 +42,7 @@ def launch_in_the_open(scene, starts):
     return launch_all(scene.field, starts)
 
 
-@begin.case(PathStarts)
+@begin_wave.case(PathStarts)
 def begin_in_the_open(scene, state, vertices, starts, first):
     """Leave the vertices as they are: all stand on the surface."""
 

@@ -28,7 +28,7 @@ class SampleRange(NamedTuple):
 
 
 class PathRules(NamedTuple):
-    """What a path's light counts, and which paths go on: ``weights`` float64 (see who takes them), and ``survival``.
+    """What a path's light counts, and which paths go on: ``weights`` float64 (see the kernel), and ``survival``.
 
     That is the chance with which a path that has hit twice goes on from a hit: see ``russian_roulette``.
     """
@@ -38,7 +38,7 @@ class PathRules(NamedTuple):
 
 
 class TransferRules(NamedTuple):
-    """``PathRules`` of paths that go on from the first surface that they hit in so many ``branches``."""
+    """``PathRules`` of paths that go on from the first surface that they hit in a number of ``branches``."""
 
     weights: Any
     survival: float

@@ -8,7 +8,7 @@ from numba import types
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.vec import SMALLEST, cross, dot, length, madd, normalize, scale, sub
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS
-from isogi_core.kernels.transport.lights import NOTHING, draw_bright, draw_from_disc, glow, row, turn_back
+from isogi_core.kernels.transport.lights import NO_LIGHT, draw_bright, draw_from_disc, glow, row, turn_back
 from isogi_core.kernels.transport.sampling import direction_to_latlong, latlong_jacobian, piecewise_2d_pdf
 
 
@@ -131,7 +131,7 @@ def expect_along(lights, p, w):
 @kernel()
 def lamps_before(lights, p, w, t):
     """What a ray from ``p`` along ``w`` that ends on something at ``t`` brings of the lamps before that."""
-    panels, (r, g, b) = lights.panels, NOTHING
+    panels, (r, g, b) = lights.panels, NO_LIGHT
     for k in range(panels.corners.shape[0]):
         if panels.clear[k] > 0.0 and panel_met(panels, k, p, w)[0] < t:
             light = row(panels.radiances, k)

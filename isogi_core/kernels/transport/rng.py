@@ -11,7 +11,7 @@ from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.simd.maths import fraction
 
 WORD = np.uint64(0xFFFFFFFF)
-ONE = np.uint64(1)
+LOWEST_BIT = np.uint64(1)
 HALF_WORD = np.uint64(16)
 WORD_BITS = np.uint64(32)
 
@@ -106,7 +106,7 @@ def laine_karras(word, seed):
     """
     word = word ^ ((word * LK_FIRST) & WORD)
     word = (word + seed) & WORD
-    word = (word * ((seed >> HALF_WORD) | ONE)) & WORD
+    word = (word * ((seed >> HALF_WORD) | LOWEST_BIT)) & WORD
     word = word ^ ((word * LK_SECOND) & WORD)
     return word ^ ((word * LK_THIRD) & WORD)
 

@@ -9,7 +9,7 @@ from numba import types
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.field import FIELD, to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN
+from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN_SIDE, launch
 from isogi_core.kernels.tracing.vec import SMALLEST, column, dot, length, madd, put_column, scale, sub
 from isogi_core.kernels.tracing.walls import NUMBERS, ROWS, WALLS, meet_walls
 from isogi_core.kernels.transport.colours import COLOURS, albedo_at
@@ -17,14 +17,13 @@ from isogi_core.kernels.transport.integrate import (
     add_carried,
     add_paths,
     advance,
-    begin,
+    begin_wave,
     gather_met,
     gather_sources,
     launch_starts,
 )
-from isogi_core.kernels.transport.integrator import launch
 from isogi_core.kernels.transport.light_paths import (
-    FAR,
+    NO_START,
     SURROUNDINGS,
     Surroundings,
     add_sent,
@@ -32,15 +31,15 @@ from isogi_core.kernels.transport.light_paths import (
     gather_from_outside,
     to_world,
 )
-from isogi_core.kernels.transport.lights import NOTHING, row
+from isogi_core.kernels.transport.lights import NO_LIGHT, row
 from isogi_core.kernels.transport.open_paths import cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import mix, point_of_words
 from isogi_core.kernels.transport.streams import PAIRS, SOURCES
 from isogi_core.kernels.transport.wavefront import columns, compact, intersect, next_vertex, whole
 
-SHORT = 1.0 - 1e-9
-"""Share of the way to a luminaire on which something may stand before it."""
+SHADOWED_SHARE = 1.0 - 1e-9
+"""Share of the way to a luminaire on which something may shadow it."""
 
 
 class Room(NamedTuple):
@@ -117,12 +116,12 @@ def sample_luminaire(room, k, p, n, u, v):
     away = sub(madd(madd(row(room.corners, k), u, row(room.edges[k], 0)), v, row(room.edges[k], 1)), p)
     distance = length(away)
     if not distance > 0.0:
-        return n, 0.0, NOTHING
+        return n, 0.0, NO_LIGHT
     w = scale(away, 1.0 / distance)
     cosine, slope = dot(n, w), dot(row(room.normals, k), w)
     if not (cosine > 0.0 and lit_from(room, k, slope)):
-        return w, 0.0, NOTHING
-    return w, SHORT * distance, scale(row(room.radiances, k), balance_area(room, k, cosine, slope, distance))
+        return w, 0.0, NO_LIGHT
+    return w, SHADOWED_SHARE * distance, scale(row(room.radiances, k), balance_area(room, k, cosine, slope, distance))
 
 
 @kernel()
@@ -142,7 +141,7 @@ def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
         lit = wave.own[i] != k and max(shine[0], shine[1], shine[2]) > 0.0
         put_column(directions, i, to_index(w, spacing))
         put_column(lights, i, shine)
-        put_column(starts, i, o if lit else FAR)
+        put_column(starts, i, o if lit else NO_START)
 
 
 @cast_wave.case(InRoom)
@@ -225,7 +224,7 @@ def stand_on_walls(wave, vertices, following, room):
             side = 1.0 if dot(n, column(ways, i)) < 0.0 else -1.0
             put_column(points, h, madd(column(origins, i), rays.t[h], column(directions, i)))
             put_column(normals, h, scale(n, side))
-            rays.sides[h] = UNKNOWN
+            rays.sides[h] = UNKNOWN_SIDE
 
 
 @advance.case(InRoom)
@@ -258,10 +257,10 @@ def begin_on_walls(wave, starts, first, count):
     for m in range(count):
         wave.own[m] = starts.walls[(first + m) % g]
         if wave.own[m] >= 0.0:
-            wave.rays.sides[m] = UNKNOWN
+            wave.rays.sides[m] = UNKNOWN_SIDE
 
 
-@begin.case(InRoom)
+@begin_wave.case(InRoom)
 def begin_in_room(scene, state, vertices, starts, first):
     """Say where the vertices of a wave stand, on the isosurface or on walls."""
     begin_on_walls(state.wave, starts, first, vertices.count)

@@ -9,6 +9,7 @@ import math
 
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.simd.maths import where
+from isogi_core.kernels.tracing.vec import orthonormal_basis
 
 BELOW_ONE = 1.0 - 2.0**-53
 
@@ -78,6 +79,17 @@ def sample_cosine_hemisphere(u, v):
     x, y = sample_disc(u, v)
     height = 1.0 - x * x - y * y
     return x, y, math.sqrt(where(height > 0.0, height, 0.0))
+
+
+@kernel(exact=True)
+def about(n, d):
+    """The direction ``d``, given about +z, turned so that +z is the unit vector ``n``."""
+    s, t = orthonormal_basis(n)
+    return (
+        n[0] * d[2] + s[0] * d[0] + t[0] * d[1],
+        n[1] * d[2] + s[1] * d[0] + t[1] * d[1],
+        n[2] * d[2] + s[2] * d[0] + t[2] * d[1],
+    )
 
 
 @kernel()

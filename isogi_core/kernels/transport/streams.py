@@ -15,22 +15,22 @@ DIRECTIONS = 0
 """The first of the pairs that draw a path's directions, one for each vertex."""
 
 SOURCES = PAIRS
-"""The first of those that draw points of light sources, PAIRS for each: bright sky, then lamps, then luminaires."""
+"""The first pair that draws a point of a light source, PAIRS for each: bright sky, then lamps, then luminaires."""
 
 CROSSINGS = 64
 """Surfaces that a ray passes at most: what comes next stops it."""
 
 ROULETTE = 0x7FFF * PAIRS
-"""The first of those that decide which paths go on, one for each bounce."""
+"""The first pair that decides which paths go on, one for each bounce."""
 
 PASSING = ROULETTE - CROSSINGS * PAIRS
-"""The first of those that decide which rays pass a surface, one for each crossing and vertex."""
+"""The first pair that decides which rays pass a surface, one for each crossing and vertex."""
 
 LEAVING = PASSING - PAIRS
-"""The first of those that decide on which side paths leave a surface, one for each vertex."""
+"""The first pair that decides on which side paths leave a surface, one for each vertex."""
 
 IN_MATTER = 0x8000 * PAIRS
-"""The first of those on a ray's way through matter, two for each of MAX_STEPS steps and each vertex."""
+"""The first pair on a ray's way through matter, two for each of MAX_STEPS steps and each vertex."""
 
 MAX_STEPS = 4096
 """Interfaces and scatterings of a ray in matter at most: what is left then is lost."""

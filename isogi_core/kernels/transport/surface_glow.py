@@ -16,7 +16,7 @@ from isogi_core.kernels.transport.integrate import add_paths, gather_sources
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.room_paths import STARTS
 from isogi_core.kernels.transport.streams import CROSSINGS
-from isogi_core.kernels.transport.surface_paths import AMONG, Among, cast_at_all, cast_on, goes_on
+from isogi_core.kernels.transport.surface_paths import AMONG, Among, cast_at_all, cast_past, goes_on
 from isogi_core.kernels.transport.wavefront import columns
 
 
@@ -47,7 +47,7 @@ def gather_aimed_among(scene, state, vertices, bounce, glows):
             continue
         origins, going = columns(shadow.starts, count), 0
         origins[:, count:] = math.inf
-        cast_at_all(scene.field, scene.surfaces, state, origins, count)
+        cast_at_all(scene, state, origins, count)
         for i in range(count):
             state.passed[i], shadow.reach[i], state.pending[going] = 1.0, math.inf, i
             going += origins[0, i] < math.inf
@@ -56,7 +56,7 @@ def gather_aimed_among(scene, state, vertices, bounce, glows):
             if going == 0:
                 break
             for surface in range(scene.surfaces.clears.shape[0]):
-                cast_on(scene.field, scene.surfaces, state, surface, origins, count, going)
+                cast_past(scene, state, surface, origins, count, going)
 
 
 @kernel(types.void(AMONG, STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, ROWS))

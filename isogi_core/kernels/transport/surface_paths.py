@@ -13,13 +13,12 @@ from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.cast import cast_batch
 from isogi_core.kernels.tracing.field import FIELD
-from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN
-from isogi_core.kernels.tracing.peels import MOST
+from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN_SIDE, launch
+from isogi_core.kernels.tracing.peels import MAX_SURFACES
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import SMALLEST, column, madd, put_column, scale
 from isogi_core.kernels.tracing.walls import NOWHERE, meet_walls
-from isogi_core.kernels.transport.integrate import add_paths, advance, begin, make_state, meet
-from isogi_core.kernels.transport.integrator import launch
+from isogi_core.kernels.transport.integrate import add_paths, advance, begin_wave, make_state, meet
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS, add_sent
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
@@ -27,12 +26,12 @@ from isogi_core.kernels.transport.room_paths import ROOM, STARTS, begin_on_walls
 from isogi_core.kernels.transport.streams import CROSSINGS, LEAVING, PAIRS, PASSING
 from isogi_core.kernels.transport.wavefront import columns, compact, next_vertex, whole
 
-NONE = -1
+NO_SURFACE = -1
 """The number of no surface: of what is a wall, or nothing."""
 
 
 class Surfaces(NamedTuple):
-    """s isosurfaces in a ``room``, the first of them the one that paths start on, whose isovalue each start has for
+    """s isosurfaces, the first of them the one that paths start on, whose isovalue each start has for
     itself.
 
     Of each the ``cells`` that may hold it (MOST of them: the others say nothing), its ``isovalues`` (s,), of which the
@@ -45,11 +44,10 @@ class Surfaces(NamedTuple):
     albedos: Any
     clears: Any
     transmissions: Any
-    room: Any
 
 
 NUMBERS, ROWS = types.float64[::1], types.float64[:, ::1]
-SURFACES = record(Surfaces, types.UniTuple(ACTIVE_CELLS, MOST), NUMBERS, ROWS, NUMBERS, ROWS, ROOM)
+SURFACES = record(Surfaces, types.UniTuple(ACTIVE_CELLS, MAX_SURFACES), NUMBERS, ROWS, NUMBERS, ROWS)
 
 
 class Among(NamedTuple):
@@ -84,22 +82,22 @@ class Company(NamedTuple):
 
 
 @kernel()
-def cast_at_all(field, surfaces, company, origins, count):
+def cast_at_all(scene, company, origins, count):
     """Cast a wave's rays from ``origins`` at each surface, ways and sides, and at the walls that end them."""
-    wave, n = company.wave, whole(count)
+    surfaces, wave, n = scene.surfaces, company.wave, whole(count)
     isovalues, sides, directions = np.empty(n), np.empty(n, np.int8), columns(wave.rays.directions, count)
     for k in range(surfaces.clears.shape[0]):
         for i in range(n):
             isovalues[i] = company.own[i] if k == 0 else surfaces.isovalues[k]
-            sides[i] = wave.rays.sides[i] if company.on[i] == k else UNKNOWN
+            sides[i] = wave.rays.sides[i] if company.on[i] == k else UNKNOWN_SIDE
         rays = Rays(isovalues, origins, directions, sides)
-        cast_batch(field, surfaces.cells[k], rays, company.t[k, :n], company.came[k, :n])
+        cast_batch(scene.field, surfaces.cells[k], rays, company.t[k, :n], company.came[k, :n])
     company.end[:n] = math.inf
-    meet_walls(surfaces.room.walls, origins, directions, wave.own[:n], company.end[:n], wave.met[:n])
+    meet_walls(scene.room.walls, origins, directions, wave.own[:n], company.end[:n], wave.met[:n])
 
 
 @kernel()
-def cast_on(field, surfaces, company, k, origins, count, going):
+def cast_past(scene, company, k, origins, count, going):
     """Cast those of the first ``going`` pending rays on that have just passed surface ``k``, from there."""
     n, directions = whole(going), columns(company.wave.rays.directions, count)
     some, size = np.empty(n, np.int64), 0
@@ -114,18 +112,18 @@ def cast_on(field, surfaces, company, k, origins, count, going):
     for j in range(size):
         i = some[j]
         d = column(directions, i)
-        rays.isovalues[j] = company.own[i] if k == 0 else surfaces.isovalues[k]
+        rays.isovalues[j] = company.own[i] if k == 0 else scene.surfaces.isovalues[k]
         put_column(rays.origins, j, madd(column(origins, i), company.t[k, i], d))
         put_column(rays.directions, j, d)
         rays.sides[j] = -company.came[k, i]
-    cast_batch(field, surfaces.cells[k], rays, t, came)
+    cast_batch(scene.field, scene.surfaces.cells[k], rays, t, came)
     for j in range(size):
         company.t[k, some[j]] += t[j]
         company.came[k, some[j]] = came[j]
 
 
 @kernel()
-def nearest(company, i):
+def nearest_surface(company, i):
     """The surface that ray ``i`` meets next; the first of those at the same place, and 0 where it meets none."""
     best = 0
     for k in range(1, company.t.shape[0]):
@@ -152,11 +150,11 @@ def passes(rays, i, bounce, crossing, clear):
 @kernel()
 def goes_on(surfaces, company, i, bounce, crossing, aimed):
     """Whether ray ``i``, at its next crossing, goes on; an ``aimed`` one, as far as it reaches, with what it brings."""
-    rays, k = company.wave.rays, nearest(company, i)
+    rays, k = company.wave.rays, nearest_surface(company, i)
     reach = company.wave.shadow.reach[i] if aimed else math.inf
     walled = company.end[i] <= company.t[k, i]
     rays.t[i], rays.came[i] = company.end[i] if walled else company.t[k, i], company.came[k, i]
-    company.met[i] = NONE if walled else k
+    company.met[i] = NO_SURFACE if walled else k
     if rays.t[i] >= reach or (walled and not aimed):
         return False
     if aimed:
@@ -166,7 +164,7 @@ def goes_on(surfaces, company, i, bounce, crossing, aimed):
 
 
 @kernel()
-def follow(field, surfaces, company, room, bounce, count, aimed):
+def follow_rays(scene, company, room, bounce, count, aimed):
     """Follow a wave's rays from the points in ``room`` to the surfaces that stop them.
 
     Writes how far that is, and from which side they met which surface, or which wall. ``aimed`` rays go no farther than
@@ -175,7 +173,7 @@ def follow(field, surfaces, company, room, bounce, count, aimed):
     origins = columns(room, count)
     origins[:, count:] = math.inf
     company.passed[:count] = 1.0
-    cast_at_all(field, surfaces, company, origins, count)
+    cast_at_all(scene, company, origins, count)
     for i in range(count):
         company.pending[i] = i
     going = count
@@ -184,16 +182,16 @@ def follow(field, surfaces, company, room, bounce, count, aimed):
         for j in range(going):
             i = company.pending[j]
             company.pending[staying] = i
-            staying += goes_on(surfaces, company, i, bounce, crossing, aimed)
+            staying += goes_on(scene.surfaces, company, i, bounce, crossing, aimed)
         going = staying
         if going == 0:
             break
-        for k in range(surfaces.clears.shape[0]):
-            cast_on(field, surfaces, company, k, origins, count, going)
+        for k in range(scene.surfaces.clears.shape[0]):
+            cast_past(scene, company, k, origins, count, going)
     for j in range(going):
         company.passed[company.pending[j]] = 0.0
     for i in range(count):
-        if company.met[i] != NONE:
+        if company.met[i] != NO_SURFACE:
             company.wave.met[i] = NOWHERE
 
 
@@ -201,7 +199,7 @@ def follow(field, surfaces, company, room, bounce, count, aimed):
 def add_sent_among(scene, state, vertices, bounce):
     """Add what the shadow rays of a wave bring, of which surfaces let a share pass, and walls nothing."""
     shadow, count = state.wave.shadow, vertices.count
-    follow(scene.field, scene.surfaces, state, shadow.starts, bounce, count, True)
+    follow_rays(scene, state, shadow.starts, bounce, count, True)
     starts, lights = columns(shadow.starts, count), columns(shadow.light, count)
     carried, gathered = state.wave.carried, state.wave.gathered
     for i in range(count):
@@ -214,11 +212,11 @@ def add_sent_among(scene, state, vertices, bounce):
 @meet.case(Among)
 def meet_among(scene, state, vertices, bounce):
     """Follow the rays of a wave to the surfaces or the walls that stop them."""
-    follow(scene.field, scene.surfaces, state, vertices.points, bounce, vertices.count, False)
+    follow_rays(scene, state, vertices.points, bounce, vertices.count, False)
 
 
 @kernel()
-def leave(surfaces, company, h, k, vertex, chance):
+def choose_side(surfaces, company, h, k, vertex, chance):
     """Have path ``h`` leave its ``vertex`` on surface ``k`` by its albedo, or by its transmission: whether by that.
 
     Each is drawn by what it leaves of the light that the path carries, so that no colour of it ever counts more than
@@ -238,41 +236,42 @@ def leave(surfaces, company, h, k, vertex, chance):
 
 
 @kernel()
-def stand_on(surfaces, company, following, count, bounce, chance):
+def stand_on(scene, company, following, count, bounce, chance):
     """Put the vertices ``following`` the rays of a ``bounce`` on what was met: its number, its isovalue, and the side
     that paths leave; of a wall, what these carry. ``count`` rays were cast, and hits were followed with a ``chance``.
     """
     rays, carried = company.wave.rays, company.wave.carried
-    ways, walls = columns(rays.ways, count), surfaces.room.albedos
+    ways, surfaces, walls = columns(rays.ways, count), scene.surfaces, scene.room.albedos
     for h in range(following.count):
         i = rays.hits[h]
         k = int(company.met[i])
         company.own[h], company.on[h], rays.t[h] = company.own[i], k, rays.t[i]
         rays.isovalues[h] = company.own[h] if k <= 0 else surfaces.isovalues[k]
-        if k == NONE:
+        if k == NO_SURFACE:
             for c in range(3):
                 carried[c, rays.owners[h]] *= walls[int(company.wave.met[i]), c] / chance
-        elif leave(surfaces, company, h, k, bounce + 1, chance):
+        elif choose_side(surfaces, company, h, k, bounce + 1, chance):
             rays.sides[h], rays.signs[h] = -rays.sides[h], -rays.signs[h]
             put_column(ways, i, scale(column(ways, i), -1.0))  # where the field is flat normals are against them
 
 
 @kernel()
-def start_on_either_side(field, surfaces, company, vertices, starts):
+def start_on_either_side(scene, company, vertices, starts):
     """Have paths leave the surface that they start on, on one of its sides, each counting its share of what leaves."""
-    rays, g, through = company.wave.rays, starts.isovalues.shape[0], surfaces.transmissions[0]
+    surfaces, rays, g = scene.surfaces, company.wave.rays, starts.isovalues.shape[0]
+    through = surfaces.transmissions[0]
     origins, normals = columns(vertices.points, vertices.count), columns(vertices.normals, vertices.count)
     for h in range(vertices.count if max(through[0], through[1], through[2]) > 0.0 else 0):
         m = rays.owners[h]
-        if company.on[h] == NONE:
+        if company.on[h] == NO_SURFACE:
             continue
         for c in range(3):
             company.wave.carried[c, m] /= max(surfaces.albedos[0, c] + through[c], SMALLEST)
-        if leave(surfaces, company, h, 0, 0, 1.0):
+        if choose_side(surfaces, company, h, 0, 0, 1.0):
             n, start = scale(column(normals, h), -1.0), column(starts.points, m % g)
             rays.sides[h] = SOLID
             put_column(normals, h, n)
-            put_column(origins, h, launch(field, rays.isovalues[h], start, n, SOLID))
+            put_column(origins, h, launch(scene.field, rays.isovalues[h], start, n, SOLID))
 
 
 @advance.case(Among)
@@ -280,7 +279,7 @@ def advance_among(scene, state, vertices, following, bounce, rules):
     """Move the paths that go on to where they hit surfaces or walls."""
     rays, count = state.wave.rays, vertices.count
     compact(rays, vertices, following)
-    stand_on(scene.surfaces, state, following, count, bounce, rules.survival if bounce > 0 else 1.0)
+    stand_on(scene, state, following, count, bounce, rules.survival if bounce > 0 else 1.0)
     next_vertex(scene.field, rays, count, following)
     stand_on_walls(state.wave, vertices, following, scene.room)
 
@@ -294,7 +293,7 @@ def make_company(scene, starts, wave):
     return Company(wave, *met, *ways, numbers[1], numbers[2], places[2])
 
 
-@begin.case(Among)
+@begin_wave.case(Among)
 def begin_among(scene, state, vertices, starts, first):
     """Say where the vertices of a wave stand, and put them on either side of the surface."""
     wave = state.wave
@@ -302,8 +301,8 @@ def begin_among(scene, state, vertices, starts, first):
     for h in range(wave.own.shape[0]):
         state.own[h] = wave.rays.isovalues[h]
     for h in range(vertices.count):
-        state.on[h] = NONE if wave.own[h] >= 0.0 else 0
-    start_on_either_side(scene.field, scene.surfaces, state, vertices, starts)
+        state.on[h] = NO_SURFACE if wave.own[h] >= 0.0 else 0
+    start_on_either_side(scene, state, vertices, starts)
 
 
 @kernel(types.void(AMONG, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))

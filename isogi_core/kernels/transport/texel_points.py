@@ -7,11 +7,11 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.tracing.field import FIELD, normal, smooth_gradient, value
-from isogi_core.kernels.tracing.plateaus import HALVINGS, STRIDE, along, crossing, downhill
+from isogi_core.kernels.tracing.plateaus import HALVINGS, STRIDE, crossing, downhill, point_within
 from isogi_core.kernels.tracing.vec import dot, is_zero, length, put_column
 from isogi_core.kernels.transport.transfer import COLUMNS, TEXELS, VECTOR, hemmed
 
-PROJECTED, FAR, OTHER_SHEET, TURNED, HEMMED, NOWHERE = range(6)
+PROJECTED, TOO_FAR, OTHER_SHEET, TURNED, HEMMED, NOWHERE = range(6)
 """What became of a texel: it was projected, or the shown isosurface is not within FARTHEST, or another sheet of it is;
 the normal there is turned by more than a right angle; light has no room to arrive there; or its own point has no
 normal.
@@ -27,7 +27,7 @@ def strays(voxels, p, d, level, reach):
     own = value(voxels, p)
     nearest, back, t = abs(own - level), 0.0, STRIDE
     while t < reach:
-        away = abs(value(voxels, along(voxels.shape, p, d, t)) - level)
+        away = abs(value(voxels, point_within(voxels.shape, p, d, t)) - level)
         nearest, back, t = min(nearest, away), max(back, away - nearest), t + STRIDE
     return back / max(abs(own - level), 1e-300)
 
@@ -37,14 +37,14 @@ def way_to(field, p, n, level, halvings=HALVINGS):
     """The way from ``p`` to the isosurface ``level`` along the normal ``n``, that is not zero: (direction, voxels).
 
     Out of the solid or into it, to where the trilinear field first crosses the level; the direction is of index space,
-    a voxel long, and the way, which so many ``halvings`` end (see ``crossing``), inf where it does not within FARTHEST.
+    a voxel long, and the way, found by ``halvings`` (see ``crossing``), inf where it does not within FARTHEST.
     """
     d = downhill(n, field.spacing, 1.0 if value(field.voxels, p) > level else -1.0)
     return d, crossing(field.voxels, p, d, level, halvings)
 
 
 @kernel(exact=True)
-def project(field, p, level):
+def project_point(field, p, level):
     """Move ``p`` along the normal onto the isosurface ``level``: (verdict, point, normal there).
 
     The straight way of ``way_to``; both are those of ``p`` itself where that fails. Verdicts are PROJECTED … NOWHERE.
@@ -54,8 +54,8 @@ def project(field, p, level):
         return NOWHERE, p, n
     d, t = way_to(field, p, n, level)
     if not t < math.inf:
-        return FAR, p, n
-    there = along(field.voxels.shape, p, d, t)
+        return TOO_FAR, p, n
+    there = point_within(field.voxels.shape, p, d, t)
     m = normal(field, there)
     if strays(field.voxels, p, d, level, t) > ASTRAY:
         return OTHER_SHEET, p, n
@@ -73,7 +73,7 @@ def project_texels(field, step, level, texels, points, normals, verdicts):
     """
     for m in range(texels.shape[0]):
         p = (texels[m, 2] * step[0], texels[m, 1] * step[1], texels[m, 0] * step[2])
-        verdict, there, n = project(field, p, level)
+        verdict, there, n = project_point(field, p, level)
         verdicts[m] = np.uint8(verdict)
         put_column(points, m, there)
         put_column(normals, m, n)

@@ -10,7 +10,7 @@ from isogi_core.kernels.simd.memory import load
 from isogi_core.kernels.simd.types import PATH_WIDTH
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.field import FIELD, OFFSET, normal, to_index, value
-from isogi_core.kernels.tracing.plateaus import along, leave_plateau
+from isogi_core.kernels.tracing.plateaus import leave_plateau, point_within
 from isogi_core.kernels.tracing.vec import column, is_zero, length, load_columns, put_column
 from isogi_core.kernels.transport.ends import blocks, make_ends, trace_ends
 from isogi_core.kernels.transport.harmonics import accumulate
@@ -45,7 +45,7 @@ def texel_seed(z, y, x, half):
 def hemmed(field, p, n, level):
     """Whether it is solid an OFFSET above ``p`` along the normal ``n``: light has no room to arrive there."""
     up = to_index(n, field.spacing)
-    return value(field.voxels, along(field.voxels.shape, p, up, OFFSET / length(up))) > level
+    return value(field.voxels, point_within(field.voxels.shape, p, up, OFFSET / length(up))) > level
 
 
 @kernel(types.void(FIELD, VECTOR, TEXELS, COLUMNS, COLUMNS, VECTOR, types.boolean[::1]))
@@ -94,7 +94,7 @@ def limits_of_transfer(rules):
 
 @count_ends.case(TransferRules)
 def count_by_weights(ends, carried, rules, c, counts):
-    """Count each path by the weight of its bounces, and a branch as one of so many."""
+    """Count each path by the weight of its bounces, and a branch over the number of branches."""
     weights, branches = rules.weights[c], rules.branches
     straight, reflected = weights[:2].any(), weights[0] != 0.0 or weights[2:].any()
     first, last = 0 if straight or branches == 1 else 1, blocks(branches) if reflected else 1
@@ -107,10 +107,10 @@ def count_by_weights(ends, carried, rules, c, counts):
 
 
 @kernel()
-def project(ends, counts, order, starts, samples, some, sums):
+def add_harmonics(ends, counts, order, starts, samples, some, sums):
     """Add harmonics of this ``order`` of the ends of ``trace_ends`` to ``sums`` (i // PATH_WIDTH, n² PATH_WIDTH).
 
-    They are from ``starts`` starts, so many ``samples`` each, and the blocks that are ``some`` (first, last) of the
+    They are from ``starts`` starts with ``samples`` each, and the blocks that are ``some`` (first, last) of the
     ``PathEnds``. Lane i % PATH_WIDTH is of start i, and takes its samples in their order, and each one's branches in
     theirs: the company of a start changes no bit.
     """
@@ -125,7 +125,7 @@ def project(ends, counts, order, starts, samples, some, sums):
 
 @kernel()
 def project_ends(ends, carried, rules, orders, starts, samples, sums):
-    """Add the ends of ``trace_ends`` to ``sums`` (channels, …), each by its rule: see ``count_ends`` and ``project``.
+    """Add the ends of ``trace_ends`` to ``sums`` (channels, …), each by its rule: see ``count_ends``.
 
     ``samples`` are how many each of the ``starts`` took, and how many there is room for. Source: S1, eq. 8 with cosine
     sampling, τ_i = Σ R^k Y_i(ω) / N.
@@ -133,7 +133,7 @@ def project_ends(ends, carried, rules, orders, starts, samples, sums):
     counts = np.zeros(ends.bounces.shape[0] + PATH_WIDTH)
     for c in range(sums.shape[0]):
         some = count_ends(ends, carried, rules, c, counts)
-        project(ends, counts, orders[c], starts, samples, some, sums[c])
+        add_harmonics(ends, counts, orders[c], starts, samples, some, sums[c])
 
 
 @kernel()

@@ -4,19 +4,19 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.simd.maths import u32
 from isogi_core.kernels.simd.memory import load
 from isogi_core.kernels.simd.types import PATH_WIDTH
-from isogi_core.kernels.tracing.cast import cast_batch
-from isogi_core.kernels.tracing.field import gradients, to_index, to_world_normal
-from isogi_core.kernels.tracing.intersect import OUTSIDE
+from isogi_core.kernels.tracing.cast import ORIGINS, SIDES, VECTOR, cast_batch
+from isogi_core.kernels.tracing.field import FIELD, gradients, to_index, to_world_normal
+from isogi_core.kernels.tracing.intersect import OUTSIDE, launch, shading_normal
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, load_columns, madd, put_column, store_columns
-from isogi_core.kernels.transport.integrator import about, launch, shading_normal
 from isogi_core.kernels.transport.rng import WORD, WORD_BITS, point_of_words
-from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
+from isogi_core.kernels.transport.sampling import about, sample_cosine_hemisphere
 from isogi_core.kernels.transport.streams import DIRECTIONS, ROULETTE
 
 WAVE = 4096
@@ -229,3 +229,19 @@ def launch_all(field, starts):
         p, n = column(starts.points, i), column(starts.normals, i)
         put_column(origins, i, launch(field, starts.isovalues[i], p, n, OUTSIDE))
     return origins
+
+
+@kernel(types.void(FIELD, VECTOR, ORIGINS, ORIGINS, VECTOR, SIDES, ORIGINS))
+def bounce_rays(field, isovalues, origins, directions, t, came, numbers):
+    """Turn rays ``origins`` + t · ``directions`` (3, n) that hit, in place, into cosine rays from there.
+
+    ``isovalues`` (n,) of the surfaces; ``t`` and ``came`` (n,) as ``cast_batch`` writes them; ``numbers``
+    (2, n) in [0, 1). They start off the surface as a path's do. Source: S1, section 4.1.
+    """
+    for m in range(origins.shape[1]):
+        d = column(directions, m)
+        p = madd(column(origins, m), t[m], d)
+        n = shading_normal(field, p, int(came[m]), d)
+        w = about(n, sample_cosine_hemisphere(numbers[0, m], numbers[1, m]))
+        put_column(origins, m, launch(field, isovalues[m], p, n, int(came[m])))
+        put_column(directions, m, to_index(w, field.spacing))

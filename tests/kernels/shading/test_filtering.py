@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.shading.filtering import (
+    DISTANCE_WEIGHTS,
     LENDS,
-    NEAR,
     PATHS,
     SHARED,
     VARIANCE,
@@ -173,7 +173,7 @@ def test_neighbours_that_face_away_lend_no_light():
 
 
 def test_neighbours_count_by_a_gauss_curve():
-    np.testing.assert_allclose(NEAR, np.exp([0.0, -0.5, -1.0, -1.5]), rtol=1e-6)
+    np.testing.assert_allclose(DISTANCE_WEIGHTS, np.exp([0.0, -0.5, -1.0, -1.5]), rtol=1e-6)
 
 
 def test_filtered_light_replaces_noisy_and_missing_light():

@@ -16,8 +16,7 @@ from isogi_core.kernels.shading.local_models import (
     trace_points,
 )
 from isogi_core.kernels.tracing.field import to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE, cast
-from isogi_core.kernels.transport.integrator import launch
+from isogi_core.kernels.tracing.intersect import OUTSIDE, cast, launch
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import fog
 from isogi_core.kernels.transport.paths import PathRules, SampleRange

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals
-from isogi_core.kernels.transport.texel_points import FAR, NOWHERE, PROJECTED, project_texels
+from isogi_core.kernels.transport.texel_points import NOWHERE, PROJECTED, TOO_FAR, project_texels
 from isogi_core.kernels.transport.transfer import locate_texels
 from tests.kernels.fields import field_of
 
@@ -50,9 +50,9 @@ def test_moved_texels_face_as_they_do_where_they_are_moved_to(step):
     project_texels(field, np.full(3, step), 0.4, texels, points, normals, verdicts)
     found = facing(field, np.full(3, step), 0.4, True, texels)
     there = verdicts == PROJECTED
-    assert there.sum() > 500 and (verdicts == FAR).sum() > 100
+    assert there.sum() > 500 and (verdicts == TOO_FAR).sum() > 100
     np.testing.assert_allclose(found[there], normals.T[there], atol=1e-3)
-    assert not found[verdicts == FAR].any()
+    assert not found[verdicts == TOO_FAR].any()
 
 
 def test_texels_without_a_gradient_face_nowhere():

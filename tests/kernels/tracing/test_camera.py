@@ -7,7 +7,7 @@ import pytest
 from numba import njit
 
 from isogi_core.kernels.tracing.camera import Pinhole, pixel_ray, trace_pixels
-from isogi_core.kernels.tracing.intersect import UNKNOWN, cast
+from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE, cast
 from isogi_core.kernels.tracing.vec import madd
 from tests.kernels.fields import field_of, surface_of
 from tests.scale import few
@@ -56,7 +56,7 @@ def one_by_one(field, iso, camera, position):
     for y in range(position.shape[0]):
         for x in range(position.shape[1]):
             d = pixel_ray(camera, x + 0.5, y + 0.5)
-            t, _ = cast(field, iso, camera.eye, d, UNKNOWN)
+            t, _ = cast(field, iso, camera.eye, d, UNKNOWN_SIDE)
             if t < math.inf:
                 position[y, x, 0], position[y, x, 1], position[y, x, 2] = madd(camera.eye, t, d)
 

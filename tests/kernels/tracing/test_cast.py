@@ -10,7 +10,7 @@ from isogi_core.kernels.simd.types import REGISTER
 from isogi_core.kernels.tracing.active_cells import BRICK, ActiveCells, block_ranges, brick_shape, make_active_cells
 from isogi_core.kernels.tracing.cast import cast_batch, cast_one_by_one
 from isogi_core.kernels.tracing.field import Field
-from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN
+from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN_SIDE
 from isogi_core.kernels.tracing.macrocells import macrocell_shape
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.model.volume import make_volume
@@ -74,7 +74,7 @@ FIELDS = {
 
 
 @pytest.mark.parametrize("name", FIELDS)
-@pytest.mark.parametrize("side", [UNKNOWN, OUTSIDE, SOLID])
+@pytest.mark.parametrize("side", [UNKNOWN_SIDE, OUTSIDE, SOLID])
 def test_the_same_bits_as_the_scalar_kernel(name, side):
     voxels, iso = FIELDS[name]
     origins, directions = rays_about(voxels.shape, 5)
@@ -86,7 +86,7 @@ def test_the_same_bits_as_the_scalar_kernel(name, side):
 def test_one_map_serves_a_range_of_isovalues(spread):
     origins, directions = rays_about(BALL.shape, 6)
     isovalues = np.random.default_rng(6).uniform(-2.0, 4.0, len(origins))
-    assert assert_same(BALL, isovalues, origins, directions, UNKNOWN, spread=spread) > 0.3
+    assert assert_same(BALL, isovalues, origins, directions, UNKNOWN_SIDE, spread=spread) > 0.3
 
 
 def test_axis_aligned_rays_on_and_off_lattice_planes():
@@ -97,7 +97,7 @@ def test_axis_aligned_rays_on_and_off_lattice_planes():
     directions[np.arange(COUNT), axis] = sign
     directions += rng.choice([0.0, -0.0, 1e-300, -1e-9, 1e-4], directions.shape)
     for voxels, iso in (FIELDS["ball"], FIELDS["binary"], FIELDS["plateau"]):
-        assert assert_same(voxels, iso, origins, directions, UNKNOWN) > 0.1
+        assert assert_same(voxels, iso, origins, directions, UNKNOWN_SIDE) > 0.1
 
 
 def test_rays_through_lattice_points_and_along_diagonals():
@@ -106,7 +106,7 @@ def test_rays_through_lattice_points_and_along_diagonals():
     directions = rng.integers(-2, 3, (COUNT, 3)).astype(float)
     directions[~directions.any(axis=1)] = 1.0
     for voxels, iso in (FIELDS["ball"], FIELDS["binary"], FIELDS["plateau"]):
-        assert assert_same(voxels, iso, origins, directions, UNKNOWN) > 0.02
+        assert assert_same(voxels, iso, origins, directions, UNKNOWN_SIDE) > 0.02
 
 
 @pytest.mark.parametrize("length", [1e-12, 1.0, 1e12])
@@ -115,7 +115,7 @@ def test_any_length_of_direction_from_any_distance(length, distance):
     rng = np.random.default_rng(9)
     directions = rng.normal(size=(COUNT, 3))
     origins = 20.0 + rng.uniform(-10, 10, directions.shape) - 30.0 * distance * directions
-    assert assert_same(BALL, 0.0, origins, directions * length, UNKNOWN) > 0.1
+    assert assert_same(BALL, 0.0, origins, directions * length, UNKNOWN_SIDE) > 0.1
 
 
 @pytest.mark.parametrize("share", [1e-4, 0.02, 1.0])
@@ -124,7 +124,7 @@ def test_holes_are_the_scalar_kernels(share):
     voxels = np.where(rng.random(BALL.shape) < share, np.nan, BALL)
     voxels[0, 0, 0] = -20.0
     origins, directions = rays_about(voxels.shape, 11)
-    assert_same(voxels, 0.0, origins, directions, UNKNOWN)
+    assert_same(voxels, 0.0, origins, directions, UNKNOWN_SIDE)
 
 
 def test_rays_that_say_nothing_hit_nothing():
@@ -138,7 +138,7 @@ def test_from_inside_a_closed_surface_every_ray_comes_out():
     rng = np.random.default_rng(12)
     directions = rng.normal(size=(COUNT, 3))
     origins = 20.0 + rng.uniform(-6, 6, directions.shape)
-    (t, came), _ = cast_both(BALL, 0.0, origins, directions, UNKNOWN)
+    (t, came), _ = cast_both(BALL, 0.0, origins, directions, UNKNOWN_SIDE)
     assert np.isfinite(t).all() and (came == SOLID).all()
     away = np.linalg.norm(origins + t[:, None] * directions - 20.0, axis=1)
     assert np.abs(away - 12.0).max() < 0.1
@@ -147,7 +147,7 @@ def test_from_inside_a_closed_surface_every_ray_comes_out():
 @pytest.mark.parametrize("count", [0, 1, 31, few(4096, 40), few(4097, 41)])
 def test_batches_of_any_size(count):
     origins, directions = rays_about(BALL.shape, 13, count)
-    assert_same(BALL, np.zeros(1), origins, directions, UNKNOWN) if count else cast_nothing()
+    assert_same(BALL, np.zeros(1), origins, directions, UNKNOWN_SIDE) if count else cast_nothing()
 
 
 def cast_nothing():
@@ -181,7 +181,7 @@ def test_volumes_of_up_to_two_billion_voxels_are_cast_by_simd(shape):
     field, cells = vast(shape)
     origins, directions = rays_about((24, 24, 24), 17)
     origins = origins + np.array(shape[::-1]) - 24.0
-    isovalues, sides = np.full(len(origins), 0.5), np.full(len(origins), UNKNOWN, np.int8)
+    isovalues, sides = np.full(len(origins), 0.5), np.full(len(origins), UNKNOWN_SIDE, np.int8)
     rays = Rays(isovalues, *along(origins, directions), sides)
     empty = field._replace(high=np.zeros_like(field.high))  # where the scalar kernel finds nothing
     found = []
@@ -200,4 +200,4 @@ def test_the_engine(shared_data):
     voxels, _ = read_nrrd(shared_data / "engine_256x256x128_uint8.nhdr")
     for iso in (70, 180.5):
         origins, directions = rays_about(voxels.shape, 14, 5 * COUNT)
-        assert assert_same(voxels, iso, origins, directions, UNKNOWN) > 0.2
+        assert assert_same(voxels, iso, origins, directions, UNKNOWN_SIDE) > 0.2

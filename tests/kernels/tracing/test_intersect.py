@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from isogi_core.kernels.tracing import intersect
-from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN
+from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN_SIDE
 from tests.kernels.fields import cast_each, field_of
 from tests.scale import few
 
@@ -31,7 +31,7 @@ def test_a_cell_whose_corners_agree_has_only_a_lost_surface():
         ray = ((0.2, 0.3, 0.4), (0.1, 0.2, 0.4), (10.0, 5.0, 2.5))
         place = ((voxels, 1.0), ray, (0, 0, 0), (0.5, 1.5))
         assert intersect.cross_cell(*place, side) == (math.inf, side)
-        assert intersect.cross_cell(*place, UNKNOWN) == (math.inf, side)
+        assert intersect.cross_cell(*place, UNKNOWN_SIDE) == (math.inf, side)
         assert intersect.cross_cell(*place, -side) == (0.5, -side)
 
 
@@ -56,7 +56,7 @@ def test_cast_against_dense_marching(kind):
     changes = solid[:, 1:] != solid[:, :-1]
     seen = changes.any(axis=1)
     first = np.where(seen, changes.argmax(axis=1), steps)
-    t, came = cast_each(field_of(voxels), iso, origins, ends - origins, UNKNOWN)
+    t, came = cast_each(field_of(voxels), iso, origins, ends - origins, UNKNOWN_SIDE)
     assert (t[seen] <= along[first[seen] + 1] + 1e-9).all(), "missed what marching sees"
     hit = np.isfinite(t)
     at = trilinear(voxels, origins[hit] + t[hit, None] * (ends - origins)[hit])
@@ -114,7 +114,7 @@ def test_a_block_that_a_ray_only_touches_tells_no_side():
 def test_nothing_but_holes_is_an_empty_picture():
     rng = np.random.default_rng(13)
     origins = rng.uniform(-5, 15, (100, 3))
-    t, _ = cast_each(field_of(np.full((9, 9, 9), np.nan)), 0.0, origins, 4.0 - origins, UNKNOWN)
+    t, _ = cast_each(field_of(np.full((9, 9, 9), np.nan)), 0.0, origins, 4.0 - origins, UNKNOWN_SIDE)
     assert np.isinf(t).all()
 
 
@@ -122,8 +122,8 @@ def test_nothing_but_holes_is_an_empty_picture():
 def test_a_longer_direction_is_a_shorter_way(length):
     rng = np.random.default_rng(15)
     origins, directions = inner_rays(rng, 300)
-    t, _ = cast_each(field_of(BALL), 0.0, origins, directions, UNKNOWN)
-    scaled, _ = cast_each(field_of(BALL), 0.0, origins, directions * length, UNKNOWN)
+    t, _ = cast_each(field_of(BALL), 0.0, origins, directions, UNKNOWN_SIDE)
+    scaled, _ = cast_each(field_of(BALL), 0.0, origins, directions * length, UNKNOWN_SIDE)
     np.testing.assert_allclose(scaled * length, t, rtol=1e-8)
 
 
@@ -132,5 +132,5 @@ def test_all_on_one_side_has_no_surface_from_anywhere():
     origins = rng.uniform(-5, 15, (300, 3))
     for level in (0.0, 1.0):
         for iso in (0.0, 0.5, 1.0):
-            t, _ = cast_each(field_of(np.full((9, 9, 9), level)), iso, origins, 4.0 - origins, UNKNOWN)
+            t, _ = cast_each(field_of(np.full((9, 9, 9), level)), iso, origins, 4.0 - origins, UNKNOWN_SIDE)
             assert np.isinf(t).all()

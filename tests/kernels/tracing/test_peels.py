@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN, cast
-from isogi_core.kernels.tracing.peels import LAYERS, LEAST, MOST, WALL, Peeled, Shells, peel_rays
+from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN_SIDE, cast
+from isogi_core.kernels.tracing.peels import LAYERS, MAX_SURFACES, MIN_RAY_SHARE, WALL, Peeled, Shells, peel_rays
 from isogi_core.kernels.tracing.sight import FACE, Sight
 from isogi_core.kernels.tracing.vec import column, madd
 from isogi_core.kernels.tracing.walls import NOWHERE, nearest_wall
@@ -33,7 +33,7 @@ BETWEEN = [BACK, wall((10.0, 0.0, 15.0), 20.0 * X + 22.0 * Y, 15.0 * Z), wall((1
 @njit
 def crossings(field, isovalue, eye, d, near, far):
     """All crossings of a ray with a surface between ``near`` and ``far``: (way, side) each."""
-    found, t, side = [(math.inf, 0) for _ in range(0)], near, UNKNOWN
+    found, t, side = [(math.inf, 0) for _ in range(0)], near, UNKNOWN_SIDE
     while True:
         step, came = cast(field, isovalue, madd(eye, t, d), d, side)
         t += step
@@ -89,7 +89,7 @@ def expected_before(
         clear = CLEARS[side // 2]
         if left > 0.0 and (len(found) < LAYERS - 1 or (len(found) == LAYERS - 1 and clear == 0.0)):
             found.append((side, t, left * (1.0 - clear)))
-            left = left * clear if left * clear >= LEAST else 0.0
+            left = left * clear if left * clear >= MIN_RAY_SHARE else 0.0
     return found, left
 
 
@@ -98,7 +98,7 @@ def expected_before(
 def test_rays_meet_what_one_ray_at_a_time_meets(window: np.ndarray, walls: list) -> None:
     field, (side,) = field_of(NOISY), few((16,), (5,))
     maps = [cells_of(field, level) for level in LEVELS]
-    shells = Shells(field, (*maps, *[maps[0]] * (MOST - 3)), np.array(LEVELS), np.array(CLEARS))
+    shells = Shells(field, (*maps, *[maps[0]] * (MAX_SURFACES - 3)), np.array(LEVELS), np.array(CLEARS))
     x, z = np.meshgrid(np.linspace(-0.24, 0.24, side), np.linspace(-0.24, 0.24, side))
     directions = np.ascontiguousarray([x.ravel(), np.ones(x.size), z.ravel()])
     room, left, sight = (LAYERS + 1) * x.size, np.empty(x.size), Sight(room_of(walls, field.spacing).walls, window)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.tracing.active_cells import block_ranges, brick_shape, make_active_cells, number_bricks
-from isogi_core.kernels.tracing.skips import BITS, LONGEST
+from isogi_core.kernels.tracing.skips import BITS, LONGEST_SKIP
 
 
 def largest_cubes(marked: np.ndarray) -> np.ndarray:
     """Side of the largest cube with no marked brick that begins at each brick and ascends along all axes."""
-    sums = np.pad(marked.astype(int), [(1, LONGEST)] * 3).cumsum(0).cumsum(1).cumsum(2)
+    sums = np.pad(marked.astype(int), [(1, LONGEST_SKIP)] * 3).cumsum(0).cumsum(1).cumsum(2)
     found = np.zeros(marked.shape, int)
-    for side in range(1, LONGEST + 1):
+    for side in range(1, LONGEST_SKIP + 1):
         inside = np.zeros(marked.shape, int)
         for corner in product((0, side), repeat=3):
             at = tuple(slice(first, first + n) for first, n in zip(corner, marked.shape, strict=True))
@@ -26,7 +26,7 @@ def check(tops: np.ndarray, marked: np.ndarray) -> None:
     """Each empty brick has its skip, in each octant."""
     for octant in range(8):
         turned = tuple(slice(None, None, -1 if octant >> axis & 1 else 1) for axis in (2, 1, 0))
-        skips = (tops.reshape(marked.shape) >> (BITS * octant)) & LONGEST
+        skips = (tops.reshape(marked.shape) >> (BITS * octant)) & LONGEST_SKIP
         assert np.array_equal(skips[~marked], largest_cubes(marked[turned])[turned][~marked])
 
 

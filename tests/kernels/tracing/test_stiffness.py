@@ -10,13 +10,13 @@ from isogi_core.kernels.tracing.plateaus import EDGE, FLAT
 from isogi_core.kernels.tracing.stiffness import (
     CELLS,
     COHERENT,
+    COUNTED_ROWS,
     FACES,
     HOLED,
-    MANY,
     NOISY,
     PLATEAU,
-    ROWS,
     STEEP,
+    STEEP_CORNERS,
     count_stiffness,
 )
 from tests.kernels.fields import field_of
@@ -32,7 +32,7 @@ def steps(shape: tuple[int, int, int], seed: int = 1) -> np.ndarray:
 
 def counted(field, levels, *cuts):
     """The counts of all layers, taken in pieces between ``cuts``; (ROWS, levels)."""
-    counts = np.zeros((ROWS, len(levels) + 1), np.int64)
+    counts = np.zeros((COUNTED_ROWS, len(levels) + 1), np.int64)
     ends = [0, *cuts, field.voxels.shape[0] - 1]
     for first, last in pairwise(ends):
         count_stiffness(field, np.asarray(levels, np.float32), first, last, counts)
@@ -63,8 +63,8 @@ def told(field, level, place):
         void |= n == (0.0, 0.0, 0.0)
         normals += [n] if n != (0.0, 0.0, 0.0) else []
     straying = np.linalg.norm(np.sum(normals, axis=0)) / len(normals) < COHERENT if normals else True
-    kinds = {STEEP: edges >= MANY, NOISY: straying, HOLED: hole}
-    kinds[PLATEAU] = void or np.count_nonzero(corners == level) >= MANY
+    kinds = {STEEP: edges >= STEEP_CORNERS, NOISY: straying, HOLED: hole}
+    kinds[PLATEAU] = void or np.count_nonzero(corners == level) >= STEEP_CORNERS
     return {CELLS} | {row for row, is_so in kinds.items() if is_so} | faces(corners, level, place, voxels.shape)
 
 
@@ -84,7 +84,7 @@ def faces(corners, level, place, shape):
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 1.0, 3.0)])
 def test_counts_are_those_of_a_loop_over_cells_and_isovalues(shape, spacing):
     field, levels = field_of(steps(shape), spacing), [0.0, 0.1, 0.25, 0.6, 0.75, 1.0]
-    expected = np.zeros((ROWS, len(levels)), np.int64)
+    expected = np.zeros((COUNTED_ROWS, len(levels)), np.int64)
     for place in np.ndindex(*(n - 1 for n in shape)):
         for i, level in enumerate(np.float32(levels)):
             for row in told(field, level, place):

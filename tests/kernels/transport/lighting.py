@@ -7,15 +7,14 @@ from numba import njit
 
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.tracing.field import to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE, cast
+from isogi_core.kernels.tracing.intersect import OUTSIDE, cast, launch, shading_normal
 from isogi_core.kernels.tracing.vec import column, dot, madd, put_column
 from isogi_core.kernels.transport import streams
-from isogi_core.kernels.transport.integrator import about, launch, shading_normal
 from isogi_core.kernels.transport.light_paths import Surroundings, sample_source, to_world
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, NO_LAMPS, POINT, LampArrays, arriving
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.rng import point_2d
-from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
+from isogi_core.kernels.transport.sampling import about, sample_cosine_hemisphere
 from isogi_core.kernels.transport.transfer import bake_irradiance, locate_texels, texel_seed
 from isogi_core.model.environment import cumulative
 from isogi_core.model.latlong import pixel_directions, solid_angles

@@ -2,22 +2,23 @@
 
 import numpy as np
 
-from isogi_core.kernels.tracing.peels import MOST
-from isogi_core.kernels.transport.surface_paths import Surfaces
+from isogi_core.kernels.tracing.peels import MAX_SURFACES
+from isogi_core.kernels.transport.surface_paths import Among, Surfaces
 from tests.kernels.fields import cells_of
 from tests.kernels.rooms import room_of
 
 
 def among(field, own, others, albedos, clears, transmissions=None, walls=()):
-    """The surfaces at ``own`` and some ``others``, with an albedo and a share that passes each, among ``walls``.
+    """The surfaces of a ``field`` at ``own`` and some ``others``, with an albedo and a share that passes each.
 
-    Albedos and transmissions are numbers or linear RGB.
+    They are among ``walls``. Albedos and transmissions are numbers or linear RGB.
     """
     maps = [cells_of(field, each) for each in (own, *others)]
-    cells = (*maps, *[maps[0]] * (MOST - len(maps)))
+    cells = (*maps, *[maps[0]] * (MAX_SURFACES - len(maps)))
     back, through = (
         np.array([np.broadcast_to(each, 3) for each in given], float)
         for given in (albedos, transmissions or [0.0] * len(albedos))
     )
     levels = np.array([own, *others], float)
-    return Surfaces(cells, levels, back, np.array(clears, float), through, room_of(walls, field.spacing))
+    surfaces = Surfaces(cells, levels, back, np.array(clears, float), through)
+    return Among(field, surfaces, room_of(walls, field.spacing))

@@ -160,9 +160,9 @@ def test_squares_are_those_of_what_each_path_counts(texels: np.ndarray) -> None:
 def test_a_path_takes_the_colour_of_what_it_hits(texels: np.ndarray) -> None:
     """Red above the torus's plane, blue below: one bounce, ray by ray."""
     from isogi_core.kernels.tracing.field import normal, to_index
-    from isogi_core.kernels.transport.integrator import about, launch
+    from isogi_core.kernels.tracing.intersect import launch
     from isogi_core.kernels.transport.rng import point_2d
-    from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
+    from isogi_core.kernels.transport.sampling import about, sample_cosine_hemisphere
     from isogi_core.kernels.transport.transfer import texel_seed
 
     codes = np.ones((41, 41, 41))

@@ -10,7 +10,7 @@ from isogi_core.files.nrrd import read_nrrd
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.local_models import find_normals, trace_points
 from isogi_core.kernels.tracing.field import OFFSET
-from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN
+from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN_SIDE
 from isogi_core.kernels.transport import integrator, transfer
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, evaluate
 from isogi_core.kernels.transport.light_paths import Surroundings
@@ -86,7 +86,7 @@ def surface_points(field, iso, count, seed=1):
     away = rng.normal(size=(count, 3))
     away *= np.linalg.norm(size) / np.linalg.norm(away, axis=1, keepdims=True)
     origins = rng.random((count, 3)) * size + away
-    t, came = cast_each(field, iso, origins, -away, UNKNOWN)
+    t, came = cast_each(field, iso, origins, -away, UNKNOWN_SIDE)
     hit = np.isfinite(t) & (came == OUTSIDE)
     return (origins - t[:, None] * away)[hit].astype(np.float32)
 
@@ -203,7 +203,7 @@ def test_nothing_leaves_a_closed_cavity(bounces):
     shell = field_of(3.0 - np.abs(np.sqrt(X * X + Y * Y + Z * Z) - 16.0))
     inward = np.random.default_rng(3).normal(size=(few(200, 3), 3))
     middle = np.full_like(inward, 24.0)
-    t, came = cast_each(shell, 0.0, middle, inward, UNKNOWN)
+    t, came = cast_each(shell, 0.0, middle, inward, UNKNOWN_SIDE)
     assert (came == OUTSIDE).all()
     count = few(64, 2)
     light = trace(shell, 0.0, middle + t[:, None] * inward, 1.0, np.ones((bounces + 1, 3)), count)
@@ -230,7 +230,7 @@ def test_cavity_with_an_opening_is_an_integrating_sphere(a, cosine):
     cavity = field_of(np.minimum(wall, cosine * a - z))
     outward = np.random.default_rng(4).normal(size=(3000, 3))
     origins = np.full_like(outward, middle)
-    t, came = cast_each(cavity, 0.0, origins, outward, UNKNOWN)
+    t, came = cast_each(cavity, 0.0, origins, outward, UNKNOWN_SIDE)
     closed = np.isfinite(t)
     assert (came[closed] == OUTSIDE).all()
     points, albedos = (origins + t[:, None] * outward)[closed], np.array([0.0, 0.5, 0.9])

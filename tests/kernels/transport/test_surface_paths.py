@@ -7,17 +7,16 @@ import pytest
 from numba import njit
 
 from isogi_core.kernels.tracing.field import to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN, cast
+from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN_SIDE, cast, launch, shading_normal
 from isogi_core.kernels.tracing.vec import column, dot, madd
 from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport import streams
-from isogi_core.kernels.transport.integrator import about, launch, shading_normal
 from isogi_core.kernels.transport.light_paths import sample_source, to_world
 from isogi_core.kernels.transport.lights import DIRECTIONAL, arriving
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.room_paths import RoomStarts
-from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
+from isogi_core.kernels.transport.sampling import about, sample_cosine_hemisphere
 from isogi_core.kernels.transport.surface_paths import Among, light_among_surfaces
 from tests.kernels.fields import field_of
 from tests.kernels.rooms import X, Y, Z, box, room_of, sky, wall
@@ -32,7 +31,7 @@ def crossings(field, isovalues, on, side, o, d):
     """All crossings of a ray with several surfaces, in order: (t, surface, side) each; it starts ``on`` one."""
     found = [(0.0, 0, 0) for _ in range(0)]
     for k in range(len(isovalues)):
-        t, here = 0.0, side if k == on else UNKNOWN
+        t, here = 0.0, side if k == on else UNKNOWN_SIDE
         while True:
             step, came = cast(field, isovalues[k], madd(o, t, d), d, here)
             t += step

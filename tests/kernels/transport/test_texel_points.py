@@ -9,11 +9,11 @@ from isogi_core.kernels.tracing.field import OFFSET
 from isogi_core.kernels.tracing.plateaus import FARTHEST, STRIDE
 from isogi_core.kernels.transport.texel_points import (
     ASTRAY,
-    FAR,
     HEMMED,
     NOWHERE,
     OTHER_SHEET,
     PROJECTED,
+    TOO_FAR,
     TURNED,
     measure_distances,
     project_texels,
@@ -46,7 +46,7 @@ def expected(voxels, level, p, spacing):
     down /= np.linalg.norm(down)
     within = search(voxels, p, down, level)
     if within is None:
-        return FAR, None
+        return TOO_FAR, None
     reach = np.linalg.norm(within[1] - p)
     away = np.abs(values(voxels, p + np.arange(0.0, reach - 1e-9, STRIDE)[:, None] * down) - level)
     there = within.mean(axis=0)
@@ -82,7 +82,7 @@ def test_texels_go_where_a_search_in_numpy_finds_them(step, spacing):
         else:
             np.testing.assert_array_equal(points[m], p)
     assert unlike <= 0.05 * len(texels)
-    assert kinds.keys() >= {PROJECTED, FAR, OTHER_SHEET, TURNED} | ({HEMMED} if step == 1.0 else set()), kinds
+    assert kinds.keys() >= {PROJECTED, TOO_FAR, OTHER_SHEET, TURNED} | ({HEMMED} if step == 1.0 else set()), kinds
 
 
 @pytest.mark.parametrize("level", [-0.7, 0.0, 0.7])
@@ -105,7 +105,7 @@ def test_a_surface_farther_than_texels_go_is_out_of_reach():
     texels = [[z, 3, 3] for z in range(12)]
     points, _, verdicts = projected(height, 5.2, texels)
     near = np.abs(np.arange(12) - 5.2) <= FARTHEST
-    assert np.array_equal(verdicts == PROJECTED, near) and (verdicts[~near] == FAR).all()
+    assert np.array_equal(verdicts == PROJECTED, near) and (verdicts[~near] == TOO_FAR).all()
     np.testing.assert_allclose(points[near, 2], 5.2)
 
 

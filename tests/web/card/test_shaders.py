@@ -11,8 +11,7 @@ from isogi_core.kernels.shading.irradiance_ratio import Unshadowed, agree, unsha
 from isogi_core.kernels.shading.lobes import irradiance
 from isogi_core.kernels.tracing.cubic import cubic_along, first_crossing, turning_points
 from isogi_core.kernels.tracing.field import normal, smooth_gradient, value
-from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN, cast
-from isogi_core.kernels.transport.integrator import launch
+from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN_SIDE, cast, launch
 from isogi_core.plan.scene import Scene
 from tests.frame.conftest import Workbench
 from tests.loaded import load_scene
@@ -170,7 +169,7 @@ def test_rays_meet_what_the_kernels_meet(lab: Lab, volume: Scene, bench: Workben
         ends = RNG.random((count, 3)) * size
         way = RNG.normal(size=(count, 3))
         o = size / 2 + 1.2 * np.linalg.norm(size) * way / np.linalg.norm(way, axis=1, keepdims=True)
-        d, side, given = ends - o, UNKNOWN, "UNKNOWN"
+        d, side, given = ends - o, UNKNOWN_SIDE, "UNKNOWN"
     inputs = np.pad(np.stack([o, d], axis=1), ((0, 0), (0, 0), (0, 1))).astype(np.float32)
     found = run_in(
         lab, volume, ["intersect.glsl"], f"return vec4(cast_ray(given(0).xyz, given(1).xyz, {given}));", inputs

@@ -6,10 +6,9 @@ from typing import Any, NamedTuple
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.tracing.intersect import SOLID
+from isogi_core.kernels.tracing.intersect import SOLID, shading_normal
 from isogi_core.kernels.tracing.slabs import clip_box
 from isogi_core.kernels.tracing.vec import dot, scale
-from isogi_core.kernels.transport.integrator import shading_normal
 from isogi_core.kernels.transport.matter.dielectric import fresnel, mirror, refract
 from isogi_core.kernels.transport.room_paths import ROOM
 

@@ -9,20 +9,19 @@ from numba import types
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.field import FIELD
-from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN
+from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN_SIDE
 from isogi_core.kernels.tracing.vec import column, dot, put_column, scale
 from isogi_core.kernels.tracing.walls import NOWHERE, ROWS
 from isogi_core.kernels.transport.integrate import (
     add_carried,
     add_paths,
     advance,
-    begin,
+    begin_wave,
     gather_met,
     launch_starts,
     make_state,
     meet,
 )
-from isogi_core.kernels.transport.integrator import about
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS, Surroundings
 from isogi_core.kernels.transport.lights import arriving, radiance, row
 from isogi_core.kernels.transport.matter.inside import MATTER
@@ -31,7 +30,7 @@ from isogi_core.kernels.transport.open_paths import cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.room_paths import ROOM, STARTS, balance_area, cast_among_walls, lit_from
-from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
+from isogi_core.kernels.transport.sampling import about, sample_cosine_hemisphere
 from isogi_core.kernels.transport.streams import DIRECTIONS
 from isogi_core.kernels.transport.wavefront import columns, compact, partition
 
@@ -72,7 +71,7 @@ def launch_through(scene, starts):
     return starts.points
 
 
-@begin.case(Through)
+@begin_wave.case(Through)
 def begin_through(scene, state, vertices, starts, first):
     """Say where the vertices of a wave stand, whose first path has the number ``first``.
 
@@ -81,7 +80,7 @@ def begin_through(scene, state, vertices, starts, first):
     wave, g, normals = state.wave, starts.walls.shape[0], columns(vertices.normals, vertices.count)
     for m in range(vertices.count):
         wave.own[m] = starts.walls[(first + m) % g]
-        wave.rays.sides[m] = UNKNOWN
+        wave.rays.sides[m] = UNKNOWN_SIDE
         if wave.own[m] < 0.0:
             put_column(normals, m, (0.0, 0.0, 0.0))
 
@@ -109,7 +108,7 @@ def set_out(wave, vertices, passage, starts, bounce):
             put_column(ways, i, first_way(rays, starts, k, i))
         put_column(passage.origins, i, column(points, i))
         put_column(passage.ways, i, column(ways, i))
-        passage.sides[i] = SOLID if free and starts.walls[k] == INWARD else UNKNOWN
+        passage.sides[i] = SOLID if free and starts.walls[k] == INWARD else UNKNOWN_SIDE
         passage.own[i], passage.straight[i] = NOWHERE if free else wave.own[i], 0.0 if free else 1.0
 
 
@@ -123,7 +122,7 @@ def arrive(wave, passage, count):
 
 
 @kernel()
-def gather_ends(wave, vertices, passage, escaped, light):
+def gather_passed_ends(wave, vertices, passage, escaped, light):
     """Add the environment that the ``escaped`` paths leave to: all of it where no shadow ray could bring it."""
     normals = columns(vertices.normals, vertices.count)
     for i in wave.rays.escaped[:escaped]:
@@ -136,7 +135,7 @@ def gather_ends(wave, vertices, passage, escaped, light):
 
 
 @kernel()
-def gather_walls(wave, vertices, passage, hits, room, spacing):
+def gather_passed_walls(wave, vertices, passage, hits, room, spacing):
     """Add the light of luminaires that paths meet; ``hits`` stay that meet a lit side: returns how many."""
     rays, staying, count = wave.rays, 0, vertices.count
     normals, starts = columns(vertices.normals, count), columns(vertices.points, count)
@@ -159,7 +158,7 @@ def gather_walls(wave, vertices, passage, hits, room, spacing):
 
 
 @kernel()
-def stand_on_walls(wave, passage, following, room, chance):
+def stand_at_ends(wave, passage, following, room, chance):
     """Put the vertices ``following`` on the walls that were met, whose albedo over the ``chance`` paths now carry."""
     rays, hits = wave.rays, following.count
     points, normals = columns(following.points, hits), columns(following.normals, hits)
@@ -169,7 +168,7 @@ def stand_on_walls(wave, passage, following, room, chance):
         n = row(room.normals, k)
         put_column(points, h, column(passage.origins, i))
         put_column(normals, h, scale(n, 1.0 if dot(n, column(passage.ways, i)) < 0.0 else -1.0))
-        wave.own[h], rays.sides[h] = k, UNKNOWN
+        wave.own[h], rays.sides[h] = k, UNKNOWN_SIDE
         for c in range(3):
             wave.carried[c, m] *= room.albedos[k, c] / chance
 
@@ -194,15 +193,15 @@ def gather_met_through(scene, state, vertices, bounce, light):
     """Add the environment that paths leave to, and luminaires that they meet: returns how many go on."""
     wave, passage, count = state.wave, state.passage, vertices.count
     hits = partition(wave.rays, count)
-    gather_ends(wave, vertices, passage, count - hits, light)
-    return gather_walls(wave, vertices, passage, hits, scene.room, scene.field.spacing)
+    gather_passed_ends(wave, vertices, passage, count - hits, light)
+    return gather_passed_walls(wave, vertices, passage, hits, scene.room, scene.field.spacing)
 
 
 @advance.case(Through)
 def advance_through(scene, state, vertices, following, bounce, rules):
     """Move the paths that go on to where they met walls."""
     compact(state.wave.rays, vertices, following)
-    stand_on_walls(state.wave, state.passage, following, scene.room, rules.survival if bounce > 0 else 1.0)
+    stand_at_ends(state.wave, state.passage, following, scene.room, rules.survival if bounce > 0 else 1.0)
 
 
 @kernel(types.void(THROUGH, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))

@@ -9,7 +9,7 @@ from numba import types
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
 from isogi_core.kernels.tracing.field import to_index
-from isogi_core.kernels.tracing.intersect import UNKNOWN
+from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.slabs import longest
 from isogi_core.kernels.tracing.vec import column, dot, madd, normalize, put_column, scale, sub
@@ -28,8 +28,8 @@ from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.room_paths import lit_from
 from isogi_core.kernels.transport.wavefront import whole
 
-EVEN = 16
-"""A ray parts where both parts count as much as one of so many times the places that its point may see."""
+PARTED_PLACES = 16
+"""A ray parts where each part counts at least 1 / (PARTED_PLACES · places), of the places that its point may see."""
 
 BACK = 1e-2
 """Voxels before the surface at which the eye's rays start, so that they meet it whatever the rounding of the point."""
@@ -51,8 +51,8 @@ class Leaves(NamedTuple):
     cut: Any
 
 
-POINTS, SHORT, NUMBERS = types.float32[:, ::1], types.int8[::1], types.float32[::1]
-LEAVES_OF = record(Leaves, POINTS, POINTS, POINTS, SHORT, SHORT, NUMBERS)
+POINTS, SMALL_INTEGERS, NUMBERS = types.float32[:, ::1], types.int8[::1], types.float32[::1]
+LEAVES_OF = record(Leaves, POINTS, POINTS, POINTS, SMALL_INTEGERS, SMALL_INTEGERS, NUMBERS)
 
 
 class Chances(NamedTuple):
@@ -139,7 +139,7 @@ def part(surface, matter, sight, j, ray, shown):
     share, mirrored, passed = meet_interface(surface.field, matter, p, w, came)
     places = leaves.met.shape[0] // leaves.sky.shape[0]
     less = brightest(weight) * min(share, 1.0 - share)
-    if progress.used[owner] >= places or less * (EVEN * places) < 1.0:
+    if progress.used[owner] >= places or less * (PARTED_PLACES * places) < 1.0:
         leaves.cut[owner] += np.float32(less)
         if share >= 1.0 or (share > 0.0 and choice(chances, progress, owner) < share):
             return push(sight, j, p, mirrored, weight, came, owner)
@@ -150,7 +150,7 @@ def part(surface, matter, sight, j, ray, shown):
 
 
 @kernel()
-def cast_sight(surface, sight, count):
+def meet_surface(surface, sight, count):
     """Where the first ``count`` rays meet the surface: (index directions, ways t or inf, sides they came from)."""
     n = whole(count)
     directions, t, came = np.ones((3, n)), np.empty(n), np.empty(n, np.int8)
@@ -165,7 +165,7 @@ def cast_sight(surface, sight, count):
 
 
 @kernel()
-def end_ray(room, light, shown, ends, m, weight):
+def show_end(room, light, shown, ends, m, weight):
     """Show point ``m`` what a ray ends on, ``ends`` = (point, way, wall or NOWHERE): a wall's lit side, or outside."""
     leaves, _, progress = shown
     p, w, wall = ends
@@ -182,13 +182,13 @@ def end_ray(room, light, shown, ends, m, weight):
 
 
 @kernel()
-def follow(surface, met, light, sight, count, following, depth, shown):
+def follow_trees(surface, met, light, sight, count, following, depth, shown):
     """Follow the first ``count`` rays to what they meet; returns how many go on from there, in ``following``.
 
     What is ``shown`` is (leaves, chances, progress).
     """
     leaves, chances, _ = shown
-    directions, t, came = cast_sight(surface, sight, count)
+    directions, t, came = meet_surface(surface, sight, count)
     going = 0
     for j in range(count):
         o, w, d = column(sight.origins, j), column(sight.ways, j), column(directions, j)
@@ -204,7 +204,7 @@ def follow(surface, met, light, sight, count, following, depth, shown):
             if depth == chances.deep and t[j] < math.inf:
                 leaves.cut[owner] += np.float32(brightest(weight))
             p = madd(o, reach, d) if reach < math.inf else o
-            end_ray(met.room, light, shown, (p, w, wall), owner, weight)
+            show_end(met.room, light, shown, (p, w, wall), owner, weight)
     return going
 
 
@@ -225,10 +225,10 @@ def see_through(surface, met, light, eye, points, chances, leaves):
         p = float(points[m, 0]), float(points[m, 1]), float(points[m, 2])
         w = normalize(to_world(sub(p, eye), spacing))
         d = to_index(w, spacing)
-        push(sight, m, madd(p, -BACK / longest(d), d), w, (1.0, 1.0, 1.0), UNKNOWN, m)
+        push(sight, m, madd(p, -BACK / longest(d), d), w, (1.0, 1.0, 1.0), UNKNOWN_SIDE, m)
     count = n
     for depth in range(chances.deep + 1):
-        count = follow(surface, met, light, sight, count, following, depth, shown)
+        count = follow_trees(surface, met, light, sight, count, following, depth, shown)
         if count == 0:
             return
         sight, following = following, sight
