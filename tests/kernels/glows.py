@@ -5,8 +5,9 @@ import numpy as np
 from isogi_core.kernels.tracing.glow import NO_BITS, Glows
 from isogi_core.kernels.transport.glow_paths import glow_in_room
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.room_paths import InRoom, RoomStarts
+from isogi_core.kernels.transport.room_paths import InRoom
 from tests.kernels.fields import cells_of
+from tests.kernels.rooms import starts_in
 
 
 def ball(centre, radius, low=-np.inf, high=np.inf):
@@ -32,12 +33,8 @@ def glows_of(*regions, bits=None):
 
 
 def gather_glow(field, room, starts, glows, samples, bounces=0, survival=1.0):
-    """E/π (g, k, 3) at ``starts``: world points and normals (g, 3), on walls by number or on the isosurface 0 (-1)."""
-    points, normals, walls = starts
-    g, k = len(points), len(glows.rates)
-    here = np.ascontiguousarray(np.divide(points, field.spacing).T)
-    around = np.ascontiguousarray(np.array(normals, float).T)
-    given = RoomStarts(here, around, np.zeros(g), np.arange(1, g + 1, dtype=np.uint64), np.array(walls, float))
+    """E/π (g, k, 3) at ``starts``: see ``starts_in``."""
+    given, g, k = starts_in(field, *starts), len(starts[0]), len(glows.rates)
     rules, sums = PathRules(np.ones((bounces + 1, 3)), survival), np.zeros((g, 3 * k))
     glow_in_room(InRoom(field, cells_of(field, 0.0), room), given, SampleRange(0, samples), rules, glows, sums)
     return sums.reshape(g, k, 3) / samples

@@ -44,14 +44,19 @@ def sky(radiance):
     return Surroundings(np.full(3, radiance), np.zeros((1, 1, 3), np.float32), np.eye(3))
 
 
-def gather(field, room, starts, samples, bounces=0, light=None, survival=1.0):
-    """E/π (g, 3) at ``starts``: world points and normals (g, 3), on walls by number or on the isosurface 0 (-1)."""
-    points, normals, walls = starts
+def starts_in(field, points, normals, walls):
+    """Starts at world points with normals (g, 3), on walls by number or on the isosurface 0 (-1)."""
+    here, around = (
+        np.ascontiguousarray(each.T) for each in (np.divide(points, field.spacing), np.array(normals, float))
+    )
     g = len(points)
-    here = np.ascontiguousarray(np.divide(points, field.spacing).T)
-    around, levels = np.ascontiguousarray(np.array(normals, float).T), np.zeros(g)
-    starts = RoomStarts(here, around, levels, np.arange(1, g + 1, dtype=np.uint64), np.array(walls, float))
-    rules, sums = PathRules(np.ones((bounces + 1, 3)), survival), np.zeros((g, 3))
+    return RoomStarts(here, around, np.zeros(g), np.arange(1, g + 1, dtype=np.uint64), np.array(walls, float))
+
+
+def gather(field, room, starts, samples, bounces=0, light=None, survival=1.0):
+    """E/π (g, 3) at ``starts``: see ``starts_in``."""
+    starts = starts_in(field, *starts)
+    rules, sums = PathRules(np.ones((bounces + 1, 3)), survival), np.zeros(starts.points.T.shape)
     cells = cells_of(field, 0.0)
     light_in_room(InRoom(field, cells, room), starts, SampleRange(0, samples), rules, light or sky(0.0), sums)
     return sums / samples

@@ -1,20 +1,14 @@
-"""Lights, starts of paths and one path at a time, for the tests of what paths gather."""
+"""Lights and starts of paths, for the tests of what paths gather."""
 
 import math
 
 import numpy as np
-from numba import njit
 
-from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.tracing.field import to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE, cast, launch, shading_normal
-from isogi_core.kernels.tracing.vec import column, dot, madd, put_column
-from isogi_core.kernels.transport import streams
-from isogi_core.kernels.transport.light_paths import Surroundings, sample_source, to_world
-from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, NO_LAMPS, POINT, LampArrays, arriving
-from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
-from isogi_core.kernels.transport.rng import point_2d
-from isogi_core.kernels.transport.sampling import about, sample_cosine_hemisphere
+from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.transport.light_paths import Surroundings
+from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, NO_LAMPS, POINT, LampArrays
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.room_paths import RoomStarts
 from isogi_core.kernels.transport.transfer import bake_irradiance, locate_texels, texel_seed
 from isogi_core.model.environment import cumulative
 from isogi_core.model.latlong import pixel_directions, solid_angles
@@ -30,71 +24,6 @@ TORUS = 5.0 - np.hypot(np.hypot(X, Y) - 12.0, Z)
 DARK = np.zeros((1, 1, 3), np.float32)
 UP = np.array([[0.0], [0.0], [1.0]])
 MIDDLE = np.full((3, 1), 20.0)
-
-
-@kernel()
-def trace_path(field, iso, start, seed, index, tree, way):
-    """One diffuse path from a ``start`` (point, normal, side): (bounces before it left, world direction in which).
-
-    Cosine-weighted directions, so that every path carries the same weight R^k; bounce b draws the
-    pair b of sample ``index`` of the sequence ``seed``. From the first hit of the ``PathTree`` it goes on in this
-    ``way``, one of its branches, and draws from sample ``branches`` · ``index`` + ``way``. Returns -1 bounces when
-    after all of its bounces the path is still inside, or has ended by chance: from the second on it goes on from a
-    hit with the chance ``survival``. Source: S1, section 4.1; DESIGN section 3.
-    """
-    p, n, side = start
-    for bounce in range(tree.bounces + 1):
-        u, v = point_2d(seed, index, bounce)
-        w = about(n, sample_cosine_hemisphere(u, v))
-        d = to_index(w, field.spacing)
-        o = launch(field, iso, p, n, side)
-        t, side = cast(field, iso, o, d, side)
-        if not t < math.inf:
-            return bounce, w
-        if bounce == 0:
-            index = index * tree.branches + way
-        elif not point_2d(seed, index, streams.ROULETTE + bounce)[0] < tree.survival:
-            return -1, (0.0, 0.0, 0.0)
-        p = madd(o, t, d)
-        n = shading_normal(field, p, side, w)
-    return -1, (0.0, 0.0, 0.0)
-
-
-@njit
-def light_path(field, iso, p, n, seed, index, weights, light):
-    """One path, each of its rays cast by itself: what it gathers, linear RGB."""
-    r, g, b, side = 0.0, 0.0, 0.0, OUTSIDE
-    first = 0 if light.table[0].shape[0] > 0 else 1
-    for bounce in range(weights.shape[0]):
-        o = launch(field, iso, p, n, side)
-        x, y, z = weights[bounce]
-        for source in range(first, 1 + light.lamps.kinds.shape[0]):
-            u, v = point_2d(seed, index, streams.SOURCES + source * streams.PAIRS + bounce)
-            w, reach, shine = sample_source(light, source, to_world(o, field.spacing), n, u, v)
-            if max(shine[0], shine[1], shine[2]) > 0.0:
-                t, _ = cast(field, iso, o, to_index(w, field.spacing), side)
-                if not t < reach:
-                    r, g, b = r + x * shine[0], g + y * shine[1], b + z * shine[2]
-        u, v = point_2d(seed, index, bounce)
-        w = about(n, sample_cosine_hemisphere(u, v))
-        d = to_index(w, field.spacing)
-        t, side = cast(field, iso, o, d, side)
-        if not t < math.inf:
-            end = arriving(light.constant, light.image, light.matrix, light.table, w, dot(n, w))
-            return r + x * end[0], g + y * end[1], b + z * end[2]
-        p = madd(o, t, d)
-        n = shading_normal(field, p, side, w)
-    return r, g, b
-
-
-@njit
-def one_by_one(field, starts, samples, weights, light, gathered):
-    g = len(starts.isovalues)
-    for m in range(g * samples.count):
-        i, sample = m % g, samples.first + m // g
-        p, n = column(starts.points, i), column(starts.normals, i)
-        path = light_path(field, starts.isovalues[i], p, n, starts.seeds[i], sample, weights, light)
-        put_column(gathered, m, path)
 
 
 def lamps(*rows):
@@ -117,7 +46,7 @@ def surroundings(image=DARK, constant=0.0, table=False, lamps=NO_LAMPS, matrix=N
 def gather(field, place, light, weights, samples, sums=None):
     """E/π at the two halves of each texel, the mean of some samples, (m, 2, 3); those before are in ``sums``.
 
-    ``samples`` are a number, or first and count. A path of ``bake_irradiance`` is one of ``light_paths``.
+    ``samples`` are a number, or first and count.
     """
     some = SampleRange(0, samples) if isinstance(samples, int) else SampleRange(*samples)
     sums, cells = np.zeros((len(place[0]), 2, 3)) if sums is None else sums.copy(), cells_of(field, place[3][0])
@@ -133,10 +62,11 @@ def place_at(points, normals):
 
 
 def halves_of(place):
-    """The ``PathStarts`` of the two halves of each texel."""
+    """The starts of the two halves of each texel."""
     texels, *others = place
     seeds = [texel_seed(*texel, half) for texel in texels.tolist() for half in range(2)]
-    return PathStarts(*(np.repeat(each, 2, axis=-1) for each in others), np.array(seeds, np.uint64))
+    both = (np.repeat(each, 2, axis=-1) for each in others)
+    return RoomStarts(*both, np.array(seeds, np.uint64), np.full(len(seeds), NOWHERE))
 
 
 def on_ball(count, seed=3):

@@ -1,6 +1,6 @@
 """Print a digest of what each kernel of paths adds up, over a grid of scenes; arguments name grids, else all run.
 
-A change of the integrator that is to keep all bits prints, on one machine, the lines that were printed before it: run
+A change of the loop of paths that is to keep all bits prints, on one machine, the lines that were printed before it: run
 ``python -m tests.kernels.transport.path_bytes`` at both commits. With NUMBA_DISABLE_JIT=1 Python runs a few paths.
 """
 
@@ -22,7 +22,7 @@ from isogi_core.kernels.transport.paths import PathRules, SampleRange, TransferR
 from isogi_core.kernels.transport.room_paths import InRoom, RoomStarts, light_in_room
 from isogi_core.kernels.transport.strays import Confines, find_strays
 from isogi_core.kernels.transport.surface_glow import glow_among_surfaces
-from isogi_core.kernels.transport.surface_paths import Among, light_among_surfaces
+from isogi_core.kernels.transport.surface_paths import light_among_surfaces
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels
 from tests.kernels.fields import cells_of, field_of, surface_of
 from tests.kernels.glows import ball, block, glows_of
@@ -138,11 +138,11 @@ def among_surfaces() -> Sums:
         several = among(FIELD, 0.0, [3.0, -4.0], [0.5, (0.6, 0.4, 0.2), 0.7], [0.25, 0.0, 0.5], through, walls)
         for light, around in LIGHTS.items():
             sums = np.zeros((9, 3))
-            light_among_surfaces(Among(FIELD, several, several.room), starts_on(NOWHERE), SAMPLES, ones, around, sums)
+            light_among_surfaces(several, starts_on(NOWHERE), SAMPLES, ones, around, sums)
             yield f"several {len(walls)} {name} {light}", sums
         dark = several.room._replace(radiances=np.zeros_like(several.room.radiances))
-        scene, sums = Among(FIELD, several._replace(room=dark), dark), np.zeros((9, 6))
-        glow_among_surfaces(scene, starts_on(NOWHERE), SAMPLES, ones, GLOWS, sums)
+        sums = np.zeros((9, 6))
+        glow_among_surfaces(several._replace(room=dark), starts_on(NOWHERE), SAMPLES, ones, GLOWS, sums)
         yield f"glow among {len(walls)} {name}", sums
 
 

@@ -3,15 +3,17 @@
 import numpy as np
 import pytest
 
-from isogi_core.kernels.tracing.intersect import OUTSIDE, cast
-from isogi_core.kernels.tracing.vec import madd
+from isogi_core.kernels.tracing.vec import column
+from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport import colours as module
 from isogi_core.kernels.transport.coloured_transfer import ColouredRules, bake_coloured_texels
 from isogi_core.kernels.transport.colours import fill_albedos, sample_layer, slope_layer
-from isogi_core.kernels.transport.paths import SampleRange, TransferRules
+from isogi_core.kernels.transport.paths import PathTree, SampleRange, TransferRules
 from isogi_core.kernels.transport.transfer import bake_texels
 from tests.kernels.fields import field_of
-from tests.kernels.transport.lighting import TORUS, place_of
+from tests.kernels.rooms import room_of
+from tests.kernels.transport.lighting import TORUS, halves_of, place_of
+from tests.oracles.paths import DARK, EVERYWHERE, NO_GLOWS, Start, one_surface, trace
 from tests.scale import few
 
 COUNT, BOUNCES = few(40, 3), 4
@@ -157,33 +159,20 @@ def test_squares_are_those_of_what_each_path_counts(texels: np.ndarray) -> None:
     np.testing.assert_allclose(found[:, :, 4, 0], 9.0 * squared[:, :, 1, 0], rtol=1e-9)
 
 
-def test_a_path_takes_the_colour_of_what_it_hits(texels: np.ndarray) -> None:
-    """Red above the torus's plane, blue below: one bounce, ray by ray."""
-    from isogi_core.kernels.tracing.field import normal, to_index
-    from isogi_core.kernels.tracing.intersect import launch
-    from isogi_core.kernels.transport.rng import point_2d
-    from isogi_core.kernels.transport.sampling import about, sample_cosine_hemisphere
-    from isogi_core.kernels.transport.transfer import texel_seed
-
+@pytest.mark.parametrize(("survival", "branches"), [(1.0, 1), (0.7, 4)])
+def test_a_path_takes_the_colours_of_what_it_hits(texels: np.ndarray, survival: float, branches: int) -> None:
+    """Red above the torus's plane, blue below: one ray at a time."""
     codes = np.ones((41, 41, 41))
     codes[20:] = 255
     field, colours, some = field_of(TORUS), colours_of(codes), texels[::6]
-    place, cells = place_of(field, some)
-    rules = rules_of()._replace(bounces=1)
-    sums, expected = np.zeros((len(some), 2, 5, 9)), np.zeros((len(some), 2, 3))
-    bake_coloured_texels(field, cells, colours, place, np.arange(len(some)), SampleRange(0, COUNT), rules, sums)
-    for m, half, sample in np.ndindex(len(some), 2, COUNT):
-        seed, p = np.uint64(texel_seed(*map(int, some[m]), half)), tuple(place[1][:, m])
-        n, iso = tuple(place[2][:, m]), place[3][m]
-        d = to_index(about(n, sample_cosine_hemisphere(*point_2d(seed, sample, 0))), field.spacing)
-        o = launch(field, iso, p, n, OUTSIDE)
-        t, side = cast(field, iso, o, d, OUTSIDE)
-        if not t < np.inf:
-            continue
-        hit = madd(o, t, d)
-        m2 = normal(field, hit)
-        e = to_index(about(m2, sample_cosine_hemisphere(*point_2d(seed, sample, 1))), field.spacing)
-        if not cast(field, iso, launch(field, iso, hit, m2, OUTSIDE), e, side)[0] < np.inf:
-            expected[m, half] += twin(colours, np.array(hit)) / np.sqrt(4.0 * np.pi)
+    place, _ = place_of(field, some)
+    world, starts = one_surface(field, room=room_of([], colours=colours)), halves_of(place)
+    tree, expected = PathTree(BOUNCES, survival, branches), np.zeros((len(starts.isovalues), 3))
+    for i, sample, branch in np.ndindex(len(expected), COUNT, branches):
+        p, n = column(starts.points, i), column(starts.normals, i)
+        start = Start(p, n, starts.isovalues[i], NOWHERE, starts.seeds[i], 3 + sample)
+        path = trace(world, (DARK, NO_GLOWS), start, tree, branch, np.ones(3), EVERYWHERE)
+        expected[i] += path.carried / branches if path.bounces > 0 else 0.0
+    found = bake(some, colours, survival, branches)[:, :, 1:4, 0].reshape(-1, 3)
     assert expected.any()
-    np.testing.assert_allclose(sums[:, :, 1:4, 0], expected, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(found * np.sqrt(4.0 * np.pi), expected, rtol=1e-9, atol=1e-12)

@@ -5,16 +5,32 @@ import pytest
 
 from isogi_core.kernels.tracing.glow import gather_from_eye
 from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.transport.paths import SampleRange
 from tests.kernels.fields import field_of
 from tests.kernels.glows import ball, block, brute_force, gather_glow, glows_of
-from tests.kernels.rooms import X, Y, Z, box, room_of, wall
-from tests.kernels.transport.lighting import BALL, on_ball
+from tests.kernels.rooms import X, Y, Z, box, room_of, starts_in, wall
+from tests.kernels.transport.lighting import BALL, NOISY, on_ball
+from tests.oracles.paths import DARK, gathered, one_surface
 from tests.scale import few
 
 RAMP = field_of(np.broadcast_to(np.linspace(-1.0, -0.2, 9), (9, 9, 9)), (5.0, 5.0, 5.0))
 """A field without a surface at 0, which grows along x over 40 units of the world."""
 
 FLOOR = room_of([wall((0.0, 0.0, 0.0), 40.0 * X, 40.0 * Y)], RAMP.spacing)
+
+
+def test_glow_is_that_of_one_ray_at_a_time() -> None:
+    """Two regions, one of them of some values only, beside a surface on a floor that reflects."""
+    (samples,) = few((64,), (8,))
+    points, normals = on_ball(5)
+    starts = [*points.T, [30.0, 12.0, -4.0]], [*normals.T, Z], [*[NOWHERE] * 5, 0]
+    glows = glows_of(ball([34.0, 20.0, 20.0], 6.0, high=-3.0), block([6.0, 20.0, 34.0], [2.0, 4.0, 3.0]))
+    field, room = field_of(NOISY), room_of([wall((-400.0, -400.0, -4.0), 900.0 * X, 900.0 * Y, 0.5)], albedo=0.6)
+    found = gather_glow(field, room, starts, glows, samples, 3, 0.7)
+    given = starts_in(field, *starts), SampleRange(0, samples), 3, DARK, glows
+    expected = gathered(one_surface(field, 0.0, 0.6, room), *given, survival=0.7)[:, :, 1:].mean(axis=1)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    assert found.any(axis=(0, 2)).all()
 
 
 def test_a_floor_sees_a_glowing_ball_as_a_lambert_ball() -> None:

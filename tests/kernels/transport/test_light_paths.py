@@ -8,9 +8,11 @@ import pytest
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.local_models import trace_points
 from isogi_core.kernels.tracing.field import OFFSET
+from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, POINT
-from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.rng import mix
+from isogi_core.kernels.transport.room_paths import RoomStarts
 from isogi_core.kernels.transport.wavefront import WAVE
 from isogi_core.model.environment import cumulative
 from isogi_core.model.latlong import pixel_directions, solid_angles
@@ -29,11 +31,11 @@ from tests.kernels.transport.lighting import (
     halves_of,
     lamps,
     on_ball,
-    one_by_one,
     place_at,
     sunny,
     surroundings,
 )
+from tests.oracles.paths import gathered, one_surface
 from tests.scale import COMPILED, PYTHON, few
 
 
@@ -42,14 +44,13 @@ from tests.scale import COMPILED, PYTHON, few
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 1.0, 2.0)])
 def test_waves_gather_what_paths_one_by_one_do(name, spacing):
     texels, count = few((150, 20), (10, 2))
-    weights = np.array([0.9, 0.7, 0.5]) ** np.arange(5.0)[:, None]
+    weights = np.cumprod(np.array([[1.0, 0.9, 0.8], *[[0.9, 0.7, 0.5]] * 4]), axis=0)
     light, field, place = LIGHTS[name], field_of(NOISY, spacing), place_at(*on_ball(texels))
-    paths = np.empty((3, 2 * texels * count))
-    one_by_one(field, halves_of(place), SampleRange(3, count), weights, light, paths)
+    world = one_surface(field, albedo=(0.9, 0.7, 0.5))
+    paths = gathered(world, halves_of(place), SampleRange(3, count), 4, light, weight=(1.0, 0.9, 0.8))[:, :, 0]
     nothing = np.zeros((texels, 2, 3))
     found = gather(field, place, light, weights, (3, count), nothing) * (3 + count)
-    expected = paths.reshape(3, count, texels, 2).sum(axis=1).transpose(1, 2, 0)
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(found.reshape(-1, 3), paths.sum(axis=1), rtol=1e-12, atol=1e-14)
     assert (paths > 0.0).mean() > 0.2
 
 
@@ -60,15 +61,15 @@ def test_points_are_traced_by_the_paths_one_by_one(count, points):
         count, points = min(count, 3), min(points, 20)
     field, light = field_of(NOISY), LIGHTS["image"]
     points, normals = (np.ascontiguousarray(each.T, np.float32) for each in on_ball(points))
-    weights, pixels = 0.7 ** np.arange(1.0, 5.0)[:, None] * np.ones(3), np.arange(len(points), dtype=np.uint32) + 11
+    weights, pixels = np.cumprod(np.full((4, 3), 0.7), axis=0), np.arange(len(points), dtype=np.uint32) + 11
     sums = np.zeros((2, len(points), 2, 3))
     place, samples = PixelPoints(points, normals, pixels), SampleRange(2, count)
     trace_points(surface_of(field, 0.0), place, light, PathRules(weights, 1.0), 0, samples, sums[0])
     seeds = np.array([mix(pixel, half) for pixel in pixels.tolist() for half in range(2)], np.uint64)
     here, around = (np.repeat(each.T.astype(float), 2, axis=1) for each in (points, normals))
-    paths = np.empty((3, len(seeds) * count))
-    one_by_one(field, PathStarts(here, around, np.zeros(len(seeds)), seeds), samples, weights, light, paths)
-    for sample in paths.reshape(3, count, len(points), 2).transpose(1, 2, 3, 0):
+    starts = RoomStarts(here, around, np.zeros(len(seeds)), seeds, np.full(len(seeds), NOWHERE))
+    paths = gathered(one_surface(field, albedo=0.7), starts, samples, 3, light, weight=0.7)[:, :, 0]
+    for sample in paths.reshape(len(points), 2, count, 3).transpose(2, 0, 1, 3):
         sums[1] += sample
     assert sums[0].any(axis=(1, 2)).mean() > 0.9 and np.array_equal(*sums)
 

@@ -1,15 +1,17 @@
-"""Paths in rooms against closed forms."""
+"""Paths in rooms: one ray at a time, and closed forms."""
 
 import numpy as np
 import pytest
 
 from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.transport.colours import NO_COLOURS, colours_of
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.room_paths import InRoom, RoomStarts, light_in_room
+from isogi_core.kernels.transport.room_paths import InRoom, light_in_room
 from tests.kernels.fields import cells_of, field_of
-from tests.kernels.rooms import X, Y, Z, box, gather, room_of, sky, wall
+from tests.kernels.rooms import X, Y, Z, box, gather, room_of, sky, starts_in, wall
 from tests.kernels.transport.lighting import BALL, LIGHTS, NOISY, halves_of, on_ball, place_at
 from tests.kernels.transport.lighting import gather as gather_without
+from tests.oracles.paths import gathered, one_surface
 from tests.scale import few
 
 EMPTY = field_of(np.full((3, 3, 3), -1.0) + np.linspace(0.0, 0.5, 3))
@@ -20,6 +22,26 @@ def grid(count):
     """Middles of count² squares of the unit square, (count², 2)."""
     places = (np.arange(count) + 0.5) / count
     return np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("light", LIGHTS)
+@pytest.mark.parametrize("coloured", [False, True])
+def test_paths_in_rooms_are_those_of_one_ray_at_a_time(light: str, coloured: bool) -> None:
+    """A floor, a lit panel with two sides, and one with a dark back, about a surface with one albedo or colours."""
+    (samples,) = few((64,), (4,))
+    field, codes = field_of(NOISY, (0.5, 1.0, 2.0)), np.random.default_rng(4).integers(1, 256, (21, 41, 41))
+    colours = colours_of(codes.astype(np.uint8), (2.0, 1.0, 2.0), np.random.default_rng(5).random((256, 3)))
+    walls = [wall((-20.0, -20.0, -2.0), 80.0 * X, 80.0 * Y, 0.6), wall((1.0, 10.0, 85.0), 9.0 * Y, 14.0 * X, 0.3, 5.0)]
+    walls.append(wall((-3.0, 0.0, 0.0), 40.0 * Y, 80.0 * Z, 0.9, 0.5, twofold=True))
+    room = room_of(walls, field.spacing, 0.5, colours if coloured else NO_COLOURS)
+    points, normals = on_ball(5)
+    starts = [*(points.T * field.spacing), (11.0, 15.0, -2.0)], [*normals.T, Z], [*[NOWHERE] * 5, 0.0]
+    found = gather(field, room, starts, samples, 3, LIGHTS[light], survival=0.7)
+    given = starts_in(field, *starts), SampleRange(0, samples), 3, LIGHTS[light]
+    expected = gathered(one_surface(field, 0.0, 0.5, room), *given, survival=0.7)[:, :, 0].mean(axis=1)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    assert (found > 0.0).all()
 
 
 @pytest.mark.parametrize("survival", [1.0, 0.6])
@@ -102,8 +124,7 @@ def test_a_room_without_walls_is_no_room(name: str) -> None:
     field, place, light = field_of(NOISY), place_at(*on_ball(texels)), LIGHTS[name]
     weights = np.array([0.9, 0.7, 0.5]) ** np.arange(4.0)[:, None]
     expected = gather_without(field, place, light, weights, samples)
-    points, normals, isovalues, seeds = halves_of(place)
-    starts = RoomStarts(points.copy(), normals.copy(), isovalues.copy(), seeds, np.full(2 * texels, NOWHERE))
+    starts = halves_of(place)
     room, sums = room_of([])._replace(albedo=np.array([0.9, 0.7, 0.5])), np.zeros((2 * texels, 3))
     rules = PathRules(np.ones((4, 3)), 1.0)
     light_in_room(InRoom(field, cells_of(field, 0.0), room), starts, SampleRange(0, samples), rules, light, sums)

@@ -1,107 +1,35 @@
 """Paths among several isosurfaces: one ray at a time, and closed forms."""
 
-import math
-
 import numpy as np
 import pytest
-from numba import njit
 
-from isogi_core.kernels.tracing.field import to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN_SIDE, cast, launch, shading_normal
-from isogi_core.kernels.tracing.vec import column, dot, madd
 from isogi_core.kernels.tracing.walls import NOWHERE
-from isogi_core.kernels.transport import streams
-from isogi_core.kernels.transport.light_paths import sample_source, to_world
-from isogi_core.kernels.transport.lights import DIRECTIONAL, arriving
+from isogi_core.kernels.transport.lights import DIRECTIONAL
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.room_paths import RoomStarts
-from isogi_core.kernels.transport.sampling import about, sample_cosine_hemisphere
-from isogi_core.kernels.transport.surface_paths import Among, light_among_surfaces
+from isogi_core.kernels.transport.surface_paths import light_among_surfaces
 from tests.kernels.fields import field_of
 from tests.kernels.rooms import X, Y, Z, box, room_of, sky, wall
 from tests.kernels.rooms import gather as gather_in_room
 from tests.kernels.transport.lighting import BALL, LIGHTS, NOISY, PLANE, lamps, on_ball, surroundings
 from tests.kernels.transport.surfaces import among
+from tests.oracles.paths import gathered, several_surfaces
 from tests.scale import few
 
 
-@njit
-def crossings(field, isovalues, on, side, o, d):
-    """All crossings of a ray with several surfaces, in order: (t, surface, side) each; it starts ``on`` one."""
-    found = [(0.0, 0, 0) for _ in range(0)]
-    for k in range(len(isovalues)):
-        t, here = 0.0, side if k == on else UNKNOWN_SIDE
-        while True:
-            step, came = cast(field, isovalues[k], madd(o, t, d), d, here)
-            t += step
-            if not t < math.inf:
-                break
-            place = 0
-            while place < len(found) and found[place][0] < t:
-                place += 1
-            found.insert(place, (t, k, came))
-            here = -came
-    return found
-
-
-@njit
-def path_among(field, surfaces, start, seed, index, bounces, light):
-    """One path, each of its rays by itself: what it gathers, linear RGB."""
-    _, isovalues, albedos, clears, through, _ = surfaces
-    (p, n), total, side, on = start, np.zeros(3), OUTSIDE, 0
-    carried = 1.0 / (through[0] + albedos[0])
-    share = (carried * through[0]).sum() / (carried * (through[0] + albedos[0])).sum()
-    if point_2d(seed, index, streams.LEAVING)[0] < share:
-        carried *= through[0] / share
-        n, side = (-n[0], -n[1], -n[2]), -side
-    else:
-        carried *= albedos[0] / (1.0 - share)
-    first = 0 if light.table[0].shape[0] > 0 else 1
-    for bounce in range(bounces + 1):
-        o = launch(field, isovalues[on], p, n, side)
-        for source in range(first, 1 + light.lamps.kinds.shape[0]):
-            u, v = point_2d(seed, index, streams.SOURCES + source * streams.PAIRS + bounce)
-            w, reach, shine = sample_source(light, source, to_world(o, field.spacing), n, u, v)
-            if max(shine[0], shine[1], shine[2]) > 0.0:
-                passed = 1.0
-                for t, k, _ in crossings(field, isovalues, on, side, o, to_index(w, field.spacing)):
-                    passed *= clears[k] if t < reach else 1.0
-                for c in range(3):
-                    total[c] += carried[c] * passed * shine[c]
-        u, v = point_2d(seed, index, bounce)
-        w = about(n, sample_cosine_hemisphere(u, v))
-        d = to_index(w, field.spacing)
-        way, met, came = math.inf, 0, 0
-        for crossing, (t, k, s) in enumerate(crossings(field, isovalues, on, side, o, d)):
-            if not point_2d(seed, index, streams.PASSING + crossing * streams.PAIRS + bounce)[0] < clears[k]:
-                way, met, came = t, k, s
-                break
-        if way == math.inf:
-            end = arriving(light.constant, light.image, light.matrix, light.table, w, dot(n, w))
-            for c in range(3):
-                total[c] += carried[c] * end[c]
-            return total
-        on, side = met, came
-        p = madd(o, way, d)
-        n = shading_normal(field, p, side, w)
-        share = (carried * through[on]).sum() / (carried * (through[on] + albedos[on])).sum()
-        if point_2d(seed, index, streams.LEAVING + bounce + 1)[0] < share:
-            carried *= through[on] / share
-            n, side = (-n[0], -n[1], -n[2]), -side
-        else:
-            carried *= albedos[on] / (1.0 - share)
-    return total
-
-
-def gather(field, surfaces, starts, samples, bounces, light, walls=None, survival=1.0):
-    """E/π (g, 3) at the ``starts`` (points, normals), (3, g) each, on ``walls`` by number or on the surface (-1)."""
-    points, normals = (np.ascontiguousarray(each, np.float64) for each in starts)
+def starts_at(scene, points, normals, walls=None):
+    """Starts at ``points`` with ``normals``, (3, g), on ``walls`` by number or on the first surface (-1)."""
+    points, normals = (np.ascontiguousarray(each, np.float64) for each in (points, normals))
     g = points.shape[1]
-    levels, seeds = np.full(g, surfaces.isovalues[0]), np.arange(1, g + 1, dtype=np.uint64)
-    paths = RoomStarts(points, normals, levels, seeds, np.array(walls or [NOWHERE] * g, float))
-    rules, sums = PathRules(np.ones((bounces + 1, 3)), survival), np.zeros((g, 3))
-    light_among_surfaces(Among(field, surfaces, surfaces.room), paths, SampleRange(0, samples), rules, light, sums)
+    levels, seeds = np.full(g, scene.surfaces.isovalues[0]), np.arange(1, g + 1, dtype=np.uint64)
+    return RoomStarts(points, normals, levels, seeds, np.array(walls or [NOWHERE] * g, float))
+
+
+def gather(scene, starts, samples, bounces, light, walls=None, survival=1.0):
+    """E/π (g, 3) at the ``starts``: see ``starts_at``."""
+    paths = starts_at(scene, *starts, walls)
+    rules, sums = PathRules(np.ones((bounces + 1, 3)), survival), np.zeros(paths.points.T.shape)
+    light_among_surfaces(scene, paths, SampleRange(0, samples), rules, light, sums)
     return sums / samples
 
 
@@ -117,13 +45,10 @@ def test_paths_are_those_of_one_ray_at_a_time(light: str) -> None:
     field, (points, normals) = field_of(NOISY), inner_ball(6)
     thin = [(0.1, 0.2, 0.3), 0.0, (0.6, 0.4, 0.0)]
     surfaces, samples = among(field, 6.0, [0.0, 3.5], [0.5, 0.8, 0.3], [0.3, 0.6, 0.9], thin), few((64,), (8,))[0]
-    found = gather(field, surfaces, (points, normals), samples, 3, LIGHTS[light])
-    expected = np.zeros((6, 3))
-    for i in range(6):
-        start = column(points, i), column(normals, i)
-        for s in range(samples):
-            expected[i] += path_among(field, surfaces, start, i + 1, s, 3, LIGHTS[light])
-    np.testing.assert_allclose(found, expected / samples, rtol=1e-6)
+    found = gather(surfaces, (points, normals), samples, 3, LIGHTS[light], survival=0.8)
+    world, starts = several_surfaces(surfaces), starts_at(surfaces, points, normals)
+    expected = gathered(world, starts, SampleRange(0, samples), 3, LIGHTS[light], survival=0.8)[:, :, 0].mean(axis=1)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
 def test_a_black_clear_shell_dims_all_light_alike() -> None:
@@ -131,7 +56,7 @@ def test_a_black_clear_shell_dims_all_light_alike() -> None:
     (samples,) = few((4096,), (1024,))
     field = field_of(BALL)
     surfaces = among(field, 6.0, [0.0], [0.0, 0.0], [0.0, 0.4])
-    found = gather(field, surfaces, inner_ball(8), samples, 0, surroundings(constant=2.0))
+    found = gather(surfaces, inner_ball(8), samples, 0, surroundings(constant=2.0))
     np.testing.assert_allclose(found.mean(axis=0), 0.8, rtol=0.005)
 
 
@@ -140,7 +65,7 @@ def test_white_surfaces_stay_in_the_white_furnace() -> None:
     (samples,) = few((1024,), (256,))
     field = field_of(BALL)
     surfaces = among(field, 6.0, [0.0, 3.0], [1.0, 1.0, 1.0], [0.0, 0.5, 0.3])
-    found = gather(field, surfaces, inner_ball(8), samples, 200, surroundings(constant=1.0))
+    found = gather(surfaces, inner_ball(8), samples, 200, surroundings(constant=1.0))
     np.testing.assert_allclose(found.mean(axis=0), 1.0, rtol=0.003)
 
 
@@ -156,7 +81,7 @@ def test_a_sheet_that_loses_nothing_is_as_bright_as_the_sky(albedo, through) -> 
     (samples,) = few((4096,), (512,))
     for field, starts in outer_and_inner(8):
         surfaces = among(field, 0.0, [], [albedo], [0.0], [through])
-        found = gather(field, surfaces, starts, samples, 200, surroundings(constant=1.0))
+        found = gather(surfaces, starts, samples, 200, surroundings(constant=1.0))
         np.testing.assert_allclose(found.mean(axis=0), 1.0, rtol=0.003 if np.ndim(albedo) == 0 else 0.02)
 
 
@@ -169,7 +94,7 @@ def test_a_closed_sheet_under_an_even_sky_by_its_closed_form(bounces: int) -> No
     leaving = albedo * sky + through * within, albedo * within + through * sky
     for (field, starts), expected in zip(outer_and_inner(8), leaving, strict=True):
         surfaces = among(field, 0.0, [], [albedo], [0.0], [through])
-        found = gather(field, surfaces, starts, samples, bounces, surroundings(constant=sky))
+        found = gather(surfaces, starts, samples, bounces, surroundings(constant=sky))
         np.testing.assert_allclose((albedo + through) * found.mean(axis=0), expected, rtol=0.01)
 
 
@@ -179,7 +104,7 @@ def test_a_lamp_behind_a_sheet_lights_it_by_its_transmission() -> None:
     starts = np.array([[20.0, 18.0], [20.0, 23.0], [20.0, 20.0]]), np.array([[0.0, 0.0], [0.0, 0.0], [1.0, 1.0]])
     below = lamps((DIRECTIONAL, (0.0, 0.0, -1.0), None, (0.6, 0.6, 0.6)))
     surfaces = among(field, 0.0, [], [(0.2, 0.3, 0.0)], [0.0], [(0.6, 0.1, 0.0)])
-    found = gather(field, surfaces, starts, 4096, 0, surroundings(lamps=below)) * (0.8, 0.4, 0.0)
+    found = gather(surfaces, starts, 4096, 0, surroundings(lamps=below)) * (0.8, 0.4, 0.0)
     np.testing.assert_allclose(found.mean(axis=0), np.array([0.6, 0.1, 0.0]) * 0.6, rtol=0.01)
 
 
@@ -193,7 +118,7 @@ def test_one_opaque_surface_among_walls_is_that_of_a_room(light: str) -> None:
     points, normals = np.column_stack([points, [21.0, 15.0, -2.0]]), np.column_stack([normals, Z])
     own = [*[NOWHERE] * 5, 0.0]
     inside = among(field, 0.0, [], [0.5], [0.0], walls=walls)
-    found = gather(field, inside, (points, normals), samples, 3, LIGHTS[light], own, survival=0.7)
+    found = gather(inside, (points, normals), samples, 3, LIGHTS[light], own, survival=0.7)
     starts = (points * np.array(field.spacing)[:, None]).T, normals.T, own
     room = room_of(walls, field.spacing, albedo=0.5)
     expected = gather_in_room(field, room, starts, samples, 3, LIGHTS[light], survival=0.7)
@@ -208,7 +133,7 @@ def test_a_shell_that_loses_nothing_is_not_seen_in_a_room(albedo: float, clear: 
     shells = among(field_of(BALL), 0.0, [], [albedo], [clear], [through], walls)
     points, normals = on_ball(3)
     starts = np.column_stack([[20.0, 20.0, -30.0], [-30.0, 20.0, 20.0], points]), np.column_stack([Z, X, normals])
-    found = gather(field_of(BALL), shells, starts, samples, 60, sky(9.0), [4.0, 0.0, *[NOWHERE] * 3])
+    found = gather(shells, starts, samples, 60, sky(9.0), [4.0, 0.0, *[NOWHERE] * 3])
     np.testing.assert_allclose(found[:2].mean(), 2.0, rtol=0.005 if samples > 64 else 0.1)
     np.testing.assert_allclose(found[2:].mean(), 2.0, rtol=0.01 if samples > 64 else 0.2)
 
@@ -222,7 +147,7 @@ def test_a_lamp_is_seen_through_a_clear_plane(clear: float) -> None:
     walls = [wall((-20.0, -20.0, -2.0), 80.0 * X, 80.0 * Y), lamp]
     starts = np.array([[20.0, 20.0, -2.0]]).T, np.array([Z]).T
     dark, bare = (
-        gather(field, among(field, 0.0, [], [0.0], [share], walls=walls), starts, samples, 0, sky(0.0), [0.0])
+        gather(among(field, 0.0, [], [0.0], [share], walls=walls), starts, samples, 0, sky(0.0), [0.0])
         for share in (clear, 1.0)
     )
     np.testing.assert_allclose(dark, clear * bare, rtol=0.02 if samples > 64 else 0.3)

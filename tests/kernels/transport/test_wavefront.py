@@ -8,17 +8,19 @@ from isogi_core.bake.bake_spec import spec_for
 from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import Light
 from isogi_core.kernels.tracing.field import OFFSET
-from isogi_core.kernels.tracing.intersect import OUTSIDE
 from isogi_core.kernels.tracing.vec import column
+from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.harmonics import accumulate
 from isogi_core.kernels.transport.paths import PathTree, SampleRange, TransferRules
-from isogi_core.kernels.transport.transfer import bake_texels, texel_seed
+from isogi_core.kernels.transport.strays import Confines, find_strays
+from isogi_core.kernels.transport.transfer import bake_texels
 from isogi_core.model.volume import make_volume
 from isogi_core.prepared.prepared_scene import PreparedScene, make_field
-from tests.kernels.fields import cells_of
-from tests.kernels.transport.lighting import trace_path
+from tests.kernels.fields import cells_of, field_of
+from tests.kernels.transport.lighting import NOISY, halves_of, on_ball, place_at
 from tests.loaded import load_scene
-from tests.scale import PYTHON
+from tests.oracles.paths import DARK, EVERYWHERE, NO_GLOWS, Start, one_surface, trace
+from tests.scale import PYTHON, few
 
 Z, Y, X = np.indices((30, 34, 38)) - 16.0
 BUMPS = 10.0 - np.sqrt(X**2 + Y**2 + Z**2) + 1.5 * np.sin(X) * np.sin(Y) * np.sin(Z)
@@ -30,24 +32,21 @@ WEIGHTS = np.array([[0.3, 1.0, 0.8, 0.6, 0.5, 0.2]])
 
 
 @njit
-def one_by_one(field, place, samples, tree, sums):
-    """``bake_texels`` by `trace_path`; returns how many paths left after a bounce."""
-    texels, points, normals, isovalues = place
-    bounced = 0
-    for m in range(len(texels)):
-        start = column(points, m), column(normals, m), OUTSIDE
-        z, y, x = texels[m]
-        for half in range(2):
-            for sample in range(samples.first, samples.first + samples.count):
-                seed = texel_seed(z, y, x, half)
-                for way in range(tree.branches):
-                    bounces, w = trace_path(field, isovalues[m], start, seed, sample, tree, way)
-                    alone = bounces == 0
-                    share = WEIGHTS[0, bounces + 1] / (1 if alone else tree.branches)
-                    accumulate(2, w[0], w[1], w[2], share, sums[m, half, 0])
-                    bounced += bounces > 0
-                    if alone:
-                        break
+def one_by_one(world, starts, samples, tree, sums):
+    """``bake_texels`` by paths one by one, to ``sums`` (g, n²); returns how many left after a bounce."""
+    bounced, weight = 0, np.ones(3)
+    for i in range(len(starts.isovalues)):
+        p, n, level, seed = column(starts.points, i), column(starts.normals, i), starts.isovalues[i], starts.seeds[i]
+        for sample in range(samples.first, samples.first + samples.count):
+            for branch in range(tree.branches):
+                start = Start(p, n, level, NOWHERE, seed, sample)
+                path = trace(world, (DARK, NO_GLOWS), start, tree, branch, weight, EVERYWHERE)
+                alone, (x, y, z) = path.bounces == 0, path.way
+                share = WEIGHTS[0, path.bounces + 1] / (1 if alone else tree.branches)
+                accumulate(2, x, y, z, share, sums[i])
+                bounced += path.bounces > 0
+                if alone:
+                    break
     return bounced
 
 
@@ -79,11 +78,28 @@ def test_waves_are_the_paths_one_by_one(texels, count, body, survival, branches,
     place = rng.integers(0, 2**31, (texels, 3)).astype(np.int32), points, normals, isovalues
     cells, samples = cells_of(field, isovalues.min(), isovalues.max()), SampleRange(3, count)
     one, other = np.zeros((2, texels, 2, 1, 4))
-    bounced = one_by_one(field, place, samples, PathTree(BOUNCES, survival, branches), one)
+    starts, tree = halves_of(place), PathTree(BOUNCES, survival, branches)
+    bounced = one_by_one(one_surface(field), starts, samples, tree, one.reshape(2 * texels, 4))
     rules, rows = TransferRules(WEIGHTS, survival, branches), np.arange(texels)
     bake_texels(field, cells, place, rows, samples, rules, np.full(1, 2), other)
     assert one.any() and np.array_equal(one, other)
     assert texels * count < 500 or bounced > 0.01 * 2 * texels * count
+
+
+@pytest.mark.parametrize("branches", [1, 3])
+def test_strays_are_the_starts_of_paths_that_leave_a_box(branches: int) -> None:
+    field, place = field_of(NOISY), place_at(*on_ball(few(200, 10)))
+    box, tree, samples = np.array([[5.0, 3.0, 9.0], [36.0, 35.0, 31.0]]), PathTree(3, 0.7, branches), SampleRange(2, 2)
+    starts, rows, strays = halves_of(place), np.arange(len(place[3])), np.zeros(len(place[3]), np.bool_)
+    confines = Confines(tree.bounces, tree.survival, branches, box)
+    find_strays(field, cells_of(field, 0.0), place, rows, samples, confines, strays)
+    world, expected = one_surface(field), np.zeros(2 * len(rows), np.bool_)
+    for i, sample, branch in np.ndindex(len(expected), samples.count, branches):
+        p, n = column(starts.points, i), column(starts.normals, i)
+        start = Start(p, n, 0.0, NOWHERE, starts.seeds[i], samples.first + sample)
+        expected[i] |= trace(world, (DARK, NO_GLOWS), start, tree, branch, np.ones(3), box).strayed
+    assert np.array_equal(strays, expected.reshape(-1, 2).any(axis=1))
+    assert strays.any() and not strays.all()
 
 
 @pytest.mark.parametrize("pieces", [2, 7])

@@ -9,12 +9,13 @@ import pytest
 from isogi_core.files.nrrd import read_nrrd
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.local_models import find_normals, trace_points
-from isogi_core.kernels.tracing.field import OFFSET
-from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN_SIDE
-from isogi_core.kernels.transport import integrator, transfer
+from isogi_core.kernels.tracing.field import OFFSET, to_index
+from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN_SIDE, launch, shading_normal
+from isogi_core.kernels.transport import transfer
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, evaluate
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.paths import PathRules, SampleRange, TransferRules
+from isogi_core.kernels.transport.sampling import about
 from isogi_core.kernels.transport.transfer import bake_texels, locate_texels
 from tests.kernels.fields import cast_each, cells_of, field_of, surface_of
 from tests.scale import COMPILED, few
@@ -247,23 +248,23 @@ def test_cavity_with_an_opening_is_an_integrating_sphere(a, cosine):
 def test_about_turns_the_pole_to_the_normal_and_keeps_lengths():
     rng = np.random.default_rng(5)
     for n in [*np.eye(3), *-np.eye(3), *(v / np.linalg.norm(v) for v in rng.normal(size=(50, 3)))]:
-        assert integrator.about(tuple(n), (0.0, 0.0, 1.0)) == pytest.approx(tuple(n))
+        assert about(tuple(n), (0.0, 0.0, 1.0)) == pytest.approx(tuple(n))
         d = rng.normal(size=3)
-        turned = np.array(integrator.about(tuple(n), tuple(d)))
+        turned = np.array(about(tuple(n), tuple(d)))
         assert np.linalg.norm(turned) == pytest.approx(np.linalg.norm(d))
         assert turned @ n == pytest.approx(d[2])
 
 
 def test_shading_normal_looks_to_the_side_that_the_ray_came_from():
     ball, p, d = field_of(BALL), (40.0, 24.0, 24.0), (-2.0, 0.0, 0.0)
-    assert integrator.shading_normal(ball, p, OUTSIDE, d) == pytest.approx((1.0, 0.0, 0.0), abs=1e-6)
-    assert integrator.shading_normal(ball, p, SOLID, d) == pytest.approx((-1.0, 0.0, 0.0), abs=1e-6)
+    assert shading_normal(ball, p, OUTSIDE, d) == pytest.approx((1.0, 0.0, 0.0), abs=1e-6)
+    assert shading_normal(ball, p, SOLID, d) == pytest.approx((-1.0, 0.0, 0.0), abs=1e-6)
     flat = field_of(np.ones((5, 5, 5)))
-    assert integrator.shading_normal(flat, (2.0, 2.0, 2.0), OUTSIDE, d) == (1.0, 0.0, 0.0)
+    assert shading_normal(flat, (2.0, 2.0, 2.0), OUTSIDE, d) == (1.0, 0.0, 0.0)
 
 
 def test_to_index_divides_by_the_spacing():
-    assert integrator.to_index((1.0, 1.0, 1.0), (0.5, 2.0, 4.0)) == (2.0, 0.5, 0.25)
+    assert to_index((1.0, 1.0, 1.0), (0.5, 2.0, 4.0)) == (2.0, 0.5, 0.25)
 
 
 def test_every_texel_and_half_has_a_sequence_of_its_own():
@@ -275,7 +276,7 @@ def test_every_texel_and_half_has_a_sequence_of_its_own():
 def test_launch_is_as_many_voxels_whatever_the_spacing(offset):
     field = field_of(slope((0, 0, 1)), (0.1, 1.0, 25.0))._replace(offset=offset)
     for n in ((0.0, 0.0, 1.0), (0.6, 0.0, 0.8)):
-        start = np.array(integrator.launch(field, 0.0, (24.0, 24.0, 24.0), n, OUTSIDE))
+        start = np.array(launch(field, 0.0, (24.0, 24.0, 24.0), n, OUTSIDE))
         assert np.linalg.norm(start - 24.0) == pytest.approx(offset)
 
 
@@ -378,6 +379,6 @@ def test_texels_on_a_plateaus_edge_agree_between_voxels(level):
 def test_launch_lifts_off_and_stays_where_there_is_no_room(side):
     ball = field_of(SMALL_BALL)
     inwards = -1.0 if side == SOLID else 1.0
-    start = integrator.launch(ball, 0.0, (32.0, 20.0, 20.0), (inwards, 0.0, 0.0), side)
+    start = launch(ball, 0.0, (32.0, 20.0, 20.0), (inwards, 0.0, 0.0), side)
     assert start == pytest.approx((32.0 + 0.3 * inwards, 20.0, 20.0))
-    assert integrator.launch(ball, 0.0, (32.0, 20.0, 20.0), (-inwards, 0.0, 0.0), side) == (32.0, 20.0, 20.0)
+    assert launch(ball, 0.0, (32.0, 20.0, 20.0), (-inwards, 0.0, 0.0), side) == (32.0, 20.0, 20.0)
