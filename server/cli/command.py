@@ -160,7 +160,7 @@ def report(
     work = module_of("report")
     knobs = {name: value for name, value in given.items() if value is not None}
     square = {"width": str(size), "height": str(size)}
-    facts = work.report(scene, {**knobs, **square}, settings_from(), work.Wishes(output, deadline, only))
+    facts = work.report(scene, {**knobs, **square}, settings_from(), work.ReportRequest(output, deadline, only))
     show(facts, work.sentence, as_json)
     return 1 if facts["stopped"] or facts["failed"] else 0
 
@@ -259,8 +259,8 @@ def export(
     """
     settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("export")
     knobs = {name: value for name, value in given.items() if value is not None}
-    wishes = work.Wishes(output, isovalues, target_error, exposure, coefficients)
-    show(work.export(scene, wishes, knobs, settings), work.exported, as_json)
+    request = work.ExportRequest(output, isovalues, target_error, exposure, coefficients)
+    show(work.export(scene, request, knobs, settings), work.exported, as_json)
 
 
 @cli.command()
@@ -285,7 +285,7 @@ def film(scene: str, as_json: bool, **given: Any) -> None:
     """
     settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("film")
     knobs = {name: value for name in FILM_OPTIONS if (value := given.pop(name)) is not None}
-    show(work.film(scene, work.Wishes(**given), knobs, settings), work.filmed, as_json)
+    show(work.film(scene, work.FilmRequest(**given), knobs, settings), work.filmed, as_json)
 
 
 @cli.command()
@@ -309,7 +309,7 @@ def publish(scene: str, interactive: bool, as_json: bool, **given: Any) -> None:
     settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
     work = module_of("publish --interactive" if interactive else "publish")
     knobs = {name: value for name in GRID_OPTIONS if (value := given.pop(name)) is not None}
-    show(work.publish(scene, work.Wishes(**given), knobs, settings), work.published, as_json)
+    show(work.publish(scene, work.PageRequest(**given), knobs, settings), work.published, as_json)
 
 
 @cli.command()

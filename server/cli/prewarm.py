@@ -15,7 +15,6 @@ from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import Cancelled, SceneError
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import at_time
-from server.cli.documents import document_in
 from server.cli.series import at_step, steps_in
 from server.errors import ParameterError
 from server.prewarm.context import PrewarmContext, Step
@@ -29,6 +28,7 @@ from server.render.jobs import Status
 from server.render.resources import root_of
 from server.render.workforce import scheduler_of
 from server.settings import Settings
+from server.values import document_in
 from worker.bake_requests import Viewer
 
 __all__ = ["fields_given", "go_on", "order_of", "prewarm", "prewarm_series", "tell"]
