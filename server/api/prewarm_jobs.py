@@ -26,7 +26,7 @@ from isogi_core.plan.scene import Scene
 from server.api.service import Service
 from server.api.shown import PictureRequest
 from server.errors import BusyError
-from server.prewarm.context import PrewarmContext, Step
+from server.prewarm.baking import PrewarmContext, Step
 from server.prewarm.order import PrewarmOrder
 from server.prewarm.record import BEAT, OPEN, Record, RecordDocument, Summary, recorded_prewarms
 from server.prewarm.work import carry_out, carry_out_dry, wanted

@@ -27,7 +27,6 @@ from server.cli.arguments import (
     number,
     options,
     raw_option,
-    remote,
     settings_from,
     show,
     volume_options,
@@ -201,11 +200,11 @@ def prewarm(
     elif named := [name.replace("_", "-") for name, value in {"times": times, **workers}.items() if value is not None]:
         raise click.UsageError(f"--{named[0]} is for this process alone: leave it out, or leave --server out.")
     elif detach:
-        address = remote().detach(server, scene, order, dry_run)
+        address = work.detach(server, scene, order, dry_run)
         click.echo(json.dumps({"job": address}) if as_json else address)
         return 0
     else:
-        done = [remote().follow(server, scene, order, dry_run)]
+        done = [work.follow(server, scene, order, dry_run)]
     return 1 if work.tell(done, as_json) else 0
 
 

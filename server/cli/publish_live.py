@@ -31,9 +31,9 @@ from server.exports.live_page import (
     write_files,
 )
 from server.parameters import FrameParams, read
-from server.prewarm.context import PrewarmContext
+from server.prewarm.baking import PrewarmContext
 from server.prewarm.order import levels_of, order_of
-from server.prewarm.ranges import RangeLight, bake_range, views_of
+from server.prewarm.work import RangeLight, bake_range, views_of
 from server.progress import Progress, compiling, open_scene
 from server.render.engine import RenderEngine
 from server.render.resources import root_of

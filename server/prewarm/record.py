@@ -18,7 +18,7 @@ from isogi_core.errors import StoreError
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.documents import Documents
 from isogi_core.storage.store import StoreLike
-from server.prewarm.context import PrewarmContext, Step
+from server.prewarm.baking import PrewarmContext, Step
 from server.prewarm.order import PrewarmOrder
 from server.progress import left_text
 from server.render.jobs import Status, now
