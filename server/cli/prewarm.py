@@ -6,7 +6,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,18 +17,18 @@ from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import Cancelled, IsogiError, SceneError
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import at_time
+from server.cli.render import working
 from server.cli.series import at_step, steps_in
 from server.errors import LibraryError, ParameterError, UnknownSceneError
 from server.prewarm.baking import PrewarmContext, Step
 from server.prewarm.order import PrewarmOrder, Views, order_of
 from server.prewarm.record import Record, Summary, last_unfinished
 from server.prewarm.work import carry_out, carry_out_dry, wanted
-from server.progress import Progress, compiling, open_scene
+from server.progress import Progress, open_scene
 from server.render.bakes import STALLED_SECONDS
 from server.render.engine import RenderEngine
 from server.render.jobs import Status
 from server.render.resources import root_of
-from server.render.workforce import scheduler_of
 from server.settings import Settings
 from server.values import document_in
 from worker.bake_requests import Viewer
@@ -92,22 +92,18 @@ def prewarm_scene(
     """
     begun = time.monotonic() if begun is None else begun
     Views(order, scene, settings)
-
-    hired = (settings.workers, None if dry else scheduler_of(settings))
-    root = root_of(settings)
-    record = Record(root, scene, order, "command")
-    with closing(RenderEngine([scene], root, *hired, settings.memory_mb << 20)) as engine, Progress() as bar:
+    record = Record(root_of(settings), scene, order, "command")
+    with Progress() as bar:
         bar.begin("loading kernels")
-        with compiling(lambda: engine.kernels.progress):
-            engine.start(hire=not dry)
-        bar.begin("planning")
-        context = desk_of(engine, scene, order, partial(show, bar), begun)
-        context.rung = rung
-        what = wanted(context, order, settings)
-        if dry:
-            return carry_out_dry(context, what)
-        with recorded(record, context):
-            return record.close(carry_out(context, what, lambda ahead: record.keep(ahead=ahead)))
+        with working(scene, settings, hire=not dry) as engine:
+            bar.begin("planning")
+            context = desk_of(engine, scene, order, partial(show, bar), begun)
+            context.rung = rung
+            what = wanted(context, order, settings)
+            if dry:
+                return carry_out_dry(context, what)
+            with recorded(record, context):
+                return record.close(carry_out(context, what, lambda ahead: record.keep(ahead=ahead)))
 
 
 def tell(summaries: Iterable[Summary], as_json: bool) -> int:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -20,6 +20,7 @@ from isogi_core.storage.atomic_file import check_folder
 from server.card_answers import card_obstacles
 from server.cli.prewarm import desk_of, show
 from server.cli.publish import PageRequest
+from server.cli.render import working
 from server.errors import ParameterError
 from server.exports.live_page import (
     Span,
@@ -34,10 +35,7 @@ from server.parameters import FrameParams, read
 from server.prewarm.baking import PrewarmContext
 from server.prewarm.order import levels_of, order_of
 from server.prewarm.work import RangeLight, bake_range, views_of
-from server.progress import Progress, compiling, open_scene
-from server.render.engine import RenderEngine
-from server.render.resources import root_of
-from server.render.workforce import scheduler_of
+from server.progress import Progress, open_scene
 from server.settings import Settings
 from server.views import isovalue_of, view_of
 
@@ -131,15 +129,10 @@ def refuse_obstacles(renderer: Renderer, view: View) -> None:
 @contextmanager
 def at_work(scene: Scene, settings: Settings, begun: float) -> Iterator[PrewarmContext]:
     """An engine with workers, and what a bake of the scene works with."""
-    hired = settings.workers, scheduler_of(settings)
-    with (
-        closing(RenderEngine([scene], root_of(settings), *hired, settings.memory_mb << 20)) as engine,
-        Progress() as bar,
-    ):
+    with Progress() as bar:
         bar.begin("loading kernels")
-        with compiling(lambda: engine.kernels.progress):
-            engine.start()
-        yield desk_of(engine, scene, order_of({}), partial(show, bar), begun)
+        with working(scene, settings) as engine:
+            yield desk_of(engine, scene, order_of({}), partial(show, bar), begun)
 
 
 def offers(

@@ -4,7 +4,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping
-from contextlib import closing, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from pathlib import Path
@@ -15,15 +15,13 @@ import numpy as np
 from isogi_core.errors import ViewError
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
-from server.cli.render import awaited, is_placed, seen_whole
+from server.cli.render import awaited, is_placed, seen_whole, working
 from server.cli.series import at_step
 from server.parameters import FrameParams
 from server.pictures import SUFFIXES, encode
-from server.progress import Progress, compiling
+from server.progress import Progress
 from server.render.engine import RenderEngine
-from server.render.resources import root_of
 from server.render.variants import Change, Variants
-from server.render.workforce import scheduler_of
 from server.settings import Settings
 from server.views import view_of
 
@@ -122,13 +120,7 @@ class Reel:
         """Make the pictures that are missing, if any. Raises StoreError and WorkersError."""
         if not self.missing:
             return
-        place, memory = (root_of(settings), settings.workers, scheduler_of(settings)), settings.memory_mb << 20
-        with (
-            closing(RenderEngine([self._scene], *place, memory, projected=settings.projected_mb << 20)) as engine,
-            Progress("rendering", "picture") as bar,
-        ):
-            with compiling(lambda: engine.kernels.progress):
-                engine.start()
+        with working(self._scene, settings) as engine, Progress("rendering", "picture") as bar:
             try:
                 self._shoot(engine, request, settings, bar)
             finally:

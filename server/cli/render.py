@@ -3,8 +3,8 @@
 import math
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +28,7 @@ from server.parameters import FrameParams, ViewParams, read
 from server.pictures import SUFFIXES, encode, format_for, smoothed
 from server.progress import Progress, compiling, open_scene
 from server.render.bakes import Patience
-from server.render.engine import RenderEngine
-from server.render.resources import root_of
-from server.render.workforce import scheduler_of
+from server.render.engine import RenderEngine, engine_for
 from server.settings import Settings
 from server.views import view_of
 from worker.errors import WorkersError
@@ -68,10 +66,7 @@ def render(
     format_for(params, None)
     view_of(scene, params, settings)
 
-    place, memory = (root_of(settings), settings.workers, scheduler_of(settings)), settings.memory_mb << 20
-    with closing(RenderEngine([scene], *place, memory, projected=settings.projected_mb << 20)) as engine:
-        with compiling(lambda: engine.kernels.progress):
-            engine.start()
+    with working(scene, settings) as engine:
         if not is_placed(knobs):
             [params] = seen_whole(engine.renderer(scene.id), [params], settings)
         view = view_of(scene, params, settings)
@@ -111,6 +106,15 @@ def frame_facts(frame: Frame, left: TimeLeft | None) -> dict[str, Any]:
     """Size, quality and version of a frame, and the time until it would be final."""
     size = {"width": frame.view.width, "height": frame.view.height}
     return {**size, **coverage_schema(frame, left).model_dump(), "version": frame.version}
+
+
+@contextmanager
+def working(scene: Scene, settings: Settings, hire: bool = True) -> Iterator[RenderEngine]:
+    """An engine of a ``scene`` that has its kernels and, if it is to ``hire`` them, workers; closed at the end."""
+    with closing(engine_for(scene, settings, hire)) as engine:
+        with compiling(lambda: engine.kernels.progress):
+            engine.start(hire=hire)
+        yield engine
 
 
 def format_of(output: Path) -> str:
