@@ -21,10 +21,10 @@ from isogi_core.plan.scene import Scene
 from server.api.prewarm_jobs import Prewarm, stand_back, to_its_end
 from server.api.service import Service
 from server.export_parameters import ExportParams
-from server.exports.coefficients import coefficient_count
 from server.exports.lit_files import (
     check_coefficients,
     check_lattice,
+    coefficient_count,
     expected_bytes,
     no_surface,
     places_to_light,

@@ -23,8 +23,7 @@ from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from server.api.service import Service
-from server.api.shown import PictureRequest
+from server.api.service import PictureRequest, Service
 from server.errors import BusyError
 from server.prewarm.baking import PrewarmContext, Step
 from server.prewarm.order import PrewarmOrder

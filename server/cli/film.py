@@ -20,7 +20,7 @@ from isogi_core.plan.first_view import front_of
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.cli.film_path import film_path, view_in, views_in
-from server.cli.reel import PictureRequest, Reel, said
+from server.cli.reel import Reel, ReelRequest, said
 from server.cli.render import is_placed
 from server.cli.series import steps_in
 from server.errors import LibraryError, ParameterError
@@ -52,7 +52,7 @@ COLOURS += ["-color_primaries", "bt709", "-color_trc", "iec61966-2-1", "-color_r
 
 
 @dataclass(frozen=True)
-class FilmRequest(PictureRequest):
+class FilmRequest(ReelRequest):
     """A film that is asked for: keyframes, seconds of film, and when a frame is good enough.
 
     Of a series the film goes through the steps that ``times`` names, each as long as the others.

@@ -16,7 +16,7 @@ from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.answers import defaults
 from server.cli.film_path import TURNS
-from server.cli.reel import PictureRequest, Reel, said
+from server.cli.reel import Reel, ReelRequest, said
 from server.errors import ParameterError
 from server.parameters import FrameParams, read
 from server.pictures import smoothed
@@ -36,7 +36,7 @@ PAGE = Path(__file__).with_name("published.html")
 
 
 @dataclass(frozen=True)
-class PageRequest(PictureRequest):
+class PageRequest(ReelRequest):
     """A page that is asked for. One that draws by itself may take so many ``megabytes``."""
 
     megabytes: float | None = None

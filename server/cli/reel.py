@@ -34,7 +34,7 @@ OPEN_STEPS = 2
 
 
 @dataclass(frozen=True)
-class PictureRequest:
+class ReelRequest:
     """Pictures that a command is asked for: the file or folder that they go to, and when one of them is good enough.
 
     A picture ends at the ``target_error``, or after ``seconds``; all of them by the ``deadline``, in seconds since the
@@ -116,7 +116,7 @@ class Reel:
         count = {"pictures": len(self.shots), "kept": self._kept}
         return {"scene": self._scene.name, **count, "width": first.width, "height": first.height}
 
-    def shoot(self, request: PictureRequest, settings: Settings) -> None:
+    def shoot(self, request: ReelRequest, settings: Settings) -> None:
         """Make the pictures that are missing, if any. Raises StoreError and WorkersError."""
         if not self.missing:
             return
@@ -127,7 +127,7 @@ class Reel:
                 if self.facts:
                     self._write_list()
 
-    def _shoot(self, engine: RenderEngine, request: PictureRequest, settings: Settings, bar: Progress) -> None:
+    def _shoot(self, engine: RenderEngine, request: ReelRequest, settings: Settings, bar: Progress) -> None:
         missing, shots, variants = self.missing, self.shots, Variants(engine, lambda _: None, most=OPEN_STEPS)
         if not self._placed:
             whole = seen_whole(engine.renderer(self._scene.id), list(shots.values()), settings)

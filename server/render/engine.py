@@ -28,8 +28,7 @@ from isogi_core.storage.url import StoreUrl
 from server.errors import UnknownSceneError
 from server.render.bakes import BACKGROUND, BackgroundBake, SideBakes, bake_name, make_bake
 from server.render.kernels import SceneKernels
-from server.render.loaded_scene import LoadedScene, load
-from server.render.loaded_scenes import LoadedScenes
+from server.render.loaded_scene import LoadedScene, LoadedScenes, load
 from server.render.path_times import Promises, time_of_paths
 from server.render.picture_checks import CHECK, PictureChecks
 from server.render.resources import root_of, shared, whereabouts
