@@ -1,4 +1,7 @@
-"""The baker: gives the workers tasks in the queue's order, and reports the light that has come."""
+"""The baker: gives the workers tasks in the queue's order, and reports the light that has come.
+
+While the store is away it pauses: one task now and then tries whether the store is back.
+"""
 
 import logging
 import threading

@@ -1,4 +1,4 @@
-"""Connections with deadlines and places, over uvicorn's own."""
+"""Connections over uvicorn's own: requests have deadlines and places, and what clients of streams break is no error."""
 
 import asyncio
 import logging

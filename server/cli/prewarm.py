@@ -27,7 +27,6 @@ from server.prewarm.work import carry_out, carry_out_dry, wanted
 from server.progress import Progress, open_scene
 from server.render.bakes import STALLED_SECONDS
 from server.render.engine import RenderEngine
-from server.render.jobs import Status
 from server.render.resources import root_of
 from server.settings import Settings
 from server.values import document_in
@@ -102,8 +101,11 @@ def prewarm_scene(
             what = wanted(context, order, settings)
             if dry:
                 return carry_out_dry(context, what)
-            with recorded(record, context):
-                return record.close(carry_out(context, what, lambda ahead: record.keep(ahead=ahead)))
+            try:
+                with record.kept(context, STOPPED):
+                    return record.close(carry_out(context, what, lambda ahead: record.keep(ahead=ahead)))
+            except KeyboardInterrupt:
+                raise Cancelled(STOPPED) from None
 
 
 def tell(summaries: Iterable[Summary], as_json: bool) -> int:
@@ -149,28 +151,6 @@ def desk_of(
         STALLED_SECONDS,
         begun=begun,
     )
-
-
-@contextmanager
-def recorded(record: Record, context: PrewarmContext) -> Iterator[None]:
-    """Keep the record of what is done meanwhile, and of how it ended where that is early."""
-    record.follow(context)
-    record.keep(status=Status.RUNNING)
-    draw = context.report
-
-    def report(step: Step) -> None:
-        draw(step)
-        record.report(step)
-
-    context.report = report
-    try:
-        yield
-    except KeyboardInterrupt:
-        record.keep(status=Status.DISMISSED, message=STOPPED)
-        raise Cancelled(STOPPED) from None
-    except Exception as error:
-        record.keep(status=Status.FAILED, message=str(error))
-        raise
 
 
 def fields_given(given: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,7 @@
-"""Files of isosurfaces and volumes with their light, as other tools take them, of the kind that their names say."""
+"""Files of isosurfaces and volumes with their light, as other tools take them, of the kind that their names say.
+
+A volume may also have what its light is the product of: coefficients of transfer and of the turned environment.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A loaded scene: its renderer over the store, and the prefetching of what the next isovalues of a slider need."""
+"""Loaded scenes: the renderer of each over the store, what it prefetches for a slider, and which stay in memory."""
 
 import gc
 import logging
