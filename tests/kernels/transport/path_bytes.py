@@ -1,6 +1,6 @@
 """Print a digest of what each kernel of paths adds up, over a grid of scenes; arguments name grids, else all run.
 
-A change of the loop of paths that is to keep all bits prints, on one machine, the lines that were printed before it: run
+After a change of the loop of paths that keeps all bits, the lines printed on one machine are equal: run
 ``python -m tests.kernels.transport.path_bytes`` at both commits. With NUMBA_DISABLE_JIT=1 Python runs a few paths.
 """
 
