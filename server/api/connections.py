@@ -1,61 +1,65 @@
-"""Connections with deadlines and places, over uvicorn's own; sockets that close without a reset."""
+"""Connections over uvicorn's own: requests have deadlines and places, and what clients of streams break is no error."""
 
 import asyncio
-import ctypes
 import logging
 import socket
-import struct
-import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any, cast
 
 import h11
 from starlette.types import Receive, Scope, Send
 from uvicorn import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from uvicorn.server import ServerState
 
 from server.api.requests import UPLOADS
-from server.api.stream_connection import StreamConnection
 from server.bearers import site_of
 from server.problems import problem
 from server.render.metrics import Metrics
 from server.settings import Settings
 
-HANDSHAKE = 0.1
-"""Seconds within which a handshake ends that had begun when newcomers were kept out."""
-
-SO_ATTACH_FILTER = 26
-LOAD_BYTE, JUMP_IF_SET, RETURN = 0x30, 0x45, 0x06
-FLAGS, SYN = 13, 0x02
-"""The byte of a TCP segment that holds its flags, and the one that asks for a connection."""
-
-NEWCOMERS_DROPPED = ((LOAD_BYTE, 0, 0, FLAGS), (JUMP_IF_SET, 0, 1, SYN), (RETURN, 0, 0, 0), (RETURN, 0, 0, 0xFFFFFFFF))
-"""A classic packet filter (code, jump if true, jump if false, value): drops what asks for a connection."""
+NO_TEXT = 1007
+"""The code that a stream is closed with whose text is no UTF-8 (RFC 6455, 7.4)."""
 
 
-def keep_newcomers_out(listener: socket.socket) -> None:
-    """Accept no connections but those whose handshake has begun; clients that come later ask again within a second.
-
-    That finds the port closed then, or the next server at it. Does nothing on systems other than Linux.
-    """
-    if sys.platform != "linux":
-        return
-    steps = b"".join(struct.pack("HBBI", *step) for step in NEWCOMERS_DROPPED)
-    code = ctypes.create_string_buffer(steps, len(steps))
-    listener.setsockopt(
-        socket.SOL_SOCKET, SO_ATTACH_FILTER, struct.pack("HP", len(NEWCOMERS_DROPPED), ctypes.addressof(code))
-    )
+UNREADABLE = b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
 
-def queued(listener: socket.socket) -> Iterator[socket.socket]:
-    """Connections that wait to be accepted: they would be reset when the listener is closed."""
-    while True:
-        try:
-            yield listener.accept()[0]
-        except OSError:
+class StreamConnection(WebSocketsSansIOProtocol):
+    """A stream's connection that leaves nothing in the log for what its client sends, or for being refused."""
+
+    def data_received(self, data: bytes) -> None:
+        """Read; refuse a handshake that cannot be read, such as one with too many headers, and close."""
+        super().data_received(data)
+        if self.conn.handshake_exc is not None and not self.handshake_initiated:
+            self.handshake_initiated = self.close_sent = True
+            self.transport.write(UNREADABLE)
+            self.transport.close()
+
+    async def send(self, message: Any) -> None:
+        """Send a message; with the end of a refusal the handshake is complete."""
+        await super().send(message)
+        if message["type"] == "websocket.http.response.body" and not message.get("more_body", False):
+            self.handshake_complete = True
+
+    def send_receive_event_to_app(self) -> None:
+        """Hand over a whole message; close where its text is no UTF-8."""
+        if self.curr_msg_data_type == "text" and not is_text(b"".join(self.frames)):
+            self.conn.send_close(NO_TEXT)
+            self.handle_parser_exception()
             return
+        super().send_receive_event_to_app()
+
+
+def is_text(data: bytes) -> bool:
+    """Whether these bytes are UTF-8."""
+    try:
+        data.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 log = logging.getLogger("isogi.connections")
