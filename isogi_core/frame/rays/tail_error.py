@@ -75,8 +75,8 @@ def measure_tail(wrong: np.ndarray, weights: np.ndarray, classes: np.ndarray, ex
     """
     errors = np.geomspace(LEAST, 1.0, STEPS)
     counts = weights / weights.sum()
-    likely = likelihoods(wrong, noise_of(wrong, classes), errors)
-    above = shares_above(likely, counts, shares_of(expected, errors))
+    seen = likelihoods(wrong, noise_of(wrong, classes), errors)
+    above = shares_above(seen, counts, shares_of(expected, errors))
     low, likely, high = (falls_below(SHARE, each, errors) for each in bounds(above, counts))
     return TailError(likely, low / MARGIN, min(high * MARGIN, 1.0))
 
