@@ -20,7 +20,7 @@ from isogi_core.frame.rays.control_pixels import ControlPixels, classes_of, spre
 TAIL_SHARE = 0.01
 """Share of a picture's pixels that may err by more."""
 
-MIN_ERROR, ERROR_STEPS = 1e-4, 80
+MIN_ERROR, ERRORS = 1e-4, 80
 """The least relative error that is told from none, and errors from there to 1, by equal factors."""
 
 ODD = 0.5
@@ -73,7 +73,7 @@ def measure_tail(wrong: np.ndarray, weights: np.ndarray, classes: np.ndarray, ex
     ``weights`` (k,) say what each counts among all pixels, and ``classes`` (k,) from 0 which controls have about
     as much noise. All pixels (m,) are ``expected`` to err by so much.
     """
-    errors = np.geomspace(MIN_ERROR, 1.0, ERROR_STEPS)
+    errors = np.geomspace(MIN_ERROR, 1.0, ERRORS)
     counts = weights / weights.sum()
     seen = likelihoods(wrong, noise_of(wrong, classes), errors)
     above = shares_above(seen, counts, shares_of(expected, errors))
@@ -89,14 +89,14 @@ def noise_of(wrong: np.ndarray, classes: np.ndarray) -> np.ndarray:
 
 
 def likelihoods(wrong: np.ndarray, variance: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """How likely what each control shows is if it errs by so much either way; (k, ERROR_STEPS), at most 1 in each row."""
+    """How likely what each control shows is if it errs by so much either way; (k, ERRORS), at most 1 in each row."""
     seen, spread = np.minimum(np.abs(wrong.mean(axis=1)), 1.0)[:, None], np.maximum(variance, MIN_ERROR**2)[:, None]
     apart = -((seen - errors) ** 2) / (2.0 * spread)
     return np.asarray(np.exp(apart - apart.max(axis=1, keepdims=True)))
 
 
 def shares_of(expected: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """The share of pixels that err by each of the ``errors``, where they are ``expected`` (m,) to err; (ERROR_STEPS,)."""
+    """The share of pixels that err by each of the ``errors``, where they are ``expected`` (m,) to err; (ERRORS,)."""
     borders = np.sqrt(errors[1:] * errors[:-1])
     of_scale = np.bincount(np.searchsorted(borders, expected), minlength=len(errors)) / len(expected)
     below = np.array([[math.erf(border / (math.sqrt(2.0) * scale)) for scale in errors] for border in borders])
@@ -105,7 +105,7 @@ def shares_of(expected: np.ndarray, errors: np.ndarray) -> np.ndarray:
 
 
 def shares_above(likely: np.ndarray, counts: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    """The chance that each control errs by more than each of the errors, whose shares are ``expected``; (k, ERROR_STEPS)."""
+    """The chance that each control errs by more than each of the errors, whose shares are ``expected``; (k, ERRORS)."""
     shares, trusted = expected, TRUSTED_CONTROLS / (TRUSTED_CONTROLS + len(counts))
     for _ in range(ROUNDS):
         found = shares * ((counts / (likely @ shares)) @ likely)
@@ -115,7 +115,7 @@ def shares_above(likely: np.ndarray, counts: np.ndarray, expected: np.ndarray) -
 
 
 def bounds(above: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The share of pixels that err by more than each of the errors, between the ends of its interval; (ERROR_STEPS,) each."""
+    """The share of pixels that err by more than each of the errors, with the ends of its interval; (ERRORS,) each."""
     likely, known = counts @ above, counts**2 @ above
     variance = known**2 / np.maximum(counts**2 @ above**2, 1e-300)
     one, square = 1.0 / len(counts), float((counts**2).mean())
@@ -134,7 +134,7 @@ def gamma_quantile(mean: np.ndarray, variance: np.ndarray, deviations: float) ->
 
 
 def falls_below(share: float, shares: np.ndarray, errors: np.ndarray) -> float:
-    """The error at which falling ``shares`` (ERROR_STEPS,) of pixels above an error come down to one; 0 to 1."""
+    """The error at which falling ``shares`` (ERRORS,) of pixels above an error come down to one; 0 to 1."""
     over = np.flatnonzero(shares > share)
     if not len(over):
         return 0.0
