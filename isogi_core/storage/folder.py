@@ -3,7 +3,7 @@
 import fcntl
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from isogi_core.errors import ChangedError
@@ -37,13 +37,24 @@ class Folder:
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
         """Write an object in place of ``former``; ChangedError where another was written meanwhile."""
         path = self.path / key
-        with opened(self.path / self.sentinel, os.O_RDWR) as lock:
+        with opened(self.path / self.sentinel, os.O_RDWR) as lock, self._partial(path, data) as written:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if self.get(key) != former:
+                raise ChangedError(f"Another writer has changed {key} meanwhile: read it again.")
+            os.replace(written, path)
+
+    @contextmanager
+    def _partial(self, path: Path, data: bytes) -> Iterator[Path]:
+        """A partial file for ``path``; its folder is made, and made again where a deleter removes it meanwhile."""
+        while True:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with partial_file(path, data) as written:
-                fcntl.flock(lock, fcntl.LOCK_EX)
-                if self.get(key) != former:
-                    raise ChangedError(f"Another writer has changed {key} meanwhile: read it again.")
-                os.replace(written, path)
+            with ExitStack() as stack:
+                try:
+                    written = stack.enter_context(partial_file(path, data))
+                except FileNotFoundError:
+                    continue
+                yield written
+                return
 
     def create_sentinel(self, data: bytes) -> None:
         """Write the sentinel, and bring it to the disk before anything else; ChangedError where there is one."""
