@@ -87,6 +87,7 @@ def texels_in(page: Path) -> int:
     return records
 
 
+@pytest.mark.slow
 def test_a_limit_takes_bits_from_the_light(small_scene: Path, store: Path, tmp_path: Path, capsys: Capture) -> None:
     scene, words = small_scene.with_name("fine.toml"), ("--target-error", "0.08")
     scene.write_text(small_scene.read_text().replace("lattice = 0.5", "lattice = 2.0"))
