@@ -14,6 +14,9 @@ ABSENT = (FileNotFoundError, NotADirectoryError)
 TRIAL = bytes(1 << 16)
 """Bytes that are written, and deleted, to see whether there is room."""
 
+TRIES = 9
+"""Times that a folder is made for an object while others delete it."""
+
 
 class Folder:
     """Objects as files under ``path``. Each is written beside its path and then renamed: it is whole or absent.
@@ -46,13 +49,15 @@ class Folder:
     @contextmanager
     def _partial(self, path: Path, data: bytes) -> Iterator[Path]:
         """A partial file for ``path``; its folder is made, and made again where a deleter removes it meanwhile."""
-        while True:
-            path.parent.mkdir(parents=True, exist_ok=True)
+        for left in reversed(range(TRIES)):
             with ExitStack() as stack:
                 try:
+                    path.parent.mkdir(parents=True, exist_ok=True)
                     written = stack.enter_context(partial_file(path, data))
-                except FileNotFoundError:
-                    continue
+                except (FileNotFoundError, FileExistsError):
+                    if left:
+                        continue
+                    raise
                 yield written
                 return
 

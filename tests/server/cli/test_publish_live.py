@@ -13,16 +13,11 @@ from isogi_core.frame.card.coding import Coding
 from server.cli.command import run
 from server.exports.live_page import IMPORT, page_files
 from tests.card_twin import read_coded
-from tests.server.inline import InlinePool
-from worker import pool
 
 Capture = pytest.CaptureFixture[str]
 
 
-@pytest.fixture(autouse=True)
-def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bake in this process."""
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+pytestmark = pytest.mark.usefixtures("inline")
 
 
 @pytest.fixture(scope="module")
