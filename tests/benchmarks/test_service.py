@@ -1,7 +1,5 @@
 """The service suite on something tiny: real servers, real clients."""
 
-import pytest
-
 from benchmarks.service.drag import drag
 from benchmarks.service.first_start import first_start
 from benchmarks.service.fuzz import fuzz
@@ -56,9 +54,7 @@ def test_malformed() -> None:
     assert found["other answers"] == "" and found["left after a kill"] == 0
 
 
-def test_first_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With kernels that are compiled in less time than good ones."""
-    monkeypatch.setenv("NUMBA_OPT", "1")
+def test_first_start() -> None:
     found = figures(first_start, "demo:orbital", "--size", "64")
     moments = [found[f"{what} after, s"] for what in ("ready", "first picture", "lit")]
     assert 0.0 < moments[0] <= moments[1] <= moments[2]
