@@ -65,7 +65,7 @@ def scene_facts(scene: Scene, lit: Scene, environment: str | None, service: Serv
     facts, notes = scene_schema(service.planned(lit)), service.engine.notes()
     facts.id, facts.environment = scene.id, environment
     facts.environments = environments(service.uploads)
-    facts.read_only = bool(notes)
+    facts.read_only = service.engine.store.read_only
     facts.plan.notes += notes
     return facts
 

@@ -107,17 +107,17 @@ def crowded(request: pytest.FixtureRequest, small_scene: Path, tmp_path: Path) -
         yield idle.url
 
 
-def test_twenty_people_each_see_the_cut_of_their_own(crowded: str, small_scene: Path) -> None:
+def test_eight_people_each_see_the_cut_of_their_own(crowded: str, small_scene: Path) -> None:
     """Each cut makes way for the next while it is drawn, or its light is requested."""
     x, views = middle(small_scene), 3
 
     async def person(client: httpx.AsyncClient, number: int) -> list[httpx.Response]:
-        view = {"cut": f"x>{x + number / 5}", "width": 24, "height": 24, "f": "npy"}
+        view = {"cut": f"x>{x + number / 2}", "width": 24, "height": 24, "f": "npy"}
         return [await client.get(f"{SCENE}/frame", params=view | {"azimuth": 10 * n}) for n in range(views)]
 
     async def people() -> list[list[httpx.Response]]:
         async with httpx.AsyncClient(base_url=crowded, timeout=60) as client:
-            return await asyncio.gather(*(person(client, number) for number in range(20)))
+            return await asyncio.gather(*(person(client, number) for number in range(8)))
 
     answers = [answer for each in asyncio.run(people()) for answer in each]
     assert {answer.status_code for answer in answers} == {200}

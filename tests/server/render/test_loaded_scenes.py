@@ -34,9 +34,8 @@ def scenes() -> list[Scene]:
 
 
 @pytest.fixture
-def engine(scenes: list[Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RenderEngine]:
+def engine(scenes: list[Scene], tmp_path: Path, inline: None) -> Iterator[RenderEngine]:
     """An engine in little memory that starts with one of the scenes."""
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
     with closing(RenderEngine(scenes[:1], str(tmp_path), memory=SMALL)) as engine:
         engine.start()
         yield engine
