@@ -16,23 +16,20 @@ DENSER = 2.0
 FURTHER = 2
 """Bands of harmonics that finer light has besides, of light that turns."""
 
-SURVEYS_KEPT = ("projection", "presets", "seen")
-"""What was surveyed of a volume, and holds for finer light too."""
-
 
 def has_finer(scene: Scene) -> bool:
     """Whether there is finer light of a ``scene``: not beyond FINEST, and not among walls, which have light of their
     own, nor of several surfaces.
     """
-    return DENSER * scene.lattice <= FINEST and not scene.room.any and not scene.several
+    return DENSER * scene.settings.lattice <= FINEST and not scene.lighting.room.any and not scene.surfaces.several
 
 
 def finer(scene: Scene) -> Scene:
     """The ``scene`` with finer light."""
-    lattice = DENSER * scene.lattice
+    lattice = DENSER * scene.settings.lattice
     source = replace(scene.source, document={**scene.source.document, "lattice": lattice})
-    plan = complete(further(scene.plan), scene.inputs, scene.overrides)
-    return scene.altered(SURVEYS_KEPT, source=source, lattice=lattice, plan=plan)
+    plan = complete(further(scene.plan), scene.inputs, scene.settings.overrides)
+    return replace(scene.with_settings(lattice=lattice), source=source, plan=plan)
 
 
 def further(plan: ScenePlan) -> ScenePlan:

@@ -32,22 +32,19 @@ def remade(scene: Scene, document: dict[str, Any], volume: Volume | None, name: 
     It has another id where there is a ``name``. The same light is as bright in pictures of both.
     """
     bare = {key: value for key, value in document.items() if volume is None or key not in FOLLOWED}
-    known = (scene.colours, scene.glowing.bits) if volume else (None, None)
+    known = (scene.surfaces.colours, scene.lighting.glowing.bits) if volume else (None, None)
     made = build_scene(replace(scene.source, document=bare), no_progress, volume, *known)
-    made = replace(made, source=replace(scene.source, document=document), id=name or made.id)
-    vars(made)["seen"] = scene.seen
-    return made
+    source = replace(scene.source, document=document)
+    return replace(made, source=source, id=name or made.id, exposed_for=scene.seen)
 
 
 def under(scene: Scene, environment: str, name: str) -> Scene:
     """The scene in the light of an ``environment``, as a scene file names it, by another id, ``name``.
 
-    It replaces all of the scene's [[lights]]; walls stay, and their luminaires. The volume and what was surveyed of it
-    are shared. Raises SceneError where the scene's own choices do not fit that light, and LightError.
+    It replaces all of the scene's [[lights]]; walls stay, and their luminaires. The volume is shared. Raises
+    SceneError where the scene's own choices do not fit that light, and LightError.
     """
-    other = remade(scene, {**scene.source.document, "environment": environment}, scene.volume, name)
-    vars(other).update(scene.surveys)
-    return other
+    return remade(scene, {**scene.source.document, "environment": environment}, scene.volume, name)
 
 
 def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) -> Scene:
@@ -78,18 +75,16 @@ def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) ->
     document = {**scene.source.document, "volume": f"{place}#{rest}" if rest else place, "time": time}
     other = remade(scene, document, volume, name)
     low, high = other.isovalues
-    return other.altered(("seen",), isovalue=min(max(scene.isovalue, low), high))
+    return replace(other, isovalue=min(max(scene.isovalue, low), high))
 
 
 def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:
     """The scene with other shares of rays that pass its pinned surfaces, and without surfaces of None, by another id.
 
-    The volume and what was surveyed of it are shared. Raises as ``build_scene`` does.
+    The volume is shared. Raises as ``build_scene`` does.
     """
-    document = put_clears(scene.source.document, [each.table for each in scene.pinned], clears)
-    made = remade(scene, document | {"rotating": scene.rotating}, scene.volume, name)
-    vars(made).update(scene.surveys)
-    return made
+    document = put_clears(scene.source.document, [each.table for each in scene.surfaces.pinned], clears)
+    return remade(scene, document | {"rotating": scene.lighting.rotating}, scene.volume, name)
 
 
 def with_hidden(scene: Scene, hidden: Hidden, name: str, like: Scene | None = None) -> Scene:
@@ -100,18 +95,17 @@ def with_hidden(scene: Scene, hidden: Hidden, name: str, like: Scene | None = No
     document = put_hidden(scene.source.document, hidden)
     if like is None:
         return remade(scene, document, None, name)
-    return remade(scene.altered(("seen",), colours=like.colours), document, like.volume, name)
+    coloured = replace(scene, surfaces=replace(scene.surfaces, colours=like.surfaces.colours), exposed_for=scene.seen)
+    return remade(coloured, document, like.volume, name)
 
 
 def with_material(scene: Scene, settings: MaterialSettings, name: str) -> Scene:
     """The scene of another material, by these ``settings`` of its surface, by another id, ``name``.
 
-    What only reflects is left behind: albedos of glass, and a range of them of a subsurface. The volume and what was
-    surveyed of it are shared. Raises as ``build_scene`` does.
+    What only reflects is left behind: albedos of glass, and a range of them of a subsurface. The volume is shared.
+    Raises as ``build_scene`` does.
     """
-    made = remade(scene, put_material(scene.source.document, settings), scene.volume, name)
-    vars(made).update(scene.surveys)
-    return made
+    return remade(scene, put_material(scene.source.document, settings), scene.volume, name)
 
 
 def made_of(scene: Scene, settings: MaterialSettings) -> bool:
@@ -123,7 +117,7 @@ def find_materials(scene: Scene) -> dict[str, Scene | str]:
     """The scene of each of MATERIALS, with the numbers that it has by itself; a sentence that says why where the scene
     cannot be of it.
     """
-    return {kind: scene if kind == scene.material.kind else _of_material(scene, kind) for kind in MATERIALS}
+    return {kind: scene if kind == scene.surfaces.material.kind else _of_material(scene, kind) for kind in MATERIALS}
 
 
 def _of_material(scene: Scene, kind: str) -> Scene | str:

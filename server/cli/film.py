@@ -119,13 +119,13 @@ def shots_of(
         raise ParameterError(f"length × fps must be 1 to {MOST_FRAMES:,} frames, not {count:,}.", "length")
     own = {"isovalue": repr(scene.isovalue), "exposure": repr(scene.default_exposure)}
     if not any(is_placed(view) for view in (knobs, *views)):
-        own["azimuth"], own["elevation"] = map(repr, front_of(scene.volume, scene.room.any))
-    if scene.colours is None:
-        own["albedo"] = ",".join(map(repr, scene.albedo))
-    if scene.shine is not None:
-        own |= {"shine": scene.shine.kind, "roughness": repr(scene.shine.roughness)}
-        own["strength"] = repr(scene.shine.strength)
-    own |= {"glow": "1.0"} if scene.glowing.any else {}
+        own["azimuth"], own["elevation"] = map(repr, front_of(scene.volume, scene.lighting.room.any))
+    if scene.surfaces.colours is None:
+        own["albedo"] = ",".join(map(repr, scene.surfaces.albedo))
+    if scene.surfaces.shine is not None:
+        own |= {"shine": scene.surfaces.shine.kind, "roughness": repr(scene.surfaces.shine.roughness)}
+        own["strength"] = repr(scene.surfaces.shine.strength)
+    own |= {"glow": "1.0"} if scene.lighting.glowing.any else {}
     own |= {"max_error": repr(wishes.target_error or scene.target_error), "f": "png"}
     path = film_path(knobs, views, own, count, still=wishes.times is not None)
     if wishes.times is not None:

@@ -358,7 +358,7 @@ class RenderEngine:
     def _checked(self, scene: str, view: View, more: bool) -> None:
         """Say that a picture was checked one step further; what walls keep for its isovalue may be too much."""
         named = self.scenes.get(scene)
-        if not more and named is not None and named.room.any:
+        if not more and named is not None and named.lighting.room.any:
             self._beside.lit(scene, view.isovalue)
         for listener in self._listeners:
             listener(self.bake_of(scene, view), CHECK, more)

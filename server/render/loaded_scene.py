@@ -276,7 +276,7 @@ def loaded(
     prepared, scene = caches.prepared, caches.prepared.scene
     # worked out now, not in the first frame
     prepared.field, prepared.maps, scene.projection, scene.default_exposure, caches.chunk_store("gi")
-    planned = scene.with_plan(complete(caches.spec("gi").plan, scene.inputs, scene.overrides))
+    planned = replace(scene, plan=complete(caches.spec("gi").plan, scene.inputs, scene.settings.overrides))
     prefetch = Prefetch(partial(prepare, prepared.maps, tiles), prepared.maps.levels, scene.span)
     renderer = Renderer(caches, tiles, memory.views, stand_in=stand_in)
     return LoadedScene(planned, renderer, prefetch, memory, assets, fineness, whole)

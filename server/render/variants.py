@@ -132,7 +132,7 @@ def own_name(scene: str) -> str:
 
 def variant_name(scene: Scene, change: Change) -> str:
     """The id of the variant of a ``scene`` that a ``change`` makes. Raises ParameterError."""
-    clears, hidden, made = change.clears(len(scene.pinned)), change.hidden, change.made_of
+    clears, hidden, made = change.clears(len(scene.surfaces.pinned)), change.hidden, change.made_of
     beside = "" if clears is None else BESIDE + ",".join(HIDDEN if each is None else f"{each!r}" for each in clears)
     without = "" if hidden is None else WITHOUT + ",".join(map(str, hidden))
     material = "" if made is None else MADE_OF + write_material_text(made)
@@ -260,7 +260,7 @@ class Variants:
         Raises ParameterError where the scene's own choices do not fit that light, its file is damaged, or the volume
         cannot be shown so, and BusyError while kernels of another material are compiled.
         """
-        name, clears = variant_name(scene, change), change.clears(len(scene.pinned))
+        name, clears = variant_name(scene, change), change.clears(len(scene.surfaces.pinned))
         with self._making:
             if (known := self.known(name)) is not None:
                 return known
@@ -270,7 +270,7 @@ class Variants:
             made = made if change.made_of is None else self._made_of(made, name, change.made_of)
             made = made if place is None else self._lit(made, name, place)
             made = made if change.cut is None else self._cut(made, name, change.cut)
-            if made.material != scene.material:
+            if made.surfaces.material != scene.surfaces.material:
                 self._check_compiled(scene, made)
             self._engine.admit(made)
             self._remember(name, change, place)

@@ -99,12 +99,12 @@ async def read_sky(request: Request, scene: SceneDep, params: SkyParamsDep, serv
 def painted(request: Request, scene: Scene, params: SkyParams) -> Response:
     """The picture of a scene's light, or that it is the one that the client has."""
     orientation = scene.volume.orientation
-    turn = orientation.matrix if orientation.turned and not scene.rotating else None
-    tag = tag_of(FORMAT, scene.environment.digest, scene.lamps.digest, params.width, params.f)
+    turn = orientation.matrix if orientation.turned and not scene.lighting.rotating else None
+    tag = tag_of(FORMAT, scene.lighting.environment.digest, scene.lighting.lamps.digest, params.width, params.f)
     headers = {"ETag": tag, "Cache-Control": FOR_EVER if params.version == tag.strip('"') else "no-cache"}
     if matches(request.headers.get("if-none-match"), tag):
         return Response(status_code=304, headers=headers)
-    picture = paint_panorama(scene.environment, scene.lamps, params.width, turn)
+    picture = paint_panorama(scene.lighting.environment, scene.lighting.lamps, params.width, turn)
     return Response(compress(picture, params.f), 200, headers, MEDIA_TYPES[params.f])
 
 

@@ -192,7 +192,7 @@ def test_few_cuts_are_kept_and_share_their_voxels(small_scene: Path, tmp_path: P
         variants, x = Variants(engine, place, most=3, most_cuts=2, room=0), own.volume.world_centre[0]
         one = asyncio.run(variants.of(own, Change(cut=f"x>{x}")))
         lit = asyncio.run(variants.of(own, Change("noon", f"x> {x}")))
-        assert lit.volume is one.volume and lit.environment is not one.environment
+        assert lit.volume is one.volume and lit.lighting.environment is not one.lighting.environment
         assert asyncio.run(variants.of(own, Change(cut=f" x>{x}"))) is one
         asyncio.run(variants.of(own, Change("studio")))
         asyncio.run(variants.of(own, Change(cut=f"x>{x + 1}")))

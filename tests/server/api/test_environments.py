@@ -78,7 +78,7 @@ def test_its_sky_is_painted(live_server: str, small_scene: Path) -> None:
     from PIL import Image
 
     picture = np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGB"))
-    assert np.array_equal(picture, paint_panorama(scene.environment, scene.lamps, 64))
+    assert np.array_equal(picture, paint_panorama(scene.lighting.environment, scene.lighting.lamps, 64))
 
 
 @pytest.mark.parametrize("route", ["", "/frame", "/coverage", "/events", "/sky"])

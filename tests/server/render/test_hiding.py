@@ -30,7 +30,7 @@ def test_variants_that_hide_the_same_share_their_voxels(engine: RenderEngine) ->
     without = asyncio.run(variants.of(own, Change(hide="3")))
     lit = asyncio.run(variants.of(own, Change("studio", hide=" 3")))
     assert without.volume is lit.volume and without.volume.digest != own.volume.digest
-    assert without.colours is lit.colours and without.plan.channels == own.plan.channels
+    assert without.surfaces.colours is lit.surfaces.colours and without.plan.channels == own.plan.channels
     cut = asyncio.run(variants.of(own, Change(cut="x>4", hide="3")))
     assert labels_of(cut.id) == "!3" and not np.array_equal(cut.volume.voxels, without.volume.voxels)
     assert set(engine.scenes) == {"seg", lit.id, cut.id}, "those with voxels of their own are few"

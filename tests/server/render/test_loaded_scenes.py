@@ -44,7 +44,7 @@ def engine(scenes: list[Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 def test_scenes_under_the_same_light_share_it(scenes: list[Scene]) -> None:
     first, second, third = scenes
-    assert first.environment is second.environment is not third.environment
+    assert first.lighting.environment is second.lighting.environment is not third.lighting.environment
     assert first.inputs.harmonics is second.inputs.harmonics
 
 

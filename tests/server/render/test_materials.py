@@ -36,7 +36,7 @@ def test_a_material_is_named_in_the_variants_id(engine: RenderEngine) -> None:
     name = variant(engine, Change("studio", material=" glass, index=1.30"))
     assert name == "orbital@studio=glass,index=1.3"
     made = engine.scenes[name]
-    assert made.volume is own.volume and made.material.index == 1.3 and not made.bakes
+    assert made.volume is own.volume and made.surfaces.material.index == 1.3 and not made.bakes
     assert variant(engine, Change("studio", material="glass,index=1.3")) == name
     assert variant(engine, Change(material="diffuse")) == "orbital", "its own is no variant"
     assert variant(engine, Change(material="subsurface,mean_free_path=1e20")).endswith("path=1e20")
