@@ -192,21 +192,27 @@ class Scene:
     def texels(self) -> TexelCount:
         """Texels of the lattice, and how many of them views can show."""
         facts = self.lattice_shape, *self.span, self.settings.chunk
-        return found(self.volume, ("texels", *facts), partial(count_texels, self._bare_field, *facts))
+        return found(self.volume, ("texels", *facts, *self._rays), partial(count_texels, self._bare_field, *facts))
 
     @property
     def projection(self) -> ProjectionPlan:
         """At which isovalues texels are projected."""
         if self.settings.projected is not None:
             return ProjectionPlan.settled(self.span, self.settings.projected)
-        facts, rays = (self.span, self.start, self.target_error), (self.settings.normals, self.settings.offset)
-        return found(self.volume, ("projection", *facts, *rays), partial(plan_projection, self._bare_field, *facts))
+        facts = self.span, self.start, self.target_error
+        find = partial(plan_projection, self._bare_field, *facts)
+        return found(self.volume, ("projection", *facts, *self._rays), find)
 
     @property
     def levels(self) -> tuple[float, ...]:
         """Isovalues that pinned surfaces' light is kept for, ascending, and mixed between."""
         facts = self.isovalues, (self.isovalue, *(each.isovalue for each in self.settings.presets))
         return found(self.volume, ("levels", *facts), partial(find_levels, self.volume, *facts))
+
+    @property
+    def _rays(self) -> tuple[str, float]:
+        """The settings of rays that meet the volume."""
+        return self.settings.normals, self.settings.offset
 
     @property
     def _bare_field(self) -> Field:
@@ -221,7 +227,7 @@ class Scene:
         if own or (colours is not None and colours.scale.labels):
             return own
         find = partial(find_boundaries, self.volume, self.isovalues)
-        return suggested_presets(found(self.volume, ("boundaries", self.isovalues), find))
+        return found(self.volume, ("presets", self.isovalues), lambda: suggested_presets(find()))
 
     @property
     def stops(self) -> SampledRange:
@@ -294,9 +300,8 @@ class Scene:
     @property
     def departures(self) -> list[Any]:
         """Settings of rays and chunks that differ from the defaults; digests hold these alone, and old ones last."""
-        normals, offset, chunk = self.settings.normals, self.settings.offset, self.settings.chunk
-        rays = [] if (normals, offset) == (NORMALS[0], OFFSET) else [normals, offset]
-        return rays if chunk == CHUNK else [*rays, chunk]
+        rays = [] if self._rays == (NORMALS[0], OFFSET) else [*self._rays]
+        return rays if self.settings.chunk == CHUNK else [*rays, self.settings.chunk]
 
     def plan_digest(self, plan: ScenePlan, shown: Isovalue | None = None) -> str:
         """Digest (hex) of all layers of a ``plan`` for this scene."""
