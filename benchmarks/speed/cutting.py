@@ -23,7 +23,8 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from server.cli.bench import view_of
 from server.render.engine import RenderEngine
-from server.render.variants import Change, Variants
+from server.render.scene_variant import Change
+from server.render.variants import Variants
 from server.report.command import STAND
 
 SHARE, PATIENCE, STEP = 0.1, 200.0, 0.1

@@ -23,7 +23,8 @@ from server.pictures import SUFFIXES, encode
 from server.progress import Progress, compiling
 from server.render.engine import RenderEngine
 from server.render.resources import root_of
-from server.render.variants import Change, Variants
+from server.render.scene_variant import Change, SceneVariant
+from server.render.variants import Variants
 from server.render.workforce import scheduler_of
 from server.settings import Settings
 from server.views import view_of
@@ -117,8 +118,8 @@ class Reel:
 
     def _at(self, variants: Variants, time: int | None) -> Scene:
         """The scene at a step of its series; itself where none is named. Raises ParameterError."""
-        change = Change(time=time).apart_from(self._scene)
-        return self._scene if time is None or change == Change() else variants.make(self._scene, change, None)
+        variant = SceneVariant.of(self._scene, Change(time=time))
+        return variants.make(self._scene, variant, None) if variant.any else self._scene
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,6 @@ from server.parameters import (
 )
 from server.pictures import MEDIA_TYPES, compress
 from server.problems import documented_problems
-from server.render.variants import MARK
 from server.schemas import (
     EnvironmentList,
     EnvironmentSchema,
@@ -46,8 +45,7 @@ router = APIRouter(prefix="/v1/scenes", tags=["scenes"])
 @router.get("", dependencies=[NoParamsDep], responses=documented_problems(422))
 async def list_scenes(service: ServiceDep) -> SceneList:
     """All scenes, each with the address of its document."""
-    own = [scene for scene in service.engine.scenes.values() if MARK not in scene.id]
-    links = [SceneLink(id=s.id, name=s.name, href=f"/v1/scenes/{s.id}") for s in own]
+    links = [SceneLink(id=s.id, name=s.name, href=f"/v1/scenes/{s.id}") for s in service.engine.own_scenes]
     for link in links:
         link.volume = href(link.id) if link.id in service.uploads.folder.volumes else None
     return SceneList(scenes=links, uploads=limits(service.uploads))

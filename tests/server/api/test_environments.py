@@ -14,7 +14,8 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.store import Store
 from server.parameters import FrameParams
 from server.render.engine import RenderEngine
-from server.render.variants import Change, Variants
+from server.render.scene_variant import Change
+from server.render.variants import Variants
 from server.settings import Settings
 from server.views import view_of
 from tests.server.sockets import pictures_on
