@@ -18,7 +18,7 @@ from isogi_core.model.colours import hex_of
 from isogi_core.model.environment import Lobe
 from isogi_core.model.lights import ENVIRONMENTS, Light
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.shine import KINDS
+from isogi_core.model.shine import KINDS, SHINE_KNOBS
 from isogi_core.model.view import SHADINGS, Vec3, View
 from isogi_core.plan.first_view import front_of
 from isogi_core.plan.left_out import S1_BYTES
@@ -249,8 +249,8 @@ def defaults(scene: Scene) -> dict[str, float | str]:
     """What each parameter is where it is left out."""
     fixed: dict[str, Any] = {name: FrameParams.model_fields[name].default for name in DEFAULTS}
     albedo = {} if scene.surfaces.albedos is None else {"albedo": albedo_text(scene)}
-    shine = asdict(scene.surfaces.shine) if scene.surfaces.shine else {}
-    shine = {"shine": shine.pop("kind"), **shine} if shine else {}
+    own = scene.surfaces.shine
+    shine = {} if own is None else {name: getattr(own, field) for name, field in SHINE_KNOBS.items()}
     fixed["projection"] = scene.settings.projection
     glow = {"glow": 1.0} if scene.lighting.glowing.any else {}
     time, times = scene.volume.moment

@@ -1,10 +1,9 @@
 """The view that parameters ask for, of a scene."""
 
 from dataclasses import replace
-from typing import Any
 
 from isogi_core.errors import ViewError
-from isogi_core.model.shine import Shine
+from isogi_core.model.shine import SHINE_KNOBS, Shine
 from isogi_core.model.view import (
     IDENTITY,
     Camera,
@@ -72,14 +71,13 @@ def albedo_of(scene: Scene, params: ViewParams) -> Vec3 | None:
 
 def shine_of(scene: Scene, params: ViewParams) -> Shine | None:
     """The shine asked for, None where it is the scene's; ParameterError where the scene has none to be changed."""
-    asked = {"kind": params.shine, "roughness": params.roughness, "strength": params.strength}
-    given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
+    given = {name: getattr(params, name) for name in SHINE_KNOBS if getattr(params, name) is not None}
     if not given:
         return None
     if scene.surfaces.shine is None:
-        name = next(name for name in ("shine", "roughness", "strength") if getattr(params, name) is not None)
+        name = next(iter(given))
         raise ParameterError(f"{name} is for scenes that shine: leave it out, or give the scene a [shine] table.", name)
-    shine = replace(scene.surfaces.shine, **given)
+    shine = replace(scene.surfaces.shine, **{SHINE_KNOBS[name]: value for name, value in given.items()})
     return None if shine == scene.surfaces.shine else shine
 
 

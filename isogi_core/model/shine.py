@@ -1,7 +1,7 @@
 """Shine: how a surface mirrors light, roughly, besides what it scatters; a coat of plastic, or metal."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from isogi_core.errors import SceneError, ViewError, advice
@@ -39,6 +39,9 @@ class Shine:
         """GGX's α (Burley 2012)."""
         return self.roughness**2
 
+
+SHINE_KNOBS = {"shine" if each.name == "kind" else each.name: each.name for each in fields(Shine)}
+"""Parameters of views that change the shine, and the fields of Shine that they are."""
 
 DULL = Shine(strength=0.0)
 """What views ask for that are to show diffuse light alone."""

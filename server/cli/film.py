@@ -9,6 +9,7 @@ from typing import Any
 from urllib.parse import quote
 
 from isogi_core.errors import ViewError
+from isogi_core.model.shine import SHINE_KNOBS
 from isogi_core.plan.first_view import front_of
 from isogi_core.plan.scene import Scene
 from server.cli.documents import document_in
@@ -123,8 +124,7 @@ def shots_of(
     if scene.surfaces.colours is None:
         own["albedo"] = ",".join(map(repr, scene.surfaces.albedo))
     if scene.surfaces.shine is not None:
-        own |= {"shine": scene.surfaces.shine.kind, "roughness": repr(scene.surfaces.shine.roughness)}
-        own["strength"] = repr(scene.surfaces.shine.strength)
+        own |= {name: f"{getattr(scene.surfaces.shine, field)}" for name, field in SHINE_KNOBS.items()}
     own |= {"glow": "1.0"} if scene.lighting.glowing.any else {}
     own |= {"max_error": repr(wishes.target_error or scene.target_error), "f": "png"}
     path = film_path(knobs, views, own, count, still=wishes.times is not None)
