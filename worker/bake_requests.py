@@ -14,12 +14,6 @@ from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.prepared.prepared_scene import Index
 from worker.tasks import BakeResult
 
-FIRST_TASK = 0.1
-"""Processor seconds that a task is assumed to need before any has ended."""
-
-MEMORY = 0.9
-"""Weight of the past in the running mean of a task's length."""
-
 
 @dataclass(frozen=True)
 class Viewer:
@@ -39,40 +33,6 @@ class Viewer:
 
 GUEST = Viewer()
 """A viewer without a name."""
-
-
-@dataclass(eq=False)
-class Shares:
-    """Fair shares of the workers: the client ``served`` fewest processor seconds is next (start-time fair queueing).
-
-    A client that begins to wait starts level with the one served now: it saves nothing up while it asks for nothing.
-    """
-
-    served: dict[Hashable, float] = field(default_factory=dict)
-    level: float = 0.0
-    usual: float = FIRST_TASK
-
-    def turns(self, waiting: Collection[Hashable]) -> list[Hashable]:
-        """Sort waiting clients by the processor seconds they were served; ties keep their order."""
-        kept = {client: seconds for client, seconds in self.served.items() if seconds > self.level}
-        self.served = kept | {client: kept.get(client, self.level) for client in waiting}
-        return sorted(waiting, key=self.served.__getitem__)
-
-    def begin(self, first: Hashable, clients: Collection[Hashable]) -> float:
-        """Begin a task for these clients, in the turn of the ``first``; returns the seconds charged in advance."""
-        self.level = self.served[first]
-        self._charge(clients, self.usual)
-        return self.usual
-
-    def end(self, clients: Collection[Hashable], charged: float, seconds: float) -> None:
-        """End a task that took so many ``seconds``: correct what the clients were ``charged`` when it began."""
-        self._charge(clients, seconds - charged)
-        self.usual = MEMORY * self.usual + (1.0 - MEMORY) * seconds
-
-    def _charge(self, clients: Collection[Hashable], seconds: float) -> None:
-        """Charge each of the clients an even part."""
-        for client in clients:
-            self.served[client] = self.served.get(client, self.level) + seconds / len(clients)
 
 
 Key = tuple[str, Index]

@@ -18,8 +18,9 @@ import numpy as np
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.prepared.prepared_scene import Index
-from worker.bake_requests import GUEST, SHORT_TASK_SECONDS, BakeRequest, Key, Shares, Viewer
+from worker.bake_requests import GUEST, SHORT_TASK_SECONDS, BakeRequest, Key, Viewer
 from worker.client_queues import ClientQueues, Rank
+from worker.fair_turns import Shares
 from worker.tasks import BakeResult
 
 FORGET_AFTER, LOOK = 60.0, 1.0

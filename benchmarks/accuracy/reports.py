@@ -15,9 +15,9 @@ from benchmarks.accuracy.summary import summary_of
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import SIX, Subject, scene_of
 from benchmarks.common.suite import part
+from isogi_report.command import STAND, Wishes, report_of, sentence
+from isogi_report.speed import view_of
 from server.cli.arguments import duration
-from server.cli.bench import view_of
-from server.report.command import STAND, Wishes, report_of, sentence
 
 
 @part(size=112)

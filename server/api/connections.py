@@ -1,13 +1,10 @@
-"""Connections with deadlines and places, over uvicorn's own; sockets that close without a reset."""
+"""Connections with deadlines and places, over uvicorn's own."""
 
 import asyncio
-import ctypes
 import logging
 import socket
-import struct
-import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any, cast
 
 import h11
@@ -22,41 +19,6 @@ from server.bearers import site_of
 from server.problems import problem
 from server.render.metrics import Metrics
 from server.settings import Settings
-
-HANDSHAKE = 0.1
-"""Seconds within which a handshake ends that had begun when newcomers were kept out."""
-
-SO_ATTACH_FILTER = 26
-LOAD_BYTE, JUMP_IF_SET, RETURN = 0x30, 0x45, 0x06
-FLAGS, SYN = 13, 0x02
-"""The byte of a TCP segment that holds its flags, and the one that asks for a connection."""
-
-NEWCOMERS_DROPPED = ((LOAD_BYTE, 0, 0, FLAGS), (JUMP_IF_SET, 0, 1, SYN), (RETURN, 0, 0, 0), (RETURN, 0, 0, 0xFFFFFFFF))
-"""A classic packet filter (code, jump if true, jump if false, value): drops what asks for a connection."""
-
-
-def keep_newcomers_out(listener: socket.socket) -> None:
-    """Accept no connections but those whose handshake has begun; clients that come later ask again within a second.
-
-    That finds the port closed then, or the next server at it. Does nothing on systems other than Linux.
-    """
-    if sys.platform != "linux":
-        return
-    steps = b"".join(struct.pack("HBBI", *step) for step in NEWCOMERS_DROPPED)
-    code = ctypes.create_string_buffer(steps, len(steps))
-    listener.setsockopt(
-        socket.SOL_SOCKET, SO_ATTACH_FILTER, struct.pack("HP", len(NEWCOMERS_DROPPED), ctypes.addressof(code))
-    )
-
-
-def queued(listener: socket.socket) -> Iterator[socket.socket]:
-    """Connections that wait to be accepted: they would be reset when the listener is closed."""
-    while True:
-        try:
-            yield listener.accept()[0]
-        except OSError:
-            return
-
 
 log = logging.getLogger("isogi.connections")
 

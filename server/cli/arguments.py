@@ -20,7 +20,7 @@ MODULES = {
     "serve": "server.cli.serve",
     "render": "server.cli.render",
     "reference": "server.cli.render",
-    "report": "server.report.command",
+    "report": "isogi_report.command",
     "prewarm": "server.cli.prewarm",
     "prewarm --server": "server.cli.remote_prewarm",
     "export": "server.cli.export",
@@ -29,7 +29,7 @@ MODULES = {
     "publish --interactive": "server.cli.publish_live",
     "inspect": "server.inspect.text",
     "convert": "server.cli.convert",
-    "bench": "server.cli.bench",
+    "bench": "isogi_report.speed",
     "store": "server.cli.store",
 }
 """The module that does a command's work; ``options`` checks what commands are given, for which it loads pydantic."""

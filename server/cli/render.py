@@ -10,14 +10,17 @@ from typing import Any
 
 from tqdm import tqdm
 
+from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import ViewError
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from isogi_core.report.reference import Goal, Reference, grow, load_reference, save_reference, with_bounces
+from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.reference import Goal, Reference, grow, load_reference, save_reference, with_bounces
 from isogi_core.storage.atomic_file import write_whole
 from server.answers import coverage_schema
-from server.cli.bench import make_renderer
 from server.cli.first_camera import is_placed, seen_whole
 from server.parameters import FrameParams, ViewParams, read
 from server.pictures import SUFFIXES, encode, format_for, smoothed
@@ -33,6 +36,9 @@ from worker.progress import TimeLeft
 
 FRAME_SECONDS = 2.0
 """Seconds between two frames, while light is baked."""
+
+REFERENCE_BYTES = 1 << 30
+"""Bytes of light that the renderer of a reference may hold."""
 
 
 def render(
@@ -186,7 +192,8 @@ def grow_file(scene: Scene, view: View, output: Path, goal: Goal) -> dict[str, A
     former = load_reference(output, scene, view) if output.exists() else None
     found = former
     with tempfile.TemporaryDirectory(prefix="isogi-reference-") as store, tqdm(unit="path", unit_scale=True) as bar:
-        for found in grow(make_renderer(scene, store), view, goal, former, progress=bar.update):
+        renderer = Renderer(Caches(PreparedScene(scene), store, REFERENCE_BYTES), Tiles())
+        for found in grow(renderer, view, goal, former, progress=bar.update):
             save_reference(output, found, scene, view)
             show_noise(bar, found, goal)
     assert found is not None, "one round is made in any case"

@@ -7,7 +7,7 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import click
@@ -17,7 +17,7 @@ from fastapi import FastAPI
 from isogi_core.errors import IsogiError
 from server import logs
 from server.api.app import create_app
-from server.api.connections import HANDSHAKE, Connection, ServerConfig, keep_newcomers_out, queued
+from server.api.connections import Connection, ServerConfig
 from server.api.service import Service
 from server.api.shutdown import Closing
 from server.progress import compiling, open_scene, say
@@ -74,6 +74,15 @@ def listen(host: str, port: int) -> socket.socket:
         ) from error
 
 
+def queued(listener: socket.socket) -> Iterator[socket.socket]:
+    """Connections that wait to be accepted: they would be reset when the listener is closed."""
+    while True:
+        try:
+            yield listener.accept()[0]
+        except OSError:
+            return
+
+
 class Server(uvicorn.Server):
     """Serves an app that ``create_app`` made; when it stops, requests come to their end first."""
 
@@ -86,12 +95,9 @@ class Server(uvicorn.Server):
         self.stopping = stopping
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Take no more connections, answer what was asked, and then close the app."""
+        """Take the connections that wait and no more, answer what was asked, and then close the app."""
         self.stopping()
         self.closing.begin()
-        for listener in sockets or ():
-            keep_newcomers_out(listener)
-        await asyncio.sleep(HANDSHAKE)
         last = [each for listener in sockets or () for each in queued(listener)]
         for server in self.servers:
             server.close()

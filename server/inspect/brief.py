@@ -4,8 +4,7 @@ from collections.abc import Iterator
 
 from isogi_core.plan.scene import Scene
 from server.inspect.inspection import MEETS, WORTH, ErrorSchema, InspectionSchema, SurfaceSchema, percent, span
-from server.inspect.wrapping import LEAD, wrapped
-from server.report.heading import axes, by, reflects
+from server.inspect.rows import LEAD, axes, by, reflects, wrapped
 
 TEXELS = 2
 """Texels of a cell that a surface passes, about, where voxels have one texel: neighbouring cells share most."""

@@ -17,9 +17,8 @@ from server.inspect.inspection import (
     percent,
     span,
 )
-from server.inspect.wrapping import LEAD, wrapped
+from server.inspect.rows import LEAD, omission, plan_rows, summary, wrapped
 from server.progress import open_scene
-from server.report.heading import omission, plan_rows, summary
 
 BINS = 24
 BAR = 48

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from server.errors import BusyError
+from worker.fair_turns import Account, FairClock
 
 USUAL_WORK_SECONDS = 0.02
 """Seconds that a client's work is taken to need before any has ended."""
@@ -23,22 +24,16 @@ DEBT = 2.0
 
 
 @dataclass(eq=False)
-class Client:
+class Client(Account):
     """One that has work done, and has its turn when it took less than all others that wait.
 
-    ``spent`` are the seconds that its work took, by its ``weight``, on the queue's own clock. While it has a ``claim``
-    it waits, or left the queue before it had a place: what it brings next stands where that stood.
+    Its work ``usual``-ly takes so many seconds. While it has a ``claim`` it waits, or left the queue before it had a
+    place: what it brings next stands where that stood.
     """
 
-    weight: float = 1.0
-    spent: float = 0.0
     usual: float = USUAL_WORK_SECONDS
     claim: bool = False
     open: int = 0
-
-    def pay(self, seconds: float, now: float) -> None:
-        """Charge the client with ``seconds`` of work; the queue's clock is at ``now``."""
-        self.spent = min(self.spent + seconds / self.weight, now + DEBT)
 
 
 @dataclass(eq=False)
@@ -72,17 +67,16 @@ class Rank:
 
 
 class FairSemaphore:
-    """So many ``places``, shared evenly among clients by the time that their work takes (start-time fair queueing).
+    """So many ``places``, shared evenly among clients by the time that their work takes: see ``FairClock``.
 
-    A client that comes again begins where the queue's clock is: nothing that waited before gives it a turn of its own,
-    and nobody waits longer than all others take once. While others are ``pressed`` one place alone is given: that
-    which ends passes on as many as may be by then. Where turns are ``even``, each counts alike however long it takes.
+    While others are ``pressed`` one place alone is given: that which ends passes on as many as may be by then. Where
+    turns are ``even``, each counts alike however long it takes.
     """
 
     def __init__(self, places: int, pressed: Callable[[], bool] = lambda: False, even: bool = False) -> None:
         self._places = self._free = places
         self._pressed, self._even = pressed, even
-        self._now = 0.0
+        self._clock = FairClock(DEBT)
         self._waiting: list[tuple[Rank, asyncio.Future[None]]] = []
 
     @asynccontextmanager
@@ -90,7 +84,7 @@ class FairSemaphore:
         """A place for the block. Raises BusyError where there is none until the rank gives up."""
         client = rank.client
         if not client.claim and not client.open:
-            client.spent = max(client.spent, self._now)
+            self._clock.join(client)
         client.claim = True
         client.open += 1
         try:
@@ -110,7 +104,7 @@ class FairSemaphore:
 
     def at_rest(self, client: Client) -> bool:
         """Whether a client neither waits nor works, nor took more than the others."""
-        return not client.open and client.spent <= self._now
+        return not (client.open or self._clock.is_ahead(client))
 
     @contextmanager
     def _paid(self, rank: Rank) -> Iterator[None]:
@@ -118,14 +112,14 @@ class FairSemaphore:
         client, loop = rank.client, asyncio.get_running_loop()
         begun, usual, client.claim = loop.time(), client.usual, False
         rank.turn = client.spent if rank.turn is None else rank.turn
-        self._now = max(self._now, rank.turn)
-        client.pay(usual, self._now)
+        self._clock.serve(rank.turn)
+        self._clock.charge(client, usual)
         try:
             yield
         finally:
             took = usual if self._even else loop.time() - begun
             client.usual += FRESH * (took - usual)
-            client.pay(took - usual, self._now)
+            self._clock.charge(client, took - usual)
 
     async def _wait(self, rank: Rank) -> None:
         place: asyncio.Future[None] = asyncio.get_running_loop().create_future()

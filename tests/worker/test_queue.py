@@ -385,7 +385,7 @@ def test_a_chunk_that_two_see_counts_for_both(queue: BakeQueue) -> None:
     request(queue, (1, 10.0), (2, 8.0), viewer=ANNA)
     request(queue, (2, 8.0), viewer=BERT)
     assert [take(queue) for _ in range(2)] == [2, 1]
-    assert queue.shares.served["Anna"] > queue.shares.served["Bert"]
+    assert queue.shares.accounts["Anna"].spent > queue.shares.accounts["Bert"].spent
 
 
 def test_of_equals_the_nearest_to_final_comes_first(queue: BakeQueue) -> None:

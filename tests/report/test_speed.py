@@ -11,7 +11,7 @@ import pytest
 
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from server.cli.bench import QUICK, bounce, cast, isovalues_near, primary_rays, table, take_turns
+from isogi_report.speed import QUICK, bounce, cast, isovalues_near, primary_rays, table, take_turns
 from server.cli.command import run
 
 NUMBERS = {

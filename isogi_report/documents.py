@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.report.sections import Column, Curve, Picture, Plot, Section, Table
+from isogi_report.sections import Column, Curve, Picture, Plot, Section, Table
 
 Document = dict[str, Any]
 

@@ -13,10 +13,10 @@ from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
-from isogi_core.report.bake import Bake, ViewBake
-from isogi_core.report.bench import Bench
-from isogi_core.report.metrics import luminance
-from isogi_core.report.reference import Reference
+from isogi_core.reference import Reference
+from isogi_report.bake import Bake, ViewBake
+from isogi_report.bench import Bench
+from isogi_report.metrics import luminance
 
 OUTSIDE = -1
 """Where points stand in the lattice, for their random numbers' sake: outside it."""

@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from isogi_core.errors import Cancelled
-from isogi_core.report import convergence, split, summary
-from isogi_core.report.bench import Bench
-from isogi_core.report.sections import Section
+from isogi_report import convergence, split, summary
+from isogi_report.bench import Bench
+from isogi_report.journal import Entry, Journal
+from isogi_report.sections import Section
 from server.progress import Pieces
-from server.report.journal import Entry, Journal
 
 log = logging.getLogger("isogi.report")
 

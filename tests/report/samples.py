@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from isogi_core.plan.assembly import load_scene
-from isogi_core.report.sections import Column, Curve, Picture, Plot, Section, Table
-from server.cli.bench import view_of
-from server.report.journal import Entry
-from server.report.report import Report
+from isogi_report.journal import Entry, Report
+from isogi_report.sections import Column, Curve, Picture, Plot, Section, Table
+from isogi_report.speed import view_of
 
 SHARE, SECONDS = Column("relative RMSE", "share"), Column("processor seconds", "seconds")
 

@@ -21,9 +21,9 @@ from server.values import span
 from server.views import view_of
 
 if TYPE_CHECKING:
-    from isogi_core.report.sections import Section
-    from server.report.measuring import Measured, Study
-    from server.report.report import Report
+    from isogi_report.journal import Report
+    from isogi_report.measuring import Measured, Study
+    from isogi_report.sections import Section
 
 STAND = {"azimuth": 40.0, "elevation": 30.0, "distance": 2.2}
 """Where a report looks from by default: nearer than pages do, so that few of its pixels are empty."""
@@ -72,11 +72,15 @@ def report_of(scene: Scene, view: View, exposure: float, wishes: Wishes, begun: 
 
     Raises ViewError where the view shows nothing, and what ``report`` does.
     """
-    from isogi_core.report.bench import Bench  # noqa: PLC0415 (kernels: bad input is refused before they are compiled)
-    from server.report.bundle import write_report  # noqa: PLC0415
-    from server.report.journal import opened, subject_of, workshop  # noqa: PLC0415
-    from server.report.measuring import STUDIES, measure  # noqa: PLC0415
-    from server.report.report import Report  # noqa: PLC0415
+    from isogi_report.bench import Bench  # noqa: PLC0415 (kernels: bad input is refused before they are compiled)
+    from isogi_report.bundle import write_report  # noqa: PLC0415
+    from isogi_report.journal import (  # noqa: PLC0415
+        Report,
+        opened,
+        subject_of,
+        workshop,
+    )
+    from isogi_report.measuring import STUDIES, measure  # noqa: PLC0415
 
     wanted = choose(STUDIES, wishes.only)
     deadline = math.inf if wishes.deadline is None else begun + wishes.deadline

@@ -19,9 +19,7 @@ from isogi_core.model.scene_plan import ScenePlan, most_samples
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_core.report.bake import ViewBake
-from isogi_core.report.metrics import Score, score
-from isogi_core.report.reference import (
+from isogi_core.reference import (
     Goal,
     Reference,
     grow,
@@ -31,6 +29,8 @@ from isogi_core.report.reference import (
     trace_reference,
     with_bounces,
 )
+from isogi_report.bake import ViewBake
+from isogi_report.metrics import Score, score
 
 MEMORY = 1 << 30
 """Bytes of light that frames of one scene may hold."""

@@ -11,11 +11,11 @@ from isogi_core.model.scene_plan import GLOW, Layer
 from isogi_core.plan.left_out import BANDS
 from isogi_core.plan.planner import unit_of
 from isogi_core.plan.scene import Scene
-from isogi_core.report.bake import ViewBake
-from isogi_core.report.bench import Bench, with_plan
-from isogi_core.report.metrics import SCORE_COLUMNS, Score, score_cells
-from isogi_core.report.reference import Reference
-from isogi_core.report.sections import Cell, Column, Curve, Plot, Section, Table
+from isogi_core.reference import Reference
+from isogi_report.bake import ViewBake
+from isogi_report.bench import Bench, with_plan
+from isogi_report.metrics import SCORE_COLUMNS, Score, score_cells
+from isogi_report.sections import Cell, Column, Curve, Plot, Section, Table
 
 KEY, TITLE = "convergence", "Error against run time"
 

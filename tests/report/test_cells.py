@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from isogi_core.report.sections import Cell, Column, Table
-from server.report.cells import text_column, text_columns
+from isogi_report.cells import text_column, text_columns
+from isogi_report.sections import Cell, Column, Table
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The journal of a report: each section kept as soon as it is measured, so that an interrupted report goes on.
+"""A report and its journal: each section kept as soon as it is measured, so that an interrupted report goes on.
 
 A folder holds one journal. Its ``report.json`` names what the report is of; each section is a JSON file and the
 pixels of its pictures beside it. What other code has measured does not count as done, nor does what is damaged.
@@ -23,10 +23,11 @@ import isogi_core
 from isogi_core.errors import ReportError
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from isogi_core.report.sections import Section
 from isogi_core.storage.atomic_file import write_whole
-from server.report.documents import document_of, section_of
+from isogi_report.documents import document_of, section_of
+from isogi_report.sections import Section
 
+PAGE, DATA = "index.html", "report.json"
 FOLDER = "journal"
 SUBJECT = "report.json"
 LOCK = "lock"
@@ -45,6 +46,31 @@ class Entry:
 
     section: Section
     seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """The sections of a view, in the order of the page, and ``notes`` on what is missing.
+
+    Pictures show radiance times ``exposure`` ``on`` (h, w) the surface, and the film's background beside it.
+    """
+
+    scene: Scene
+    view: View
+    exposure: float
+    on: np.ndarray
+    entries: tuple[Entry, ...]
+    notes: tuple[str, ...] = ()
+
+
+def picture_name(section: Section, i: int, suffix: str = "png") -> str:
+    """Where picture ``i`` of a section is, from the report's folder."""
+    return f"pictures/{section.key}-{i + 1}.{suffix}"
+
+
+def plot_name(section: Section, i: int) -> str:
+    """Where plot ``i`` of a section is, from the report's folder."""
+    return f"plots/{section.key}-{i + 1}.svg"
 
 
 class Journal:
@@ -150,7 +176,7 @@ def refuse_other(folder: Path, held: Mapping[str, Any], wanted: Mapping[str, Any
 def code_digest() -> str:
     """Hex name of all code that a measured figure depends on."""
     digest = hashlib.blake2b(digest_size=10)
-    root = Path(isogi_core.__file__).parent
-    for path in sorted(root.rglob("*.py")):
-        digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    for root in (Path(isogi_core.__file__).parent, Path(__file__).parent):
+        for path in sorted(root.rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()

@@ -13,14 +13,14 @@ import pytest
 
 from isogi_core.errors import Cancelled, ReportError
 from isogi_core.plan.assembly import load_scene
-from isogi_core.report.bench import Bench
-from isogi_core.report.sections import Section
-from server.cli.bench import view_of
+from isogi_report import command, measuring
+from isogi_report.bench import Bench
+from isogi_report.journal import Entry, opened, subject_of, workshop
+from isogi_report.measuring import STUDIES, Study
+from isogi_report.sections import Section
+from isogi_report.speed import view_of
 from server.cli.command import run
-from server.report import command, measuring
-from server.report.journal import Entry, opened, subject_of, workshop
-from server.report.measuring import STUDIES, Study
-from tests.server.report.samples import sections
+from tests.report.samples import sections
 
 Run = Callable[[Bench], Section]
 
@@ -98,7 +98,7 @@ def test_other_code_measures_again(
     monkeypatch: pytest.MonkeyPatch, ran: list[str], small_scene: Path, tmp_path: Path
 ) -> None:
     assert report(small_scene, tmp_path / "a") == 0
-    monkeypatch.setattr("server.report.journal.code_digest", lambda: "other")
+    monkeypatch.setattr("isogi_report.journal.code_digest", lambda: "other")
     assert report(small_scene, tmp_path / "a") == 0
     assert ran == ["split", "none"] * 2
 
@@ -293,7 +293,7 @@ def test_a_journal_without_sections_is_anyones(subject: dict[str, Any], tmp_path
 def test_what_other_code_made_goes(monkeypatch: pytest.MonkeyPatch, subject: dict[str, Any], tmp_path: Path) -> None:
     with opened(tmp_path, subject):
         workshop(tmp_path).mkdir(parents=True)
-    monkeypatch.setattr("server.report.journal.code_digest", lambda: "other")
+    monkeypatch.setattr("isogi_report.journal.code_digest", lambda: "other")
     with opened(tmp_path, subject):
         assert list((tmp_path / "work").iterdir()) == []
 

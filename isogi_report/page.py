@@ -9,12 +9,13 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from isogi_core.report.sections import Picture, Plot, Section, Table
-from server.report.cells import TOGETHER, text_column, text_columns
-from server.report.heading import left_out_rows, machine_rows, plan_facts_rows, scene_rows
-from server.report.plots import SCHEME, draw, keys
-from server.report.prints import gradient, scales_of
-from server.report.report import Report, picture_name
+from isogi_report.cells import TOGETHER, text_column, text_columns
+from isogi_report.heading import left_out_rows, machine_rows, plan_facts_rows, scene_rows
+from isogi_report.journal import Report, picture_name
+from isogi_report.plots import draw, keys
+from isogi_report.prints import gradient, scales_of
+from isogi_report.sections import Picture, Plot, Section, Table
+from server.inspect.picture import SCHEME
 from server.values import span
 
 HERE = Path(__file__).parent

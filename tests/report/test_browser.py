@@ -8,12 +8,12 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page
 
-from server.report.bundle import write_report
-from server.report.journal import Entry
-from tests.server.report.samples import report_of, sections
+from isogi_report.bundle import write_report
+from isogi_report.journal import Entry
+from tests.report.samples import report_of, sections
 from tests.web.visits import BROWSER
 
-SHOTS = Path(__file__).resolve().parents[3] / "test-results" / "report"
+SHOTS = Path(__file__).resolve().parents[2] / "test-results" / "report"
 Scheme = Literal["light", "dark"]
 WIDTHS = {"wide": 1100, "phone": 390}
 

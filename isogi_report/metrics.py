@@ -9,8 +9,8 @@ import numpy as np
 from isogi_core.frame.film import BACKGROUND, MARK, tone_table
 from isogi_core.kernels.shading.framebuffer import develop_rows
 from isogi_core.model.sky import LUMINANCE
-from isogi_core.report.reference import Reference
-from isogi_core.report.sections import Cell, Column
+from isogi_core.reference import Reference
+from isogi_report.sections import Cell, Column
 
 WORST_PERCENTILE = 99.0
 """The percentile of errors that stands for the worst pixels, and not of the single worst one."""

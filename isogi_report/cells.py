@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from isogi_core.report.sections import Cell, Column, Table
+from isogi_report.sections import Cell, Column, Table
 
 EMPTY_CELL = "–"
 """What stands for a cell that does not apply or was not measured."""

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from isogi_core.report.sections import Curve, Picture, Plot
-from server.report.bundle import write_report
-from server.report.documents import document_of, section_of
-from server.report.journal import Entry
-from server.report.plots import draw, keys, standalone
-from server.report.prints import develop, error_colours, scales_of
-from tests.server.report.samples import disc, errors, report_of, sections
+from isogi_report.bundle import write_report
+from isogi_report.documents import document_of, section_of
+from isogi_report.journal import Entry
+from isogi_report.plots import draw, keys, standalone
+from isogi_report.prints import develop, error_colours, scales_of
+from isogi_report.sections import Curve, Picture, Plot
+from tests.report.samples import disc, errors, report_of, sections
 
 NOTE = "Left out, as 4 minutes did not suffice: <everything>."
 

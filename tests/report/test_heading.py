@@ -5,7 +5,7 @@ import math
 import pytest
 
 from isogi_core.model.view import Camera, orbit, orthographic
-from server.report.heading import standpoint
+from isogi_report.heading import standpoint
 
 RADIUS = 20.0
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from isogi_core.model.scene_plan import ScenePlan
 from isogi_core.plan.scene import Scene
-from isogi_core.report.bench import Bench
-from isogi_core.report.exact import (
+from isogi_report.bench import Bench
+from isogi_report.exact import (
     Lit,
     apart,
     converged,
@@ -19,8 +19,8 @@ from isogi_core.report.exact import (
     own_light,
     short_paths,
 )
-from isogi_core.report.metrics import Spread, map_of, mean_of, spread_of
-from isogi_core.report.sections import Column, Picture, Section, Table
+from isogi_report.metrics import Spread, map_of, mean_of, spread_of
+from isogi_report.sections import Column, Picture, Section, Table
 
 KEY, TITLE = "split", "Where the error comes from"
 

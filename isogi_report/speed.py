@@ -33,8 +33,8 @@ from isogi_core.model.scene_plan import FEWEST, MAX_SAMPLES
 from isogi_core.model.view import SHADINGS, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
-from isogi_core.report.bake import NEVER
 from isogi_core.runs import Run, serially
+from isogi_report.bake import NEVER
 from server.parameters import FORMATS
 from server.pictures import encode
 from server.progress import open_scene
@@ -259,16 +259,16 @@ Figures = dict[str, Any]
 
 
 def bench(target: str | None, isovalue: float | None, size: int, repeats: int) -> Figures:
-    """The figures of a scene at an isovalue, pictures of ``size`` × ``size`` pixels; see ``Bench``.
+    """The figures of a scene at an isovalue, pictures of ``size`` × ``size`` pixels; see ``StepTimes``.
 
     Raises SceneError, VolumeError and LightError; ViewError where the view shows no surface.
     """
     scene = open_scene(target, None, **({} if isovalue is None else {"isovalue": isovalue}))
     with tempfile.TemporaryDirectory(prefix="isogi-bench-") as store:
-        return Bench(make_renderer(scene, store, cores()), size, repeats).figures()
+        return StepTimes(make_renderer(scene, store, cores()), size, repeats).figures()
 
 
-class Bench:
+class StepTimes:
     """Measures one scene. Candidates of one figure take turns; each figure is a median."""
 
     def __init__(self, renderer: Renderer, size: int, repeats: int) -> None:

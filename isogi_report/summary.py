@@ -1,9 +1,9 @@
 """What the report is of, and its headline: how wrong the frame is, what it took, and where it differs (S1, fig. 11)."""
 
 from isogi_core.model.scene_plan import Layer
-from isogi_core.report.bench import Bench
-from isogi_core.report.metrics import SCORE_COLUMNS, error_map, score_cells
-from isogi_core.report.sections import Cell, Column, Picture, Section, Table
+from isogi_report.bench import Bench
+from isogi_report.metrics import SCORE_COLUMNS, error_map, score_cells
+from isogi_report.sections import Cell, Column, Picture, Section, Table
 
 KEY, TITLE = "summary", "Summary"
 

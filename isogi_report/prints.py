@@ -10,8 +10,8 @@ from PIL import Image
 
 from isogi_core.frame.film import BACKGROUND, tone_table
 from isogi_core.kernels.shading.framebuffer import develop_rows
-from isogi_core.report.sections import Picture
-from server.report.report import Report
+from isogi_report.journal import Report
+from isogi_report.sections import Picture
 
 COLOURS = "RdBu_r"
 """matplotlib's name of the colours of errors: blue too dark, white right, red too bright."""

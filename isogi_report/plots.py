@@ -5,8 +5,6 @@ import math
 import re
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
-from typing import Any
 from xml.sax.saxutils import escape
 
 import matplotlib as mpl
@@ -15,8 +13,9 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
-from isogi_core.report.sections import Column, Curve, Plot
-from server.report.cells import PREFIXES
+from isogi_report.cells import PREFIXES
+from isogi_report.sections import Column, Curve, Plot
+from server.inspect.picture import DASHES, INK, LINE, SCHEME, SOFT, STYLE
 
 WIDTH, HEIGHT = 4.6, 3.1
 """Inches of a plot, 72 units of SVG each."""
@@ -27,7 +26,6 @@ TICK_STEPS = ((100.0, (1.0,)), (10.0, (1.0, 2.0, 5.0)), (1.0, (1.0, 1.5, 2.0, 3.
 ROW = 14.0
 """Height of a line of the legend."""
 
-INK, SOFT, LINE = "#010101", "#020202", "#030303"
 CURVES = ("#040404", "#050505", "#060606", "#070707", "#080808", "#090909")
 """Colours that stand for a name while matplotlib draws: see NAMES."""
 
@@ -37,25 +35,6 @@ NAMES = {
     LINE: "var(--line)",
     **{colour: f"var(--curve-{i + 1})" for i, colour in enumerate(CURVES)},
 }
-
-DASHES: tuple[tuple[float, ...], ...] = ((), (5, 2), (1.5, 1.5), (7, 2, 1.5, 2), (3, 3), (9, 3))
-"""Dashes of the curves, in points, so that they can be told apart without colours."""
-
-STYLE: Any = {
-    "svg.fonttype": "none",
-    "font.size": 9.5,
-    "axes.linewidth": 0.8,
-    "text.color": INK,
-    "axes.edgecolor": SOFT,
-    "axes.labelcolor": INK,
-    "xtick.color": SOFT,
-    "ytick.color": SOFT,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-}
-
-SCHEME = (Path(__file__).parent / "scheme.css").read_text(encoding="utf-8")
-"""What gives the names their colours: the rules of an element that is the root of its document."""
 
 
 @dataclass(frozen=True)
