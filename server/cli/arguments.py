@@ -10,6 +10,7 @@ from urllib.parse import quote
 
 import click
 
+from isogi_core.model.shine import SHINE_HELP
 from server.errors import LibraryError
 
 if TYPE_CHECKING:
@@ -77,9 +78,7 @@ VIEW_GROUPS = {
     },
     "Picture": {
         "albedo": "Of the surface, one number or r,g,b, within the scene's albedos; default: the scene's albedo.",
-        "shine": "Of a scene with a shine: plastic or metal; default: the scene's.",
-        "roughness": "Of that shine, 0.02 (a mirror) to 1; default: the scene's.",
-        "strength": "How much that shine counts, 0 to 1; default: the scene's.",
+        **SHINE_HELP,
         "glow": "How bright what glows is, over the scene's own, 0 to 16; default: 1.",
         "width": "Pixels.",
         "height": "Pixels.",
