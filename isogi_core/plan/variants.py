@@ -1,5 +1,5 @@
-"""Scenes made over: in other light, cut open, at another time, with other surfaces beside, with labels hidden, or of
-another material.
+"""Scenes made over: in other light, cut open, at another time, with other surfaces beside, with labels hidden, of
+another material, or in finer light: more texels and more bands, for views whose control pixels ask for it.
 
 Each is a scene like any other, by another id. What it has in common with the first it shares.
 """
@@ -18,10 +18,13 @@ from isogi_core.files.scene_changes import (
     put_material,
 )
 from isogi_core.files.scene_file import FOLLOWED
+from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.material import MATERIALS
+from isogi_core.model.scene_plan import GLOW, Layer, ScenePlan
 from isogi_core.model.value_survey import no_progress
 from isogi_core.model.volume import Volume
 from isogi_core.plan.assembly import build_scene
+from isogi_core.plan.planner import complete
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.volumes.cuts import cut_away, voxels_left
 
@@ -125,3 +128,43 @@ def _of_material(scene: Scene, kind: str) -> Scene | str:
         return with_material(scene, {"material": kind}, scene.id)
     except (SceneError, LightError) as error:
         return str(error)
+
+
+FINEST = 4.0
+"""Texels per voxel along each axis, at most."""
+
+DENSER = 2.0
+"""How many times as many texels finer light has along each axis."""
+
+FURTHER = 2
+"""Bands of harmonics that finer light has besides, of light that turns."""
+
+
+def has_finer(scene: Scene) -> bool:
+    """Whether there is finer light of a ``scene``: not beyond FINEST, and not among walls, which have light of their
+    own, nor of several surfaces.
+    """
+    return DENSER * scene.settings.lattice <= FINEST and not scene.lighting.room.any and not scene.surfaces.several
+
+
+def finer(scene: Scene) -> Scene:
+    """The ``scene`` with finer light."""
+    lattice = DENSER * scene.settings.lattice
+    source = replace(scene.source, document={**scene.source.document, "lattice": lattice})
+    plan = complete(further(scene.plan), scene.inputs, scene.settings.overrides)
+    return replace(scene.with_settings(lattice=lattice), source=source, plan=plan)
+
+
+def further(plan: ScenePlan) -> ScenePlan:
+    """A ``plan`` with more bands of light that turns; any other as it is."""
+    if plan.representation != "transfer":
+        return plan
+    layers = tuple(further_layer(layer) for layer in plan.layers)
+    return replace(plan, layers=layers, order=max(layer.order for layer in layers))
+
+
+def further_layer(layer: Layer) -> Layer:
+    """A ``layer`` with more bands; what glows keeps none."""
+    if layer.kind == GLOW:
+        return layer
+    return replace(layer, order=min(layer.order + FURTHER, MAX_ORDER))

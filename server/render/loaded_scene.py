@@ -23,9 +23,9 @@ from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
-from isogi_core.plan.finer import finer, has_finer
 from isogi_core.plan.planner import complete
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import finer, has_finer
 from isogi_core.plan.volumes.cuts import voxels_left
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene

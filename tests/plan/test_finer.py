@@ -3,7 +3,7 @@
 import pytest
 
 from isogi_core.plan.assembly import build_scene, load_scene
-from isogi_core.plan.finer import FURTHER, finer, has_finer
+from isogi_core.plan.variants import FURTHER, finer, has_finer
 
 SKY = {"type": "sky"}
 

@@ -12,8 +12,8 @@ from isogi_core.frame.rays.picture_plan import SHARED, Prices
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
-from isogi_core.plan.finer import finer
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import finer
 from server.api.headers import refined_header
 from server.render.engine import RenderEngine
 from tests.server.inline import LONG, InlinePool, weigh_at
