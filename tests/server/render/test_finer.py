@@ -87,7 +87,9 @@ def test_without_room_for_them_pixels_get_light_of_their_own(
 
     plain = Renderer.render
     monkeypatch.setattr(
-        Renderer, "render", lambda self, *given: (full if self.prepared.scene.lattice > 0.125 else plain)(self, *given)
+        Renderer,
+        "render",
+        lambda self, *given: (full if self.prepared.scene.settings.lattice > 0.125 else plain)(self, *given),
     )
     frame = engine.frame(scene.id, view_of(scene), wait=LONG)
     assert frame.final and frame.fineness == 0 and 0 < frame.own <= frame.surface
