@@ -33,7 +33,7 @@ LIBRARIES = ("matplotlib", "jinja2")
 
 
 @dataclass(frozen=True)
-class Wishes:
+class ReportRequest:
     """What a person asks of a report: where it goes, seconds that it may take, keys of the only studies to run."""
 
     folder: Path
@@ -41,7 +41,7 @@ class Wishes:
     only: tuple[str, ...] = ()
 
 
-def report(target: str, knobs: Mapping[str, str], settings: Settings, wishes: Wishes) -> dict[str, Any]:
+def report(target: str, knobs: Mapping[str, str], settings: Settings, request: ReportRequest) -> dict[str, Any]:
     """Measure the view of ``target`` that ``knobs`` name, write its page, and tell where that is and what it says.
 
     Raises SceneError, VolumeError, LightError, ViewError, ReportError (the folder holds something else, or is in
@@ -52,7 +52,7 @@ def report(target: str, knobs: Mapping[str, str], settings: Settings, wishes: Wi
     scene = open_scene(target, settings)
     params = read(FrameParams, standing(knobs).items())
     exposure = scene.default_exposure if params.exposure is None else params.exposure
-    return report_of(scene, view_of(scene, params, settings), exposure, wishes, begun)
+    return report_of(scene, view_of(scene, params, settings), exposure, request, begun)
 
 
 def standing(knobs: Mapping[str, Any]) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def require_libraries() -> None:
         raise LibraryError(f"A report is drawn with {' and '.join(missing)}: pip install 'isogi[report]'.")
 
 
-def report_of(scene: Scene, view: View, exposure: float, wishes: Wishes, begun: float) -> dict[str, Any]:
+def report_of(scene: Scene, view: View, exposure: float, request: ReportRequest, begun: float) -> dict[str, Any]:
     """The report of a view; ``begun``, a time of ``time.monotonic``, is when its time began.
 
     Raises ViewError where the view shows nothing, and what ``report`` does.
@@ -82,14 +82,14 @@ def report_of(scene: Scene, view: View, exposure: float, wishes: Wishes, begun: 
     )
     from isogi_report.measuring import STUDIES, measure  # noqa: PLC0415
 
-    wanted = choose(STUDIES, wishes.only)
-    deadline = math.inf if wishes.deadline is None else begun + wishes.deadline
-    bench = Bench(scene, view, workshop(wishes.folder), deadline=deadline, exposure=exposure)
+    wanted = choose(STUDIES, request.only)
+    deadline = math.inf if request.deadline is None else begun + request.deadline
+    bench = Bench(scene, view, workshop(request.folder), deadline=deadline, exposure=exposure)
     on = bench.surface  # before the folder is touched
-    with opened(wishes.folder, subject_of(scene, view, exposure)) as journal:
+    with opened(request.folder, subject_of(scene, view, exposure)) as journal:
         measured = measure(STUDIES, wanted, bench, journal)
-        drawn = Report(scene, view, exposure, on, measured.done, tuple(notes(measured, wishes.deadline)))
-        return outcome(write_report(wishes.folder, drawn), drawn, measured)
+        drawn = Report(scene, view, exposure, on, measured.done, tuple(notes(measured, request.deadline)))
+        return outcome(write_report(request.folder, drawn), drawn, measured)
 
 
 def choose(studies: Sequence[Study], only: Sequence[str]) -> tuple[Study, ...]:

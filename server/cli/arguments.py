@@ -11,7 +11,6 @@ from urllib.parse import quote
 import click
 
 from isogi_core.model.shine import SHINE_HELP
-from server.errors import LibraryError
 
 if TYPE_CHECKING:
     from server.settings import Settings
@@ -23,7 +22,6 @@ MODULES = {
     "reference": "server.cli.render",
     "report": "isogi_report.command",
     "prewarm": "server.cli.prewarm",
-    "prewarm --server": "server.cli.remote_prewarm",
     "export": "server.cli.export",
     "film": "server.cli.film",
     "publish": "server.cli.publish",
@@ -39,14 +37,6 @@ MODULES = {
 def module_of(command: str) -> Any:
     """The module that does a command's work, loaded now: help is answered without any of them."""
     return import_module(MODULES[command])
-
-
-def remote() -> Any:
-    """The module that has a server prewarm. Raises LibraryError where a library of the client is missing."""
-    try:
-        return module_of("prewarm --server")
-    except ModuleNotFoundError as error:
-        raise LibraryError(f"isogi prewarm --server needs {error.name}: pip install 'isogi[client]'.") from None
 
 
 Command = Callable[..., Any]
