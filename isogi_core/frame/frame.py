@@ -77,8 +77,8 @@ class Frame:
     is what it errs by besides its noise, as the plan expects. Of a view that is smooth, ``edges`` have more samples. So
     many pixels of walls, or of what is seen through glass, are ``walls_waiting``: not final yet. So many pixels have
     light of their ``own``. Of surfaces that let rays pass ``left`` (h, w) is the share of what lies behind. Its texels
-    are finer than the plan's by ``fineness`` steps, see ``plan.finer``; a ``finer`` frame is coming, and waits for its
-    light. What glows adds ``glow`` (pixels, 3) float32 to the radiance; None where nothing does.
+    are finer than the plan's by ``fineness`` steps; a ``finer`` frame is coming, and waits for its light. What glows
+    adds ``glow`` (pixels, 3) float32 to the radiance; None where nothing does.
     """
 
     view: View

@@ -107,7 +107,10 @@ class Renderer:
         self.checks = ViewChecks(self._kept)
         self._walls = ViewWalls(self._kept, self.prepared.scene.volume, WallStore(caches.store, self.prepared))
         self._through = ViewThrough(self._kept, self._walls)
-        make, composes = partial(Renderer, tiles=tiles, most=most // 8, filters=filters), self.prepared.scene.several
+        make, composes = (
+            partial(Renderer, tiles=tiles, most=most // 8, filters=filters),
+            self.prepared.scene.surfaces.several,
+        )
         self._composer = Composer(caches, self, make, self._kept) if composes and not levels else None
 
     @property
@@ -146,8 +149,8 @@ class Renderer:
 
     def _draw_lit(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of what is lit in a view."""
-        self.prepared.scene.albedo_for(view.albedo)
-        self.prepared.scene.room.refuse_camera(view.camera, self.prepared.scene.volume.radius)
+        self.prepared.scene.surfaces.albedo_for(view.albedo)
+        self.prepared.scene.lighting.room.refuse_camera(view.camera, self.prepared.scene.volume.radius)
         if self._composer is not None:
             return self._composer.draw(view, until, tiles, watch)
         with watch.stage("primary"):
@@ -157,7 +160,7 @@ class Renderer:
     def draw_on(self, gbuffer: GBuffer, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of a view of the surface points in a G-buffer. Raises Cancelled."""
         light, target = self._light(view), until.target
-        if view.shading == "gi" and self.prepared.scene.material.refracts:
+        if view.shading == "gi" and self.prepared.scene.surfaces.material.refracts:
             return self._through.draw(gbuffer, light, target, tiles, watch)
         if view.shading in ("gi", "vicinity"):
             return self._render_texels(gbuffer, light, until, tiles, watch)

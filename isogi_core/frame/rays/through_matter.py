@@ -255,7 +255,7 @@ class ViewThrough:
         once all are, what is seen through it more trees. Whether there was anything to take. Raises Cancelled.
         """
         views = [WallView.of(gbuffer, light)]
-        if not light.spec.prepared.scene.material.refracts:
+        if not light.spec.prepared.scene.surfaces.material.refracts:
             return self.walls.grow(views, target, tiles)
         seen = self._seen(gbuffer, light, target, tiles)
         if self.walls.grow([*views, *seen.first.views(gbuffer, light)], target, tiles):

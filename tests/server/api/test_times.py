@@ -14,7 +14,8 @@ from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.storage.store import Store
 from server.render.engine import RenderEngine
-from server.render.variants import Change, Variants
+from server.render.scene_variant import Change
+from server.render.variants import Variants
 from tests.live import serving
 from tests.loaded import load_scene
 from tests.series import SCENE, STEPS, write_series

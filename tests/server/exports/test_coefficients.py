@@ -70,7 +70,7 @@ def real_harmonics(order: int, directions: np.ndarray) -> np.ndarray:
 
 def turned_environment(scene: Path, yaw: float, order: int) -> np.ndarray:
     """The scene's sky, turned about z, projected onto harmonics by a sum over its pixels; (3, n²)."""
-    environment = load_scene(scene).environment
+    environment = load_scene(scene).lighting.environment
     height, width = environment.image.shape[:2]
     towards, (c, s) = pixel_directions(height, width).reshape(-1, 3), (math.cos(yaw), math.sin(yaw))
     turned = towards @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T

@@ -43,7 +43,7 @@ def engine(scenes: list[Scene], tmp_path: Path, inline: None) -> Iterator[Render
 
 def test_scenes_under_the_same_light_share_it(scenes: list[Scene]) -> None:
     first, second, third = scenes
-    assert first.environment is second.environment is not third.environment
+    assert first.lighting.environment is second.lighting.environment is not third.lighting.environment
     assert first.inputs.harmonics is second.inputs.harmonics
 
 
