@@ -32,6 +32,7 @@ from server.api.routes.scenes import scene_facts
 from server.api.service import Service
 from server.errors import BusyError
 from server.parameters import ViewParams
+from server.render.scene_variant import SceneVariant
 from server.render.scheduling import Rank, Renders
 from server.settings import Settings
 from tests.server.sockets import wait_for
@@ -83,6 +84,13 @@ class FakeEngine:
     def open(self) -> None:
         if self.startable:
             raise self.startable
+
+    @property
+    def own_scenes(self) -> list[Scene]:
+        return list(self.scenes.values())
+
+    def variant(self, scene: str) -> SceneVariant:
+        return SceneVariant(scene)
 
     def planned(self, scene: str) -> Scene:
         return self.scenes[scene]
