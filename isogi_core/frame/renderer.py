@@ -33,14 +33,13 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.wall_store import WallStore
 from isogi_core.frame.antialiasing import smooth_edges
 from isogi_core.frame.eye_glow import with_glow
-from isogi_core.frame.frame import Frame
+from isogi_core.frame.frame import Frame, PictureState
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, to_index, trace
 from isogi_core.frame.known_blocks import KnownBlocks
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
 from isogi_core.frame.rays.lobe_light import LobeLight, ShadowStarts, find_lobes, find_starts
-from isogi_core.frame.rays.picture_check import PictureState
 from isogi_core.frame.rays.picture_plan import PRESENT, Prices
 from isogi_core.frame.rays.shine import ShineRays
 from isogi_core.frame.rays.shine_light import SHARE as SHINE_SHARE
@@ -189,7 +188,7 @@ class Renderer:
         if not frame.refinable:
             return False
         light = self._light(frame.view)
-        if frame.walls_waiting:
+        if frame.quality.waiting:
             return self._through.grow(frame.gbuffer, light, target, tiles)
         if self._grow_shine(frame, light, target, tiles):
             return True
@@ -270,7 +269,9 @@ class Renderer:
             return found
 
         allowed = SHINE_SHARE * target * frame.true_mean
-        return self._shine(frame.gbuffer, light, tiles).step(frame.rays, allowed, lit, bounces_of_truth(light), tiles)
+        return self._shine(frame.gbuffer, light, tiles).step(
+            frame.quality.rays, allowed, lit, bounces_of_truth(light), tiles
+        )
 
     def _shine(self, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> ShineLight:
         """The shine of a view, with its first rays at least."""

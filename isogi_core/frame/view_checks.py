@@ -5,12 +5,12 @@ from typing import Any, NamedTuple
 
 from isogi_core.bake.noise import RATE
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.frame.frame import Frame
+from isogi_core.frame.frame import Frame, PictureState
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import ENOUGH, paths_for
 from isogi_core.frame.rays.own_light import foreseen_paths
-from isogi_core.frame.rays.picture_check import PictureCheck, PictureState
+from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.picture_plan import AWAITED, rungs_above
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.view_keys import check_key, is_checked
@@ -71,9 +71,9 @@ class ViewChecks:
         if check and check.ahead is not None:
             growing, ahead = check.growing.left if check.growing else 0.0, check.ahead
             return PathsLeft(growing + ahead.pixels, ahead.texels, ahead.times, check.pace)
-        if frame.target is None or frame.lacking is None:
+        if frame.quality.target is None or frame.quality.lacking is None:
             return PathsLeft()
-        return foreseen_work(frame, frame.lacking.reading, target)
+        return foreseen_work(frame, frame.quality.lacking.reading, target)
 
 
 def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:
@@ -82,6 +82,6 @@ def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:
     controls = 2.0 * paths_for(target) * ENOUGH
     for times, rung in enumerate([FIRST_LEVEL, *rungs_above(FIRST_LEVEL, target)], start=2):
         noise = (effort / rung) ** (1.0 / RATE) / FILTERED
-        own = foreseen_paths(points, math.hypot(noise, frame.expected), target, PIXELS * effort)
+        own = foreseen_paths(points, math.hypot(noise, frame.quality.expected), target, PIXELS * effort)
         ways.append(PathsLeft(own + controls, float(rung - FIRST_LEVEL) * len(reading.samples), times))
     return min(ways, key=lambda way: way.pixels + AWAITED.path * way.texels)

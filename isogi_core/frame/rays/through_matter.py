@@ -248,7 +248,7 @@ class ViewThrough:
                 more, own = self.walls.put(gbuffer, light, target, framebuffer, tiles)
                 waiting, version = waiting + more, version + own
         frame = frame_of(gbuffer, light, framebuffer, watch, rays=rays)
-        return replace(frame, walls_waiting=waiting, version=f"{frame.version}{version}")
+        return replace(frame, quality=replace(frame.quality, waiting=waiting), version=f"{frame.version}{version}")
 
     def grow(self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles) -> bool:
         """Have the walls in a picture, and those seen through its surface, that are not final take as many paths again;

@@ -18,7 +18,7 @@ from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.several.edges import smooth_surfaces
 from isogi_core.frame.several.mixing import Level
 from isogi_core.frame.several.peels import Peeler, Peels, first_of, layers_of, walls_of
-from isogi_core.frame.several.surfaces_frame import Part, SurfacesFrame, compose, wrong_of
+from isogi_core.frame.several.surfaces_frame import Part, compose, parts_of, wrong_of
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_keys import surface_key
 from isogi_core.lru_cache import LruCache
@@ -79,7 +79,7 @@ class Composer:
             views = sum(each.nbytes - each.caches.nbytes for each in self._sides.values())
             return views + sum(each.nbytes for each in self._held.values())
 
-    def draw(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> SurfacesFrame:
+    def draw(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of a view with the light that is there now. Raises Cancelled, and NoRoomError where the light of
         one view takes more than the budget.
         """
@@ -89,7 +89,7 @@ class Composer:
             self._let_go()
             return self._drawn(view, until, tiles, watch)
 
-    def _drawn(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> SurfacesFrame:
+    def _drawn(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of a view, where its light has room beside what is held."""
         with watch.stage("primary"):
             peels = self.peels(view, tiles)
@@ -108,8 +108,6 @@ class Composer:
 
     def smooth(self, frame: Frame, tiles: Tiles) -> Frame:
         """A ``frame`` that was drawn, with more samples where it has edges. Raises Cancelled."""
-        if not isinstance(frame, SurfacesFrame):
-            return frame
         glow, exposure = EyeGlow.of(self._caches.prepared, frame.view.glow), self._scene.default_exposure
         return smooth_surfaces(frame, self._peeler(frame.view, tiles), exposure, tiles, glow)
 
@@ -132,7 +130,7 @@ class Composer:
         frame = self.draw(view, Until(target, FIRST_LEVEL), tiles, Stopwatch())
         if not frame.refinable:
             return False
-        waiting = [part for part in frame.parts if part.frame.checkable and (frame.checkable or part.side == WALLS)]
+        waiting = [part for part in parts_of(frame) if part.frame.checkable and (frame.checkable or part.side == WALLS)]
         waiting.sort(key=wrong_of, reverse=True)
         own, at = (self.renderer(part.side, view.isovalue) for part in waiting), prices.of_present
         return any(each.refine_frame(part.frame, target, tiles, at) for each, part in zip(own, waiting, strict=True))
