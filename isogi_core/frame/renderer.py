@@ -33,41 +33,36 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.wall_store import WallStore
 from isogi_core.frame.antialiasing import smooth_edges
 from isogi_core.frame.eye_glow import with_glow
-from isogi_core.frame.frame import Frame, PictureState
+from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, to_index, trace
 from isogi_core.frame.known_blocks import KnownBlocks
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.control_pixels import bounces_of_truth
 from isogi_core.frame.rays.lobe_light import LobeLight, ShadowStarts, find_lobes, find_starts
 from isogi_core.frame.rays.picture_plan import PRESENT, Prices
-from isogi_core.frame.rays.shine import ShineRays
-from isogi_core.frame.rays.shine_light import SHARE as SHINE_SHARE
-from isogi_core.frame.rays.shine_light import SeenLight, ShineLight, add_lobes_seen, walls_seen
+from isogi_core.frame.rays.shine_light import ShineLight, ViewShine
 from isogi_core.frame.rays.through_matter import ViewThrough
 from isogi_core.frame.rays.view_walls import ViewWalls
+from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.several.composer import Composer
 from isogi_core.frame.several.mixing import Level
 from isogi_core.frame.shading import (
     colour_surface,
     empty_framebuffer,
     shade,
-    texel_disagreement,
 )
 from isogi_core.frame.stand_in import StandIn
-from isogi_core.frame.texel_normals import OwnNormals, TexelNormals
+from isogi_core.frame.texel_normals import OwnNormals
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.texel_shading import FilteredLight, TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_checks import ViewChecks
-from isogi_core.frame.view_keys import check_key, is_checked, surface_key
+from isogi_core.frame.view_checks import ViewChecks, texels_until
+from isogi_core.frame.view_keys import is_checked, surface_key
 from isogi_core.frame.view_texels import ViewTexels
-from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.shine import DULL
-from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 
 VIEW_BYTES = 256 << 20
@@ -103,9 +98,11 @@ class Renderer:
         self.blocks = KnownBlocks(int(PACKED * most))
         shown = levels or (Level(caches),)
         self._texels = TexelShading(self.prepared, shown, self._kept, int(COMMON * most), filters, stand_in)
-        self.checks = ViewChecks(self._kept)
+        self.checks = ViewChecks(self._kept, self._texels)
         self._walls = ViewWalls(self._kept, self.prepared.scene.volume, WallStore(caches.store, self.prepared))
         self._through = ViewThrough(self._kept, self._walls)
+        self._shine = ViewShine(self._kept, self._texels, self._walls, self.checks)
+        self._refinements: tuple[Refinement, ...] = (self._through, self._shine, self.checks)
         make, composes = partial(Renderer, tiles=tiles, most=most // 8, filters=filters), self.prepared.scene.several
         self._composer = Composer(caches, self, make, self._kept) if composes and not levels else None
 
@@ -187,24 +184,9 @@ class Renderer:
         """``refine`` of a view with this ``frame``."""
         if not frame.refinable:
             return False
-        light = self._light(frame.view)
-        if frame.quality.waiting:
-            return self._through.grow(frame.gbuffer, light, target, tiles)
-        if self._grow_shine(frame, light, target, tiles):
-            return True
-        check = self.checks.of(light, frame.gbuffer, target)
-
-        def uncertainty() -> np.ndarray:
-            texels = self.texels(light.view, frame.gbuffer, tiles)
-            found = self._texels.lit(texels, light, Until(target, check.known.enough), tiles, Stopwatch())
-            between = light.spec.unit * texel_disagreement(texels, *found)
-            if light.coloured:
-                between *= light.tints(frame.gbuffer, tiles) @ LUMINANCE
-            between[check.known.own.places] = 0.0
-            return np.asarray(np.hypot(between, frame.pixel_noise))
-
-        with check.lock:
-            return check.step(frame, uncertainty, tiles, prices)
+        light, (walls, *others) = self._light(frame.view), self._refinements
+        waiting = [walls] if frame.quality.waiting else others  # shine and pixels wait until walls are final
+        return any(each.step(frame, light, target, tiles, prices) for each in waiting)
 
     def _light(self, view: View) -> RotatedLight:
         """The lights of a view, turned: with all their lobes where it is at rest."""
@@ -233,7 +215,7 @@ class Renderer:
         known = self.checks.of(light, gbuffer, target).known if checked else None
         with watch.stage("texels"):
             texels = self.texels(light.view, gbuffer, tiles)
-        until, shine = texels_until(until, light.view, known), b""
+        shine, until = b"", texels_until(until, light.view, known)
         reading, framebuffer = self._texels.picture(texels, light, until, tiles, watch)
         if light.spec.lobes:
             with watch.stage("lobes"):
@@ -242,53 +224,11 @@ class Renderer:
         colour_surface(gbuffer, light, framebuffer, tiles)
         if light.shine is not None and spec_name(light.view.shading) == "gi":
             with watch.stage("shine"):
-                shine = self._add_shine(gbuffer, light, target, framebuffer, tiles)
+                shine = self._shine.put(gbuffer, light, target, framebuffer, tiles)
         if known is not None:
             known.own.put(framebuffer, gbuffer, light, tiles)
         frame = frame_of(gbuffer, light, framebuffer, watch, texels, reading, known, shine)
         return self._walls.add(frame, light, target, tiles, watch)
-
-    def _add_shine(
-        self, gbuffer: GBuffer, light: RotatedLight, target: float, framebuffer: Framebuffer, tiles: Tiles
-    ) -> bytes:
-        """Let the surface in a picture shine; what names the rays that were taken, and the light that they read."""
-        shine = self._shine(gbuffer, light, tiles)
-        ends = None if shine.count else self._light_ends(shine.rays, light, target, tiles)
-        shine.gleam(ends, tiles).put(shine.below, gbuffer, light.spec.unit, framebuffer, tiles)
-        return shine.version + (ends.version if ends else b"")
-
-    def _grow_shine(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> bool:
-        """Cast more rays of shine for a frame whose texels are final; whether there were any to cast."""
-        if light.shine is None or not len(frame.gbuffer.pixels):
-            return False
-
-        def lit(rays: ShineRays) -> SeenLight:
-            found = self._light_ends(rays, light, target, tiles)
-            for kind in (ViewTexels, TexelNormals):
-                self._kept.drop((kind, surface_key(rays.view(light.view)), False))
-            return found
-
-        allowed = SHINE_SHARE * target * frame.true_mean
-        return self._shine(frame.gbuffer, light, tiles).step(
-            frame.quality.rays, allowed, lit, bounces_of_truth(light), tiles
-        )
-
-    def _shine(self, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> ShineLight:
-        """The shine of a view, with its first rays at least."""
-        make = partial(ShineLight.begun, light, gbuffer, tiles)
-        return self._kept.get((ShineLight, *check_key(light.view, 0.0), light.view.moving), make)
-
-    def _light_ends(self, rays: ShineRays, light: RotatedLight, target: float, tiles: Tiles) -> SeenLight:
-        """What rays of shine see by texels and walls as they are lit now; unshadowed light where nothing is lit yet."""
-        hits, seen = rays.hits, RotatedLight(light.spec, rays.view(light.view))
-        texels = self.texels(seen.view, hits, tiles)
-        known = self.checks.held(light.view, target)
-        until = texels_until(Until(target, FIRST_LEVEL), light.view, known.known if known else None)
-        reading, framebuffer = self._texels.picture(texels, seen, until, tiles, Stopwatch())
-        add_lobes_seen(rays, seen, framebuffer, tiles)
-        colour_surface(hits, seen, framebuffer, tiles)
-        version = self._walls.put_seen(walls_seen(rays, seen), target, framebuffer, tiles)
-        return SeenLight(framebuffer.radiance, framebuffer.state, reading.version + version.encode())
 
     def gbuffer(self, view: View, tiles: Tiles | None = None) -> GBuffer:
         """The G-buffer of a view. Raises Cancelled, as every step does, once its ``tiles`` are cancelled."""
@@ -329,12 +269,3 @@ class Renderer:
     def forget_views(self) -> None:
         """Keep nothing of views, as if every one were new."""
         self._kept.clear()
-
-
-def texels_until(until: Until, view: View, known: PictureState | None) -> Until:
-    """When texels of a ``view`` need no more samples: once they have as many as are enough for its check, where that is
-    ``known``; each at the target alone where nothing checks pictures, as of vicinity shading.
-    """
-    if view.shading != "gi":
-        return Until(until.target)
-    return Until(until.target, max(until.enough, known.enough if known else 0))

@@ -8,7 +8,7 @@ from the steps on this rung alone: the same view has the same numbers whoever as
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -78,10 +78,10 @@ class PictureCheck:
         """Bytes that it takes."""
         return self.known.nbytes + (self.growing.nbytes if self.growing else 0)
 
-    def step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles, prices: Prices) -> bool:
+    def step(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
         """Come one step nearer to the target from a ``frame`` of this picture; whether there was one to take.
 
-        ``uncertainty`` finds how uncertain the light of each surface point is, (m,); ways to the target are weighed at
+        ``uncertainty`` (m,) says how uncertain the light of each surface point is; ways to the target are weighed at
         these ``prices``. Where another thread took a step since the frame was drawn, that was it. Raises Cancelled.
         """
         shown = frame.quality.known
@@ -91,19 +91,19 @@ class PictureCheck:
         self.known = replace(self.known, ended=not taken)
         return taken
 
-    def _step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles, prices: Prices) -> bool:
+    def _step(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
         if self.growing is not None:
             return self._grow(self.growing, tiles)
         if self.known.outdated or frame.measured is None:
-            return self._begin_rung(frame, uncertainty(), tiles)
+            return self._begin_rung(frame, uncertainty, tiles)
         climbs = climbs_of(frame, self._rung(frame), self.known.target) if not self.known.attempt else [0.0]
         if not self._decided(frame.measured):
             drawn = 2.0 * self.known.paths * frame.measured.controls
             self.ahead = Ahead(max(self._control_paths(frame.measured, frame.measured.likely) - drawn, drawn), times=1)
             if self._climbing_decides(frame, frame.measured, [prices.path * each for each in climbs]):
                 return self._climb(frame)
-            return self._add_controls(frame.measured, uncertainty(), tiles)
-        plan = self._cheapest(frame, frame.measured, uncertainty(), climbs, prices)
+            return self._add_controls(frame.measured, uncertainty, tiles)
+        plan = self._cheapest(frame, frame.measured, uncertainty, climbs, prices)
         first, last = 2.0 * self.known.paths * FIRST, self._control_paths(frame.measured, self._aim(frame.measured))
         self.coarse, self.ahead = plan.finer, plan.ahead(first, last)
         if plan.rungs:
