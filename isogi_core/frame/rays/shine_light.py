@@ -18,7 +18,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
-from isogi_core.frame.rays.half_sums import HALVES, HalfSums, NoisyLight
+from isogi_core.frame.rays.estimate import HALVES, Estimate, NoisyLight
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.rays.shine import RAYS, ShineRays, cast_rays, light_below, paths_from
 from isogi_core.frame.rays.view_walls import ViewWalls
@@ -64,29 +64,6 @@ class SeenLight:
     version: bytes
 
 
-@dataclass(frozen=True, eq=False)
-class Gleam(NoisyLight):
-    """What shine brings to each point of a picture."""
-
-    def put(self, below: np.ndarray, gbuffer: GBuffer, unit: float, framebuffer: Framebuffer, tiles: Tiles) -> None:
-        """Write it into a picture of diffuse light, of which the share ``below`` (m, 3) stays; errors are of both.
-
-        Raises Cancelled.
-        """
-
-        def _piece(a: int, b: int) -> None:
-            pixels = gbuffer.pixels[a:b]
-            diffuse = framebuffer.radiance[pixels] * below[a:b]
-            noise = framebuffer.error[pixels] * (diffuse @ LUMINANCE)
-            light = diffuse + self.light[a:b]
-            error = np.sqrt(noise**2 + self.variance[a:b]) / np.maximum(light @ LUMINANCE, DARKEST * unit)
-            framebuffer.radiance[pixels] = np.minimum(light, np.finfo(np.float32).max)
-            unknown = framebuffer.state[pixels] <= PROVISIONAL
-            framebuffer.error[pixels] = np.where(unknown, 1.0, np.minimum(error, 1.0))
-
-        tiles.run(_piece, len(below), tiles.even(len(below)))
-
-
 @dataclass(eq=False)
 class ShineLight:
     """The shine of a view in a ``light``: what it leaves of diffuse light, ``below``; its first ``rays``; and the
@@ -97,14 +74,14 @@ class ShineLight:
     gbuffer: GBuffer
     below: np.ndarray
     rays: ShineRays
-    sums: HalfSums
+    sums: Estimate
     lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @classmethod
     def begun(cls, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> "ShineLight":
         """The shine of a surface that shines in a ``light``, with its first rays. Raises Cancelled."""
         rays = cast_rays(light, gbuffer, range(1), range(1), tiles, ways=1)
-        return cls(light, gbuffer, light_below(light, gbuffer, tiles), rays, HalfSums.none(len(gbuffer.points)))
+        return cls(light, gbuffer, light_below(light, gbuffer, tiles), rays, Estimate.none(len(gbuffer.points)))
 
     @property
     def nbytes(self) -> int:
@@ -121,15 +98,29 @@ class ShineLight:
         """Names the rays that it is made of, but for what texels show where the first ones end."""
         return repr(self.light.shine).encode() + self.sums.version
 
-    def gleam(self, seen: SeenLight | None, tiles: Tiles) -> Gleam:
-        """What it brings to the picture: by all rays, or by the first ones where these have ``seen`` light."""
-        if seen is None:
-            return self._gleam(tiles)
-        return self._filtered(Gleam.of(self.rays.gather(seen.light), self.gbuffer, tiles), tiles)
+    def put(self, seen: SeenLight | None, framebuffer: Framebuffer, tiles: Tiles) -> None:
+        """Write it into a picture of diffuse light, of which the share ``below`` stays; errors are of both.
 
-    def _filtered(self, single: Gleam, tiles: Tiles) -> Gleam:
-        """What ``single`` rays bring, filtered over the picture. Raises Cancelled."""
-        gbuffer, shine = self.gbuffer, self.light.shine or DULL
+        All rays bring it, or the first ones where these have ``seen`` light. Raises Cancelled.
+        """
+        brought = self._sharp(tiles) if seen is None else self._filtered(self.rays.gather(seen.light), tiles)
+        darkest = DARKEST * self.light.spec.unit
+
+        def _piece(a: int, b: int) -> None:
+            pixels = self.gbuffer.pixels[a:b]
+            diffuse = framebuffer.radiance[pixels] * self.below[a:b]
+            noise = framebuffer.error[pixels] * (diffuse @ LUMINANCE)
+            light = diffuse + brought.light[a:b]
+            error = np.sqrt(noise**2 + brought.variance[a:b]) / np.maximum(light @ LUMINANCE, darkest)
+            framebuffer.radiance[pixels] = np.minimum(light, np.finfo(np.float32).max)
+            unknown = framebuffer.state[pixels] <= PROVISIONAL
+            framebuffer.error[pixels] = np.where(unknown, 1.0, np.minimum(error, 1.0))
+
+        tiles.run(_piece, len(self.below), tiles.even(len(self.below)))
+
+    def _filtered(self, means: np.ndarray, tiles: Tiles) -> NoisyLight:
+        """What single rays bring, ``means`` (m, 1, 3), filtered over the picture. Raises Cancelled."""
+        gbuffer, shine, single = self.gbuffer, self.light.shine or DULL, NoisyLight.of(means, self.gbuffer, tiles)
         rows, normals, width = gbuffer.rows, gbuffer.normals(tiles), float(np.hypot(ALIKE, 2.0 * shine.alpha))
         steps = [np.column_stack([single.light, single.variance]).astype(np.float32)]
         for step in STEPS:
@@ -141,17 +132,17 @@ class ShineLight:
             tiles.run(_piece, len(before), tiles.even(len(before)))
             steps.append(after)
         blurred = ((steps[-1] - steps[-2])[:, :3] @ LUMINANCE) ** 2
-        return Gleam(steps[-1][:, :3], steps[-1][:, 3] + blurred)
+        return NoisyLight(steps[-1][:, :3], steps[-1][:, 3] + blurred)
 
-    def _gleam(self, tiles: Tiles) -> Gleam:
+    def _sharp(self, tiles: Tiles) -> NoisyLight:
         """What all rays bring that were cast since the texels' light is final."""
-        return Gleam.of(self.sums.means, self.gbuffer, tiles)
+        return NoisyLight.of(self.sums.means, self.gbuffer, tiles)
 
     def noisy(self, allowed: float, tiles: Tiles) -> np.ndarray:
         """Rows of the points that are to have more rays: all at first, none where the picture's noise is allowed."""
         if self.count < LEAST:
             return np.arange(len(self.gbuffer.points))
-        return self.sums.noisy(self._gleam(tiles).variance, allowed)
+        return self.sums.noisy(self._sharp(tiles).variance, allowed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +160,7 @@ class ViewShine:
         """Let the surface in a picture shine; what names the rays that were taken, and the light that they read."""
         shine = self._of(light, gbuffer, tiles)
         ends = None if shine.count else self._ends(shine.rays, light, target, tiles)
-        shine.gleam(ends, tiles).put(shine.below, gbuffer, light.spec.unit, framebuffer, tiles)
+        shine.put(ends, framebuffer, tiles)
         return shine.version + (ends.version if ends else b"")
 
     def step(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, prices: Prices) -> bool:

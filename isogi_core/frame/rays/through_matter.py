@@ -15,7 +15,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.half_sums import HALVES, HalfSums, NoisyLight
+from isogi_core.frame.rays.estimate import HALVES, Estimate, NoisyLight
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.rays.view_walls import ViewWalls
 from isogi_core.frame.rays.wall_light import WallView
@@ -154,7 +154,7 @@ class SurfaceSeen:
     gbuffer: GBuffer
     light: RotatedLight
     first: SeenThrough
-    sums: HalfSums
+    sums: Estimate
     lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
@@ -177,7 +177,7 @@ class SurfaceSeen:
         framebuffer.error[pixels] = np.minimum(error, 1.0)
         return sums.version
 
-    def shown(self, sums: HalfSums, lit: Framebuffer, tiles: Tiles) -> tuple[NoisyLight, np.ndarray]:
+    def shown(self, sums: Estimate, lit: Framebuffer, tiles: Tiles) -> tuple[NoisyLight, np.ndarray]:
         """What is seen by ``sums`` where walls are ``lit``, and by how much these make its luminance err (m,).
 
         What went the way of another light errs by how much neighbours differ. Raises Cancelled.
@@ -188,7 +188,7 @@ class SurfaceSeen:
         apart = NoisyLight.of(light[:, None], self.gbuffer, tiles).variance
         return NoisyLight(light, 2.0 * self.first.cut.astype(np.float64) ** 2 * apart), wrong
 
-    def noisy(self, sums: HalfSums, shown: NoisyLight, target: float) -> np.ndarray:
+    def noisy(self, sums: Estimate, shown: NoisyLight, target: float) -> np.ndarray:
         """Rows of the points that are to have more trees than in ``sums`` before what is ``shown`` is at its target."""
         allowed = (SHARE if len(self.first.rows) else 1.0) * target * float((shown.light @ LUMINANCE).mean())
         count = sums.most
@@ -266,7 +266,7 @@ class ViewThrough:
 
         def make() -> SurfaceSeen:
             first = SeenThrough.of(gbuffer, light, GREATEST, tiles)
-            return SurfaceSeen(gbuffer, light, first, HalfSums.none(len(gbuffer.points)))
+            return SurfaceSeen(gbuffer, light, first, Estimate.none(len(gbuffer.points)))
 
         return self.kept.get((SurfaceSeen, *check_key(light.view, target)), make)
 
