@@ -5,12 +5,13 @@ RUN pip install --no-cache-dir --require-hashes -r requirements.lock
 COPY isogi_core isogi_core
 COPY worker worker
 COPY server server
+COPY isogi_report isogi_report
 COPY web web
 # Compiled kernels are known by the times of their sources too: whole seconds, as layers may keep no parts of them.
 RUN pip install --no-cache-dir --no-compile --no-deps . \
  && find /usr/local/lib/python3.12/site-packages/isogi_core -name '*.py' -exec touch -d @1000000000 '{}' + \
  && python -m compileall -q /usr/local/lib/python3.12/site-packages/isogi_core \
- && rm -r isogi_core worker server web \
+ && rm -r isogi_core worker server isogi_report web \
  && useradd --create-home isogi && mkdir -p /light /var/cache/isogi && chown isogi /light /var/cache/isogi
 USER isogi
 ENV ISOGI_STORE=/light XDG_CACHE_HOME=/var/cache

@@ -93,14 +93,10 @@ def drawn(y: int, room: Room) -> Iterator[str]:
 def picture() -> str:
     """The whole picture as SVG."""
     y, parts = 16, []
-    alone = Room("worker", first_sentence(ROOT / "worker/__init__.py"), modules("worker"))
     for title, note, rooms in (
+        ("isogi_report", "imports all others", [alone("isogi_report")]),
         ("server", "imports worker and isogi_core; each room imports only rooms below it", list(rooms_of("server"))),
-        (
-            "worker",
-            "imports isogi_core",
-            [alone],
-        ),
+        ("worker", "imports isogi_core", [alone("worker")]),
         ("isogi_core", "knows no web framework, no scheduler and no picture format", list(rooms_of("isogi_core"))),
     ):
         y, more = band(y, title, note, rooms)
@@ -115,9 +111,9 @@ def picture() -> str:
     return "\n".join([head, f"<style>{STYLE}</style>", ground, *parts, "</svg>\n"])
 
 
-def modules(package: str) -> int:
-    """How many modules a package has."""
-    return len(list((ROOT / package).rglob("*.py")))
+def alone(package: str) -> Room:
+    """A package that is one room."""
+    return Room(package, first_sentence(ROOT / package / "__init__.py"), len(list((ROOT / package).rglob("*.py"))))
 
 
 if __name__ == "__main__":

@@ -26,8 +26,8 @@ from isogi_core.model.sky import sun_direction
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
+from isogi_report.speed import make_renderer
 from server.answers import camera_schema
-from server.cli.bench import make_renderer
 from server.cli.render import render, rendered
 from server.parameters import FrameParams, read
 from server.settings import Settings

@@ -1,17 +1,22 @@
-"""Values written as text: numbers in a range, rows of numbers, words, spans of time."""
+"""Values written as text: numbers in a range, rows of numbers, words, spans of time; and documents of these."""
 
+import json
 import math
 import re
 import sys
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from annotated_types import GroupedMetadata
 from pydantic import BeforeValidator, WithJsonSchema
 
 from isogi_core.errors import ViewError
+from isogi_core.files.regular import read_small
 from isogi_core.model.window import read_window
+from server.errors import ParameterError
 
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 WHOLE_PATTERN = re.compile(r"[+-]?\d+", re.ASCII)
@@ -203,3 +208,16 @@ def span(seconds: float, digits: int = 3) -> str:
     name, size = next(((name, size) for name, size in NAMES if seconds >= size), ("s", 1.0))
     count = float(f"{seconds / size:.{digits}g}") if seconds >= NAMES[-1][1] else 0.0
     return f"{count:,g} {name}"
+
+
+MAX_DOCUMENT_BYTES = 1 << 26
+"""Bytes of a file of views or directions, at most."""
+
+
+def document_in(file: Path, otherwise: Callable[[str], Any]) -> Any:
+    """What a JSON or TOML ``file`` holds; the text of any other is read by ``otherwise``. Raises ParameterError."""
+    readers = {".json": json.loads, ".toml": tomllib.loads}
+    try:
+        return readers.get(file.suffix, otherwise)(read_small(file, MAX_DOCUMENT_BYTES).decode())
+    except (OSError, RecursionError, ValueError) as error:
+        raise ParameterError(f"{file.name} cannot be read: {error}.", "views-file") from None

@@ -19,7 +19,7 @@ from isogi_core.errors import IsogiError
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("isogi_core", "worker", "server")
 KERNELS = sorted((ROOT / "isogi_core" / "kernels").rglob("*.py"))
-SOURCES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+SOURCES = [path for package in (*PACKAGES, "isogi_report") for path in sorted((ROOT / package).rglob("*.py"))]
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 HEAVY = ("numba", "llvmlite", "zarr", "distributed", "dask", "fastapi", "uvicorn")
 LONGEST_FILE = 600

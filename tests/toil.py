@@ -11,7 +11,7 @@ from isogi_core.bake.texel_light import Light
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
-from isogi_core.report import bake, convergence
+from isogi_report import bake, convergence
 
 PACE = 1 << 20
 """Samples of texels and of pixels that take a second; a power of two, so that sums of them are exact."""

@@ -25,7 +25,7 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from server.cli.bench import Candidate, bake_view, make_renderer, medians, seconds, view_of
+from isogi_report.speed import Candidate, bake_view, make_renderer, medians, seconds, view_of
 
 START, RANGE = 0.3, (0.0, 0.9)
 """The albedo at which the scene is baked, and those that views may ask for."""

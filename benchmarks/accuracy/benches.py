@@ -11,9 +11,9 @@ import click
 from benchmarks.common.scenes import Subject, scene_of
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
-from isogi_core.report.bench import Bench
-from server.cli.bench import view_of
-from server.report.command import STAND
+from isogi_report.bench import Bench
+from isogi_report.command import STAND
+from isogi_report.speed import view_of
 
 Settings = Callable[[str], Mapping[str, Any]]
 """What scenes say besides, by the name of their light."""

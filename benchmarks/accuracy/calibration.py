@@ -33,8 +33,8 @@ from isogi_core.frame.frame import Frame
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import IDENTITY, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
-from isogi_core.report.bake import ViewBake
-from server.cli.bench import make_renderer
+from isogi_report.bake import ViewBake
+from isogi_report.speed import make_renderer
 
 FURTHER = 16
 """Times the samples of the frames that are judged, in the light that they are judged by."""

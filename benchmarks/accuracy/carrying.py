@@ -11,10 +11,10 @@ from isogi_core.cache.page_pool import fill_rows, new_rows, reflected_share
 from isogi_core.frame.lighting import RotatedLight, scatter_at, weights_between
 from isogi_core.kernels.shading.lattice import LIT, light_texels
 from isogi_core.kernels.tracing.field import bspline
-from isogi_core.report.bake import Bake
-from isogi_core.report.bench import Bench
-from isogi_core.report.exact import Lit, own_light, straight_light, unrounded
-from isogi_core.report.metrics import Spread, luminance, mean_of, spread_of
+from isogi_report.bake import Bake
+from isogi_report.bench import Bench
+from isogi_report.exact import Lit, own_light, straight_light, unrounded
+from isogi_report.metrics import Spread, luminance, mean_of, spread_of
 
 SAMPLES = 256
 """Samples of each texel."""

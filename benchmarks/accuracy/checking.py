@@ -18,7 +18,7 @@ from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import SIX
 from benchmarks.common.suite import part
 from benchmarks.common.timing import Seconds
-from isogi_core.report.bench import Bench
+from isogi_report.bench import Bench
 
 HEAD = ("scene", "told at first, %", "told, %", "own light", "bake, s", "first step, s", "all steps, s", "KiB")
 

@@ -21,10 +21,10 @@ from benchmarks.common.suite import part
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from isogi_core.report.bake import ViewBake
-from isogi_core.report.bench import Bench
-from isogi_core.report.exact import apart, lit_by_frame, lit_by_paths, own_light
-from isogi_core.report.metrics import mean_of, spread_of
+from isogi_report.bake import ViewBake
+from isogi_report.bench import Bench
+from isogi_report.exact import apart, lit_by_frame, lit_by_paths, own_light
+from isogi_report.metrics import mean_of, spread_of
 
 LATTICES = (0.5, 1.0, 2.0)
 """Texels along each axis, as multiples of the scene's."""

@@ -21,8 +21,8 @@ from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.view_texels import first_texels
-from isogi_core.report.bake import NEVER, ViewBake
-from isogi_core.report.metrics import Score, score
+from isogi_report.bake import NEVER, ViewBake
+from isogi_report.metrics import Score, score
 
 LEVELS = (16, 64, 256)
 """Samples of each texel."""

@@ -21,7 +21,7 @@ from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import CONSTANT
 from benchmarks.common.suite import part
 from isogi_core.frame.frame import Frame
-from isogi_core.report.bench import Bench
+from isogi_report.bench import Bench
 
 WHITE = 1.0
 FOUND = 0.99

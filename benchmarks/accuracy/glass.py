@@ -36,8 +36,8 @@ from isogi_core.model.view import View
 from isogi_core.plan.assembly import build_scene, load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_core.report.metrics import luminance
-from server.cli.bench import view_of
+from isogi_report.metrics import luminance
+from isogi_report.speed import view_of
 
 MEMORY = 1 << 28
 """Bytes of light that frames may hold."""

@@ -18,7 +18,7 @@ from benchmarks.accuracy.projection import errors_of_moves
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import Subject
 from benchmarks.common.suite import part
-from isogi_core.report.metrics import Spread
+from isogi_report.metrics import Spread
 
 SUBJECTS = (
     *(Subject("engine", isovalue, "constant light") for isovalue in (70, 170, 180)),

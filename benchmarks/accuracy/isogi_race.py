@@ -16,8 +16,8 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
-from isogi_core.report.reference import Reference, trace_reference, with_bounces
-from server.cli.bench import Offsets, bake_offsets, make_renderer
+from isogi_core.reference import Reference, trace_reference, with_bounces
+from isogi_report.speed import Offsets, bake_offsets, make_renderer
 
 SMALL = 8
 """Pixels a side of the pictures that kernels are compiled on."""

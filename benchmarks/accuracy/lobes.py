@@ -23,7 +23,7 @@ from isogi_core.model.view import View
 from isogi_core.plan.inputs import PlanOverrides
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import Scene
-from server.cli.bench import DONE, Candidate, bake_view, make_renderer, medians, relight, seconds, turned, view_of
+from isogi_report.speed import DONE, Candidate, bake_view, make_renderer, medians, relight, seconds, turned, view_of
 
 TURNS = 1000
 """A turn of the light that no other candidate comes to."""

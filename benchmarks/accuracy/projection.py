@@ -17,9 +17,9 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.kernels.shading.irradiance_ratio import LEAST, LEAST_COSINE, TURNED
 from isogi_core.kernels.transport.texel_points import measure_distances
 from isogi_core.plan.bands import evaluate_harmonics
-from isogi_core.report.bench import Bench
-from isogi_core.report.exact import Lit, own_light, straight_light
-from isogi_core.report.metrics import Spread, luminance
+from isogi_report.bench import Bench
+from isogi_report.exact import Lit, own_light, straight_light
+from isogi_report.metrics import Spread, luminance
 
 WAYS_OFF = (0.25, 0.5)
 """Voxels from the shown isosurface beyond which texels are projected where not all are."""

@@ -15,9 +15,9 @@ from benchmarks.accuracy.summary import summary_of
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import SIX, Subject, scene_of
 from benchmarks.common.suite import part
+from isogi_report.command import STAND, ReportRequest, report_of, sentence
+from isogi_report.speed import view_of
 from server.cli.arguments import duration
-from server.cli.bench import view_of
-from server.report.command import STAND, Wishes, report_of, sentence
 
 
 @part(size=112)
@@ -38,4 +38,4 @@ def make(subject: Subject, folder: Path, size: int, deadline: float | None) -> d
     """The report of a subject: what the command would tell of it."""
     scene = scene_of(subject)
     view = view_of(scene, size, camera=scene.camera(**STAND, fov=30.0))
-    return report_of(scene, view, scene.default_exposure, Wishes(folder, deadline), time.monotonic())
+    return report_of(scene, view, scene.default_exposure, ReportRequest(folder, deadline), time.monotonic())

@@ -31,7 +31,7 @@ from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
-from server.cli.bench import view_of
+from isogi_report.speed import view_of
 from server.cli.render import awaited
 from server.render.engine import RenderEngine
 

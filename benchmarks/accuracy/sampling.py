@@ -48,12 +48,12 @@ from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.range_sampling import WAYS, sample_range
 from isogi_core.plan.scene import Scene
-from isogi_core.report.bake import Bake, ViewBake
-from isogi_core.report.bench import Bench
-from isogi_core.report.exact import Lit, lit_by_paths
-from isogi_core.report.metrics import luminance, mean_of, spread_of
-from isogi_core.report.reference import trace_reference
-from server.cli.bench import view_of
+from isogi_core.reference import trace_reference
+from isogi_report.bake import Bake, ViewBake
+from isogi_report.bench import Bench
+from isogi_report.exact import Lit, lit_by_paths
+from isogi_report.metrics import luminance, mean_of, spread_of
+from isogi_report.speed import view_of
 
 NEAREST = 8
 """Vertices that a texel's light is made of. Shepard (1968) takes four to ten, seven on the average."""

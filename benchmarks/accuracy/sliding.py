@@ -35,8 +35,8 @@ from isogi_core.frame.frame import Frame
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import build_scene, load_scene
 from isogi_core.plan.scene import Scene
-from isogi_core.report.metrics import luminance, mean_of, spread_of
-from server.cli.bench import view_of
+from isogi_report.metrics import luminance, mean_of, spread_of
+from isogi_report.speed import view_of
 from server.cli.render import awaited
 from server.render.engine import RenderEngine
 

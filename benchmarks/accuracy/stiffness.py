@@ -23,7 +23,7 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.stiffness import NOISY_ERROR, SMOOTH_ERROR, STEEP_ERROR, Expectation, measure_stiffness
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_core.report.bench import Bench
+from isogi_report.bench import Bench
 from tests.stability.scenes import scene_of, view_of
 from tests.stability.volumes import body, ramp
 

@@ -7,9 +7,9 @@ from typing import Any
 
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.measurement import markdown as lines_of
-from isogi_core.report.sections import Cell, Column, Table
-from server.report.cells import text_columns
-from server.report.documents import table_of
+from isogi_report.cells import text_columns
+from isogi_report.documents import table_of
+from isogi_report.sections import Cell, Column, Table
 
 Data = Mapping[str, Any]
 

@@ -34,10 +34,10 @@ from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.zarr_codec import unwrap_all
-from server.cli.bench import view_of
+from isogi_report.command import STAND
+from isogi_report.speed import view_of
 from server.cli.render import awaited
 from server.render.engine import RenderEngine
-from server.report.command import STAND
 
 SKIN, CLEAR, BONE = 64, (0.3, 0.6, 0.9), (110, 122, 134, 145, 157, 168, 180)
 """The isovalue of the skin and the shares of rays that pass it; isovalues of the bone that slides."""

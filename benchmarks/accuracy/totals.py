@@ -35,10 +35,10 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
-from isogi_core.report.bake import ViewBake, dark
-from isogi_core.report.bench import Bench
-from isogi_core.report.metrics import score
-from isogi_core.report.reference import Reference
+from isogi_core.reference import Reference
+from isogi_report.bake import ViewBake, dark
+from isogi_report.bench import Bench
+from isogi_report.metrics import score
 
 PLACES = (
     *(("engine_256x256x128_uint8", 70), ("engine_256x256x128_uint8", 170), ("ct_head_208x256x225_uint8", 110)),

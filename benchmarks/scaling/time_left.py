@@ -19,7 +19,7 @@ from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
 from isogi_core.frame.frame import Frame
 from isogi_core.model.view import View
-from server.cli.bench import view_of
+from isogi_report.speed import view_of
 from server.render.engine import RenderEngine
 from worker.baker import Baker
 from worker.kernels import KINDS, load_kernels

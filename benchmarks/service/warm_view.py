@@ -37,7 +37,7 @@ from isogi_core.storage.object_store import Bucket
 from isogi_core.storage.store import SENTINEL, Store
 from isogi_core.storage.url import StoreUrl
 from isogi_core.storage.zarr_codec import CRC_BYTES
-from server.cli.bench import bake_view, make_renderer, view_of
+from isogi_report.speed import bake_view, make_renderer, view_of
 
 MEMORY = 1 << 30
 BUCKET = "s3://isogi/warm"

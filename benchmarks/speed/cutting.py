@@ -21,10 +21,10 @@ from benchmarks.common.suite import part
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from server.cli.bench import view_of
+from isogi_report.command import STAND
+from isogi_report.speed import view_of
 from server.render.engine import RenderEngine
 from server.render.variants import Change, Variants
-from server.report.command import STAND
 
 SHARE, PATIENCE, STEP = 0.1, 200.0, 0.1
 """What a cut takes away, seconds that a picture may take, and those between two looks at it."""

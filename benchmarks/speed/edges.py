@@ -24,7 +24,7 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.shading.edges import find_contrasts
 from isogi_core.model.scene_plan import FEWEST
 from isogi_core.model.view import View
-from server.cli.bench import DONE, Candidate, bake_view, make_renderer, medians, seconds, view_of
+from isogi_report.speed import DONE, Candidate, bake_view, make_renderer, medians, seconds, view_of
 
 TRUE = 256
 """Samples of a pixel that counts as true."""

@@ -26,8 +26,8 @@ from isogi_core.model.scene_plan import FEWEST, MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.model.window import Window
 from isogi_core.plan.scene import Scene
-from isogi_core.report.bake import NEVER
-from server.cli.bench import (
+from isogi_report.bake import NEVER
+from isogi_report.speed import (
     DONE,
     Candidate,
     bake_view,

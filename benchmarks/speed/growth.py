@@ -28,7 +28,7 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.model.scene_plan import FEWEST
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.scene import Scene
-from server.cli.bench import (
+from isogi_report.speed import (
     Candidate,
     bake_view,
     bounce,

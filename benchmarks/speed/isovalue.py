@@ -32,7 +32,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene_plan import FEWEST
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from server.cli.bench import (
+from isogi_report.speed import (
     DONE,
     Candidate,
     bake_view,

@@ -33,8 +33,8 @@ from isogi_core.model.scene_plan import MAX_SAMPLES, Layer
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_core.report.bake import NEVER
-from server.cli.bench import (
+from isogi_report.bake import NEVER
+from isogi_report.speed import (
     Candidate,
     Rays,
     bake_pieces,

@@ -36,7 +36,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.transport import streams
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.prepared.prepared_scene import PreparedScene
-from server.cli.bench import make_renderer, view_of
+from isogi_report.speed import make_renderer, view_of
 
 MANY = 16
 """The reference takes so many times the most samples."""

@@ -27,7 +27,7 @@ from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER
 from isogi_core.kernels.tracing.cast import cast_one_by_one
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from server.cli.bench import Candidate, Rays, bounce, cast, medians, primary_rays, timed
+from isogi_report.speed import Candidate, Rays, bounce, cast, medians, primary_rays, timed
 
 FOUR = (
     "engine_256x256x128_uint8.nhdr@70",

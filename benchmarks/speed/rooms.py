@@ -32,7 +32,7 @@ from isogi_core.model.scene_plan import FEWEST
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
-from server.cli.bench import DONE, Candidate, bake_view, make_renderer, medians, seconds, view_of
+from isogi_report.speed import DONE, Candidate, bake_view, make_renderer, medians, seconds, view_of
 from server.cli.render import awaited
 from server.render.engine import RenderEngine
 

@@ -6,8 +6,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from uuid import uuid4
 
+from isogi_core.errors import ViewError
+
 PARTIAL = ".partial"
 """Suffix of a file that is being written. Readers and listings pass over it."""
+
+
+def check_folder(output: Path) -> None:
+    """Raise ViewError where the folder is missing that ``output``, a file or folder, is to be written to."""
+    if not output.parent.is_dir():
+        raise ViewError(f"There is no folder {output.parent} for {output.name}: make it first.")
 
 
 def write_whole(path: Path, data: bytes) -> None:

@@ -21,9 +21,15 @@ from isogi_core.plan.scene import Scene
 from server.api.prewarm_jobs import Prewarm, stand_back, to_its_end
 from server.api.service import Service
 from server.export_parameters import ExportParams
-from server.exports.coefficients import coefficient_count
-from server.exports.kinds import MESHES, check_coefficients, expected_bytes, write_mesh, write_volume
-from server.exports.lighting import check_lattice, lit_mesh, lit_volume, lit_voxels, no_surface, surface_mesh
+from server.exports.lit_files import (
+    check_coefficients,
+    check_lattice,
+    coefficient_count,
+    expected_bytes,
+    no_surface,
+    places_to_light,
+    write_lit,
+)
 from server.prewarm.order import PrewarmOrder, order_of
 from server.render.jobs import Job, Result
 from server.render.variants import own_name
@@ -132,10 +138,5 @@ class Export:
         with closing(Tiles(1)) as tiles:
             caches = self.service.engine.renderer(self.scene.id).caches
             renderer = Renderer(caches, tiles.cancelled_by(self.cancelled), EXPORT_BYTES)
-            if self._suffix in MESHES:
-                mesh = surface_mesh(renderer, view.isovalue)
-                write_mesh(output, lit_mesh(renderer, view, mesh, exposure, report))
-            else:
-                voxels = lit_voxels(renderer, [(view.isovalue, view.isovalue)])
-                lit = lit_volume(renderer, view, voxels, exposure, report, self._coefficients)
-                write_volume(output, lit)
+            places = places_to_light(renderer, self._suffix, [(view.isovalue, view.isovalue)])
+            write_lit(renderer, output, view, places, exposure, report, self._coefficients)

@@ -17,21 +17,20 @@ from itertools import count
 from typing import TypeVar
 
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.errors import Cancelled, IsogiError, StoreError
+from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from server.api.service import Service
-from server.api.shown import PictureRequest
+from server.api.service import PictureRequest, Service
 from server.errors import BusyError
-from server.prewarm.context import PrewarmContext, Step
+from server.prewarm.baking import PrewarmContext, Step
 from server.prewarm.order import PrewarmOrder
 from server.prewarm.record import BEAT, OPEN, Record, RecordDocument, Summary, recorded_prewarms
 from server.prewarm.work import carry_out, carry_out_dry, wanted
 from server.render.bakes import BACKGROUND
-from server.render.jobs import Job, Result, Status
+from server.render.jobs import Job, Result
 from worker.bake_requests import Viewer
 from worker.errors import WorkersError
 from worker.progress import TimeLeft
@@ -115,8 +114,6 @@ class Prewarm:
 
         def report(step: Step) -> None:
             loop.call_soon_threadsafe(tell, step.share, str(step), step.left)
-            if record is not None:
-                record.report(step)
 
         def frame_of(view: View) -> Frame:
             return self._frame_of(loop, PictureRequest(self.scene.id, view, target))
@@ -135,18 +132,8 @@ class Prewarm:
 
     def _recorded(self, context: PrewarmContext, record: Record) -> Summary:
         """Carry it out, and keep a record of it; what a stopping server leaves is taken up by the next."""
-        record.follow(context)
-        record.keep(status=Status.RUNNING)
-        try:
+        with record.kept(context, "This was dismissed.", lambda: self.service.jobs.closed):
             summary = self._carried_out(context, lambda ahead: record.keep(ahead=ahead))
-        except Cancelled:
-            if not self.service.jobs.closed:
-                record.keep(status=Status.DISMISSED, message="This was dismissed.")
-            raise
-        except IsogiError as error:
-            with suppress(StoreError):
-                record.keep(status=Status.FAILED, message=str(error))
-            raise
         return record.close(summary)
 
     def _carried_out(self, context: PrewarmContext, begun: Callable[[Summary], None] = lambda _: None) -> Summary:

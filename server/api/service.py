@@ -7,9 +7,9 @@ import math
 import threading
 from collections.abc import AsyncGenerator, Callable
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated, TypeVar
+from typing import Annotated, NamedTuple, Self, TypeVar
 
 import numpy as np
 from fastapi import Depends, Request
@@ -20,11 +20,10 @@ from isogi_core.errors import IsogiError, NoRoomError, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
+from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from server.answers import scene_schema
-from server.api.render_threads import RenderThreads
-from server.api.shown import PictureRequest, Shown, Wait
 from server.api.startup import Startup, within
 from server.bearers import Bearer, bearer_of, client_of
 from server.errors import ForbiddenError, StartingError, UnknownJobError, UnknownSceneError
@@ -33,7 +32,7 @@ from server.parameters import LightParams, VariantParams, ViewParams
 from server.render.admission import AdmissionLimit
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
-from server.render.scheduling import ASKED, DRAFT, REFINED, REST, Rank
+from server.render.scheduling import ASKED, DRAFT, REFINED, REST, Rank, Renders
 from server.render.updates import UpdateBus, attended, request_viewer
 from server.render.variants import MARK, Change, Variants
 from server.settings import Settings
@@ -395,3 +394,89 @@ async def client(connection: HTTPConnection) -> tuple[str, str]:
 ClientDep = Annotated[tuple[str, str], Depends(client)]
 
 SceneDep = Annotated[Scene, Depends(scene_of)]
+
+
+DRAFTS = 2
+"""Threads for drafts alone, so that none waits for a full picture to end."""
+
+LARGE_PICTURE_PIXELS = 1 << 21
+"""Pixels beyond which pictures are drawn one at a time: each takes some 45 bytes a pixel besides what is kept."""
+
+ASKING = 2
+"""Threads that ask for light alone: they wait for each other at the queue of bakes, where no picture shall wait."""
+
+
+class RenderThreads:
+    """Threads for each kind of work, so that none of them waits for another kind."""
+
+    def __init__(self, pictures: int) -> None:
+        """So many for ``pictures`` that are neither drafts nor large; one of them while drafts wait for their turn."""
+        self.drafts = Renders(DRAFTS, even=True)  # drafts are sized to take about as long
+        self.pictures = Renders(pictures, lambda: self.drafts.crowded)
+        self.large, self.asking, self.checks = Renders(1), Renders(ASKING), Renders(1)
+
+    def of(self, view: View) -> Renders:
+        """The threads on which the picture of a view is drawn, and written as a file."""
+        if view.moving:
+            return self.drafts
+        return self.large if view.width * view.height > LARGE_PICTURE_PIXELS else self.pictures
+
+    def close(self) -> None:
+        """Take no more work; what still waits is dropped."""
+        for each in (self.pictures, self.drafts, self.large, self.asking, self.checks):
+            each.close()
+
+
+ONCE = ("queue", "primary", "texels", "normals", "lobes")  # what they find is kept for a view's next pictures
+
+
+@dataclass(frozen=True)
+class PictureRequest:
+    """A picture: a ``view`` of a scene, by its id, which is to reach the relative error ``target``."""
+
+    scene: str
+    view: View
+    target: float
+
+    def draft(self, scale: float) -> Self:
+        """The draft of this view while it moves, in a picture of ``scale`` times the width and the height."""
+        width, height = (max(round(scale * side), 1) for side in (self.view.width, self.view.height))
+        return replace(self, view=replace(self.view, width=width, height=height, moving=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """The answer to a picture request: a ``frame``, the time until it is final, and the ``watch`` of its stages.
+
+    ``coming`` are the chunks that are going to be baked for it, and ``since`` numbers the newest update of light when
+    the frame was begun.
+    """
+
+    frame: Frame
+    time_left: TimeLeft | None
+    watch: Stopwatch
+    coming: frozenset[Index]
+    since: int
+
+
+class Wait(NamedTuple):
+    """What a picture waits for: the chunks that are ``coming``, newer than the update ``since``; and the ``work`` on
+    it, seconds, where it shows light. Parts of it are provisional until the ``dark`` ones have light.
+    """
+
+    coming: frozenset[Index]
+    since: int
+    work: float
+    dark: frozenset[Index]
+
+    @classmethod
+    def after(cls, shown: Shown) -> Self:
+        """What the next picture waits for."""
+        if shown.frame.coverage["provisional"] == 1.0:
+            return cls(shown.coming, shown.since, 0.0, frozenset())
+        return cls(shown.coming, shown.since, work_of(shown), shown.frame.quality.dark & shown.coming)
+
+
+def work_of(shown: Shown) -> float:
+    """Seconds of work on a picture that the next one of its view takes again, without those in the queue."""
+    return sum(seconds for stage, seconds in shown.watch.seconds.items() if stage not in ONCE)

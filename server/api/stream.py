@@ -17,8 +17,7 @@ from isogi_core.frame.tiles import Stopwatch
 from isogi_core.plan.scene import Scene
 from server.answers import coverage_schema
 from server.api.pacing import Drafts, Motion, Window
-from server.api.service import Service, ServiceDep
-from server.api.shown import PictureRequest, Shown
+from server.api.service import PictureRequest, Service, ServiceDep, Shown
 from server.bearers import client_of
 from server.card_answers import chunks_in
 from server.card_schemas import CardChunk

@@ -10,8 +10,6 @@ from urllib.parse import quote
 
 import click
 
-from server.errors import LibraryError
-
 if TYPE_CHECKING:
     from server.settings import Settings
 
@@ -20,16 +18,15 @@ MODULES = {
     "serve": "server.cli.serve",
     "render": "server.cli.render",
     "reference": "server.cli.render",
-    "report": "server.report.command",
+    "report": "isogi_report.command",
     "prewarm": "server.cli.prewarm",
-    "prewarm --server": "server.cli.remote_prewarm",
     "export": "server.cli.export",
     "film": "server.cli.film",
     "publish": "server.cli.publish",
     "publish --interactive": "server.cli.publish_live",
     "inspect": "server.inspect.text",
     "convert": "server.cli.convert",
-    "bench": "server.cli.bench",
+    "bench": "isogi_report.speed",
     "store": "server.cli.store",
 }
 """The module that does a command's work; ``options`` checks what commands are given, for which it loads pydantic."""
@@ -38,14 +35,6 @@ MODULES = {
 def module_of(command: str) -> Any:
     """The module that does a command's work, loaded now: help is answered without any of them."""
     return import_module(MODULES[command])
-
-
-def remote() -> Any:
-    """The module that has a server prewarm. Raises LibraryError where a library of the client is missing."""
-    try:
-        return module_of("prewarm --server")
-    except ModuleNotFoundError as error:
-        raise LibraryError(f"isogi prewarm --server needs {error.name}: pip install 'isogi[client]'.") from None
 
 
 Command = Callable[..., Any]

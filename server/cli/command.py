@@ -27,7 +27,6 @@ from server.cli.arguments import (
     number,
     options,
     raw_option,
-    remote,
     settings_from,
     show,
     volume_options,
@@ -160,7 +159,7 @@ def report(
     work = module_of("report")
     knobs = {name: value for name, value in given.items() if value is not None}
     square = {"width": str(size), "height": str(size)}
-    facts = work.report(scene, {**knobs, **square}, settings_from(), work.Wishes(output, deadline, only))
+    facts = work.report(scene, {**knobs, **square}, settings_from(), work.ReportRequest(output, deadline, only))
     show(facts, work.sentence, as_json)
     return 1 if facts["stopped"] or facts["failed"] else 0
 
@@ -201,11 +200,11 @@ def prewarm(
     elif named := [name.replace("_", "-") for name, value in {"times": times, **workers}.items() if value is not None]:
         raise click.UsageError(f"--{named[0]} is for this process alone: leave it out, or leave --server out.")
     elif detach:
-        address = remote().detach(server, scene, order, dry_run)
+        address = work.detach(server, scene, order, dry_run)
         click.echo(json.dumps({"job": address}) if as_json else address)
         return 0
     else:
-        done = [remote().follow(server, scene, order, dry_run)]
+        done = [work.follow(server, scene, order, dry_run)]
     return 1 if work.tell(done, as_json) else 0
 
 
@@ -259,8 +258,8 @@ def export(
     """
     settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("export")
     knobs = {name: value for name, value in given.items() if value is not None}
-    wishes = work.Wishes(output, isovalues, target_error, exposure, coefficients)
-    show(work.export(scene, wishes, knobs, settings), work.exported, as_json)
+    request = work.ExportRequest(output, isovalues, target_error, exposure, coefficients)
+    show(work.export(scene, request, knobs, settings), work.exported, as_json)
 
 
 @cli.command()
@@ -285,7 +284,7 @@ def film(scene: str, as_json: bool, **given: Any) -> None:
     """
     settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("film")
     knobs = {name: value for name in FILM_OPTIONS if (value := given.pop(name)) is not None}
-    show(work.film(scene, work.Wishes(**given), knobs, settings), work.filmed, as_json)
+    show(work.film(scene, work.FilmRequest(**given), knobs, settings), work.filmed, as_json)
 
 
 @cli.command()
@@ -309,7 +308,7 @@ def publish(scene: str, interactive: bool, as_json: bool, **given: Any) -> None:
     settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
     work = module_of("publish --interactive" if interactive else "publish")
     knobs = {name: value for name in GRID_OPTIONS if (value := given.pop(name)) is not None}
-    show(work.publish(scene, work.Wishes(**given), knobs, settings), work.published, as_json)
+    show(work.publish(scene, work.PageRequest(**given), knobs, settings), work.published, as_json)
 
 
 @cli.command()

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +12,22 @@ from isogi_core.files.light_volumes import WRITERS, check_zarr
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene_plan import MAX_SAMPLES
-from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
+from isogi_core.prepared.isosurface_mesh import Mesh
 from isogi_core.prepared.prepared_scene import PreparedScene
 from server.cli.prewarm import order_of, prewarm_scene
 from server.cli.publish import values_in
 from server.errors import ParameterError
-from server.exports.kinds import MESHES, check_coefficients, checked_suffix, suffix_of, write_mesh, write_volume
-from server.exports.lighting import check_lattice, lit_mesh, lit_volume, lit_voxels, surface_mesh
+from server.exports.lit_files import (
+    MESHES,
+    Lit,
+    check_coefficients,
+    check_lattice,
+    checked_suffix,
+    places_to_light,
+    suffix_of,
+    write_lit,
+)
 from server.parameters import ANGLES, ViewParams, read
 from server.prewarm.order import Levels, levels_of
 from server.progress import Progress, open_scene
@@ -33,8 +40,8 @@ MOST_TURNS = 1000
 
 
 @dataclass(frozen=True)
-class Wishes:
-    """What is to be written: the file, isovalues as for a prewarm, when light is good enough, and its coefficients."""
+class ExportRequest:
+    """A file with light that is asked for: its isovalues, when light is good enough, and whether with coefficients."""
 
     output: Path
     isovalues: tuple[str, ...]
@@ -43,34 +50,36 @@ class Wishes:
     coefficients: bool = False
 
 
-def export(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
+def export(target: str, request: ExportRequest, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
     """Bake what is lacking, write light to a file, and say what is in it and how good it is.
 
     Raises SceneError, VolumeError, LightError and ViewError before anything is begun, StoreError, WorkersError and
     OSError later.
     """
-    suffix = checked_suffix(wishes.output)
-    still = suffix in WRITERS and not knobs.keys() & {*ANGLES, "light"} and not wishes.coefficients
+    suffix = checked_suffix(request.output)
+    still = suffix in WRITERS and not knobs.keys() & {*ANGLES, "light"} and not request.coefficients
     scene = open_scene(target, settings, **({"rotating": False} if still else {}))
-    files = files_of(wishes.output, knobs)
-    check_levels(scene, wishes, files)
-    if wishes.coefficients:
+    files = files_of(request.output, knobs)
+    check_levels(scene, request, files)
+    if request.coefficients:
         check_coefficients(scene, suffix)
-    isovalues = wishes.isovalues or (f"{scene.isovalue!r}",)
+    isovalues = request.isovalues or (f"{scene.isovalue!r}",)
     levels = levels_of(isovalues).found_in(scene)
-    places = {path: read(ViewParams, {**turn, "isovalue": levels.spans[0][0]}.items()) for path, turn in files.items()}
-    views = {path: view_of(scene, params, settings) for path, params in places.items()}
-    order = {"isovalues": isovalues, "all_directions": True, "target_error": wishes.target_error}
-    rung = MAX_SAMPLES if wishes.coefficients else FIRST_LEVEL
+    params = {path: read(ViewParams, {**turn, "isovalue": levels.spans[0][0]}.items()) for path, turn in files.items()}
+    views = {path: view_of(scene, each, settings) for path, each in params.items()}
+    order = {"isovalues": isovalues, "all_directions": True, "target_error": request.target_error}
+    rung = MAX_SAMPLES if request.coefficients else FIRST_LEVEL
     given = order_of({name: value for name, value in order.items() if value})
     summary = prewarm_scene(scene, given, settings, rung=rung)
     renderer = Renderer(Caches(PreparedScene(scene), root_of(settings), settings.memory_mb << 20), Tiles())
-    exposure = scene.default_exposure if wishes.exposure is None else wishes.exposure
-    write = write_meshes if suffix in MESHES else partial(write_volumes, coefficients=wishes.coefficients)
-    facts = write(renderer, views, levels, exposure)
+    exposure = scene.default_exposure if request.exposure is None else request.exposure
+    places = places_to_light(renderer, suffix, levels.spans)
+    for path, view in views.items():
+        with Progress(f"lighting {path.name}", "point") as bar:
+            write_lit(renderer, path, view, places, exposure, bar.show, request.coefficients)
     baked = {"final": summary.final, "error": summary.error, "target_error": summary.target_error}
-    about = {"file": str(wishes.output), "files": [str(path) for path in views], "scene": scene.name}
-    return {**about, **facts, **baked, "bytes": sum(map(size_of, views))}
+    about = {"file": str(request.output), "files": [str(path) for path in views], "scene": scene.name}
+    return {**about, **size_facts(places, levels), **baked, "bytes": sum(map(size_of, views))}
 
 
 def files_of(output: Path, knobs: Mapping[str, str]) -> dict[Path, dict[str, str]]:
@@ -89,11 +98,11 @@ def files_of(output: Path, knobs: Mapping[str, str]) -> dict[Path, dict[str, str
     return {output.with_name(name): {**knobs, "yaw": repr(turn)} for name, turn in zip(names, turns, strict=True)}
 
 
-def check_levels(scene: Scene, wishes: Wishes, files: Iterable[Path]) -> None:
+def check_levels(scene: Scene, request: ExportRequest, files: Iterable[Path]) -> None:
     """Raise ViewError, SceneError or VolumeError where isovalues, lattice or place do not suit the kind of file."""
     scene.require_texels()
-    suffix = suffix_of(wishes.output)
-    if suffix in MESHES and (len(wishes.isovalues) > 1 or any(":" in text for text in wishes.isovalues)):
+    suffix = suffix_of(request.output)
+    if suffix in MESHES and (len(request.isovalues) > 1 or any(":" in text for text in request.isovalues)):
         raise ViewError(f"A mesh is of one isovalue: give --isovalue once, or write a volume: {', '.join(WRITERS)}.")
     if suffix in WRITERS:
         check_lattice(scene)
@@ -102,30 +111,12 @@ def check_levels(scene: Scene, wishes: Wishes, files: Iterable[Path]) -> None:
             check_zarr(path, scene.volume.orientation.affine(scene.volume.spacing))
 
 
-def write_meshes(renderer: Renderer, views: Mapping[Path, View], _: Levels, exposure: float) -> dict[str, Any]:
-    """Write an isosurface with the light at its vertices, a file for each view; these differ in the light's turn."""
-    isovalue = next(iter(views.values())).isovalue
-    mesh = surface_mesh(renderer, isovalue)
-    for output, view in views.items():
-        with Progress(f"lighting {output.name}", "point") as bar:
-            lit = lit_mesh(renderer, view, mesh, exposure, bar.show)
-        write_mesh(output, lit)
-    return {"isovalue": isovalue, "vertices": len(mesh.vertices), "triangles": 2 * len(mesh.quads)}
-
-
-def write_volumes(
-    renderer: Renderer, views: Mapping[Path, View], levels: Levels, exposure: float, coefficients: bool
-) -> dict[str, Any]:
-    """Write values and light at all voxels, a file for each view; light is zero where no isosurface reads it.
-
-    With the ``coefficients`` of that light, where they are asked for.
-    """
-    voxels = lit_voxels(renderer, levels.spans)
-    for output, view in views.items():
-        with Progress(f"lighting {output.name}", "point") as bar:
-            lit = lit_volume(renderer, view, voxels, exposure, bar.show, coefficients)
-        write_volume(output, lit)
-    return {"isovalues": [list(span) for span in levels.spans], "texels": len(voxels)}
+def size_facts(places: Lit, levels: Levels) -> dict[str, Any]:
+    """Which isovalues a file has, and the light of how many places."""
+    if isinstance(places, Mesh):
+        isovalue = levels.spans[0][0]
+        return {"isovalue": isovalue, "vertices": len(places.vertices), "triangles": 2 * len(places.quads)}
+    return {"isovalues": [list(span) for span in levels.spans], "texels": len(places)}
 
 
 def size_of(output: Path) -> int:

@@ -1,49 +1,67 @@
-"""``isogi film``: the frames of a film, each as good as asked, as pictures in a folder or as a movie."""
+"""``isogi film``: the frames of a film, each as good as asked, as pictures in a folder or as a movie.
 
+Pillow writes GIF and WebP, FFmpeg MP4 and WebM.
+"""
+
+import io
+import os
 import shutil
-import time
+import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from PIL import Image
+
 from isogi_core.errors import ViewError
 from isogi_core.plan.first_view import front_of
 from isogi_core.plan.scene import Scene
-from server.cli.documents import document_in
+from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.cli.film_path import film_path, view_in, views_in
-from server.cli.first_camera import is_placed
-from server.cli.movie import FRAMES, check_movie, write_movie
-from server.cli.reel import Budget, Reel, said
+from server.cli.reel import Reel, ReelRequest, said
+from server.cli.render import is_placed
 from server.cli.series import steps_in
-from server.errors import ParameterError
+from server.errors import LibraryError, ParameterError
 from server.parameters import FrameParams, read
 from server.pictures import smoothed
 from server.progress import open_scene
 from server.settings import Settings
+from server.values import document_in
 from server.views import view_of
 
 MOST_FRAMES = 100_000
 """Frames of a film, at most."""
 
+FRAMES = "frame-%05d.png"
+"""The names of a film's pictures, numbered from 1."""
+
+LOOPS: dict[str, dict[str, Any]] = {".gif": {"optimize": False}, ".webp": {"quality": 85, "method": 4}}
+"""Movies that Pillow writes, and how."""
+
+CODECS = {
+    ".mp4": ("-c:v", "libx264", "-crf", "16", "-preset", "slow", "-movflags", "+faststart"),
+    ".webm": ("-c:v", "libvpx-vp9", "-crf", "24", "-b:v", "0", "-row-mt", "1"),
+}
+"""Movies that FFmpeg writes: codec and quality."""
+
+COLOURS = ["-vf", "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p", "-colorspace", "bt709"]
+COLOURS += ["-color_primaries", "bt709", "-color_trc", "iec61966-2-1", "-color_range", "tv"]
+"""What players need to know of the pictures: sRGB, by the matrix of BT.709."""
+
 
 @dataclass(frozen=True)
-class Wishes:
-    """What is to be filmed: the file or folder, keyframes, seconds of film, and when a frame is good enough.
+class FilmRequest(ReelRequest):
+    """A film that is asked for: keyframes, seconds of film, and when a frame is good enough.
 
-    A frame ends at the ``target_error``, or after ``seconds``; all of them by the ``deadline``, also in seconds. Of a
-    series the film goes through the steps that ``times`` names, each as long as the others.
+    Of a series the film goes through the steps that ``times`` names, each as long as the others.
     """
 
-    output: Path
     views: tuple[str, ...] = ()
     views_file: Path | None = None
     length: float = 10.0
     fps: float = 24.0
-    target_error: float | None = None
-    seconds: float | None = None
-    deadline: float | None = None
     times: str | None = None
 
     @property
@@ -57,39 +75,34 @@ class Wishes:
         return self.output.with_name(f"{self.output.name}.frames") if self.is_movie else self.output
 
 
-def film(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
+def film(target: str, request: FilmRequest, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
     """Render the frames that are not there yet, make the movie of all, and say how good they are.
 
     Raises SceneError, VolumeError, LightError, ViewError and LibraryError before anything is begun, StoreError,
     WorkersError and OSError later.
     """
-    begun = time.monotonic()
-    if not wishes.output.parent.is_dir():
-        raise ViewError(f"There is no folder {wishes.output.parent} for {wishes.output.name}: make it first.")
-    views = keyframes(wishes)
+    check_folder(request.output)
+    views = keyframes(request)
     scene = open_scene(variant_of(target, views), settings)
-    shots = shots_of(scene, wishes, views, knobs)
-    size = {"width": shots[0].width, "height": shots[0].height}
-    if wishes.is_movie:
-        check_movie(wishes.output, **size)
+    shots = shots_of(scene, request, views, knobs)
+    if request.is_movie:
+        check_movie(request.output, shots[0].width, shots[0].height)
     for shot in shots:
         view_of(scene, shot, settings)
-    reel = Reel(wishes.folder, scene, {FRAMES % n: shot for n, shot in enumerate(shots, 1)})
-    kept = len(reel.facts)
-    if reel.missing:
-        reel.shoot(Budget(wishes.seconds, wishes.deadline, begun), settings)
-    if wishes.is_movie:
-        write_movie(wishes.output, [reel.path(name) for name in reel.shots], wishes.fps)
-        shutil.rmtree(wishes.folder)
-    about = {"file": str(wishes.output), "scene": scene.name, "pictures": len(shots), "kept": kept, **size}
-    return {**about, "fps": wishes.fps, **reel.summary(), "seconds": time.monotonic() - begun}
+    reel = Reel(request.folder, scene, {FRAMES % n: shot for n, shot in enumerate(shots, 1)})
+    reel.shoot(request, settings)
+    if request.is_movie:
+        write_movie(request.output, [reel.path(name) for name in reel.shots], request.fps)
+        shutil.rmtree(request.folder)
+    facts = {"file": str(request.output), **reel.about, "fps": request.fps, **reel.summary()}
+    return {**facts, "seconds": request.passed}
 
 
-def keyframes(wishes: Wishes) -> list[dict[str, str]]:
+def keyframes(request: FilmRequest) -> list[dict[str, str]]:
     """The parameters of each view that is given. Raises ParameterError where one is none, or alone."""
-    views = [view_in(text) for text in wishes.views]
-    if wishes.views_file is not None:
-        views += views_in(document_in(wishes.views_file, str.split))
+    views = [view_in(text) for text in request.views]
+    if request.views_file is not None:
+        views += views_in(document_in(request.views_file, str.split))
     if len(views) == 1:
         raise ParameterError("One view is no path: give two or more.", "view")
     return views
@@ -111,10 +124,10 @@ def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
 
 
 def shots_of(
-    scene: Scene, wishes: Wishes, views: Sequence[Mapping[str, str]], knobs: Mapping[str, str]
+    scene: Scene, request: FilmRequest, views: Sequence[Mapping[str, str]], knobs: Mapping[str, str]
 ) -> list[FrameParams]:
     """The parameters of each frame along the ``views``; ParameterError where frames are none, or too many."""
-    count = round(wishes.length * wishes.fps)
+    count = round(request.length * request.fps)
     if not 1 <= count <= MOST_FRAMES:
         raise ParameterError(f"length × fps must be 1 to {MOST_FRAMES:,} frames, not {count:,}.", "length")
     own = {"isovalue": repr(scene.isovalue), "exposure": repr(scene.default_exposure)}
@@ -126,10 +139,10 @@ def shots_of(
         own |= {"shine": scene.shine.kind, "roughness": repr(scene.shine.roughness)}
         own["strength"] = repr(scene.shine.strength)
     own |= {"glow": "1.0"} if scene.glowing.any else {}
-    own |= {"max_error": repr(wishes.target_error or scene.target_error), "f": "png"}
-    path = film_path(knobs, views, own, count, still=wishes.times is not None)
-    if wishes.times is not None:
-        steps = steps_in(wishes.times, scene)
+    own |= {"max_error": repr(request.target_error or scene.target_error), "f": "png"}
+    path = film_path(knobs, views, own, count, still=request.times is not None)
+    if request.times is not None:
+        steps = steps_in(request.times, scene)
         path = [{**shot, "time": str(steps[n * len(steps) // count])} for n, shot in enumerate(path)]
     shots = (read(FrameParams, {**shot, "max_error": own["max_error"], "f": "png"}.items()) for shot in path)
     return [smoothed(shot, "png") for shot in shots]
@@ -138,3 +151,43 @@ def shots_of(
 def filmed(facts: Mapping[str, Any]) -> str:
     """What ``film`` did, for a person."""
     return said(facts, "frames")
+
+
+def check_movie(output: Path, width: int, height: int) -> None:
+    """Raise ViewError where the file's name is that of no movie, or its size not one's, and LibraryError."""
+    suffix = output.suffix.lower()
+    if suffix in CODECS:
+        encoder(suffix)
+        if width % 2 or height % 2:
+            raise ViewError(f"A {suffix} needs even width and height, not {width} × {height}: change them.")
+    elif suffix not in LOOPS:
+        known = ", ".join((*LOOPS, *CODECS))
+        raise ViewError(f"{output} names no kind of film: end it in {known}, or name a folder for pictures.")
+
+
+def write_movie(output: Path, pictures: Sequence[Path], fps: float) -> None:
+    """Write the pictures, files in their order, to a movie. Raises LibraryError, OSError."""
+    suffix = output.suffix.lower()
+    if suffix in LOOPS:
+        first, *others = (Image.open(path) for path in pictures)
+        data, frame = io.BytesIO(), round(1000.0 / fps)
+        first.save(data, suffix[1:], save_all=True, append_images=others, duration=frame, loop=0, **LOOPS[suffix])
+        write_whole(output, data.getvalue())
+        return
+    half = pictures[0].with_name(f"movie{suffix}")
+    reading = ["-framerate", f"{fps:g}", "-i", str(pictures[0].with_name(FRAMES))]
+    command = [encoder(suffix), "-y", "-loglevel", "error", *reading, *CODECS[suffix], *COLOURS, str(half)]
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise LibraryError(f"FFmpeg wrote no {suffix}: {done.stderr.strip() or done.returncode}.")
+    os.replace(half, output)
+
+
+def encoder(suffix: str) -> str:
+    """The program FFmpeg. Raises LibraryError where it is missing."""
+    try:
+        import imageio_ffmpeg  # noqa: PLC0415
+
+        return str(imageio_ffmpeg.get_ffmpeg_exe())
+    except (ModuleNotFoundError, RuntimeError):
+        raise LibraryError(f"A film in a {suffix} needs FFmpeg: pip install 'isogi[film]'.") from None

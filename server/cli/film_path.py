@@ -47,7 +47,7 @@ def film_path(
         return along([{**given, **view} for view in views], scene, frames, short=True)
     if not swept and not still:
         start = given.get("azimuth", defaults(scene)["azimuth"])
-        given, swept = {**given, "azimuth": f"{start}:{number('azimuth', start) + 360.0!r}"}, ["azimuth"]
+        given, swept = {**given, "azimuth": f"{start}:{finite_number('azimuth', start) + 360.0!r}"}, ["azimuth"]
     ends = [ends_of(name, given[name]) for name in swept]
     keys = [{**given, **{name: end[k] for name, end in zip(swept, ends, strict=True)}} for k in (0, 1)]
     return along(keys, scene, frames, short=False)
@@ -94,7 +94,7 @@ def track(name: str, texts: Sequence[str], short: bool) -> np.ndarray:
         raise ParameterError(f"{name} cannot change in a film: give all views the same.", name)
     if "" in texts:
         raise ParameterError(f"{name} is given by some views and not by others: give it in all of them.", name)
-    parts = [[number(name, part) for part in text.split(",")] for text in texts]
+    parts = [[finite_number(name, part) for part in text.split(",")] for text in texts]
     most = max(map(len, parts))
     if any(len(row) not in (1, most) for row in parts):
         raise ParameterError(f"{name} has more numbers in some views than in others: give it alike.", name)
@@ -121,7 +121,7 @@ def defaults(scene: Knobs) -> dict[str, str]:
     return {**{name: str(value) for name, value in usual.items()}, **scene}
 
 
-def number(name: str, text: str) -> float:
+def finite_number(name: str, text: str) -> float:
     """The number in a text. Raises ParameterError."""
     value = finite(text)
     if math.isnan(value):
@@ -158,7 +158,7 @@ def untinted(view: Knobs, scene: Knobs) -> dict[str, str]:
         return view
     if not HEX.fullmatch(tint):
         raise ParameterError(f"tint must be a colour such as #ff8800, not {shown(tint)}.", "tint")
-    most = max(number("albedo", share) for share in view.get("albedo", scene["albedo"]).split(","))
+    most = max(finite_number("albedo", share) for share in view.get("albedo", scene["albedo"]).split(","))
     return {**view, "albedo": ",".join(repr(most * share) for share in ground_of(tint))}
 
 

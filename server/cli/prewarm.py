@@ -1,37 +1,43 @@
-"""``isogi prewarm``: light baked ahead by workers of this process."""
+"""``isogi prewarm``: light baked ahead by workers of this process, or by a server whose job the command follows."""
+
+from __future__ import annotations
 
 import json
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.errors import Cancelled, SceneError
+from isogi_core.errors import Cancelled, IsogiError, SceneError
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import at_time
-from server.cli.documents import document_in
+from server.cli.render import working
 from server.cli.series import at_step, steps_in
-from server.errors import ParameterError
-from server.prewarm.context import PrewarmContext, Step
+from server.errors import LibraryError, ParameterError, UnknownSceneError
+from server.prewarm.baking import PrewarmContext, Step
 from server.prewarm.order import PrewarmOrder, Views, order_of
 from server.prewarm.record import Record, Summary, last_unfinished
 from server.prewarm.work import carry_out, carry_out_dry, wanted
-from server.progress import Progress, compiling, open_scene
+from server.progress import Progress, open_scene
 from server.render.bakes import STALLED_SECONDS
 from server.render.engine import RenderEngine
-from server.render.jobs import Status
 from server.render.resources import root_of
-from server.render.workforce import scheduler_of
 from server.settings import Settings
+from server.values import document_in
 from worker.bake_requests import Viewer
+from worker.progress import TimeLeft
 
-__all__ = ["fields_given", "go_on", "order_of", "prewarm", "prewarm_series", "tell"]
+if TYPE_CHECKING:
+    from isogi_client import Job
+    from isogi_client import Progress as JobProgress
+
+__all__ = ["detach", "fields_given", "follow", "go_on", "order_of", "prewarm", "prewarm_series", "tell"]
 
 
 COMMAND = Viewer("prewarm", patient=True)
@@ -85,22 +91,21 @@ def prewarm_scene(
     """
     begun = time.monotonic() if begun is None else begun
     Views(order, scene, settings)
-
-    hired = (settings.workers, None if dry else scheduler_of(settings))
-    root = root_of(settings)
-    record = Record(root, scene, order, "command")
-    with closing(RenderEngine([scene], root, *hired, settings.memory_mb << 20)) as engine, Progress() as bar:
+    record = Record(root_of(settings), scene, order, "command")
+    with Progress() as bar:
         bar.begin("loading kernels")
-        with compiling(lambda: engine.kernels.progress):
-            engine.start(hire=not dry)
-        bar.begin("planning")
-        context = desk_of(engine, scene, order, partial(show, bar), begun)
-        context.rung = rung
-        what = wanted(context, order, settings)
-        if dry:
-            return carry_out_dry(context, what)
-        with recorded(record, context):
-            return record.close(carry_out(context, what, lambda ahead: record.keep(ahead=ahead)))
+        with working(scene, settings, hire=not dry) as engine:
+            bar.begin("planning")
+            context = desk_of(engine, scene, order, partial(show, bar), begun)
+            context.rung = rung
+            what = wanted(context, order, settings)
+            if dry:
+                return carry_out_dry(context, what)
+            try:
+                with record.kept(context, STOPPED):
+                    return record.close(carry_out(context, what, lambda ahead: record.keep(ahead=ahead)))
+            except KeyboardInterrupt:
+                raise Cancelled(STOPPED) from None
 
 
 def tell(summaries: Iterable[Summary], as_json: bool) -> int:
@@ -148,28 +153,6 @@ def desk_of(
     )
 
 
-@contextmanager
-def recorded(record: Record, context: PrewarmContext) -> Iterator[None]:
-    """Keep the record of what is done meanwhile, and of how it ended where that is early."""
-    record.follow(context)
-    record.keep(status=Status.RUNNING)
-    draw = context.report
-
-    def report(step: Step) -> None:
-        draw(step)
-        record.report(step)
-
-    context.report = report
-    try:
-        yield
-    except KeyboardInterrupt:
-        record.keep(status=Status.DISMISSED, message=STOPPED)
-        raise Cancelled(STOPPED) from None
-    except Exception as error:
-        record.keep(status=Status.FAILED, message=str(error))
-        raise
-
-
 def fields_given(given: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of an order that the options give."""
     fields = {name: value for name, value in given.items() if value not in (None, ())}
@@ -201,3 +184,58 @@ def directions_in(file: Path) -> list[Any]:
     if not isinstance(found, list) or not found:
         raise ParameterError(f'{file.name} needs a list "directions", such as [{{"azimuth": 40}}].', "views-file")
     return found
+
+
+def detach(server: str, target: str, order: PrewarmOrder, dry: bool) -> str:
+    """Begin a job on a server; its address. Raises as ``posted`` does."""
+    with posted(server, target, order, dry) as job:
+        return job.address
+
+
+def follow(server: str, target: str, order: PrewarmOrder, dry: bool) -> Summary:
+    """The summary of a server's job, once it has ended; a bar shows how far it is. Raises as ``posted`` does.
+
+    An interrupt of the command dismisses the job.
+    """
+    with posted(server, target, order, dry) as job, Progress("prewarm", "percent") as bar:
+
+        def show(done: JobProgress) -> None:
+            left = None if done.time_left is None else TimeLeft(*done.time_left)
+            bar.show(done.progress, 100, left, done.message)
+
+        try:
+            return Summary.model_validate(job.wait(show))
+        except KeyboardInterrupt:
+            job.dismiss()
+            raise
+
+
+@contextmanager
+def posted(server: str, target: str, order: PrewarmOrder, dry: bool) -> Iterator[Job]:
+    """The job that a server begins; the client's errors become the command's, in the server's words.
+
+    Raises UnknownSceneError, ParameterError where the server refuses, IsogiError, and LibraryError where a library of
+    the client is missing.
+    """
+    try:
+        import isogi_client as client  # noqa: PLC0415 (its libraries are an extra)
+    except ModuleNotFoundError as error:
+        raise LibraryError(f"isogi prewarm --server needs {error.name}: pip install 'isogi[client]'.") from None
+    try:
+        with client.Isogi(server) as isogi:
+            scene = scene_named(target, [each["id"] for each in isogi.scenes()])
+            yield isogi.prewarm(scene, dry_run=dry, **order.model_dump(mode="json", exclude_defaults=True))
+    except client.NotFoundError as error:
+        raise UnknownSceneError(error.detail) from None
+    except client.RefusedError as error:
+        raise ParameterError(error.detail) from None
+    except client.IsogiError as error:
+        raise IsogiError(error.detail) from None
+
+
+def scene_named(target: str, scenes: list[str]) -> str:
+    """The scene that is meant: by its id, or the name of its file; UnknownSceneError where the server has none such."""
+    for name in (target, Path(target).stem.lower(), target.removeprefix("demo:")):
+        if name in scenes:
+            return name
+    raise UnknownSceneError(f"The server shows no scene '{target}'; it shows: {', '.join(scenes)}.")

@@ -3,7 +3,6 @@
 import itertools
 import json
 import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,14 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.errors import ViewError
 from isogi_core.frame.film import coded, ground_of
 from isogi_core.plan.first_view import front_of
 from isogi_core.plan.scene import Scene
-from isogi_core.storage.atomic_file import write_whole
+from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.answers import defaults
 from server.cli.film_path import TURNS
-from server.cli.reel import Budget, Reel, said
+from server.cli.reel import Reel, ReelRequest, said
 from server.errors import ParameterError
 from server.parameters import FrameParams, read
 from server.pictures import smoothed
@@ -38,44 +36,32 @@ PAGE = Path(__file__).with_name("published.html")
 
 
 @dataclass(frozen=True)
-class Wishes:
-    """What is to be published: the folder, and when a picture is good enough: at an error, or after seconds.
+class PageRequest(ReelRequest):
+    """A page that is asked for. One that draws by itself may take so many ``megabytes``."""
 
-    Pages that draw by themselves may take so many ``megabytes``.
-    """
-
-    output: Path
-    target_error: float | None = None
-    seconds: float | None = None
-    deadline: float | None = None
     megabytes: float | None = None
 
 
-def publish(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
+def publish(target: str, request: PageRequest, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
     """Render the pictures that are not there yet, write the page, and say how good they are.
 
     Raises SceneError, VolumeError, LightError and ViewError before anything is begun, StoreError, WorkersError and
     OSError later.
     """
-    begun = time.monotonic()
-    if wishes.megabytes is not None:
+    if request.megabytes is not None:
         raise ParameterError("--megabytes is for a page that draws by itself: give --interactive too.", "megabytes")
-    if not wishes.output.parent.is_dir():
-        raise ViewError(f"There is no folder {wishes.output.parent} for {wishes.output.name}: make it first.")
+    check_folder(request.output)
     scene = open_scene(target, settings)
     sliders = sliders_of(knobs)
-    shots = shots_of(sliders, {**knobs, "max_error": repr(wishes.target_error or scene.target_error)})
+    shots = shots_of(sliders, {**knobs, "max_error": repr(request.target_error or scene.target_error)})
     for shot in shots.values():
         view_of(scene, shot, settings)
-    reel = Reel(wishes.output, scene, shots)
-    kept = len(reel.facts)
-    if reel.missing:
-        reel.shoot(Budget(wishes.seconds, wishes.deadline, begun), settings)
-    size = {name: getattr(next(iter(shots.values())), name) for name in ("width", "height")}
-    write_whole(wishes.output / "index.html", page_of(scene, sliders, reel, size).encode())
-    about = {"file": str(wishes.output), "scene": scene.name, "pictures": len(shots), "kept": kept, **size}
-    about["sliders"] = {name: len(values) for name, values in sliders.items()}
-    return {**about, **reel.summary(), "seconds": time.monotonic() - begun}
+    reel = Reel(request.output, scene, shots)
+    reel.shoot(request, settings)
+    write_whole(request.output / "index.html", page_of(scene, sliders, reel).encode())
+    counts = {name: len(values) for name, values in sliders.items()}
+    facts = {"file": str(request.output), **reel.about, "sliders": counts, **reel.summary()}
+    return {**facts, "seconds": request.passed}
 
 
 def sliders_of(knobs: Mapping[str, str]) -> dict[str, list[float]]:
@@ -112,13 +98,14 @@ def shots_of(sliders: Mapping[str, list[float]], knobs: Mapping[str, str]) -> di
     return shots
 
 
-def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel, size: Mapping[str, int]) -> str:
+def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel) -> str:
     """The page, with all that it shows but the pictures: it needs no server, nor another file of text."""
     facts = reel.summary()
     quality = f"{facts['final']:.0%} of the pictures final at a relative error of {facts['target_error']:g}"
     document = {
         "name": scene.name,
-        **size,
+        "width": reel.about["width"],
+        "height": reel.about["height"],
         "quality": quality,
         "ground": ground_colour(next(iter(reel.shots.values())).background),
         "sliders": [

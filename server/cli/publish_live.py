@@ -1,9 +1,8 @@
 """``isogi publish --interactive``: a page that draws a scene by the visitor's graphics card, from static files."""
 
 import math
-import time
 from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -17,9 +16,11 @@ from isogi_core.frame.rays.control_pixels import TotalError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
+from isogi_core.storage.atomic_file import check_folder
 from server.card_answers import card_obstacles
 from server.cli.prewarm import desk_of, show
-from server.cli.publish import Wishes
+from server.cli.publish import PageRequest
+from server.cli.render import working
 from server.errors import ParameterError
 from server.exports.live_page import (
     Span,
@@ -31,13 +32,10 @@ from server.exports.live_page import (
     write_files,
 )
 from server.parameters import FrameParams, read
-from server.prewarm.context import PrewarmContext
+from server.prewarm.baking import PrewarmContext
 from server.prewarm.order import levels_of, order_of
-from server.prewarm.ranges import RangeLight, bake_range, views_of
-from server.progress import Progress, compiling, open_scene
-from server.render.engine import RenderEngine
-from server.render.resources import root_of
-from server.render.workforce import scheduler_of
+from server.prewarm.work import RangeLight, bake_range, views_of
+from server.progress import Progress, open_scene
 from server.settings import Settings
 from server.views import isovalue_of, view_of
 
@@ -75,27 +73,25 @@ class Offer:
         return float(self.facts["error"]["likely"])
 
 
-def publish(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
+def publish(target: str, request: PageRequest, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
     """Bake the light of a range of isovalues, write a page that draws it, and say how large and how good it is.
 
     Raises SceneError, VolumeError, LightError and ViewError before anything is begun, and ViewError where the page
     takes more than it may; StoreError, WorkersError and OSError later.
     """
-    begun = time.monotonic()
-    if wishes.seconds is not None or wishes.deadline is not None:
+    if request.seconds is not None or request.deadline is not None:
         raise ParameterError("--time and --deadline are for pictures: leave them out with --interactive.")
-    if not wishes.output.parent.is_dir():
-        raise ViewError(f"There is no folder {wishes.output.parent} for {wishes.output.name}: make it first.")
-    goal = wishes.target_error or SceneSettings(find_source(target, {})).target_error
+    check_folder(request.output)
+    goal = request.target_error or SceneSettings(find_source(target, {})).target_error
     scene = open_scene(target, settings, target_error=max(STRICTER * goal, LEAST_TARGET))
     span, params = asked(scene, knobs)
     view = view_of(scene, params, settings)
-    with at_work(scene, settings, begun) as context:
+    with at_work(scene, settings, request.begun) as context:
         refuse_obstacles(context.renderer, view)
-        offer = fitting(offers(context, params, view, span, goal, settings), wishes.megabytes, goal)
-    write_files(wishes.output, offer.files)
-    facts = {"file": str(wishes.output), **offer.facts, "bytes": offer.nbytes}
-    return {**facts, "seconds": time.monotonic() - begun}
+        offer = fitting(offers(context, params, view, span, goal, settings), request.megabytes, goal)
+    write_files(request.output, offer.files)
+    facts = {"file": str(request.output), **offer.facts, "bytes": offer.nbytes}
+    return {**facts, "seconds": request.passed}
 
 
 def asked(scene: Scene, knobs: Mapping[str, str]) -> tuple[Span, FrameParams]:
@@ -133,15 +129,10 @@ def refuse_obstacles(renderer: Renderer, view: View) -> None:
 @contextmanager
 def at_work(scene: Scene, settings: Settings, begun: float) -> Iterator[PrewarmContext]:
     """An engine with workers, and what a bake of the scene works with."""
-    hired = settings.workers, scheduler_of(settings)
-    with (
-        closing(RenderEngine([scene], root_of(settings), *hired, settings.memory_mb << 20)) as engine,
-        Progress() as bar,
-    ):
+    with Progress() as bar:
         bar.begin("loading kernels")
-        with compiling(lambda: engine.kernels.progress):
-            engine.start()
-        yield desk_of(engine, scene, order_of({}), partial(show, bar), begun)
+        with working(scene, settings) as engine:
+            yield desk_of(engine, scene, order_of({}), partial(show, bar), begun)
 
 
 def offers(

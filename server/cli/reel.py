@@ -4,8 +4,8 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping
-from contextlib import closing, nullcontext
-from dataclasses import dataclass
+from contextlib import nullcontext
+from dataclasses import dataclass, field
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
@@ -15,16 +15,13 @@ import numpy as np
 from isogi_core.errors import ViewError
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
-from server.cli.first_camera import is_placed, seen_whole
-from server.cli.render import awaited
+from server.cli.render import awaited, is_placed, seen_whole, working
 from server.cli.series import at_step
 from server.parameters import FrameParams
 from server.pictures import SUFFIXES, encode
-from server.progress import Progress, compiling
+from server.progress import Progress
 from server.render.engine import RenderEngine
-from server.render.resources import root_of
 from server.render.variants import Change, Variants
-from server.render.workforce import scheduler_of
 from server.settings import Settings
 from server.views import view_of
 
@@ -34,6 +31,33 @@ PAUSE = 1.0
 
 OPEN_STEPS = 2
 """Steps of a series that are open at a time, besides the scene's."""
+
+
+@dataclass(frozen=True)
+class ReelRequest:
+    """Pictures that a command is asked for: the file or folder that they go to, and when one of them is good enough.
+
+    A picture ends at the ``target_error``, or after ``seconds``; all of them by the ``deadline``, in seconds since the
+    work was ``begun``.
+    """
+
+    output: Path
+    target_error: float | None = None
+    seconds: float | None = None
+    deadline: float | None = None
+    clock: Callable[[], float] = time.monotonic
+    begun: float = field(default_factory=time.monotonic)
+
+    def share(self, pictures: int) -> float | None:
+        """Seconds for the next picture where so many are left; None for as long as it takes."""
+        left = math.inf if self.deadline is None else max(self.deadline - self.passed, 0.0) / pictures
+        share = min(left, math.inf if self.seconds is None else self.seconds)
+        return None if math.isinf(share) else share
+
+    @property
+    def passed(self) -> float:
+        """Seconds since the work was begun."""
+        return self.clock() - self.begun
 
 
 class Reel:
@@ -54,6 +78,7 @@ class Reel:
             if kept["asked"] != self._digest:
                 raise ViewError(f"{folder} holds pictures of something else: name another one, or delete that folder.")
             self.facts = {name: facts for name, facts in kept["pictures"].items() if self.path(name).exists()}
+        self._kept = len(self.facts)
 
     def path(self, name: str) -> Path:
         """The file of a picture."""
@@ -84,28 +109,31 @@ class Reel:
         worst = {"median": float(np.median(errors)), "worst": max(errors)}
         return {"final": final, "target_error": target, "error": worst}
 
-    def shoot(self, budget: "Budget", settings: Settings) -> None:
-        """Make the pictures that are missing. Raises StoreError and WorkersError."""
-        place, memory = (root_of(settings), settings.workers, scheduler_of(settings)), settings.memory_mb << 20
-        with (
-            closing(RenderEngine([self._scene], *place, memory, projected=settings.projected_mb << 20)) as engine,
-            Progress("rendering", "picture") as bar,
-        ):
-            with compiling(lambda: engine.kernels.progress):
-                engine.start()
+    @property
+    def about(self) -> dict[str, Any]:
+        """What the pictures are of, how many there are and were kept, and how large they are."""
+        first = next(iter(self.shots.values()))
+        count = {"pictures": len(self.shots), "kept": self._kept}
+        return {"scene": self._scene.name, **count, "width": first.width, "height": first.height}
+
+    def shoot(self, request: ReelRequest, settings: Settings) -> None:
+        """Make the pictures that are missing, if any. Raises StoreError and WorkersError."""
+        if not self.missing:
+            return
+        with working(self._scene, settings) as engine, Progress("rendering", "picture") as bar:
             try:
-                self._shoot(engine, budget, settings, bar)
+                self._shoot(engine, request, settings, bar)
             finally:
                 if self.facts:
                     self._write_list()
 
-    def _shoot(self, engine: RenderEngine, budget: "Budget", settings: Settings, bar: Progress) -> None:
+    def _shoot(self, engine: RenderEngine, request: ReelRequest, settings: Settings, bar: Progress) -> None:
         missing, shots, variants = self.missing, self.shots, Variants(engine, lambda _: None, most=OPEN_STEPS)
         if not self._placed:
             whole = seen_whole(engine.renderer(self._scene.id), list(shots.values()), settings)
             shots = dict(zip(shots, whole, strict=True))
         for done, name in enumerate(missing):
-            shot, seconds = shots[name], budget.share(len(missing) - done)
+            shot, seconds = shots[name], request.share(len(missing) - done)
             scene = self._at(variants, shot.time)
             with at_step(scene.volume.moment[0]) if scene is not self._scene else nullcontext():
                 view = view_of(scene, shot, settings)
@@ -119,22 +147,6 @@ class Reel:
         """The scene at a step of its series; itself where none is named. Raises ParameterError."""
         change = Change(time=time).apart_from(self._scene)
         return self._scene if time is None or change == Change() else variants.make(self._scene, change, None)
-
-
-@dataclass(frozen=True)
-class Budget:
-    """Seconds that pictures may take: each so many, and all of them so many since they were ``begun``."""
-
-    each: float | None
-    all: float | None
-    begun: float
-    clock: Callable[[], float] = time.monotonic
-
-    def share(self, pictures: int) -> float | None:
-        """Seconds for the next picture where so many are left; None for as long as it takes."""
-        left = math.inf if self.all is None else max(self.begun + self.all - self.clock(), 0.0) / pictures
-        share = min(left, math.inf if self.each is None else self.each)
-        return None if math.isinf(share) else share
 
 
 def said(facts: Mapping[str, Any], what: str) -> str:

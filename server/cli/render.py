@@ -3,29 +3,32 @@
 import math
 import tempfile
 import time
-from collections.abc import Callable, Mapping
-from contextlib import closing
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 
+from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import ViewError
+from isogi_core.frame.fitting import Stand
 from isogi_core.frame.frame import Frame
-from isogi_core.model.view import View
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.tiles import Tiles
+from isogi_core.model.view import PROJECTIONS, View
+from isogi_core.plan.first_view import front_of
 from isogi_core.plan.scene import Scene
-from isogi_core.report.reference import Goal, Reference, grow, load_reference, save_reference, with_bounces
-from isogi_core.storage.atomic_file import write_whole
-from server.answers import coverage_schema
-from server.cli.bench import make_renderer
-from server.cli.first_camera import is_placed, seen_whole
+from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.reference import Goal, Reference, grow, load_reference, save_reference, with_bounces
+from isogi_core.storage.atomic_file import check_folder, write_whole
+from server.answers import coverage_schema, fit
 from server.parameters import FrameParams, ViewParams, read
 from server.pictures import SUFFIXES, encode, format_for, smoothed
 from server.progress import Progress, compiling, open_scene
 from server.render.bakes import Patience
-from server.render.engine import RenderEngine
-from server.render.resources import root_of
-from server.render.workforce import scheduler_of
+from server.render.engine import RenderEngine, engine_for
 from server.settings import Settings
 from server.views import view_of
 from worker.errors import WorkersError
@@ -33,6 +36,15 @@ from worker.progress import TimeLeft
 
 FRAME_SECONDS = 2.0
 """Seconds between two frames, while light is baked."""
+
+PLACED = {"distance", "eye", "target", "up"}
+"""Parameters that say where the camera is."""
+
+LOOKED_AT = 24
+"""Pictures of many, at most, whose surfaces are looked at."""
+
+REFERENCE_BYTES = 1 << 30
+"""Bytes of light that the renderer of a reference may hold."""
 
 
 def render(
@@ -54,10 +66,7 @@ def render(
     format_for(params, None)
     view_of(scene, params, settings)
 
-    place, memory = (root_of(settings), settings.workers, scheduler_of(settings)), settings.memory_mb << 20
-    with closing(RenderEngine([scene], *place, memory, projected=settings.projected_mb << 20)) as engine:
-        with compiling(lambda: engine.kernels.progress):
-            engine.start()
+    with working(scene, settings) as engine:
         if not is_placed(knobs):
             [params] = seen_whole(engine.renderer(scene.id), [params], settings)
         view = view_of(scene, params, settings)
@@ -99,13 +108,49 @@ def frame_facts(frame: Frame, left: TimeLeft | None) -> dict[str, Any]:
     return {**size, **coverage_schema(frame, left).model_dump(), "version": frame.version}
 
 
+@contextmanager
+def working(scene: Scene, settings: Settings, hire: bool = True) -> Iterator[RenderEngine]:
+    """An engine of a ``scene`` that has its kernels and, if it is to ``hire`` them, workers; closed at the end."""
+    with closing(engine_for(scene, settings, hire)) as engine:
+        with compiling(lambda: engine.kernels.progress):
+            engine.start(hire=hire)
+        yield engine
+
+
 def format_of(output: Path) -> str:
     """The format that the file's suffix names; ViewError for others and where the folder is missing."""
     if output.suffix.lower() not in SUFFIXES:
         raise ViewError(f"{output} names no picture format: end it in {', '.join(SUFFIXES)}.")
-    if not output.parent.is_dir():
-        raise ViewError(f"There is no folder {output.parent} for {output.name}: make it first.")
+    check_folder(output)
     return SUFFIXES[output.suffix.lower()]
+
+
+def is_placed(given: Iterable[str]) -> bool:
+    """Whether any of the parameters that are ``given`` places the camera."""
+    return not PLACED.isdisjoint(given)
+
+
+def seen_whole(renderer: Renderer, shots: Sequence[FrameParams], settings: Settings) -> list[FrameParams]:
+    """The ``shots`` with one target and one distance for all of them, from the directions that they give."""
+    scene = renderer.prepared.scene
+    turned = [from_front(scene, shot) for shot in shots]
+    few = np.unique(np.linspace(0, len(turned) - 1, LOOKED_AT).round().astype(int))
+    stands = [stand_of(scene, turned[n], settings) for n in few]
+    target, distance = fit(renderer, stands, shots[0].projection)
+    return [shot.model_copy(update={"target": target, "distance": distance}) for shot in turned]
+
+
+def from_front(scene: Scene, shot: FrameParams) -> FrameParams:
+    """The ``shot`` from the angles that it gives, and where it gives none, from the scene's front."""
+    azimuth, elevation = front_of(scene.volume, scene.room.any)
+    front = {"azimuth": azimuth, "elevation": elevation}
+    return shot.model_copy(update={name: angle for name, angle in front.items() if name not in shot.model_fields_set})
+
+
+def stand_of(scene: Scene, shot: FrameParams, settings: Settings) -> Stand:
+    """Where the camera of a picture looks from."""
+    view = view_of(scene, shot.model_copy(update={"projection": PROJECTIONS[0]}), settings)
+    return Stand(view, shot.azimuth, shot.elevation)
 
 
 def refine(engine: RenderEngine, scene: str, view: View, max_error: float | None, seconds: float | None) -> Frame:
@@ -176,8 +221,7 @@ def check_file(output: Path) -> None:
     """ViewError where the file's name is of another kind, or its folder missing."""
     if output.suffix != ".npz":
         raise ViewError(f"{output} is no name for a reference: end it in .npz.")
-    if not output.parent.is_dir():
-        raise ViewError(f"There is no folder {output.parent} for {output.name}: make it first.")
+    check_folder(output)
 
 
 def grow_file(scene: Scene, view: View, output: Path, goal: Goal) -> dict[str, Any]:
@@ -186,7 +230,8 @@ def grow_file(scene: Scene, view: View, output: Path, goal: Goal) -> dict[str, A
     former = load_reference(output, scene, view) if output.exists() else None
     found = former
     with tempfile.TemporaryDirectory(prefix="isogi-reference-") as store, tqdm(unit="path", unit_scale=True) as bar:
-        for found in grow(make_renderer(scene, store), view, goal, former, progress=bar.update):
+        renderer = Renderer(Caches(PreparedScene(scene), store, REFERENCE_BYTES), Tiles())
+        for found in grow(renderer, view, goal, former, progress=bar.update):
             save_reference(output, found, scene, view)
             show_noise(bar, found, goal)
     assert found is not None, "one round is made in any case"

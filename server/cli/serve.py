@@ -21,9 +21,7 @@ from server.api.connections import Connection, ServerConfig
 from server.api.service import Service
 from server.api.shutdown import Closing
 from server.progress import compiling, open_scene, say
-from server.render.engine import RenderEngine
-from server.render.resources import root_of
-from server.render.workforce import scheduler_of
+from server.render.engine import engine_for
 from server.settings import Settings
 
 LAST = 3.0
@@ -55,8 +53,7 @@ def serve(target: str | None, settings: Settings) -> None:
     sys.setswitchinterval(HAND_OVER)
     scene = open_scene(target, settings)
     with listen(settings.host, settings.port) as listener:
-        workers, memory = (settings.workers, scheduler_of(settings)), settings.memory_mb << 20
-        engine = RenderEngine([scene], root_of(settings), *workers, memory, projected=settings.projected_mb << 20)
+        engine = engine_for(scene, settings)
         if engine.kernels.progress is None:
             engine.hire()
         with compiling(lambda: engine.kernels.progress):

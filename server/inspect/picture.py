@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from server.inspect.inspection import InspectionSchema, SurfaceSchema
-from server.report.plots import DASHES, INK, LINE, SCHEME, SOFT, STYLE
 
 SIZE = (7.2, 5.2)
 """Inches."""
@@ -20,6 +19,29 @@ DPI = 150
 
 TOP = 1.2
 """How far the axis of shares goes: beyond all of a surface there is room for the legend."""
+
+INK, SOFT, LINE = "#010101", "#020202", "#030303"
+"""Colours that stand for a name of the scheme while matplotlib draws."""
+
+DASHES: tuple[tuple[float, ...], ...] = ((), (5, 2), (1.5, 1.5), (7, 2, 1.5, 2), (3, 3), (9, 3))
+"""Dashes of the curves, in points, so that they can be told apart without colours."""
+
+
+STYLE: Any = {
+    "svg.fonttype": "none",
+    "font.size": 9.5,
+    "axes.linewidth": 0.8,
+    "text.color": INK,
+    "axes.edgecolor": SOFT,
+    "axes.labelcolor": INK,
+    "xtick.color": SOFT,
+    "ytick.color": SOFT,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+}
+
+SCHEME = (Path(__file__).parent / "scheme.css").read_text(encoding="utf-8")
+"""What gives the names their colours: the rules of an element that is the root of its document."""
 
 COLOURS = dict(reversed(re.findall(r"--([\w-]+): (#\w{6})", SCHEME)))
 """The reports' colours on paper, by their names: a name's first one is that of the light scheme."""

@@ -6,7 +6,8 @@ import logging
 import os
 import socket
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from typing import Literal
 from uuid import uuid4
@@ -14,11 +15,11 @@ from uuid import uuid4
 from pydantic import BaseModel, Field, ValidationError
 
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.errors import StoreError
+from isogi_core.errors import Cancelled, StoreError
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.documents import Documents
 from isogi_core.storage.store import StoreLike
-from server.prewarm.context import PrewarmContext, Step
+from server.prewarm.baking import PrewarmContext, Step
 from server.prewarm.order import PrewarmOrder
 from server.progress import left_text
 from server.render.jobs import Status, now
@@ -214,6 +215,34 @@ class Record:
         context.rung = max(context.rung, *former, FIRST_LEVEL)
         context.climbed = lambda rung: self.keep(rung=rung)
         self.document = self.document.model_copy(update={"rung": context.rung})
+
+    @contextmanager
+    def kept(
+        self, context: PrewarmContext, stopped: str, lasting: Callable[[], bool] = lambda: False
+    ) -> Iterator[None]:
+        """Keep how far a prewarm is meanwhile, and why it ended where that is early.
+
+        Of one that was ``stopped`` it keeps this message, or nothing where it is ``lasting``: the next server goes on.
+        """
+        self.follow(context)
+        self.keep(status=Status.RUNNING)
+        draw = context.report
+
+        def report(step: Step) -> None:
+            draw(step)
+            self.report(step)
+
+        context.report = report
+        try:
+            yield
+        except (Cancelled, KeyboardInterrupt):
+            if not lasting():
+                self.keep(status=Status.DISMISSED, message=stopped)
+            raise
+        except Exception as error:
+            with suppress(StoreError):
+                self.keep(status=Status.FAILED, message=str(error))
+            raise
 
     def report(self, step: Step) -> None:
         """Say how far it is; kept when some time has passed. A store that does not take it costs no more than that."""

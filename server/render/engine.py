@@ -28,13 +28,13 @@ from isogi_core.storage.url import StoreUrl
 from server.errors import UnknownSceneError
 from server.render.bakes import BACKGROUND, BackgroundBake, SideBakes, bake_name, make_bake
 from server.render.kernels import SceneKernels
-from server.render.loaded_scene import LoadedScene, load
-from server.render.loaded_scenes import LoadedScenes
+from server.render.loaded_scene import LoadedScene, LoadedScenes, load
 from server.render.path_times import Promises, time_of_paths
 from server.render.picture_checks import CHECK, PictureChecks
-from server.render.resources import shared, whereabouts
+from server.render.resources import root_of, shared, whereabouts
 from server.render.variants import is_cut, may_lend, own_name, whole_name
-from server.render.workforce import Workforce
+from server.render.workforce import Workforce, scheduler_of
+from server.settings import Settings
 from worker.bake_requests import GUEST, Viewer
 from worker.baker import Baker, Listener
 from worker.progress import Tally, TimeLeft
@@ -405,3 +405,10 @@ class RenderEngine:
         """Have a scene, where it is loaded, read a chunk of its texels again: it has new light."""
         if (loaded := self._loaded.held(scene)) is not None and (level := loaded.held(fineness)) is not None:
             level.renderer.caches.refresh(spec, index, shown)
+
+
+def engine_for(scene: Scene, settings: Settings, hire: bool = True) -> RenderEngine:
+    """An engine of a ``scene`` under a command's settings; it joins a cluster only where it is to ``hire`` workers."""
+    scheduler, memory = scheduler_of(settings) if hire else None, settings.memory_mb << 20
+    projected = settings.projected_mb << 20
+    return RenderEngine([scene], root_of(settings), settings.workers, scheduler, memory, projected=projected)

@@ -8,8 +8,8 @@ import click
 from click.testing import CliRunner, Result
 
 from isogi_core.plan.assembly import load_scene
-from isogi_core.report.bench import Bench
-from server.cli.bench import view_of
+from isogi_report.bench import Bench
+from isogi_report.speed import view_of
 
 SKY = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
 CONSTANT = {"type": "constant", "radiance": 1.0}

@@ -19,9 +19,9 @@ from benchmarks.accuracy.carrying import (
 )
 from benchmarks.accuracy.projection import by_shares_and_normals, plain, sides_of
 from isogi_core.frame import texel_shading
-from isogi_core.report.bake import ViewBake
-from isogi_core.report.exact import straight_light, unrounded
-from isogi_core.report.metrics import luminance
+from isogi_report.bake import ViewBake
+from isogi_report.exact import straight_light, unrounded
+from isogi_report.metrics import luminance
 from tests.benchmarks.parts import bench_of
 
 SLOPE = np.array([1.0, -2.0, 0.5])

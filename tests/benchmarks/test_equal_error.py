@@ -17,7 +17,7 @@ from benchmarks.common import mitsuba
 from isogi_core.model.view import quaternion_from_angles
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
-from server.cli.bench import make_renderer
+from isogi_report.speed import make_renderer
 from tests.benchmarks.parts import figures
 
 TINY = ("demo:casting", "--size", "24", "--views", "2", "--turns", "2", "--checks", "2", "--samples", "64")

@@ -6,7 +6,7 @@ import pytest
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from server.cli.bench import bounce, cast, primary_rays, view_of
+from isogi_report.speed import bounce, cast, primary_rays, view_of
 
 SIZE = 96
 AGREE = 0.995

@@ -20,7 +20,7 @@ from benchmarks.accuracy.projection import (
     plain,
 )
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.report.metrics import luminance
+from isogi_report.metrics import luminance
 from tests.benchmarks.parts import CONSTANT, bench_of
 
 

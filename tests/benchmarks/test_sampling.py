@@ -18,8 +18,8 @@ from benchmarks.accuracy.sampling import (
     vertices_of,
 )
 from isogi_core.plan.range_sampling import WAYS
-from isogi_core.report.exact import lit_by_paths
-from isogi_core.report.reference import trace_reference
+from isogi_core.reference import trace_reference
+from isogi_report.exact import lit_by_paths
 from tests.benchmarks.parts import bench_of, figures
 
 ROOM = """

@@ -5,8 +5,8 @@ import pytest
 
 from benchmarks.accuracy.sequences import Shot, jumps, sequences, slide, turn
 from isogi_core.plan.assembly import load_scene
-from isogi_core.report.reference import REPLICAS, Reference
-from server.cli.bench import view_of
+from isogi_core.reference import REPLICAS, Reference
+from isogi_report.speed import view_of
 from tests.benchmarks.parts import figures
 
 SHAPE = (40, 50)

@@ -8,10 +8,10 @@ import pytest
 
 from benchmarks.accuracy.summary import PICTURES, summary_of
 from benchmarks.common.measurement import Measurement
-from isogi_core.report.sections import Column, Section, Table
-from server.report.bundle import write_report
-from server.report.journal import Entry
-from tests.server.report.samples import SHARE, report_of, sections
+from isogi_report.bundle import write_report
+from isogi_report.journal import Entry
+from isogi_report.sections import Column, Section, Table
+from tests.report.samples import SHARE, report_of, sections
 
 FULL, SHORT = "engine under grace at 70", "engine under uffizi at 70"
 

@@ -11,8 +11,8 @@ from benchmarks.accuracy.table import FINER, Case, Measured, cells, figures_of, 
 from benchmarks.common.scenes import Subject
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
-from isogi_core.report.bench import Bench
-from server.cli.bench import view_of
+from isogi_report.bench import Bench
+from isogi_report.speed import view_of
 
 FOUND = Measured(
     rmse=[0.011, 0.029],

@@ -11,7 +11,7 @@ from PIL import Image
 from isogi_core.errors import VolumeError
 from isogi_core.files.light_files import LitMesh
 from isogi_core.files.usd_files import BLOCK, WIDEST, light_texture, texture_places, usdz_package
-from server.exports.kinds import usdz_bytes
+from server.exports.lit_files import usdz_bytes
 
 RNG = np.random.default_rng(7)
 VERTICES = np.array([[1e5, 0.0, 3.0], [1e5 + 1, 0.0, 3.0], [1e5 + 1, 2.0, 3.5], [1e5, 2.0, 7.0], [1e5, 4.0, 7.0]])

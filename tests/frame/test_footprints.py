@@ -8,7 +8,7 @@ import numpy as np
 from isogi_core.frame.view_texels import LEAST_SEEN, most_seen
 from isogi_core.kernels.shading.chunks import add_footprints
 from isogi_core.kernels.shading.lattice import Lattice
-from server.cli.bench import make_renderer, view_of
+from isogi_report.speed import make_renderer, view_of
 from tests.loaded import load_scene
 
 RNG = np.random.default_rng(3)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from isogi_core.model.view import View
-from isogi_core.report.bench import Bench
+from isogi_report.bench import Bench
 from tests.loaded import load_scene
 
 SKY = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}

@@ -7,9 +7,9 @@ import numpy as np
 from isogi_core.bake.refine import locate
 from isogi_core.frame.projected_texels import STEEPNESS, find_distances
 from isogi_core.frame.renderer import Renderer
-from isogi_core.report.bake import NEVER, ViewBake
-from isogi_core.report.bench import Bench
-from server.cli.bench import bake_view, make_renderer
+from isogi_report.bake import NEVER, ViewBake
+from isogi_report.bench import Bench
+from isogi_report.speed import bake_view, make_renderer
 from tests.report.conftest import MakeBench
 
 

@@ -2,10 +2,10 @@
 
 import pytest
 
-from isogi_core.report import convergence
-from isogi_core.report.bench import Bench
-from isogi_core.report.convergence import EVENS, even, evens, seconds_at
-from isogi_core.report.sections import Curve
+from isogi_report import convergence
+from isogi_report.bench import Bench
+from isogi_report.convergence import EVENS, even, evens, seconds_at
+from isogi_report.sections import Curve
 from tests.toil import PACE, measure_toil
 
 TRACED = Curve("paths", (0.01, 0.04, 0.16, 0.64), (0.08, 0.04, 0.02, 0.01))

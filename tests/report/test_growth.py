@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from isogi_core.report import reference
-from isogi_core.report.reference import Goal, grow
+from isogi_core import reference
+from isogi_core.reference import Goal, grow
 
 
 def make(samples: int) -> Any:

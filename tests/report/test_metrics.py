@@ -5,8 +5,8 @@ import importlib
 import numpy as np
 import pytest
 
-from isogi_core.report.metrics import Score, Spread, error_map, score, spread_of
-from isogi_core.report.reference import Reference
+from isogi_core.reference import Reference
+from isogi_report.metrics import Score, Spread, error_map, score, spread_of
 
 SHAPE = (8, 10)
 

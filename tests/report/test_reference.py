@@ -10,7 +10,7 @@ import pytest
 from isogi_core.errors import Cancelled, ReportError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.sky import LUMINANCE
-from isogi_core.report.reference import load_reference, save_reference, trace_reference, with_bounces
+from isogi_core.reference import load_reference, save_reference, trace_reference, with_bounces
 from tests.frame.conftest import CONSTANT, SKY, Workbench, ball, scene_of
 from tests.loaded import load_scene
 
@@ -111,7 +111,7 @@ def test_a_file_of_another_version_is_told_as_such(
 ) -> None:
     view, path = bench.view(size=8), tmp_path / "a.npz"
     save_reference(path, trace_reference(bench.renderer, view, 8), bench.scene, view)
-    monkeypatch.setattr("isogi_core.report.reference.FORMAT", 2)
+    monkeypatch.setattr("isogi_core.reference.FORMAT", 2)
     with pytest.raises(ReportError, match="another version of isogi"):
         load_reference(path, bench.scene, view)
 

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from isogi_core.report.bench import Bench
-from isogi_core.report.exact import apart, cuts_harmonics, lit_by_paths, own_light, short_paths
-from isogi_core.report.metrics import mean_of, spread_of
-from isogi_core.report.split import Split, split_error, study, true_surface
+from isogi_report.bench import Bench
+from isogi_report.exact import apart, cuts_harmonics, lit_by_paths, own_light, short_paths
+from isogi_report.metrics import mean_of, spread_of
+from isogi_report.split import Split, split_error, study, true_surface
 
 CONSTANT = {"type": "constant", "radiance": 1.0}
 

@@ -13,14 +13,14 @@ from isogi_core.bake.texel_light import Light
 from isogi_core.errors import Cancelled, StoreError, ViewError
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
-from isogi_core.report import bench as benches
-from isogi_core.report import convergence
-from isogi_core.report.bake import ViewBake
-from isogi_core.report.bench import Bench
-from isogi_core.report.exact import TIMES, converged
-from isogi_core.report.sections import UNITS, Section
-from server.report.journal import Entry
-from server.report.measuring import STUDIES, Study, run
+from isogi_report import bench as benches
+from isogi_report import convergence
+from isogi_report.bake import ViewBake
+from isogi_report.bench import Bench
+from isogi_report.exact import TIMES, converged
+from isogi_report.journal import Entry
+from isogi_report.measuring import STUDIES, Study, run
+from isogi_report.sections import UNITS, Section
 
 
 @pytest.fixture(autouse=True)

@@ -28,9 +28,9 @@ from isogi_core.model.volume import Isovalue, Volume, make_volume
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene, make_field
-from isogi_core.report.bake import NEVER, ViewBake
-from isogi_core.report.bench import MEMORY
-from isogi_core.report.metrics import luminance
+from isogi_report.bake import NEVER, ViewBake
+from isogi_report.bench import MEMORY
+from isogi_report.metrics import luminance
 from tests.loaded import load_scene
 from tests.stability.volumes import Specimen, ball, body, grid, ramp
 

@@ -57,7 +57,7 @@ KINDS: Mapping[str, Kind] = {
     "strict": Kind({"target_error": 0.02}),
     "projected": Kind({"projected": True}, shown=0.05),
     "walls": Kind({"room": "cornell", "lights": [{"type": "constant"}]}, {"azimuth": 90.0, "elevation": 0.0}),
-    "glass": Kind({"material": "glass", "walls": [FLOOR]}, {"elevation": 20.0}),
+    "glass": Kind({"material": "glass", "walls": [FLOOR], "target_error": 0.03}, {"elevation": 20.0}),
     "shine": Kind({"shine": PLASTIC}),
     "shine among walls": Kind({"shine": PLASTIC, "walls": [FLOOR]}),
     "several": Kind({"isovalue": 0.06, "surfaces": [HALO]}),

@@ -30,10 +30,10 @@ from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import CHUNKS, Scene
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_core.report.bake import NEVER
 from isogi_core.runs import Run, serially
 from isogi_core.storage.url import StoreUrl
-from server.cli.bench import bake_chunks, wanted_of
+from isogi_report.bake import NEVER
+from isogi_report.speed import bake_chunks, wanted_of
 from tests.loaded import load_scene
 from tests.stability.scenes import view_of
 from worker.tasks import BakeTask, bake

@@ -10,8 +10,8 @@ import pytest
 from isogi_core.model.view import Camera, View
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.scene import Scene
-from isogi_core.report.bench import Bench
-from isogi_core.report.metrics import luminance
+from isogi_report.bench import Bench
+from isogi_report.metrics import luminance
 from tests.stability.scenes import frame_of, renderer_of, scene_of, scenes_of, surface_light, view_of
 from tests.stability.volumes import STIFF, ball, body, grid, ramp
 

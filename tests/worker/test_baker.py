@@ -16,9 +16,8 @@ from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, ScenePlan
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.url import StoreUrl
 from worker.bake_requests import GUEST, MOST_FAILURES, Viewer
-from worker.baker import LONGEST_REST, REST, WAY, Bake, Baker, after
+from worker.baker import LONGEST_PAUSE, LONGEST_REST, REST, SHORTEST, WAY, Bake, Baker, after
 from worker.errors import WorkersAwayError
-from worker.pause import LONGEST_PAUSE, SHORTEST
 from worker.pool import AllDone, Done
 from worker.progress import TimeLeft
 from worker.queue import FORGET_AFTER
@@ -496,7 +495,7 @@ def test_a_poison_chunk_is_given_up_though_the_store_was_away(bench: Bench) -> N
 
 
 def test_baking_goes_on_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("worker.pause.SHORTEST", 0.01)
+    monkeypatch.setattr("worker.baker.SHORTEST", 0.01)
     bench = Bench()
     baker = bench.baker = Baker()
     baker.add("scene", Bake(SOURCE, PLAN, "digest", frozenset(), StoreUrl("store"), bench.arrived.append, bench.costs))

@@ -8,8 +8,7 @@ from isogi_core.cache.costs import Cost
 from isogi_core.frame.view_texels import Demand
 from tests.worker.clock import Clock
 from worker.bake_requests import BakeRequest, Key, Viewer
-from worker.client_queues import MIN_PLACES
-from worker.queue import SUNK, BakeQueue
+from worker.queue import MIN_PLACES, SUNK, BakeQueue
 from worker.tasks import BakeResult
 
 TEXELS = np.arange(4, dtype=np.int32)

@@ -15,8 +15,7 @@ from fastapi.sse import EventSourceResponse, format_sse_event
 from isogi_core.errors import StoreError
 from isogi_core.frame.frame import Frame
 from server.answers import coverage_schema
-from server.api.service import PREVIEW, ClientDep, SceneDep, Service, ServiceDep
-from server.api.shown import PictureRequest, Shown
+from server.api.service import PREVIEW, ClientDep, PictureRequest, SceneDep, Service, ServiceDep, Shown
 from server.errors import BusyError, ParameterError, UnknownSceneError
 from server.parameters import ViewParams, ViewParamsDep, documented
 from server.problems import documented_problems

@@ -16,8 +16,7 @@ from isogi_core.frame.tiles import Stopwatch
 from server.answers import camera_schema, coverage_schema
 from server.api.headers import STAGES, PreferencesDep, entity_tag, frame_headers, matches, server_timing
 from server.api.routes.jobs import JobSchema, address, job_schema
-from server.api.service import BearerDep, SceneDep, Service, ServiceDep
-from server.api.shown import PictureRequest, Shown
+from server.api.service import BearerDep, PictureRequest, SceneDep, Service, ServiceDep, Shown
 from server.api.startup import within
 from server.bearers import client_of
 from server.parameters import (

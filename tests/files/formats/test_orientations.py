@@ -12,7 +12,7 @@ from isogi_core.files.radiance import write_hdr
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.model.latlong import pixel_directions
 from isogi_core.model.orientation import Orientation
-from server.cli.bench import make_renderer
+from isogi_report.speed import make_renderer
 from server.parameters import ViewParams, read
 from server.settings import Settings
 from server.views import view_of

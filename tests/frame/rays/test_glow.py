@@ -15,7 +15,7 @@ from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.glow import Glow, place_glows
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.scene import Scene
-from isogi_core.report.exact import light_of_halves, place_of
+from isogi_report.exact import light_of_halves, place_of
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, chunks_of, relative_rmse, scene_of
 from tests.loaded import load_scene
 

@@ -31,7 +31,7 @@ from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.assembly import load_scene
-from isogi_core.report.reference import Reference, trace_reference
+from isogi_core.reference import Reference, trace_reference
 from tests.frame.conftest import CONSTANT, SKY, Workbench, luminance, refine_chunk, scene_of
 
 Make = Callable[..., Workbench]

@@ -13,9 +13,7 @@ import httpx
 import pytest
 from websockets.sync.client import connect
 
-from server.api.render_threads import RenderThreads
-from server.api.service import Service
-from server.api.shown import PictureRequest
+from server.api.service import PictureRequest, RenderThreads, Service
 from server.render.engine import RenderEngine
 from server.render.loaded_scene import LoadedScene
 from tests.server.idle import idle_server

@@ -26,7 +26,6 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store
-from server.api import render_threads
 from server.api import service as service_module
 from server.api.app import create_app
 from server.api.service import Service
@@ -368,7 +367,7 @@ def test_large_pictures_are_drawn_one_at_a_time(
     engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each takes memory besides what is kept."""
-    monkeypatch.setattr(render_threads, "LARGE_PICTURE_PIXELS", 100)
+    monkeypatch.setattr(service_module, "LARGE_PICTURE_PIXELS", 100)
     drawing, most = set[int](), [0]
 
     def work(_: threading.Event) -> None:

@@ -10,7 +10,7 @@ from PIL import Image
 
 from server.cli.command import run
 from server.cli.film_path import film_path, view_in, views_in
-from server.cli.reel import Budget
+from server.cli.reel import ReelRequest
 from server.errors import ParameterError
 from tests.loaded import load_scene
 from tests.server.inline import InlinePool
@@ -121,7 +121,7 @@ def test_the_tint_of_a_link_colours_the_albedo() -> None:
 
 def test_budgets_share_what_is_left() -> None:
     for each, whole, share in ((None, None, None), (3, None, 3), (3, 20, 2), (None, 5, 0)):
-        assert Budget(each, whole, 100, lambda: 110.0).share(5) == share
+        assert ReelRequest(Path(), None, each, whole, lambda: 110.0, 100.0).share(5) == share
 
 
 def test_a_film_goes_on_and_becomes_a_movie(

@@ -6,7 +6,7 @@ import click
 import pytest
 
 from server.cli.command import cli, run
-from server.cli.examples import EXAMPLES
+from server.cli.help import EXAMPLES
 from tests.server.cli.lines import parsed
 
 LINES = [(path, line) for path, rows in EXAMPLES.items() for line, _ in rows]

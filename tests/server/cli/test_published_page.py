@@ -28,7 +28,7 @@ def published(folder: Path, **knobs: str) -> str:
     colour = Image.new("RGB", (96, 72), "#804020")
     for name in reel.shots:
         colour.save(folder / name)
-    (folder / "index.html").write_text(page_of(scene, sliders, reel, {"width": 96, "height": 72}))
+    (folder / "index.html").write_text(page_of(scene, sliders, reel))
     return (folder / "index.html").as_uri()
 
 

@@ -242,7 +242,7 @@ def test_who_interrupts_it_is_told_how_to_go_on(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("server.prewarm.context.Baking.run", interrupted)
+        patch.setattr("server.prewarm.baking.Baking.run", interrupted)
         assert run(["prewarm", str(blocks), "--views", "3", "--store", str(tmp_path), "--workers", "1"]) == 1
     assert "--continue goes on" in capsys.readouterr().err
     (record,) = (tmp_path / "jobs").glob("*.json")

@@ -13,7 +13,7 @@ from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.plan.assembly import load_scene
-from server.prewarm.forecast import FEWEST_TRIED, MOST_TRIED, forecast, rehearse, stratified
+from server.prewarm.baking import FEWEST_TRIED, MOST_TRIED, forecast, rehearse, stratified
 from server.render.engine import RenderEngine
 from tests.server.inline import LONG, InlinePool, view_of
 from worker import bake_requests, pool

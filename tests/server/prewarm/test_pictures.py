@@ -18,7 +18,7 @@ from isogi_core.plan.reachable_texels import surface_texels
 from server.api.prewarm_jobs import Prewarm
 from server.cli import prewarm as command
 from server.cli.prewarm import prewarm
-from server.prewarm.context import Step
+from server.prewarm.baking import Step
 from server.prewarm.order import Views, order_of
 from server.prewarm.record import Record, Summary
 from server.progress import Progress

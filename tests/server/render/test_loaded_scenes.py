@@ -14,9 +14,9 @@ import pytest
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from server.errors import UnknownSceneError
-from server.render import loaded_scenes
+from server.render import loaded_scene
 from server.render.engine import RenderEngine
-from server.render.loaded_scenes import IDLE, LoadedScenes
+from server.render.loaded_scene import IDLE, LoadedScenes
 from tests.server.inline import LONG, InlinePool, view_of
 from worker import pool
 
@@ -81,8 +81,8 @@ def test_a_server_tidies_after_frames_and_not_while_idle(
 ) -> None:
     tidied = threading.Semaphore(0)
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
-    monkeypatch.setattr(loaded_scenes, "TIDY", 0.01)
-    monkeypatch.setattr(loaded_scenes, "give_memory_back", tidied.release)
+    monkeypatch.setattr(loaded_scene, "TIDY", 0.01)
+    monkeypatch.setattr(loaded_scene, "give_memory_back", tidied.release)
     with closing(RenderEngine(scenes[:1], str(tmp_path))) as engine:
         engine.start()
         assert tidied.acquire(timeout=LONG), "what loading left"
@@ -93,7 +93,7 @@ def test_a_server_tidies_after_frames_and_not_while_idle(
 
 def test_what_nobody_looks_at_is_dropped_and_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
     now, closed, trimmed = [0.0], list[str](), list[None]()
-    monkeypatch.setattr(loaded_scenes, "give_memory_back", lambda: trimmed.append(None))
+    monkeypatch.setattr(loaded_scene, "give_memory_back", lambda: trimmed.append(None))
 
     def load(scene: Any) -> Any:
         return SimpleNamespace(nbytes=10, close=lambda: closed.append(scene.id))

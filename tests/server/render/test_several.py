@@ -9,7 +9,7 @@ from isogi_core.errors import ReportError
 from isogi_core.frame.several.surfaces_frame import parts_of
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
-from isogi_core.report.bench import Bench
+from isogi_report.bench import Bench
 from server.answers import scene_schema
 from server.cli.render import awaited
 from server.render.engine import RenderEngine

@@ -33,7 +33,7 @@ def serving(small_scene: Path, tmp_path: Path) -> Iterator[tuple[subprocess.Pope
 
 
 @pytest.mark.slow
-def test_requests_are_answered_and_the_port_closes(serving: tuple[subprocess.Popen[str], str]) -> None:
+def test_nobody_is_reset_or_failed(serving: tuple[subprocess.Popen[str], str]) -> None:
     """Some clients keep their connection, others open one each time; one of them waits for light that takes long."""
     (process, url), ends = serving, Counter[str]()
 
@@ -61,6 +61,5 @@ def test_requests_are_answered_and_the_port_closes(serving: tuple[subprocess.Pop
     assert (process.returncode, out) == (0, "") and "Traceback" not in error
     assert psutil.wait_procs(family, timeout=30)[1] == [], "no worker outlives its server"
     assert time.monotonic() - begun < 15.0
-    assert set(ends) <= {"200", "503", "ConnectError", "ReadError"}, ends
-    assert ends["ReadError"] <= 1, "a connection that came just when the port was closed"
-    assert ends["ConnectError"] + ends["ReadError"] == CLIENTS
+    assert set(ends) <= {"200", "503", "ConnectError"}, ends
+    assert ends["ConnectError"] == CLIENTS

@@ -1,0 +1,137 @@
+"""The head of a report: what was measured, on which machine, and by which versions."""
+
+import math
+import os
+import platform
+from collections.abc import Iterable, Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from isogi_core.model.view import Camera, View
+from isogi_core.plan.scene import Scene
+from server.answers import scene_schema
+from server.inspect.rows import amount, by, plan_rows, summary
+from server.schemas import SceneSchema
+
+PARALLEL = 1e-3
+"""Degrees of a field of view below which rays count as parallel: those of an orthographic camera are narrower."""
+
+PACKAGES = ("isogi", "numpy", "numba", "zarr", "matplotlib", "flip-evaluator")
+
+Rows = tuple[tuple[str, str], ...]
+
+
+UNTOLD = {"histogram", "ranges", "presets", "stops", "stops_note", "shadings", "defaults"}
+"""What of a scene's document is for those that choose a view, not for a report of one."""
+
+
+def heading(scene: Scene, view: View) -> dict[str, Any]:
+    """The head as a document."""
+    return {
+        "title": f"{scene.name} at {view.isovalue:g}",
+        "scene": scene_schema(scene).model_dump(mode="json", exclude=UNTOLD),
+        "view": view_facts(view),
+        "machine": machine(),
+        "versions": versions(),
+    }
+
+
+def view_facts(view: View) -> dict[str, Any]:
+    """The view that is measured."""
+    camera = view.camera.in_world(view.orientation)
+    return {
+        "isovalue": view.isovalue,
+        "width": view.width,
+        "height": view.height,
+        "eye": list(camera.eye),
+        "target": list(camera.target),
+        "up": list(camera.up),
+        "fov": camera.fov,
+        "light": list(view.light),
+    }
+
+
+def machine() -> dict[str, Any]:
+    """The processor, how many of its cores there are, and the system."""
+    return {
+        "processor": processor(),
+        "cores": os.cpu_count() or 1,
+        "system": f"{platform.system()} {platform.machine()}",
+    }
+
+
+def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
+    """The processor's name as the system has it."""
+    try:
+        lines = listing.read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(named, platform.processor() or "unknown")
+
+
+def versions() -> dict[str, str | None]:
+    """Versions of Python and of what measures and draws; None where it is missing."""
+    return {"python": platform.python_version(), **{name: installed(name) for name in PACKAGES}}
+
+
+def installed(name: str) -> str | None:
+    """The version of a package; None where it is missing."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def scene_rows(scene: Scene, view: View) -> Rows:
+    """Name and text of each fact of the scene and its view, for a person."""
+    facts = scene_schema(scene)
+    return (*named(facts, "scene", "volume", "solid", "albedo", "lights", "target error"), *view_rows(view))
+
+
+def named(facts: SceneSchema, *names: str) -> Rows:
+    """Some of the facts that ``isogi inspect`` prints."""
+    rows = dict(summary(facts))
+    return tuple((name, rows[name]) for name in names)
+
+
+def view_rows(view: View) -> Rows:
+    """Name and text of each fact of a view."""
+    return (
+        ("isovalue", f"{view.isovalue:.10g}"),
+        ("picture", f"{by((view.width, view.height))} pixels, {standpoint(view.camera.in_world(view.orientation))}"),
+    )
+
+
+def standpoint(camera: Camera) -> str:
+    """Where a camera of the world stands, and what it sees; of one with parallel rays, where it looks."""
+    if camera.fov > PARALLEL:
+        return f"from {listed(camera.eye)}, {camera.fov:g} degrees high"
+    height = 2.0 * math.dist(camera.eye, camera.target) * math.tan(math.radians(camera.fov / 2.0))
+    return f"orthographic, along {listed(camera.basis()[2])} to {listed(camera.target)}, {height:.4g} high there"
+
+
+def listed(numbers: Iterable[float]) -> str:
+    """Numbers to four digits."""
+    return ", ".join(f"{number:.4g}" for number in numbers)
+
+
+def plan_facts_rows(scene: Scene) -> Rows:
+    """Name and text of each fact of the scene's plan, for a person."""
+    return tuple(plan_rows(scene_schema(scene).plan))
+
+
+def left_out_rows(scene: Scene) -> tuple[tuple[str, str, str], ...]:
+    """What the plan leaves out, why, and what that saves."""
+    omissions = scene_schema(scene).plan.left_out
+    return tuple((each.what, each.why, ", ".join(map(amount, each.saves))) for each in omissions)
+
+
+def machine_rows(head: Mapping[str, Any]) -> Rows:
+    """Name and text of machine and versions, for a person."""
+    box, known = head["machine"], head["versions"]
+    texts = ", ".join(f"{name} {text}" for name, text in known.items() if text is not None)
+    missing = [name for name, text in known.items() if text is None]
+    rows = (("machine", f"{box['processor']}, {box['cores']} cores, {box['system']}"), ("versions", texts))
+    return (*rows, ("missing", ", ".join(missing))) if missing else rows

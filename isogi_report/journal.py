@@ -1,0 +1,182 @@
+"""A report and its journal: each section kept as soon as it is measured, so that an interrupted report goes on.
+
+A folder holds one journal. Its ``report.json`` names what the report is of; each section is a JSON file and the
+pixels of its pictures beside it. What other code has measured does not count as done, nor does what is damaged.
+"""
+
+import fcntl
+import hashlib
+import io
+import json
+import shutil
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+import isogi_core
+from isogi_core.errors import ReportError
+from isogi_core.model.view import View
+from isogi_core.plan.scene import Scene
+from isogi_core.storage.atomic_file import write_whole
+from isogi_report.documents import document_of, section_of
+from isogi_report.sections import Section
+
+PAGE, DATA = "index.html", "report.json"
+FOLDER = "journal"
+SUBJECT = "report.json"
+LOCK = "lock"
+
+WORK = "work"
+"""Beside the journal: references that studies share."""
+
+
+DAMAGE = (OSError, EOFError, ValueError, KeyError, TypeError, BadZipFile, zlib.error)
+"""What reading an entry raises where it is missing, cut or changed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A section that was measured, and the ``seconds`` of the processor that this took."""
+
+    section: Section
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """The sections of a view, in the order of the page, and ``notes`` on what is missing.
+
+    Pictures show radiance times ``exposure`` ``on`` (h, w) the surface, and the film's background beside it.
+    """
+
+    scene: Scene
+    view: View
+    exposure: float
+    on: np.ndarray
+    entries: tuple[Entry, ...]
+    notes: tuple[str, ...] = ()
+
+
+def picture_name(section: Section, i: int, suffix: str = "png") -> str:
+    """Where picture ``i`` of a section is, from the report's folder."""
+    return f"pictures/{section.key}-{i + 1}.{suffix}"
+
+
+def plot_name(section: Section, i: int) -> str:
+    """Where plot ``i`` of a section is, from the report's folder."""
+    return f"plots/{section.key}-{i + 1}.svg"
+
+
+class Journal:
+    """The sections that are done of a report in ``folder`` about ``subject``."""
+
+    def __init__(self, folder: Path, subject: Mapping[str, Any]) -> None:
+        """Go on with the journal, or begin it where it has no section; ReportError where it is of something else."""
+        self.folder, self.code = folder / FOLDER, code_digest()
+        path = self.folder / SUBJECT
+        if sections_in(self.folder):
+            refuse_other(folder, read(path), subject)
+        elif read(path) != subject:
+            shutil.rmtree(folder / WORK, ignore_errors=True)
+            write_whole(path, json.dumps(subject, indent=2).encode())
+        forget_others(workshop(folder))
+
+    def find(self, key: str) -> Entry | None:
+        """The section of this key, if this code has measured it and it is whole."""
+        try:
+            document = json.loads((self.folder / f"{key}.json").read_text(encoding="utf-8"))
+            if document["code"] != self.code:
+                return None
+            with np.load(io.BytesIO((self.folder / f"{key}.npz").read_bytes())) as arrays:
+                pixels = [arrays[f"arr_{i}"] for i in range(len(document["section"]["pictures"]))]
+            return Entry(section_of(document["section"], pixels), document["seconds"])
+        except DAMAGE:
+            return None
+
+    def keep(self, key: str, entry: Entry) -> None:
+        """Keep a section; its pixels first, so that what is found is whole."""
+        pixels = io.BytesIO()
+        np.savez_compressed(pixels, *(picture.pixels for picture in entry.section.pictures))
+        write_whole(self.folder / f"{key}.npz", pixels.getvalue())
+        document = {"code": self.code, "seconds": entry.seconds, "section": document_of(entry.section)}
+        write_whole(self.folder / f"{key}.json", json.dumps(document, allow_nan=False).encode())
+
+
+@contextmanager
+def opened(folder: Path, subject: Mapping[str, Any]) -> Iterator[Journal]:
+    """The journal of ``folder``, for this process alone; ReportError where the folder is another's, or in use."""
+    journal = folder / FOLDER
+    if folder.exists() and (not folder.is_dir() or (not journal.is_dir() and any(folder.iterdir()))):
+        raise ReportError(f"{folder} is there and holds no report: choose a new or an empty folder.")
+    journal.mkdir(parents=True, exist_ok=True)
+    with (journal / LOCK).open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ReportError(f"{folder} is being written by another report: wait for its end.") from None
+        yield Journal(folder, subject)
+
+
+def workshop(folder: Path) -> Path:
+    """Where the references of a report in ``folder`` are, those of this code."""
+    return folder / WORK / code_digest()
+
+
+def forget_others(work: Path) -> None:
+    """Remove what other code has made beside the folder ``work``."""
+    for other in work.parent.glob("*"):
+        if other.name != work.name:
+            shutil.rmtree(other)
+
+
+def sections_in(journal: Path) -> bool:
+    """Whether any section was kept in the folder of a ``journal``, whole or not."""
+    return any(path.name != SUBJECT for path in journal.glob("*.json"))
+
+
+def read(path: Path) -> Mapping[str, Any]:
+    """What a JSON file says; nothing where it is missing or damaged."""
+    try:
+        found: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found
+
+
+def subject_of(scene: Scene, view: View, exposure: float) -> dict[str, Any]:
+    """What a report is of, as a document: two reports of the same one measure the same."""
+    camera = view.camera
+    return {
+        "scene": scene.name,
+        "digest": scene.digest,
+        "volume": scene.volume.digest,
+        "isovalue": view.isovalue,
+        "camera": [*camera.eye, *camera.target, *camera.up, camera.fov],
+        "light": list(view.light),
+        "size": [view.width, view.height],
+        "exposure": exposure,
+    }
+
+
+def refuse_other(folder: Path, held: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    """ReportError where the folder's report is of something else than what is ``wanted``."""
+    other = [name for name in wanted if held.get(name) != wanted[name]]
+    if other:
+        what = "scene" if {"scene", "digest", "volume"} & set(other) else f"view (by its {' and '.join(other)})"
+        held_of = f"a report of {held.get('scene')} at {held.get('isovalue')}"
+        raise ReportError(f"{folder} holds {held_of}, which is another {what}: choose another folder.")
+
+
+def code_digest() -> str:
+    """Hex name of all code that a measured figure depends on."""
+    digest = hashlib.blake2b(digest_size=10)
+    for root in (Path(isogi_core.__file__).parent, Path(__file__).parent):
+        for path in sorted(root.rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,152 @@
+"""The studies of a report, measured one after another, each kept as soon as it is done."""
+
+import logging
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from isogi_core.errors import Cancelled
+from isogi_report import convergence, split, summary
+from isogi_report.bench import Bench
+from isogi_report.journal import Entry, Journal
+from isogi_report.sections import Section
+from server.progress import Pieces
+
+log = logging.getLogger("isogi.report")
+
+GRACE = 0.1
+"""What a study may take beyond its deadline, of the time that all of them had, before it is cancelled."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """One question: ``run`` answers it. ``weight`` is its rough share of the whole work; the ``key`` is stable."""
+
+    key: str
+    title: str
+    run: Callable[[Bench], Section]
+    weight: float
+
+
+STUDIES = (
+    Study(summary.KEY, summary.TITLE, summary.study, 0.25),
+    Study(split.KEY, split.TITLE, split.study, 0.25),
+    Study(convergence.KEY, convergence.TITLE, convergence.study, 0.5),
+)
+"""All of them, the most important first. What one makes, such as the reference, the next ones find on the bench."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What became of the studies: entries that are ``done``, in order, and studies that are not.
+
+    ``late`` are those for which there was no time, ``unasked`` those that nobody wants now, ``failed`` those that
+    raised an error, with what it says; ``hurried`` of those that are done had too little time for all that is
+    in them, and ``found`` of them were in the journal; ``stopped`` is whether a person stopped the work.
+    """
+
+    done: tuple[Entry, ...]
+    late: tuple[Study, ...]
+    unasked: tuple[Study, ...]
+    failed: tuple[tuple[Study, str], ...]
+    hurried: tuple[Study, ...]
+    found: int
+    stopped: bool
+
+
+def measure(studies: Sequence[Study], wanted: Sequence[Study], bench: Bench, journal: Journal) -> Measured:
+    """Run the ``wanted`` of all ``studies`` that the journal lacks, until the deadline of ``bench`` or a Ctrl-C.
+
+    A study that gave way to time is shown, but not kept; one that fails is reported, and the next ones are run.
+    """
+    done = {study.key: entry for study in studies if (entry := journal.find(study.key)) is not None}
+    found, stop, bar = len(done), threading.Event(), progress_of(wanted, done, bench.left)
+    failed, hurried = [], []
+    with interruptible(bench, stop), limited(bench), bar.ticking():
+        for study, result in worked([each for each in wanted if each.key not in done], bench, bar):
+            if isinstance(result, str):
+                failed.append((study, result))
+                continue
+            done[study.key] = result
+            if bench.hurried or bench.left <= 0.0:
+                hurried.append(study)
+            else:
+                journal.keep(study.key, result)
+    known = {*done, *(study.key for study, _ in failed)}
+    missing = [study for study in studies if study.key not in known]
+    late = tuple(study for study in missing if study in wanted)
+    unasked = tuple(study for study in missing if study not in wanted)
+    ordered = tuple(done[study.key] for study in studies if study.key in done)
+    return Measured(ordered, late, unasked, tuple(failed), tuple(hurried), found, stop.is_set())
+
+
+def worked(studies: Iterable[Study], bench: Bench, bar: Pieces) -> Iterator[tuple[Study, Entry | str]]:
+    """The studies in turn, with what they found or what failed, until the time is over or they are cancelled."""
+    for study in studies:
+        if bench.left <= 0.0 or bench.cancelled.is_set():
+            return
+        bar.begin(study.title)
+        result = run(study, bench)
+        if result is not None:
+            bar.finish(study.weight)
+            yield study, result
+
+
+def progress_of(wanted: Sequence[Study], done: Mapping[str, Entry], limit: float) -> Pieces:
+    """The bar of the ``wanted`` studies; ``limit`` is the seconds that they have."""
+    total = sum(study.weight for study in wanted)
+    before = sum(study.weight for study in wanted if study.key in done)
+    return Pieces("report", total, before, limit)
+
+
+def run(study: Study, bench: Bench) -> Entry | str | None:
+    """The study's section and what it took; what went wrong where it failed, and None where it was cancelled."""
+    begun = time.process_time()
+    bench.hurry.clear()
+    try:
+        return Entry(study.run(bench), time.process_time() - begun)
+    except Cancelled:
+        bench.cancelled.set()
+        return None
+    except Exception as error:
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        log.error("%s failed: %s", study.title, what)
+        log.debug("%s failed", study.title, exc_info=True)
+        return what
+
+
+@contextmanager
+def interruptible(bench: Bench, stop: threading.Event) -> Iterator[None]:
+    """Have the first Ctrl-C set ``stop`` and cancel the work, and the second one end the process at once."""
+
+    def ask(*_: object) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        stop.set()
+        bench.cancelled.set()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    former = signal.signal(signal.SIGINT, ask)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, former)
+
+
+@contextmanager
+def limited(bench: Bench) -> Iterator[None]:
+    """Cancel the work when its deadline has passed by GRACE; studies themselves look at the deadline before."""
+    if bench.left == float("inf"):
+        yield
+        return
+    timer = threading.Timer(max((1.0 + GRACE) * bench.left, 0.0), bench.cancelled.set)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

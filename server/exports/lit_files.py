@@ -1,0 +1,286 @@
+"""Files of isosurfaces and volumes with their light, as other tools take them, of the kind that their names say.
+
+A volume may also have what its light is the product of: coefficients of transfer and of the turned environment.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from isogi_core.bake.bake_spec import BakeSpec
+from isogi_core.cache.scene_caches import Caches
+from isogi_core.errors import SceneError, ViewError
+from isogi_core.files.light_files import LitMesh, glb_bytes, obj_bytes, ply_bytes, srgb_bytes
+from isogi_core.files.light_volumes import WRITERS, LitVolume, nibabel
+from isogi_core.files.usd_files import light_texture, usd_layer, usdz_package
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.renderer import Renderer
+from isogi_core.model.view import View
+from isogi_core.plan.reachable_texels import surface_texels
+from isogi_core.plan.scene import Scene
+from isogi_core.prepared.isosurface_mesh import Mesh, isosurface_mesh, vertex_count
+from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.storage.atomic_file import check_folder, write_whole
+from server.pictures import compress
+
+VTI = ".vti"
+"""The kind of file that can hold coefficients."""
+
+TEXTURE = "light.png"
+"""The file of the texture in a package of USD."""
+
+
+def usdz_bytes(mesh: LitMesh) -> bytes:
+    """A package of USD: the mesh, and its light as a texture. Raises VolumeError where that is too large."""
+    texture = compress(light_texture(mesh), "png")
+    return usdz_package({"isosurface.usda": usd_layer(mesh, TEXTURE), TEXTURE: texture})
+
+
+MESHES: dict[str, Callable[[LitMesh], bytes]] = {
+    ".ply": ply_bytes,
+    ".glb": glb_bytes,
+    ".obj": obj_bytes,
+    ".usdz": usdz_bytes,
+}
+"""What makes a file of a mesh."""
+
+
+def suffix_of(output: Path) -> str:
+    """The ending of a file's name that says its kind; empty for others."""
+    return next((suffix for suffix in (*MESHES, *WRITERS) if output.name.lower().endswith(suffix)), "")
+
+
+def checked_suffix(output: Path) -> str:
+    """The suffix of a file that can be written; ViewError for others, and where its folder is missing."""
+    suffix = suffix_of(output)
+    if not suffix:
+        known = ", ".join((*MESHES, *WRITERS))
+        raise ViewError(f"{output} names no kind of file that light goes into: end it in {known}.")
+    check_folder(output)
+    if suffix == ".nii.gz":
+        nibabel()
+    return suffix
+
+
+def check_coefficients(scene: Scene, suffix: str) -> None:
+    """Raise ViewError where files of this kind hold no coefficients, SceneError where a scene's light is no such."""
+    if suffix != VTI:
+        raise ViewError(f"Coefficients go into {VTI} alone: export to such a file, or leave them out.")
+    if scene.colours is not None:
+        raise SceneError("Coefficients are of one albedo, and this scene has colours by data: export without them.")
+
+
+def with_colour(lit: LitVolume) -> LitVolume:
+    """The volume with light as sRGB bytes, too, for tools that show no floats as colours."""
+    colour = np.stack([srgb_bytes(layer) for layer in lit.arrays["light"]])
+    return replace(lit, arrays={**lit.arrays, "colour": colour})
+
+
+POINTS = 1 << 17
+"""Points that are lit together."""
+
+Report = Callable[[int, int], None]
+"""Takes how many points are lit, of how many."""
+
+Spans = Sequence[tuple[float, float]]
+"""Isovalues, from low to high each."""
+
+Lit = Mesh | np.ndarray
+"""What a file has the light of: the vertices of a mesh, or voxels (m, 3; z, y, x)."""
+
+
+def places_to_light(renderer: Renderer, suffix: str, spans: Spans) -> Lit:
+    """What a file of this kind has the light of, for isovalues in ``spans``; ViewError where a mesh is empty."""
+    return surface_mesh(renderer, spans[0][0]) if suffix in MESHES else lit_voxels(renderer, spans)
+
+
+def write_lit(
+    renderer: Renderer,
+    output: Path,
+    view: View,
+    places: Lit,
+    exposure: float,
+    report: Report,
+    coefficients: bool = False,
+) -> None:
+    """Write an isosurface, or values at all voxels, with the light of a view at ``places`` to a file.
+
+    A volume also has the ``coefficients`` of its light where these are asked for. Raises VolumeError and OSError.
+    """
+    suffix = suffix_of(output)
+    if isinstance(places, Mesh):
+        write_whole(output, MESHES[suffix](lit_mesh(renderer, view, places, exposure, report)))
+    else:
+        lit = lit_volume(renderer, view, places, exposure, report, coefficients)
+        WRITERS[suffix](output, with_colour(lit) if suffix == VTI else lit)
+
+
+def surface_mesh(renderer: Renderer, isovalue: float) -> Mesh:
+    """The mesh of an isosurface, in the volume's units; ViewError where there is none."""
+    surface = renderer.prepared.surface(isovalue)
+    mesh = isosurface_mesh(renderer.prepared.scene.volume.voxels, surface.isovalue)
+    if not len(mesh.quads):
+        raise no_surface(isovalue)
+    return mesh
+
+
+def no_surface(isovalue: float) -> ViewError:
+    """What to raise where no surface is."""
+    return ViewError(f"No surface passes any cell at {isovalue:g}: choose another isovalue.")
+
+
+def lit_mesh(renderer: Renderer, view: View, mesh: Mesh, exposure: float, report: Report) -> LitMesh:
+    """A mesh in the world, with the light of a view at its vertices."""
+    scene = renderer.prepared.scene
+    colours, normals = (np.empty_like(mesh.vertices) for _ in range(2))
+    for rows, frame, towards in lit_pieces(renderer, view, mesh.vertices, report):
+        colours[rows], normals[rows] = frame.radiance[0], towards
+    place = scene.volume.orientation
+    points = place.to_world(mesh.vertices.astype(np.float64) * np.array(scene.volume.spacing))
+    return LitMesh(points, normals @ place.matrix.T, exposure * colours, mesh.quads, place.unit)
+
+
+def check_lattice(scene: Scene) -> None:
+    """Raise SceneError where texels are not voxels, so that a volume cannot hold their light."""
+    if scene.lattice_shape != scene.volume.shape:
+        raise SceneError("A volume with light has a texel at each voxel: set lattice = 1 in the scene.")
+
+
+def lit_voxels(renderer: Renderer, spans: Spans) -> np.ndarray:
+    """Indices z, y, x (m, 3) of the voxels whose light isosurfaces read that are in the ``spans`` of isovalues."""
+    prepared = renderer.prepared
+    volume, lattice = prepared.scene.volume, prepared.lattice
+    ranges = [volume.normalise_span(*span) for span in spans]
+    texels = surface_texels(volume.voxels, prepared.shape, lattice.chunk, ranges)
+    return np.concatenate([lattice.positions(index, offsets) for index, offsets in texels] or [np.zeros((0, 3), int)])
+
+
+def lit_volume(
+    renderer: Renderer, view: View, voxels: np.ndarray, exposure: float, report: Report, coefficients: bool = False
+) -> LitVolume:
+    """Values and light at all voxels; light is zero but in ``voxels``: see ``lit_voxels``.
+
+    With ``coefficients``, the harmonics that make it up too, and what comes straight from lobes beside them.
+    """
+    volume = renderer.prepared.scene.volume
+    light, lobes = np.zeros((*volume.shape, 3), np.float32), {}
+    if coefficients and renderer.caches.spec(view.shading).lobes:
+        lobes["lobes"] = np.zeros_like(light)
+    for rows, frame, _ in lit_pieces(renderer, view, voxels[:, ::-1].astype(np.float32), report):
+        light[tuple(voxels[rows].T)] = exposure * frame.radiance[0]
+        for array in lobes.values():
+            array[tuple(voxels[rows].T)] = exposure * renderer.lobe_radiance(frame)
+    values = np.empty(volume.shape, np.float32)
+    for z, layer in enumerate(volume.voxels):
+        values[z] = volume.offset + volume.scale * layer.astype(np.float64)
+    place = volume.orientation
+    arrays, fields = {"value": values, "light": light, **lobes}, {}
+    if coefficients:
+        arrays |= coefficients_at(renderer, view, voxels)
+        fields = environments(renderer, view, exposure)
+    return LitVolume(arrays, place.affine(volume.spacing), place.unit, bool(place.letters), fields)
+
+
+def lit_pieces(
+    renderer: Renderer, view: View, points: np.ndarray, report: Report
+) -> Iterator[tuple[slice, Frame, np.ndarray]]:
+    """Frames of one row, and normals, of ``points`` (m, 3), some rows at a time."""
+    for start in range(0, len(points), POINTS):
+        rows = slice(start, min(start + POINTS, len(points)))
+        frame, normals = renderer.light_points(view, points[rows])
+        report(rows.stop, len(points))
+        yield rows, frame, normals
+
+
+SIZES = {".ply": 53, ".glb": 60, ".usdz": 130, ".obj": 190}
+"""Bytes of a mesh's file for each vertex and its face, about."""
+
+VOXEL, FLOAT = 19, 4
+"""Bytes of a volume's file for each voxel, at most: value, light and colour; and of each number besides."""
+
+
+def expected_bytes(prepared: PreparedScene, isovalue: float, suffix: str, numbers: int = 0) -> int:
+    """How large the file of an isosurface, or of the volume around it, will be; with ``numbers`` more a voxel."""
+    volume = prepared.scene.volume
+    if suffix in WRITERS:
+        return (VOXEL + FLOAT * numbers) * volume.voxels.size
+    return SIZES[suffix] * vertex_count(volume.voxels, prepared.surface(isovalue).isovalue)
+
+
+WORDS = {"direct": "direct", "indirect": "reflected"}
+"""How files name light by its kind; others keep their names."""
+
+COLOURS = ("red", "green", "blue")
+
+
+def term_names(spec: BakeSpec) -> list[str]:
+    """A name for each term of a bake spec: direct or reflected light, numbered where kept for several albedos."""
+    kinds = [spec.plan.layers[term.layers[0]].kind for term in spec.terms]
+    return [
+        WORDS.get(kind, kind) + ("" if term.node is None else str(term.node + 1))
+        for kind, term in zip(kinds, spec.terms, strict=True)
+    ]
+
+
+def columns_of(spec: BakeSpec) -> dict[str, slice]:
+    """The columns of each band of each term in the transfer of a spec's texels, by the names of arrays."""
+    return {
+        f"{name}_band{band}": slice(int(first) + band**2, int(first) + (band + 1) ** 2)
+        for name, term, first in zip(term_names(spec), spec.terms, spec.firsts, strict=True)
+        for band in range(term.order)
+    }
+
+
+def coefficient_count(spec: BakeSpec) -> int:
+    """Numbers that a voxel has besides its light: its coefficients, and what comes straight from lobes."""
+    return spec.channels * spec.columns + (len(COLOURS) if spec.lobes else 0)
+
+
+def environments(renderer: Renderer, view: View, exposure: float) -> dict[str, np.ndarray]:
+    """What each term's coefficients are multiplied by for red, green and blue, (3, n²): see ``coefficients_at``."""
+    spec = renderer.caches.spec(view.shading)
+    reflected = exposure * RotatedLight(spec, view).reflected
+    return {
+        f"environment_{name}": reflected[:, first : first + term.order**2].astype(np.float32)
+        for name, term, first in zip(term_names(spec), spec.terms, spec.firsts, strict=True)
+    }
+
+
+def coefficients_at(renderer: Renderer, view: View, voxels: np.ndarray) -> dict[str, np.ndarray]:
+    """Arrays of the transfer of texels at ``voxels`` (m, 3; z, y, x), zero elsewhere: (nz, ny, nx, 2 l + 1) for band l.
+
+    One for each band, and for each colour where these differ. Radiance without what comes straight from lobes is the
+    sum over terms and bands of coefficients times those of ``environments``.
+    """
+    caches, shape = renderer.caches, renderer.prepared.scene.volume.shape
+    spec = caches.spec(view.shading)
+    colours = [f"_{colour}" for colour in COLOURS] if spec.channels == len(COLOURS) else [""]
+    columns = columns_of(spec)
+    arrays = {
+        f"{name}{colour}": np.zeros((*shape, own.stop - own.start), np.float32)
+        for name, own in columns.items()
+        for colour in colours
+    }
+    for rows, transfer in transfers(caches, view.shading, voxels):
+        places = tuple(voxels[rows].T)
+        for name, own in columns.items():
+            for channel, colour in enumerate(colours):
+                arrays[f"{name}{colour}"][places] = transfer[:, channel, own]
+    return arrays
+
+
+def transfers(caches: Caches, shading: str, voxels: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Some of the ``voxels`` at a time, by their numbers: the transfer of their texels (k, channels, columns)."""
+    loader, lattice = caches.of(shading), caches.prepared.lattice
+    chunks, bits = voxels // lattice.chunk, lattice.bits
+    z, y, x = (voxels % lattice.chunk).T
+    offsets = (z << 2 * bits) + (y << bits) + x
+    found, groups = np.unique(chunks, axis=0, return_inverse=True)
+    for number, (k, j, i) in enumerate(found.tolist()):
+        rows = np.flatnonzero(groups.ravel() == number)
+        loader.ensure([(k, j, i)])
+        with loader.pool.hold([(k, j, i)]) as held:
+            yield rows, loader.pool.transfer_at(int(held.slots[0]), offsets[rows])

@@ -1,1 +1,0 @@
-"""The report as a page and as data: sections drawn, kept while they are made, and the command that makes them."""
