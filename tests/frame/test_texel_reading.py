@@ -84,7 +84,7 @@ def test_dark_chunks_are_those_that_provisional_pixels_wait_for(workbench: Calla
     assert frame.coverage["provisional"] > 0.0
     assert frame.quality.dark and frame.quality.dark <= begun
     bench.bake(view, target=1.0)
-    assert renderer.render(view).dark == frozenset()
+    assert renderer.render(view).quality.dark == frozenset()
 
 
 def test_efforts_of_chunks_in_pieces_are_those_of_their_texels(

@@ -69,7 +69,7 @@ def test_a_view_that_asks_for_finer_texels_has_them(engine: RenderEngine, scene:
 
 def test_what_is_coming_is_asked_for_and_not_shown(engine: RenderEngine, scene: Scene) -> None:
     view, target = view_of(scene), scene.target_error
-    while (frame := engine.survey(scene.id, view, target)).finer is None:
+    while (frame := engine.survey(scene.id, view, target)).quality.finer is None:
         assert not engine.frame(scene.id, view, wait=0.01).final
     bake, stage = engine.lacking(scene.id, frame)
     demands = stage.demands
