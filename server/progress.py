@@ -105,53 +105,6 @@ class Progress:
         self._clock.enter_context(ticking(self._bar.refresh))
 
 
-class Pieces:
-    """The bar of work in pieces of known weight: ``total``, some of it done ``before``, within ``limit`` seconds."""
-
-    def __init__(self, what: str, total: float, before: float, limit: float) -> None:
-        """Draw the bar."""
-        self.end = time.monotonic() + limit
-        self.rest, self.done, self.taken, self.begun = total - before, 0.0, 0.0, time.monotonic()
-        self._bar = tqdm(desc=what, total=total, initial=before, bar_format=WEIGHTS)
-
-    @property
-    def left(self) -> float:
-        """Seconds that the rest takes at the pace so far, the time to the limit at most; infinite where unknown."""
-        now = time.monotonic()
-        pace = self.taken / self.done if self.done else float("inf")
-        rest = max(self.rest * pace - (now - self.begun), 0.0) if self.rest else 0.0
-        return min(rest, max(self.end - now, 0.0))
-
-    def begin(self, name: str) -> None:
-        """Begin a piece of the work."""
-        self.begun = time.monotonic()
-        self._bar.set_description_str(name)
-
-    def finish(self, weight: float) -> None:
-        """End the piece, which was so much of the ``weight``."""
-        now = time.monotonic()
-        self.rest -= weight
-        self.done += weight
-        self.taken += now - self.begun
-        self.begun = now
-        self._bar.update(weight)
-
-    def show(self) -> None:
-        """Draw the bar with the time that is left now."""
-        left = self.left
-        self._bar.set_postfix_str(f"{tqdm.format_interval(left)} left" if left < float("inf") else "")
-
-    @contextmanager
-    def ticking(self) -> Iterator[Self]:
-        """Draw the bar every TICK seconds while work is done, and close it in the end."""
-        try:
-            with ticking(self.show):
-                yield self
-        finally:
-            self.show()
-            self._bar.close()
-
-
 @contextmanager
 def compiling(progress: Callable[[], KernelProgress | None]) -> Iterator[None]:
     """Draw, while other work is done, how far kernels are compiled; nothing where there are none to compile."""

@@ -5,7 +5,9 @@ import threading
 from collections import Counter
 from pathlib import Path
 
-from isogi_core.cache.upkeep.census import census_of, samples_in
+import numpy as np
+
+from isogi_core.cache.upkeep.census import census_of, samples_in, texels_in
 from isogi_core.storage.store import SENTINEL, Store
 
 
@@ -73,3 +75,25 @@ def light_in(root: str) -> dict[str, str]:
     """SHA-256 of the objects of all chunks, by their keys."""
     paths = Path(root).glob("*/c/*/*/*/0")
     return {path.relative_to(root).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
+
+
+Light = dict[tuple[str, int], tuple[int, bytes]]
+"""Samples of texels, and the bytes of their light, by the key of their chunk and their offset in it."""
+
+
+def texels_of(root: str) -> Light:
+    """The light of all texels in a store. A damaged chunk has none."""
+    store, light = Store(root, make=False), Light()
+    for count in census_of(store, texels=False).counts.values():
+        for index, each in count.files.chunks.items():
+            if (found := texels_in(store, count, index)) is not None:
+                offsets, part = found
+                named = zip(offsets.tolist(), part.samples.tolist(), np.asarray(part.coefficients), strict=True)
+                light |= {(each.key, offset): (samples, numbers.tobytes()) for offset, samples, numbers in named}
+    return light
+
+
+def altered(before: Light, after: Light) -> int:
+    """Texels that are lost, or have other light than before, of as many samples."""
+    both = ((light, after.get(place)) for place, light in before.items())
+    return sum(now is None or (now[0] == was[0] and now[1] != was[1]) for was, now in both)

@@ -173,5 +173,6 @@ def _labels(grid: Grid) -> dict[str, Any]:
 
 
 def size_of(path: Path) -> int:
-    """Bytes of all files in a folder."""
-    return sum(each.stat().st_size for each in path.rglob("*") if each.is_file())
+    """Bytes of a file, or of all files in a folder."""
+    files = [path] if path.is_file() else path.rglob("*")
+    return sum(each.stat().st_size for each in files if each.is_file())

@@ -9,6 +9,7 @@ from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import ViewError
 from isogi_core.files.light_volumes import WRITERS, check_zarr
+from isogi_core.files.ome_writer import size_of
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene_plan import MAX_SAMPLES
@@ -117,12 +118,6 @@ def size_facts(places: Lit, levels: Levels) -> dict[str, Any]:
         isovalue = levels.spans[0][0]
         return {"isovalue": isovalue, "vertices": len(places.vertices), "triangles": 2 * len(places.quads)}
     return {"isovalues": [list(span) for span in levels.spans], "texels": len(places)}
-
-
-def size_of(output: Path) -> int:
-    """Bytes of a file, or of all files in a folder."""
-    files = [output] if output.is_file() else [path for path in output.rglob("*") if path.is_file()]
-    return sum(path.stat().st_size for path in files)
 
 
 def exported(facts: Mapping[str, Any]) -> str:

@@ -1,6 +1,5 @@
 """Progress bars: the time left that they show, and the bar of a large volume that is opened."""
 
-import math
 import os
 import re
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 from isogi_core.files.mappings import budget
 from isogi_core.files.volume_copies import copies_folder, most_bytes
 from server import progress
-from server.progress import Pieces, Progress, open_scene
+from server.progress import Progress, open_scene
 from server.settings import Settings
 from tests.server.sockets import wait_for
 from worker.progress import TimeLeft
@@ -25,38 +24,6 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     now = [100.0]
     monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: now[0]))
     return now
-
-
-def test_time_left_is_told_from_what_was_done(clock: list[float]) -> None:
-    bar = Pieces("report", 10.0, 2.0, math.inf)
-    assert bar.left == math.inf
-    bar.begin("two of eight")
-    clock[0] += 6.0
-    bar.finish(2.0)
-    assert bar.left == pytest.approx(18.0)
-    clock[0] += 5.0
-    assert bar.left == pytest.approx(13.0)
-    clock[0] += 50.0
-    assert bar.left == 0.0, "later than thought, and still at work"
-
-
-def test_time_left_is_never_more_than_the_limit(clock: list[float]) -> None:
-    bar = Pieces("report", 10.0, 0.0, 20.0)
-    assert bar.left == 20.0
-    bar.begin("a tenth")
-    clock[0] += 5.0
-    bar.finish(1.0)
-    assert bar.left == 15.0
-
-
-def test_the_bar_shows_it(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(progress, "TICK", 0.01)
-    with Pieces("report", 2.0, 0.0, 3600.0).ticking() as bar:
-        bar.begin("half of it")
-        progress.time.sleep(0.2)
-        bar.finish(1.0)
-    error = capsys.readouterr().err
-    assert "half of it: " in error and "59:59 left" in error and "50 %" in error
 
 
 def test_a_clock_runs_where_nothing_is_reported(

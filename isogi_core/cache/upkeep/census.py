@@ -10,6 +10,7 @@ from itertools import permutations
 import numpy as np
 
 from isogi_core.bake.precision import VOID
+from isogi_core.bake.texel_light import Part
 from isogi_core.cache.chunk_record import LayerFacts, facts_in, unpack
 from isogi_core.cache.costs import Cost
 from isogi_core.cache.inventory import Inventory, LayerFiles, inventory_of
@@ -92,16 +93,21 @@ def count_texels(store: Store, counts: Sequence[Count], progress: Progress) -> N
 
 def samples_in(store: Store, count: Count, index: tuple[int, int, int]) -> np.ndarray | None:
     """The samples of a chunk's texels; None where it is damaged."""
+    found = texels_in(store, count, index)
+    return None if found is None else found[1].samples
+
+
+def texels_in(store: Store, count: Count, index: tuple[int, int, int]) -> tuple[np.ndarray, Part] | None:
+    """Offsets of a chunk's texels, and their part of a layer; none where it is gone, None where it is damaged."""
     facts, files = count.facts, count.files
     stored = store.read(files.chunks[index].key)
     if stored is None:
-        return np.empty(0, np.int32)
+        return np.empty(0, np.int32), Part.undefined(facts.layer, 0)
     try:
         record = unwrap(stored, facts.record_size)
     except DamagedChunkError:
         return None
-    found = unpack(record, facts.layer, facts.chunk_texels, files.digest, index)
-    return None if found is None else found[1].samples
+    return unpack(record, facts.layer, facts.chunk_texels, files.digest, index)
 
 
 def costs_of(store: Store, inventory: Inventory, counts: dict[str, Count]) -> dict[tuple[str, ...], Cost]:

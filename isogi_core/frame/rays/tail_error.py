@@ -1,12 +1,13 @@
 """The tail of a picture's errors: the error that 99 % of its pixels stay below, by control pixels.
 
 A control shows an error that is part noise of its own paths. The distribution of the errors without that noise is what
-makes all controls together most likely (Kiefer and Wolfowitz, Annals of Mathematical Statistics 27, 1956), found by
-expectation maximisation (Laird, Journal of the American Statistical Association 73, 1978). Few controls lie in the
-tail, each with a weight: the share of pixels above an error has a gamma interval (Fay and Feuer, Statistics in Medicine
-16, 1997, with the mean weight of Tiwari, Clegg and Zou, Statistical Methods in Medical Research 15, 2006). The errors
-at which the ends of that interval come down to 1 % are the interval of the percentile (Woodruff, Journal of the
-American Statistical Association 47, 1952).
+makes all controls together most likely (Laird, Journal of the American Statistical Association 73, 1978, by expectation
+maximisation), where what is expected counts as some controls do (Dempster, Laird and Rubin, Journal of the Royal
+Statistical Society B 39, 1977, section 1): pixels err normally, as the controls of their class do, or by anything, for
+some err far more than their class. Few controls lie in the tail, each with a weight: the share of pixels above an error
+has a gamma interval (Fay and Feuer, Statistics in Medicine 16, 1997, with the mean weight of Tiwari, Clegg and Zou,
+Statistical Methods in Medical Research 15, 2006). The errors at which the ends of that interval come down to 1 % are
+the interval of the percentile (Woodruff, Journal of the American Statistical Association 47, 1952).
 """
 
 import math
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isogi_core.frame.rays.control_pixels import ControlPixels, classes_of
+from isogi_core.frame.rays.control_pixels import ControlPixels, classes_of, spread_errors
 
 SHARE = 0.01
 """Share of a picture's pixels that may err by more."""
@@ -22,8 +23,11 @@ SHARE = 0.01
 LEAST, STEPS = 1e-4, 80
 """The least relative error that is told from none, and errors from there to 1, by equal factors."""
 
-ROUNDS = 60
-"""Rounds of maximisation: more of them make peaks of what is a smooth distribution."""
+ODD = 0.5
+"""The share of pixels of which nothing is expected: each of the errors is as likely."""
+
+TRUSTED_CONTROLS, ROUNDS = 512, 10
+"""Controls that what is expected counts as much as, and rounds of maximisation: more of them change the tail by 1 %."""
 
 TRUSTED = 4.0
 """What the noise of a control's class counts in its noise, beside the two halves of its paths."""
@@ -59,18 +63,20 @@ def tail_of(controls: ControlPixels, shown: np.ndarray, uncertainty: np.ndarray,
         return TailError(worst, worst, worst)
     wrong = (shown[:, None] - controls.halves)[first] / mean
     classes = classes_of(uncertainty, controls)[places]
-    return measure_tail(wrong, np.bincount(each, controls.weights), classes)
+    expected = spread_errors(uncertainty, controls, shown) / mean
+    return measure_tail(wrong, np.bincount(each, controls.weights), classes, expected)
 
 
-def measure_tail(wrong: np.ndarray, weights: np.ndarray, classes: np.ndarray) -> TailError:
+def measure_tail(wrong: np.ndarray, weights: np.ndarray, classes: np.ndarray, expected: np.ndarray) -> TailError:
     """The tail by control pixels: by their two halves of paths they err by ``wrong`` (k, 2), relative to the mean.
 
     ``weights`` (k,) say what each counts among all pixels, and ``classes`` (k,) from 0 which controls have about
-    as much noise.
+    as much noise. All pixels (m,) are ``expected`` to err by so much.
     """
     errors = np.geomspace(LEAST, 1.0, STEPS)
     counts = weights / weights.sum()
-    above = shares_above(likelihoods(wrong, noise_of(wrong, classes), errors), counts)
+    seen = likelihoods(wrong, noise_of(wrong, classes), errors)
+    above = shares_above(seen, counts, shares_of(expected, errors))
     low, likely, high = (falls_below(SHARE, each, errors) for each in bounds(above, counts))
     return TailError(likely, low / MARGIN, min(high * MARGIN, 1.0))
 
@@ -89,11 +95,21 @@ def likelihoods(wrong: np.ndarray, variance: np.ndarray, errors: np.ndarray) -> 
     return np.asarray(np.exp(apart - apart.max(axis=1, keepdims=True)))
 
 
-def shares_above(likely: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """The chance that each control errs by more than each of the errors; (k, STEPS)."""
-    shares = np.full(likely.shape[1], 1.0 / likely.shape[1])
+def shares_of(expected: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """The share of pixels that err by each of the ``errors``, where they are ``expected`` (m,) to err; (STEPS,)."""
+    borders = np.sqrt(errors[1:] * errors[:-1])
+    of_scale = np.bincount(np.searchsorted(borders, expected), minlength=len(errors)) / len(expected)
+    below = np.array([[math.erf(border / (math.sqrt(2.0) * scale)) for scale in errors] for border in borders])
+    each = np.diff(below, axis=0, prepend=0.0, append=1.0) @ of_scale
+    return np.asarray(ODD / len(errors) + (1.0 - ODD) * each)
+
+
+def shares_above(likely: np.ndarray, counts: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """The chance that each control errs by more than each of the errors, whose shares are ``expected``; (k, STEPS)."""
+    shares, trusted = expected, TRUSTED_CONTROLS / (TRUSTED_CONTROLS + len(counts))
     for _ in range(ROUNDS):
-        shares *= (counts / (likely @ shares)) @ likely
+        found = shares * ((counts / (likely @ shares)) @ likely)
+        shares = trusted * expected + (1.0 - trusted) * found
     chances = likely * shares / (likely @ shares)[:, None]
     return np.asarray(chances[:, ::-1].cumsum(axis=1)[:, ::-1] - chances)
 
