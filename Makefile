@@ -47,7 +47,7 @@ check: $(BIN)/.tools
 
 # Tests in tiers, by what they need (the markers of pyproject.toml): `test-fast` while you work, `test` before each
 # commit, `test-all` before a landing. `test-all` runs `test` first, and then only what that leaves out.
-LATE := benchmark or browser or campaign or cluster or kill or long or s3 or slow or stability
+LATE := benchmark or browser or cluster or kill or long or s3 or slow or stability
 SOON := journey or not ($(LATE))
 RUN := $(BIN)/python -m tests.run --durations 20
 TOGETHER := -n auto --dist worksteal
@@ -68,10 +68,8 @@ test:
 	rm -f test-results/passed-alone.txt
 	$(RUN) $(TOGETHER) -m "$(SOON)"
 
-# Campaigns measure times: nothing runs beside them.
 test-all: test
-	$(RUN) $(MORE) -m "not ($(SOON) or campaign or long)"
-	$(RUN) -m campaign
+	$(RUN) $(MORE) -m "not ($(SOON) or long)"
 
 # Every line of README and docs as it stands, films at full length too, and a thousand changes of the page: an hour.
 test-long: $(BIN)/.tools

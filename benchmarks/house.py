@@ -10,7 +10,7 @@ import tempfile
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from functools import cache, partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from types import FrameType
 
@@ -113,7 +113,8 @@ def top_names(kind: type[ast.stmt]) -> dict[str, set[Path]]:
 def names_given(node: ast.stmt) -> list[str]:
     """The names that a definition or an assignment gives."""
     if isinstance(node, ast.Assign):
-        return [each.id for target in node.targets for each in ast.walk(target) if isinstance(each, ast.Name)]
+        parts = (target.elts if isinstance(target, ast.Tuple) else [target] for target in node.targets)
+        return [each.id for each in chain.from_iterable(parts) if isinstance(each, ast.Name)]
     return [node.name] if isinstance(node, ast.FunctionDef) else []
 
 

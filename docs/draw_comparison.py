@@ -79,8 +79,8 @@ GREY = "e2e4e6"
 def by_mitsuba(scene: Scene, view: View, samples: int, variant: str) -> np.ndarray:
     """Mitsuba's picture of the mesh of flying edges in the scene's sky."""
     mesh = Edges(image(scene.volume), normals=False).mesh(view.isovalue)
-    sky = scene.environment.constant + scene.environment.image
-    tracer = PathTracer(variant, mesh, view, scene.albedo[0], scene.bounces + 2, sky, "multijitter")
+    sky = scene.lighting.environment.constant + scene.lighting.environment.image
+    tracer = PathTracer(variant, mesh, view, scene.surfaces.albedo[0], scene.bounces + 2, sky, "multijitter")
     picture = tracer.picture(samples, os.cpu_count() or 1)
     light, cover = picture[..., :3] * scene.default_exposure, picture[..., 3:]
     shown = np.clip(light, 0.0, 1.0) + (1.0 - np.clip(cover, 0.0, 1.0)) * np.array(ground_of(GROUND))

@@ -109,9 +109,9 @@ def refuse_several(scene: Scene) -> None:
     """Raise ReportError where a ``scene`` has several surfaces, as pixels of a reference show one side of one, or one
     of glass.
     """
-    if scene.material.refracts:
+    if scene.surfaces.material.refracts:
         raise ReportError("A reference is of light that a surface keeps, and glass keeps none: render it path_traced.")
-    if scene.several:
+    if scene.surfaces.several:
         raise ReportError(
             "A reference shows one side of one surface, and this scene has more: render it path_traced instead."
         )
@@ -139,10 +139,13 @@ def with_bounces(scene: Scene, bounces: int | None = None) -> Scene:
 
 def subject_of(scene: Scene, view: View) -> str:
     """Hex name of all that a reference's light depends on."""
-    lights, albedo = [scene.environment.digest, scene.lamps.digest], scene.albedo_for(view.albedo)
-    lights += [scene.room.digest] if scene.room.any else []
-    lights += [scene.colours.digest] if scene.colours else []
-    shine = scene.shine_for(view.shine)
+    lights, albedo = (
+        [scene.lighting.environment.digest, scene.lighting.lamps.digest],
+        scene.surfaces.albedo_for(view.albedo),
+    )
+    lights += [scene.lighting.room.digest] if scene.lighting.room.any else []
+    lights += [scene.surfaces.colours.digest] if scene.surfaces.colours else []
+    shine = scene.surfaces.shine_for(view.shine)
     lights += [repr(shine)] if shine else []
     world = [scene.volume.digest, *lights, albedo, *scene.departures]
     camera = [view.camera.eye, view.camera.target, view.camera.up, view.camera.fov]
@@ -152,7 +155,7 @@ def subject_of(scene: Scene, view: View) -> str:
 
 def save_reference(path: Path, reference: Reference, scene: Scene, view: View) -> None:
     """Write a reference of ``view``, whole or not at all, as .npz; ``about`` in it is JSON that says what it is of."""
-    surface = {"normals": scene.normals, "offset": scene.offset}
+    surface = {"normals": scene.settings.normals, "offset": scene.settings.offset}
     shown = {
         name: value for name, value in asdict(view).items() if name not in ("moving", "smooth", "strip", "orientation")
     }

@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 
 from isogi_core.storage.atomic_file import write_whole
-from isogi_report.documents import document_of, plain
 from isogi_report.heading import heading
 from isogi_report.journal import DATA, PAGE, Entry, Report, picture_name, plot_name
 from isogi_report.page import page
-from isogi_report.plots import standalone
-from isogi_report.prints import print_picture, scales_of
-from isogi_report.sections import Picture
+from isogi_report.plots import print_picture, scales_of, standalone
+from isogi_report.sections import Picture, document_of, plain
 
 
 def write_report(folder: Path, report: Report) -> Path:

@@ -106,7 +106,7 @@ def ways(scene: Scene) -> dict[str, Scene]:
 
 def as_s1(scene: Scene) -> Scene | None:
     """The scene with what S1 keeps of any; None under lamps, which harmonics do not hold."""
-    if scene.lamps.any:
+    if scene.lighting.lamps.any:
         return None
     whole = Layer("whole", BANDS, 3, half=False)
     return with_plan(

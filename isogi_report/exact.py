@@ -144,7 +144,7 @@ def light_of_glow(turned: RotatedLight, place: Place, samples: int) -> np.ndarra
     for layer in spec.plan.layers:
         if isinstance(layer, GlowLayer):
             ((sums, _),) = sample_glow([layer], place, void, spec, 0, samples)
-            lights = np.hstack(layer.lights(spec.prepared.scene.glowing.radiances))
+            lights = np.hstack(layer.lights(spec.prepared.scene.lighting.glowing.radiances))
             arriving = sums[..., 0] * lights[:, 0] if layer.glows == 1 else sums[..., 0] @ lights.T
             halves += turned.albedo * arriving / (samples // 2)
     return halves

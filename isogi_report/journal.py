@@ -24,8 +24,7 @@ from isogi_core.errors import ReportError
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
-from isogi_report.documents import document_of, section_of
-from isogi_report.sections import Section
+from isogi_report.sections import Section, document_of, section_of
 
 PAGE, DATA = "index.html", "report.json"
 FOLDER = "journal"

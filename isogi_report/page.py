@@ -12,8 +12,7 @@ from markupsafe import Markup
 from isogi_report.cells import TOGETHER, text_column, text_columns
 from isogi_report.heading import left_out_rows, machine_rows, plan_facts_rows, scene_rows
 from isogi_report.journal import Report, picture_name
-from isogi_report.plots import draw, keys
-from isogi_report.prints import gradient, scales_of
+from isogi_report.plots import draw, gradient, keys, scales_of
 from isogi_report.sections import Picture, Plot, Section, Table
 from server.inspect.picture import SCHEME
 from server.values import span

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -102,7 +102,7 @@ def split_error(bench: Bench) -> Split:
 
 def true_surface(scene: Scene) -> Scene:
     """The scene with the normals that its trilinear isosurface has, and rays that start on it."""
-    return replace(scene, normals="gradient", offset=0.0)
+    return scene.with_settings(normals="gradient", offset=0.0)
 
 
 def parts_of(bench: Bench, planned: Lit, best: Lit) -> Iterator[Part]:

@@ -37,7 +37,7 @@ def study(bench: Bench) -> Section:
 def facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
     """What is measured, in words."""
     scene, view, planned = bench.scene, bench.view, bench.planned
-    lights = " + ".join(light.name for light in scene.lights) or "no light"
+    lights = " + ".join(light.name for light in scene.lighting.lights) or "no light"
     layers = " + ".join(map(described, scene.plan.layers))
     size = " × ".join(map(str, scene.volume.size))
     texels = f"{len(planned.texels):,} texels, {planned.samples:,.0f} samples each on average"
@@ -46,7 +46,7 @@ def facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
             "volume",
             f"{scene.volume.name}, {size} voxels, isovalue {view.isovalue:g}",
         ),
-        ("lights", f"{lights}, {'may turn' if scene.rotating else 'stay where they are'}"),
+        ("lights", f"{lights}, {'may turn' if scene.lighting.rotating else 'stay where they are'}"),
         ("picture", f"{view.width} × {view.height}, {int(bench.best.on.sum()):,} surface pixels, {texels}"),
         ("plan", f"{scene.plan.representation}: {layers}; {scene.plan.bytes_per_texel} bytes per texel"),
         ("bounces", f"{scene.bounces} of the plan, {bench.whole.bounces} of the reference"),

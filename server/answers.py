@@ -18,7 +18,7 @@ from isogi_core.model.colours import hex_of
 from isogi_core.model.environment import Lobe
 from isogi_core.model.lights import ENVIRONMENTS, Light
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.shine import KINDS
+from isogi_core.model.shine import KINDS, SHINE_KNOBS
 from isogi_core.model.view import SHADINGS, Vec3, View
 from isogi_core.plan.first_view import front_of
 from isogi_core.plan.left_out import S1_BYTES
@@ -80,23 +80,25 @@ def scene_schema(scene: Scene) -> SceneSchema:
         stops=list(scene.stops.levels),
         stops_note=scene.stops.note,
         shadings=list(SHADINGS),
-        lights=[light_schema(light) for light in scene.lights],
-        albedo=scene.albedo,
-        albedos=None if scene.albedos is None else Range(min=scene.albedos[0], max=scene.albedos[1]),
+        lights=[light_schema(light) for light in scene.lighting.lights],
+        albedo=scene.surfaces.albedo,
+        albedos=None
+        if scene.surfaces.albedos is None
+        else Range(min=scene.surfaces.albedos[0], max=scene.surfaces.albedos[1]),
         colours=colour_scale(scene),
-        surfaces=[SurfaceSchema(**each.table) for each in scene.pinned],
-        clear=scene.clear,
-        material=write_material_text(material_settings(scene.material)),
-        transmission=scene.transmission,
+        surfaces=[SurfaceSchema(**each.table) for each in scene.surfaces.pinned],
+        clear=scene.surfaces.clear,
+        material=write_material_text(material_settings(scene.surfaces.material)),
+        transmission=scene.surfaces.transmission,
         materials=material_schemas(scene),
-        shines=(list(KINDS) if scene.colours is None else ["plastic"]) if scene.shine else [],
+        shines=(list(KINDS) if scene.surfaces.colours is None else ["plastic"]) if scene.surfaces.shine else [],
         bounces=scene.bounces,
         cuts=scene.volume.orientation.straight,
         solid=scene.solid,
         target_error=scene.target_error,
         environments=[EnvironmentSchema(id=number, name=name) for number, name in ENVIRONMENTS.items()],
-        rotating=scene.rotating,
-        turns=scene.rotating and scene.plan.representation == "transfer",
+        rotating=scene.lighting.rotating,
+        turns=scene.lighting.rotating and scene.plan.representation == "transfer",
         error_scale=ErrorScale(low=SCALE[0], high=SCALE[1], colours=list(COLOURS)),
         plan=plan_schema(scene),
         read_only=False,
@@ -123,9 +125,9 @@ def volume_schema(scene: Scene) -> VolumeSchema:
 
 def colour_scale(scene: Scene) -> ColourScale | None:
     """The colours of the surface by data, None where it has one albedo."""
-    if scene.colours is None:
+    if scene.surfaces.colours is None:
         return None
-    scale = scene.colours.scale
+    scale = scene.surfaces.colours.scale
     (low, high), outside = scale.span, hex_of(scale.outside)
     return ColourScale(
         name=scale.name,
@@ -152,7 +154,7 @@ def material_schema(kind: str, found: Scene | str) -> MaterialSchema:
     """A material by its ``kind``, as a scene would have it, or why it cannot: see ``find_materials``."""
     if isinstance(found, str):
         return MaterialSchema(kind=kind, refused=found)
-    numbers = {name: given for name, given in material_settings(found.material).items() if name != "material"}
+    numbers = {name: given for name, given in material_settings(found.surfaces.material).items() if name != "material"}
     return MaterialSchema(kind=kind, numbers=numbers)
 
 
@@ -173,7 +175,7 @@ def camera_schema(
     The ``view`` is in perspective; the camera is for a ``projection``, the scene's own by default.
     """
     scene = renderer.prepared.scene
-    front, above = front_of(scene.volume, scene.room.any)
+    front, above = front_of(scene.volume, scene.lighting.room.any)
     azimuth, elevation = front if azimuth is None else azimuth, above if elevation is None else elevation
     target, distance = fit(renderer, [Stand(view, azimuth, elevation)], projection)
     return CameraSchema(azimuth=azimuth, elevation=elevation, distance=distance, target=target)
@@ -185,7 +187,7 @@ def fit(renderer: Renderer, stands: Sequence[Stand], projection: str | None) -> 
     They see the whole volume where none is to be seen.
     """
     scene = renderer.prepared.scene
-    found = fitted_to_all(renderer, stands, projection or scene.camera_projection)
+    found = fitted_to_all(renderer, stands, projection or scene.settings.projection)
     target, distance = found or (scene.volume.world_centre, FrameParams.model_fields["distance"].default)
     x, y, z = (float(f"{value:.6g}") for value in target)
     return (x, y, z), float(f"{distance:.4g}")
@@ -246,11 +248,11 @@ def layer_schema(layer: Layer) -> LayerSchema:
 def defaults(scene: Scene) -> dict[str, float | str]:
     """What each parameter is where it is left out."""
     fixed: dict[str, Any] = {name: FrameParams.model_fields[name].default for name in DEFAULTS}
-    albedo = {} if scene.albedos is None else {"albedo": albedo_text(scene)}
-    shine = asdict(scene.shine) if scene.shine else {}
-    shine = {"shine": shine.pop("kind"), **shine} if shine else {}
-    fixed["projection"] = scene.camera_projection
-    glow = {"glow": 1.0} if scene.glowing.any else {}
+    albedo = {} if scene.surfaces.albedos is None else {"albedo": albedo_text(scene)}
+    own = scene.surfaces.shine
+    shine = {} if own is None else {name: getattr(own, field) for name, field in SHINE_KNOBS.items()}
+    fixed["projection"] = scene.settings.projection
+    glow = {"glow": 1.0} if scene.lighting.glowing.any else {}
     time, times = scene.volume.moment
     series = {"time": time} if times > 1 else {}
     more = {**albedo, **shine, **glow, **series}
@@ -259,8 +261,8 @@ def defaults(scene: Scene) -> dict[str, float | str]:
 
 def albedo_text(scene: Scene) -> float | str:
     """The scene's albedo as a query has it: one number where it is grey."""
-    grey = len({*scene.albedo}) == 1
-    return scene.albedo[0] if grey else ",".join(f"{share:.6g}" for share in scene.albedo)
+    grey = len({*scene.surfaces.albedo}) == 1
+    return scene.surfaces.albedo[0] if grey else ",".join(f"{share:.6g}" for share in scene.surfaces.albedo)
 
 
 def ranges(scene: Scene) -> dict[str, Range]:
@@ -271,7 +273,9 @@ def ranges(scene: Scene) -> dict[str, Range]:
         for span in field.metadata
         if isinstance(span, Span)
     }
-    of_scene = {"isovalue": scene.isovalues} | ({} if scene.albedos is None else {"albedo": scene.albedos})
+    of_scene = {"isovalue": scene.isovalues} | (
+        {} if scene.surfaces.albedos is None else {"albedo": scene.surfaces.albedos}
+    )
     spans["time"] = Range(min=0, max=scene.volume.moment[1] - 1)
     return {**{name: Range(min=low, max=high) for name, (low, high) in of_scene.items()}, **spans}
 

@@ -98,8 +98,8 @@ def grid_of(scene: Scene) -> CardGrid:
         spacing=scene.volume.spacing,
         rotation=placed.rotation,
         origin=placed.origin,
-        offset=scene.offset,
-        smooth=scene.normals == "bspline",
+        offset=scene.settings.offset,
+        smooth=scene.settings.normals == "bspline",
     )
 
 
@@ -128,7 +128,7 @@ def plan_of(renderer: Renderer) -> CardPlan:
         straight=spec.straight,
         ratios=carries_irradiance_ratios(scene, "gi", False),
         whole=spec.plan.representation == "irradiance",
-        turns=scene.rotating,
+        turns=scene.lighting.rotating,
         layers=[CardLayer(kind=layer.kind, order=layer.order) for layer in spec.plan.layers],
     )
 

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSche
 from isogi_core.errors import advice
 from isogi_core.model.glow import STRONGEST
 from isogi_core.model.lights import ENVIRONMENTS
-from isogi_core.model.shine import KINDS, SMOOTHEST
+from isogi_core.model.shine import KINDS, SHINE_RANGES
 from isogi_core.model.view import (
     OVERLAYS,
     PROJECTIONS,
@@ -129,10 +129,10 @@ class ViewParams(VariantParams):
     shine: Annotated[str | None, Choice(KINDS)] = Field(
         None, description="What the surface shines as, where the scene has a shine; default: the scene's."
     )
-    roughness: Annotated[float | None, Span(SMOOTHEST, 1)] = Field(
+    roughness: Annotated[float | None, Span(*SHINE_RANGES["roughness"])] = Field(
         None, description="Of that shine; default: the scene's."
     )
-    strength: Annotated[float | None, Span(0, 1)] = Field(
+    strength: Annotated[float | None, Span(*SHINE_RANGES["strength"])] = Field(
         None, description="How much that shine counts; default: the scene's."
     )
     glow: Annotated[float, Span(0, STRONGEST)] = Field(

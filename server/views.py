@@ -1,10 +1,9 @@
 """The view that parameters ask for, of a scene."""
 
 from dataclasses import replace
-from typing import Any
 
 from isogi_core.errors import ViewError
-from isogi_core.model.shine import Shine
+from isogi_core.model.shine import SHINE_KNOBS, Shine
 from isogi_core.model.view import (
     IDENTITY,
     Camera,
@@ -65,28 +64,27 @@ def isovalue_of(scene: Scene, params: ViewParams) -> float:
 def albedo_of(scene: Scene, params: ViewParams) -> Vec3 | None:
     """The albedo asked for, None where it is the scene's; ParameterError where the scene's light is not of it."""
     try:
-        return None if scene.albedo_for(params.albedo) == scene.albedo else params.albedo
+        return None if scene.surfaces.albedo_for(params.albedo) == scene.surfaces.albedo else params.albedo
     except ViewError as error:
         raise ParameterError(str(error), "albedo") from None
 
 
 def shine_of(scene: Scene, params: ViewParams) -> Shine | None:
     """The shine asked for, None where it is the scene's; ParameterError where the scene has none to be changed."""
-    asked = {"kind": params.shine, "roughness": params.roughness, "strength": params.strength}
-    given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
+    given = {name: getattr(params, name) for name in SHINE_KNOBS if getattr(params, name) is not None}
     if not given:
         return None
-    if scene.shine is None:
-        name = next(name for name in ("shine", "roughness", "strength") if getattr(params, name) is not None)
+    if scene.surfaces.shine is None:
+        name = next(iter(given))
         raise ParameterError(f"{name} is for scenes that shine: leave it out, or give the scene a [shine] table.", name)
-    shine = replace(scene.shine, **given)
-    return None if shine == scene.shine else shine
+    shine = replace(scene.surfaces.shine, **{SHINE_KNOBS[name]: value for name, value in given.items()})
+    return None if shine == scene.surfaces.shine else shine
 
 
 def glow_of(scene: Scene, params: ViewParams) -> float:
     """How bright what glows is over the scene's own; ParameterError where nothing glows."""
     try:
-        return scene.glow_for(params.glow)
+        return scene.lighting.glow_for(params.glow)
     except ViewError as error:
         raise ParameterError(str(error), "glow") from None
 
@@ -108,6 +106,6 @@ def light_of(scene: Scene, params: ViewParams) -> Quaternion:
         turn = unit_quaternion(params.light)
     else:
         turn = quaternion_from_angles(params.yaw, params.pitch, params.roll)
-    if not scene.rotating and abs(turn[0]) < 1 - 1e-12:
+    if not scene.lighting.rotating and abs(turn[0]) < 1 - 1e-12:
         raise ViewError("This scene's light does not turn (rotating = false): leave light and its angles out.")
-    return light_in_box(turn, scene.volume.orientation) if scene.rotating else IDENTITY
+    return light_in_box(turn, scene.volume.orientation) if scene.lighting.rotating else IDENTITY

@@ -89,6 +89,14 @@ def one_list_of_authorities() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def patient_clients() -> Iterator[None]:
+    """Let clients wait where they set no time: beside other tests an answer takes longer than httpx's five seconds."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("httpx._config.DEFAULT_TIMEOUT_CONFIG.read", 60.0)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def one_volume_of_each_demo() -> Iterator[None]:
     """Let scenes share their demo's volume, which nobody changes: to make it takes longer than most tests of it."""
     with pytest.MonkeyPatch.context() as patch:

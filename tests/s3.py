@@ -168,7 +168,7 @@ class Handler(BaseHTTPRequestHandler):
         if not key and self.command == "POST" and "delete" in query:
             return self.delete_many(body)
         if self.command == "PUT":
-            return self.put(key, body)
+            return self.copy(key) if "x-amz-copy-source" in self.headers else self.put(key, body)
         if self.command == "DELETE":
             objects.pop(key, None)
             return 204, b"", {}
@@ -203,6 +203,17 @@ class Handler(BaseHTTPRequestHandler):
             return failure(412, "PreconditionFailed")
         objects[key] = body
         return 200, b"", {"ETag": tag(body)}
+
+    def copy(self, key: str) -> tuple[int, bytes, dict[str, str]]:
+        """Keep the object that a header names under this key, too."""
+        objects, source = (
+            self.server.s3.objects,
+            unquote(self.headers["x-amz-copy-source"]).lstrip("/").partition("/")[2],
+        )
+        if source not in objects:
+            return failure(404, "NoSuchKey")
+        objects[key] = objects[source]
+        return 200, f"<CopyObjectResult><ETag>{escape(tag(objects[key]))}</ETag></CopyObjectResult>".encode(), XML
 
     def delete_many(self, body: bytes) -> tuple[int, bytes, dict[str, str]]:
         """Delete the keys that a document names."""

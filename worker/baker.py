@@ -32,7 +32,7 @@ from worker.tasks import BakeResult, BakeTask, open_spec
 if TYPE_CHECKING:
     from worker.pool import WorkerPool
 
-SHORTEST, LONGEST_PAUSE = 1.0, 8.0
+SHORTEST_PAUSE, LONGEST_PAUSE = 1.0, 8.0
 """Seconds until the first try, and the most that pass until the next; each pause is twice as long as the last."""
 
 
@@ -48,7 +48,7 @@ class Pause:
         self._stumbled = False
         self._clock = clock
         self._resume = resume
-        self._seconds = SHORTEST
+        self._seconds = SHORTEST_PAUSE
         self._until = 0.0
         self._timer: threading.Timer | None = None
 
@@ -64,7 +64,7 @@ class Pause:
             return
         if self.reason and not self.over:
             return
-        self._seconds = min(2.0 * self._seconds, LONGEST_PAUSE) if self.reason else SHORTEST
+        self._seconds = min(2.0 * self._seconds, LONGEST_PAUSE) if self.reason else SHORTEST_PAUSE
         self.reason, self._until = reason, self._clock() + self._seconds
         self._timer = threading.Timer(self._seconds, self._resume)
         self._timer.daemon = True

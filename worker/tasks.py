@@ -142,7 +142,7 @@ def opened(source: SceneSource) -> PreparedScene:
     else:
         bare = {name: value for name, value in source.document.items() if name not in FOLLOWED}
         scene = known.scene
-        shared = scene.volume, scene.colours, scene.glowing.bits
+        shared = scene.volume, scene.surfaces.colours, scene.lighting.glowing.bits
         prepared = known.beside(build_scene(replace(source, document=bare), no_progress, *shared))
     OPEN[key] = prepared
     return prepared

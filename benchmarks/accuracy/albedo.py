@@ -71,7 +71,7 @@ def albedo(target: str | None, light: str, samples: int, size: int, repeats: int
 def of_same_paths(fresh: Scene, live: Scene) -> Scene:
     """A scene of one albedo whose texels take the paths of one of several, and keep as many harmonics."""
     direct, indirect = live.plan.layers
-    own = replace(indirect, nodes=(), channels=1 if len({*fresh.albedo}) == 1 else 3)
+    own = replace(indirect, nodes=(), channels=1 if len({*fresh.surfaces.albedo}) == 1 else 3)
     return replace(fresh, plan=replace(live.plan, layers=(direct, own)))
 
 

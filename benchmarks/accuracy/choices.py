@@ -53,11 +53,11 @@ def lattices(bench: Bench) -> Iterator[tuple[str, float]]:
     """Errors and costs of the plan's light on lattices of other densities."""
     own = own_light(bench)
     for times in LATTICES:
-        scene = replace(bench.scene, lattice=times * bench.scene.lattice)
+        scene = bench.scene.with_settings(lattice=times * bench.scene.settings.lattice)
         bake = bench.planned if times == 1.0 else baked(bench, scene, bench.view)
         lit = lit_by_frame(bake.frame())
         carried = spread_of(lit.light - own.light, lit.noise + own.noise, mean_of(own.light))
-        name = f"{scene.lattice:g} texels per voxel"
+        name = f"{scene.settings.lattice:g} texels per voxel"
         yield f"{name}: interpolation, %", 100.0 * carried.rmse
         yield from scored(name, bench, bake)
 
@@ -92,15 +92,15 @@ def surfaces(bench: Bench, paths: int) -> Iterator[tuple[str, float]]:
     for scene in variants(bench.scene):
         change = apart(bench.reference(paths, scene), best)
         spread = spread_of(change.light, change.noise, mean)
-        name = f"{NORMALS[scene.normals]}, offset {scene.offset:g}"
+        name = f"{NORMALS[scene.settings.normals]}, offset {scene.settings.offset:g}"
         yield f"{name}: difference, %", 100.0 * spread.rmse
         yield f"{name}: bias, %", 100.0 * spread.bias
 
 
 def variants(scene: Scene) -> tuple[Scene, ...]:
     """The scene with the other kind of normals, and with other offsets."""
-    other = next(name for name in NORMALS if name != scene.normals)
+    other = next(name for name in NORMALS if name != scene.settings.normals)
     return (
-        replace(scene, normals=other),
-        *(replace(scene, offset=offset) for offset in OFFSETS if offset != scene.offset),
+        scene.with_settings(normals=other),
+        *(scene.with_settings(offset=offset) for offset in OFFSETS if offset != scene.settings.offset),
     )

@@ -20,7 +20,6 @@ from benchmarks.common.timing import milliseconds
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.scene_plan import FEWEST
 from isogi_core.model.view import View
-from isogi_core.plan.inputs import PlanOverrides
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import Scene
 from isogi_report.speed import DONE, Candidate, bake_view, make_renderer, medians, relight, seconds, turned, view_of
@@ -53,8 +52,8 @@ def lobes(target: str | None, size: int, repeats: int) -> Measurement:
 
 def with_lobes(scene: Scene, count: int) -> Scene:
     """The scene by the plan that it has with so many lobes."""
-    overrides = replace(scene.overrides or PlanOverrides(), lobes=count)
-    return replace(scene, overrides=overrides, plan=plan_scene(scene.inputs, overrides))
+    overrides = replace(scene.settings.overrides, lobes=count)
+    return replace(scene.with_settings(overrides=overrides), plan=plan_scene(scene.inputs, overrides))
 
 
 def processor(renderer: Renderer, view: View) -> Candidate:

@@ -91,7 +91,7 @@ class Mitsuba:
     def _add(self, scene: Scene, view: View, sampler: str) -> None:
         points, triangles = mesh.make_mesh(scene.volume, scene.volume.normalise_isovalue(scene.isovalue))
         world = points * np.array(scene.volume.spacing, np.float32), triangles
-        probe, albedo = scene.environment.constant + scene.environment.image, scene.albedo[0]
+        probe, albedo = scene.lighting.environment.constant + scene.lighting.environment.image, scene.surfaces.albedo[0]
         self.tracers[sampler] = PathTracer(VARIANT, world, view, albedo, scene.bounces + 2, probe, sampler)
 
 

@@ -39,13 +39,13 @@ class Ball:
 
 def surface_of(scene: Scene, albedo: Sequence[float]) -> dict[str, Any]:
     """What light meets at the surface: diffuse on both sides, metal, glass, or a share of it with the rest clear."""
-    if scene.material.refracts:
-        return {"type": "dielectric", "int_ior": scene.material.index, "ext_ior": 1.0}
-    if scene.shine is not None and scene.shine.strength:
-        metal = {"type": "principled", "metallic": 1.0, "roughness": scene.shine.roughness}
+    if scene.surfaces.material.refracts:
+        return {"type": "dielectric", "int_ior": scene.surfaces.material.index, "ext_ior": 1.0}
+    if scene.surfaces.shine is not None and scene.surfaces.shine.strength:
+        metal = {"type": "principled", "metallic": 1.0, "roughness": scene.surfaces.shine.roughness}
         return {"type": "twosided", "bsdf": metal | {"base_color": rgb(albedo)}}
-    if scene.clear:
-        return {"type": "mask", "opacity": 1.0 - scene.clear, "bsdf": matte(albedo)}
+    if scene.surfaces.clear:
+        return {"type": "mask", "opacity": 1.0 - scene.surfaces.clear, "bsdf": matte(albedo)}
     return matte(albedo)
 
 
@@ -61,15 +61,15 @@ class SceneTracer(PathTracer):
 
         The surface is ``black`` where asked.
         """
-        probe = scene.environment.constant + scene.environment.image
+        probe = scene.lighting.environment.constant + scene.lighting.environment.image
         self._begin(VARIANT, probe)
-        parts: dict[str, Any] = {"sensor": self._sensor(view, SAMPLERS[1]), **self._walls(scene.room)}
+        parts: dict[str, Any] = {"sensor": self._sensor(view, SAMPLERS[1]), **self._walls(scene.lighting.room)}
         if probe.any():
             parts["light"] = self._light(pixelwise(probe) if self.turns else probe, view)
-        bsdf = surface_of(scene, (0.0,) * 3 if black else tuple(scene.albedo))
+        bsdf = surface_of(scene, (0.0,) * 3 if black else tuple(scene.surfaces.albedo))
         parts["isosurface"] = self._ball(ball, bsdf) if ball else self._meshed(scene, view, bsdf)
-        self._load(parts, DEPTH, hides=not scene.clear)
-        open_air = scene.clear and not scene.room.any
+        self._load(parts, DEPTH, hides=not scene.surfaces.clear)
+        open_air = scene.surfaces.clear and not scene.lighting.room.any
         self._behind = SceneTracer(scene, view, ball, black=True) if open_air and not black else None
 
     def picture(self, samples: int, threads: int, seed: int = 0) -> np.ndarray:

@@ -6,7 +6,6 @@ texels around it, trilinearly, and no more.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -29,7 +28,7 @@ def papers_scene(scene: Scene) -> Scene:
     """The scene as the papers light it."""
     order = 1 if scene.inputs.constant else ORDER
     layer = Layer("whole", order, scene.plan.channels, half=False)
-    return replace(with_plan(scene, layers=(layer,), order=order, lobes=0), projected=False)
+    return with_plan(scene, layers=(layer,), order=order, lobes=0).with_settings(projected=False)
 
 
 class PapersBake:

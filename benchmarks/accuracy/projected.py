@@ -9,7 +9,7 @@ noise. By default all shared volumes, and the demos.
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
@@ -92,7 +92,7 @@ def measure(scene: Scene, size: int, paths: int) -> Found:
     with tempfile.TemporaryDirectory() as folder:
         best = bench_of(scene, size, Path(folder)).reference(paths)
         for projects in (False, True):
-            bench = bench_of(replace(scene, projected=projects), size, Path(folder))
+            bench = bench_of(scene.with_settings(projected=projects), size, Path(folder))
             bake: ViewBake = bench.planned
             frame = bake.frame()
             errors = score(frame.radiance, best, 1.0)

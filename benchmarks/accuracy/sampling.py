@@ -145,7 +145,7 @@ def scenes(target: str | None, only: Sequence[str]) -> Iterator[tuple[str, Scene
     No texel is projected. ClickException where the shared data are not at hand.
     """
     if target is not None:
-        yield Path(target).stem, replace(load_scene(target), projected=False)
+        yield Path(target).stem, load_scene(target).with_settings(projected=False)
         return
     data = shared_data()
     if data is None:
@@ -153,7 +153,7 @@ def scenes(target: str | None, only: Sequence[str]) -> Iterator[tuple[str, Scene
     for name, (file, low, high) in RANGES.items():
         if wanted(name, only):
             settings = {"room": "cornell", "isovalue": low, "isovalues": [low, high], "albedo": 0.7}
-            yield name, replace(load_scene(data / file, **settings), projected=False)
+            yield name, load_scene(data / file, **settings).with_settings(projected=False)
 
 
 def measure(bench: Bench, way: str, count: int, paths: int, truth: int) -> Found:

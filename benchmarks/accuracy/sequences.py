@@ -77,7 +77,7 @@ def sequences(
 ) -> Measurement:
     """How far pictures jump as the isovalue slides and the light turns, beyond the truth's own jumps."""
     scene = benchmark_scene(target, light, target_error=error)
-    scene = replace(scene, projected=projected or scene.projected)
+    scene = scene.with_settings(projected=projected or scene.settings.projected)
     view = View(scene.isovalue, scene.camera(30.0, 20.0, 2.5, 30.0), width=size, height=size)
     found: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as folder:

@@ -20,8 +20,8 @@ from benchmarks.common.scenes import shared_data
 from benchmarks.common.suite import part
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.projection import NOISY_ERROR, SMOOTH_ERROR, STEEP_ERROR, Expectation, measure_stiffness
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.stiffness import NOISY_ERROR, SMOOTH_ERROR, STEEP_ERROR, Expectation, measure_stiffness
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_report.bench import Bench
 from tests.stability.scenes import scene_of, view_of

@@ -8,8 +8,7 @@ from typing import Any
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.measurement import markdown as lines_of
 from isogi_report.cells import text_columns
-from isogi_report.documents import table_of
-from isogi_report.sections import Cell, Column, Table
+from isogi_report.sections import Cell, Column, Table, table_of
 
 Data = Mapping[str, Any]
 

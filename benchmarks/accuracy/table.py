@@ -30,7 +30,7 @@ from isogi_core.model.view import quaternion_from_angles
 from isogi_core.reference import Reference
 from isogi_core.storage.atomic_file import write_whole
 from isogi_report.metrics import error_map, score, shown_as
-from isogi_report.prints import error_colours
+from isogi_report.plots import error_colours
 
 PLACES = (("engine", 70), ("engine", 170), ("CT head", 110), ("MNI brain", 90), ("carp", 110))
 LIGHTS = ("constant light", "uffizi", "grace", "noon_grass")

@@ -10,8 +10,8 @@ from typing import Any
 
 from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER
 from isogi_core.storage.atomic_file import write_whole
-from isogi_report.documents import plain
 from isogi_report.heading import machine
+from isogi_report.sections import plain
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "measurements"

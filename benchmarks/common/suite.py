@@ -11,7 +11,7 @@ import click
 from click.core import ParameterSource
 
 from benchmarks.common.measurement import Measurement, merged, write_measurement
-from isogi_report.documents import plain
+from isogi_report.sections import plain
 
 Result = Measurement | Iterator[Measurement]
 """What a part gives: a measurement, or several as they come."""

@@ -24,7 +24,8 @@ from isogi_core.plan.scene import Scene
 from isogi_report.command import STAND
 from isogi_report.speed import view_of
 from server.render.engine import RenderEngine
-from server.render.variants import Change, Variants
+from server.render.scene_variant import Change
+from server.render.variants import Variants
 
 SHARE, PATIENCE, STEP = 0.1, 200.0, 0.1
 """What a cut takes away, seconds that a picture may take, and those between two looks at it."""

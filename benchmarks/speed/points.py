@@ -180,7 +180,8 @@ def points(target: str | None, size: int, samples: int) -> Iterator[Measurement]
         with tempfile.TemporaryDirectory() as store:
             for name, what in surfels(make_renderer(scene, store), size).items():
                 yield told(
-                    f"{scene.name} at {scene.isovalue:g}, {scene.environment.name}, {name}", measure(what, samples)
+                    f"{scene.name} at {scene.isovalue:g}, {scene.lighting.environment.name}, {name}",
+                    measure(what, samples),
                 )
 
 

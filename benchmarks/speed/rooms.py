@@ -106,7 +106,7 @@ def lit(scene: Scene, store: str, size: int) -> Renderer:
 
 def camera_of(scene: Scene, size: int, turn: int = 0) -> View:
     """The view of a scene from a camera that stands a little aside in each turn."""
-    azimuth, elevation, distance = CAMERAS["room" if scene.room.any else ""]
+    azimuth, elevation, distance = CAMERAS["room" if scene.lighting.room.any else ""]
     return view_of(scene, size, camera=scene.camera(azimuth + 0.01 * turn, elevation, distance, 30.0))
 
 

@@ -67,12 +67,12 @@ class BakeSpec:
         """The spec of this light in the store, as surfaces of an ``albedo`` reflect it."""
         if albedo == self.albedo:
             return self
-        return self._own if albedo == self.prepared.scene.albedo else self._seen(albedo)
+        return self._own if albedo == self.prepared.scene.surfaces.albedo else self._seen(albedo)
 
     @cached_property
     def _own(self) -> "BakeSpec":
         """The spec of the scene's own albedo, which most views have."""
-        return self._seen(self.prepared.scene.albedo)
+        return self._seen(self.prepared.scene.surfaces.albedo)
 
     def _seen(self, albedo: Colour) -> "BakeSpec":
         seen = replace(self, seen=albedo)
@@ -124,7 +124,7 @@ class BakeSpec:
             return np.ones((3, 1))
         if self.plan.representation == "vicinity":
             return self.prepared.around[:, :1]
-        return project_environment(self.prepared.scene.environment, self.order)
+        return project_environment(self.prepared.scene.lighting.environment, self.order)
 
     @cached_property
     def luminance_light(self) -> np.ndarray:
@@ -135,7 +135,7 @@ class BakeSpec:
     def unoccluded(self) -> float:
         """Luminance that leaves a surface which sees all of the light, a mean over its turns; whatever is ``seen``."""
         mean = self.prepared.around[:, 0] / np.sqrt(4.0 * np.pi)
-        if self.prepared.scene.glowing.any:
+        if self.prepared.scene.lighting.glowing.any:
             mean = mean + self.prepared.scene.glow_around
         return float(mean * self.prepared.scene.inputs.albedo @ LUMINANCE)
 
@@ -161,7 +161,7 @@ class BakeSpec:
         """The terms of what glows, each under its own radiance: of single channels where there are several."""
         for number, layer in enumerate(self.plan.layers):
             if isinstance(layer, GlowLayer):
-                for node, light in enumerate(layer.lights(self.prepared.scene.glowing.radiances)):
+                for node, light in enumerate(layer.lights(self.prepared.scene.lighting.glowing.radiances)):
                     luminance = to_luminance(light, self.albedo, self.channels)
                     square = MOST_GATHERED * (luminance.sum(axis=0) / self.unit) ** 2
                     yield Term((number,), 1, light, luminance, square, None if layer.glows == 1 else node, True)
@@ -280,7 +280,7 @@ class BakeSpec:
 
     def weights(self, layer: Layer) -> np.ndarray:
         """R^k for k = 0 … bounces, over the chance to get there, of the layer's channels; (bounces + 1, channels)."""
-        albedo = np.array(layer.nodes or self.prepared.scene.albedo[: layer.channels])
+        albedo = np.array(layer.nodes or self.prepared.scene.surfaces.albedo[: layer.channels])
         return path_weights(albedo, self.plan.bounces if layer.reflected else 0, self.plan.survival)
 
     def shares(self, layers: Sequence[Layer]) -> np.ndarray:

@@ -75,7 +75,9 @@ def white(layer: Layer, spec: BakeSpec) -> np.ndarray:
         return spec.glow_weights(layer)
     weights = spec.luminance_light[:, 0]
     if layer.nodes:
-        return np.asarray(weights.sum() * mixing_weights(spec.prepared.scene.lowest, layer.nodes, spec.plan.bounces))
+        return np.asarray(
+            weights.sum() * mixing_weights(spec.prepared.scene.surfaces.lowest, layer.nodes, spec.plan.bounces)
+        )
     return np.array(weights if layer.channels == len(weights) else weights.sum(keepdims=True))
 
 

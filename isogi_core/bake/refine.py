@@ -203,7 +203,7 @@ def sample_irradiance(
     around, some = prepared.surroundings(np.eye(3)), SampleRange(samples // 2, count // 2)
     rules = PathRules(np.broadcast_to(start_weights(layers[0], spec), (bounces + 1, 3)).copy(), spec.plan.survival)
     for bricks, rows in by_isovalue(place[3], void, prepared):
-        met = prepared.met(prepared.scene.albedo, bricks)
+        met = prepared.met(prepared.scene.surfaces.albedo, bricks)
         if isinstance(met, Open):
             bake_irradiance(prepared.field, bricks, place, rows, some, rules, around, sums)
             continue
@@ -219,7 +219,7 @@ def start_weights(layer: Layer, spec: BakeSpec) -> np.ndarray:
     albedo, by which frames multiply it.
     """
     scene = spec.prepared.scene
-    return 1.0 / np.array(scene.albedo) if scene.material.scatters else spec.weights(layer)
+    return 1.0 / np.array(scene.surfaces.albedo) if scene.surfaces.material.scatters else spec.weights(layer)
 
 
 def sample_glow(
@@ -232,7 +232,7 @@ def sample_glow(
     for bricks, rows in by_isovalue(place[3], void, prepared):
         added = np.zeros((2 * len(rows), sums.shape[2]))
         starts = on_wall(path_starts(place, rows))
-        add_glow_paths(prepared, bricks, prepared.scene.albedo, starts, some, rules, added)
+        add_glow_paths(prepared, bricks, prepared.scene.surfaces.albedo, starts, some, rules, added)
         sums[rows] += added.reshape(-1, 2, sums.shape[2])
     for layer in layers:
         yield sums[:, :, :: 3 // layer.colours, None], np.zeros(len(void))

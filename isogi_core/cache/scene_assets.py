@@ -147,8 +147,8 @@ def send_assets(scene: Scene, store: Store) -> SceneAssets:
         data = read_file(source.base / name)
         files.append((name, digest_of_file(data)))
         Asset(store, f"files/{files[-1][1]}").put(np.frombuffer(data, np.uint8), (BYTES,), {})
-    colours = send_colours(scene.colours, store) if scene.colours else ""
-    bits = send_glow_bits(scene.glowing.bits, store) if scene.glowing.bits.size else ""
+    colours = send_colours(scene.surfaces.colours, store) if scene.surfaces.colours else ""
+    bits = send_glow_bits(scene.lighting.glowing.bits, store) if scene.lighting.glowing.bits.size else ""
     if str(source.document.get("volume", DEFAULT_DEMO)).startswith("demo:"):
         return SceneAssets("", tuple(files), colours=colours, glow_bits=bits)
     facts = {name: value for name, value in vars(volume.counted()).items() if name not in BESIDE}

@@ -70,7 +70,7 @@ class WallLayer(LayerStore):
         digest = scene.wall_digest(state.albedo, state.glow, state.isovalue, across, wall_layer(scene).scale)
         super().__init__(store, prepared, wall_layer(scene), None, digest, CHUNK**3)
         self.isovalue = state.isovalue
-        self.shape = 4 * len(scene.room.walls), across, across
+        self.shape = 4 * len(scene.lighting.room.walls), across, across
 
     @property
     def chunks(self) -> Index:

@@ -178,15 +178,15 @@ def frame_kernels(scenes: Iterable[Scene], surveyed: bool = True) -> tuple[Any, 
     """
     shown = tuple(scenes)
     uncalled = set.intersection({*FRAME}, *(uncalled_by(scene, surveyed) for scene in shown))
-    rooms = ROOM if any(scene.room.any and not scene.several for scene in shown) else ()
-    rooms += (light_walls,) if any(scene.room.any and scene.several for scene in shown) else ()
-    shining = [scene for scene in shown if scene.shine]
+    rooms = ROOM if any(scene.lighting.room.any and not scene.surfaces.several for scene in shown) else ()
+    rooms += (light_walls,) if any(scene.lighting.room.any and scene.surfaces.several for scene in shown) else ()
+    shining = [scene for scene in shown if scene.surfaces.shine]
     shines = SHINE if shining else ()
     lobes = (light_ends,) if any(scene.plan.lobes for scene in shining) else ()
-    rooms += COLOURED if any(scene.colours for scene in shown) else ()
-    rooms += GLOW if any(scene.glowing.any for scene in shown) else ()
-    rooms += MATTER if any(scene.material.refracts for scene in shown) else ()
-    rooms += AMONG if any(scene.several for scene in shown) else ()
+    rooms += COLOURED if any(scene.surfaces.colours for scene in shown) else ()
+    rooms += GLOW if any(scene.lighting.glowing.any for scene in shown) else ()
+    rooms += MATTER if any(scene.surfaces.material.refracts for scene in shown) else ()
+    rooms += AMONG if any(scene.surfaces.several for scene in shown) else ()
     paths = dict.fromkeys(kernel for scene in shown if not only_checked(scene) for kernel in paths_of(scene))
     return (*paths, *rooms, *shines, *lobes, *(kernel for kernel in FRAME if kernel not in uncalled))
 
@@ -198,23 +198,23 @@ def other_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
 
 def paths_of(scene: Scene) -> tuple[Any, ...]:
     """The kernels of whole paths among what a ``scene`` has: for its light, and for what glows."""
-    glow = path_kernels(scene.glow_meets, Glows) if scene.glowing.any else ()
+    glow = path_kernels(scene.glow_meets, Glows) if scene.lighting.glowing.any else ()
     return (*path_kernels(scene.meets, Surroundings), *glow)
 
 
 def only_checked(scene: Scene) -> bool:
     """Whether frames of a ``scene`` send paths only where they are checked: no walls, no ways by chance."""
-    return not (scene.room.any or scene.several or scene.material.refracts)
+    return not (scene.lighting.room.any or scene.surfaces.several or scene.surfaces.material.refracts)
 
 
 def uncalled_by(scene: Scene, surveyed: bool) -> set[Any]:
     """Kernels that frames of a ``scene`` never call; for ``surveyed`` see ``frame_kernels``."""
-    names = {*uncalled(scene.rotating, scene.environment, scene.lamps, scene.plan.lobes)}
+    names = {*uncalled(scene.lighting.rotating, scene.lighting.environment, scene.lighting.lamps, scene.plan.lobes)}
     never = {kernel for kernel in FRAME if kernel.__name__ in names}
-    never |= set() if scene.projected is None else {count_stiffness}
+    never |= set() if scene.settings.projected is None else {count_stiffness}
     projects = not surveyed or scene.projection.any
     never |= set() if projects else {measure_distances}
-    never |= {trace_pixels, trace_places} if scene.room.any or scene.several else set()
+    never |= {trace_pixels, trace_places} if scene.lighting.room.any or scene.surfaces.several else set()
     if carries_irradiance_ratios(scene, "gi", False):
         return never | {carry_light}
     return never if projects else never | {carry_ratios}

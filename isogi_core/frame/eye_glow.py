@@ -35,7 +35,7 @@ class EyeGlow:
     @classmethod
     def of(cls, prepared: PreparedScene, strength: float) -> "EyeGlow | None":
         """The glow of a scene at a ``strength``; None where nothing glows. ViewError where a view asks for it there."""
-        glowing, strength = prepared.scene.glowing, prepared.scene.glow_for(strength)
+        glowing, strength = prepared.scene.lighting.glowing, prepared.scene.lighting.glow_for(strength)
         return cls(prepared.field, prepared.glows, strength * glowing.radiances) if glowing.any else None
 
     def along(self, eye: Vector, directions: np.ndarray, reaches: np.ndarray, tiles: Tiles) -> np.ndarray:

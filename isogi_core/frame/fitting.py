@@ -88,7 +88,7 @@ def cloud_of(renderer: Renderer, stand: Stand) -> Cloud | None:
     right, up, forward = afar.basis()
     axes = np.stack([right, up, -forward])
     points = orientation.to_world(seen.points * np.array(seen.spacing))
-    rims = orientation.to_world(rims_of(scene.glowing, axes @ orientation.matrix))
+    rims = orientation.to_world(rims_of(scene.lighting.glowing, axes @ orientation.matrix))
     points = np.vstack([points, np.repeat(rims, math.ceil(2.0 * SPECKS * len(points)), axis=0)])
     slope = FILLED * math.tan(math.radians(fov) / 2.0)
     return Cloud(points, axes, (slope * view.width / view.height, slope))

@@ -113,8 +113,8 @@ class Quality:
     ``projection`` is of texels projected onto the view's isosurface, None where its scene has none there. ``known`` is
     what the check of its picture knows, None of frames that have none. ``rays`` names those of shine, or through glass,
     that it shows, and ``expected`` is its error besides noise, as the plan expects. So many pixels of walls, or of what
-    is seen through glass, are ``waiting``: not final yet. Its texels are finer than the plan's by ``fineness`` steps,
-    see ``plan.finer``; a ``finer`` frame is coming, and waits for its light.
+    is seen through glass, are ``waiting``: not final yet. Its texels are finer than the plan's by ``fineness`` steps; a
+    ``finer`` frame is coming, and waits for its light.
     """
 
     lacking: Lacking | None = None

@@ -39,7 +39,7 @@ def frame_of(
     """
     scene = light.spec.prepared.scene
     if len(gbuffer.faces.pixels):
-        labelled = scene.colours is not None and bool(scene.colours.scale.labels)
+        labelled = scene.surfaces.colours is not None and bool(scene.surfaces.colours.scale.labels)
         paint_faces(gbuffer, scene, framebuffer, light.spec.prepared.colours if labelled else None)
     lacking = Lacking(texels, reading, framebuffer) if texels and reading else None
     projection = Projection(texels, reading, framebuffer) if texels and isinstance(reading, ProjectedReading) else None

@@ -91,7 +91,7 @@ class RotatedLight:
     @cached_property
     def seen(self) -> BakeSpec:
         """The spec with the view's albedo. ViewError where its light is not of that."""
-        return self.spec.of_albedo(self.spec.prepared.scene.leaving_for(self.view.albedo))
+        return self.spec.of_albedo(self.spec.prepared.scene.surfaces.leaving_for(self.view.albedo))
 
     @cached_property
     def matrix(self) -> np.ndarray:
@@ -131,7 +131,7 @@ class RotatedLight:
     @property
     def coloured(self) -> bool:
         """Whether the surface has colours by data: ``albedo`` is then their brightest."""
-        return self.spec.prepared.scene.colours is not None
+        return self.spec.prepared.scene.surfaces.colours is not None
 
     def tints(self, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
         """The albedo of a coloured surface over ``albedo`` at each point of a G-buffer; (m, 3) float32, 0 to 1.
@@ -144,12 +144,12 @@ class RotatedLight:
     @property
     def shine(self) -> Shine | None:
         """The shine of the surface, None where it is diffuse. ViewError where views of the scene may ask for none."""
-        return self.spec.prepared.scene.shine_for(self.view.shine)
+        return self.spec.prepared.scene.surfaces.shine_for(self.view.shine)
 
     @property
     def glow(self) -> float:
         """How bright what glows is over the scene's own. ViewError where nothing glows and the view asks for it."""
-        return self.spec.prepared.scene.glow_for(self.view.glow)
+        return self.spec.prepared.scene.lighting.glow_for(self.view.glow)
 
     @property
     def reflecting(self) -> tuple[float, float, float]:
@@ -206,7 +206,7 @@ class RotatedLight:
 
         A colour of lamps that the middle of the volume sees nothing of counts as the brightest one there.
         """
-        shining = self.spec.prepared.scene.lamps.arrays.colours.any(axis=0) & (self.mean == 0.0)
+        shining = self.spec.prepared.scene.lighting.lamps.arrays.colours.any(axis=0) & (self.mean == 0.0)
         mean = self.albedo * np.where(shining, self.mean.max() or 1.0, self.mean) / self.spec.unit
         quadric = quadric_of(self.sky.lobe * self.sky.light)
         return Unshadowed(*(np.ascontiguousarray(each, np.float32) for each in (quadric, LEAST * mean)))
@@ -250,13 +250,13 @@ class RotatedLight:
         carries the share KEY of the mean.
         """
         scene = self.spec.prepared.scene
-        directions, irradiances = scene.lamps.seen_from(scene.volume.centre)
+        directions, irradiances = scene.lighting.lamps.seen_from(scene.volume.centre)
         strengths = irradiances @ LUMINANCE
         if strengths.any():
             best = int(strengths.argmax())
-            rest = (irradiances.sum(axis=0) - irradiances[best]) / (4.0 * math.pi) + scene.environment.mean()
+            rest = (irradiances.sum(axis=0) - irradiances[best]) / (4.0 * math.pi) + scene.lighting.environment.mean()
             key = irradiances[best] / math.pi
-            if scene.room.any:
+            if scene.lighting.room.any:
                 return triple(directions[best]), KEY * key, (1.0 - KEY) * key + rest
             return triple(directions[best]), key, rest
         first = np.array([self.around[:, i] if i < self.around.shape[1] else np.zeros(3) for i in (3, 1, 2)])
@@ -283,9 +283,9 @@ def either_side(light: np.ndarray, scene: Scene) -> np.ndarray:
     """Unshadowed ``light`` (3, n²) as it falls on the side that is seen and, where the surface transmits, on the other,
     each by its share in what leaves: Y_l(-n) = (-1)^l Y_l(n).
     """
-    if not any(scene.transmission):
+    if not any(scene.surfaces.transmission):
         return light
-    albedo, through = np.array(scene.albedo), np.array(scene.transmission)
+    albedo, through = np.array(scene.surfaces.albedo), np.array(scene.surfaces.transmission)
     turned = (albedo - through) / np.maximum(albedo + through, 1e-30)
     return np.where(band_of(math.isqrt(light.shape[1])) % 2 == 1, turned[:, None], 1.0) * light
 

@@ -60,7 +60,7 @@ class Renderer(SurfaceRenderer):
         super().__init__(caches, tiles, most, filters, stand_in)
         self.blocks = KnownBlocks(int(PACKED * most))
         side = partial(SurfaceRenderer, tiles=tiles, most=most // 8, filters=filters)
-        self._composer = Composer(self, side, self._kept) if self.prepared.scene.several else None
+        self._composer = Composer(self, side, self._kept) if self.prepared.scene.surfaces.several else None
 
     @property
     def nbytes(self) -> int:
@@ -97,8 +97,8 @@ class Renderer(SurfaceRenderer):
 
     def _draw_lit(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of what is lit in a view."""
-        self.prepared.scene.albedo_for(view.albedo)
-        self.prepared.scene.room.refuse_camera(view.camera, self.prepared.scene.volume.radius)
+        self.prepared.scene.surfaces.albedo_for(view.albedo)
+        self.prepared.scene.lighting.room.refuse_camera(view.camera, self.prepared.scene.volume.radius)
         if self._composer is not None:
             return self._composer.draw(view, until, tiles, watch)
         with watch.stage("primary"):

@@ -40,7 +40,7 @@ def point_at(frame: Frame, column: int, row: int, scene: Scene) -> SurfacePoint 
         index, normal, value = gbuffer.points[place], surface_normal(frame, place), isovalue_at(frame, place, scene)
     elif (place := place_of(gbuffer.walls.pixels, pixel)) is not None:
         index, wall = gbuffer.walls.points[place], int(gbuffer.walls.numbers[place])
-        normal = wall_normal(frame, index, scene.room.edges[wall])
+        normal = wall_normal(frame, index, scene.lighting.room.edges[wall])
     elif (place := place_of(gbuffer.faces.pixels, pixel)) is not None:
         index = gbuffer.faces.points[place]
         normal, value = face_normal(frame, index), float(values_at(scene.volume, index[None])[0])
@@ -62,7 +62,7 @@ def point_at(frame: Frame, column: int, row: int, scene: Scene) -> SurfacePoint 
 def isovalue_at(frame: Frame, place: int, scene: Scene) -> float:
     """The isovalue of what is in front at a ``place`` of the G-buffer: that of the view, or of a pinned surface."""
     shown = frame.view.isovalue
-    if not scene.pinned:
+    if not scene.surfaces.pinned:
         return shown
     value = float(values_at(scene.volume, frame.gbuffer.points[place : place + 1])[0])
     return min((each.isovalue for each in surfaces_of(scene, shown)), key=lambda level: abs(level - value))

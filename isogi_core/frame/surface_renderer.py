@@ -81,7 +81,7 @@ class SurfaceRenderer:
     def draw_on(self, gbuffer: GBuffer, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of a view of the surface points in a G-buffer. Raises Cancelled."""
         light, target = self._light(view), until.target
-        if view.shading == "gi" and self.prepared.scene.material.refracts:
+        if view.shading == "gi" and self.prepared.scene.surfaces.material.refracts:
             return self._through.draw(gbuffer, light, target, tiles, watch)
         if view.shading in ("gi", "vicinity"):
             return self._render_texels(gbuffer, light, until, tiles, watch)

@@ -25,10 +25,10 @@ def unlit_frame(renderer: Renderer, view: View, target: float, cancelled: thread
     first picture finds it. Raises what ``Renderer.render`` does, and so Cancelled once ``cancelled`` is set.
     """
     scene = renderer.prepared.scene
-    staged = scene.several or scene.material.refracts
+    staged = scene.surfaces.several or scene.surfaces.material.refracts
     if staged or view.moving or view.shading not in SPECS or renderer.knows(view):
         return None
-    scene.room.refuse_camera(view.camera, scene.volume.radius)
+    scene.lighting.room.refuse_camera(view.camera, scene.volume.radius)
     tiles, loader = renderer.tiles.cancelled_by(cancelled), renderer.caches.of(view.shading)
     gbuffer = renderer.gbuffer(view, tiles)
     if scene.projection.projects(gbuffer.isovalue):

@@ -210,4 +210,4 @@ def carries_irradiance_ratios(scene: Scene, shading: str, projects: bool) -> boo
     follow its normals.
     """
     sided = scene.plan.representation in ("transfer", "irradiance") and not scene.inputs.constant
-    return spec_name(shading) == "gi" and (sided or projects) and not scene.material.scatters
+    return spec_name(shading) == "gi" and (sided or projects) and not scene.surfaces.material.scatters

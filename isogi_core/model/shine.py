@@ -1,7 +1,7 @@
 """Shine: how a surface mirrors light, roughly, besides what it scatters; a coat of plastic, or metal."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from isogi_core.errors import SceneError, ViewError, advice
@@ -22,17 +22,24 @@ class Shine:
     is diffuse. Raises ViewError where a number has no meaning.
     """
 
-    kind: str = "plastic"
-    roughness: float = 0.3
-    strength: float = 1.0
+    kind: str = field(
+        default="plastic", metadata={"help": "Of a scene with a shine: plastic or metal; default: the scene's."}
+    )
+    roughness: float = field(
+        default=0.3,
+        metadata={"range": (SMOOTHEST, 1), "help": "Of that shine, 0.02 (a mirror) to 1; default: the scene's."},
+    )
+    strength: float = field(
+        default=1.0, metadata={"range": (0, 1), "help": "How much that shine counts, 0 to 1; default: the scene's."}
+    )
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise ViewError(f"A surface cannot shine as '{self.kind}': choose {' or '.join(KINDS)}.")
-        if not SMOOTHEST <= self.roughness <= 1.0:
-            raise ViewError(f"The roughness of shine is {self.roughness:g}: it must be from {SMOOTHEST:g} to 1.")
-        if not 0.0 <= self.strength <= 1.0:
-            raise ViewError(f"The strength of shine is {self.strength:g}: it must be from 0 to 1.")
+        for name, (low, high) in SHINE_RANGES.items():
+            if not low <= getattr(self, name) <= high:
+                given = f"The {name} of shine is {getattr(self, name):g}"
+                raise ViewError(f"{given}: it must be from {low:g} to {high:g}.")
 
     @property
     def alpha(self) -> float:
@@ -40,13 +47,24 @@ class Shine:
         return self.roughness**2
 
 
+SHINE_RANGES: dict[str, tuple[float, float]] = {
+    each.name: each.metadata["range"] for each in fields(Shine) if "range" in each.metadata
+}
+"""The least and the greatest value of each number of a shine."""
+
+SHINE_KNOBS = {"shine" if each.name == "kind" else each.name: each.name for each in fields(Shine)}
+"""Parameters of views that change the shine, and the fields of Shine that they are."""
+
+SHINE_HELP: dict[str, str] = dict(zip(SHINE_KNOBS, (each.metadata["help"] for each in fields(Shine)), strict=True))
+"""What each of these parameters does, in a line."""
+
 DULL = Shine(strength=0.0)
 """What views ask for that are to show diffuse light alone."""
 
 
 def shine_from_mapping(table: Mapping[str, Any]) -> Shine:
     """The shine that a scene's ``[shine]`` table describes. SceneError where a key is unknown or has no meaning."""
-    known = {"kind": "a word", "roughness": "a number", "strength": "a number"}
+    known = {each.name: "a number" if each.name in SHINE_RANGES else "a word" for each in fields(Shine)}
     for key, value in table.items():
         if key not in known:
             raise SceneError(f"Shine has no '{key}': {advice(key, known)}")

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -13,22 +13,26 @@ from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.environment import Environment, Lamps, Lobe
 from isogi_core.model.lights import Vector
 from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.volume import Volume
 from isogi_core.plan.bands import band_energy, project_environment
 from isogi_core.plan.lobe_choice import energy_beside, find_lobes
 
 Colour = tuple[float, float, float]
 
 
-FOUND: WeakKeyDictionary[Environment, dict[Hashable, Any]] = WeakKeyDictionary()
-"""What was worked out of the environments in use, which scenes under the same lights share."""
+FOUND: WeakKeyDictionary[Any, dict[Hashable, Any]] = WeakKeyDictionary()
+"""What was worked out of the environments and volumes in use, which scenes share that have the same."""
+
+T = TypeVar("T")
 
 
-def found(environment: Environment, what: Hashable, find: Callable[[], Any]) -> Any:
-    """What was found of an environment, or is found now."""
-    known = FOUND.setdefault(environment, {})
+def found(subject: Environment | Volume, what: Hashable, find: Callable[[], T]) -> T:
+    """What was found of a ``subject``, or is found now: ``what`` holds all that it depends on besides."""
+    known = FOUND.setdefault(subject, {})
     if what not in known:
         known[what] = find()
-    return known[what]
+    kept: T = known[what]
+    return kept
 
 
 @dataclass(frozen=True)
@@ -115,12 +119,10 @@ class PlanInputs:
     def lobes(self) -> tuple[Lobe, ...]:
         """The environment's lobes; none where it does not turn, as it is then baked as it is."""
         find = partial(find_lobes, self.environment, self.harmonics, self.target_error)
-        kept: tuple[Lobe, ...] = found(self.environment, self.target_error, find) if self.rotating else ()
-        return kept
+        return found(self.environment, self.target_error, find) if self.rotating else ()
 
     @cached_property
     def harmonics(self) -> np.ndarray:
         """The environment's coefficients, linear RGB; (3, MAX_ORDER²) float64."""
         project = partial(project_environment, self.environment, MAX_ORDER)
-        kept: np.ndarray = found(self.environment, "harmonics", project)
-        return kept
+        return found(self.environment, "harmonics", project)

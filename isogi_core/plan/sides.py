@@ -40,12 +40,15 @@ WALLS = Side(MOST)
 
 def surfaces_of(scene: Scene, shown: float) -> tuple[PinnedSurface, ...]:
     """All surfaces of a scene that shows the isovalue ``shown``, the one that slides first."""
-    return (PinnedSurface(shown, scene.albedo, scene.clear, transmission=scene.transmission), *scene.pinned)
+    return (
+        PinnedSurface(shown, scene.surfaces.albedo, scene.surfaces.clear, transmission=scene.surfaces.transmission),
+        *scene.surfaces.pinned,
+    )
 
 
 def sides_of(scene: Scene) -> tuple[Side, ...]:
     """Both sides of all surfaces of a ``scene``."""
-    return tuple(Side(number, inner) for number in range(1 + len(scene.pinned)) for inner in (False, True))
+    return tuple(Side(number, inner) for number in range(1 + len(scene.surfaces.pinned)) for inner in (False, True))
 
 
 def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
@@ -56,7 +59,7 @@ def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
     if side == OUTER:
         return scene
     every = surfaces_of(scene, shown)
-    own, others = every[side.number], every if side.number else scene.pinned
+    own, others = every[side.number], every if side.number else scene.surfaces.pinned
     others = apart((own, *others), scene)[1:]
     document: dict[str, Any] = {key: value for key, value in scene.source.document.items() if key not in SIDE_SETTINGS}
     document |= {key: value for key, value in own.table.items() if key != "name"} | lying(scene, side)

@@ -1,5 +1,5 @@
-"""Scenes made over: in other light, cut open, at another time, with other surfaces beside, with labels hidden, or of
-another material.
+"""Scenes made over: in other light, cut open, at another time, with other surfaces beside, with labels hidden, of
+another material, or in finer light: more texels and more bands, for views whose control pixels ask for it.
 
 Each is a scene like any other, by another id. What it has in common with the first it shares.
 """
@@ -18,10 +18,13 @@ from isogi_core.files.scene_changes import (
     put_material,
 )
 from isogi_core.files.scene_file import FOLLOWED
+from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.material import MATERIALS
+from isogi_core.model.scene_plan import GLOW, Layer, ScenePlan
 from isogi_core.model.value_survey import no_progress
 from isogi_core.model.volume import Volume
 from isogi_core.plan.assembly import build_scene
+from isogi_core.plan.planner import complete
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.volumes.cuts import cut_away, voxels_left
 
@@ -32,22 +35,19 @@ def remade(scene: Scene, document: dict[str, Any], volume: Volume | None, name: 
     It has another id where there is a ``name``. The same light is as bright in pictures of both.
     """
     bare = {key: value for key, value in document.items() if volume is None or key not in FOLLOWED}
-    known = (scene.colours, scene.glowing.bits) if volume else (None, None)
+    known = (scene.surfaces.colours, scene.lighting.glowing.bits) if volume else (None, None)
     made = build_scene(replace(scene.source, document=bare), no_progress, volume, *known)
-    made = replace(made, source=replace(scene.source, document=document), id=name or made.id)
-    vars(made)["seen"] = scene.seen
-    return made
+    source = replace(scene.source, document=document)
+    return replace(made, source=source, id=name or made.id, exposed_for=scene.seen)
 
 
 def under(scene: Scene, environment: str, name: str) -> Scene:
     """The scene in the light of an ``environment``, as a scene file names it, by another id, ``name``.
 
-    It replaces all of the scene's [[lights]]; walls stay, and their luminaires. The volume and what was surveyed of it
-    are shared. Raises SceneError where the scene's own choices do not fit that light, and LightError.
+    It replaces all of the scene's [[lights]]; walls stay, and their luminaires. The volume is shared. Raises
+    SceneError where the scene's own choices do not fit that light, and LightError.
     """
-    other = remade(scene, {**scene.source.document, "environment": environment}, scene.volume, name)
-    vars(other).update(scene.surveys)
-    return other
+    return remade(scene, {**scene.source.document, "environment": environment}, scene.volume, name)
 
 
 def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) -> Scene:
@@ -78,18 +78,16 @@ def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) ->
     document = {**scene.source.document, "volume": f"{place}#{rest}" if rest else place, "time": time}
     other = remade(scene, document, volume, name)
     low, high = other.isovalues
-    return other.altered(("seen",), isovalue=min(max(scene.isovalue, low), high))
+    return replace(other, isovalue=min(max(scene.isovalue, low), high))
 
 
 def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:
     """The scene with other shares of rays that pass its pinned surfaces, and without surfaces of None, by another id.
 
-    The volume and what was surveyed of it are shared. Raises as ``build_scene`` does.
+    The volume is shared. Raises as ``build_scene`` does.
     """
-    document = put_clears(scene.source.document, [each.table for each in scene.pinned], clears)
-    made = remade(scene, document | {"rotating": scene.rotating}, scene.volume, name)
-    vars(made).update(scene.surveys)
-    return made
+    document = put_clears(scene.source.document, [each.table for each in scene.surfaces.pinned], clears)
+    return remade(scene, document | {"rotating": scene.lighting.rotating}, scene.volume, name)
 
 
 def with_hidden(scene: Scene, hidden: Hidden, name: str, like: Scene | None = None) -> Scene:
@@ -100,18 +98,17 @@ def with_hidden(scene: Scene, hidden: Hidden, name: str, like: Scene | None = No
     document = put_hidden(scene.source.document, hidden)
     if like is None:
         return remade(scene, document, None, name)
-    return remade(scene.altered(("seen",), colours=like.colours), document, like.volume, name)
+    coloured = replace(scene, surfaces=replace(scene.surfaces, colours=like.surfaces.colours), exposed_for=scene.seen)
+    return remade(coloured, document, like.volume, name)
 
 
 def with_material(scene: Scene, settings: MaterialSettings, name: str) -> Scene:
     """The scene of another material, by these ``settings`` of its surface, by another id, ``name``.
 
-    What only reflects is left behind: albedos of glass, and a range of them of a subsurface. The volume and what was
-    surveyed of it are shared. Raises as ``build_scene`` does.
+    What only reflects is left behind: albedos of glass, and a range of them of a subsurface. The volume is shared.
+    Raises as ``build_scene`` does.
     """
-    made = remade(scene, put_material(scene.source.document, settings), scene.volume, name)
-    vars(made).update(scene.surveys)
-    return made
+    return remade(scene, put_material(scene.source.document, settings), scene.volume, name)
 
 
 def made_of(scene: Scene, settings: MaterialSettings) -> bool:
@@ -123,7 +120,7 @@ def find_materials(scene: Scene) -> dict[str, Scene | str]:
     """The scene of each of MATERIALS, with the numbers that it has by itself; a sentence that says why where the scene
     cannot be of it.
     """
-    return {kind: scene if kind == scene.material.kind else _of_material(scene, kind) for kind in MATERIALS}
+    return {kind: scene if kind == scene.surfaces.material.kind else _of_material(scene, kind) for kind in MATERIALS}
 
 
 def _of_material(scene: Scene, kind: str) -> Scene | str:
@@ -131,3 +128,43 @@ def _of_material(scene: Scene, kind: str) -> Scene | str:
         return with_material(scene, {"material": kind}, scene.id)
     except (SceneError, LightError) as error:
         return str(error)
+
+
+FINEST = 4.0
+"""Texels per voxel along each axis, at most."""
+
+DENSER = 2.0
+"""How many times as many texels finer light has along each axis."""
+
+FURTHER = 2
+"""Bands of harmonics that finer light has besides, of light that turns."""
+
+
+def has_finer(scene: Scene) -> bool:
+    """Whether there is finer light of a ``scene``: not beyond FINEST, and not among walls, which have light of their
+    own, nor of several surfaces.
+    """
+    return DENSER * scene.settings.lattice <= FINEST and not scene.lighting.room.any and not scene.surfaces.several
+
+
+def finer(scene: Scene) -> Scene:
+    """The ``scene`` with finer light."""
+    lattice = DENSER * scene.settings.lattice
+    source = replace(scene.source, document={**scene.source.document, "lattice": lattice})
+    plan = complete(further(scene.plan), scene.inputs, scene.settings.overrides)
+    return replace(scene.with_settings(lattice=lattice), source=source, plan=plan)
+
+
+def further(plan: ScenePlan) -> ScenePlan:
+    """A ``plan`` with more bands of light that turns; any other as it is."""
+    if plan.representation != "transfer":
+        return plan
+    layers = tuple(further_layer(layer) for layer in plan.layers)
+    return replace(plan, layers=layers, order=max(layer.order for layer in layers))
+
+
+def further_layer(layer: Layer) -> Layer:
+    """A ``layer`` with more bands; what glows keeps none."""
+    if layer.kind == GLOW:
+        return layer
+    return replace(layer, order=min(layer.order + FURTHER, MAX_ORDER))

@@ -51,7 +51,7 @@ class PreparedScene:
     @cached_property
     def field(self) -> Field:
         """The volume with its macrocells."""
-        return make_field(self.scene.volume, self.scene.normals == "bspline", self.scene.offset)
+        return make_field(self.scene.volume, self.scene.settings.normals == "bspline", self.scene.settings.offset)
 
     @cached_property
     def maps(self) -> ActiveCellMaps:
@@ -87,7 +87,7 @@ class PreparedScene:
     def lattice(self) -> Lattice:
         """The lattice as the kernels take it."""
         x, y, z = (1.0 / self.step).tolist()
-        return Lattice.of(self.shape, (x, y, z), self.scene.chunk)
+        return Lattice.of(self.shape, (x, y, z), self.scene.settings.chunk)
 
     @property
     def chunks(self) -> tuple[int, int, int]:
@@ -100,7 +100,7 @@ class PreparedScene:
 
         Of order AROUND, and 1 for constant light.
         """
-        environment, lamps, volume = self.scene.environment, self.scene.lamps, self.scene.volume
+        environment, lamps, volume = self.scene.lighting.environment, self.scene.lighting.lamps, self.scene.volume
         order = AROUND if lamps.any or environment.image.any() else 1
         return project_environment(environment, order) + lamps.approximate(order, volume.centre, volume.radius)
 
@@ -111,14 +111,14 @@ class PreparedScene:
     @cached_property
     def colours(self) -> Colours:
         """The isosurface's colours by data; none where it has one albedo."""
-        given = self.scene.colours
+        given = self.scene.surfaces.colours
         return NO_COLOURS if given is None else colours_of(given.places, given.step, given.table)
 
     @cached_property
     def passable(self) -> Passable:
         """The walls, and what is behind the isosurface, as rays meet them that pass it."""
-        material = self.scene.material
-        scattering = 1.0 / material.mean_free_path, np.array(self.scene.albedo, np.float64)
+        material = self.scene.surfaces.material
+        scattering = 1.0 / material.mean_free_path, np.array(self.scene.surfaces.albedo, np.float64)
         return Passable(self._room, Matter(material.index, np.array(material.absorption), *scattering))
 
     def met(self, albedo: Colour, cells: ActiveCells, run: Run = serially) -> Met:
@@ -140,7 +140,7 @@ class PreparedScene:
     @cached_property
     def glows(self) -> Glows:
         """What glows in the scene, as rays gather it."""
-        given = self.scene.glowing
+        given = self.scene.lighting.glowing
         middles, halves = (np.ascontiguousarray(each.T) for each in (given.middles, given.halves))
         lows, highs = np.ascontiguousarray(given.ranges.T)
         lows = np.where(given.masked, np.maximum(lows, np.finfo(np.float64).min), lows)
@@ -150,7 +150,7 @@ class PreparedScene:
     @cached_property
     def _room(self) -> Room:
         """The walls about a black isosurface; none of them lets any ray through."""
-        room, spacing = self.scene.room, np.array(self.scene.volume.spacing)
+        room, spacing = self.scene.lighting.room, np.array(self.scene.volume.spacing)
         normals = np.cross(room.edges[:, 0], room.edges[:, 1])
         areas = np.linalg.norm(normals, axis=1)
         normals = normals / areas[:, None]
@@ -165,7 +165,7 @@ class PreparedScene:
     @cached_property
     def walls_in_view(self) -> Walls | None:
         """The walls as the camera meets them, which looks through backs that are not lit; None where there are none."""
-        if not self.scene.room.any:
+        if not self.scene.lighting.room.any:
             return None
         backs = np.where(self._room.twofold > 0.0, np.inf, 0.0)
         return self._room.walls._replace(backs=backs)
@@ -173,12 +173,14 @@ class PreparedScene:
     def company(self, cells: ActiveCells, run: Run = serially) -> Surfaces:
         """The surfaces of the scene, and its walls, as paths meet them about an isosurface with this map, its own."""
         scene = self.scene
-        levels = [scene.volume.normalise_isovalue(each.isovalue) for each in scene.pinned]
+        levels = [scene.volume.normalise_isovalue(each.isovalue) for each in scene.surfaces.pinned]
         maps = [cells, *(self.maps.at(level, run) for level in levels)]
-        albedos = np.array([scene.albedo, *(each.albedo for each in scene.pinned)], np.float64)
-        clears = np.array([scene.clear, *(each.clear for each in scene.pinned)], np.float64)
+        albedos = np.array([scene.surfaces.albedo, *(each.albedo for each in scene.surfaces.pinned)], np.float64)
+        clears = np.array([scene.surfaces.clear, *(each.clear for each in scene.surfaces.pinned)], np.float64)
         filled = tuple(maps + [cells] * (MOST - len(maps)))
-        through = np.array([scene.transmission, *(each.transmission for each in scene.pinned)], np.float64)
+        through = np.array(
+            [scene.surfaces.transmission, *(each.transmission for each in scene.surfaces.pinned)], np.float64
+        )
         return Surfaces(filled, np.array([np.nan, *levels], np.float64), albedos, clears, through, self._room)
 
     def surroundings(self, matrix: np.ndarray) -> Surroundings:
@@ -186,8 +188,8 @@ class PreparedScene:
 
         Luminaires are left to the walls, which paths meet: see ``room``.
         """
-        environment, arrays = self.scene.environment, self.scene.lamps.arrays
-        if luminaires := len(self.scene.room.lamps):
+        environment, arrays = self.scene.lighting.environment, self.scene.lighting.lamps.arrays
+        if luminaires := len(self.scene.lighting.room.lamps):
             arrays = LampArrays(*(each[:-luminaires] for each in arrays))
         return Surroundings(environment.constant, environment.image, matrix, environment.table, arrays)
 

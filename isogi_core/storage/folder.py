@@ -3,7 +3,7 @@
 import fcntl
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from isogi_core.errors import ChangedError
@@ -13,6 +13,9 @@ from isogi_core.storage.backend import Entry, StoredObject
 ABSENT = (FileNotFoundError, NotADirectoryError)
 TRIAL = bytes(1 << 16)
 """Bytes that are written, and deleted, to see whether there is room."""
+
+TRIES = 9
+"""Times that a folder is made for an object while others delete it."""
 
 
 class Folder:
@@ -37,13 +40,26 @@ class Folder:
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
         """Write an object in place of ``former``; ChangedError where another was written meanwhile."""
         path = self.path / key
-        with opened(self.path / self.sentinel, os.O_RDWR) as lock:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with partial_file(path, data) as written:
-                fcntl.flock(lock, fcntl.LOCK_EX)
-                if self.get(key) != former:
-                    raise ChangedError(f"Another writer has changed {key} meanwhile: read it again.")
-                os.replace(written, path)
+        with opened(self.path / self.sentinel, os.O_RDWR) as lock, self._partial(path, data) as written:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if self.get(key) != former:
+                raise ChangedError(f"Another writer has changed {key} meanwhile: read it again.")
+            os.replace(written, path)
+
+    @contextmanager
+    def _partial(self, path: Path, data: bytes) -> Iterator[Path]:
+        """A partial file for ``path``; its folder is made, and made again where a deleter removes it meanwhile."""
+        for left in reversed(range(TRIES)):
+            with ExitStack() as stack:
+                try:
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    written = stack.enter_context(partial_file(path, data))
+                except (FileNotFoundError, FileExistsError):
+                    if left:
+                        continue
+                    raise
+                yield written
+                return
 
     def create_sentinel(self, data: bytes) -> None:
         """Write the sentinel, and bring it to the disk before anything else; ChangedError where there is one."""

@@ -32,7 +32,6 @@ from server.exports.lit_files import (
 )
 from server.prewarm.order import PrewarmOrder, order_of
 from server.render.jobs import Job, Result
-from server.render.variants import own_name
 from server.views import view_of
 
 TYPES = {".glb": "model/gltf-binary", ".usdz": "model/vnd.usdz+zip", ".obj": "model/obj"}
@@ -59,7 +58,7 @@ def begin(service: Service, scene: Scene, params: ExportParams, client: tuple[st
     if params.coefficients == "on":
         check_coefficients(scene, f".{params.f}")
     export = Export(service, scene, params, view, client[0])
-    title = f"An export of {own_name(scene.id)}"
+    title = f"An export of {service.engine.variant(scene.id).base}"
     return service.jobs.begin("export", title, export.work, client=client)
 
 
@@ -98,7 +97,8 @@ class Export:
         summary = await prewarm.carry_out(lambda share, text, left: job.report(BAKED * share, text, left))
         async with exports.turn:
             exports.make_room({each.id for each in self.service.jobs.all()}, needed)
-            output = exports.place(job.id, f"{own_name(self.scene.id)}-{self.view.isovalue:g}{self._suffix}")
+            own = self.service.engine.variant(self.scene.id).base
+            output = exports.place(job.id, f"{own}-{self.view.isovalue:g}{self._suffix}")
             await self._in_thread(partial(self._make, output, reporter(job)))
         good = f"{summary.final:.0%} of its light final at a relative error of {summary.target_error:g}"
         return [Result(f"/v1/jobs/{job.id}/file", media_type(output), f"The file, {good}")]

@@ -13,7 +13,7 @@ from fastapi import Depends, Header
 
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
-from isogi_core.plan.finer import DENSER
+from isogi_core.plan.variants import DENSER
 from server.parameters import LONGEST_WAIT, FrameParams, ViewParams
 from worker.progress import TimeLeft
 

@@ -32,9 +32,10 @@ from server.parameters import LightParams, VariantParams, ViewParams
 from server.render.admission import AdmissionLimit
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
+from server.render.scene_variant import Change
 from server.render.scheduling import ASKED, DRAFT, REFINED, REST, Rank, Renders
 from server.render.updates import UpdateBus, attended, request_viewer
-from server.render.variants import MARK, Change, Variants
+from server.render.variants import Variants
 from server.settings import Settings
 from server.uploads.uploads import Uploads
 from server.views import view_of
@@ -137,8 +138,8 @@ class Service:
 
     def scene(self, name: str) -> Scene:
         """The scene with this id; UnknownSceneError where there is none."""
-        scene = None if MARK in name else self.engine.scenes.get(name)
-        if scene is None:
+        scene = self.engine.scenes.get(name)
+        if scene is None or self.engine.variant(name).any:
             raise UnknownSceneError(f"There is no scene '{name[:64]}': /v1/scenes lists them all.")
         return scene
 

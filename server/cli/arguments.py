@@ -10,6 +10,8 @@ from urllib.parse import quote
 
 import click
 
+from isogi_core.model.shine import SHINE_HELP
+
 if TYPE_CHECKING:
     from server.settings import Settings
 
@@ -39,54 +41,54 @@ def module_of(command: str) -> Any:
 
 Command = Callable[..., Any]
 
-VIEW_OPTIONS = {
-    "isovalue": "In the volume's own units; default: the scene's.",
-    "azimuth": "Degrees; 0 looks from +x, 90 from +y.",
-    "elevation": "Degrees above the xy plane.",
-    "distance": "From the target, in radii of the volume's bounding sphere; of a picture, default: all of it is seen.",
-    "fov": "Vertical field of view, degrees.",
-    "projection": "perspective or orthographic; default: the scene's.",
-    "eye": "World x,y,z, instead of azimuth, elevation and distance.",
-    "target": "World x,y,z to look at; default: the volume's centre.",
-    "up": "World x,y,z that points up in the picture.",
-    "yaw": "Turns the light about z, degrees.",
-    "pitch": "Then about y, degrees.",
-    "roll": "Then about x, degrees.",
-    "light": "Quaternion w,x,y,z that turns the light, instead of yaw, pitch and roll.",
-    "albedo": "Of the surface, one number or r,g,b, within the scene's albedos; default: the scene's albedo.",
-    "shine": "Of a scene with a shine: plastic or metal; default: the scene's.",
-    "roughness": "Of that shine, 0.02 (a mirror) to 1; default: the scene's.",
-    "strength": "How much that shine counts, 0 to 1; default: the scene's.",
-    "glow": "How bright what glows is, over the scene's own, 0 to 16; default: 1.",
-    "window": "Planes that take away what the eye would see there: x>40, or 0,1,-1<12.5, with ; between them.",
-    "width": "Pixels.",
-    "height": "Pixels.",
-    "shading": "gi (light from all around), vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
-    "exposure": "How much brighter: a factor on the light; default: the scene's.",
-    "antialias": "Smooth edges, on or off; default: on, off in npy.",
-    "background": "Behind the surface: light (default), dark, transparent (png, webp), or a colour such as #ffffff.",
-    "samples": "Paths per pixel, for path_traced.",
-    "overlay": "Over the picture: none, provisional (hatches what is not done) or error (colours each pixel by it).",
+FIRST_HEADING = "Options"
+"""The heading of options of no group."""
+
+VIEW_GROUPS = {
+    FIRST_HEADING: {
+        "isovalue": "In the volume's own units; default: the scene's.",
+        "projection": "perspective or orthographic; default: the scene's.",
+    },
+    "Camera": {
+        "azimuth": "Degrees; 0 looks from +x, 90 from +y.",
+        "elevation": "Degrees above the xy plane.",
+        "distance": "From the target, in radii of the volume's bounding sphere; of a picture,"
+        " default: all of it is seen.",
+        "fov": "Vertical field of view, degrees.",
+        "eye": "World x,y,z, instead of azimuth, elevation and distance.",
+        "target": "World x,y,z to look at; default: the volume's centre.",
+        "up": "World x,y,z that points up in the picture.",
+        "window": "Planes that take away what the eye would see there: x>40, or 0,1,-1<12.5, with ; between them.",
+    },
+    "Light": {
+        "yaw": "Turns the light about z, degrees.",
+        "pitch": "Then about y, degrees.",
+        "roll": "Then about x, degrees.",
+        "light": "Quaternion w,x,y,z that turns the light, instead of yaw, pitch and roll.",
+    },
+    "Picture": {
+        "albedo": "Of the surface, one number or r,g,b, within the scene's albedos; default: the scene's albedo.",
+        **SHINE_HELP,
+        "glow": "How bright what glows is, over the scene's own, 0 to 16; default: 1.",
+        "width": "Pixels.",
+        "height": "Pixels.",
+        "shading": "gi (light from all around), vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
+        "exposure": "How much brighter: a factor on the light; default: the scene's.",
+        "antialias": "Smooth edges, on or off; default: on, off in npy.",
+        "background": "Behind the surface: light (default), dark, transparent (png, webp),"
+        " or a colour such as #ffffff.",
+        "samples": "Paths per pixel, for path_traced.",
+        "overlay": "Over the picture: none, provisional (hatches what is not done)"
+        " or error (colours each pixel by it).",
+    },
 }
+"""What each option of a view does, by the headings of help."""
+
+VIEW_OPTIONS = {name: text for texts in VIEW_GROUPS.values() for name, text in texts.items()}
 DEVELOPED = ("shading", "samples", "exposure", "antialias", "background", "overlay")
 """Options that a reference, which is radiance alone, does not read."""
 
-SHINE_OPTIONS = ("shine", "roughness", "strength")
-PICTURE_OPTIONS = (
-    *(
-        "albedo",
-        *SHINE_OPTIONS,
-        "glow",
-        "window",
-        "width",
-        "height",
-        "shading",
-        "antialias",
-        "background",
-        "samples",
-        "overlay",
-    ),
-)
+PICTURE_OPTIONS = ("window", *(name for name in VIEW_GROUPS["Picture"] if name != "exposure"))
 REPORT_OPTIONS = {
     **{name: text for name, text in VIEW_OPTIONS.items() if name not in (*PICTURE_OPTIONS, "projection")},
     "azimuth": "Degrees; 0 looks from +x, 90 from +y; default: 40.",

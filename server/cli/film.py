@@ -16,6 +16,7 @@ from urllib.parse import quote
 from PIL import Image
 
 from isogi_core.errors import ViewError
+from isogi_core.model.shine import SHINE_KNOBS
 from isogi_core.plan.first_view import front_of
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder, write_whole
@@ -132,13 +133,12 @@ def shots_of(
         raise ParameterError(f"length × fps must be 1 to {MOST_FRAMES:,} frames, not {count:,}.", "length")
     own = {"isovalue": repr(scene.isovalue), "exposure": repr(scene.default_exposure)}
     if not any(is_placed(view) for view in (knobs, *views)):
-        own["azimuth"], own["elevation"] = map(repr, front_of(scene.volume, scene.room.any))
-    if scene.colours is None:
-        own["albedo"] = ",".join(map(repr, scene.albedo))
-    if scene.shine is not None:
-        own |= {"shine": scene.shine.kind, "roughness": repr(scene.shine.roughness)}
-        own["strength"] = repr(scene.shine.strength)
-    own |= {"glow": "1.0"} if scene.glowing.any else {}
+        own["azimuth"], own["elevation"] = map(repr, front_of(scene.volume, scene.lighting.room.any))
+    if scene.surfaces.colours is None:
+        own["albedo"] = ",".join(map(repr, scene.surfaces.albedo))
+    if scene.surfaces.shine is not None:
+        own |= {name: f"{getattr(scene.surfaces.shine, field)}" for name, field in SHINE_KNOBS.items()}
+    own |= {"glow": "1.0"} if scene.lighting.glowing.any else {}
     own |= {"max_error": repr(request.target_error or scene.target_error), "f": "png"}
     path = film_path(knobs, views, own, count, still=request.times is not None)
     if request.times is not None:

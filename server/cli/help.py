@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from isogi_core.errors import advice
+from server.cli.arguments import FIRST_HEADING, VIEW_GROUPS
 
 EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
     "": (
@@ -66,12 +67,7 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
 
 
 GROUPS = {
-    "Camera": ("azimuth", "elevation", "distance", "fov", "eye", "target", "up", "window"),
-    "Light": ("yaw", "pitch", "roll", "light"),
-    "Picture": (
-        *("width", "height", "shading", "albedo", "shine", "roughness", "strength", "glow"),
-        *("exposure", "background", "antialias", "samples", "overlay"),
-    ),
+    **{title: tuple(texts) for title, texts in VIEW_GROUPS.items() if title != FIRST_HEADING},
     "Light that is kept": (
         *("store", "store_seconds", "store_retries", "store_cache_mb", "projected_mb", "memory_mb"),
         *("volume_mb", "volume_cache", "volume_cache_mb"),
@@ -93,8 +89,6 @@ GROUPS = {
     "Log": ("log_format", "log_level"),
 }
 """The options of each group, by name; those of none come first, under Options."""
-
-FIRST_HEADING = "Options"
 
 WIDEST = 46
 """Columns of the longest example that has its explanation on the same line."""

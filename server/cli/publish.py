@@ -119,7 +119,7 @@ def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel) -> str
 
 def first_place(scene: Scene, name: str, values: Sequence[float]) -> int:
     """The place of a slider where the page begins: the nearest to what the scene is seen with at first."""
-    front = dict(zip(("azimuth", "elevation"), front_of(scene.volume, scene.room.any), strict=True))
+    front = dict(zip(("azimuth", "elevation"), front_of(scene.volume, scene.lighting.room.any), strict=True))
     usual = {**defaults(scene), **front}.get(name)
     if not isinstance(usual, float):
         return 0

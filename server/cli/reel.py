@@ -21,7 +21,8 @@ from server.parameters import FrameParams
 from server.pictures import SUFFIXES, encode
 from server.progress import Progress
 from server.render.engine import RenderEngine
-from server.render.variants import Change, Variants
+from server.render.scene_variant import Change, SceneVariant
+from server.render.variants import Variants
 from server.settings import Settings
 from server.views import view_of
 
@@ -145,8 +146,8 @@ class Reel:
 
     def _at(self, variants: Variants, time: int | None) -> Scene:
         """The scene at a step of its series; itself where none is named. Raises ParameterError."""
-        change = Change(time=time).apart_from(self._scene)
-        return self._scene if time is None or change == Change() else variants.make(self._scene, change, None)
+        variant = SceneVariant.of(self._scene, Change(time=time))
+        return variants.make(self._scene, variant, None) if variant.any else self._scene
 
 
 def said(facts: Mapping[str, Any], what: str) -> str:

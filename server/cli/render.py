@@ -142,7 +142,7 @@ def seen_whole(renderer: Renderer, shots: Sequence[FrameParams], settings: Setti
 
 def from_front(scene: Scene, shot: FrameParams) -> FrameParams:
     """The ``shot`` from the angles that it gives, and where it gives none, from the scene's front."""
-    azimuth, elevation = front_of(scene.volume, scene.room.any)
+    azimuth, elevation = front_of(scene.volume, scene.lighting.room.any)
     front = {"azimuth": azimuth, "elevation": elevation}
     return shot.model_copy(update={name: angle for name, angle in front.items() if name not in shot.model_fields_set})
 

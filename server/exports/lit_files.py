@@ -69,7 +69,7 @@ def check_coefficients(scene: Scene, suffix: str) -> None:
     """Raise ViewError where files of this kind hold no coefficients, SceneError where a scene's light is no such."""
     if suffix != VTI:
         raise ViewError(f"Coefficients go into {VTI} alone: export to such a file, or leave them out.")
-    if scene.colours is not None:
+    if scene.surfaces.colours is not None:
         raise SceneError("Coefficients are of one albedo, and this scene has colours by data: export without them.")
 
 

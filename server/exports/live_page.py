@@ -13,7 +13,7 @@ from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from isogi_core.plan.reachable_texels import surface_texels
-from isogi_core.prepared.idle_voxels import IdleVoxels
+from isogi_core.prepared.voxel_codes import IdleVoxels
 from isogi_core.storage.atomic_file import write_whole
 from server.answers import camera_schema, scene_schema
 from server.card_answers import card_scene

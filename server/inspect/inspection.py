@@ -9,8 +9,8 @@ from pydantic import BaseModel
 
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.volume import Volume
+from isogi_core.plan.projection import Expectation, Stiffness, measure_stiffness
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.stiffness import Expectation, Stiffness, measure_stiffness
 from isogi_core.prepared.prepared_scene import PreparedScene
 from server.answers import scene_schema
 from server.schemas import SceneSchema

@@ -192,7 +192,7 @@ def few(names: list[str]) -> str:
 def cost(scene: Scene, facts: InspectionSchema, own: SurfaceSchema) -> str:
     """What light takes in the store, of this surface and of all, and what voxels take in memory."""
     each, texels = facts.plan.bytes_per_texel, facts.plan.texels
-    one = min(TEXELS * own.cells * scene.lattice**2, texels.shown) * each
+    one = min(TEXELS * own.cells * scene.settings.lattice**2, texels.shown) * each
     whole = f"about {megabytes(one)} of light for this surface, {megabytes(texels.shown * each)} for all isovalues"
     return f"{whole}; {megabytes(VOXEL * scene.volume.voxels.size)} of voxels"
 

@@ -284,7 +284,7 @@ class Views:
     def _view(self, level: float, direction: Direction) -> View:
         place = {"isovalue": level, "azimuth": direction[0], "elevation": direction[1]}
         view = view_of(self._scene, read(ViewParams, [*place.items(), *self._knobs.items()]), self._settings)
-        return view if self._scene.shine is None else replace(view, shine=DULL)  # nothing is baked for shine
+        return view if self._scene.surfaces.shine is None else replace(view, shine=DULL)  # nothing is baked for shine
 
 
 SIDES, SIDE, AMONG = 6, 192, 4

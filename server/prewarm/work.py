@@ -480,7 +480,7 @@ def views_of(context: PrewarmContext, low: float, high: float, settings: Setting
     """Views that stand for all of a range of isovalues, from all sides; where the light turns, each turned further."""
     levels = Levels(tuple({low + (high - low) * n / (BETWEEN - 1): None for n in range(BETWEEN)}))
     views = views_around(order_of({"all_directions": True}), levels, context.scene, settings)
-    turns = context.scene.rotating
+    turns = context.scene.lighting.rotating
     return [
         replace(view, light=quaternion_from_angles(number * GOLDEN % 360.0, 0.0, 0.0)) if turns else view
         for number, view in enumerate(views)

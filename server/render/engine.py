@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -32,12 +33,15 @@ from server.render.loaded_scene import LoadedScene, LoadedScenes, load
 from server.render.path_times import Promises, time_of_paths
 from server.render.picture_checks import CHECK, PictureChecks
 from server.render.resources import root_of, shared, whereabouts
-from server.render.variants import is_cut, may_lend, own_name, whole_name
+from server.render.scene_variant import SceneVariant
 from server.render.workforce import Workforce, scheduler_of
 from server.settings import Settings
 from worker.bake_requests import GUEST, Viewer
 from worker.baker import Baker, Listener
 from worker.progress import Tally, TimeLeft
+
+REMEMBERED = 4096
+"""Variants whose change is known after they made way: those made last."""
 
 READ_ONLY = "The store at {store} can only be read: what is baked there is shown, and nothing more is baked."
 
@@ -71,6 +75,7 @@ class RenderEngine:
         self._memory = shared(memory)
         self._loaded = LoadedScenes(self._load, memory)
         self._bakes: dict[str, str] = {}
+        self._variants: OrderedDict[str, SceneVariant] = OrderedDict()
         self._changing = threading.RLock()
         self._tiles = Tiles()
         self._baker = baker or Baker(workers=None if scheduler else workers)
@@ -120,11 +125,27 @@ class RenderEngine:
         """Have the workers come, beside whatever else there is to do."""
         self.workforce.hire(self.kernels.kinds, next((each.source for each in self.scenes.values()), None))
 
-    def admit(self, scene: Scene) -> None:
-        """Show one more scene, once the engine has started; it is loaded when it is first looked at."""
+    def admit(self, scene: Scene, variant: SceneVariant | None = None) -> None:
+        """Show one more scene, or a ``variant`` of one, once the engine has started; it is loaded when it is first
+        looked at.
+        """
         self.kernels.admit(scene)
         with self._changing:
+            if variant is not None:
+                self._variants[scene.id] = variant
+                self._variants.move_to_end(scene.id)
+            while len(self._variants) > REMEMBERED:
+                self._variants.popitem(last=False)
             self.scenes = {**self.scenes, scene.id: scene}
+
+    def variant(self, scene: str) -> SceneVariant:
+        """Which variant a scene is; one without changes where it is none."""
+        return self._variants.get(scene) or SceneVariant(scene)
+
+    @property
+    def own_scenes(self) -> list[Scene]:
+        """The scenes that are no variants."""
+        return [each for each in self.scenes.values() if each.id not in self._variants]
 
     def planned(self, scene: str) -> Scene:
         """A scene with the plan of the light that its store has. Raises StoreError and UnknownSceneError."""
@@ -135,7 +156,7 @@ class RenderEngine:
 
         Their light stays in the store.
         """
-        for each in [scene, *(name for name in self.scenes if name != scene and own_name(name) == scene)]:
+        for each in [scene, *(name for name in self.scenes if name != scene and self.variant(name).base == scene)]:
             self._dismiss(each)
 
     def _dismiss(self, scene: str) -> None:
@@ -358,7 +379,7 @@ class RenderEngine:
     def _checked(self, scene: str, view: View, more: bool) -> None:
         """Say that a picture was checked one step further; what walls keep for its isovalue may be too much."""
         named = self.scenes.get(scene)
-        if not more and named is not None and named.room.any:
+        if not more and named is not None and named.lighting.room.any:
             self._beside.lit(scene, view.isovalue)
         for listener in self._listeners:
             listener(self.bake_of(scene, view), CHECK, more)
@@ -375,16 +396,17 @@ class RenderEngine:
             loaded = self._loaded.at(named)
             if scene not in self.scenes:
                 self._loaded.drop(scene)
-            if own_name(scene) in self.scenes:  # a variant that made way meanwhile is drawn to its end
+            if self.variant(scene).base in self.scenes:  # a variant that made way meanwhile is drawn to its end
                 return loaded
-        raise UnknownSceneError(f"The scene '{own_name(scene)}' is not shown any more.")
+        raise UnknownSceneError(f"The scene '{self.variant(scene).base}' is not shown any more.")
 
     def _load(self, scene: Scene) -> LoadedScene:
         """Load a scene; the former scenes may be iterated over meanwhile. Raises StoreError."""
         kin = [name for name, each in self.scenes.items() if each.volume is scene.volume]
         beside = next(filter(None, map(self._loaded.held, kin)), None)
-        lenders = [name for name in self.scenes if may_lend(name, scene.id)]
-        whole = self._loaded.held(whole_name(scene.id)) if is_cut(scene.id) else self._loaded.latest(lenders)
+        variant = self.variant(scene.id)
+        lenders = [name for name in self.scenes if self.variant(name).may_lend(variant)]
+        whole = self._loaded.held(variant.whole.id) if variant.cut is not None else self._loaded.latest(lenders)
         send = self.workforce.joins
         loaded = load(scene, self.store, self._tiles, self._memory, send=send, beside=beside, whole=whole)
         make = partial(make_bake, loaded.renderer.caches, assets=loaded.assets, whole=loaded.whole)

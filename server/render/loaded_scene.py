@@ -27,9 +27,9 @@ from isogi_core.lru_cache import LruCache
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
-from isogi_core.plan.finer import finer, has_finer
 from isogi_core.plan.planner import complete
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import finer, has_finer
 from isogi_core.plan.volumes.cuts import voxels_left
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -279,7 +279,7 @@ def loaded(
     prepared, scene = caches.prepared, caches.prepared.scene
     # worked out now, not in the first frame
     prepared.field, prepared.maps, scene.projection, scene.default_exposure, caches.chunk_store("gi")
-    planned = scene.with_plan(complete(caches.spec("gi").plan, scene.inputs, scene.overrides))
+    planned = replace(scene, plan=complete(caches.spec("gi").plan, scene.inputs, scene.settings.overrides))
     prefetch = Prefetch(partial(prepare, prepared.maps, tiles), prepared.maps.levels, scene.span)
     renderer = Renderer(caches, tiles, memory.views, stand_in=stand_in)
     return LoadedScene(planned, renderer, prefetch, memory, assets, fineness, whole)

@@ -29,7 +29,6 @@ from server.errors import (
 from server.render.admission import AdmissionLimit
 from server.render.engine import RenderEngine
 from server.render.updates import attended
-from server.render.variants import MARK
 from server.settings import Settings
 from server.uploads.environments import ENVIRONMENT, VOLUME, UploadedEnvironment, read_environment
 from server.uploads.folder import SCENE, VOXEL, UploadedVolume, UploadFolder, default_folder, named, read_facts
@@ -200,7 +199,7 @@ class Uploads:
         if number not in self.folder.environments:
             raise UnknownVolumeError(f"There is no environment '{number[:64]}': /v1/environments lists them all.")
         if await self._remove(number, bearer):
-            for lit in [name for name in self._engine.scenes if name.endswith(f"{MARK}{number}")]:
+            for lit in [each for each in self._engine.scenes if self._engine.variant(each).environment == number]:
                 await asyncio.to_thread(self._engine.dismiss, lit)
 
     async def _remove(self, number: str, bearer: Bearer) -> bool:

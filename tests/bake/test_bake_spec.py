@@ -77,7 +77,7 @@ def test_luminance_light_gives_the_reflected_luminance(channels: int) -> None:
 @pytest.mark.parametrize("lights", [[CONSTANT], [SKY], [CONSTANT, SKY]])
 def test_unoccluded_light_is_the_mean_times_the_albedo(lights: list[Any]) -> None:
     spec = spec_of(plan_of(Layer("direct", 3)), lights=lights)
-    mean = spec.prepared.scene.environment.mean()
+    mean = spec.prepared.scene.lighting.environment.mean()
     assert spec.unoccluded == pytest.approx(LUMINANCE @ (np.array(ALBEDO) * mean), rel=1e-3)
 
 
@@ -167,7 +167,7 @@ def test_noise_of_irradiance_is_the_error_of_its_luminance(colour: tuple[float, 
     halves = np.random.default_rng(4).random((50, 2, 3, 1)) * np.array(colour)[:, None] * count / 2
     part = Part.dark(layer, 50)
     add(part, np.arange(50), halves, np.zeros(50), count, spec)
-    luminance = (halves[..., 0] / (count / 2)) @ (LUMINANCE * np.array(spec.prepared.scene.albedo))
+    luminance = (halves[..., 0] / (count / 2)) @ (LUMINANCE * np.array(spec.prepared.scene.surfaces.albedo))
     np.testing.assert_allclose(deviation(part, spec), abs(luminance[:, 0] - luminance[:, 1]) / 2, rtol=0.05)
 
 

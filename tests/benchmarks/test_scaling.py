@@ -38,7 +38,6 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(scene)
 
 
-@pytest.mark.campaign
 def test_kills(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a server that soon dies; kills of workers and prewarms have tests of their own, beside what they are about."""
     monkeypatch.setitem(kills_module.LATEST, "server", 0.5)
@@ -65,7 +64,6 @@ def test_kills_come_in_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found == {"servers killed": 25, kills_module.RESTART: 6.0}
 
 
-@pytest.mark.campaign
 def test_damage(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(damage_module, "WORKERS", 1)
     found = figures(damage, tiny, "--damaged", "11", "--flips", "50", "--views", "1")
@@ -83,7 +81,6 @@ def test_light_is_held_to_the_byte_by_its_samples() -> None:
     assert altered(before, {}) == 3
 
 
-@pytest.mark.campaign
 def test_public(tmp_path: Path) -> None:
     z, y, x = np.mgrid[:24, :24, :24] - 11.5
     nrrd.write(str(tmp_path / "ball.nrrd"), (20.0 - np.sqrt(x * x + y * y + z * z)).astype(np.float32))
@@ -100,7 +97,6 @@ def test_public_files_that_are_refused_are_listed(tmp_path: Path) -> None:
     assert "'page.nrrd' seems to be a web page" in found.read_as
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("missing", ["", "nibabel"])
 def test_kinds(missing: str, monkeypatch: pytest.MonkeyPatch) -> None:
     few = {name: kinds_module.WRITERS[name] for name in ("f.nii", "f.h5")}
@@ -113,7 +109,6 @@ def test_kinds(missing: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert ("f.nii is left out: nibabel is not installed." in done.stderr) == bool(missing)
 
 
-@pytest.mark.campaign
 def test_cluster() -> None:
     arguments = ["demo:orbital", "--size", "16", "--tasks", "2", "--rounds", "1", "--workers", "1", "--same", "1"]
     done = run(cluster, *arguments, "--json")
@@ -131,7 +126,6 @@ def test_cluster() -> None:
     assert "round 1 of 1" in done.stderr
 
 
-@pytest.mark.campaign
 def test_a_volume_beyond_the_budget_is_rendered_and_served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ISOGI_VOLUME_MB", "1")
     small = ("--size", "80", "--pixels", "24", "--seconds", "1", "--folder", str(tmp_path))

@@ -1,7 +1,5 @@
 """The service suite on something tiny: real servers, real clients."""
 
-import pytest
-
 from benchmarks.service.drag import drag
 from benchmarks.service.first_start import first_start
 from benchmarks.service.fuzz import fuzz
@@ -28,7 +26,6 @@ def test_drag() -> None:
     assert found["rest to full picture, longest"] > 0.0
 
 
-@pytest.mark.campaign
 def test_load() -> None:
     found = figures(load, "demo:orbital", "--clients", "9", "--seconds", "1", "--workers", "1")
     assert {key for key in found if key.startswith("answered")} <= {f"answered {n}" for n in (200, 304, 429, 503)}
@@ -36,7 +33,6 @@ def test_load() -> None:
     assert found["requests in progress, afterwards"] == 0
 
 
-@pytest.mark.campaign
 def test_memory() -> None:
     found = figures(memory, "--uploads", "6", "--uploads-mb", "1", "--views", "4", "--requests", "1")
     assert (found["uploads: answered 201"], found["uploads: answered 507"]) == (3, 3)
@@ -52,14 +48,12 @@ def test_fuzz() -> None:
     assert found["problems"] > 20
 
 
-@pytest.mark.campaign
 def test_malformed() -> None:
     found = figures(malformed, "--files", "6")
     assert found["files"] == 6 and found["server alive"] is True
     assert found["other answers"] == "" and found["left after a kill"] == 0
 
 
-@pytest.mark.campaign
 def test_first_start() -> None:
     found = figures(first_start, "demo:orbital", "--size", "64")
     moments = [found[f"{what} after, s"] for what in ("ready", "first picture", "lit")]

@@ -80,7 +80,6 @@ def test_paths() -> None:
     assert 0.3 < found["radiance: isogi"] < 0.7
 
 
-@pytest.mark.campaign
 def test_growth() -> None:
     found = positive(growth.growth, "demo:orbital", "--largest", "32")
     names = {f"{step}: {s}_ms" for step in ("32³", "8²", "16²", "32²") for s in ("gi", "lambert")}
@@ -134,7 +133,6 @@ def test_points_tell_of_texels_and_of_pixels() -> None:
         assert 0.0 < found["16 samples: error"] < 1.0 and 0.0 < found["16 samples: random error"] < 2.0
 
 
-@pytest.mark.campaign
 def test_film(small_scene: Path, tmp_path: Path) -> None:
     small = ("--frames", "3", "--degrees", "6", "--singles", "2", "--alone", "1", "--size", "16", "--workers", "1")
     kept = (*small, "--error", "0.5", "--folder", str(tmp_path))

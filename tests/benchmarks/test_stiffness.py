@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from benchmarks.accuracy.stiffness import Surface, figures, fit
-from isogi_core.plan.stiffness import Expectation
+from isogi_core.plan.projection import Expectation
 
 
 def surface(steep: float, noisy: float, error: float, told: float) -> Surface:

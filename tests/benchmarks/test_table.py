@@ -30,14 +30,14 @@ FOUND = Measured(
 
 def bench_of(light: str, folder: Path) -> Bench:
     scene = load_scene("demo:orbital", lattice=0.4, bounces=1, target_error=0.2, lights=[{"type": light}])
-    return Bench(replace(scene, projected=True), view_of(scene, 16), folder)
+    return Bench(scene.with_settings(projected=True), view_of(scene, 16), folder)
 
 
 def test_the_papers_keep_one_layer_of_all_light_and_move_nothing(tmp_path: Path) -> None:
     (layer,) = papers_scene(bench_of("sky", tmp_path).scene).plan.layers
     assert (layer.kind, layer.order, layer.half) == ("whole", ORDER, False)
     scene = papers_scene(bench_of("constant", tmp_path).scene)
-    assert (scene.plan.order, scene.plan.lobes, scene.projected) == (1, 0, False)
+    assert (scene.plan.order, scene.plan.lobes, scene.settings.projected) == (1, 0, False)
 
 
 def test_the_papers_pictures_are_trilinear_in_their_own_texels(tmp_path: Path) -> None:

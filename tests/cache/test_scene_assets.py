@@ -67,7 +67,7 @@ def test_a_scene_from_the_store_is_the_scene(scene: Scene, tmp_path: Path) -> No
     facts = [{k: v for k, v in vars(each.volume.counted()).items() if k != "voxels"} for each in (scene, other)]
     assert facts[0] == facts[1]
     assert (other.isovalue, other.isovalues) == (scene.isovalue, scene.isovalues)
-    assert [light.name for light in other.lights] == [light.name for light in scene.lights]
+    assert [light.name for light in other.lighting.lights] == [light.name for light in scene.lighting.lights]
 
 
 def test_what_was_fetched_is_not_asked_for_again(scene: Scene, tmp_path: Path) -> None:

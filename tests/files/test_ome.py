@@ -184,7 +184,7 @@ def test_an_image_of_labels_names_them(tmp_path: Path) -> None:
     }
     path = image(tmp_path / "v.zarr", FIELD % 3, ZYX, scale(1, 1, 1), **{"image-label": about})
     assert open_zarr(path).labels == (LabelName(1, "nucleus", "#ff0010"), LabelName(2, "cell"))
-    colours = load_scene(path).colours
+    colours = load_scene(path).surfaces.colours
     assert colours is not None and [each.name for each in colours.scale.labels] == ["nucleus", "cell"]
 
 

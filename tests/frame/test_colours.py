@@ -31,7 +31,7 @@ def test_one_colour_is_one_albedo(fixed: bool, tmp_path: Path) -> None:
     table = {"use": "colour", "of": "gradient", "colours": [ALBEDO, ALBEDO], "outside": ALBEDO}
     plain = load_scene("demo:orbital", lights=[SKY], albedo=ALBEDO, **KEPT, **turning)
     one, other = Workbench(painted(SKY, table, **turning), tmp_path / "a"), Workbench(plain, tmp_path / "b")
-    assert one.scene.albedo == tuple(ALBEDO) and one.scene.plan.bounces == plain.plan.bounces
+    assert one.scene.surfaces.albedo == tuple(ALBEDO) and one.scene.plan.bounces == plain.plan.bounces
     frame, expected = (bench.bake(bench.view(size=24)) for bench in (one, other))
     assert rmse_of_colours(frame, expected) < 0.002
     view = one.view(size=12, shading="path_traced", samples=64)

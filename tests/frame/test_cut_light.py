@@ -13,7 +13,7 @@ def test_a_face_under_even_light_has_all_of_it(workbench: Workbench) -> None:
     frame = bench.bake(View(0.0, scene.camera(0.0, 0.0, 3.0, 30.0), width=40, height=40))
     rings = np.linalg.norm(frame.position.reshape(-1, 3)[frame.gbuffer.pixels][:, 1:] - MIDDLE, axis=1)
     light = frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels][(rings > 2.0) & (rings < 9.0)]
-    assert np.allclose(light, scene.albedo[0], rtol=0.03), "a plane sees the whole sky"
+    assert np.allclose(light, scene.surfaces.albedo[0], rtol=0.03), "a plane sees the whole sky"
 
 
 def test_light_comes_into_a_hollow_that_is_cut_open(workbench: Workbench) -> None:

@@ -52,7 +52,7 @@ assert not any(kernel.loaded for kernel in entries.values())
 
 def compare(settings):
     scene = load_scene("demo:orbital", lattice=0.4, **settings)
-    light = quaternion_from_angles(30.0, 0.0, 0.0) if scene.rotating else (1.0, 0.0, 0.0, 0.0)
+    light = quaternion_from_angles(30.0, 0.0, 0.0) if scene.lighting.rotating else (1.0, 0.0, 0.0, 0.0)
     with tempfile.TemporaryDirectory() as store:
         renderer = Renderer(Caches(PreparedScene(scene), store, 1 << 26), Tiles())
         cache = renderer.caches.of("gi")

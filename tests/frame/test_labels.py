@@ -37,7 +37,7 @@ def test_one_label_is_a_plain_volume_of_its_albedo(tmp_path: Path) -> None:
     own = scene_of(tmp_path, CUP.astype(np.uint8), labels=[label(1, RED)], lights=[SKY])
     plain = scene_of(tmp_path, np.concatenate(list(smooth(CUP))), isovalue=0.5, albedo=RED, lights=[SKY])
     direct = own.plan.layers[0]
-    assert own.albedo == plain.albedo and own.layer_digest(direct) == plain.layer_digest(direct)
+    assert own.surfaces.albedo == plain.surfaces.albedo and own.layer_digest(direct) == plain.layer_digest(direct)
     one, other = Workbench(own, tmp_path / "a"), Workbench(plain, tmp_path / "b")
     frame, expected = (bench.bake(bench.view(size=24)) for bench in (one, other))
     assert rmse_of_colours(frame, expected) < 0.002

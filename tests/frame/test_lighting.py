@@ -46,7 +46,7 @@ def test_light_rotates_as_its_directions_do(tmp_path: Path) -> None:
     turned = around([spot(tmp_path, (0.6, 0.0, 0.8), 0.2), CONSTANT], ODD, order=5)
     matrix = Rotation.from_quat(ODD, scalar_first=True).as_matrix()
     np.testing.assert_allclose(turned.matrix, matrix, atol=1e-12)
-    image = turned.spec.prepared.scene.environment.image
+    image = turned.spec.prepared.scene.lighting.environment.image
     expected, basis = np.zeros((3, 25)), np.empty(25)
     for light, area, d in zip(
         image.reshape(-1, 3),
@@ -63,7 +63,7 @@ def test_light_rotates_as_its_directions_do(tmp_path: Path) -> None:
 def test_rotation_keeps_the_mean_and_the_power_of_each_band() -> None:
     plain, odd = around([SKY]), around([SKY], ODD)
     assert np.array_equal(plain.light[:, : plain.spec.straight], plain.spec.light)
-    np.testing.assert_allclose(odd.mean, plain.spec.prepared.scene.environment.mean(), rtol=1e-3)
+    np.testing.assert_allclose(odd.mean, plain.spec.prepared.scene.lighting.environment.mean(), rtol=1e-3)
     for l in range(plain.spec.order):
         band = slice(l * l, (l + 1) ** 2)
         np.testing.assert_allclose((odd.light[:, band] ** 2).sum(), (plain.light[:, band] ** 2).sum(), rtol=1e-9)
@@ -121,7 +121,7 @@ def test_terms_stand_side_by_side_from_their_first_columns() -> None:
 
 def test_surroundings_are_the_environment_and_its_rotation() -> None:
     turned = around([SKY, CONSTANT], QUARTER)
-    environment = turned.spec.prepared.scene.environment
+    environment = turned.spec.prepared.scene.lighting.environment
     assert turned.surroundings.image is environment.image
     assert turned.surroundings.constant.tolist() == [1.0, 1.0, 1.0]
     np.testing.assert_allclose(turned.surroundings.matrix @ (1, 0, 0), (0, 1, 0), atol=1e-12)
@@ -130,9 +130,9 @@ def test_surroundings_are_the_environment_and_its_rotation() -> None:
 def test_surroundings_have_the_environments_table_and_lamps() -> None:
     turned = around([SKY, LAMP])
     scene = turned.spec.prepared.scene
-    assert turned.surroundings.table is scene.environment.table
+    assert turned.surroundings.table is scene.lighting.environment.table
     assert turned.surroundings.table[0].shape == (513,) and turned.surroundings.table[1].shape == (512, 1025)
-    assert turned.surroundings.lamps is scene.lamps.arrays
+    assert turned.surroundings.lamps is scene.lighting.lamps.arrays
     assert around([CONSTANT]).surroundings.table[0].shape == (0,)
 
 

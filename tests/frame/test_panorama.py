@@ -8,7 +8,7 @@ from isogi_core.frame.panorama import GLARE, KEY, glare, paint_panorama, tone
 from isogi_core.model.environment import gather_lamps
 from isogi_core.model.latlong import solid_angles
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, PointLight, SkyLight
-from isogi_core.plan.assembly import assemble_environment
+from isogi_core.plan.lighting import assemble_environment
 
 
 def painted(*lights: Light, width: int = 128) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from types import SimpleNamespace
@@ -70,7 +69,7 @@ def view_of(bench: Workbench, **settings: Any) -> View:
 
 
 def test_a_scene_may_forbid_projected_texels(bench: Workbench) -> None:
-    plain = Workbench(replace(bench.scene, projected=False), bench.folder)
+    plain = Workbench(bench.scene.with_settings(projected=False), bench.folder)
     frame = plain.renderer.render(view_of(plain), enough=MAX_SAMPLES)
     assert frame.quality.projection is None and not frame.provisional
     assert frame.reported_state is frame.state

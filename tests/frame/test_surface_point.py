@@ -79,7 +79,7 @@ def test_every_pixel_is_told_as_the_frame_has_it(orbital: Workbench) -> None:
 def test_a_wall_is_told_by_its_number(tmp_path: Path) -> None:
     bench = Workbench(load_scene("demo:orbital", room="cornell"), tmp_path)
     frame = bench.renderer.render(lambert(bench, azimuth=90.0, elevation=5.0, distance=2.5))
-    walls = bench.scene.room
+    walls = bench.scene.lighting.room
     seen = set()
     for pixel, number in zip(frame.gbuffer.walls.pixels, frame.gbuffer.walls.numbers, strict=True):
         point = point_at(frame, int(pixel) % 64, int(pixel) // 64, bench.scene)

@@ -25,7 +25,7 @@ def scene_of(*glows: dict[str, Any], **settings: Any) -> Scene:
 
 def test_a_ray_gathers_the_radiance_over_the_mean_chord() -> None:
     """Against the mean chord of rays that are spread evenly over the body's surface, by cosine: 4 V / S."""
-    glowing = scene_of(BALL, BLOCK).glowing
+    glowing = scene_of(BALL, BLOCK).lighting.glowing
     rng, half = np.random.default_rng(3), np.array([5.0, 2.0, 4.0])
     areas = np.array([half[1] * half[2], half[0] * half[2], half[0] * half[1]])
     axis = rng.choice(3, 200_000, p=areas / areas.sum())
@@ -42,7 +42,7 @@ def test_glow_has_a_layer_of_its_own_beside_all_other_light() -> None:
     """Keyed by place, and by what reflects it; not by colour and strength, nor by other lights."""
     plain, glowing = load_scene("demo:orbital", albedo=0.5), scene_of(BALL, albedo=0.5)
     *others, layer = glowing.plan.layers
-    assert tuple(others) == plain.plan.layers and glowing.rotating
+    assert tuple(others) == plain.plan.layers and glowing.lighting.rotating
     assert (layer.kind, layer.channels) == ("glow", 1)
     assert [glowing.layer_digest(each) for each in others] == [plain.layer_digest(each) for each in others]
     same = [scene_of({**BALL, "radiance": [9, 0, 1]}, albedo=0.5), scene_of(BALL, albedo=0.5, lights=[CONSTANT])]

@@ -123,7 +123,7 @@ def scene(*lights: dict[str, Any], **settings: Any) -> Scene:
 
 def test_lamps_change_the_irradiance_and_not_the_transfer() -> None:
     plain, lit = scene({"type": "constant"}), scene({"type": "constant"}, LAMP)
-    assert lit.lamps.any and not plain.lamps.any
+    assert lit.lighting.lamps.any and not plain.lighting.lamps.any
     assert lit.plan.representation == "irradiance" and lit.digest != plain.digest
     brighter = scene({"type": "constant"}, {**LAMP, "intensity": 60.0})
     for layer, same in ((Layer("irradiance"), False), (Layer("direct", 5), True)):
@@ -131,8 +131,8 @@ def test_lamps_change_the_irradiance_and_not_the_transfer() -> None:
 
 
 def test_lamps_do_not_turn() -> None:
-    assert not scene(LAMP).rotating and not scene(LAMP, rotating=False).rotating
-    assert scene({"type": "sky"}).rotating
+    assert not scene(LAMP).lighting.rotating and not scene(LAMP, rotating=False).lighting.rotating
+    assert scene({"type": "sky"}).lighting.rotating
     with pytest.raises(SceneError, match="stay where they are"):
         scene({"type": "sky"}, LAMP, rotating=True)
 

@@ -22,7 +22,7 @@ from isogi_core.model.lights import (
     light_from_mapping,
 )
 from isogi_core.model.sky import LUMINANCE, SUN_ILLUMINANCE, sky_image, sun_direction
-from isogi_core.plan.assembly import assemble_environment
+from isogi_core.plan.lighting import assemble_environment
 
 HERE = Path("scenes")
 BASE = HERE / "light"

@@ -20,21 +20,23 @@ def scene_of(**settings: Any) -> Scene:
 def test_a_cornell_room_stands_about_the_volume() -> None:
     scene = scene_of(room="cornell")
     low, high = np.array(scene.volume.world_bounds)
-    corners = scene.room.corners[:, None] + np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) @ scene.room.edges
+    corners = (
+        scene.lighting.room.corners[:, None] + np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) @ scene.lighting.room.edges
+    )
     assert (corners.min(axis=(0, 1)) < low).all()
     assert (corners.max(axis=(0, 1)) > high).all()
-    middle, normals = (low + high) / 2.0, np.cross(scene.room.edges[:, 0], scene.room.edges[:, 1])
-    assert (((middle - scene.room.corners) * normals).sum(axis=1) > 0.0).all()  # all are lit inside
-    assert all(wall.sides == 1 for wall in scene.room.walls)
-    assert sum(any(wall.radiance) for wall in scene.room.walls) == 1
+    middle, normals = (low + high) / 2.0, np.cross(scene.lighting.room.edges[:, 0], scene.lighting.room.edges[:, 1])
+    assert (((middle - scene.lighting.room.corners) * normals).sum(axis=1) > 0.0).all()  # all are lit inside
+    assert all(wall.sides == 1 for wall in scene.lighting.room.walls)
+    assert sum(any(wall.radiance) for wall in scene.lighting.room.walls) == 1
 
 
 def test_a_room_with_a_luminaire_has_no_sky() -> None:
     scene = scene_of(room="cornell")
-    assert scene.lights == ()
-    assert not scene.environment.image.any()
-    assert scene.lamps.any
-    assert scene_of(walls=[WALL]).environment.image.any()
+    assert scene.lighting.lights == ()
+    assert not scene.lighting.environment.image.any()
+    assert scene.lighting.lamps.any
+    assert scene_of(walls=[WALL]).lighting.environment.image.any()
 
 
 def test_the_plan_of_a_room_keeps_irradiance_in_colour() -> None:
@@ -42,7 +44,7 @@ def test_the_plan_of_a_room_keeps_irradiance_in_colour() -> None:
     (layer,) = scene.plan.layers
     assert (layer.kind, layer.channels) == ("irradiance", 3)
     assert scene.plan.bounces == scene_of(albedo=0.73).plan.bounces
-    assert not scene.rotating
+    assert not scene.lighting.rotating
     assert "bake_irradiance" in next(each.what for each in scene.left_out if each.what.startswith("kernels"))
 
 

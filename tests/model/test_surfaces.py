@@ -15,9 +15,9 @@ SKIN = {"isovalue": 60.0, "clear": 0.5, "albedo": [0.8, 0.5, 0.4], "name": "skin
 
 def test_a_scene_has_pinned_surfaces_and_light_that_stays() -> None:
     scene = load_scene("demo:casting", surfaces=[SKIN], clear=0.25)
-    (pinned,) = scene.pinned
+    (pinned,) = scene.surfaces.pinned
     assert pinned.table == SKIN
-    assert (scene.clear, scene.rotating, scene.plan.representation) == (0.25, False, "irradiance")
+    assert (scene.surfaces.clear, scene.lighting.rotating, scene.plan.representation) == (0.25, False, "irradiance")
     assert scene.bakes == {AMONG}
     assert scene.inputs.reflecting == (0.8, 0.7, 0.7)
     told = {each.what for each in scene.left_out}
@@ -36,16 +36,16 @@ def test_no_surface_beside_leaves_digests_as_they_were() -> None:
 def test_light_that_gets_through_is_planned_for() -> None:
     """Paths carry what is reflected or let through, at most their sum, and texels keep what leaves one side."""
     scene = load_scene("demo:casting", albedo=[0.5, 0.4, 0.3], transmission=0.4)
-    assert (scene.several, scene.transmits, scene.rotating) == (True, True, False)
+    assert (scene.surfaces.several, scene.surfaces.transmits, scene.lighting.rotating) == (True, True, False)
     assert (scene.plan.representation, scene.bakes) == ("irradiance", {AMONG})
-    assert scene.leaving_for(None) == scene.inputs.albedo == scene.inputs.reflecting == (0.9, 0.8, 0.7)
+    assert scene.surfaces.leaving_for(None) == scene.inputs.albedo == scene.inputs.reflecting == (0.9, 0.8, 0.7)
     assert not scene.inputs.grey
     told = {each.what: each for each in scene.left_out}
     assert told["irradiance of each side by itself"].saves[0].amount == scene.plan.bytes_per_texel
     assert "surfaces behind the first 8 in a pixel" not in told
     green = load_scene("demo:casting", surfaces=[{**SKIN, "albedo": 0.1, "transmission": [0.1, 0.7, 0.1]}])
-    assert green.pinned[0].table["transmission"] == [0.1, 0.7, 0.1] and not any(green.transmission)
-    assert (green.transmits, green.inputs.grey) == (True, False)
+    assert green.surfaces.pinned[0].table["transmission"] == [0.1, 0.7, 0.1] and not any(green.surfaces.transmission)
+    assert (green.surfaces.transmits, green.inputs.grey) == (True, False)
     np.testing.assert_allclose(green.inputs.reflecting, (0.7, 0.8, 0.7))
 
 
@@ -101,7 +101,7 @@ def test_what_has_no_meaning_is_refused(settings: dict[str, Any], words: str) ->
 def test_views_choose_no_albedo_among_surfaces() -> None:
     scene = load_scene("demo:casting", surfaces=[SKIN])
     with pytest.raises(ViewError, match="leave albedo out"):
-        scene.albedo_for((0.1, 0.1, 0.1))
+        scene.surfaces.albedo_for((0.1, 0.1, 0.1))
 
 
 def test_a_volume_inside_out_has_the_same_values() -> None:

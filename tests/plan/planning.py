@@ -8,8 +8,8 @@ import numpy as np
 from isogi_core.model.environment import gather_lamps
 from isogi_core.model.lights import Light
 from isogi_core.model.scene_plan import ScenePlan
-from isogi_core.plan.assembly import assemble_environment
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
+from isogi_core.plan.lighting import assemble_environment
 from isogi_core.plan.planner import plan_scene
 
 NOTHING = PlanOverrides()

@@ -70,7 +70,7 @@ def test_three_nodes_mix_no_noise_up() -> None:
 def test_a_scene_of_several_albedos_keeps_direct_light_and_nodes(light: dict[str, object], representation: str) -> None:
     scene = load_scene("demo:orbital", lights=[light], albedo=0.3, albedos=[0.0, 0.9])
     direct, indirect = scene.plan.layers
-    assert scene.plan.representation == representation and scene.albedos == (0.0, 0.9)
+    assert scene.plan.representation == representation and scene.surfaces.albedos == (0.0, 0.9)
     assert (direct.kind, indirect.kind, scene.plan.channels) == ("direct", "indirect", 1)
     assert indirect.nodes == choose_nodes(0.9, scene.bounces, MIXING * 0.02) == scene.plan.nodes
     assert indirect.channels == len(indirect.nodes) == 3
@@ -95,9 +95,11 @@ def test_light_of_one_albedo_has_the_name_that_it_had() -> None:
 
 def test_unreflected_light_is_of_any_albedo() -> None:
     scene = load_scene("demo:orbital", lights=[SKY], albedo=0.3, bounces=0)
-    assert scene.albedos == (0.0, 1.0) and [layer.nodes for layer in scene.plan.layers] == [()]
-    assert load_scene("demo:orbital", lights=[SKY], albedo=0.0).albedos is None, "none that could be shown brighter"
-    assert load_scene("demo:orbital", lights=[SKY], albedo=0.3).albedos is None
+    assert scene.surfaces.albedos == (0.0, 1.0) and [layer.nodes for layer in scene.plan.layers] == [()]
+    assert load_scene("demo:orbital", lights=[SKY], albedo=0.0).surfaces.albedos is None, (
+        "none that could be shown brighter"
+    )
+    assert load_scene("demo:orbital", lights=[SKY], albedo=0.3).surfaces.albedos is None
 
 
 @pytest.mark.parametrize(

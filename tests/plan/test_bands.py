@@ -12,7 +12,6 @@ from isogi_core.bake.refine import locate, sample_transfer
 from isogi_core.kernels.transport.harmonics import MAX_ORDER, rotate
 from isogi_core.model.lights import ProbeLight
 from isogi_core.model.sky import LUMINANCE
-from isogi_core.plan.assembly import assemble_environment
 from isogi_core.plan.bands import (
     DECAY,
     TRANSFER_DIRECT,
@@ -23,6 +22,7 @@ from isogi_core.plan.bands import (
     project_environment,
     truncation_error,
 )
+from isogi_core.plan.lighting import assemble_environment
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import SKY, surface_texels
 from tests.kernels.transport.harmonic_bases import basis, quadrature

@@ -3,7 +3,7 @@
 import pytest
 
 from isogi_core.plan.assembly import build_scene, load_scene
-from isogi_core.plan.finer import FURTHER, finer, has_finer
+from isogi_core.plan.variants import FURTHER, finer, has_finer
 
 SKY = {"type": "sky"}
 
@@ -11,7 +11,7 @@ SKY = {"type": "sky"}
 def test_finer_light_has_more_texels_and_bands() -> None:
     scene = load_scene("demo:orbital", lights=[SKY])
     better = finer(scene)
-    assert better.lattice == 2.0 and better.volume is scene.volume
+    assert better.settings.lattice == 2.0 and better.volume is scene.volume
     before, after = ({layer.kind: layer.order for layer in each.plan.layers} for each in (scene, better))
     assert after == {kind: order + FURTHER for kind, order in before.items()}
     assert better.plan.order == max(after.values()) and better.plan.lobes == scene.plan.lobes
@@ -23,7 +23,7 @@ def test_finer_light_has_more_texels_and_bands() -> None:
 
 def test_light_without_bands_has_more_texels_alone() -> None:
     scene = load_scene("demo:orbital", lights=[{"type": "constant"}])
-    assert finer(scene).plan.layers == scene.plan.layers and finer(scene).lattice == 2.0
+    assert finer(scene).plan.layers == scene.plan.layers and finer(scene).settings.lattice == 2.0
 
 
 def test_another_process_finds_the_same_light() -> None:

@@ -16,10 +16,10 @@ SUN = {"type": "directional", "azimuth": 0, "elevation": 50, "irradiance": 1}
 
 
 def test_glass_has_an_index_and_an_absorption() -> None:
-    assert load_scene("demo:orbital").material == DIFFUSE
+    assert load_scene("demo:orbital").surfaces.material == DIFFUSE
     scene = load_scene("demo:orbital", **GLASS, absorption=0.1)
     assert not scene.bakes
-    assert scene.material == Material("glass", 1.5, (0.1, 0.1, 0.1))
+    assert scene.surfaces.material == Material("glass", 1.5, (0.1, 0.1, 0.1))
     others = [load_scene("demo:orbital", **GLASS, **more) for more in ({}, {"index": 1.3}, {"absorption": [0.1, 0, 0]})]
     digests = [each.digest for each in (load_scene("demo:orbital"), scene, *others)]
     assert len(set(digests)) == len(digests)
@@ -27,9 +27,9 @@ def test_glass_has_an_index_and_an_absorption() -> None:
 
 def test_a_subsurface_has_a_mean_free_path_and_light_of_its_own() -> None:
     scene = load_scene("demo:orbital", **INSIDE, mean_free_path=2, albedo=0.8)
-    assert scene.material.mean_free_path == 2.0
+    assert scene.surfaces.material.mean_free_path == 2.0
     assert scene.plan.representation == "irradiance"
-    assert not scene.rotating
+    assert not scene.lighting.rotating
     assert scene.bakes == {INSIDE_KIND}
     others = [load_scene("demo:orbital", **INSIDE, albedo=0.8, **more) for more in ({}, {"mean_free_path": 1})]
     assert len({each.bake_digest for each in (scene, *others)}) == 3
@@ -65,7 +65,7 @@ def test_what_has_no_meaning_is_refused_in_a_sentence(settings: dict[str, object
 def left_out(**settings: object) -> tuple[LeftOut, ...]:
     """What the material of the orbital leaves out."""
     scene = load_scene("demo:orbital", **settings)
-    return unrefracted(scene.material, scene.lights, scene.environment.sharp)
+    return unrefracted(scene.surfaces.material, scene.lighting.lights, scene.lighting.environment.sharp)
 
 
 def test_caustics_of_lamps_that_no_ray_meets_are_left_out() -> None:

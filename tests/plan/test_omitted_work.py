@@ -64,24 +64,24 @@ def recorded(name: str, kernel: Callable[..., None], called: set[str]) -> Callab
 
 def aimed(scene: Scene, sharp: bool) -> Scene:
     """The scene with shadow rays towards the bright parts of its environment, or without."""
-    around = replace(scene.environment)
+    around = replace(scene.lighting.environment)
     vars(around)["sharp"] = sharp
-    return replace(scene, environment=around)
+    return replace(scene, lighting=replace(scene.lighting, environment=around))
 
 
 @pytest.mark.slow
 def test_soft_light_leaves_out_shadow_rays_and_their_table(frame_of: Frames, lobe: Lobe) -> None:
     scene = in_bowl(lights=[lobe(1.0)], rotating=False)
-    assert not scene.environment.table[0].size
+    assert not scene.lighting.environment.table[0].size
     kept = aimed(scene, True)
-    assert kept.environment.table[0].size
+    assert kept.lighting.environment.table[0].size
     assert apart(frame_of(scene, 256), frame_of(kept, 256)) < TARGET / 3
 
 
 @pytest.mark.slow
 def test_shadow_rays_and_their_table_are_kept_under_the_sun(frame_of: Frames) -> None:
     scene = in_bowl(lights=[SUN], rotating=False)
-    assert scene.environment.table[0].size
+    assert scene.lighting.environment.table[0].size
     best = frame_of(scene, 1024)
     assert apart(frame_of(scene, 256), best) < TARGET < apart(frame_of(aimed(scene, False), 256), best)
 
@@ -120,7 +120,7 @@ def test_texels_without_a_gradient_are_left_out_and_not_missed(frame_of: Frames)
     assert scene.texels.void > scene.texels.shown / 4
     frame = frame_of(scene)
     assert frame.coverage["provisional"] == 0.0
-    assert apart(frame, replace(frame, radiance=np.full_like(frame.radiance, scene.albedo[0]))) < TARGET
+    assert apart(frame, replace(frame, radiance=np.full_like(frame.radiance, scene.surfaces.albedo[0]))) < TARGET
 
 
 def test_texels_with_a_gradient_are_kept() -> None:

@@ -9,9 +9,16 @@ import pytest
 
 from isogi_core.errors import SceneError
 from isogi_core.model.volume import Isovalue
-from isogi_core.plan import stiffness
-from isogi_core.plan.projection import INTERPOLATION, ProjectionPlan, plan_projection
-from isogi_core.plan.stiffness import NOISY_ERROR, SMOOTH_ERROR, STEEP_ERROR, measure_stiffness
+from isogi_core.plan import projection
+from isogi_core.plan.projection import (
+    INTERPOLATION,
+    NOISY_ERROR,
+    SMOOTH_ERROR,
+    STEEP_ERROR,
+    ProjectionPlan,
+    measure_stiffness,
+    plan_projection,
+)
 from tests.kernels.fields import field_of
 from tests.loaded import load_scene
 
@@ -84,7 +91,7 @@ def test_a_sample_of_a_thin_volume_is_not_empty(most: int) -> None:
 
 @pytest.mark.parametrize("projected", [True, False])
 def test_a_scene_may_settle_it(projected: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stiffness, "count_stiffness", None)
+    monkeypatch.setattr(projection, "count_stiffness", None)
     scene = load_scene("demo:orbital", projected=projected)
     assert scene.projection.any is projected
     assert scene.projection.spans() == ([scene.span] if projected else [])

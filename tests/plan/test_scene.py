@@ -59,13 +59,18 @@ def test_a_scene_file_says_everything(folder: Path) -> None:
         """,
     )
     assert (scene.id, scene.name) == ("my-scene-1", "My Scene, 1")
-    assert (scene.isovalue, scene.isovalues, scene.albedo) == (70.0, (40.0, 100.5), (0.7, 0.6, 0.5))
+    assert (scene.isovalue, scene.isovalues, scene.surfaces.albedo) == (70.0, (40.0, 100.5), (0.7, 0.6, 0.5))
     assert (scene.bounces, scene.plan.representation, scene.plan.channels) == (4, "irradiance", 3)
-    assert (scene.solid, scene.lattice, scene.target_error, scene.rotating) == ("below", 0.5, 0.05, False)
-    assert scene.camera_projection == "orthographic" and scene.camera(0.0, 0.0, 3.0, 30.0).fov < 1e-4
+    assert (scene.solid, scene.settings.lattice, scene.target_error, scene.lighting.rotating) == (
+        "below",
+        0.5,
+        0.05,
+        False,
+    )
+    assert scene.settings.projection == "orthographic" and scene.camera(0.0, 0.0, 3.0, 30.0).fov < 1e-4
     assert scene.volume.shape == (6, 5, 4) and scene.volume.spacing == (1.0, 1.0, 3.0)
-    assert [type(light) for light in scene.lights] == [ConstantLight, SkyLight]
-    assert scene.environment.constant.tolist() == [1.0, 2.0, 3.0]
+    assert [type(light) for light in scene.lighting.lights] == [ConstantLight, SkyLight]
+    assert scene.lighting.environment.constant.tolist() == [1.0, 2.0, 3.0]
 
 
 def test_a_bare_volume_is_a_scene_with_defaults(folder: Path) -> None:
@@ -73,9 +78,9 @@ def test_a_bare_volume_is_a_scene_with_defaults(folder: Path) -> None:
     assert scene.id == scene.name == "ramp"
     assert scene.volume.spacing == (1.0, 2.0, 0.5)
     assert scene.isovalues == (0.0, 119.0) and 50.0 < scene.isovalue < 70.0, "Otsu's threshold halves a ramp"
-    assert scene.albedo == (0.7, 0.7, 0.7) and scene.lattice == 1.0 and scene.target_error == 0.02
-    assert scene.rotating and scene.solid == "above" and scene.bounces == 12
-    assert scene.lights == (SkyLight(),)
+    assert scene.surfaces.albedo == (0.7, 0.7, 0.7) and scene.settings.lattice == 1.0 and scene.target_error == 0.02
+    assert scene.lighting.rotating and scene.solid == "above" and scene.bounces == 12
+    assert scene.lighting.lights == (SkyLight(),)
 
 
 def test_without_a_target_there_is_a_demo() -> None:
@@ -86,7 +91,7 @@ def test_without_a_target_there_is_a_demo() -> None:
 
 def test_overrides_replace_settings(folder: Path) -> None:
     text = 'volume = "ramp.nrrd"\nalbedo = 0.5\n'
-    assert scene_of(folder, text, albedo=0.25, isovalue=10).albedo == (0.25,) * 3
+    assert scene_of(folder, text, albedo=0.25, isovalue=10).surfaces.albedo == (0.25,) * 3
     assert load_scene(ORBITAL, isovalue=0.2).isovalue == 0.2
 
 
@@ -269,10 +274,14 @@ def test_shine_changes_frames_and_not_bakes(folder: Path) -> None:
         scene_of(folder, f'volume = "ramp.nrrd"\n{text}')
         for text in ("", "[shine]", "[shine]\nkind = 'metal'\nroughness = 1\nstrength = 0")
     )
-    assert (plain.shine, plastic.shine, metal.shine) == (None, Shine("plastic", 0.3, 1.0), Shine("metal", 1, 0))
+    assert (plain.surfaces.shine, plastic.surfaces.shine, metal.surfaces.shine) == (
+        None,
+        Shine("plastic", 0.3, 1.0),
+        Shine("metal", 1, 0),
+    )
     assert plain.bake_digest == plastic.bake_digest == metal.bake_digest
     assert len({plain.digest, plastic.digest, metal.digest}) == 3
-    assert metal.shine_for(None) is None and metal.shine_for(Shine()) == Shine()
+    assert metal.surfaces.shine_for(None) is None and metal.surfaces.shine_for(Shine()) == Shine()
 
 
 def test_light_and_target_change_frames_and_not_bakes() -> None:

@@ -29,15 +29,15 @@ def test_there_are_two_sides_of_each_surface(scene: Scene) -> None:
     assert len({each.bake_digest for each in made}) == 6
     assert [each.solid for each in made] == ["above", "below"] * 3
     assert [each.isovalue for each in made] == [127.0, 127.0, 60.0, 60.0, 90.0, 90.0]
-    assert [each.clear for each in made] == [0.0, 0.0, 0.5, 0.5, 0.0, 0.0]
+    assert [each.surfaces.clear for each in made] == [0.0, 0.0, 0.5, 0.5, 0.0, 0.0]
 
 
 def test_both_sides_transmit_alike() -> None:
     leaf = {"isovalue": 60.0, "albedo": 0.3, "transmission": [0.1, 0.5, 0.1]}
     scene = load_scene("demo:casting", albedo=0.2, transmission=0.6, surfaces=[leaf], isovalue=127.0)
     made = {side: scene_of_side(scene, side, 127.0) for side in sides_of(scene)}
-    assert [each.transmission for each in made.values()] == [(0.6,) * 3] * 2 + [(0.1, 0.5, 0.1)] * 2
-    assert made[Side(1, True)].pinned[0].transmission == (0.6,) * 3
+    assert [each.surfaces.transmission for each in made.values()] == [(0.6,) * 3] * 2 + [(0.1, 0.5, 0.1)] * 2
+    assert made[Side(1, True)].surfaces.pinned[0].transmission == (0.6,) * 3
     assert len({each.bake_digest for each in made.values()}) == 4
     for each in made.values():
         assert build_scene(each.source).bake_digest == each.bake_digest, "as workers open it"
@@ -52,15 +52,15 @@ def test_pinned_light_depends_on_what_is_shown_alone(scene: Scene) -> None:
 
 def test_a_pinned_surface_is_lit_by_all_others(scene: Scene) -> None:
     made = scene_of_side(scene, Side(1), 140.0)
-    assert {each.isovalue: each.clear for each in made.pinned} == {140.0: 0.0, 90.0: 0.0}
-    assert made.albedo == (0.8, 0.5, 0.4)
+    assert {each.isovalue: each.clear for each in made.surfaces.pinned} == {140.0: 0.0, 90.0: 0.0}
+    assert made.surfaces.albedo == (0.8, 0.5, 0.4)
     assert made.span[0] == made.span[1]
 
 
 def test_a_surface_at_the_shown_isovalue_lights_others_once(scene: Scene) -> None:
     made = scene_of_side(scene, Side(1), 90.0)
-    assert [each.isovalue for each in made.pinned] == [90.0]
-    ends = [scene_of_side(scene, Side(1, True), shown).pinned for shown in scene.volume.value_range]
+    assert [each.isovalue for each in made.surfaces.pinned] == [90.0]
+    ends = [scene_of_side(scene, Side(1, True), shown).surfaces.pinned for shown in scene.volume.value_range]
     assert [len(each) for each in ends] == [2, 2]
 
 
@@ -90,12 +90,12 @@ def test_a_process_that_opens_a_side_finds_the_same_light(scene: Scene) -> None:
 
 def test_a_scene_with_other_clears_is_one_of_its_own(scene: Scene) -> None:
     changed = with_clears(scene, read_clears("0.25, off", 2), "other")
-    assert [(each.isovalue, each.clear) for each in changed.pinned] == [(60.0, 0.25)]
+    assert [(each.isovalue, each.clear) for each in changed.surfaces.pinned] == [(60.0, 0.25)]
     assert changed.id == "other" and changed.volume is scene.volume
     assert changed.bake_digest != scene.bake_digest == with_clears(scene, (0.5, 0.0), "same").bake_digest
     assert build_scene(changed.source).bake_digest == changed.bake_digest, "as workers open it"
     alone = with_clears(scene, (None, None), "alone")
-    assert not alone.several and not alone.rotating
+    assert not alone.surfaces.several and not alone.lighting.rotating
 
 
 @pytest.mark.parametrize(
@@ -116,8 +116,8 @@ def test_clears_without_meaning_are_refused(text: str, pinned: int, reason: str)
 def test_a_target_may_name_what_its_surfaces_let_pass(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     file.write_text("[[surfaces]]\nisovalue = 0.03\n[[surfaces]]\nisovalue = 0.05\nclear = 0.5\n")
-    assert [each.clear for each in load_scene(f"{file}#surfaces=0.25,0.5").pinned] == [0.25, 0.5]
-    (left,) = load_scene(f"{file}#surfaces=off,0.75&environment=studio").pinned
+    assert [each.clear for each in load_scene(f"{file}#surfaces=0.25,0.5").surfaces.pinned] == [0.25, 0.5]
+    (left,) = load_scene(f"{file}#surfaces=off,0.75&environment=studio").surfaces.pinned
     assert (left.isovalue, left.clear) == (0.05, 0.75)
     with pytest.raises(SceneError, match="each of the 2 pinned surfaces"):
         load_scene(f"{file}#surfaces=0.5")

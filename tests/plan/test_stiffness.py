@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.tiles import Tiles
-from isogi_core.plan.stiffness import Stiffness, measure_stiffness
+from isogi_core.plan.projection import Stiffness, measure_stiffness
 from isogi_core.runs import serially
 from tests.kernels.fields import field_of
 

@@ -41,7 +41,7 @@ def probe(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_it_is_the_scene_that_its_file_would_be(own: Scene) -> None:
     lit = under(own, "studio", "orbital@studio")
     written = load_scene("demo:orbital", environment="studio")
-    assert lit.lights == (EnvironmentLight("studio"),) == written.lights
+    assert lit.lighting.lights == (EnvironmentLight("studio"),) == written.lighting.lights
     assert (lit.digest, lit.bake_digest, lit.plan) == (written.digest, written.bake_digest, written.plan)
     assert lit.digest != own.digest and lit.id == "orbital@studio"
 
@@ -50,7 +50,7 @@ def test_it_shares_the_volume_and_what_was_surveyed(own: Scene) -> None:
     assert own.texels and own.presets is not None
     lit = under(own, "evening", "orbital@evening")
     assert lit.volume is own.volume and lit.texels is own.texels and lit.presets is own.presets
-    assert lit.environment is under(own, "evening", "other").environment
+    assert lit.lighting.environment is under(own, "evening", "other").lighting.environment
 
 
 def test_a_layer_of_transfer_depends_on_no_environment(own: Scene) -> None:
@@ -62,16 +62,22 @@ def test_a_layer_of_transfer_depends_on_no_environment(own: Scene) -> None:
 def test_it_replaces_lamps_and_turns_then(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text(TEXT.format("studio"))
     scene = load_scene(tmp_path / "a.toml")
-    assert scene.lights == (EnvironmentLight("studio"),) and not scene.lamps.any and scene.rotating
+    assert (
+        scene.lighting.lights == (EnvironmentLight("studio"),)
+        and not scene.lighting.lamps.any
+        and scene.lighting.rotating
+    )
 
 
 def test_a_probe_is_found_beside_the_scene(probe: Path) -> None:
     (probe.parent / "a.toml").write_text(TEXT.format("glow.hdr"))
     scene = load_scene(probe.parent / "a.toml")
-    assert scene.lights == (ProbeLight(probe.parent.resolve() / "glow.hdr"),)
+    assert scene.lighting.lights == (ProbeLight(probe.parent.resolve() / "glow.hdr"),)
     assert files_of(scene.source.document) == ["glow.hdr"]
     assert files_of({"environment": "studio", "lights": [{"type": "probe", "file": "x.hdr"}]}) == []
-    assert under(scene, str(probe), "a@b").environment is scene.environment, "equal probes are kept once"
+    assert under(scene, str(probe), "a@b").lighting.environment is scene.lighting.environment, (
+        "equal probes are kept once"
+    )
 
 
 def test_a_targets_light_may_follow_its_name() -> None:
@@ -92,7 +98,7 @@ def test_of_another_material_it_is_the_scene_of_its_file(own: Scene, settings: d
     assert own.texels
     made, written = with_material(own, settings, "orbital@=x"), load_scene("demo:orbital", **settings)
     assert (made.digest, made.bake_digest, made.plan) == (written.digest, written.bake_digest, written.plan)
-    assert made.digest != own.digest and made.id == "orbital@=x" and made.material == written.material
+    assert made.digest != own.digest and made.id == "orbital@=x" and made.surfaces.material == written.surfaces.material
     assert made.volume is own.volume and made.texels is own.texels
     assert build_scene(made.source).bake_digest == made.bake_digest, "as workers open it"
     assert with_material(made, {"material": "diffuse"}, own.id).digest == own.digest
@@ -101,8 +107,8 @@ def test_of_another_material_it_is_the_scene_of_its_file(own: Scene, settings: d
 def test_a_range_of_albedos_is_not_of_a_subsurface() -> None:
     painted = load_scene("demo:orbital", albedo=0.8, albedos=[0.0, 0.9])
     wax = with_material(painted, {"material": "subsurface"}, "wax")
-    assert wax.albedos is None and wax.albedo == (0.8, 0.8, 0.8) and not wax.rotating
-    assert with_material(painted, {"material": "glass"}, "glass").albedos is None
+    assert wax.surfaces.albedos is None and wax.surfaces.albedo == (0.8, 0.8, 0.8) and not wax.lighting.rotating
+    assert with_material(painted, {"material": "glass"}, "glass").surfaces.albedos is None
 
 
 def test_the_plan_tells_which_materials_a_scene_may_have(own: Scene) -> None:
@@ -118,6 +124,6 @@ def test_the_plan_tells_which_materials_a_scene_may_have(own: Scene) -> None:
 
 def test_a_target_may_name_its_material() -> None:
     scene = load_scene("demo:orbital#material=glass,index%3D1.3&environment=studio")
-    assert scene.material == Material("glass", 1.3) and scene.lights == (EnvironmentLight("studio"),)
+    assert scene.surfaces.material == Material("glass", 1.3) and scene.lighting.lights == (EnvironmentLight("studio"),)
     with pytest.raises(SceneError, match="is not one of diffuse, glass, subsurface"):
         load_scene("demo:orbital#material=jelly")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from isogi_core.prepared.idle_voxels import IdleVoxels
+from isogi_core.prepared.voxel_codes import IdleVoxels
 
 LOW, HIGH = 0.45, 0.5
 

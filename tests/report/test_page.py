@@ -13,11 +13,9 @@ import pytest
 from PIL import Image
 
 from isogi_report.bundle import write_report
-from isogi_report.documents import document_of, section_of
 from isogi_report.journal import Entry
-from isogi_report.plots import draw, keys, standalone
-from isogi_report.prints import develop, error_colours, scales_of
-from isogi_report.sections import Curve, Picture, Plot
+from isogi_report.plots import develop, draw, error_colours, keys, scales_of, standalone
+from isogi_report.sections import Curve, Picture, Plot, document_of, section_of
 from tests.report.samples import disc, errors, report_of, sections
 
 NOTE = "Left out, as 4 minutes did not suffice: <everything>."

@@ -120,4 +120,4 @@ def test_a_file_of_another_version_is_told_as_such(
 def test_by_default_less_than_a_thousandth_of_the_light_is_cut(albedo: object, bounces: int) -> None:
     scene = with_bounces(load_scene("demo:orbital", albedo=albedo))
     assert scene.bounces == bounces
-    assert max(scene.albedo) ** (bounces + 1) <= 0.001 or bounces == 1000
+    assert max(scene.surfaces.albedo) ** (bounces + 1) <= 0.001 or bounces == 1000

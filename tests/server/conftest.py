@@ -8,6 +8,8 @@ import httpx
 import pytest
 from fastapi import FastAPI
 
+from tests.server.inline import InlinePool
+
 
 @pytest.fixture(scope="session")
 def ask() -> Callable[..., httpx.Response]:
@@ -19,3 +21,9 @@ def ask() -> Callable[..., httpx.Response]:
             return await client.request(method, path, **more)
 
     return lambda app, method, path, **more: asyncio.run(answer(app, method, path, more))
+
+
+@pytest.fixture
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let engines and commands bake on a thread of this process, in place of workers."""
+    monkeypatch.setattr("worker.pool.WorkerPool", InlinePool)

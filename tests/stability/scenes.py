@@ -67,7 +67,7 @@ def scene_of(volume: Volume, isovalue: float, **settings: Any) -> Scene:
     """A scene of a volume that is in no file, by default under constant light of radiance 1."""
     scene = load_scene("demo:orbital", **{"lights": [dict(CONSTANT)], **settings})
     inputs = replace(scene.inputs, centre=volume.centre, radius=volume.radius)
-    plan = plan_scene(inputs, scene.overrides)
+    plan = plan_scene(inputs, scene.settings.overrides)
     return replace(scene, volume=volume, isovalue=isovalue, isovalues=volume.value_range, inputs=inputs, plan=plan)
 
 

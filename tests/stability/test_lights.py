@@ -123,7 +123,7 @@ def light_under_a_pixel(row: int, shading: str, rotating: bool) -> float:
     scene = lit(plane_volume(), -HEIGHT, spot(32, 64, row, 10, 1e6), rotating=rotating, lobes=0)
     samples = {"samples": 64} if shading == "path_traced" else {}
     frame = frame_of(scene, view_of(scene, 8, shading=shading, **ABOVE, **samples))
-    right = scene.albedo[0] * irradiance_of_a_pixel(32, 64, row, 1e6) / math.pi
+    right = scene.surfaces.albedo[0] * irradiance_of_a_pixel(32, 64, row, 1e6) / math.pi
     return float(surface_light(frame).mean()) / right
 
 
@@ -195,4 +195,4 @@ def light_below_a_lamp(distance: float) -> float:
     frame = frame_of(scene, view_of(scene, 11, **ABOVE))
     across = np.where(frame.state > 0, np.linalg.norm(frame.position[..., :2] - MIDDLE, axis=-1), math.inf)
     below = np.unravel_index(across.argmin(), across.shape)
-    return float(frame.radiance[below] @ LUMINANCE) * math.pi / scene.albedo[0]
+    return float(frame.radiance[below] @ LUMINANCE) * math.pi / scene.surfaces.albedo[0]

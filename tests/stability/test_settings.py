@@ -161,7 +161,7 @@ def test_final_light_is_as_good_as_the_target_error(target: float) -> None:
     """A ball in even light: the root mean square of what it is off by, and the frame's own error."""
     scene = lit(ball_volume(), 0.0, CONSTANT, target_error=target, bounces=0)
     frame = shown(scene)
-    light = frame.radiance[frame.state > 0, 0] / scene.albedo[0]
+    light = frame.radiance[frame.state > 0, 0] / scene.surfaces.albedo[0]
     assert len(light)
     assert math.sqrt(float(((light - 1.0) ** 2).mean())) <= target
     assert frame.noise <= target

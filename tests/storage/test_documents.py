@@ -2,11 +2,13 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from isogi_core.errors import StoreError
-from isogi_core.storage.documents import Documents
+from isogi_core.errors import ChangedError, StoreError
+from isogi_core.storage.documents import MAX_TRIES, Documents
+from isogi_core.storage.store import Store
 
 
 @pytest.mark.parametrize("scheme", ["", "file://"])
@@ -35,3 +37,26 @@ def test_a_place_that_is_none_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(StoreError, match=re.escape(str(tmp_path))):
         Documents(str(tmp_path / "file"), "papers").write("one", {})
+
+
+@pytest.mark.parametrize("others", [0, 1, MAX_TRIES - 1, MAX_TRIES])
+def test_a_document_that_others_write_too_is_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, others: int
+) -> None:
+    documents, put, tried = Documents(tmp_path, "papers"), Store.put, list[str]()
+
+    def contested(store: Store, key: str, *what: Any) -> None:
+        tried.append(key)
+        if len(tried) <= others:
+            raise ChangedError("Another writer was here.")
+        put(store, key, *what)
+
+    documents.write("one", {"a": 1})
+    monkeypatch.setattr(Store, "put", contested)
+    if others < MAX_TRIES:
+        documents.write("one", {"a": 2})
+    else:
+        with pytest.raises(StoreError, match="Others keep writing"):
+            documents.write("one", {"a": 2})
+    assert documents.read("one") == {"a": 2 if others < MAX_TRIES else 1}
+    assert len(tried) == min(others + 1, MAX_TRIES)

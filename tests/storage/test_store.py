@@ -113,6 +113,18 @@ def test_each_of_many_writers_is_kept_or_refused(location: str) -> None:
     assert found is not None and sorted(json.loads(found.data)) == list(range(8))
 
 
+def test_a_moved_object_is_under_its_new_name_alone(location: str) -> None:
+    store = Store(location)
+    store.put(KEY, b"light", None)
+    store.move(KEY, "aside/0")
+    assert store.get(KEY) is None and store.get("aside/0") == StoredObject(b"light")
+    store.put(KEY, b"more", None)
+    store.move(KEY, "aside/0")
+    store.move(OTHER, "aside/1")
+    assert store.get("aside/0") == StoredObject(b"more") and store.get("aside/1") is None
+    assert {entry.key: entry.size for entry in store.entries()} == {"aside/0": 4, SENTINEL: len(CONTENT)}
+
+
 # --- the sentinel -------------------------------------------------------------------------------------------------
 
 
@@ -122,6 +134,24 @@ def test_a_new_store_gets_a_sentinel(location: str) -> None:
     Store(location).open()
     assert Store(location, make=False).get(SENTINEL) == StoredObject(CONTENT)
     assert json.loads(CONTENT) == {"kind": "isogi light", "format": 1}
+
+
+def test_many_who_open_a_new_store_at_once_agree(location: str) -> None:
+    stores = [Store(location) for _ in range(8)]
+    barrier = threading.Barrier(len(stores))
+
+    def first(store: Store) -> None:
+        barrier.wait()
+        store.open()
+        store.put(f"layer/{id(store)}", b"light", None)
+
+    openers = [threading.Thread(target=first, args=(store,)) for store in stores]
+    for opener in openers:
+        opener.start()
+    for opener in openers:
+        opener.join()
+    assert Store(location, make=False).get(SENTINEL) == StoredObject(CONTENT)
+    assert len(list(Store(location, make=False).keys("layer"))) == len(stores), "no light of theirs is lost"
 
 
 @pytest.mark.parametrize(
@@ -378,6 +408,12 @@ def test_another_machines_writes_are_seen_at_once(s3: S3Server, copied: Store) -
     assert copied.view(KEY) == b"better light" == copied.view(KEY)
     other.delete(KEY)
     assert copied.view(KEY) is None
+
+
+def test_a_copy_of_another_stores_object_is_none(tmp_path: Path) -> None:
+    copies = [Copies(url, 1 << 20, tmp_path) for url in ("s3://one", "s3://other")]
+    copies[0].put(KEY, StoredObject(b"light", '"tag"'))
+    assert copies[0].get(KEY) == StoredObject(b"light") and copies[1].get(KEY) is None
 
 
 def test_writers_read_no_copy(s3: S3Server, copied: Store) -> None:

@@ -16,7 +16,7 @@ from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, ScenePlan
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.url import StoreUrl
 from worker.bake_requests import GUEST, MOST_FAILURES, Viewer
-from worker.baker import LONGEST_PAUSE, LONGEST_REST, REST, SHORTEST, WAY, Bake, Baker, after
+from worker.baker import LONGEST_PAUSE, LONGEST_REST, REST, SHORTEST_PAUSE, WAY, Bake, Baker, after
 from worker.errors import WorkersAwayError
 from worker.pool import AllDone, Done
 from worker.progress import TimeLeft
@@ -464,7 +464,7 @@ def test_an_absent_store_is_tried_now_and_then_by_one_task(bench: Bench, caplog:
     for _ in range(3):
         pool.end(None, GONE)
     assert pool.tasks() == [] and bench.baker.paused() == "The store is gone."
-    seconds = SHORTEST
+    seconds = SHORTEST_PAUSE
     for _ in range(2 * MOST_FAILURES):
         assert len(bench.request(1, 2, 3)) == 3 and pool.tasks() == []
         bench.now += seconds
@@ -488,14 +488,14 @@ def test_a_poison_chunk_is_given_up_though_the_store_was_away(bench: Bench) -> N
     pool = bench.employ(1)
     bench.request(1)
     pool.end(None, GONE)
-    bench.now += SHORTEST
+    bench.now += SHORTEST_PAUSE
     bench.request(1)
     fail(bench, pool, MOST_FAILURES)
     assert bench.baker.tally().given_up == 1
 
 
 def test_baking_goes_on_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("worker.baker.SHORTEST", 0.01)
+    monkeypatch.setattr("worker.baker.SHORTEST_PAUSE", 0.01)
     bench = Bench()
     baker = bench.baker = Baker()
     baker.add("scene", Bake(SOURCE, PLAN, "digest", frozenset(), StoreUrl("store"), bench.arrived.append, bench.costs))

@@ -3,6 +3,7 @@
 import { cutQuery, frameQuery, ground } from "../net/request.js";
 import { albedoQuery } from "../view/albedo.js";
 import { rayThrough } from "../view/camera.js";
+import { NUMBERS, UNITS } from "../view/model.js";
 import { planesOf } from "../view/planes.js";
 import { fromAngles, vector } from "../view/rotation.js";
 
@@ -14,7 +15,7 @@ import { fromAngles, vector } from "../view/rotation.js";
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 
 const VARIANT = ["environment", "cut", "time", "surfaces", "hide", "material"];
-const OF_DOCUMENT = [...VARIANT, "albedo", "shading", "shine", "roughness", "strength", "glow"];
+const OF_DOCUMENT = [...VARIANT, "shading", "shine", ...NUMBERS.filter((name) => UNITS[name] === "share")];
 const OF_PICTURE = ["f", "overlay", "background", "exposure"]; // what a list of chunks does not depend on
 const WIDEST = 160; // pixels across, of a view whose chunks are asked for: a chunk is seldom smaller
 

@@ -12,7 +12,10 @@
 /** @typedef {{azimuth: number, elevation: number, angle: number}} Lobe a bright part of the light, degrees */
 
 /**
- * @typedef {object} Defaults what each parameter is where it is left out
+ * @typedef {Omit<Partial<Record<import("../view/model.js").NumberKnob, number>>, "albedo"> & KnownDefaults} Defaults what
+ * each parameter is where it is left out
+ *
+ * @typedef {object} KnownDefaults
  * @property {number} isovalue
  * @property {number} azimuth
  * @property {number} elevation
@@ -24,10 +27,6 @@
  * @property {number} exposure
  * @property {number|string} [albedo] a text where it has a colour
  * @property {string} [shine] where the surface shines
- * @property {number} [roughness]
- * @property {number} [strength]
- * @property {number} [glow] where something glows
- * @property {number} [time] where the volume is a step of a series in time
  * @property {string} [shading]
  * @property {string} [projection] of the camera
  */

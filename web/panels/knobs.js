@@ -3,7 +3,7 @@
 import { find, textElement } from "../dom.js";
 import { AXIS_VIEWS, looksAlong } from "../view/camera.js";
 import { niceStep, shadingName } from "../view/format.js";
-import { inShort, sliderRange } from "../view/model.js";
+import { UNITS, inShort, sliderRange } from "../view/model.js";
 import { decades, legendNumbers } from "../view/rulers.js";
 import { idleKnobs } from "../view/surfaces.js";
 
@@ -12,9 +12,6 @@ import { idleKnobs } from "../view/surfaces.js";
 /** @typedef {import("../view/model.js").NumberKnob} NumberKnob */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 /** @typedef {(values: Knobs) => void} Mirror shows the view's values */
-
-const ANGLES = new Set(["azimuth", "elevation", "fov", "yaw", "pitch", "roll"]);
-const SHARES = new Set(["albedo", "roughness", "strength", "glow"]);
 
 /**
  * Tie the form's controls to the view, both ways. Knobs that the scene does not have are hidden.
@@ -56,16 +53,17 @@ export function setLimits(input, min, max) {
 
 /**
  * The value of a knob with its unit.
- * @param {string} name
+ * @param {NumberKnob} name
  * @param {number} value
  * @param {number} exposure the scene's own, that others are stops from
  * @returns {string}
  */
 export function knobInWords(name, value, exposure) {
-  if (ANGLES.has(name)) return `${Math.round(value)}°`.replace("-", "−");
-  if (SHARES.has(name)) return value.toFixed(2);
-  if (name === "time") return `step ${value}`;
-  if (name === "distance") return `${value.toFixed(2)} radii`;
+  const unit = UNITS[name];
+  if (unit === "degrees") return `${Math.round(value)}°`.replace("-", "−");
+  if (unit === "share") return value.toFixed(2);
+  if (unit === "step") return `step ${value}`;
+  if (unit === "radii") return `${value.toFixed(2)} radii`;
   const stops = Number(Math.log2(value / exposure).toFixed(1));
   return `${stops > 0 ? "+" : ""}${stops} stops`.replace("-", "−");
 }

@@ -13,9 +13,9 @@ import { areHidden, areSurfaces, isMaterial } from "./surfaces.js";
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 
 /**
- * @typedef {"isovalue"|"azimuth"|"elevation"|"distance"|"fov"|"yaw"|"pitch"|"roll"|"albedo"|"roughness"|"strength"|"glow"|"time"|"exposure"} NumberKnob
+ * @typedef {Partial<Record<NumberKnob, number>> & Choices} Knobs all that a person may choose of a view; what a scene has not is left out
  *
- * @typedef {object} Knobs all that a person may choose of a view
+ * @typedef {object} Choices
  * @property {number} isovalue in the volume's own units
  * @property {number} azimuth degrees
  * @property {number} elevation degrees
@@ -28,10 +28,6 @@ import { areHidden, areSurfaces, isMaterial } from "./surfaces.js";
  * @property {number} [albedo] only where the scene lets views choose it
  * @property {string} [tint] `#rrggbb`, beside the albedo
  * @property {string} [shine] what the surface shines as, only where the scene has a shine
- * @property {number} [roughness] of that shine
- * @property {number} [strength] of that shine
- * @property {number} [glow] how bright what glows is over the scene's own, only where something does
- * @property {number} [time] step of a series in time, only where the volume is one
  * @property {Vec3|null} target what the camera turns about, world units; null for the volume's centre
  * @property {string} projection one of PROJECTIONS
  * @property {string} shading
@@ -49,13 +45,17 @@ import { areHidden, areSurfaces, isMaterial } from "./surfaces.js";
  * @property {string} material what the surface is made of, as `surfaces.js` reads it; "" for the scene's own
  */
 
-/**
- * Knobs that are numbers, in the order in which the address bar has them.
- * @type {NumberKnob[]}
- */
-export const NUMBERS = [
-  "isovalue", "azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll", "albedo", "roughness", "strength", "glow", "time", "exposure",
-];
+/** What each knob that is a number is shown in, in the order in which the address bar has them. */
+export const UNITS = {
+  isovalue: "isovalue", azimuth: "degrees", elevation: "degrees", distance: "radii", fov: "degrees",
+  yaw: "degrees", pitch: "degrees", roll: "degrees",
+  albedo: "share", roughness: "share", strength: "share", glow: "share", time: "step", exposure: "stops",
+};
+
+/** @typedef {keyof typeof UNITS} NumberKnob */
+
+/** Knobs that are numbers, in that order. */
+export const NUMBERS = /** @type {NumberKnob[]} */ (Object.keys(UNITS));
 
 /** Marks that may lie over the picture. */
 export const OVERLAYS = ["none", "provisional", "error"];

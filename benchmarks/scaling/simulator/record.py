@@ -80,7 +80,7 @@ def seconds_of(engine: EngineWithoutWorkers, scene: Scene, view: View, target: f
 
 def origin_of(scene: Scene, views: int, size: int, target: float) -> dict[str, Any]:
     """What was recorded."""
-    about = {"scene": scene.id, "volume": scene.volume.name, "lights": [light.name for light in scene.lights]}
+    about = {"scene": scene.id, "volume": scene.volume.name, "lights": [light.name for light in scene.lighting.lights]}
     return {**about, "isovalue": scene.isovalue, "views": views, "pixels": size, "target_error": target}
 
 

@@ -22,19 +22,28 @@ class Obstacle(NamedTuple):
 
 Test = Callable[[Scene, View], bool]
 TESTS: tuple[tuple[Obstacle, Test], ...] = (
-    (Obstacle("rooms", "Walls are lit by paths of the server."), lambda scene, _: scene.room.any),
-    (Obstacle("glass", "Rays through glass are followed by the server."), lambda scene, _: scene.material.refracts),
+    (Obstacle("rooms", "Walls are lit by paths of the server."), lambda scene, _: scene.lighting.room.any),
+    (
+        Obstacle("glass", "Rays through glass are followed by the server."),
+        lambda scene, _: scene.surfaces.material.refracts,
+    ),
     (
         Obstacle("subsurface", "Light from inside the surface is mixed by the server."),
-        lambda scene, _: scene.material.scatters,
+        lambda scene, _: scene.surfaces.material.scatters,
     ),
-    (Obstacle("several surfaces", "Several surfaces are composed by the server."), lambda scene, _: scene.several),
+    (
+        Obstacle("several surfaces", "Several surfaces are composed by the server."),
+        lambda scene, _: scene.surfaces.several,
+    ),
     (
         Obstacle("shine", "Rays of shine are cast by the server."),
-        lambda scene, view: scene.shine_for(view.shine) is not None,
+        lambda scene, view: scene.surfaces.shine_for(view.shine) is not None,
     ),
-    (Obstacle("glow", "What glows is gathered by the server."), lambda scene, _: scene.glowing.any),
-    (Obstacle("colours", "Colours by data are found by the server."), lambda scene, _: scene.colours is not None),
+    (Obstacle("glow", "What glows is gathered by the server."), lambda scene, _: scene.lighting.glowing.any),
+    (
+        Obstacle("colours", "Colours by data are found by the server."),
+        lambda scene, _: scene.surfaces.colours is not None,
+    ),
     (
         Obstacle("shading", "This shading is drawn by the server: a card draws gi and lambert."),
         lambda _, view: view.shading not in SHADINGS,

@@ -22,9 +22,9 @@ def add_glow(
     Bounces count as in ``light_in_room``, the first weight of the ``rules`` all.
     """
     prepared = light.spec.prepared
-    if not prepared.scene.glowing.any:
+    if not prepared.scene.lighting.glowing.any:
         return
-    radiances = light.glow * prepared.scene.glowing.radiances
+    radiances = light.glow * prepared.scene.lighting.glowing.radiances
     own = np.zeros((len(sums), radiances.size))
     add_glow_paths(prepared, traced.cells, light.seen.albedo, starts, samples, rules, own)
     sums += np.einsum("gkc,kc->gc", own.reshape(-1, *radiances.shape), radiances)

@@ -15,7 +15,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.control_pixels import MOST, TotalError
 from isogi_core.frame.rays.own_light import Choice, choose
 from isogi_core.model.scene_plan import most_samples
-from isogi_core.plan.finer import DENSER
+from isogi_core.plan.variants import DENSER
 
 QUIETER = 0.5
 """What one rung leaves of the variance of a filtered picture: 0.35 to 0.7 on the engine, the bonsai and the chest."""

@@ -55,9 +55,9 @@ class Paths:
         """
         scene = self.light.spec.prepared.scene
         bounces = scene.plan.bounces if self.bounces is None else self.bounces
-        if scene.material.refracts:
+        if scene.surfaces.material.refracts:
             return path_weights(np.ones(3), bounces + 1, 1.0)
-        if self.light.coloured or scene.material.scatters:
+        if self.light.coloured or scene.surfaces.material.scatters:
             return path_weights(np.ones(3), bounces, 1.0)
         return path_weights(self.light.albedo, bounces, self.survival, leaving=1)
 
@@ -82,7 +82,7 @@ class Paths:
         prepared, replicas = self.light.spec.prepared, range(stream, stream + sums.shape[1])
         own = sums if alone else np.zeros_like(sums)
         points, pixels = buffer.points, buffer.pixels
-        if prepared.scene.material.refracts:
+        if prepared.scene.surfaces.material.refracts:
             points, normals = sight_lines(buffer)
         else:
             normals = buffer.normals(self.tiles)
@@ -96,7 +96,7 @@ class Paths:
                 trace_points(traced, some, around, rules, stream, samples, own[a:b])
             else:
                 own[a:b] += trace_among(traced, met, some, around, rules, replicas, samples)
-            if prepared.scene.glowing.any:
+            if prepared.scene.lighting.glowing.any:
                 starts = on_wall(path_starts(traced, some, replicas))
                 add_glow(own[a:b].reshape(-1, 3), self.light, traced, starts, rules, samples)
             if progress is not None:

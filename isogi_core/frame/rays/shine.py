@@ -83,7 +83,7 @@ def lobe_of(light: RotatedLight) -> ShineLobe:
 
 def lights_of(light: RotatedLight, ways: int) -> ShineLights:
     """What rays of shine may be drawn towards and bring, of a turned ``light``; each is chosen of so many ``ways``."""
-    around, room = light.surroundings, light.spec.prepared.scene.room
+    around, room = light.surroundings, light.spec.prepared.scene.lighting.room
     kinds, places, edges, colours = around.lamps
     discs = (kinds == DIRECTIONAL) & edges.any(axis=(1, 2))
     flat, sharp = kinds == AREA, (kinds != AREA) & ~discs

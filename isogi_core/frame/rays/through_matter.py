@@ -225,7 +225,7 @@ class ViewThrough:
         once all are, what is seen through it more trees. See ``Refinement``.
         """
         views = [WallView.of(frame.gbuffer, light)]
-        if not light.spec.prepared.scene.material.refracts:
+        if not light.spec.prepared.scene.surfaces.material.refracts:
             return self.walls.grow(views, target, tiles)
         seen = self._seen(frame.gbuffer, light, target, tiles)
         if self.walls.grow([*views, *seen.first.views(frame.gbuffer, light)], target, tiles):

@@ -107,7 +107,7 @@ class RoomLight:
     def keep(self, grown: Sequence[WallTexels]) -> None:
         """Have the store keep what of these has ``grown``."""
         for across in sorted({each.across for each in grown if each.fine}):
-            shape = 4 * len(self.light.spec.prepared.scene.room.walls), across, across
+            shape = 4 * len(self.light.spec.prepared.scene.lighting.room.walls), across, across
             means, counts = np.zeros((*shape, 3)), np.zeros(shape, np.int64)
             for each in (each for each in grown if each.across == across):
                 rows, columns = each.settled.shape
@@ -123,7 +123,7 @@ class RoomLight:
         kept: dict[int, Planes] = {}
         while (across := FINE << len(kept)) <= finest and (planes := self.store.planes(state, across)) is not None:
             kept[across] = planes
-        sides = product(range(len(self.light.spec.prepared.scene.room.walls)), (1, -1)) if kept else ()
+        sides = product(range(len(self.light.spec.prepared.scene.lighting.room.walls)), (1, -1)) if kept else ()
         found = {side: WallTexels.restored(self.light, side, kept) for side in sides}
         return {side: texels for side, texels in found.items() if texels is not None}
 
@@ -158,7 +158,7 @@ class WallView:
     @classmethod
     def of_sides(cls, gbuffer: GBuffer, light: RotatedLight, sides: np.ndarray) -> list["WallView"]:
         """The walls that a G-buffer shows, seen from ``sides`` (m,): fronts and backs apart."""
-        count, walls = len(light.spec.prepared.scene.room.walls), gbuffer.walls
+        count, walls = len(light.spec.prepared.scene.lighting.room.walls), gbuffer.walls
         found = [(side, np.flatnonzero(sides == side)) for side in (1, -1)]
         return [
             cls(replace(gbuffer, walls=walls.part(some)), light, np.full(count, side))
@@ -195,7 +195,7 @@ class WallView:
 
     def _table(self, texels: Sequence[WallTexels], finals: dict[int, bool]) -> WallTable:
         """The texels as kernels take them, and which walls are final."""
-        light, count = [each.leaving for each in texels], len(self.light.spec.prepared.scene.room.walls)
+        light, count = [each.leaving for each in texels], len(self.light.spec.prepared.scene.lighting.room.walls)
         firsts, rows, columns = np.zeros((3, count), np.int64)
         states, ends = np.zeros(count, np.uint8), np.cumsum([0, *map(len, light)])
         for each, first in zip(texels, ends, strict=False):
@@ -230,7 +230,7 @@ class WallView:
 
     def put_locally(self, shading: str, depths: tuple[float, float], framebuffer: Framebuffer, tiles: Tiles) -> None:
         """Write the walls into a picture by a local model, whose shadows are those of the surface. Raises Cancelled."""
-        walls, gbuffer, room = self.gbuffer.walls, self.gbuffer, self.light.spec.prepared.scene.room
+        walls, gbuffer, room = self.gbuffer.walls, self.gbuffer, self.light.spec.prepared.scene.lighting.room
         traced, normals = gbuffer.surface.traced(tiles.run), self._normals.astype(np.float32)
         for number, _ in self.seen:
             rows = np.flatnonzero(walls.numbers == number)

@@ -44,7 +44,6 @@ class Composer:
         self._inner: PreparedScene | None = None
         self._sides: OrderedDict[tuple[Side, float | None], SurfaceRenderer] = OrderedDict()
         self._held: OrderedDict[tuple[Side, float | None], Caches] = OrderedDict()
-        self._surveyed: dict[Side, dict[str, Any]] = {}
         self._lock = threading.Lock()
 
     @property
@@ -125,7 +124,7 @@ class Composer:
 
     def _levels(self, shown: float) -> tuple[tuple[float, float], ...]:
         """The levels whose light is mixed where an isovalue is ``shown``, and their shares."""
-        return levels_around(self._scene.levels, [each.isovalue for each in self._scene.pinned], shown)
+        return levels_around(self._scene.levels, [each.isovalue for each in self._scene.surfaces.pinned], shown)
 
     def _caches_of(self, side: Side, shown: float) -> Caches:
         """Caches of a side's light where the isovalue ``shown`` is: a level, or what is between two."""
@@ -137,15 +136,12 @@ class Composer:
     def _made(self, side: Side, shown: float) -> Caches:
         """New caches of a side's light; what was worked out of the volume for other sides serves it too."""
         scene = scene_of_side(self._scene, side, shown)
-        vars(scene).update(self._surveyed.get(side, {}))
         if not side.inner:
             prepared = self._caches.prepared.beside(scene)
         elif self._inner is None:
             prepared = self._inner = PreparedScene(scene, self._caches.prepared.most)
         else:
             prepared = self._inner.beside(scene)
-        scene.projection  # noqa: B018 - surveyed once for all isovalues that are shown
-        self._surveyed[side] = scene.surveys
         return Caches(prepared, self._caches.store, self._caches.budget, makes=False)
 
     def _check_room(self) -> None:

@@ -34,7 +34,6 @@ from server.render.bakes import BackgroundBake
 from server.render.jobs import Job, Result
 from server.render.scheduling import REFINED
 from server.render.updates import background_viewer, request_viewer, stream_viewer
-from server.render.variants import own_name
 from server.schemas import CameraSchema, Coverage
 from worker.errors import WorkersError
 
@@ -158,16 +157,16 @@ def defer(
 
     ``output`` are the format and the exposure of the picture; the job is the ``client``'s. Raises BusyError.
     """
-    form, exposure = output
+    (form, exposure), own = output, service.engine.variant(picture.scene).base
 
     async def work(job: Job) -> Iterable[Result]:
         frame = await complete(service, picture, job)
         tag = entity_tag(frame, form, exposure, params)
         named = [*(pair for pair in query if pair[0] not in REPLACED), ("f", form), ("version", tag.strip('"'))]
-        href = f"/v1/scenes/{own_name(picture.scene)}/frame?{urlencode(named)}"
+        href = f"/v1/scenes/{own}/frame?{urlencode(named)}"
         return [Result(href, MEDIA_TYPES[form], "The picture")]
 
-    job = service.jobs.begin("frame", f"A frame of {own_name(picture.scene)}", work, client=client)
+    job = service.jobs.begin("frame", f"A frame of {own}", work, client=client)
     headers = {"Location": address(job), "Preference-Applied": "respond-async", "Cache-Control": "no-store"}
     return Response(
         job_schema(job).model_dump_json(), 202, headers | {"Vary": "Accept, Prefer"}, media_type="application/json"

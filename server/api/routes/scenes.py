@@ -25,7 +25,6 @@ from server.parameters import (
 )
 from server.pictures import MEDIA_TYPES, compress
 from server.problems import documented_problems
-from server.render.variants import MARK
 from server.schemas import (
     EnvironmentList,
     EnvironmentSchema,
@@ -46,8 +45,7 @@ router = APIRouter(prefix="/v1/scenes", tags=["scenes"])
 @router.get("", dependencies=[NoParamsDep], responses=documented_problems(422))
 async def list_scenes(service: ServiceDep) -> SceneList:
     """All scenes, each with the address of its document."""
-    own = [scene for scene in service.engine.scenes.values() if MARK not in scene.id]
-    links = [SceneLink(id=s.id, name=s.name, href=f"/v1/scenes/{s.id}") for s in own]
+    links = [SceneLink(id=s.id, name=s.name, href=f"/v1/scenes/{s.id}") for s in service.engine.own_scenes]
     for link in links:
         link.volume = href(link.id) if link.id in service.uploads.folder.volumes else None
     return SceneList(scenes=links, uploads=limits(service.uploads))
@@ -65,7 +63,7 @@ def scene_facts(scene: Scene, lit: Scene, environment: str | None, service: Serv
     facts, notes = scene_schema(service.planned(lit)), service.engine.notes()
     facts.id, facts.environment = scene.id, environment
     facts.environments = environments(service.uploads)
-    facts.read_only = bool(notes)
+    facts.read_only = service.engine.store.read_only
     facts.plan.notes += notes
     return facts
 
@@ -99,12 +97,12 @@ async def read_sky(request: Request, scene: SceneDep, params: SkyParamsDep, serv
 def painted(request: Request, scene: Scene, params: SkyParams) -> Response:
     """The picture of a scene's light, or that it is the one that the client has."""
     orientation = scene.volume.orientation
-    turn = orientation.matrix if orientation.turned and not scene.rotating else None
-    tag = tag_of(FORMAT, scene.environment.digest, scene.lamps.digest, params.width, params.f)
+    turn = orientation.matrix if orientation.turned and not scene.lighting.rotating else None
+    tag = tag_of(FORMAT, scene.lighting.environment.digest, scene.lighting.lamps.digest, params.width, params.f)
     headers = {"ETag": tag, "Cache-Control": FOR_EVER if params.version == tag.strip('"') else "no-cache"}
     if matches(request.headers.get("if-none-match"), tag):
         return Response(status_code=304, headers=headers)
-    picture = paint_panorama(scene.environment, scene.lamps, params.width, turn)
+    picture = paint_panorama(scene.lighting.environment, scene.lighting.lamps, params.width, turn)
     return Response(compress(picture, params.f), 200, headers, MEDIA_TYPES[params.f])
 
 

@@ -147,8 +147,8 @@ def test_colours_are_those_that_the_file_recommends(tmp_path: Path) -> None:
 
 def test_a_segmentation_is_shown_by_its_labels(tmp_path: Path) -> None:
     scene = load_scene(write(tmp_path / "seg.dcm", "BINARY", bits()))
-    assert scene.colours is not None
-    assert [label.name for label in scene.colours.scale.labels] == ["Liver", "Hepatic vein"]
+    assert scene.surfaces.colours is not None
+    assert [label.name for label in scene.surfaces.colours.scale.labels] == ["Liver", "Hepatic vein"]
     assert scene.isovalue == 0.5
 
 

@@ -49,7 +49,7 @@ def differences(twin: Twin, bench: Workbench, view: View, raw: bool) -> tuple[np
 @pytest.mark.parametrize("name", SCENES)
 def test_the_bytes_draw_the_frame(workbench: Make, name: str, raw: bool) -> None:
     bench = bench_of(workbench, name)
-    view = bench.view(size=40, light=TURN if bench.scene.rotating else (1.0, 0.0, 0.0, 0.0))
+    view = bench.view(size=40, light=TURN if bench.scene.lighting.rotating else (1.0, 0.0, 0.0, 0.0))
     apart, rmse = differences(twin_of(bench, view, raw), bench, view, raw)
     assert (apart <= 2).mean() == 1.0, f"{(apart > 2).sum()} of {len(apart)} pixels, up to {apart.max()}"
     assert rmse < 0.002

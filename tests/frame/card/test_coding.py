@@ -40,7 +40,7 @@ def test_rounding_errs_as_much_as_is_allowed(workbench: Make, name: str, turn: f
     coding = coding_of(bench, error)
     numbers = RNG.normal(size=(4000, spec.channels * spec.columns)).astype(np.float32)
     wrong = coding.numbers(coding.codes(numbers)) - numbers
-    turned = quaternion_from_angles(turn if bench.scene.rotating else 0.0, 0.0, 0.0)
+    turned = quaternion_from_angles(turn if bench.scene.lighting.rotating else 0.0, 0.0, 0.0)
     columns = RotatedLight(spec, bench.view(size=8, light=turned)).reflected / spec.unit * raw_scale(spec)
     light = np.array([0.2126, 0.7152, 0.0722]) @ columns
     if spec.channels == 3:

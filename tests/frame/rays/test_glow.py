@@ -39,7 +39,8 @@ def floor_under(glow: Glow, tmp_path: Path) -> Workbench:
     scene = scene_of(volume, 0.0, lights=[DARK], albedo=1.0, bounces=0, projected=False, target_error=0.005)
     glowing = place_glows([glow], volume)
     given = load_scene("demo:orbital", glow=[{"sphere": [20, 20, 20, 5]}], lights=[DARK], albedo=1.0, bounces=0)
-    return Workbench(replace(scene, glowing=glowing, plan=given.plan, inputs=given.inputs), tmp_path)
+    lighting = replace(scene.lighting, glowing=glowing)
+    return Workbench(replace(scene, lighting=lighting, plan=given.plan, inputs=given.inputs), tmp_path)
 
 
 @pytest.mark.slow
@@ -81,8 +82,9 @@ def test_walls_are_lit_by_what_glows(tmp_path: Path) -> None:
     """A room whose luminaire is out is lit by the ball alone, as paths say."""
     room = {"room": "cornell", "bounces": 0}
     bench = Workbench(orbital_of(**room, lights=[DARK]), tmp_path)
-    dark = tuple(replace(wall, radiance=(0.0, 0.0, 0.0)) for wall in bench.scene.room.walls)
-    scene = replace(bench.scene, room=replace(bench.scene.room, walls=dark), lamps=load_scene("demo:orbital").lamps)
+    dark = tuple(replace(wall, radiance=(0.0, 0.0, 0.0)) for wall in bench.scene.lighting.room.walls)
+    lighting = replace(bench.scene.lighting, lamps=load_scene("demo:orbital").lighting.lamps)
+    scene = replace(bench.scene, lighting=replace(lighting, room=replace(lighting.room, walls=dark)))
     bench = Workbench(scene, tmp_path / "dark")
     view = bench.view(90.0, 0.0, SIZE, distance=4.0)
     bench.bake(view)

@@ -64,7 +64,7 @@ def test_a_room_becomes_final_and_is_what_paths_say(room: Workbench) -> None:
     assert red[0] > 2.0 * red[1]
     assert green[1] > 2.0 * green[0]
     lamp = frame.radiance.reshape(-1, 3)[walls.pixels[walls.numbers == 5]]
-    np.testing.assert_allclose(lamp, room.scene.room.walls[5].radiance[0], rtol=1e-6)
+    np.testing.assert_allclose(lamp, room.scene.lighting.room.walls[5].radiance[0], rtol=1e-6)
 
 
 @pytest.mark.slow
@@ -90,7 +90,7 @@ def test_positions_are_those_of_walls_too(room: Workbench) -> None:
     frame = room.renderer.render(room.view(90.0, 0.0, SIZE, distance=4.0))
     walls = frame.gbuffer.walls
     places = frame.position.reshape(-1, 3)[walls.pixels]
-    corners, edges = room.scene.room.corners[walls.numbers], room.scene.room.edges[walls.numbers]
+    corners, edges = room.scene.lighting.room.corners[walls.numbers], room.scene.lighting.room.edges[walls.numbers]
     heights = ((places - corners) * np.cross(edges[:, 0], edges[:, 1])).sum(axis=1)
     assert np.abs(heights).max() < 1e-2 * room.scene.volume.radius
     np.testing.assert_array_equal(frame.positions(3, 5), frame.position[3:5])
@@ -107,7 +107,7 @@ def test_other_shadings_show_the_walls(room: Workbench, shading: str) -> None:
 
 
 def test_the_camera_may_not_stand_in_a_wall(room: Workbench) -> None:
-    view, wall = room.view(size=8), room.scene.room.walls[0]
+    view, wall = room.view(size=8), room.scene.lighting.room.walls[0]
     eye = triple(np.array(wall.corner) + np.array(wall.edges).sum(axis=0) / 3.0)
     with pytest.raises(ViewError, match="The camera stands in wall 1: move it"):
         room.renderer.render(replace(view, camera=replace(view.camera, eye=eye)))
@@ -187,7 +187,7 @@ def test_damaged_light_of_walls_is_baked_again(room: Workbench, tmp_path: Path) 
     view = room.view(90.0, 0.0, SIZE, distance=4.0)
     true = finished(room, view)
     copy = Workbench(room.scene, Path(shutil.copytree(room.folder, tmp_path / "copy")))
-    state = WallState(float(copy.prepared.surface(view.isovalue).isovalue), copy.scene.albedo, 1.0)
+    state = WallState(float(copy.prepared.surface(view.isovalue).isovalue), copy.scene.surfaces.albedo, 1.0)
     objects = sorted((copy.folder / WallLayer(copy.caches.store, copy.prepared, state, FINE).digest).glob("c/*/*/*/0"))
     assert len(objects) == 1
     objects[0].write_bytes(objects[0].read_bytes()[:-9])

@@ -62,11 +62,11 @@ def test_walls_grow_while_they_err_more_than_the_surface(bench: Workbench) -> No
     """Where the surface's light is final they do whatever it takes, as ever."""
     view = view_of(bench)
     bench.renderer.refine(view)
-    bake(bench, view) if bench.scene.several else bench.bake(view)
+    bake(bench, view) if bench.scene.surfaces.several else bench.bake(view)
     frame = bench.renderer.render(view)
     assert frame.quality.waiting and frame.checkable and frame.refinable
     while bench.renderer.refine(view):
-        bake(bench, view) if bench.scene.several else bench.bake(view)
+        bake(bench, view) if bench.scene.surfaces.several else bench.bake(view)
     frame = bench.renderer.render(view)
     assert not frame.quality.waiting and not frame.walls_lag and not frame.refinable
     assert (frame.state[frame.state > 0] == FINAL).all()

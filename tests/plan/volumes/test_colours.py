@@ -39,8 +39,8 @@ def scene_of(folder: Path, table: str = OWN, more: str = "") -> Scene:
 
 def colours_of(scene: Scene) -> SurfaceColours:
     """The colours that it has."""
-    assert scene.colours is not None
-    return scene.colours
+    assert scene.surfaces.colours is not None
+    return scene.surfaces.colours
 
 
 def values_of(scene: Scene) -> np.ndarray:
@@ -170,7 +170,7 @@ def test_cuts_and_other_light_keep_the_colours(tmp_path: Path) -> None:
     scene = scene_of(tmp_path)
     written = scene_of(tmp_path, more='cut = "z>7"')
     assert cut_open(scene, "z>7", "cut").bake_digest == written.bake_digest
-    assert under(scene, "studio", "lit").colours is scene.colours
+    assert under(scene, "studio", "lit").surfaces.colours is scene.surfaces.colours
 
 
 def test_workers_elsewhere_get_the_colours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -227,4 +227,4 @@ def test_metal_cannot_have_colours(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="choose plastic"):
         scene_of(tmp_path, table.format("metal"))
     with pytest.raises(ViewError, match="choose plastic"):
-        scene_of(tmp_path, table.format("plastic")).shine_for(Shine("metal"))
+        scene_of(tmp_path, table.format("plastic")).surfaces.shine_for(Shine("metal"))

@@ -32,18 +32,18 @@ def scene_of(folder: Path, *glows: dict[str, Any], **settings: Any) -> Scene:
 
 
 def test_masks_are_bits_of_voxels_and_their_boxes_regions(tmp_path: Path) -> None:
-    glowing = scene_of(tmp_path, {}, {"labels": [4], "radiance": [3, 2, 1]}).glowing
+    glowing = scene_of(tmp_path, {}, {"labels": [4], "radiance": [3, 2, 1]}).lighting.glowing
     np.testing.assert_array_equal(glowing.bits, (LABELS != 0) * np.uint8(1) + (LABELS == 4) * np.uint8(2))
     lows, highs = glowing.middles - glowing.halves, glowing.middles + glowing.halves
     np.testing.assert_allclose(lows, [[0.0, 0.5, 1.5], [2.5, 0.5, 1.5]])
     np.testing.assert_allclose(highs, [[6.5, 6.0, 8.0], [6.5, 3.5, 4.5]])
-    sphere = scene_of(tmp_path, {"sphere": [4, 3, 3, 2]}).glowing
+    sphere = scene_of(tmp_path, {"sphere": [4, 3, 3, 2]}).lighting.glowing
     assert sphere.round.all() and sphere.masked.all() and sphere.halves[0, 0] == 2.0
 
 
 def test_light_depends_on_a_mask_and_not_on_its_file(tmp_path: Path) -> None:
     one, other = (scene_of(tmp_path, {"labels": [label], "box": [[0, 0, 0], [7, 6, 8]]}) for label in (4, 9))
-    assert one.glowing.halves.tolist() == other.glowing.halves.tolist()
+    assert one.lighting.glowing.halves.tolist() == other.lighting.glowing.halves.tolist()
     assert one.bake_digest != other.bake_digest
     nrrd.write(str(tmp_path / "same.nrrd"), (LABELS == 4).astype(np.uint8), index_order="C")
     same = load_scene(
@@ -62,7 +62,7 @@ def test_other_machines_are_given_what_masks_take(tmp_path: Path) -> None:
     made = build_scene(source, no_progress, volume, None, receive_glow_bits(assets, store))
     assert made.bake_digest == scene.bake_digest
     cut = cut_open(scene, "z>6", "cut")
-    np.testing.assert_array_equal(cut.glowing.bits, scene.glowing.bits)
+    np.testing.assert_array_equal(cut.lighting.glowing.bits, scene.lighting.glowing.bits)
 
 
 @pytest.mark.parametrize(

@@ -44,8 +44,8 @@ def table(value: int, **more: Any) -> dict[str, Any]:
 
 def colours_of(scene: Scene) -> SurfaceColours:
     """The colours that it has."""
-    assert scene.colours is not None
-    return scene.colours
+    assert scene.surfaces.colours is not None
+    return scene.surfaces.colours
 
 
 def albedos(scene: Scene, points: np.ndarray) -> np.ndarray:
@@ -318,7 +318,7 @@ def test_labels_of_a_file_are_hidden_and_listed_by_their_values(tmp_path: Path) 
 @pytest.mark.parametrize("text", ["isovalue = 2\n", "albedo = 0.5\n", 'solid = "below"\n', "missing = 5\n"])
 def test_a_scene_of_values_shows_the_values_of_labels(tmp_path: Path, text: str) -> None:
     scene = by_itself(tmp_path, text)
-    assert scene.colours is None and not scene.volume.segmented
+    assert scene.surfaces.colours is None and not scene.volume.segmented
     assert scene.volume.value_range[1] > 1.0
 
 
@@ -326,7 +326,7 @@ def test_a_nifti_file_may_say_that_it_is_a_segmentation(tmp_path: Path) -> None:
     nib = pytest.importorskip("nibabel")
     image = nib.Nifti1Image(HALVES.T, np.eye(4))
     nib.save(image, tmp_path / "v.nii")
-    assert load_scene(tmp_path / "v.nii").colours is None
+    assert load_scene(tmp_path / "v.nii").surfaces.colours is None
     image.header.set_intent("label")
     nib.save(image, tmp_path / "v.nii")
     assert [each.name for each in colours_of(load_scene(tmp_path / "v.nii")).scale.labels] == ["label 3", "label 5"]

@@ -24,13 +24,13 @@ PART = FIELD[2:19, 5:17, 3:12]
 AXES = [{"name": name, "type": "space", "unit": "micrometer"} for name in "zyx"]
 
 
-def image(path: Path, arrays: list[np.ndarray], names: str = "zyx") -> Path:
+def image(path: Path, arrays: list[np.ndarray], names: str = "zyx", chunk: int = 4) -> Path:
     """An image of these levels, each half as fine as the one before, of voxels of 2 × 3 × 4 µm at the finest."""
     group, datasets = zarr.open_group(path, mode="w"), []
     order, steps = ["zyx".index(name) for name in names], np.array([4.0, 3.0, 2.0])
     for level, array in enumerate(arrays):
         turned = array.transpose(order)
-        zarr.create_array(path / str(level), shape=turned.shape, dtype=turned.dtype, chunks=(4, 4, 4))[:] = turned
+        zarr.create_array(path / str(level), shape=turned.shape, dtype=turned.dtype, chunks=(chunk,) * 3)[:] = turned
         scale, shift = steps[order] * 2**level, steps[order] * (2**level - 1) / 2
         placed: list[Any] = [{"type": "scale", "scale": scale.tolist()}]
         placed.append({"type": "translation", "translation": shift.tolist()})
@@ -195,7 +195,7 @@ def halved(field: np.ndarray) -> np.ndarray:
 
 
 def by_others(field: np.ndarray, path: Path) -> None:
-    image(path, [field, halved(field), halved(halved(field))], "xzy")
+    image(path, [field, halved(field), halved(halved(field))], "xzy", chunk=32)
 
 
 def by_isogi(field: np.ndarray, path: Path) -> None:

@@ -132,7 +132,10 @@ def test_the_document_tells_the_scenes_own_numbers(client: httpx.Client, scene: 
     assert (found["drawable"], found["because"], found["reason"], found["format"]) == (True, [], "", 1)
     facts, volume = found["scene"], scene.volume
     assert facts["grid"]["size"] == [24, 20, 16] and facts["grid"]["spacing"] == list(volume.spacing)
-    assert facts["lattice"]["size"] == list(scene.lattice_shape[::-1]) and facts["lattice"]["chunk"] == scene.chunk
+    assert (
+        facts["lattice"]["size"] == list(scene.lattice_shape[::-1])
+        and facts["lattice"]["chunk"] == scene.settings.chunk
+    )
     assert (facts["exposure"], facts["target"]) == (scene.default_exposure, scene.target_error)
     assert facts["isovalues"] == list(scene.isovalues)
     level = np.float32((0.5 - facts["values"]["offset"]) / facts["values"]["scale"])

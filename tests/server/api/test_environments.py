@@ -14,7 +14,8 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.store import Store
 from server.parameters import FrameParams
 from server.render.engine import RenderEngine
-from server.render.variants import Change, Variants
+from server.render.scene_variant import Change
+from server.render.variants import Variants
 from server.settings import Settings
 from server.views import view_of
 from tests.server.sockets import pictures_on
@@ -78,7 +79,7 @@ def test_its_sky_is_painted(live_server: str, small_scene: Path) -> None:
     from PIL import Image
 
     picture = np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGB"))
-    assert np.array_equal(picture, paint_panorama(scene.environment, scene.lamps, 64))
+    assert np.array_equal(picture, paint_panorama(scene.lighting.environment, scene.lighting.lamps, 64))
 
 
 @pytest.mark.parametrize("route", ["", "/frame", "/coverage", "/events", "/sky"])

@@ -2,7 +2,7 @@
 
 import io
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +138,7 @@ def test_a_scene_keeps_its_stops_in_another_light(balls: Path) -> None:
     scene = load_scene(balls)
     stops = scene.stops
     assert under(scene, "studio", "lit").stops is stops
-    assert scene.with_plan(scene.plan).stops is stops
+    assert replace(scene, plan=scene.plan).stops is stops
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store
 from server.api import service as service_module
 from server.api.app import create_app
+from server.api.routes.scenes import scene_facts
 from server.api.service import Service
 from server.errors import BusyError
 from server.parameters import ViewParams
@@ -97,7 +98,7 @@ class FakeEngine:
         self.closed = True
 
     def notes(self) -> list[str]:
-        return []
+        return [self.kernels.compiling] if self.kernels.compiling else []
 
     def unready(self) -> list[str]:
         return ["No worker is alive."]
@@ -162,7 +163,9 @@ def started(app: FastAPI, *queries: dict[str, Any]) -> list[httpx.Response]:
         await app.state.service.start()
         transport = httpx.ASGITransport(app, raise_app_exceptions=False)
         async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
-            return await asyncio.gather(*(client.get(FRAME, params={"width": 4, **q}) for q in queries))
+            answers = await asyncio.gather(*(client.get(FRAME, params={"width": 4, **q}) for q in queries))
+        app.state.service.engine.kernels.compiled.set()  # or the loop waits at its end for who compiles
+        return answers
 
     return asyncio.run(gather())
 
@@ -509,7 +512,6 @@ def test_while_kernels_are_compiled_pictures_have_no_light(engine: FakeEngine, a
     assert [answer.status_code for answer in (lit, plain)] == [200, 200]
     assert lit.headers["isogi-provisional"] == "?1"
     assert [(view.shading, view.smooth) for view, _ in engine.views] == [("lambert", False), ("phong", False)]
-    engine.kernels.compiled.set()
 
 
 def test_while_kernels_are_compiled_the_server_says_how_far(
@@ -520,6 +522,12 @@ def test_while_kernels_are_compiled_the_server_says_how_far(
     assert starting.status_code == 503
     assert starting.json()["detail"] == "Compiling, once on this machine: 7 of 24, about 40 s left."
     assert ask(app, "GET", "/readyz").json()["reasons"] == [starting.json()["detail"]]
+
+
+def test_a_store_is_not_read_only_while_kernels_are_compiled(engine: FakeEngine, app: FastAPI, scene: Scene) -> None:
+    engine.kernels.compiled.clear()
+    facts = scene_facts(scene, scene, None, app.state.service)
+    assert facts.plan.notes[-1] == engine.kernels.compiling and not facts.read_only
 
 
 def test_a_view_at_rest_is_lit_once_kernels_are_there(engine: FakeEngine, app: FastAPI) -> None:

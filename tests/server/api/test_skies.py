@@ -23,7 +23,7 @@ def test_it_is_the_panorama_of_the_scene(live_server: str, small_scene: Path) ->
     answer = httpx.get(f"{live_server}{PATH}", params={"width": 100})
     scene = load_scene(small_scene)
     assert answer.headers["content-type"] == "image/png"
-    assert np.array_equal(picture_of(answer), paint_panorama(scene.environment, scene.lamps, 100))
+    assert np.array_equal(picture_of(answer), paint_panorama(scene.lighting.environment, scene.lighting.lamps, 100))
     assert picture_of(httpx.get(f"{live_server}{PATH}")).shape == (128, 256, 3)
 
 

@@ -14,12 +14,11 @@ from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.storage.store import Store
 from server.render.engine import RenderEngine
-from server.render.variants import Change, Variants
+from server.render.scene_variant import Change
+from server.render.variants import Variants
 from tests.live import serving
 from tests.loaded import load_scene
 from tests.series import SCENE, STEPS, write_series
-from tests.server.inline import InlinePool
-from worker import pool
 
 
 @pytest.fixture(scope="module")
@@ -105,8 +104,7 @@ def error_of(found: Frame, wanted: Frame) -> float:
     return float(np.sqrt(((found.radiance - wanted.radiance)[on] ** 2).mean()) / wanted.radiance[on].mean())
 
 
-def test_the_light_of_the_step_before_stands_in(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+def test_the_light_of_the_step_before_stands_in(scene: Path, tmp_path: Path, inline: None) -> None:
     engine = RenderEngine([load_scene(scene)], Store(f"file://{tmp_path}"), workers=1)
     try:
         engine.start()

@@ -1,6 +1,5 @@
 """The view that parameters make: its camera, on an orbit or at an eye."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,7 +50,7 @@ def test_an_eye_looks_at_the_middle_with_z_up(scene: Scene) -> None:
 
 
 def test_a_view_is_in_the_projection_that_it_or_its_scene_names(scene: Scene) -> None:
-    flat = replace(scene, camera_projection="orthographic")
+    flat = scene.with_settings(projection="orthographic")
     usual, parallel = camera_of(scene, params("azimuth=10")), camera_of(flat, params("azimuth=10"))
     assert parallel.fov < 1e-4 < usual.fov == 30.0
     assert camera_of(scene, params("azimuth=10 projection=orthographic")) == parallel

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -21,8 +22,6 @@ from server.cli.command import VIEW_OPTIONS, WORK_OPTIONS, run
 from server.cli.render import rendered
 from server.parameters import FrameParams
 from server.settings import Settings
-from tests.server.inline import InlinePool
-from worker import pool
 
 SIZE = ["--width", "24", "--height", "20"]
 
@@ -180,6 +179,8 @@ def test_inspect_tells_the_plan_and_what_it_saves(capsys: pytest.CaptureFixture[
 def test_inspect_as_json_is_what_http_says(
     capsys: pytest.CaptureFixture[str], small_scene: Path, live_server: str
 ) -> None:
+    while "compiling" in httpx.get(f"{live_server}/readyz").json():  # which is a note of the plan
+        time.sleep(0.1)
     assert run(["inspect", str(small_scene), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document.pop("stiffness")
@@ -200,9 +201,8 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+def told(inline: None, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     """What a command prints that succeeds in this process, which bakes by itself."""
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
 
     def told(*arguments: object) -> str:
         capsys.readouterr()

@@ -7,14 +7,8 @@ import pytest
 
 from server.cli.command import run
 from server.cli.export import size_of
-from tests.server.inline import InlinePool
-from worker import pool
 
-
-@pytest.fixture(autouse=True)
-def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bake in this process."""
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+pytestmark = pytest.mark.usefixtures("inline")
 
 
 @pytest.mark.slow

@@ -13,16 +13,11 @@ from server.cli.film_path import film_path, view_in, views_in
 from server.cli.reel import ReelRequest
 from server.errors import ParameterError
 from tests.loaded import load_scene
-from tests.server.inline import InlinePool
-from worker import pool
 
 SIZE = ["--width", "24", "--height", "20"]
 
 
-@pytest.fixture(autouse=True)
-def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bake in this process."""
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+pytestmark = pytest.mark.usefixtures("inline")
 
 
 def values(path: list[dict[str, str]], name: str) -> list[float]:

@@ -12,14 +12,8 @@ from server.cli.command import run
 from server.cli.publish import first_place, ground_colour, sliders_of, values_in
 from server.errors import ParameterError
 from tests.loaded import load_scene
-from tests.server.inline import InlinePool
-from worker import pool
 
-
-@pytest.fixture(autouse=True)
-def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bake in this process."""
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+pytestmark = pytest.mark.usefixtures("inline")
 
 
 def test_a_grid_is_published_and_gone_on_with(

@@ -13,16 +13,11 @@ from isogi_core.frame.card.coding import Coding
 from server.cli.command import run
 from server.exports.live_page import IMPORT, page_files
 from tests.card_twin import read_coded
-from tests.server.inline import InlinePool
-from worker import pool
 
 Capture = pytest.CaptureFixture[str]
 
 
-@pytest.fixture(autouse=True)
-def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bake in this process."""
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+pytestmark = pytest.mark.usefixtures("inline")
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +82,7 @@ def texels_in(page: Path) -> int:
     return records
 
 
+@pytest.mark.slow
 def test_a_limit_takes_bits_from_the_light(small_scene: Path, store: Path, tmp_path: Path, capsys: Capture) -> None:
     scene, words = small_scene.with_name("fine.toml"), ("--target-error", "0.08")
     scene.write_text(small_scene.read_text().replace("lattice = 0.5", "lattice = 2.0"))

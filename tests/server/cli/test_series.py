@@ -12,16 +12,11 @@ from server.cli.series import steps_in
 from server.errors import ParameterError
 from tests.loaded import load_scene
 from tests.series import write_series
-from tests.server.inline import InlinePool
-from worker import pool
 
 SIZE = ["--width", "24", "--height", "20"]
 
 
-@pytest.fixture(autouse=True)
-def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bake in this process."""
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+pytestmark = pytest.mark.usefixtures("inline")
 
 
 @pytest.fixture

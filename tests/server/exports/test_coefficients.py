@@ -12,9 +12,7 @@ from scipy.special import sph_harm_y
 from isogi_core.model.latlong import pixel_directions
 from isogi_core.plan.assembly import load_scene
 from server.cli.command import run
-from tests.server.inline import InlinePool
 from tests.server.jobs import baking, until_over
-from worker import pool
 
 SCENE = """\
 volume = "small.nrrd"
@@ -72,7 +70,7 @@ def real_harmonics(order: int, directions: np.ndarray) -> np.ndarray:
 
 def turned_environment(scene: Path, yaw: float, order: int) -> np.ndarray:
     """The scene's sky, turned about z, projected onto harmonics by a sum over its pixels; (3, n²)."""
-    environment = load_scene(scene).environment
+    environment = load_scene(scene).lighting.environment
     height, width = environment.image.shape[:2]
     towards, (c, s) = pixel_directions(height, width).reshape(-1, 3), (math.cos(yaw), math.sin(yaw))
     turned = towards @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
@@ -88,8 +86,7 @@ def scene(small_scene: Path) -> Path:
     return path
 
 
-def test_coefficients_make_the_light_beside_them(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+def test_coefficients_make_the_light_beside_them(scene: Path, tmp_path: Path, inline: None) -> None:
     output, options = tmp_path / "a.vti", ["--store", str(tmp_path / "store"), "--yaw", "40", "--exposure", "2"]
     assert run(["export", str(scene), "-o", str(output), "--coefficients", *options]) == 0
     found = arrays_in(output)
@@ -107,10 +104,7 @@ def test_coefficients_make_the_light_beside_them(scene: Path, tmp_path: Path, mo
     assert np.abs(reflected - own).max() < 0.01 * np.abs(own).max()
 
 
-def test_a_servers_coefficients_are_those_of_the_command(
-    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+def test_a_servers_coefficients_are_those_of_the_command(scene: Path, tmp_path: Path, inline: None) -> None:
     with baking(scene, tmp_path / "store") as client:
         wrong = client.post("/v1/scenes/coefficients/export", params={"f": "ply", "coefficients": "on"})
         assert wrong.status_code == 422 and ".vti alone" in wrong.json()["detail"]
@@ -123,11 +117,10 @@ def test_a_servers_coefficients_are_those_of_the_command(
     assert (tmp_path / "a.vti").read_bytes() == fetched
 
 
-def test_vtk_reads_coefficients_and_environments(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_vtk_reads_coefficients_and_environments(scene: Path, tmp_path: Path, inline: None) -> None:
     vtk = pytest.importorskip("vtk")
     from vtk.util.numpy_support import vtk_to_numpy
 
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
     output = tmp_path / "a.vti"
     assert run(["export", str(scene), "-o", str(output), "--coefficients", "--store", str(tmp_path / "store")]) == 0
     reader = vtk.vtkXMLImageDataReader()

@@ -11,9 +11,8 @@ from server.cli.command import run
 from server.errors import FullError, UnknownResultError
 from server.exports.folder import ExportFolder
 from tests.server.idle import Idle, idle_server
-from tests.server.inline import LONG, InlinePool
+from tests.server.inline import LONG
 from tests.server.jobs import baking, until_over
-from worker import pool
 
 SCENE = """\
 volume = "small.nrrd"
@@ -34,8 +33,7 @@ def scene(small_scene: Path) -> Path:
     return path
 
 
-def test_files_are_those_of_the_command(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+def test_files_are_those_of_the_command(scene: Path, tmp_path: Path, inline: None) -> None:
     fetched = {}
     with baking(scene, tmp_path / "store") as client:
         for kind in ("glb", "usdz", "vti"):

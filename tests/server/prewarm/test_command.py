@@ -32,9 +32,7 @@ from worker.tasks import BakeTask
 SIZE = {"width": 24, "height": 20}
 
 
-@pytest.fixture(autouse=True)
-def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+pytestmark = pytest.mark.usefixtures("inline")
 
 
 def warmed(scene: Path, store: Path, *isovalues: str, dry: bool = False, **more: Any) -> Summary:

@@ -177,9 +177,8 @@ def test_what_another_server_works_on_is_left_to_it(blocks: Path, tmp_path: Path
 
 
 def test_a_command_beside_a_server_leaves_the_same_light(
-    blocks: Path, tmp_path: Path, alone: dict[str, str], monkeypatch: pytest.MonkeyPatch
+    blocks: Path, tmp_path: Path, alone: dict[str, str], inline: None
 ) -> None:
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
     load_scene(blocks)
     with baking(blocks, tmp_path) as client, ThreadPoolExecutor(1) as thread:
         job = client.post(PREWARM, json=ORDER).headers["location"]

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import psutil
@@ -62,32 +62,52 @@ def kill_once(reached: Callable[[Path], bool], scene: Path, store: Path) -> None
     assert psutil.wait_procs(family, timeout=LONG)[1] == []
 
 
+@pytest.fixture(scope="module")
+def inline() -> Iterator[None]:
+    """Bake in this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pool, "WorkerPool", InlinePool)
+        yield
+
+
+@pytest.fixture(scope="module")
+def scene(blocks: Path) -> Path:
+    """The scene, whose pictures ask for more samples than texels have at first."""
+    path = blocks.with_name("sky.toml")
+    settings = blocks.read_text().replace('"constant"', '"sky"').replace("error = 0.1", f"error = {TARGET}")
+    path.write_text(f"projected = false\n{settings}")
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(scene: Path, inline: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summary]:
+    """A store that a prewarm has filled undisturbed, and how that ended."""
+    store = tmp_path_factory.mktemp("whole")
+    order = order_of({"isovalues": ["0.5"], "all_directions": True, "target_error": TARGET})
+    return store, prewarm(str(scene), order, Settings(store=str(store), workers=1))
+
+
 @pytest.mark.kill
 @pytest.mark.parametrize("reached", [has_begun, has_climbed])
 def test_a_prewarm_that_is_killed_goes_on(
-    blocks: Path,
+    scene: Path,
+    whole: tuple[Path, Summary],
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     reached: Callable[[Path], bool],
 ) -> None:
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
-    scene = blocks.with_name("sky.toml")
-    settings = blocks.read_text().replace('"constant"', '"sky"').replace("error = 0.1", f"error = {TARGET}")
-    scene.write_text(f"projected = false\n{settings}")
-    order = order_of({"isovalues": ["0.5"], "all_directions": True, "target_error": TARGET})
-    whole = prewarm(str(scene), order, Settings(store=str(tmp_path / "whole"), workers=1))
-    assert whole.paths == paths_in(scene, tmp_path / "whole")
+    store, undisturbed = whole
+    assert undisturbed.paths == paths_in(scene, store)
     killed = tmp_path / "killed"
     kill_once(reached, scene, killed)
     before = paths_in(scene, killed)
-    assert 0 < before < whole.paths
+    assert 0 < before < undisturbed.paths
     (record,) = (killed / "jobs").glob("*.json")
     assert json.loads(record.read_text())["status"] == "running"
     capsys.readouterr()
     assert run(["prewarm", str(scene), "--continue", "--store", str(killed), "--workers", "1", "--json"]) == 0
     rest = Summary.model_validate_json(capsys.readouterr().out)
     assert (rest.final, rest.stopped) == (1.0, "target")
-    assert before + rest.paths == whole.paths
-    assert chunks_in(killed) == chunks_in(tmp_path / "whole")
+    assert before + rest.paths == undisturbed.paths
+    assert chunks_in(killed) == chunks_in(store)
     assert json.loads(record.read_text())["status"] == "successful"

@@ -1,8 +1,10 @@
 """Prewarms go by the measured error of pictures: they bake what a server would for the views, and nothing more."""
 
+import shutil
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,7 +23,6 @@ from server.cli.prewarm import prewarm
 from server.prewarm.baking import Step
 from server.prewarm.order import Views, order_of
 from server.prewarm.record import Record, Summary
-from server.progress import Progress
 from server.render.engine import RenderEngine
 from server.settings import Settings
 from tests.baking import bake_each_texel
@@ -34,9 +35,20 @@ WHOLE: dict[str, Any] = {"isovalues": ["0.5"], "all_directions": True}
 RANGE: dict[str, Any] = WHOLE | {"isovalues": ["0.45:0.55"]}
 
 
-@pytest.fixture(autouse=True)
-def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+@dataclass(frozen=True)
+class Warm:
+    """A store that was warmed for an order: how that ended, and the steps that were shown."""
+
+    store: Path
+    summary: Summary
+    steps: list[Step]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def inline() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pool, "WorkerPool", InlinePool)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +58,26 @@ def lit(blocks: Path) -> Path:
     dim = blocks.read_text().replace('"constant"', '"sky"').replace("error = 0.1", f"error = {TARGET}")
     path.write_text(dim)
     return path
+
+
+@pytest.fixture(scope="module")
+def viewed(lit: Path, tmp_path_factory: pytest.TempPathFactory) -> Warm:
+    """The store that is warmed for VIEWS."""
+    return watched(lit, tmp_path_factory.mktemp("viewed"), VIEWS)
+
+
+@pytest.fixture(scope="module")
+def whole(lit: Path, tmp_path_factory: pytest.TempPathFactory) -> Warm:
+    """The store that is warmed for WHOLE."""
+    return watched(lit, tmp_path_factory.mktemp("whole"), WHOLE)
+
+
+def watched(scene: Path, store: Path, order: dict[str, Any]) -> Warm:
+    """Warm a store, and keep what is shown meanwhile."""
+    steps: list[Step] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(command, "show", lambda _, step: steps.append(step))
+        return Warm(store, warmed(scene, store, order), steps)
 
 
 @contextmanager
@@ -93,32 +125,31 @@ def test_a_prewarm_bakes_what_serving_the_view_would(
     assert summary.error == pytest.approx(frame.total.likely)
 
 
-def test_views_are_final_without_a_texel_baked(lit: Path, tmp_path: Path) -> None:
-    summary, views = warmed(lit, tmp_path / "warmed", VIEWS), views_of(lit, VIEWS)
-    kept = chunks_in(tmp_path / "warmed")
+def test_views_are_final_without_a_texel_baked(lit: Path, viewed: Warm, tmp_path: Path) -> None:
+    summary, views, kept = viewed.summary, views_of(lit, VIEWS), chunks_in(viewed.store)
     assert (summary.final, summary.stopped) == (1.0, "target")
-    with engine_of(lit, tmp_path / "warmed", hire=False) as engine:
+    with engine_of(lit, viewed.store, hire=False) as engine:
         for view in views:
             frame = engine.frame("lit", view, wait=LONG)
             assert frame.final and not frame.stages
             assert frame.measured is not None and frame.measured.high <= TARGET
-    assert warmed(lit, tmp_path / "warmed", VIEWS).paths == 0
-    assert chunks_in(tmp_path / "warmed") == kept
+    assert warmed(lit, viewed.store, VIEWS).paths == 0
+    assert chunks_in(viewed.store) == kept
     with engine_of(lit, tmp_path / "each", hire=True) as engine:
         for view in views:
             bake_each_texel(engine, "lit", view)
         assert summary.paths < 0.7 * engine.paths
 
 
-def test_whole_isosurfaces_have_the_samples_pictures_need(lit: Path, tmp_path: Path) -> None:
-    summary, rungs = warmed(lit, tmp_path, WHOLE), rungs_in(lit, tmp_path, 0.5, 0.5)
+def test_whole_isosurfaces_have_the_samples_pictures_need(lit: Path, whole: Warm) -> None:
+    summary, rungs = whole.summary, rungs_in(lit, whole.store, 0.5, 0.5)
     assert (summary.final, summary.stopped) == (1.0, "target") and summary.errors.worst <= TARGET
     assert FIRST_LEVEL < rungs.min() <= rungs.max(), "those with fewer are good enough alone"
     assert summary.texels >= len(rungs) and summary.paths >= rungs.sum()
-    with engine_of(lit, tmp_path, hire=False) as engine:
+    with engine_of(lit, whole.store, hire=False) as engine:
         for view in views_of(lit, VIEWS):
             assert engine.frame("lit", view, wait=LONG).final
-    assert warmed(lit, tmp_path, WHOLE).paths == 0
+    assert warmed(lit, whole.store, WHOLE).paths == 0
 
 
 def test_ranges_have_the_samples_that_their_ends_need(lit: Path, tmp_path: Path) -> None:
@@ -128,10 +159,10 @@ def test_ranges_have_the_samples_that_their_ends_need(lit: Path, tmp_path: Path)
     assert warmed(lit, tmp_path, RANGE).paths == 0
 
 
-def test_the_rung_of_whole_isosurfaces_is_recorded(lit: Path, tmp_path: Path) -> None:
-    warmed(lit, tmp_path, WHOLE)
-    rung = int(rungs_in(lit, tmp_path, 0.5, 0.5).max())
-    record, context = Record(str(tmp_path), load_scene(lit), order_of(WHOLE), "command"), SimpleNamespace(rung=0)
+def test_the_rung_of_whole_isosurfaces_is_recorded(lit: Path, whole: Warm, tmp_path: Path) -> None:
+    store = shutil.copytree(whole.store, tmp_path / "store")
+    rung = int(rungs_in(lit, store, 0.5, 0.5).max())
+    record, context = Record(str(store), load_scene(lit), order_of(WHOLE), "command"), SimpleNamespace(rung=0)
     record.follow(context)  # type: ignore[arg-type]
     assert context.rung == record.document.rung == rung
     context.climbed(2 * rung)
@@ -139,8 +170,7 @@ def test_the_rung_of_whole_isosurfaces_is_recorded(lit: Path, tmp_path: Path) ->
     assert context.rung == 2 * rung
 
 
-def test_checks_end_with_the_deadline(lit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    warmed(lit, tmp_path, VIEWS)
+def test_checks_end_with_the_deadline(lit: Path, viewed: Warm, monkeypatch: pytest.MonkeyPatch) -> None:
     check, taken = RenderEngine.check, list[float]()
 
     def slow(engine: RenderEngine, *what: Any, **how: Any) -> bool:
@@ -149,7 +179,7 @@ def test_checks_end_with_the_deadline(lit: Path, tmp_path: Path, monkeypatch: py
         return check(engine, *what, **how)
 
     monkeypatch.setattr(RenderEngine, "check", slow)
-    summary = warmed(lit, tmp_path, VIEWS | {"deadline": 0})
+    summary = warmed(lit, viewed.store, VIEWS | {"deadline": 0})
     assert (summary.stopped, summary.paths, taken) == ("deadline", 0, [])
     assert summary.final < 1.0
 
@@ -172,17 +202,9 @@ def test_a_check_can_be_cancelled_and_yields(monkeypatch: pytest.MonkeyPatch) ->
     assert asked == [("a scene", "a view", 0.1, work.cancelled, KEPT)] * 2
 
 
-@pytest.mark.parametrize("order", [VIEWS, WHOLE], ids=["views", "whole isosurfaces"])
-def test_progress_never_goes_back(
-    lit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, order: dict[str, Any]
-) -> None:
-    steps: list[Step] = []
-
-    def show(_: Progress, step: Step) -> None:
-        steps.append(step)
-
-    monkeypatch.setattr(command, "show", show)
-    warmed(lit, tmp_path, order)
+@pytest.mark.parametrize("order", ["viewed", "whole"])
+def test_progress_never_goes_back(request: pytest.FixtureRequest, order: str) -> None:
+    steps: list[Step] = request.getfixturevalue(order).steps
     shares = [step.share for step in steps]
     assert shares == sorted(shares) and shares[0] >= 0.0 and shares[-1] <= 1.0
     baking = [step for step in steps if step.what == "Baking"]

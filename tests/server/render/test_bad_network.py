@@ -37,7 +37,7 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("worker.queue.LOOK", 0.1)
     monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.05)
     monkeypatch.setattr("isogi_core.cache.loader.ASK_AGAIN", 0.0)
-    monkeypatch.setattr("worker.baker.SHORTEST", 0.05)
+    monkeypatch.setattr("worker.baker.SHORTEST_PAUSE", 0.05)
     monkeypatch.setattr("worker.baker.LONGEST_PAUSE", 0.2)
 
 

@@ -34,7 +34,7 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.0)
     monkeypatch.setattr("isogi_core.storage.store.RETRIED", 0.0)
     monkeypatch.setattr("isogi_core.cache.loader.ASK_AGAIN", 0.0)
-    monkeypatch.setattr("worker.baker.SHORTEST", 0.01)
+    monkeypatch.setattr("worker.baker.SHORTEST_PAUSE", 0.01)
     monkeypatch.setattr("worker.baker.LONGEST_PAUSE", 0.01)
 
 

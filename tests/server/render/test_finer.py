@@ -12,8 +12,8 @@ from isogi_core.frame.rays.picture_plan import SHARED, Prices
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
-from isogi_core.plan.finer import finer
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import finer
 from server.api.headers import refined_header
 from server.render.engine import RenderEngine
 from tests.server.inline import LONG, InlinePool, weigh_at
@@ -87,7 +87,9 @@ def test_without_room_for_them_pixels_get_light_of_their_own(
 
     plain = Renderer.render
     monkeypatch.setattr(
-        Renderer, "render", lambda self, *given: (full if self.prepared.scene.lattice > 0.125 else plain)(self, *given)
+        Renderer,
+        "render",
+        lambda self, *given: (full if self.prepared.scene.settings.lattice > 0.125 else plain)(self, *given),
     )
     frame = engine.frame(scene.id, view_of(scene), wait=LONG)
     assert frame.final and frame.quality.fineness == 0 and 0 < frame.quality.own <= frame.surface

@@ -1,6 +1,7 @@
 """Variants of a segmentation that hide labels: their names, their voxels, and the light that stands in for theirs."""
 
 import asyncio
+from dataclasses import replace
 from pathlib import Path
 
 import nrrd
@@ -11,7 +12,8 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.store import Store
 from server.errors import ParameterError
 from server.render.engine import RenderEngine
-from server.render.variants import Change, Variants, labels_of, may_lend
+from server.render.scene_variant import Change, SceneVariant
+from server.render.variants import Variants
 
 
 @pytest.fixture
@@ -30,9 +32,9 @@ def test_variants_that_hide_the_same_share_their_voxels(engine: RenderEngine) ->
     without = asyncio.run(variants.of(own, Change(hide="3")))
     lit = asyncio.run(variants.of(own, Change("studio", hide=" 3")))
     assert without.volume is lit.volume and without.volume.digest != own.volume.digest
-    assert without.colours is lit.colours and without.plan.channels == own.plan.channels
+    assert without.surfaces.colours is lit.surfaces.colours and without.plan.channels == own.plan.channels
     cut = asyncio.run(variants.of(own, Change(cut="x>4", hide="3")))
-    assert labels_of(cut.id) == "!3" and not np.array_equal(cut.volume.voxels, without.volume.voxels)
+    assert engine.variant(cut.id).hidden == (3,) and not np.array_equal(cut.volume.voxels, without.volume.voxels)
     assert set(engine.scenes) == {"seg", lit.id, cut.id}, "those with voxels of their own are few"
 
 
@@ -43,6 +45,9 @@ def test_labels_that_cannot_be_hidden_are_told(engine: RenderEngine, hide: str, 
 
 
 def test_scenes_that_differ_in_labels_or_time_lend_light() -> None:
-    assert may_lend("seg", "seg@!3") and may_lend("seg@!3", "seg@!8+2") and may_lend("seg@noon+1", "seg@noon!3")
-    for other, scene in (("seg", "seg"), ("seg@noon", "seg@!3"), ("seg", "seg@!3@ab"), ("other", "seg@!3")):
-        assert not may_lend(other, scene)
+    own, noon = SceneVariant("seg"), SceneVariant("seg", "noon")
+    hides = replace(own, hidden=(3,))
+    assert own.may_lend(hides) and hides.may_lend(replace(own, hidden=(8,), time=2))
+    assert replace(noon, time=1).may_lend(replace(noon, hidden=(3,)))
+    for other, scene in ((own, own), (noon, hides), (own, replace(hides, cut="x>1")), (SceneVariant("other"), hides)):
+        assert not other.may_lend(scene) and not scene.may_lend(other)

@@ -34,9 +34,8 @@ def scenes() -> list[Scene]:
 
 
 @pytest.fixture
-def engine(scenes: list[Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RenderEngine]:
+def engine(scenes: list[Scene], tmp_path: Path, inline: None) -> Iterator[RenderEngine]:
     """An engine in little memory that starts with one of the scenes."""
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
     with closing(RenderEngine(scenes[:1], str(tmp_path), memory=SMALL)) as engine:
         engine.start()
         yield engine
@@ -44,7 +43,7 @@ def engine(scenes: list[Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 def test_scenes_under_the_same_light_share_it(scenes: list[Scene]) -> None:
     first, second, third = scenes
-    assert first.environment is second.environment is not third.environment
+    assert first.lighting.environment is second.lighting.environment is not third.lighting.environment
     assert first.inputs.harmonics is second.inputs.harmonics
 
 

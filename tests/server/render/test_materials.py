@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,7 +12,8 @@ from isogi_core.storage.store import Store
 from server.errors import BusyError, ParameterError
 from server.render import variants as module
 from server.render.engine import RenderEngine
-from server.render.variants import Change, Variants, labels_of, may_lend, step_of
+from server.render.scene_variant import Change, SceneVariant
+from server.render.variants import Variants
 from tests.loaded import load_scene
 
 
@@ -36,17 +38,20 @@ def test_a_material_is_named_in_the_variants_id(engine: RenderEngine) -> None:
     name = variant(engine, Change("studio", material=" glass, index=1.30"))
     assert name == "orbital@studio=glass,index=1.3"
     made = engine.scenes[name]
-    assert made.volume is own.volume and made.material.index == 1.3 and not made.bakes
+    assert made.volume is own.volume and made.surfaces.material.index == 1.3 and not made.bakes
     assert variant(engine, Change("studio", material="glass,index=1.3")) == name
     assert variant(engine, Change(material="diffuse")) == "orbital", "its own is no variant"
     assert variant(engine, Change(material="subsurface,mean_free_path=1e20")).endswith("path=1e20")
 
 
-def test_other_parts_of_a_name_are_told_from_a_material(engine: RenderEngine) -> None:
+def test_other_parts_of_a_variant_are_kept_beside_a_material(engine: RenderEngine) -> None:
     cut = variant(engine, Change(cut="x>40", material="glass"))
-    assert cut.startswith("orbital@=glass@") and (labels_of(cut), step_of(cut)) == ("", "")
-    assert (labels_of("seg@=glass!3+2"), step_of("seg@=glass!3+2")) == ("!3", "2")
-    assert may_lend("seg@=subsurface", "seg@=subsurface+2") and not may_lend("seg", "seg@=subsurface")
+    assert cut.startswith("orbital@=glass@") and engine.variant(cut) == SceneVariant(
+        "orbital", material="glass", cut="x>40"
+    )
+    assert SceneVariant("seg", material="glass", hidden=(3,), time=2).id == "seg@=glass!3+2"
+    scatters = SceneVariant("seg", material="subsurface")
+    assert scatters.may_lend(replace(scatters, time=2)) and not SceneVariant("seg").may_lend(scatters)
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,7 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from server.render.engine import RenderEngine
 from server.render.path_times import PICTURES, RISE, Promises, time_of_paths
-from tests.server.inline import LONG, InlinePool, view_of
-from worker import pool
+from tests.server.inline import LONG, view_of
 from worker.progress import TimeLeft
 
 TARGET = 0.05
@@ -28,8 +27,7 @@ def scene() -> Scene:
 
 
 @pytest.fixture
-def engine(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RenderEngine]:
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+def engine(scene: Scene, tmp_path: Path, inline: None) -> Iterator[RenderEngine]:
     engine = RenderEngine([scene], str(tmp_path / "light"))
     engine.start()
     yield engine

@@ -15,8 +15,7 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from server.render.engine import RenderEngine
 from tests.baking import bake_each_texel
-from tests.server.inline import InlinePool, chunks_in, view_of
-from worker import pool
+from tests.server.inline import chunks_in, view_of
 
 SKY = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
 SETTINGS: dict[str, Any] = {"lattice": 0.5, "bounces": 1, "target_error": 0.5, "lights": [SKY], "precision": "half"}
@@ -52,12 +51,11 @@ class Shown:
 
 
 @pytest.fixture
-def turn(unfiltered: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Turn]:
+def turn(unfiltered: None, inline: None, tmp_path: Path) -> Iterator[Turn]:
     """Shows a scene of these settings, one after the other on the same store unless told.
 
     Filters would weigh light by its noise, which more layers tell better.
     """
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
     yield lambda store="light", **settings: Shown(tmp_path / store, **settings)
 
 

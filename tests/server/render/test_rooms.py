@@ -13,15 +13,13 @@ from isogi_core.plan.assembly import load_scene
 from server.cli.render import awaited
 from server.render.engine import RenderEngine
 from server.render.picture_checks import CHECK
-from tests.server.inline import LONG, InlinePool
-from worker import pool
+from tests.server.inline import LONG
 from worker.bake_requests import GUEST
 
 
 @pytest.fixture
-def engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RenderEngine]:
+def engine(tmp_path: Path, inline: None) -> Iterator[RenderEngine]:
     """The engine of an orbital in a Cornell room, that has hired nobody."""
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
     settings = {"room": "cornell", "bounces": 1, "target_error": 0.2, "projected": False}
     engine = RenderEngine([load_scene("demo:orbital", **settings)], tmp_path / "store", workers=1)
     engine.start(hire=False)

@@ -13,17 +13,14 @@ from isogi_report.bench import Bench
 from server.answers import scene_schema
 from server.cli.render import awaited
 from server.render.engine import RenderEngine
-from tests.server.inline import InlinePool
-from worker import pool
 
 HALO = {"isovalue": 0.012, "clear": 0.6, "albedo": [0.4, 0.6, 0.9], "name": "halo"}
 SCENE = {"surfaces": [HALO], "isovalue": 0.06, "bounces": 1, "target_error": 0.2, "projected": False}
 
 
 @pytest.fixture
-def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., RenderEngine]]:
+def make(tmp_path: Path, inline: None) -> Iterator[Callable[..., RenderEngine]]:
     """Make engines over one store, with a worker to ``hire``, on a thread of this process, or without."""
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
     made: list[RenderEngine] = []
 
     def _engine(hire: bool) -> RenderEngine:

@@ -11,13 +11,8 @@ import pytest
 from isogi_core.storage.store import Store
 from tests.cluster.processes import ROOT, end, until
 from tests.server.buckets import chunks_at, engine_at, picture
-from tests.server.inline import InlinePool
-from worker import pool
 
-
-@pytest.fixture(autouse=True)
-def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+pytestmark = pytest.mark.usefixtures("inline")
 
 
 def test_two_servers_on_a_bucket_leave_what_one_leaves(

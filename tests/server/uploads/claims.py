@@ -83,7 +83,7 @@ def tiff(folder: Path) -> Files:
     tiled = (folder / "tiled").read_bytes()
     yield "tiles.tif", patched(patched(tiled, 322, 1 << 15), 323, 1 << 15)
     big = io.BytesIO()
-    tifffile.imwrite(big, np.zeros((3, 20000, 20000), np.uint8), compression="zlib", photometric="minisblack")
+    tifffile.imwrite(big, np.zeros((2, 20000, 20000), np.uint8), compression="zlib", photometric="minisblack")
     yield "packed.tif", big.getvalue()
 
 
@@ -142,7 +142,7 @@ def numpy_files(folder: Path) -> Files:
     shape = str(F.shape).encode()
     yield "sizes.npy", good.getvalue().replace(shape + b", }", b"(400,400,400), }")
     yield "fortran.npy", good.getvalue().replace(b"False", b"True ").replace(shape + b", }", b"(400,400,400), }")
-    np.savez_compressed(folder / "zeros.npz", np.zeros((4, 400, 400, 400), np.float32))
+    np.savez_compressed(folder / "zeros.npz", np.zeros((3, 400, 400, 400), np.float32))
     yield "zeros.npz", (folder / "zeros.npz").read_bytes()
 
 

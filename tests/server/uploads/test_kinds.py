@@ -90,8 +90,8 @@ def test_an_uploaded_segmentation_is_one_of_labels(tmp_path: Path) -> None:
     nrrd.write(str(tmp_path / "parts.seg.nrrd"), PARTS, SEGMENTS, index_order="C")
     kept = read_confined(tmp_path / "parts.seg.nrrd", tmp_path)
     scene = load_scene(kept)
-    assert scene.colours is not None and scene.isovalue == 0.5
-    assert [label.name for label in scene.colours.scale.labels] == ["Liver", "Vein"]
+    assert scene.surfaces.colours is not None and scene.isovalue == 0.5
+    assert [label.name for label in scene.surfaces.colours.scale.labels] == ["Liver", "Vein"]
     assert open_nrrd(kept).labels == (LabelName(1, "Liver", "#ff8000"), LabelName(2, "Vein"))
 
 

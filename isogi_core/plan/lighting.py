@@ -1,0 +1,196 @@
+"""The lighting of a scene: lights, walls and what glows, as its file says."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+from weakref import WeakValueDictionary
+
+import numpy as np
+
+from isogi_core.errors import LightError, SceneError, ViewError
+from isogi_core.files.radiance import read_hdr
+from isogi_core.files.scene_file import Settings
+from isogi_core.model.environment import Environment, Lamps, gather_lamps
+from isogi_core.model.environments import environment_image
+from isogi_core.model.glow import NO_GLOW, STRONGEST, Glowing, glow_from_mapping, place_glows
+from isogi_core.model.latlong import pixel_directions, resample, solid_angles
+from isogi_core.model.lights import (
+    ConstantLight,
+    EnvironmentLight,
+    Lamp,
+    Light,
+    ProbeLight,
+    SkyLight,
+    light_from_mapping,
+    light_named,
+)
+from isogi_core.model.room import NO_ROOM, ROOMS, Room, cornell_room, place_walls, wall_from_mapping
+from isogi_core.model.sky import sky_image
+from isogi_core.model.volume import Volume
+from isogi_core.plan.materials import refuse_lamps
+from isogi_core.plan.surfaces import SceneSurfaces
+from isogi_core.plan.volumes.glow_masks import read_glow_masks
+
+SKY_SIZE = (512, 1024)
+"""Rows and columns of the grid on which a sky is laid out."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneLighting:
+    """What lights a scene, and the walls that it meets.
+
+    The ``environment`` sums all of the ``lights`` that are far away; ``lamps`` are the others, and the luminaires of
+    the ``room``. ``rotating`` is whether views may turn the light. ``glowing`` is what glows in the volume.
+    """
+
+    lights: tuple[Light, ...]
+    environment: Environment
+    lamps: Lamps
+    rotating: bool
+    room: Room = NO_ROOM
+    glowing: Glowing = NO_GLOW
+
+    @property
+    def sources(self) -> list[Any]:
+        """What digests hold of the lights."""
+        return [self.environment.digest, self.lamps.digest]
+
+    @property
+    def walls(self) -> list[Any]:
+        """What digests hold of the walls; nothing where there are none."""
+        return ["walls", self.room.digest] if self.room.any else []
+
+    @property
+    def glow(self) -> list[Any]:
+        """What digests hold of what glows; nothing where nothing does."""
+        return ["glow", self.glowing.digest, self.glowing.radiances.tolist()] if self.glowing.any else []
+
+    def glow_for(self, asked: float) -> float:
+        """How bright what glows is to be, over the scene's own, as ``asked``; ViewError where nothing glows."""
+        if asked == 1.0 or (self.glowing.any and 0.0 <= asked <= STRONGEST):
+            return asked
+        if self.glowing.any:
+            raise ViewError(f"glow must be from 0 to {STRONGEST:g} times the scene's own, not {asked:g}.")
+        raise ViewError(
+            "glow is for scenes in which something glows: leave it out, or give the scene a [[glow]] table."
+        )
+
+
+def read_lighting(
+    settings: Settings, volume: Volume, surfaces: SceneSurfaces, glow_bits: np.ndarray | None
+) -> SceneLighting:
+    """The scene's lighting; of masks of its glows that were read, their ``glow_bits``.
+
+    Raises SceneError, VolumeError and LightError where a value has no meaning, or the ``surfaces`` cannot be lit so.
+    """
+    room, glowing = read_room(settings, volume), read_glow(settings, volume, glow_bits)
+    lights = read_lights(settings, room)
+    refuse_lamps(surfaces.material, lights)
+    lamps = gather_lamps((*lights, *room.lamps), volume.orientation)
+    environment, rotating = assemble_environment(lights), may_rotate(settings, lamps, room, surfaces.passed)
+    if volume.orientation.turned and not rotating:
+        environment = environment.turned(volume.orientation.matrix)
+    return SceneLighting(lights, environment, lamps, rotating, room, glowing)
+
+
+def read_lights(settings: Settings, room: Room) -> tuple[Light, ...]:
+    """The scene's lights: the environment that it names, in whose place its [[lights]] are not read, or those.
+
+    Raises SceneError, and LightError where a value has no meaning.
+    """
+    tables, base = settings.lights(room.lamps), settings.source.base
+    named = settings.text("environment", "")
+    return (light_named(named, base),) if named else tuple(light_from_mapping(entry, base) for entry in tables)
+
+
+def read_room(settings: Settings, volume: Volume) -> Room:
+    """The scene's walls: those of a whole room that it names, and its own. SceneError where one has no meaning."""
+    named = cornell_room(volume) if settings.choice("room", ROOMS) else ()
+    return place_walls((*named, *map(wall_from_mapping, settings.tables("walls"))), volume)
+
+
+def read_glow(settings: Settings, volume: Volume, bits: np.ndarray | None) -> Glowing:
+    """What glows in the volume; of masks that were read, the ``bits``. SceneError where a table has no meaning, and
+    VolumeError where a mask cannot be used.
+    """
+    glows = [glow_from_mapping(table) for table in settings.tables("glow")]
+    return place_glows(glows, volume, read_glow_masks(glows, settings, volume) if bits is None else bits)
+
+
+def may_rotate(settings: Settings, lamps: Lamps, room: Room, passed: bool) -> bool:
+    """Whether the light may be turned: the scene decides, by default yes; never where there are lamps or walls, or
+    light passes surfaces (SceneError).
+    """
+    rotating = settings.flag("rotating", not (lamps.any or room.any or passed))
+    for what, there in (("walls", room.any), ("lamps", lamps.any)):
+        if rotating and there:
+            raise SceneError(f"{what.capitalize()} stay where they are: leave out rotating = true, or the {what}.")
+    if rotating and passed:
+        raise SceneError("Light that passes surfaces is baked as it falls: leave out rotating = true.")
+    return rotating
+
+
+ASSEMBLED: WeakValueDictionary[Sequence[Light] | str, Environment] = WeakValueDictionary()
+"""The environments in use: scenes under the same lights share one, which takes megabytes. Those that come from no file
+are found by their lights, others by their digest."""
+
+
+def assemble_environment(lights: Sequence[Light]) -> Environment:
+    """Sum the lights that are no lamps. Images are resampled to the largest grid without change of energy.
+
+    Raises LightError where a probe cannot be read or holds a negative or non-finite radiance.
+    """
+    around = tuple(light for light in lights if not isinstance(light, Lamp))
+    if any(isinstance(light, ProbeLight) for light in around):  # its file may have changed
+        read = _sum(around)
+        return ASSEMBLED.setdefault(read.digest, read)
+    known = ASSEMBLED.get(around)
+    return known if known is not None else ASSEMBLED.setdefault(around, _sum(around))
+
+
+def _sum(around: Sequence[ConstantLight | SkyLight | ProbeLight | EnvironmentLight]) -> Environment:
+    """The sum of lights that are no lamps."""
+    constant = np.zeros(3)
+    images = []
+    for light in around:
+        if isinstance(light, ConstantLight):
+            constant += light.radiance
+        else:
+            images.append(_image(light))
+    height = max((image.shape[0] for image in images), default=1)
+    width = max((image.shape[1] for image in images), default=1)
+    total = np.zeros((height, width, 3))
+    for image in images:
+        total += resample(image, height, width)
+    with np.errstate(over="ignore"):
+        total = _checked(total.astype(np.float32), "The sum of all lights")
+    digest = hashlib.blake2b(f"{constant.tolist()} {total.shape}".encode(), digest_size=16)
+    digest.update(total.data)
+    name = " + ".join(light.name for light in around) or "no light"
+    return Environment(constant, total, digest.hexdigest(), name)
+
+
+def _image(light: SkyLight | ProbeLight | EnvironmentLight) -> np.ndarray:
+    """The lat-long image (h, w, 3) of a sky, a probe or an environment by formula."""
+    if isinstance(light, ProbeLight):
+        return light.scale * _checked(read_hdr(light.file), f"The probe '{light.file}'").astype(np.float64)
+    return _sky(light)
+
+
+@lru_cache(maxsize=4)
+def _sky(light: SkyLight | EnvironmentLight) -> np.ndarray:
+    """The image of light by formula, read-only: scenes that are planned again have the sky they had."""
+    grid = pixel_directions(*SKY_SIZE), solid_angles(*SKY_SIZE)
+    image = sky_image(light, *grid) if isinstance(light, SkyLight) else environment_image(light, *grid)
+    image.flags.writeable = False
+    return image
+
+
+def _checked(image: np.ndarray, what: str) -> np.ndarray:
+    """Return the image; LightError where a radiance is not finite or is negative."""
+    bad = int((~(np.isfinite(image) & (image >= 0.0))).any(axis=-1).sum())
+    if bad:
+        raise LightError(f"{what} has {bad} pixels of negative or non-finite radiance: give another light.")
+    return image

@@ -1,0 +1,211 @@
+"""The surfaces of a scene: what they reflect, let through and shine with, as its file says."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from isogi_core.errors import SceneError, ViewError
+from isogi_core.files.scene_file import Settings
+from isogi_core.model.colours import SurfaceColours
+from isogi_core.model.lights import Colour
+from isogi_core.model.material import DIFFUSE, Material
+from isogi_core.model.shine import Shine, shine_from_mapping
+from isogi_core.model.surfaces import OPAQUE, PinnedSurface, leaving, pinned_surfaces, refuse_gain
+from isogi_core.model.volume import Volume
+from isogi_core.plan.inputs import PlanOverrides
+from isogi_core.plan.materials import read_material
+
+BARE = (0.0, 1.0)
+"""The albedos that views may ask for where nothing is reflected."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSurfaces:
+    """The surface that slides, and others that are ``pinned``.
+
+    ``albedo`` is linear RGB. ``albedos`` are the least and the most that views may ask for in its place; None where
+    light is baked for ``albedo`` alone. ``colours`` are those of the surface by data, None where it has the one
+    ``albedo``; that is then their brightest. ``shine`` is None where the surface is diffuse, and views may then ask for
+    none. The share ``clear`` of rays passes straight through the surface that slides, and of the light that falls on
+    one side of it its ``transmission``, linear RGB, leaves the other, diffuse.
+    """
+
+    albedo: Colour
+    albedos: tuple[float, float] | None = None
+    colours: SurfaceColours | None = None
+    shine: Shine | None = None
+    material: Material = DIFFUSE
+    pinned: tuple[PinnedSurface, ...] = ()
+    clear: float = 0.0
+    transmission: Colour = OPAQUE
+
+    @property
+    def several(self) -> bool:
+        """Whether light may meet more than one side of one surface: there are others, or some gets through this one."""
+        return bool(self.pinned) or self.clear > 0.0 or any(self.transmission)
+
+    @property
+    def passed(self) -> bool:
+        """Whether light passes surfaces, or enters one: it is then baked as it falls."""
+        return self.several or self.material.scatters
+
+    @property
+    def transmits(self) -> bool:
+        """Whether light gets through any of the surfaces, diffuse."""
+        return any(self.transmission) or any(any(each.transmission) for each in self.pinned)
+
+    @property
+    def lowest(self) -> float:
+        """The lowest albedo of any channel that views may ask for."""
+        return min(self.albedo) if self.albedos is None else self.albedos[0]
+
+    @property
+    def met(self) -> tuple[Colour, ...]:
+        """The albedos that paths meet beside the one of a surface that lies alone."""
+        pinned = (share for each in self.pinned for share in (each.albedo, each.leaving))
+        return (*pinned, self.albedo) if self.passed else tuple(pinned)
+
+    @property
+    def company(self) -> list[Any]:
+        """What digests hold of surfaces beside each other; nothing where there is one, and no light gets through."""
+        others = sorted(each.facts for each in self.pinned)
+        through = ["transmission", *self.transmission] if any(self.transmission) else []
+        return ["surfaces", others, self.clear, *through] if self.several else []
+
+    @property
+    def matter(self) -> list[Any]:
+        """What digests hold of the surface's material; nothing where it is diffuse."""
+        material = self.material
+        facts = material.kind, material.index, *material.absorption
+        return [] if material == DIFFUSE else ["material", *facts, 1.0 / material.mean_free_path]
+
+    @property
+    def by_data(self) -> list[Any]:
+        """What digests hold of the surface's colours; nothing where there are none."""
+        return [] if self.colours is None else ["colours", self.colours.digest]
+
+    def albedo_for(self, asked: Colour | None) -> Colour:
+        """The albedo that a view has ``asked`` for, else the scene's own. ViewError where no light is baked for it."""
+        if asked is not None and self.colours is not None:
+            raise ViewError(f"The surface has its albedo from '{self.colours.scale.name}' in this scene: leave it out.")
+        if asked is not None and asked != self.albedo and self.several:
+            raise ViewError("Surfaces light each other in this scene: its albedos are fixed, leave albedo out.")
+        if asked is None or asked == self.albedo:
+            return self.albedo
+        if self.albedos is None:
+            raise ViewError(
+                "albedo is fixed in this scene: leave it out, or give the scene a range, albedos = [0, 0.9]."
+            )
+        lowest, highest = self.albedos
+        if not all(lowest <= share <= highest for share in asked):
+            given = ",".join(f"{share:g}" for share in asked)
+            raise ViewError(f"albedo must be from {lowest:g} to {highest:g} in this scene, not {given}.")
+        return asked
+
+    def leaving_for(self, asked: Colour | None) -> Colour:
+        """What counts of texels' light in a view that has ``asked`` for an albedo. ViewError as ``albedo_for``."""
+        return leaving(self.albedo_for(asked), self.transmission)
+
+    def shine_for(self, asked: Shine | None) -> Shine | None:
+        """The shine that a view has ``asked`` for, else the scene's own; None where nothing shines.
+
+        ViewError where views of this scene may not ask for any.
+        """
+        shine = asked or self.shine
+        if shine is None or shine.strength == 0.0:
+            return None
+        if self.shine is None:
+            raise ViewError("This scene's surface is diffuse: give the scene a [shine] table, or leave shine out.")
+        if self.colours is not None and shine.kind == "metal":
+            raise ViewError("Metal mirrors one albedo, and this surface has colours: choose plastic.")
+        return shine
+
+
+def read_surfaces(
+    settings: Settings, volume: Volume, colours: SurfaceColours | None, overrides: PlanOverrides
+) -> SceneSurfaces:
+    """The scene's surfaces. SceneError where a value has no meaning, or the scene has what cannot go together."""
+    albedo = read_albedo(settings, colours)
+    return SceneSurfaces(
+        albedo,
+        material=read_material(settings, volume),
+        albedos=choosable(albedo, colours, overrides),
+        colours=colours,
+        shine=read_shine(settings, colours),
+        pinned=read_pinned(settings, volume, colours),
+        clear=read_clear(settings, colours),
+        transmission=read_transmission(settings, albedo, colours),
+    )
+
+
+def read_albedo(settings: Settings, colours: SurfaceColours | None) -> Colour:
+    """The albedo of the surface; the most that ``colours`` reflect where it has these. SceneError where both are given,
+    or a range of albedos.
+    """
+    if colours is None:
+        return settings.colour("albedo", 0.7)
+    for key in ("albedo", "albedos"):
+        if key in settings.source.document:
+            raise SceneError(f"The surface has its albedo from '{colours.scale.name}': leave out {key}.")
+    return colours.brightest
+
+
+def choosable(albedo: Colour, colours: SurfaceColours | None, overrides: PlanOverrides) -> tuple[float, float] | None:
+    """The range of albedos that views may ask for; None where light is baked for one. SceneError where the scene's own
+    ``albedo`` is not in it.
+    """
+    albedos = overrides.albedos
+    if albedos is None:
+        return BARE if overrides.bounces == 0 and max(albedo) > 0.0 and colours is None else None
+    if not albedos[0] <= min(albedo) <= max(albedo) <= albedos[1]:
+        given = f"albedos = [{albedos[0]:g}, {albedos[1]:g}]"
+        raise SceneError(f"{given} leaves out the scene's own albedo, {min(albedo):g} to {max(albedo):g}: widen it.")
+    return albedos
+
+
+def read_shine(settings: Settings, colours: SurfaceColours | None) -> Shine | None:
+    """The scene's shine; None where its surface is diffuse. SceneError where it has no meaning, or none with
+    ``colours``.
+    """
+    table = settings.table("shine")
+    shine = None if table is None else shine_from_mapping(table)
+    if shine is not None and shine.kind == "metal" and colours is not None:
+        raise SceneError("Metal mirrors one albedo, and this surface has colours: choose plastic.")
+    return shine
+
+
+def read_pinned(settings: Settings, volume: Volume, colours: SurfaceColours | None) -> tuple[PinnedSurface, ...]:
+    """The scene's [[surfaces]]. SceneError where one has no meaning, or the scene cannot have any."""
+    found = pinned_surfaces(settings.tables("surfaces"), volume)
+    if found:
+        refuse_company(settings, colours, "[[surfaces]]")
+    return found
+
+
+def read_clear(settings: Settings, colours: SurfaceColours | None) -> float:
+    """The share of rays that passes the surface which slides. SceneError as ``read_pinned``."""
+    clear = settings.number("clear", 0.0, 0.0, 1.0)
+    if clear > 0.0:
+        refuse_company(settings, colours, "clear")
+    return clear
+
+
+def read_transmission(settings: Settings, albedo: Colour, colours: SurfaceColours | None) -> Colour:
+    """The share of light that gets through the surface which slides, of this ``albedo``, diffuse, linear RGB.
+
+    SceneError as ``read_pinned``, and where more light would leave than falls on it.
+    """
+    transmission = settings.colour("transmission", 0.0)
+    if any(transmission):
+        refuse_company(settings, colours, "transmission")
+        refuse_gain(albedo, transmission, f"The surface of the scene '{settings.source.name}'")
+    return transmission
+
+
+def refuse_company(settings: Settings, colours: SurfaceColours | None, what: str) -> None:
+    """Raise SceneError where the scene has what several surfaces are not lit with yet."""
+    beside = {"colours by data": colours is not None}
+    beside |= {"a shine": settings.table("shine") is not None}
+    beside |= {"albedos that views choose": settings.span("albedos", 0.0, 1.0) is not None}
+    for each, there in beside.items():
+        if there:
+            raise SceneError(f"The scene '{settings.source.name}' has {what} and {each}: leave one of them out.")
