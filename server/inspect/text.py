@@ -32,7 +32,7 @@ MORE_TO_ASK = "--plan shows the plan, the histogram, every remark, and more isov
 HEAD = f"  {'isovalue':>11} {'cells':>13} {'steep':>6} {'plateau':>8} {'noisy':>6} {'holes':>6}   error about"
 
 
-def report(scene: Scene, facts: InspectionSchema) -> str:
+def full_text(scene: Scene, facts: InspectionSchema) -> str:
     """Facts, plan, what it leaves out, histogram of a scene, and how stiff its volume is."""
     rows = [f"{name:<14}{text}" for name, text in (*summary(facts), *plan_rows(facts.plan))]
     omissions = ["left out", *(line for each in facts.plan.left_out for line in omission(each))]
@@ -99,7 +99,7 @@ def inspect(target: str, picture: Path | None = None, as_json: bool = False, pla
         save_picture(picture, facts)
     if as_json:
         return facts.model_dump_json(indent=2)
-    return report(scene, facts) if plan else f"{brief(scene, facts)}\n{MORE_TO_ASK}"
+    return full_text(scene, facts) if plan else f"{brief(scene, facts)}\n{MORE_TO_ASK}"
 
 
 def check_picture(path: Path) -> None:

@@ -132,7 +132,7 @@ class Jobs:
         job = Job(process, title, owner=owner) if key is None else Job(process, title, key, owner)
         self._jobs.pop(job.id, None)
         self._jobs[job.id] = job
-        self._tasks[job.id] = task = asyncio.create_task(run(job, work, place))
+        self._tasks[job.id] = task = asyncio.create_task(run_job(job, work, place))
         task.add_done_callback(lambda _: self._ended(job, place))
         return job
 
@@ -189,7 +189,7 @@ class Jobs:
                 del self._jobs[job.id]
 
 
-async def run(job: Job, work: Work, place: Place) -> None:
+async def run_job(job: Job, work: Work, place: Place) -> None:
     """Do the work of a job to one end or the other; it is dismissed where another client needs its ``place``."""
     job.begin()
     try:

@@ -28,7 +28,7 @@ from server.inspect.inspection import (
     percent,
     remarks,
 )
-from server.inspect.text import inspect, report, shown_places
+from server.inspect.text import full_text, inspect, shown_places
 
 needs_matplotlib = pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="needs matplotlib")
 
@@ -100,7 +100,7 @@ def test_at_the_ends_of_the_range_nothing_or_a_plateau_is_seen(isovalue: float) 
 def test_a_constant_volume_has_nothing_to_see() -> None:
     facts = inspection_schema(scene_of(np.ones((4, 5, 6)), 1.0))
     assert len(facts.stiffness.surfaces) == 1 and list(about(facts)) == ["nothing"]
-    assert "nothing is seen" in report(scene_of(np.ones((4, 5, 6)), 1.0), facts)
+    assert "nothing is seen" in full_text(scene_of(np.ones((4, 5, 6)), 1.0), facts)
 
 
 @pytest.mark.parametrize("scale", [1e-300, 1.0, 1e300])
