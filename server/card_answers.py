@@ -168,6 +168,6 @@ def chunks_in(renderer: Renderer, frame: Frame) -> list[CardChunk]:
 
     Raises what ``seen_chunks`` does.
     """
-    if frame.lacking is None or frame.view.shading != "gi":
+    if frame.quality.lacking is None or frame.view.shading != "gi":
         return []
-    return chunk_list(seen_chunks(renderer, frame.view, frame.lacking.reading.target, renderer.tiles))
+    return chunk_list(seen_chunks(renderer, frame.view, frame.quality.lacking.reading.target, renderer.tiles))

@@ -99,7 +99,7 @@ def measure(scene: Scene, size: int, paths: int) -> Found:
             rmse.append(errors.rmse)
             p99.append(errors.p99)
             seconds.append(bake.seconds)
-            share = frame.projection.shares["projected"] if frame.projection else 0.0
+            share = frame.quality.projection.shares["projected"] if frame.quality.projection else 0.0
     return Found(scene, (rmse[0], rmse[1]), (p99[0], p99[1]), (seconds[0], seconds[1]), share)
 
 

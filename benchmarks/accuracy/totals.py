@@ -227,7 +227,7 @@ def measure(name: str, bench: Bench, angles: tuple[float, float, float] | None, 
         final=last.final,
         true=after.rmse,
         p99=after.p99,
-        own=last.own / max(last.surface, 1),
+        own=last.quality.own / max(last.surface, 1),
         bake=bake.seconds,
         samples=bake.samples,
         seconds=sum(spent),
@@ -238,7 +238,7 @@ def measure(name: str, bench: Bench, angles: tuple[float, float, float] | None, 
 def lit_frame(bake: ViewBake, renderer: Renderer, view: View, target: float) -> Frame:
     """The frame of a view once its texels have as many samples as are enough for its check."""
     while (frame := renderer.render(view, target)).provisional:
-        bake.grow(frame.enough, target)
+        bake.grow(frame.quality.enough, target)
         bake.frame()
     return frame
 

@@ -99,7 +99,7 @@ def lit(scene: Scene, store: str, size: int) -> Renderer:
     renderer, view = make_renderer(scene, store), camera_of(scene, size)
     bake_view(renderer, view, FEWEST)
     frame = renderer.render(view, DONE)
-    while frame.walls_waiting and renderer.refine_frame(frame, DONE, renderer.tiles, PRESENT):
+    while frame.quality.waiting and renderer.refine_frame(frame, DONE, renderer.tiles, PRESENT):
         frame = renderer.render(view, DONE)
     return renderer
 

@@ -1,12 +1,14 @@
-"""A frame: the answer to a view, with what is known of its own quality."""
+"""A frame: the answer to a view, and its quality: what is known of its error, and what decides that it is final."""
 
+import hashlib
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.projected_texels import Projection
 from isogi_core.frame.rays.control_pixels import (
@@ -16,6 +18,7 @@ from isogi_core.frame.rays.control_pixels import (
     predict_total,
     spread_errors,
 )
+from isogi_core.frame.rays.own_light import PixelLight
 from isogi_core.frame.rays.tail_error import TailError, tail_of
 from isogi_core.frame.texel_reading import Lacking, Stage
 from isogi_core.frame.view_texels import Demand
@@ -23,6 +26,9 @@ from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONA
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import Index
+
+Layer = tuple[np.ndarray, np.ndarray, np.ndarray | float]
+"""Numbers of pixels, the points that they show, and the shares of their light that come from there."""
 
 UNREACHABLE = 4
 """The state of a final pixel that reads a texel which cannot be projected; see ``frame.projected_texels``."""
@@ -63,50 +69,88 @@ class EdgeSamples:
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
-    """A rendered view. All arrays are zero off the surface.
+class PictureState:
+    """What a check knows of a picture besides its texels' light; each step replaces it whole, so that who reads it from
+    another thread has all of one step.
 
-    ``radiance`` (h, w, 3) float32 linear RGB; ``state`` (h, w) uint8, 0 none, 1 provisional,
-    2 converging, 3 final; ``error`` (h, w) float32 relative standard error; ``gbuffer`` the surface.
-    ``version`` is equal for equal pictures, also after a restart. ``lacking`` is what it was made of, and
-    wants more of, None where it reads no texels; ``seconds`` the time of each stage. ``projection`` is of
-    texels projected onto the view's isosurface, None where its scene has none there. ``target`` is the total error that
-    control pixels are to show, None of frames that have none; ``controls`` are those drawn so far, by the
-    ``uncertainty`` (m,) of surface points, and it may be ``given_up``; its texels are to have ``enough`` samples, and
-    controls are ``outdated`` that were drawn when fewer were. ``rays`` names those of shine that it shows. ``expected``
-    is what it errs by besides its noise, as the plan expects. Of a view that is smooth, ``edges`` have more samples. So
-    many pixels of walls, or of what is seen through glass, are ``walls_waiting``: not final yet. So many pixels have
-    light of their ``own``. Of surfaces that let rays pass ``left`` (h, w) is the share of what lies behind. Its texels
-    are finer than the plan's by ``fineness`` steps; a ``finer`` frame is coming, and waits for its light. What glows
-    adds ``glow`` (pixels, 3) float32 to the radiance; None where nothing does.
+    ``target`` is the relative error that is to be reached. Texels are to have ``enough`` samples. ``controls`` are of
+    this ``attempt``, with so many ``paths`` a half, drawn by the ``uncertainty`` (m,) of all points when texels were to
+    have ``drawn`` samples; pixels in ``own`` have light of their own. It has ``ended`` where no step was left.
     """
 
-    view: View
-    radiance: np.ndarray
-    state: np.ndarray
-    error: np.ndarray
-    gbuffer: GBuffer
-    chunks_needed: int
-    chunks_final: int
-    lacking: Lacking | None
-    version: str
-    seconds: Mapping[str, float]
+    target: float
+    controls: ControlPixels = field(default_factory=ControlPixels.none)
+    uncertainty: np.ndarray = field(default_factory=lambda: np.empty(0))
+    own: PixelLight = field(default_factory=PixelLight.none)
+    attempt: int = 0
+    ended: bool = False
+    enough: int = FIRST_LEVEL
+    drawn: int = 0
+    paths: int = 0
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return self.controls.nbytes + self.uncertainty.nbytes + self.own.nbytes
+
+    @property
+    def outdated(self) -> bool:
+        """Whether its controls were drawn when its texels were to have fewer samples."""
+        return self.drawn < self.enough
+
+    @property
+    def version(self) -> bytes:
+        """Names the light that pixels have of their own; empty where none has any."""
+        own = self.own
+        return b"" if not len(own.places) else repr(own.count).encode() + hashlib.sha256(own.places.data).digest()
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """What a frame of one surface was made of, and what can make it better: the states of all that refines it.
+
+    Its texels are ``lacking`` light, None where it reads none; those of ``chunks`` (needed, final) are in the store.
+    ``projection`` is of texels projected onto the view's isosurface, None where its scene has none there. ``known`` is
+    what the check of its picture knows, None of frames that have none. ``rays`` names those of shine, or through glass,
+    that it shows, and ``expected`` is its error besides noise, as the plan expects. So many pixels of walls, or of what
+    is seen through glass, are ``waiting``: not final yet. Its texels are finer than the plan's by ``fineness`` steps; a
+    ``finer`` frame is coming, and waits for its light.
+    """
+
+    lacking: Lacking | None = None
+    chunks: tuple[int, int] = (0, 0)
     projection: Projection | None = None
-    target: float | None = None
-    controls: ControlPixels | None = None
-    uncertainty: np.ndarray | None = None
-    given_up: bool = False
-    enough: int = 0
-    outdated: bool = False
+    known: PictureState | None = None
     rays: bytes = b""
     expected: float = 0.0
-    edges: EdgeSamples | None = None
-    walls_waiting: int = 0
-    own: int = 0
-    left: np.ndarray | None = None
+    waiting: int = 0
     fineness: int = 0
     finer: "Frame | None" = None
-    glow: np.ndarray | None = None
+
+    @property
+    def target(self) -> float | None:
+        """The total error that control pixels are to show; None of frames that have none."""
+        return self.known.target if self.known else None
+
+    @property
+    def enough(self) -> int:
+        """The samples that its texels are to have; 0 of frames that have no check."""
+        return self.known.enough if self.known else 0
+
+    @property
+    def given_up(self) -> bool:
+        """Whether the check of the picture ended above its target."""
+        return self.known is not None and self.known.ended
+
+    @property
+    def outdated(self) -> bool:
+        """Whether controls were drawn when fewer samples of texels were enough."""
+        return self.known is not None and self.known.outdated
+
+    @property
+    def own(self) -> int:
+        """How many pixels have light of their own."""
+        return len(self.known.own.places) if self.known else 0
 
     @cached_property
     def demands(self) -> tuple[Demand, ...]:
@@ -123,6 +167,108 @@ class Frame:
         """The chunks of texels on their own isosurfaces whose light provisional pixels wait for."""
         return self.lacking.dark if self.lacking else frozenset()
 
+    def layers(self, frame: "Frame") -> Iterator[Layer]:
+        """See ``Frame.layers``."""
+        for each in (frame.gbuffer, frame.gbuffer.walls, frame.gbuffer.faces):
+            yield each.pixels, each.points, 1.0
+
+    def checkable(self, frame: "Frame") -> bool:
+        """See ``Frame.checkable``."""
+        if self.waiting:
+            return frame.surface - frame.settled == self.waiting
+        return not (frame.provisional or frame.final or self.given_up)
+
+    def walls_lag(self, frame: "Frame") -> bool:
+        """See ``Frame.walls_lag``."""
+        wrong, gbuffer = frame.squared_error, frame.gbuffer
+        return self.walls_coarse(frame) or (self.waiting > 0 and wrong(gbuffer.walls.pixels) > wrong(gbuffer.pixels))
+
+    def walls_coarse(self, frame: "Frame") -> bool:
+        """Whether walls show their first few texels."""
+        return self.waiting > 0 and bool((frame.state.ravel()[frame.gbuffer.walls.pixels] <= PROVISIONAL).any())
+
+    def true_mean(self, frame: "Frame") -> float:
+        """The true mean luminance of the surface, as far as control pixels know it; where there is none, of what is."""
+        if len(frame.gbuffer.pixels) and (frame.glow is not None or not frame.gbuffer.alone):
+            shown = float(frame.luminance(frame.gbuffer.pixels).mean())
+        else:
+            shown = frame.shown_mean
+        return self.known.controls.mean(frame.controlled, shown) if self.known and len(frame.controlled) else shown
+
+    def measured(self, frame: "Frame") -> TotalError | None:
+        """See ``Frame.measured``."""
+        if self.known is None or not len(frame.controlled):
+            return None
+        squares = self.known.controls.weights * self.known.controls.squares(frame.controlled)
+        return measure_total(squares, frame.true_mean).at_least(frame.noise)
+
+    def tail(self, frame: "Frame") -> TailError | None:
+        """See ``Frame.tail``."""
+        if frame.measured is None or self.known is None:
+            return None
+        return tail_of(self.known.controls, frame.controlled, self.known.uncertainty, frame.true_mean)
+
+    def total_error(self, frame: "Frame") -> np.ndarray:
+        """See ``Frame.total_error``."""
+        if frame.view.shading != "gi":
+            return frame.error
+        error, pixels = frame.error.copy(), frame.gbuffer.pixels
+        if frame.measured is None or self.known is None:
+            other = np.float32(self.expected)
+        else:
+            errors = spread_errors(self.known.uncertainty, self.known.controls, frame.controlled)
+            other = np.sqrt(np.maximum(errors**2 - frame.pixel_noise**2, 0.0)) / np.maximum(
+                frame.luminance(pixels), 1e-30
+            )
+        lit = frame.state.ravel()[pixels] > PROVISIONAL
+        error.ravel()[pixels] = np.where(lit, np.minimum(np.hypot(error.ravel()[pixels], other), 1.0), 1.0)
+        return error
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A rendered view. All arrays are zero off the surface.
+
+    ``radiance`` (h, w, 3) float32 linear RGB; ``state`` (h, w) uint8, 0 none, 1 provisional,
+    2 converging, 3 final; ``error`` (h, w) float32 relative standard error; ``gbuffer`` the surface.
+    ``version`` is equal for equal pictures, also after a restart; ``seconds`` the time of each stage. ``quality`` is
+    what it was made of, and what decides that it is final. Of a view that is smooth, ``edges`` have more samples. Of
+    surfaces that let rays pass ``left`` (h, w) is the share of what lies behind. What glows adds ``glow`` (pixels, 3)
+    float32 to the radiance; None where nothing does.
+    """
+
+    view: View
+    radiance: np.ndarray
+    state: np.ndarray
+    error: np.ndarray
+    gbuffer: GBuffer
+    version: str
+    seconds: Mapping[str, float]
+    quality: Quality = field(default_factory=Quality)
+    edges: EdgeSamples | None = None
+    left: np.ndarray | None = None
+    glow: np.ndarray | None = None
+
+    @property
+    def demands(self) -> tuple[Demand, ...]:
+        """The light on texels' own isosurfaces that was not final, chunk by chunk, were no texels projected."""
+        return self.quality.demands
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """All light that is to be baked until the picture is final, stage after stage."""
+        return self.quality.stages
+
+    @property
+    def chunks_needed(self) -> int:
+        """Chunks whose light it reads, or the finer frame that is coming."""
+        return (self.quality.finer or self).quality.chunks[0]
+
+    @property
+    def chunks_final(self) -> int:
+        """Chunks of these whose light is final."""
+        return (self.quality.finer or self).quality.chunks[1]
+
     @cached_property
     def reported_state(self) -> np.ndarray:
         """The ``state``, as far as the whole picture is; 4 where a final pixel reads a texel that cannot be projected;
@@ -130,9 +276,10 @@ class Frame:
         """
         if self.improving:
             return np.where(self.state == FINAL, CONVERGING, self.state).astype(np.uint8)
-        if self.projection is None:
+        projection = self.quality.projection
+        if projection is None:
             return self.state
-        kept = (self.state == FINAL) & self.projection.unreachable
+        kept = (self.state == FINAL) & projection.unreachable
         return np.where(kept, UNREACHABLE, self.state).astype(np.uint8)
 
     @property
@@ -150,12 +297,11 @@ class Frame:
         return found
 
     @property
-    def layers(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | float]]:
+    def layers(self) -> Iterator[Layer]:
         """All that pixels show: their numbers, each once, the points that they show in index space (n, 3), and the
         shares of their light that come from there. What is left of them comes from behind all.
         """
-        for each in (self.gbuffer, self.gbuffer.walls, self.gbuffer.faces):
-            yield each.pixels, each.points, 1.0
+        return self.quality.layers(self)
 
     @cached_property
     def airy(self) -> np.ndarray | None:
@@ -216,23 +362,23 @@ class Frame:
     @property
     def _reached(self) -> bool:
         """Whether the total error is at the target by controls of its texels as they are, and few pixels err far."""
-        if self.target is None:
+        target = self.quality.target
+        if target is None:
             return True
-        if self.measured is None or self.outdated or self.measured.high > self.target:
+        if self.measured is None or self.quality.outdated or self.measured.high > target:
             return False
-        return self.tail is None or self.tail.likely <= TAIL * self.target
+        return self.tail is None or self.tail.likely <= TAIL * target
 
     @property
     def improving(self) -> bool:
         """Whether its check goes on, so that any pixel may become better."""
-        return self.target is not None and not (self.final or (self.given_up and not self.provisional))
+        ended = self.final or (self.quality.given_up and not self.provisional)
+        return self.quality.target is not None and not ended
 
     @property
     def checkable(self) -> bool:
         """Whether texels in the store are final, and walls or control pixels are still to bring it to its target."""
-        if self.walls_waiting:
-            return self.surface - self.settled == self.walls_waiting
-        return not (self.provisional or self.final or self.given_up)
+        return self.quality.checkable(self)
 
     @property
     def refinable(self) -> bool:
@@ -247,47 +393,37 @@ class Frame:
 
         Fine ones cost little at first, and what they cost later is spent where the picture's error is largest.
         """
-        return self.walls_coarse or (
-            self.walls_waiting > 0 and self._wrong(self.gbuffer.walls.pixels) > self._wrong(self.gbuffer.pixels)
-        )
-
-    @property
-    def walls_coarse(self) -> bool:
-        """Whether walls show their first few texels."""
-        return self.walls_waiting > 0 and bool((self.state.ravel()[self.gbuffer.walls.pixels] <= PROVISIONAL).any())
+        return self.quality.walls_lag(self)
 
     @cached_property
     def controlled(self) -> np.ndarray:
         """The luminance that the control pixels show of the surface itself; (k,) float64."""
-        return self._shown_at(self.controls.places if self.controls else np.empty(0, np.int64))
+        known = self.quality.known
+        return self._shown_at(known.controls.places if known else np.empty(0, np.int64))
 
     def _shown_at(self, places: np.ndarray) -> np.ndarray:
         """The luminance that surface points show, by their numbers ``places`` (k,); (k,) float64."""
         return np.asarray(self.leaving.reshape(-1, 3)[self.gbuffer.pixels[places]].astype(np.float64) @ LUMINANCE)
 
     @property
+    def shown_mean(self) -> float:
+        """The mean luminance of the pixels that show something."""
+        return float(self._tally[1][0]) / max(self.surface, 1)
+
+    @cached_property
     def true_mean(self) -> float:
-        """The true mean luminance of the surface, as far as control pixels know it; where there is none, of what is."""
-        if len(self.gbuffer.pixels) and (self.glow is not None or not self.gbuffer.alone):
-            shown = float(self._luminance(self.gbuffer.pixels).mean())
-        else:
-            shown = float(self._tally[1][0]) / max(self.surface, 1)
-        return self.controls.mean(self.controlled, shown) if self.controls and len(self.controlled) else shown
+        """The true mean luminance of what is shown, as far as control pixels know it."""
+        return self.quality.true_mean(self)
 
     @cached_property
     def measured(self) -> TotalError | None:
         """The total relative RMSE by control pixels, at least the noise; None before there are any."""
-        if self.controls is None or not len(self.controlled):
-            return None
-        squares = self.controls.weights * self.controls.squares(self.controlled)
-        return measure_total(squares, self.true_mean).at_least(self.noise)
+        return self.quality.measured(self)
 
     @cached_property
     def tail(self) -> TailError | None:
         """The error that 99 % of the surface pixels stay below, by control pixels; None before there are any."""
-        if self.measured is None or self.controls is None or self.uncertainty is None:
-            return None
-        return tail_of(self.controls, self.controlled, self.uncertainty, self.true_mean)
+        return self.quality.tail(self)
 
     @cached_property
     def total_error(self) -> np.ndarray:
@@ -295,30 +431,18 @@ class Frame:
 
         Control pixels measure it where there are some, see ``spread_errors``; it is the noise at least.
         """
-        if self.view.shading != "gi":
-            return self.error
-        error, pixels = self.error.copy(), self.gbuffer.pixels
-        if self.measured is None or self.controls is None or self.uncertainty is None:
-            other = np.float32(self.expected)
-        else:
-            errors = spread_errors(self.uncertainty, self.controls, self.controlled)
-            other = np.sqrt(np.maximum(errors**2 - self.pixel_noise**2, 0.0)) / np.maximum(
-                self._luminance(pixels), 1e-30
-            )
-        known = self.state.ravel()[pixels] > PROVISIONAL
-        error.ravel()[pixels] = np.where(known, np.minimum(np.hypot(error.ravel()[pixels], other), 1.0), 1.0)
-        return error
+        return self.quality.total_error(self)
 
     @property
     def pixel_noise(self) -> np.ndarray:
         """The standard error of each surface point's luminance; (m,) float64."""
-        return self.error.ravel()[self.gbuffer.pixels] * self._luminance(self.gbuffer.pixels)
+        return self.error.ravel()[self.gbuffer.pixels] * self.luminance(self.gbuffer.pixels)
 
-    def _wrong(self, pixels: np.ndarray) -> float:
+    def squared_error(self, pixels: np.ndarray) -> float:
         """The sum of the squared errors of these pixels, in luminance."""
-        return float(((self.error.ravel()[pixels] * self._luminance(pixels)) ** 2).sum())
+        return float(((self.error.ravel()[pixels] * self.luminance(pixels)) ** 2).sum())
 
-    def _luminance(self, pixels: np.ndarray) -> np.ndarray:
+    def luminance(self, pixels: np.ndarray) -> np.ndarray:
         """The luminance of these pixels; float64."""
         return np.asarray(self.radiance.reshape(-1, 3)[pixels].astype(np.float64) @ LUMINANCE)
 
@@ -327,7 +451,7 @@ class Frame:
         """The total relative RMSE of the frame: measured or predicted; without global illumination all noise."""
         if self.view.shading != "gi":
             return TotalError(self.noise, self.noise, self.noise)
-        return self.measured or predict_total(self.noise, self.expected)
+        return self.measured or predict_total(self.noise, self.quality.expected)
 
     @property
     def framebuffer(self) -> Framebuffer:

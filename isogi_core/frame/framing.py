@@ -4,12 +4,11 @@ from functools import cache
 
 import numpy as np
 
-from isogi_core.frame.frame import Frame
+from isogi_core.frame.frame import Frame, PictureState, Quality
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight, version_of
 from isogi_core.frame.projected_texels import ProjectedReading, Projection
 from isogi_core.frame.rays.control_pixels import expected_error
-from isogi_core.frame.rays.picture_check import PictureState
 from isogi_core.frame.texel_reading import Lacking, Reading
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.frame.view_texels import ViewTexels
@@ -45,6 +44,7 @@ def frame_of(
     lacking = Lacking(texels, reading, framebuffer) if texels and reading else None
     projection = Projection(texels, reading, framebuffer) if texels and isinstance(reading, ProjectedReading) else None
     needed, short = (len(lacking.texels.chunks), int(lacking.reading.short.sum())) if lacking else (0, 0)
+    expected = expected_error(scene, gbuffer.isovalue) if texels and light.view.shading == "gi" else 0.0
     read = (reading.version if reading else b"") + (checked.version if checked else b"") + rays
     read += repr(light.view.window).encode() if light.view.window else b""
     read += repr(light.view.glow).encode() if light.view.glow != 1.0 else b""
@@ -54,21 +54,9 @@ def frame_of(
         state=framebuffer.state.reshape(gbuffer.shape),
         error=framebuffer.error.reshape(gbuffer.shape),
         gbuffer=gbuffer,
-        chunks_needed=needed,
-        chunks_final=needed - short,
-        lacking=lacking,
         version=version_of(light, read),
         seconds=watch.seconds,
-        projection=projection,
-        target=checked.target if checked else None,
-        controls=checked.controls if checked else None,
-        uncertainty=checked.uncertainty if checked else None,
-        given_up=checked.ended if checked else False,
-        enough=checked.enough if checked else 0,
-        outdated=checked.outdated if checked else False,
-        rays=rays,
-        own=len(checked.own.places) if checked else 0,
-        expected=expected_error(scene, gbuffer.isovalue) if texels and light.view.shading == "gi" else 0.0,
+        quality=Quality(lacking, (needed, needed - short), projection, checked, rays, expected),
     )
 
 

@@ -22,65 +22,30 @@ see ``OwnNormals``.
 import threading
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
-from isogi_core.bake.bake_spec import spec_name
 from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.cache.wall_store import WallStore
 from isogi_core.frame.antialiasing import smooth_edges
 from isogi_core.frame.eye_glow import with_glow
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, to_index, trace
 from isogi_core.frame.known_blocks import KnownBlocks
-from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.control_pixels import bounces_of_truth
-from isogi_core.frame.rays.lobe_light import LobeLight, ShadowStarts, find_lobes, find_starts
-from isogi_core.frame.rays.picture_check import PictureState
 from isogi_core.frame.rays.picture_plan import PRESENT, Prices
-from isogi_core.frame.rays.shine import ShineRays
-from isogi_core.frame.rays.shine_light import SHINE_NOISE_SHARE, SeenLight, ShineLight, add_lobes_seen, walls_seen
-from isogi_core.frame.rays.through_matter import ViewThrough
-from isogi_core.frame.rays.view_walls import ViewWalls
 from isogi_core.frame.several.composer import Composer
-from isogi_core.frame.several.mixing import Level
-from isogi_core.frame.shading import (
-    colour_surface,
-    empty_framebuffer,
-    shade,
-    texel_disagreement,
-)
 from isogi_core.frame.stand_in import StandIn
-from isogi_core.frame.texel_normals import OwnNormals, TexelNormals
-from isogi_core.frame.texel_reading import Reading
-from isogi_core.frame.texel_shading import FilteredLight, TexelShading
+from isogi_core.frame.surface_renderer import PACKED, VIEW_BYTES, SurfaceRenderer
+from isogi_core.frame.texel_normals import OwnNormals
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_checks import ViewChecks
-from isogi_core.frame.view_keys import check_key, is_checked, surface_key
+from isogi_core.frame.view_keys import surface_key
 from isogi_core.frame.view_texels import ViewTexels
-from isogi_core.kernels.shading.framebuffer import Framebuffer
-from isogi_core.kernels.shading.lobes import add_lobes
-from isogi_core.lru_cache import LruCache
-from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.shine import DULL
-from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 
-VIEW_BYTES = 256 << 20
-"""Bytes that are kept of views, for turning light and for asking again."""
 
-KIND_SHARE, COMMON = 1 / 16, 1 / 3
-"""Shares of these bytes: for what changes while a view stays, and for what views have in common of texels."""
-
-PACKED = 1 / 8
-"""Share of these bytes for blocks of chunks, which cards that draw the same scene have in common."""
-
-
-class Renderer:
+class Renderer(SurfaceRenderer):
     """Renders views of one scene. Frames may be asked for from several threads."""
 
     def __init__(
@@ -90,33 +55,17 @@ class Renderer:
         most: int = VIEW_BYTES,
         filters: bool = True,
         stand_in: StandIn | None = None,
-        levels: tuple[Level, ...] = (),
     ) -> None:
-        """Render with the light of ``caches``, on the threads of ``tiles``; keep ``most`` bytes of views.
-
-        Who measures bakes ``filters`` no noisy light. Other light may ``stand_in`` where there is none yet. Of several
-        surfaces one is shown alone, as the others light it, where there are ``levels`` to mix its light of.
-        """
-        self.prepared, self.caches, self.tiles = caches.prepared, caches, tiles
-        changing = dict.fromkeys((Reading, FilteredLight, LobeLight, ShineLight), int(KIND_SHARE * most))
-        self._kept: LruCache[Any] = LruCache(most - int((COMMON + PACKED) * most), changing)
+        """Render with the light of ``caches``: see ``SurfaceRenderer``."""
+        super().__init__(caches, tiles, most, filters, stand_in)
         self.blocks = KnownBlocks(int(PACKED * most))
-        shown = levels or (Level(caches),)
-        self._texels = TexelShading(self.prepared, shown, self._kept, int(COMMON * most), filters, stand_in)
-        self.checks = ViewChecks(self._kept)
-        self._walls = ViewWalls(self._kept, self.prepared.scene.volume, WallStore(caches.store, self.prepared))
-        self._through = ViewThrough(self._kept, self._walls)
-        make, composes = (
-            partial(Renderer, tiles=tiles, most=most // 8, filters=filters),
-            self.prepared.scene.surfaces.several,
-        )
-        self._composer = Composer(caches, self, make, self._kept) if composes and not levels else None
+        side = partial(SurfaceRenderer, tiles=tiles, most=most // 8, filters=filters)
+        self._composer = Composer(self, side, self._kept) if self.prepared.scene.surfaces.several else None
 
     @property
     def nbytes(self) -> int:
         """Bytes of memory that views, maps and light take."""
-        parts = (self._kept, self.blocks, self._texels, self.prepared.maps, self.caches, self._composer)
-        return sum(part.nbytes for part in parts if part is not None)
+        return super().nbytes + self.blocks.nbytes + (self._composer.nbytes if self._composer else 0)
 
     def render(
         self,
@@ -156,22 +105,6 @@ class Renderer:
             gbuffer = self.gbuffer(view, tiles)
         return self.draw_on(gbuffer, view, until, tiles, watch)
 
-    def draw_on(self, gbuffer: GBuffer, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
-        """The frame of a view of the surface points in a G-buffer. Raises Cancelled."""
-        light, target = self._light(view), until.target
-        if view.shading == "gi" and self.prepared.scene.surfaces.material.refracts:
-            return self._through.draw(gbuffer, light, target, tiles, watch)
-        if view.shading in ("gi", "vicinity"):
-            return self._render_texels(gbuffer, light, until, tiles, watch)
-        frame = frame_of(gbuffer, light, shade(gbuffer, light, target, tiles, watch), watch)
-        return self._walls.add(frame, light, target, tiles, watch)
-
-    def draw_walls(self, gbuffer: GBuffer, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
-        """The frame of the walls alone in a G-buffer. Raises Cancelled."""
-        light = self._light(view)
-        frame = frame_of(gbuffer, light, empty_framebuffer(gbuffer), watch)
-        return self._walls.add(frame, light, target, tiles, watch)
-
     def refine(
         self, view: View, target: float | None = None, tiles: Tiles | None = None, prices: Prices = PRESENT
     ) -> bool:
@@ -186,34 +119,6 @@ class Renderer:
         frame = self._draw(view, Until(target, FIRST_LEVEL), tiles, Stopwatch())
         return self.refine_frame(frame, target, tiles, prices)
 
-    def refine_frame(self, frame: Frame, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """``refine`` of a view with this ``frame``."""
-        if not frame.refinable:
-            return False
-        light = self._light(frame.view)
-        if frame.walls_waiting:
-            return self._through.grow(frame.gbuffer, light, target, tiles)
-        if self._grow_shine(frame, light, target, tiles):
-            return True
-        check = self.checks.of(light, frame.gbuffer, target)
-
-        def uncertainty() -> np.ndarray:
-            texels = self.texels(light.view, frame.gbuffer, tiles)
-            found = self._texels.lit(texels, light, Until(target, check.known.enough), tiles, Stopwatch())
-            between = light.spec.unit * texel_disagreement(texels, *found)
-            if light.coloured:
-                between *= light.tints(frame.gbuffer, tiles) @ LUMINANCE
-            between[check.known.own.places] = 0.0
-            return np.asarray(np.hypot(between, frame.pixel_noise))
-
-        with check.lock:
-            return check.step(frame, uncertainty, tiles, prices)
-
-    def _light(self, view: View) -> RotatedLight:
-        """The lights of a view, turned: with all their lobes where it is at rest."""
-        spec = self.caches.spec(view.shading)
-        return RotatedLight(spec.moving if view.moving else spec, view)
-
     def light_points(self, view: View, points: np.ndarray) -> tuple[Frame, np.ndarray]:
         """The light of surface ``points`` (m, 3) in index space that no ray has found, and their normals (m, 3).
 
@@ -227,70 +132,6 @@ class Renderer:
         until = Until(target)
         return self._render_texels(gbuffer, light, until, self.tiles, Stopwatch()), gbuffer.normals(self.tiles)
 
-    def _render_texels(
-        self, gbuffer: GBuffer, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
-    ) -> Frame:
-        """The frame out of the illumination cache: global illumination, or vicinity shading (S1, section 4.2)."""
-        target = until.target
-        checked = is_checked(light.view) and until.enough < MAX_SAMPLES
-        known = self.checks.of(light, gbuffer, target).known if checked else None
-        with watch.stage("texels"):
-            texels = self.texels(light.view, gbuffer, tiles)
-        until, shine = texels_until(until, light.view, known), b""
-        reading, framebuffer = self._texels.picture(texels, light, until, tiles, watch)
-        if light.spec.lobes:
-            with watch.stage("lobes"):
-                straight = self.lobes(light, gbuffer, tiles)
-                add_lobes(gbuffer.pixels, straight.lit, light.spec.unit, framebuffer)
-        colour_surface(gbuffer, light, framebuffer, tiles)
-        if light.shine is not None and spec_name(light.view.shading) == "gi":
-            with watch.stage("shine"):
-                shine = self._add_shine(gbuffer, light, target, framebuffer, tiles)
-        if known is not None:
-            known.own.put(framebuffer, gbuffer, light, tiles)
-        frame = frame_of(gbuffer, light, framebuffer, watch, texels, reading, known, shine)
-        return self._walls.add(frame, light, target, tiles, watch)
-
-    def _add_shine(
-        self, gbuffer: GBuffer, light: RotatedLight, target: float, framebuffer: Framebuffer, tiles: Tiles
-    ) -> bytes:
-        """Let the surface in a picture shine; what names the rays that were taken, and the light that they read."""
-        shine = self._shine(gbuffer, light, tiles)
-        ends = None if shine.count else self._light_ends(shine.rays, light, target, tiles)
-        shine.gleam(ends, tiles).put(shine.below, gbuffer, light.spec.unit, framebuffer, tiles)
-        return shine.version + (ends.version if ends else b"")
-
-    def _grow_shine(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> bool:
-        """Cast more rays of shine for a frame whose texels are final; whether there were any to cast."""
-        if light.shine is None or not len(frame.gbuffer.pixels):
-            return False
-
-        def lit(rays: ShineRays) -> SeenLight:
-            found = self._light_ends(rays, light, target, tiles)
-            for kind in (ViewTexels, TexelNormals):
-                self._kept.drop((kind, surface_key(rays.view(light.view)), False))
-            return found
-
-        allowed = SHINE_NOISE_SHARE * target * frame.true_mean
-        return self._shine(frame.gbuffer, light, tiles).step(frame.rays, allowed, lit, bounces_of_truth(light), tiles)
-
-    def _shine(self, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> ShineLight:
-        """The shine of a view, with its first rays at least."""
-        make = partial(ShineLight.begun, light, gbuffer, tiles)
-        return self._kept.get((ShineLight, *check_key(light.view, 0.0), light.view.moving), make)
-
-    def _light_ends(self, rays: ShineRays, light: RotatedLight, target: float, tiles: Tiles) -> SeenLight:
-        """What rays of shine see by texels and walls as they are lit now; unshadowed light where nothing is lit yet."""
-        hits, seen = rays.hits, RotatedLight(light.spec, rays.view(light.view))
-        texels = self.texels(seen.view, hits, tiles)
-        known = self.checks.held(light.view, target)
-        until = texels_until(Until(target, FIRST_LEVEL), light.view, known.known if known else None)
-        reading, framebuffer = self._texels.picture(texels, seen, until, tiles, Stopwatch())
-        add_lobes_seen(rays, seen, framebuffer, tiles)
-        colour_surface(hits, seen, framebuffer, tiles)
-        version = self._walls.put_seen(walls_seen(rays, seen), target, framebuffer, tiles)
-        return SeenLight(framebuffer.radiance, framebuffer.state, reading.version + version.encode())
-
     def gbuffer(self, view: View, tiles: Tiles | None = None) -> GBuffer:
         """The G-buffer of a view. Raises Cancelled, as every step does, once its ``tiles`` are cancelled."""
         surface, tiles = self.prepared.surface(view.isovalue), tiles or self.tiles
@@ -298,10 +139,6 @@ class Renderer:
             return self._composer.peels(view, tiles).first
         make = partial(trace, view, surface, tiles, self.prepared.walls_in_view)
         return self._kept.get((GBuffer, surface_key(view)), make)
-
-    def texels(self, view: View, gbuffer: GBuffer, tiles: Tiles | None = None) -> ViewTexels:
-        """The texels under a view; they hold its G-buffer, so that both are kept, or neither."""
-        return self._texels.under(view, gbuffer, tiles or self.tiles)
 
     @property
     def known_normals(self) -> OwnNormals:
@@ -312,16 +149,6 @@ class Renderer:
         """Whether the texels under a view are kept."""
         return self._kept.held((ViewTexels, surface_key(view), False)) is not None
 
-    def lobes(self, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles | None = None) -> LobeLight:
-        """What comes straight from lobes to a view; kept while neither camera nor light moves, for any albedo."""
-        tiles, view = tiles or self.tiles, light.view
-
-        def make() -> LobeLight:
-            starts = self._kept.get((ShadowStarts, surface_key(view)), partial(find_starts, gbuffer, tiles))
-            return find_lobes(light, starts, gbuffer.surface.traced(tiles.run), tiles)
-
-        return self._kept.get((LobeLight, surface_key(view), view.light, view.moving), make).tinted(light.tint)
-
     def lobe_radiance(self, frame: Frame) -> np.ndarray:
         """What comes straight from lobes to a frame's surface points, linear RGB; (m, 3) float32."""
         light = self._light(frame.view)
@@ -330,12 +157,3 @@ class Renderer:
     def forget_views(self) -> None:
         """Keep nothing of views, as if every one were new."""
         self._kept.clear()
-
-
-def texels_until(until: Until, view: View, known: PictureState | None) -> Until:
-    """When texels of a ``view`` need no more samples: once they have as many as are enough for its check, where that is
-    ``known``; each at the target alone where nothing checks pictures, as of vicinity shading.
-    """
-    if view.shading != "gi":
-        return Until(until.target)
-    return Until(until.target, max(until.enough, known.enough if known else 0))

@@ -3,18 +3,24 @@
 import math
 from typing import Any, NamedTuple
 
-from isogi_core.bake.noise import RATE
+import numpy as np
+
+from isogi_core.bake.noise import RATE, Until
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.frame.frame import Frame
+from isogi_core.frame.frame import Frame, PictureState
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, paths_for
 from isogi_core.frame.rays.own_light import foreseen_paths
-from isogi_core.frame.rays.picture_check import PictureCheck, PictureState
-from isogi_core.frame.rays.picture_plan import AWAITED, rungs_above
+from isogi_core.frame.rays.picture_check import PictureCheck
+from isogi_core.frame.rays.picture_plan import AWAITED, Prices, rungs_above
+from isogi_core.frame.shading import texel_disagreement
 from isogi_core.frame.texel_reading import Reading
+from isogi_core.frame.texel_shading import TexelShading
+from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_keys import check_key, is_checked
 from isogi_core.lru_cache import LruCache
+from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 
 PIXELS = 0.25
@@ -38,11 +44,11 @@ class PathsLeft(NamedTuple):
 
 
 class ViewChecks:
-    """The checks of the pictures of views that are ``kept``."""
+    """The checks of the pictures of views that are ``kept``, shaded by their ``texels``."""
 
-    def __init__(self, kept: LruCache[Any]) -> None:
-        """Keep them there."""
-        self._kept = kept
+    def __init__(self, kept: LruCache[Any], texels: TexelShading) -> None:
+        """Keep them there, and ask ``texels`` how far they differ."""
+        self._kept, self._texels = kept, texels
 
     def of(self, light: RotatedLight, gbuffer: GBuffer, target: float) -> PictureCheck:
         """What is known of the picture of a view besides its texels' light."""
@@ -51,6 +57,22 @@ class ViewChecks:
     def held(self, view: View, target: float) -> PictureCheck | None:
         """The check of a view's picture, where anything is known of it."""
         return self._kept.held(check_key(view, target)) if is_checked(view) else None
+
+    def step(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, prices: Prices) -> bool:
+        """Take a step of the check of a picture: see ``Refinement``."""
+        check = self.of(light, frame.gbuffer, target)
+        with check.lock:
+            return check.step(frame, self._uncertainty(frame, light, check.known, tiles), tiles, prices)
+
+    def _uncertainty(self, frame: Frame, light: RotatedLight, known: PictureState, tiles: Tiles) -> np.ndarray:
+        """How uncertain the light of each surface point is, by how texels around it differ, and its noise; (m,)."""
+        texels = self._texels.under(light.view, frame.gbuffer, tiles)
+        found = self._texels.lit(texels, light, Until(known.target, known.enough), tiles, Stopwatch())
+        between = light.spec.unit * texel_disagreement(texels, *found)
+        if light.coloured:
+            between *= light.tints(frame.gbuffer, tiles) @ LUMINANCE
+        between[known.own.places] = 0.0
+        return np.asarray(np.hypot(between, frame.pixel_noise))
 
     def asks_finer(self, view: View, target: float) -> bool:
         """Whether the check of a view's picture found that finer texels are to be shown in its place."""
@@ -71,9 +93,18 @@ class ViewChecks:
         if check and check.ahead is not None:
             growing, ahead = check.growing.left if check.growing else 0.0, check.ahead
             return PathsLeft(growing + ahead.pixels, ahead.texels, ahead.times, check.pace)
-        if frame.target is None or frame.lacking is None:
+        if frame.quality.target is None or frame.quality.lacking is None:
             return PathsLeft()
-        return foreseen_work(frame, frame.lacking.reading, target)
+        return foreseen_work(frame, frame.quality.lacking.reading, target)
+
+
+def texels_until(until: Until, view: View, known: PictureState | None) -> Until:
+    """When texels of a ``view`` need no more samples: once they have as many as are enough for its check, where that is
+    ``known``; each at the target alone where nothing checks pictures, as of vicinity shading.
+    """
+    if view.shading != "gi":
+        return Until(until.target)
+    return Until(until.target, max(until.enough, known.enough if known else 0))
 
 
 def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:
@@ -82,6 +113,6 @@ def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:
     controls = 2.0 * paths_for(target) * CONTROLS_IF_MISSED
     for times, rung in enumerate([FIRST_LEVEL, *rungs_above(FIRST_LEVEL, target)], start=2):
         noise = (effort / rung) ** (1.0 / RATE) / FILTERED
-        own = foreseen_paths(points, math.hypot(noise, frame.expected), target, PIXELS * effort)
+        own = foreseen_paths(points, math.hypot(noise, frame.quality.expected), target, PIXELS * effort)
         ways.append(PathsLeft(own + controls, float(rung - FIRST_LEVEL) * len(reading.samples), times))
     return min(ways, key=lambda way: way.pixels + AWAITED.path * way.texels)

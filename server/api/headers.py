@@ -54,8 +54,9 @@ def frame_headers(frame: Frame, time_left: TimeLeft | None, tag: str, version: s
     What a client prefers changes the answer until the frame is final, and never the final one.
     """
     left = {"Isogi-Time-Left": time_left_header(time_left)} if time_left is not None and not frame.final else {}
-    projected = {} if frame.projection is None else {"Isogi-Projected": projection_header(frame.projection.shares)}
-    refined = {"Isogi-Refined": refined_header(frame)} if frame.fineness or frame.own else {}
+    projection = frame.quality.projection
+    projected = {} if projection is None else {"Isogi-Projected": projection_header(projection.shares)}
+    refined = {"Isogi-Refined": refined_header(frame)} if frame.quality.fineness or frame.quality.own else {}
     return (
         left
         | projected
@@ -94,7 +95,7 @@ def projection_header(shares: Mapping[str, float]) -> str:
 
 def refined_header(frame: Frame) -> str:
     """By what a picture is better than its plan: texels along each axis, times the plan's, and pixels' own light."""
-    return f"texels={DENSER**frame.fineness:g}, pixels={frame.own / max(frame.surface, 1):.3f}"
+    return f"texels={DENSER**frame.quality.fineness:g}, pixels={frame.quality.own / max(frame.surface, 1):.3f}"
 
 
 def error_header(frame: Frame) -> str:
@@ -120,7 +121,7 @@ def time_left_header(left: TimeLeft) -> str:
 def entity_tag(frame: Frame, form: str, exposure: float, params: FrameParams) -> str:
     """A strong ETag: equal where the frame's content and its representation are, with errors where it shows them."""
     overlay, target, background = params.overlay, params.max_error, params.background
-    measured = len(frame.controls.places) if frame.controls else 0
+    measured = len(frame.controlled)
     known = (measured, frame.improving) if form == "npy" or overlay == "error" else None
     return tag_of(frame.version, form, exposure, overlay, target, known, background)
 

@@ -475,7 +475,7 @@ class Wait(NamedTuple):
         """What the next picture waits for."""
         if shown.frame.coverage["provisional"] == 1.0:
             return cls(shown.coming, shown.since, 0.0, frozenset())
-        return cls(shown.coming, shown.since, work_of(shown), shown.frame.dark & shown.coming)
+        return cls(shown.coming, shown.since, work_of(shown), shown.frame.quality.dark & shown.coming)
 
 
 def work_of(shown: Shown) -> float:

@@ -154,15 +154,15 @@ class Pictures:
 
 def rung_of(frame: Frame) -> int:
     """The samples that texels of a ``frame`` have, but those which need fewer; 0 where it reads no texels."""
-    return frame.lacking.reading.rung if frame.lacking else 0
+    return frame.quality.lacking.reading.rung if frame.quality.lacking else 0
 
 
 def lacking_of(frame: Frame) -> Iterator[Wish]:
     """What the picture of a ``frame`` lacks, or the finer one that is coming in its place."""
-    coming = frame.finer or frame
+    coming = frame.quality.finer or frame
     for stage in coming.stages:
         side = stage.caches.spec("gi").digest if stage.caches else ""
-        batch = Batch(stage.shown, stage.enough, coming.fineness, side, stage.caches)
+        batch = Batch(stage.shown, stage.enough, coming.quality.fineness, side, stage.caches)
         yield from ((batch, demand) for demand in stage.demands)
 
 

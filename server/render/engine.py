@@ -255,9 +255,9 @@ class RenderEngine:
         Of one in whose place a finer one is coming, what that lacks. A path-traced frame lacks none, however far it is
         from its target.
         """
-        frame = frame.finer or frame
+        frame = frame.quality.finer or frame
         stage = next(iter(frame.stages), Stage((), self.planned(scene).target_error))
-        return self.bake_at(scene, spec_name(frame.view.shading), stage, frame.fineness), stage
+        return self.bake_at(scene, spec_name(frame.view.shading), stage, frame.quality.fineness), stage
 
     def bake_at(self, scene: str, spec: str, stage: Stage, fineness: int = 0) -> str:
         """The name of the bake, by a ``spec``, that a ``stage`` is of, with texels finer by ``fineness`` steps."""
@@ -300,13 +300,13 @@ class RenderEngine:
             return TimeLeft(0.0, 0.0, 0.0)
         loaded = self._find(scene)
         target, (bake, chunks) = max_error or loaded.scene.target_error, self._chunks(scene, frame)
-        subject, later = (scene, surface_key(frame.view), target), (frame.finer or frame).stages[1:]
+        subject, later = (scene, surface_key(frame.view), target), (frame.quality.finer or frame).stages[1:]
         baking = self._baker.time_left(bake, subject, chunks, later)
         if baking is None:
             return None
-        left = loaded.level(frame.fineness).renderer.checks.left(frame, target)
-        if frame.lacking:
-            spent = self.spent(bake, frame.lacking.texels.chunks)
+        left = loaded.level(frame.quality.fineness).renderer.checks.left(frame, target)
+        if lacking := frame.quality.lacking:
+            spent = self.spent(bake, lacking.texels.chunks)
             baking = baking.plus(time_of_paths(left, spent, self._checking.threads, frame.seconds))
         return self._promises.kept((scene, frame.view, target), baking) if baking.high > 0.0 else None
 

@@ -205,10 +205,9 @@ class LoadedScene:
                 return coming
             frame = self.renderer.render(view, target, cancelled, watch, enough)
         if coming is None:
-            return replace(frame, fineness=self.fineness)
-        last = coming.finer or coming
-        frame = replace(frame, chunks_needed=last.chunks_needed, chunks_final=last.chunks_final)
-        return replace(frame, fineness=self.fineness, finer=last)
+            return replace(frame, quality=replace(frame.quality, fineness=self.fineness))
+        last = coming.quality.finer or coming
+        return replace(frame, quality=replace(frame.quality, fineness=self.fineness, finer=last))
 
     def _render_finer(
         self, view: View, target: float, cancelled: threading.Event | None, watch: Stopwatch

@@ -80,10 +80,10 @@ class Workbench:
     def project(self, view: View, target: float | None = None) -> Frame:
         """Bake rung by rung all projected texels that a baked view demands, and render it."""
         rung, frame = FIRST_LEVEL, self.renderer.render(view, target, enough=MAX_SAMPLES)
-        while frame.projection and frame.projection.demands:
+        while frame.quality.projection and frame.quality.projection.demands:
             loader = self.caches.projected(frame.gbuffer.isovalue)
             given = partial(refine_chunk, loader, rung, target or self.scene.target_error)
-            list(map(given, frame.projection.demands))
+            list(map(given, frame.quality.projection.demands))
             rung, frame = 2 * rung, self.renderer.render(view, target, enough=MAX_SAMPLES)
         return self.renderer.render(view, target)
 

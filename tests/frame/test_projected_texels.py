@@ -71,23 +71,23 @@ def view_of(bench: Workbench, **settings: Any) -> View:
 def test_a_scene_may_forbid_projected_texels(bench: Workbench) -> None:
     plain = Workbench(bench.scene.with_settings(projected=False), bench.folder)
     frame = plain.renderer.render(view_of(plain), enough=MAX_SAMPLES)
-    assert frame.projection is None and not frame.provisional
+    assert frame.quality.projection is None and not frame.provisional
     assert frame.reported_state is frame.state
     assert plain.scene.bake_digest == bench.scene.bake_digest, "the light that serves every isovalue is the same"
 
 
 def test_vicinity_shading_and_local_models_have_none(bench: Workbench) -> None:
     for shading in ("vicinity", "lambert"):
-        assert bench.renderer.render(view_of(bench, shading=shading)).projection is None
+        assert bench.renderer.render(view_of(bench, shading=shading)).quality.projection is None
 
 
 def test_a_view_demands_them_where_texels_are_far(bench: Workbench) -> None:
     lit = bench.renderer.render(view_of(bench))
-    assert lit.demands == () and lit.projection
+    assert lit.demands == () and lit.quality.projection
     assert lit.coverage["converging"] > 0.5 and lit.coverage["provisional"] == 0.0
-    wanted = {d.index: d for d in lit.projection.demands}
+    wanted = {d.index: d for d in lit.quality.projection.demands}
     assert len(wanted) == lit.chunks_needed - lit.chunks_final > 0
-    texels, target = lit.projection.texels, bench.scene.target_error
+    texels, target = lit.quality.projection.texels, bench.scene.target_error
     ways = room.find_distances(texels, bench.prepared, bench.renderer.tiles)
     for i, index in enumerate(texels.chunks):
         own = STEEP * ways.voxels[texels.bounds[i] : texels.bounds[i + 1]] > target
@@ -101,15 +101,15 @@ def test_a_view_demands_them_where_texels_are_far(bench: Workbench) -> None:
 
 def test_a_view_that_moves_asks_for_none(bench: Workbench) -> None:
     lit, moving = (bench.renderer.render(view_of(bench, moving=each)) for each in (False, True))
-    assert moving.projection is None and moving.demands == () and not moving.provisional
+    assert moving.quality.projection is None and moving.demands == () and not moving.provisional
     assert lit.provisional and moving.version != lit.version
 
 
 def test_a_projected_view_is_final_and_nearer_to_the_truth(bench: Workbench, whole: Workbench) -> None:
     base, frame = bench.renderer.render(view_of(bench)), whole.renderer.render(view_of(whole))
-    assert not frame.provisional and frame.projection and frame.projection.demands == ()
-    assert frame.projection.shares["projected"] > 0.5 and frame.projection.shares["pending"] == 0.0
-    assert sum(frame.projection.shares.values()) == pytest.approx(1.0)
+    assert not frame.provisional and frame.quality.projection and frame.quality.projection.demands == ()
+    assert frame.quality.projection.shares["projected"] > 0.5 and frame.quality.projection.shares["pending"] == 0.0
+    assert sum(frame.quality.projection.shares.values()) == pytest.approx(1.0)
     truth = whole.renderer.render(view_of(whole, shading="path_traced", samples=1024))
     plain = [Renderer(each.caches, each.renderer.tiles, filters=False).render(view_of(each)) for each in (whole, bench)]
     errors = [math.sqrt(relative_rmse(each, truth) ** 2 - each.noise**2) for each in plain]
@@ -123,7 +123,7 @@ def test_they_are_kept_beside_the_base_by_the_isovalue(whole: Workbench) -> None
     names = {scene.layer_digest(layer, level) for layer in plan.layers for level in (None, shown)}
     assert whole.layers == names and len(names) == 2 * len(plan.layers)
     other = whole.renderer.render(view_of(whole, isovalue=1.05 * scene.isovalue))
-    assert other.projection and other.projection.shares["projected"] == 0.0
+    assert other.quality.projection and other.quality.projection.shares["projected"] == 0.0
 
 
 def test_a_restart_finds_the_same_picture(whole: Workbench) -> None:
@@ -141,9 +141,11 @@ def test_texels_that_cannot_be_projected_are_read_from_the_base(
     bench.bake(view)
     bench.project(view)
     frame = bench.renderer.render(view, enough=MAX_SAMPLES)
-    assert not frame.provisional and frame.projection
-    reading, corners = frame.projection.reading, frame.projection.texels.corners
-    assert 0.0 < frame.projection.shares["unreachable"] < 0.5, "a lattice half as dense has corners out of reach"
+    assert not frame.provisional and frame.quality.projection
+    reading, corners = frame.quality.projection.reading, frame.quality.projection.texels.corners
+    assert 0.0 < frame.quality.projection.shares["unreachable"] < 0.5, (
+        "a lattice half as dense has corners out of reach"
+    )
     assert (reading.rows[reading.unreachable & (reading.base.grade <= FINAL)] >= 0).all()
     told, pixels = frame.reported_state.ravel()[frame.gbuffer.pixels], frame.gbuffer.pixels
     assert np.array_equal(told == UNREACHABLE, reading.unreachable[corners].any(axis=1))
@@ -160,7 +162,7 @@ def test_where_memory_cannot_hold_them_the_base_is_shown(whole: Workbench, monke
 
     monkeypatch.setattr(full, "ensure", partial(refuse, full))
     frame = again.renderer.render(view_of(again))
-    assert frame.projection is None and not frame.provisional
+    assert frame.quality.projection is None and not frame.provisional
 
 
 def test_readings_are_join_readings_as_a_walk_through_them_says() -> None:

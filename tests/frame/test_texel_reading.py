@@ -70,21 +70,21 @@ def test_dark_chunks_are_those_that_provisional_pixels_wait_for(workbench: Calla
     bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=1e-3))
     view, renderer = bench.view(size=24), Renderer(bench.caches, Tiles(), filters=False)
     frame, loader = renderer.render(view), bench.caches.of(view.shading)
-    assert frame.dark == {demand.index for demand in frame.demands}
+    assert frame.quality.dark == {demand.index for demand in frame.demands}
     begun = {demand.index for demand in frame.demands[::2]}
     for demand in frame.demands[::2]:
         refine_chunk(loader, 16, 1e-3, replace(demand, offsets=demand.offsets[2:]))
     frame = renderer.render(view)
     assert 0.0 < frame.coverage["provisional"] < 1.0
-    assert frame.dark and frame.dark.isdisjoint(begun)
+    assert frame.quality.dark and frame.quality.dark.isdisjoint(begun)
     for demand in frame.demands:
         if demand.index not in begun:
             refine_chunk(loader, 16, 1e-3, demand)
     frame = renderer.render(view)
     assert frame.coverage["provisional"] > 0.0
-    assert frame.dark and frame.dark <= begun
+    assert frame.quality.dark and frame.quality.dark <= begun
     bench.bake(view, target=1.0)
-    assert renderer.render(view).dark == frozenset()
+    assert renderer.render(view).quality.dark == frozenset()
 
 
 def test_efforts_of_chunks_in_pieces_are_those_of_their_texels(

@@ -31,11 +31,11 @@ def test_texels_far_from_the_surface_are_projected(make_bench: MakeBench) -> Non
     bake = ViewBake(renderer, bench.view)
     bake.grow(256)
     frame, texels = bake.frame(), len(bake.shown.places)
-    assert frame.projection
+    assert frame.quality.projection
     ways = find_distances(bake.shown, renderer.prepared, renderer.tiles).voxels
     distant = np.flatnonzero(STEEPNESS * ways > 0.05)
     np.testing.assert_array_equal(bake.texels[texels:], bake.texels[:texels][distant])
-    projected = frame.projection.reading.projected_rows >= 0
+    projected = frame.quality.projection.reading.projected_rows >= 0
     assert 0 < projected.sum() <= len(distant) and not np.delete(projected, distant).any()
     level = frame.gbuffer.isovalue
     own = bake.light.rows(np.arange(texels, len(bake.texels)))

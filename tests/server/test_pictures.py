@@ -102,7 +102,7 @@ def test_npy_is_the_same_in_parts_of_any_size(monkeypatch: pytest.MonkeyPatch, b
     surface = GBuffer((7, 5), (1.0, 2.0, 0.5), (9.0, 0.0, 0.0), 0.5, pixels, points)
     radiance, error = rng.random((7, 5, 3), np.float32), rng.random((7, 5), np.float32)
     state = rng.integers(0, 4, (7, 5)).astype(np.uint8)
-    frame = Frame(view, radiance, state, error, surface, 0, 0, None, "", {})
+    frame = Frame(view, radiance, state, error, surface, "", {})
     parts = list(npy_parts(frame))
     assert len(parts) == 1 + (7 if band == 1 else -(-7 // max(band // 180, 1)))
     assert sum(map(len, parts)) == npy_bytes(frame)

@@ -11,6 +11,7 @@ from isogi_core.bake.noise import RATE
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
+from isogi_core.frame.rays.estimate import Estimate
 from isogi_core.frame.rays.pixel_filter import correct, filter_pixels
 from isogi_core.frame.rays.pixel_rays import Paths, pooled_variance, variance_of_mean
 from isogi_core.frame.tiles import Tiles
@@ -41,16 +42,15 @@ AIM = 0.85
 
 @dataclass(frozen=True, eq=False)
 class PixelLight:
-    """Surface points with light of their own: their rows ``places`` (k,), ascending, and the ``sums`` of their paths.
+    """Surface points with light of their own: rows ``places`` (k,), ascending, and the ``estimate`` by their paths.
 
-    Sums (k, REPLICAS, 3) are of ``count`` paths of each replica. They show ``light`` (k, 3), linear RGB, which is
+    It is of REPLICAS, and all points have as many paths of each. They show ``light`` (k, 3), linear RGB, which is
     filtered, and whose luminance has the ``variance`` (k,). Of all points (m,) the luminance of texels' light is
     ``expected`` to be so wrong.
     """
 
     places: np.ndarray
-    sums: np.ndarray
-    count: int
+    estimate: Estimate
     light: np.ndarray
     variance: np.ndarray
     expected: np.ndarray
@@ -58,21 +58,27 @@ class PixelLight:
     @classmethod
     def none(cls) -> "PixelLight":
         """No pixel has light of its own."""
-        return cls(np.empty(0, np.int64), np.empty((0, REPLICAS, 3)), 0, np.empty((0, 3)), np.empty(0), np.empty(0))
+        empty = Estimate.none(0, REPLICAS)
+        return cls(np.empty(0, np.int64), empty, np.empty((0, 3)), np.empty(0), np.empty(0))
 
     @classmethod
-    def of(cls, places: np.ndarray, sums: np.ndarray, count: int, paths: Paths, expected: np.ndarray) -> "PixelLight":
-        """The light of points by the sums of their ``paths``, filtered without their colours. Raises Cancelled."""
-        means, buffer, tiles = sums / max(count, 1), paths.gbuffer, paths.tiles
+    def of(cls, places: np.ndarray, estimate: Estimate, paths: Paths, expected: np.ndarray) -> "PixelLight":
+        """The light of points by an ``estimate``, filtered without their colours. Raises Cancelled."""
+        means, buffer, tiles = estimate.means, paths.gbuffer, paths.tiles
         tints = tints_of(paths.light, buffer, tiles)
         grey, variance = (tints @ LUMINANCE) ** 2, pooled_variance(variance_of_mean(means), buffer)
         light, variance = filter_pixels(means.mean(axis=1) / tints, variance / grey, buffer, tiles)
-        return cls(places, sums, count, light * tints, variance * grey, expected)
+        return cls(places, estimate, light * tints, variance * grey, expected)
+
+    @property
+    def count(self) -> int:
+        """Paths of each replica from every point."""
+        return self.estimate.most
 
     @property
     def nbytes(self) -> int:
         """Bytes that it takes."""
-        held = self.places, self.sums, self.light, self.variance, self.expected
+        held = self.places, self.estimate, self.light, self.variance, self.expected
         return sum(each.nbytes for each in held)
 
     def grown(
@@ -91,15 +97,15 @@ class PixelLight:
         places, expected = choice.places, choice.errors.copy()
         expected[self.places] = self.expected[self.places]
         paths = Paths(light, gbuffer.part(places, tiles), tiles, bounces_of_truth(light))
-        sums = np.zeros((len(places), REPLICAS, 3))
-        known = np.isin(places, self.places, assume_unique=True)
-        sums[known] = self.sums[np.isin(self.places, places, assume_unique=True)]
-        for rows, first in ((np.flatnonzero(known), self.count), (np.flatnonzero(~known), 0)):
-            if len(rows) and first < count:
-                some = sums[rows]
-                paths.of(rows).add(some, streams.PIXEL_LIGHT, first, count - first, progress)
-                sums[rows] = some
-        return PixelLight.of(places, sums, count, paths, expected)
+        estimate, known = Estimate.none(len(places), REPLICAS), np.isin(places, self.places, assume_unique=True)
+        kept = np.isin(self.places, places, assume_unique=True)
+        estimate.sums[known], estimate.counts[known] = self.estimate.sums[kept], self.estimate.counts[kept]
+        for first in np.unique(estimate.counts[estimate.counts < count]).tolist():
+            rows = np.flatnonzero(estimate.counts == first)
+            some = estimate.sums[rows]
+            paths.of(rows).add(some, streams.PIXEL_LIGHT, first, count - first, progress)
+            estimate.sums[rows], estimate.counts[rows] = some, count
+        return PixelLight.of(places, estimate, paths, expected)
 
     def put(self, framebuffer: Framebuffer, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> None:
         """Write it into a picture of a G-buffer, as final light, and correct pixels around it. Raises Cancelled."""

@@ -6,16 +6,15 @@ light of their own: whichever takes the fewest paths to the target. A step follo
 from the steps on this rung alone: the same view has the same numbers whoever asks, and after any restart.
 """
 
-import hashlib
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from isogi_core.bake.precision import FIRST_LEVEL, next_level
-from isogi_core.frame.frame import Frame
+from isogi_core.bake.precision import next_level
+from isogi_core.frame.frame import Frame, PictureState
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import (
@@ -31,7 +30,7 @@ from isogi_core.frame.rays.control_pixels import (
     trace_controls,
     variance_of_halves,
 )
-from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Growth, PixelLight
+from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Growth
 from isogi_core.frame.rays.picture_plan import (
     QUIETER,
     Ahead,
@@ -52,43 +51,6 @@ STRICTER = 0.9
 
 DOUBTFUL = 0.5
 """Share of the target below which a small measured error puts the controls in doubt, not the light: none aims lower."""
-
-
-@dataclass(frozen=True, eq=False)
-class PictureState:
-    """What a check knows of a picture besides its texels' light; each step replaces it whole, so that who reads it from
-    another thread has all of one step.
-
-    ``target`` is the relative error that is to be reached. Texels are to have ``enough`` samples. ``controls`` are of
-    this ``attempt``, with so many ``paths`` a half, drawn by the ``uncertainty`` (m,) of all points when texels were to
-    have ``drawn`` samples; pixels in ``own`` have light of their own. It has ``ended`` where no step was left.
-    """
-
-    target: float
-    controls: ControlPixels = field(default_factory=ControlPixels.none)
-    uncertainty: np.ndarray = field(default_factory=lambda: np.empty(0))
-    own: PixelLight = field(default_factory=PixelLight.none)
-    attempt: int = 0
-    ended: bool = False
-    enough: int = FIRST_LEVEL
-    drawn: int = 0
-    paths: int = 0
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes that it takes."""
-        return self.controls.nbytes + self.uncertainty.nbytes + self.own.nbytes
-
-    @property
-    def outdated(self) -> bool:
-        """Whether its controls were drawn when its texels were to have fewer samples."""
-        return self.drawn < self.enough
-
-    @property
-    def version(self) -> bytes:
-        """Names the light that pixels have of their own; empty where none has any."""
-        own = self.own
-        return b"" if not len(own.places) else repr(own.count).encode() + hashlib.sha256(own.places.data).digest()
 
 
 @dataclass(eq=False)
@@ -116,31 +78,32 @@ class PictureCheck:
         """Bytes that it takes."""
         return self.known.nbytes + (self.growing.nbytes if self.growing else 0)
 
-    def step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles, prices: Prices) -> bool:
+    def step(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
         """Come one step nearer to the target from a ``frame`` of this picture; whether there was one to take.
 
-        ``uncertainty`` finds how uncertain the light of each surface point is, (m,); ways to the target are weighed at
+        ``uncertainty`` (m,) says how uncertain the light of each surface point is; ways to the target are weighed at
         these ``prices``. Where another thread took a step since the frame was drawn, that was it. Raises Cancelled.
         """
-        if frame.controls is not self.known.controls or frame.enough != self.known.enough:
+        shown = frame.quality.known
+        if shown is None or shown.controls is not self.known.controls or shown.enough != self.known.enough:
             return True
         taken = frame.surface > 0 and not frame.final and self._step(frame, uncertainty, tiles, prices)
         self.known = replace(self.known, ended=not taken)
         return taken
 
-    def _step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles, prices: Prices) -> bool:
+    def _step(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
         if self.growing is not None:
             return self._grow(self.growing, tiles)
         if self.known.outdated or frame.measured is None:
-            return self._begin_rung(frame, uncertainty(), tiles)
+            return self._begin_rung(frame, uncertainty, tiles)
         climbs = climbs_of(frame, self._rung(frame), self.known.target) if not self.known.attempt else [0.0]
         if not self._decided(frame.measured):
             drawn = 2.0 * self.known.paths * frame.measured.controls
             self.ahead = Ahead(max(self._control_paths(frame.measured, frame.measured.likely) - drawn, drawn), times=1)
             if self._climbing_decides(frame, frame.measured, [prices.path * each for each in climbs]):
                 return self._climb(frame)
-            return self._add_controls(frame.measured, uncertainty(), tiles)
-        plan = self._cheapest(frame, frame.measured, uncertainty(), climbs, prices)
+            return self._add_controls(frame.measured, uncertainty, tiles)
+        plan = self._cheapest(frame, frame.measured, uncertainty, climbs, prices)
         first, last = (
             2.0 * self.known.paths * FIRST_CONTROLS,
             self._control_paths(frame.measured, self._aim(frame.measured)),
@@ -211,7 +174,7 @@ class PictureCheck:
         errors = spread_errors(uncertainty, known.controls, frame.controlled) ** 2
         # controls of few pixels may find less than the noise that halves tell: then errors are as large as that
         errors *= max((measured.likely * frame.true_mean) ** 2 / max(float(errors.mean()), 1e-300), 1.0)
-        under = frame.lacking and frame.lacking.texels
+        under = frame.quality.lacking and frame.quality.lacking.texels
         texels, chunks = (len(under.places), len(under.chunks)) if under else (0, 0)
         plans = by_rungs(own, errors, np.minimum(noise_of_climbers(frame) * noise, errors), climbs, chunks)
         if texels and not (known.attempt or self.declined):
@@ -229,7 +192,8 @@ class PictureCheck:
 
     def _rung(self, frame: Frame) -> int:
         """The samples that all texels of a ``frame`` have that are not good enough with fewer."""
-        samples = frame.lacking.reading.samples if frame.lacking else np.empty(0, np.int32)
+        lacking = frame.quality.lacking
+        samples = lacking.reading.samples if lacking else np.empty(0, np.int32)
         lit = samples[samples > 0]
         return max(self.known.enough, int(lit.min()) if len(lit) else 0)
 

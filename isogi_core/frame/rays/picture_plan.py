@@ -126,9 +126,9 @@ def noise_of_climbers(frame: Frame) -> float:
 
     It is 0 for a picture of no texels.
     """
-    if frame.lacking is None:
+    if (lacking := frame.quality.lacking) is None:
         return 0.0
-    reading = frame.lacking.reading
+    reading = lacking.reading
     variance = np.where(reading.samples > 0, reading.error.astype(np.float64) ** 2, 0.0)
     return float(variance[reading.noisy].sum() / max(variance.sum(), 1e-300))
 
@@ -136,8 +136,8 @@ def noise_of_climbers(frame: Frame) -> float:
 def climbs_of(frame: Frame, rung: int, target: float) -> list[float]:
     """The paths that it takes the texels of a ``frame`` to climb no rung, one, two, and so on, from this ``rung``."""
     paths = [0.0]
-    if frame.lacking is not None:
-        reading = frame.lacking.reading
+    if (lacking := frame.quality.lacking) is not None:
+        reading = lacking.reading
         samples = reading.samples[reading.noisy].astype(np.float64)
         paths += [float(np.maximum(each - samples, 0.0).sum()) for each in rungs_above(rung, target) if len(samples)]
     return paths

@@ -6,21 +6,35 @@ halves that tell their noise, until it is a share of the target error. They are 
 """
 
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 import numpy as np
 
+from isogi_core.bake.noise import Until
+from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.half_sums import HALVES, HalfSums, NoisyLight
+from isogi_core.frame.rays.control_pixels import bounces_of_truth
+from isogi_core.frame.rays.estimate import HALVES, Estimate, NoisyLight
+from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.rays.shine import RAYS, ShineRays, cast_rays, light_below, paths_from
+from isogi_core.frame.rays.view_walls import ViewWalls
 from isogi_core.frame.rays.wall_light import WallView
-from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.shading import colour_surface
+from isogi_core.frame.texel_normals import TexelNormals
+from isogi_core.frame.texel_shading import TexelShading
+from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.view_checks import ViewChecks, texels_until
+from isogi_core.frame.view_keys import check_key, surface_key
+from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL, Framebuffer, PixelPoints
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.shine import light_ends
 from isogi_core.kernels.shading.shine_filter import filter_shine
+from isogi_core.lru_cache import LruCache
 from isogi_core.model.shine import DULL
 from isogi_core.model.sky import LUMINANCE
 
@@ -50,29 +64,6 @@ class SeenLight:
     version: bytes
 
 
-@dataclass(frozen=True, eq=False)
-class Gleam(NoisyLight):
-    """What shine brings to each point of a picture."""
-
-    def put(self, below: np.ndarray, gbuffer: GBuffer, unit: float, framebuffer: Framebuffer, tiles: Tiles) -> None:
-        """Write it into a picture of diffuse light, of which the share ``below`` (m, 3) stays; errors are of both.
-
-        Raises Cancelled.
-        """
-
-        def _piece(a: int, b: int) -> None:
-            pixels = gbuffer.pixels[a:b]
-            diffuse = framebuffer.radiance[pixels] * below[a:b]
-            noise = framebuffer.error[pixels] * (diffuse @ LUMINANCE)
-            light = diffuse + self.light[a:b]
-            error = np.sqrt(noise**2 + self.variance[a:b]) / np.maximum(light @ LUMINANCE, DARKEST * unit)
-            framebuffer.radiance[pixels] = np.minimum(light, np.finfo(np.float32).max)
-            unknown = framebuffer.state[pixels] <= PROVISIONAL
-            framebuffer.error[pixels] = np.where(unknown, 1.0, np.minimum(error, 1.0))
-
-        tiles.run(_piece, len(below), tiles.even(len(below)))
-
-
 @dataclass(eq=False)
 class ShineLight:
     """The shine of a view in a ``light``: what it leaves of diffuse light, ``below``; its first ``rays``; and the
@@ -83,14 +74,14 @@ class ShineLight:
     gbuffer: GBuffer
     below: np.ndarray
     rays: ShineRays
-    sums: HalfSums
+    sums: Estimate
     lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @classmethod
     def begun(cls, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> "ShineLight":
         """The shine of a surface that shines in a ``light``, with its first rays. Raises Cancelled."""
         rays = cast_rays(light, gbuffer, range(1), range(1), tiles, ways=1)
-        return cls(light, gbuffer, light_below(light, gbuffer, tiles), rays, HalfSums.none(len(gbuffer.points)))
+        return cls(light, gbuffer, light_below(light, gbuffer, tiles), rays, Estimate.none(len(gbuffer.points)))
 
     @property
     def nbytes(self) -> int:
@@ -107,15 +98,29 @@ class ShineLight:
         """Names the rays that it is made of, but for what texels show where the first ones end."""
         return repr(self.light.shine).encode() + self.sums.version
 
-    def gleam(self, seen: SeenLight | None, tiles: Tiles) -> Gleam:
-        """What it brings to the picture: by all rays, or by the first ones where these have ``seen`` light."""
-        if seen is None:
-            return self._gleam(tiles)
-        return self._filtered(Gleam.of(self.rays.gather(seen.light), self.gbuffer, tiles), tiles)
+    def put(self, seen: SeenLight | None, framebuffer: Framebuffer, tiles: Tiles) -> None:
+        """Write it into a picture of diffuse light, of which the share ``below`` stays; errors are of both.
 
-    def _filtered(self, single: Gleam, tiles: Tiles) -> Gleam:
-        """What ``single`` rays bring, filtered over the picture. Raises Cancelled."""
-        gbuffer, shine = self.gbuffer, self.light.shine or DULL
+        All rays bring it, or the first ones where these have ``seen`` light. Raises Cancelled.
+        """
+        brought = self._sharp(tiles) if seen is None else self._filtered(self.rays.gather(seen.light), tiles)
+        darkest = DARKEST * self.light.spec.unit
+
+        def _piece(a: int, b: int) -> None:
+            pixels = self.gbuffer.pixels[a:b]
+            diffuse = framebuffer.radiance[pixels] * self.below[a:b]
+            noise = framebuffer.error[pixels] * (diffuse @ LUMINANCE)
+            light = diffuse + brought.light[a:b]
+            error = np.sqrt(noise**2 + brought.variance[a:b]) / np.maximum(light @ LUMINANCE, darkest)
+            framebuffer.radiance[pixels] = np.minimum(light, np.finfo(np.float32).max)
+            unknown = framebuffer.state[pixels] <= PROVISIONAL
+            framebuffer.error[pixels] = np.where(unknown, 1.0, np.minimum(error, 1.0))
+
+        tiles.run(_piece, len(self.below), tiles.even(len(self.below)))
+
+    def _filtered(self, means: np.ndarray, tiles: Tiles) -> NoisyLight:
+        """What single rays bring, ``means`` (m, 1, 3), filtered over the picture. Raises Cancelled."""
+        gbuffer, shine, single = self.gbuffer, self.light.shine or DULL, NoisyLight.of(means, self.gbuffer, tiles)
         rows, normals, width = gbuffer.rows, gbuffer.normals(tiles), float(np.hypot(ALIKE, 2.0 * shine.alpha))
         steps = [np.column_stack([single.light, single.variance]).astype(np.float32)]
         for step in FILTER_STEPS:
@@ -127,43 +132,85 @@ class ShineLight:
             tiles.run(_piece, len(before), tiles.even(len(before)))
             steps.append(after)
         blurred = ((steps[-1] - steps[-2])[:, :3] @ LUMINANCE) ** 2
-        return Gleam(steps[-1][:, :3], steps[-1][:, 3] + blurred)
+        return NoisyLight(steps[-1][:, :3], steps[-1][:, 3] + blurred)
 
-    def _gleam(self, tiles: Tiles) -> Gleam:
+    def _sharp(self, tiles: Tiles) -> NoisyLight:
         """What all rays bring that were cast since the texels' light is final."""
-        return Gleam.of(self.sums.means, self.gbuffer, tiles)
+        return NoisyLight.of(self.sums.means, self.gbuffer, tiles)
 
-    def step(
-        self, shown: bytes, allowed: float, lit: Callable[[ShineRays], SeenLight], bounces: int, tiles: Tiles
-    ) -> bool:
-        """Cast more rays where the noise is above what is ``allowed``, a luminance; whether there were any to cast.
-
-        What they see is ``lit`` by texels and walls, and by a path of so many ``bounces`` where these are not final.
-        Where another thread cast some since a frame has ``shown`` these rays, that was the step. Raises Cancelled.
-        """
-        with self.lock:
-            if not shown.startswith(self.version):
-                return True
-            places = self._noisy(allowed, tiles)
-            if not len(places) or self.count >= MAX_RAYS:
-                return False
-            some, each = self.gbuffer.part(places, tiles), HALVES * len(places)
-            numbers = self.sums.next(STEP_RAYS // each)
-            added, together = np.zeros((len(places), HALVES, 3)), max(TOGETHER // each, 1)
-            for first in range(0, len(numbers), together):
-                rays = cast_rays(self.light, some, range(HALVES), numbers[first : first + together], tiles)
-                seen = lit(rays)
-                short = np.flatnonzero(seen.states != FINAL)
-                seen.light[short] = paths_from(rays, short, self.light, bounces, tiles)
-                added += rays.gather(seen.light).reshape(len(places), HALVES, -1, 3).sum(axis=2)
-            self.sums = self.sums.joined(places, added, numbers.stop)
-            return True
-
-    def _noisy(self, allowed: float, tiles: Tiles) -> np.ndarray:
+    def noisy(self, allowed: float, tiles: Tiles) -> np.ndarray:
         """Rows of the points that are to have more rays: all at first, none where the picture's noise is allowed."""
         if self.count < MIN_RAYS:
             return np.arange(len(self.gbuffer.points))
-        return self.sums.noisy(self._gleam(tiles).variance, allowed)
+        return self.sums.noisy(self._sharp(tiles).variance, allowed)
+
+
+@dataclass(frozen=True, eq=False)
+class ViewShine:
+    """The shine of views, among what is ``kept``; ``texels``, ``walls`` and ``checks`` tell what its rays see."""
+
+    kept: LruCache[Any]
+    texels: TexelShading
+    walls: ViewWalls
+    checks: ViewChecks
+
+    def put(
+        self, gbuffer: GBuffer, light: RotatedLight, target: float, framebuffer: Framebuffer, tiles: Tiles
+    ) -> bytes:
+        """Let the surface in a picture shine; what names the rays that were taken, and the light that they read."""
+        shine = self._of(light, gbuffer, tiles)
+        ends = None if shine.count else self._ends(shine.rays, light, target, tiles)
+        shine.put(ends, framebuffer, tiles)
+        return shine.version + (ends.version if ends else b"")
+
+    def step(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, prices: Prices) -> bool:
+        """Cast more rays where the noise is above its share of the ``target``: see ``Refinement``.
+
+        Where another thread cast some since the ``frame`` was drawn, that was the step.
+        """
+        if light.shine is None or not len(frame.gbuffer.pixels):
+            return False
+        shine, allowed = self._of(light, frame.gbuffer, tiles), SHINE_NOISE_SHARE * target * frame.true_mean
+        with shine.lock:
+            if not frame.quality.rays.startswith(shine.version):
+                return True
+            places = shine.noisy(allowed, tiles)
+            if not len(places) or shine.count >= MAX_RAYS:
+                return False
+            self._cast(shine, places, target, tiles)
+            return True
+
+    def _cast(self, shine: ShineLight, places: np.ndarray, target: float, tiles: Tiles) -> None:
+        """Cast as many rays again from the points at ``places``; paths go on from where light is not final."""
+        some, each = shine.gbuffer.part(places, tiles), HALVES * len(places)
+        numbers, bounces = shine.sums.next(STEP_RAYS // each), bounces_of_truth(shine.light)
+        added, together = np.zeros((len(places), HALVES, 3)), max(TOGETHER // each, 1)
+        for first in range(0, len(numbers), together):
+            rays = cast_rays(shine.light, some, range(HALVES), numbers[first : first + together], tiles)
+            seen = self._ends(rays, shine.light, target, tiles)
+            for kind in (ViewTexels, TexelNormals):
+                self.kept.drop((kind, surface_key(rays.view(shine.light.view)), False))
+            short = np.flatnonzero(seen.states != FINAL)
+            seen.light[short] = paths_from(rays, short, shine.light, bounces, tiles)
+            added += rays.gather(seen.light).reshape(len(places), HALVES, -1, 3).sum(axis=2)
+        shine.sums = shine.sums.joined(places, added, numbers.stop)
+
+    def _of(self, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> ShineLight:
+        """The shine of a view, with its first rays at least."""
+        make = partial(ShineLight.begun, light, gbuffer, tiles)
+        return self.kept.get((ShineLight, *check_key(light.view, 0.0), light.view.moving), make)
+
+    def _ends(self, rays: ShineRays, light: RotatedLight, target: float, tiles: Tiles) -> SeenLight:
+        """What rays of shine see by texels and walls as they are lit now; unshadowed light where nothing is lit yet."""
+        hits, seen = rays.hits, RotatedLight(light.spec, rays.view(light.view))
+        texels = self.texels.under(seen.view, hits, tiles)
+        check = self.checks.held(light.view, target)
+        until = texels_until(Until(target, FIRST_LEVEL), light.view, check.known if check else None)
+        reading, framebuffer = self.texels.picture(texels, seen, until, tiles, Stopwatch())
+        add_lobes_seen(rays, seen, framebuffer, tiles)
+        colour_surface(hits, seen, framebuffer, tiles)
+        version = self.walls.put_seen(walls_seen(rays, seen), target, framebuffer, tiles)
+        return SeenLight(framebuffer.radiance, framebuffer.state, reading.version + version.encode())
 
 
 def walls_seen(rays: ShineRays, light: RotatedLight) -> list[WallView]:

@@ -5,7 +5,6 @@ the view rests trees are drawn by chance, in halves that tell their noise, until
 """
 
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,7 +15,8 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.half_sums import HALVES, HalfSums, NoisyLight
+from isogi_core.frame.rays.estimate import HALVES, Estimate, NoisyLight
+from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.rays.view_walls import ViewWalls
 from isogi_core.frame.rays.wall_light import WallView
 from isogi_core.frame.shading import empty_framebuffer
@@ -145,10 +145,6 @@ class SeenThrough:
         return state
 
 
-Light = Callable[[SeenThrough], Framebuffer]
-"""What lights the walls that are seen: a picture of one row."""
-
-
 @dataclass(eq=False)
 class SurfaceSeen:
     """What a view of a target error shows of its surface, ``gbuffer``: by the ``first`` trees, or by the ``sums`` of
@@ -158,7 +154,7 @@ class SurfaceSeen:
     gbuffer: GBuffer
     light: RotatedLight
     first: SeenThrough
-    sums: HalfSums
+    sums: Estimate
     lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
@@ -181,7 +177,7 @@ class SurfaceSeen:
         framebuffer.error[pixels] = np.minimum(error, 1.0)
         return sums.version
 
-    def shown(self, sums: HalfSums, lit: Framebuffer, tiles: Tiles) -> tuple[NoisyLight, np.ndarray]:
+    def shown(self, sums: Estimate, lit: Framebuffer, tiles: Tiles) -> tuple[NoisyLight, np.ndarray]:
         """What is seen by ``sums`` where walls are ``lit``, and by how much these make its luminance err (m,).
 
         What went the way of another light errs by how much neighbours differ. Raises Cancelled.
@@ -192,7 +188,7 @@ class SurfaceSeen:
         apart = NoisyLight.of(light[:, None], self.gbuffer, tiles).variance
         return NoisyLight(light, 2.0 * self.first.cut.astype(np.float64) ** 2 * apart), wrong
 
-    def noisy(self, sums: HalfSums, shown: NoisyLight, target: float) -> np.ndarray:
+    def noisy(self, sums: Estimate, shown: NoisyLight, target: float) -> np.ndarray:
         """Rows of the points that are to have more trees than in ``sums`` before what is ``shown`` is at its target."""
         allowed = (SEEN_NOISE_SHARE if len(self.first.rows) else 1.0) * target * float((shown.light @ LUMINANCE).mean())
         count = sums.most
@@ -200,32 +196,6 @@ class SurfaceSeen:
             return np.empty(0, np.int64)
         found = sums.noisy(shown.variance, allowed if count else SURE * allowed)
         return found if count >= MIN_TREES or not len(found) else np.arange(len(shown.light))
-
-    def step(self, target: float, lit: Light, tiles: Tiles) -> SeenThrough | bool:
-        """Draw trees for the points whose noise is too much: as many again as there are. Raises Cancelled.
-
-        Whether there were such points; or what they see, where walls among that are not final, and nothing was drawn.
-        """
-        with self.lock:
-            shown, _ = self.shown(self.sums, lit(self.first), tiles)
-            places = self.noisy(self.sums, shown, target)
-            if not len(places):
-                return False
-            numbers, added = (
-                self.sums.next(STEP_PLACES // (HALVES * BREADTH * len(places))),
-                np.zeros((len(places), HALVES, 3)),
-            )
-            trees = Trees(BREADTH, range(HALVES), numbers)
-            some = max(TOGETHER // (BREADTH * trees.each), 1)
-            for a in range(0, len(places), some):
-                rows = places[a : a + some]
-                seen = SeenThrough.of(self.gbuffer.part(rows, tiles), self.light, trees, tiles)
-                walls = lit(seen)
-                if (walls.state[: len(seen.rows)] < FINAL).any():
-                    return seen
-                added[a : a + some] = seen.gather(walls)[0].reshape(len(rows), HALVES, -1, 3).sum(axis=2)
-            self.sums = self.sums.joined(places, added, numbers.stop)
-            return True
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,22 +218,41 @@ class ViewThrough:
                 more, own = self.walls.put(gbuffer, light, target, framebuffer, tiles)
                 waiting, version = waiting + more, version + own
         frame = frame_of(gbuffer, light, framebuffer, watch, rays=rays)
-        return replace(frame, walls_waiting=waiting, version=f"{frame.version}{version}")
+        return replace(frame, quality=replace(frame.quality, waiting=waiting), version=f"{frame.version}{version}")
 
-    def grow(self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles) -> bool:
+    def step(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, prices: Prices) -> bool:
         """Have the walls in a picture, and those seen through its surface, that are not final take as many paths again;
-        once all are, what is seen through it more trees. Whether there was anything to take. Raises Cancelled.
+        once all are, what is seen through it more trees. See ``Refinement``.
         """
-        views = [WallView.of(gbuffer, light)]
+        views = [WallView.of(frame.gbuffer, light)]
         if not light.spec.prepared.scene.surfaces.material.refracts:
             return self.walls.grow(views, target, tiles)
-        seen = self._seen(gbuffer, light, target, tiles)
-        if self.walls.grow([*views, *seen.first.views(gbuffer, light)], target, tiles):
+        seen = self._seen(frame.gbuffer, light, target, tiles)
+        if self.walls.grow([*views, *seen.first.views(frame.gbuffer, light)], target, tiles):
             return True
-        found = seen.step(target, lambda some: self._lit(some, gbuffer, light, target, tiles)[0], tiles)
-        if isinstance(found, SeenThrough):
-            return self.walls.grow(found.views(gbuffer, light), target, tiles)
-        return found
+        with seen.lock:
+            lit, _ = self._lit(seen.first, frame.gbuffer, light, target, tiles)
+            places = seen.noisy(seen.sums, seen.shown(seen.sums, lit, tiles)[0], target)
+            return len(places) > 0 and self._draw_trees(seen, places, light, target, tiles)
+
+    def _draw_trees(
+        self, seen: SurfaceSeen, places: np.ndarray, light: RotatedLight, target: float, tiles: Tiles
+    ) -> bool:
+        """Draw as many trees again for the points at ``places``; where walls that they see are not final these take as
+        many paths again in place of that. Whether anything was taken. Raises Cancelled.
+        """
+        numbers = seen.sums.next(STEP_PLACES // (HALVES * BREADTH * len(places)))
+        trees, added = Trees(BREADTH, range(HALVES), numbers), np.zeros((len(places), HALVES, 3))
+        some = max(TOGETHER // (BREADTH * trees.each), 1)
+        for a in range(0, len(places), some):
+            rows = places[a : a + some]
+            found = SeenThrough.of(seen.gbuffer.part(rows, tiles), seen.light, trees, tiles)
+            lit, _ = self._lit(found, seen.gbuffer, light, target, tiles)
+            if (lit.state[: len(found.rows)] < FINAL).any():
+                return self.walls.grow(found.views(seen.gbuffer, light), target, tiles)
+            added[a : a + some] = found.gather(lit)[0].reshape(len(rows), HALVES, -1, 3).sum(axis=2)
+        seen.sums = seen.sums.joined(places, added, numbers.stop)
+        return True
 
     def _lit(
         self, seen: SeenThrough, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles
@@ -277,7 +266,7 @@ class ViewThrough:
 
         def make() -> SurfaceSeen:
             first = SeenThrough.of(gbuffer, light, GREATEST, tiles)
-            return SurfaceSeen(gbuffer, light, first, HalfSums.none(len(gbuffer.points)))
+            return SurfaceSeen(gbuffer, light, first, Estimate.none(len(gbuffer.points)))
 
         return self.kept.get((SurfaceSeen, *check_key(light.view, target)), make)
 

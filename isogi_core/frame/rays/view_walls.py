@@ -48,7 +48,7 @@ class ViewWalls:
             return frame
         with watch.stage("walls"):
             waiting, version = self.put(frame.gbuffer, light, target, frame.framebuffer, tiles)
-        return replace(frame, walls_waiting=waiting, version=f"{frame.version}{version}")
+        return replace(frame, quality=replace(frame.quality, waiting=waiting), version=f"{frame.version}{version}")
 
     def put_seen(self, views: Iterable[WallView], target: float, framebuffer: Framebuffer, tiles: Tiles) -> str:
         """Write what several views see of walls into one picture; what names the paths taken. Raises Cancelled."""

@@ -2,8 +2,9 @@
 
 import threading
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,12 +14,12 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import NoRoomError
 from isogi_core.frame.eye_glow import EyeGlow
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.several.edges import smooth_surfaces
 from isogi_core.frame.several.mixing import Level
 from isogi_core.frame.several.peels import Peeler, Peels, first_of, layers_of, walls_of
-from isogi_core.frame.several.surfaces_frame import Part, SurfacesFrame, compose, wrong_of
+from isogi_core.frame.several.surfaces_frame import Part, compose, parts_of, wrong_of
+from isogi_core.frame.surface_renderer import SurfaceRenderer
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_keys import surface_key
 from isogi_core.lru_cache import LruCache
@@ -31,43 +32,17 @@ SHOWN, HELD = 2, 6
 """Isovalues whose views of pinned surfaces are kept, and those whose light is: two levels of each, and it itself."""
 
 
-class SideRenderer(Protocol):
-    """A renderer of the scene of one side."""
-
-    caches: Caches
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of memory that it takes."""
-
-    def draw_on(self, gbuffer: GBuffer, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
-        """The frame of what a view shows of the side."""
-
-    def draw_walls(self, gbuffer: GBuffer, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
-        """The frame of the walls alone in a G-buffer."""
-
-    def refine_frame(self, frame: Frame, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """Bring a frame a step nearer to the target; whether there was one."""
-
-
-class Make(Protocol):
-    """What makes the renderer of a side, by the caches of what is shown, and the levels that its light is mixed of."""
-
-    def __call__(self, caches: Caches, *, levels: tuple[Level, ...]) -> SideRenderer:
-        """Make it."""
-
-
 class Composer:
     """Draws views of a scene with several surfaces. Safe to use from many threads."""
 
-    def __init__(self, caches: Caches, own: SideRenderer, make: Make, kept: LruCache[Any]) -> None:
-        """The scene's ``own`` renderer, of ``caches``, draws the outer side of the surface that slides; ``make`` makes
-        the others'. Peels are among what is ``kept`` of views.
+    def __init__(self, own: SurfaceRenderer, side: Callable[..., SurfaceRenderer], kept: LruCache[Any]) -> None:
+        """The scene's ``own`` renderer lights the outer side of the surface that slides, and a ``side`` made by caches
+        and levels each of the others. Peels are among what is ``kept`` of views.
         """
-        self._caches, self._own, self._make, self._kept = caches, own, make, kept
-        self._scene = caches.prepared.scene
+        self._caches, self._own, self._make, self._kept = own.caches, own, side, kept
+        self._scene = self._caches.prepared.scene
         self._inner: PreparedScene | None = None
-        self._sides: OrderedDict[tuple[Side, float | None], SideRenderer] = OrderedDict()
+        self._sides: OrderedDict[tuple[Side, float | None], SurfaceRenderer] = OrderedDict()
         self._held: OrderedDict[tuple[Side, float | None], Caches] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -78,7 +53,7 @@ class Composer:
             views = sum(each.nbytes - each.caches.nbytes for each in self._sides.values())
             return views + sum(each.nbytes for each in self._held.values())
 
-    def draw(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> SurfacesFrame:
+    def draw(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of a view with the light that is there now. Raises Cancelled, and NoRoomError where the light of
         one view takes more than the budget.
         """
@@ -88,7 +63,7 @@ class Composer:
             self._let_go()
             return self._drawn(view, until, tiles, watch)
 
-    def _drawn(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> SurfacesFrame:
+    def _drawn(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of a view, where its light has room beside what is held."""
         with watch.stage("primary"):
             peels = self.peels(view, tiles)
@@ -107,8 +82,6 @@ class Composer:
 
     def smooth(self, frame: Frame, tiles: Tiles) -> Frame:
         """A ``frame`` that was drawn, with more samples where it has edges. Raises Cancelled."""
-        if not isinstance(frame, SurfacesFrame):
-            return frame
         glow, exposure = EyeGlow.of(self._caches.prepared, frame.view.glow), self._scene.default_exposure
         return smooth_surfaces(frame, self._peeler(frame.view, tiles), exposure, tiles, glow)
 
@@ -131,12 +104,12 @@ class Composer:
         frame = self.draw(view, Until(target, FIRST_LEVEL), tiles, Stopwatch())
         if not frame.refinable:
             return False
-        waiting = [part for part in frame.parts if part.frame.checkable and (frame.checkable or part.side == WALLS)]
+        waiting = [part for part in parts_of(frame) if part.frame.checkable and (frame.checkable or part.side == WALLS)]
         waiting.sort(key=wrong_of, reverse=True)
         own, at = (self.renderer(part.side, view.isovalue) for part in waiting), prices.of_present
         return any(each.refine_frame(part.frame, target, tiles, at) for each, part in zip(own, waiting, strict=True))
 
-    def renderer(self, side: Side, shown: float) -> SideRenderer:
+    def renderer(self, side: Side, shown: float) -> SurfaceRenderer:
         """The renderer of a ``side``, or of WALLS, where the surface that slides shows the isovalue ``shown``."""
         if side in (OUTER, WALLS):
             return self._own

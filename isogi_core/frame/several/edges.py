@@ -8,19 +8,17 @@ import numpy as np
 from isogi_core.frame.antialiasing import find_edges, places_in, shown_by
 from isogi_core.frame.eye_glow import EyeGlow, rays_through
 from isogi_core.frame.film import lit
-from isogi_core.frame.frame import EdgeSamples
+from isogi_core.frame.frame import EdgeSamples, Frame
 from isogi_core.frame.gbuffer import RAYS
 from isogi_core.frame.several.peels import Hits, Peeler
-from isogi_core.frame.several.surfaces_frame import SurfacesFrame
+from isogi_core.frame.several.surfaces_frame import parts_of
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.edges import Shown, borrow_light
 from isogi_core.kernels.tracing.peels import WALL
 from isogi_core.kernels.tracing.sight import FACE
 
 
-def smooth_surfaces(
-    frame: SurfacesFrame, peeler: Peeler, exposure: float, tiles: Tiles, glow: EyeGlow | None = None
-) -> SurfacesFrame:
+def smooth_surfaces(frame: Frame, peeler: Peeler, exposure: float, tiles: Tiles, glow: EyeGlow | None = None) -> Frame:
     """The ``frame`` with more samples where it has edges at its ``exposure``, and what glows. Raises Cancelled."""
     pixels, count = find_edges(lit(frame.radiance, frame.state, exposure, marked=False), frame.state)
     if not len(pixels):
@@ -47,10 +45,10 @@ def smooth_surfaces(
     return replace(frame, edges=edges)
 
 
-def pictures_of(frame: SurfacesFrame) -> dict[int, Shown]:
+def pictures_of(frame: Frame) -> dict[int, Shown]:
     """The tall picture of each side in a ``frame``, by the side's number as of ``Peeled``; and that with its faces."""
     whole = shown_by(frame)
-    tall = {part.side.peeled: shown_by(part.frame) for part in frame.parts}
+    tall = {part.side.peeled: shown_by(part.frame) for part in parts_of(frame)}
     return {int(FACE): whole} | {side: picture._replace(fine=whole.fine) for side, picture in tall.items()}
 
 

@@ -4,12 +4,11 @@ import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.frame.frame import Frame
+from isogi_core.frame.frame import Frame, Layer, Quality
 from isogi_core.frame.framing import paint_faces
 from isogi_core.frame.rays.control_pixels import TotalError
 from isogi_core.frame.several.peels import Peels, SideLayers
@@ -54,26 +53,39 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class SurfacesFrame(Frame):
-    """A frame that is composed of ``parts``, one for each side of a surface that is seen; see ``Frame``.
+class SurfacesQuality(Quality):
+    """The quality of a frame that is composed of ``parts``, one for each side of a surface that is seen.
 
-    What it tells of itself is theirs: pixels have the least state of what they show, and errors add up by weight.
+    Pixels have the least state of what they show, and errors add up by weight. ``aim`` is the target of the picture.
     """
 
     parts: tuple[Part, ...] = ()
+    aim: float | None = None
+
+    @property
+    def target(self) -> float | None:
+        """See ``Quality``."""
+        return self.aim
+
+    @property
+    def given_up(self) -> bool:
+        """See ``Quality``: whether each part is final, or its check ended."""
+        return bool(self.parts) and all(part.frame.quality.given_up or part.frame.final for part in self.parts)
+
+    @property
+    def outdated(self) -> bool:
+        """See ``Quality``."""
+        return any(part.frame.quality.outdated for part in self.parts)
+
+    @property
+    def own(self) -> int:
+        """See ``Quality``."""
+        return sum(part.frame.quality.own for part in self.parts)
 
     @property
     def demands(self) -> tuple[Demand, ...]:
         """The light that was not final on the outer side of the surface that slides."""
         return next((part.frame.demands for part in self.parts if part.side == OUTER), ())
-
-    @property
-    def layers(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | float]]:
-        """See ``Frame``: of each side layer by layer."""
-        for part in self.parts:
-            for rows, pixels in part.layers.each:
-                yield pixels, part.layers.gbuffer.points[rows], part.layers.weights[rows]
-        yield self.gbuffer.faces.pixels, self.gbuffer.faces.points, 1.0
 
     @property
     def stages(self) -> tuple[Stage, ...]:
@@ -84,51 +96,58 @@ class SurfacesFrame(Frame):
             for stage in part.frame.stages
         )
 
-    @property
-    def checkable(self) -> bool:
-        """Whether texels in the store are final, and control pixels or walls are still to bring it to its target."""
+    def layers(self, frame: Frame) -> Iterator[Layer]:
+        """See ``Frame.layers``: of each side layer by layer."""
+        for part in self.parts:
+            for rows, pixels in part.layers.each:
+                yield pixels, part.layers.gbuffer.points[rows], part.layers.weights[rows]
+        yield frame.gbuffer.faces.pixels, frame.gbuffer.faces.points, 1.0
+
+    def checkable(self, frame: Frame) -> bool:
+        """See ``Frame.checkable``."""
         lit = not any(part.frame.provisional for part in self.parts if part.side != WALLS)
-        return lit and not self.final and any(part.frame.checkable for part in self.parts)
+        return lit and not frame.final and any(part.frame.checkable for part in self.parts)
 
-    @cached_property
-    def walls_lag(self) -> bool:
-        """See ``Frame``: more wrong than the side with the largest error."""
-        walls = [part for part in self.parts if part.side == WALLS and part.frame.walls_waiting]
+    def walls_lag(self, frame: Frame) -> bool:
+        """See ``Frame.walls_lag``: more wrong than the side with the largest error."""
+        walls = [part for part in self.parts if part.side == WALLS and part.frame.quality.waiting]
         worst = max((wrong_of(part) for part in self.parts if part.side != WALLS), default=0.0)
-        return any(part.frame.walls_coarse or wrong_of(part) > worst for part in walls)
+        return any(part.frame.quality.walls_coarse(part.frame) or wrong_of(part) > worst for part in walls)
 
-    @cached_property
-    def true_mean(self) -> float:
+    def true_mean(self, frame: Frame) -> float:
         """The mean luminance of the pixels that show something."""
-        return float((self.radiance[self.state > 0].astype(np.float64) @ LUMINANCE).sum()) / max(self.surface, 1)
+        return float((frame.radiance[frame.state > 0].astype(np.float64) @ LUMINANCE).sum()) / max(frame.surface, 1)
 
-    @cached_property
-    def measured(self) -> TotalError | None:
+    def measured(self, frame: Frame) -> TotalError | None:
         """The total relative RMSE by the control pixels of all sides, whose errors count as independent of each other;
         None before each side has some.
         """
         found = [part.measured for part in self.parts]
-        if not found or self.view.shading != "gi" or self.view.moving or not all(found):
+        if not found or frame.view.shading != "gi" or frame.view.moving or not all(found):
             return None
         every = [each for each in found if each is not None]
-        likely, low, high = (self._sum([getattr(each, of) for each in every]) for of in ("likely", "low", "high"))
-        return TotalError(likely, low, high, sum(each.controls for each in every)).at_least(self.noise)
+        likely, low, high = (
+            self._sum(frame, [getattr(each, of) for each in every]) for of in ("likely", "low", "high")
+        )
+        return TotalError(likely, low, high, sum(each.controls for each in every)).at_least(frame.noise)
 
-    @cached_property
-    def tail(self) -> None:
+    def tail(self, frame: Frame) -> None:
         """None: control pixels of one side tell nothing of how the errors of two in one pixel add up."""
-        return None
 
-    @cached_property
-    def total_error(self) -> np.ndarray:
-        """The relative error of each pixel, whatever its causes, at most 1; (h, w) float32."""
-        return summed_errors([(part, part.frame.total_error) for part in self.parts], self.radiance)
+    def total_error(self, frame: Frame) -> np.ndarray:
+        """See ``Frame.total_error``."""
+        return summed_errors([(part, part.frame.total_error) for part in self.parts], frame.radiance)
 
-    def _sum(self, errors: Sequence[float]) -> float:
-        """The relative RMSE of the picture by those of its parts."""
+    def _sum(self, frame: Frame, errors: Sequence[float]) -> float:
+        """The relative RMSE of a ``frame`` by the ``errors`` of its parts."""
         parts = zip(errors, self.parts, strict=True)
         squares = sum((error * part.frame.true_mean) ** 2 * part.weight for error, part in parts)
-        return min(math.sqrt(squares / max(self.surface, 1)) / max(self.true_mean, DARK), 1.0)
+        return min(math.sqrt(squares / max(frame.surface, 1)) / max(frame.true_mean, DARK), 1.0)
+
+
+def parts_of(frame: Frame) -> tuple[Part, ...]:
+    """The parts that a frame is composed of; none of a frame of one surface."""
+    return frame.quality.parts if isinstance(frame.quality, SurfacesQuality) else ()
 
 
 def wrong_of(part: Part) -> float:
@@ -162,9 +181,7 @@ def summed(view: View, parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
     return radiance.astype(np.float32).reshape(*shape, 3), state.reshape(shape)
 
 
-def compose(
-    view: View, peels: Peels, parts: Sequence[Part], watch: Stopwatch, target: float, scene: Scene
-) -> SurfacesFrame:
+def compose(view: View, peels: Peels, parts: Sequence[Part], watch: Stopwatch, target: float, scene: Scene) -> Frame:
     """The frame of a ``view`` of a ``scene`` from the frames of its sides; the faces of its window are painted."""
     lit, state = summed(view, parts)
     error = summed_errors([(part, part.frame.error) for part in parts], lit)
@@ -172,23 +189,14 @@ def compose(
         paint_faces(peels.first, scene, Framebuffer(lit.reshape(-1, 3), state.reshape(-1), error.reshape(-1)))
     checked = view.shading == "gi" and not view.moving
     versions = repr([(part.side, part.frame.version) for part in parts]) + repr(view)
-    return SurfacesFrame(
-        view=view,
-        radiance=lit,
-        state=state,
-        error=error,
-        gbuffer=peels.first,
-        chunks_needed=sum(part.frame.chunks_needed for part in parts),
-        chunks_final=sum(part.frame.chunks_final for part in parts),
-        lacking=None,
-        version=hashlib.blake2b(versions.encode(), digest_size=16).hexdigest(),
-        seconds=watch.seconds,
-        target=target if checked else None,
-        outdated=any(part.frame.outdated for part in parts),
-        given_up=bool(parts) and all(part.frame.given_up or part.frame.final for part in parts),
-        own=sum(part.frame.own for part in parts),
-        walls_waiting=sum(part.frame.walls_waiting for part in parts),
-        expected=max((part.frame.expected for part in parts), default=0.0),
-        left=peels.left,
+    frames = [part.frame for part in parts]
+    chunks = sum(each.chunks_needed for each in frames), sum(each.chunks_final for each in frames)
+    quality = SurfacesQuality(
+        chunks=chunks,
+        waiting=sum(each.quality.waiting for each in frames),
+        expected=max((each.quality.expected for each in frames), default=0.0),
         parts=tuple(parts),
+        aim=target if checked else None,
     )
+    version = hashlib.blake2b(versions.encode(), digest_size=16).hexdigest()
+    return Frame(view, lit, state, error, peels.first, version, watch.seconds, quality, left=peels.left)

@@ -144,7 +144,7 @@ async def progress(service: Service, picture: PictureRequest, shown: Shown, view
 
 def reason(service: Service, frame: Frame, viewer: Viewer) -> str:
     """Why no more light is coming though a frame is not final."""
-    if frame.given_up:
+    if frame.quality.given_up:
         error = f"The total error is {frame.total.likely:.3g} after all paths that pixels may take"
         return f"{error}: ask for a larger max_error."
     if frame.view.shading == PREVIEW:

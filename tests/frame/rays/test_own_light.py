@@ -7,6 +7,7 @@ import pytest
 
 from isogi_core.bake.noise import RATE
 from isogi_core.frame.rays.control_pixels import ControlPixels, spread_errors, variance_of_halves
+from isogi_core.frame.rays.estimate import Estimate
 from isogi_core.frame.rays.own_light import (
     AIM,
     FILTERED,
@@ -47,7 +48,8 @@ def light_of(places: np.ndarray, count: int, deviation: float) -> PixelLight:
     """Light whose replicas' means have this standard deviation of luminance about 1."""
     means = 1.0 + deviation * np.array([-1.0, 1.0, -1.0, 1.0]) * np.sqrt(3.0 / 4.0)
     sums = np.repeat(count * means[None, :, None], len(places), axis=0) * np.ones(3)
-    return PixelLight(places, sums, count, np.ones((len(places), 3)), variance_of_mean(sums / count), NONE)
+    estimate = Estimate(sums, np.full(len(places), count))
+    return PixelLight(places, estimate, np.ones((len(places), 3)), variance_of_mean(estimate.means), NONE)
 
 
 def test_those_that_err_most_are_chosen(wrong: np.ndarray, controls: ControlPixels) -> None:

@@ -14,7 +14,7 @@ import pytest
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import Cancelled
 from isogi_core.files.radiance import write_hdr
-from isogi_core.frame.frame import TAIL, Frame
+from isogi_core.frame.frame import TAIL, Frame, PictureState, Quality
 from isogi_core.frame.rays.control_pixels import (
     FIRST_CONTROLS,
     ControlPixels,
@@ -23,7 +23,7 @@ from isogi_core.frame.rays.control_pixels import (
     draw_places,
     measure_total,
 )
-from isogi_core.frame.rays.picture_check import PictureCheck, PictureState
+from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.picture_plan import PRESENT, SHARED_PRICES, noise_of_climbers
 from isogi_core.frame.texel_reading import Reading, grade_rows
 from isogi_core.kernels.shading.framebuffer import FINAL
@@ -155,10 +155,16 @@ def climbed(bench: Workbench, view: View, target: float) -> list[Frame]:
 def baked_so_far(bench: Workbench, view: View, target: float) -> Frame:
     """The frame of a view once its texels have as many samples as are enough for now."""
     while (frame := bench.renderer.render(view, target)).demands:
-        loader, until = bench.caches.of(view.shading), max(frame.enough, 1)
+        loader, until = bench.caches.of(view.shading), max(frame.quality.enough, 1)
         for demand in frame.demands:
             refine_chunk(loader, until, target, demand)
     return frame
+
+
+def controls_of(frame: Frame) -> ControlPixels:
+    """The controls that a checked frame was measured by."""
+    assert frame.quality.known
+    return frame.quality.known.controls
 
 
 def lamps(folder: Path) -> dict[str, Any]:
@@ -175,9 +181,10 @@ def test_texels_climb_no_further_than_their_picture_asks(workbench: Make, tmp_pa
     bench = workbench(load_scene("demo:orbital", lights=[lamps(tmp_path)], bounces=1, lattice=0.5))
     view = bench.view(size=72)
     frames = climbed(bench, view, 0.03)
-    rungs = [frame.enough for frame in frames]
+    rungs = [frame.quality.enough for frame in frames]
     assert rungs == sorted(rungs) and rungs[0] == FIRST_LEVEL and rungs[-1] > FIRST_LEVEL
-    assert all(frame.lacking and frame.lacking.reading.samples.max() <= frame.enough for frame in frames)
+    known = [frame.quality for frame in frames]
+    assert all(each.lacking and each.lacking.reading.samples.max() <= each.enough for each in known)
     last = frames[-1]
     assert last.final and last.total.high <= 0.03 and last.counts["final"] == last.surface
     true = trace_reference(bench.renderer, view, 1024)
@@ -193,10 +200,11 @@ def reading_of(error: np.ndarray, samples: np.ndarray) -> Reading:
 def test_only_noise_of_texels_that_climb_may_be_lost() -> None:
     """Of four texels one is dark, one is good enough, and two would take more samples."""
     error, samples = np.array([0.0, 0.01, 0.3, 0.4], np.float32), np.array([0, 64, 16, 16], np.int32)
-    frame: Any = SimpleNamespace(lacking=SimpleNamespace(reading=reading_of(error, samples)))
-    assert frame.lacking.reading.noisy.tolist() == [False, False, True, True]
+    lacking = SimpleNamespace(reading=reading_of(error, samples))
+    frame: Any = SimpleNamespace(quality=SimpleNamespace(lacking=lacking))
+    assert frame.quality.lacking.reading.noisy.tolist() == [False, False, True, True]
     assert noise_of_climbers(frame) == pytest.approx(0.25 / 0.2501)
-    assert noise_of_climbers(SimpleNamespace(lacking=None)) == 0.0  # type: ignore[arg-type]
+    assert noise_of_climbers(SimpleNamespace(quality=Quality())) == 0.0  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("noisy", "step"), [(3, "controls"), (1000, "rung")])
@@ -208,10 +216,10 @@ def test_a_rung_is_for_noise_that_it_takes_away(monkeypatch: pytest.MonkeyPatch,
     climbs = np.arange(1000) < noisy
     reading = reading_of(np.where(climbs, 0.05, 0.03), np.where(climbs, 16, 64))
     state, total = PictureState(0.02, drawn=FIRST_LEVEL, paths=64), TotalError(0.019, 0.017, 0.022, 2 * FIRST_CONTROLS)
-    frame: Any = SimpleNamespace(lacking=SimpleNamespace(reading=reading), noise=0.02, measured=total, surface=9)
-    frame.controls, frame.enough, frame.final = state.controls, state.enough, False
+    quality = SimpleNamespace(lacking=SimpleNamespace(reading=reading), known=state)
+    frame: Any = SimpleNamespace(quality=quality, noise=0.02, measured=total, surface=9, final=False)
     unused: Any = None
-    PictureCheck(unused, unused, state).step(frame, lambda: np.empty(0), unused, PRESENT)
+    PictureCheck(unused, unused, state).step(frame, np.empty(0), unused, PRESENT)
     assert taken == [step]
 
 
@@ -228,15 +236,16 @@ def test_controls_of_a_rung_tell_of_the_next_one_first(workbench: Make) -> None:
     bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1))
     view, target = bench.view(size=32), 0.015
     frame = baked_so_far(bench, view, target)
-    while frame.enough == FIRST_LEVEL:
+    while frame.quality.enough == FIRST_LEVEL:
         assert bench.renderer.refine(view, target, prices=SHARED_PRICES)
         frame = bench.renderer.render(view, target)
-    assert frame.outdated and frame.measured is not None and frame.demands and not frame.final
+    assert frame.quality.outdated and frame.measured is not None and frame.demands and not frame.final
     above = baked_so_far(bench, view, target)
-    assert above.controls is frame.controls and above.measured != frame.measured and not above.final
+    assert controls_of(above) is controls_of(frame) and above.measured != frame.measured and not above.final
     assert bench.renderer.refine(view, target)
     renewed = bench.renderer.render(view, target)
-    assert not renewed.outdated and renewed.controls is not frame.controls and renewed.version == above.version
+    assert not renewed.quality.outdated and controls_of(renewed) is not controls_of(frame)
+    assert renewed.version == above.version
 
 
 def test_pictures_end_the_same_wherever_their_texels_began(workbench: Make) -> None:
@@ -284,7 +293,7 @@ def test_no_controls_for_what_moves_or_is_shaded_locally(coarse: Workbench) -> N
     for other in (replace(view, moving=True), replace(view, shading="lambert"), replace(view, shading="vicinity")):
         coarse.bake(other)
         frame = coarse.renderer.render(other)
-        assert frame.target is None and frame.final and not coarse.renderer.refine(other)
+        assert frame.quality.target is None and frame.final and not coarse.renderer.refine(other)
 
 
 def test_each_pixel_tells_its_whole_error(coarse: Workbench) -> None:

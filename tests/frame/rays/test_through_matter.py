@@ -34,7 +34,7 @@ def test_glass_in_a_room_becomes_what_paths_say(room: Workbench) -> None:
     glass, walls = first.gbuffer.pixels, first.gbuffer.walls.pixels
     assert len(glass) and len(walls) and not first.demands
     assert set(first.state.ravel()[walls]) == {PROVISIONAL}
-    assert 0 < first.walls_waiting <= first.surface and first.checkable
+    assert 0 < first.quality.waiting <= first.surface and first.checkable
     while room.renderer.refine(view):
         pass
     frame = room.renderer.render(view)
@@ -52,7 +52,7 @@ def test_clear_glass_under_an_even_sky_is_as_bright_as_that(tmp_path: Path) -> N
     scene = load_scene("demo:casting", lights=[CONSTANT], material="glass", index=1.6)
     bench = Workbench(scene, tmp_path)
     frame = bench.renderer.render(bench.view(size=SIZE))
-    assert frame.final and not frame.demands and not frame.walls_waiting
+    assert frame.final and not frame.demands and not frame.quality.waiting
     np.testing.assert_allclose(frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels], 1.0, rtol=1e-5)
     traced = bench.renderer.render(bench.view(size=SIZE, shading="path_traced", samples=2))
     np.testing.assert_allclose(traced.radiance.reshape(-1, 3)[traced.gbuffer.pixels], 1.0, rtol=1e-5)

@@ -49,12 +49,12 @@ def test_a_room_becomes_final_and_is_what_paths_say(room: Workbench) -> None:
     assert set(walls.numbers.tolist()) == {0, 1, 2, 3, 4, 5}
     assert first.surface == len(walls.pixels) + len(first.gbuffer.pixels)
     assert set(first.state.ravel()[walls.pixels]) == {PROVISIONAL}
-    assert first.walls_waiting == len(walls.pixels)
+    assert first.quality.waiting == len(walls.pixels)
     assert first.checkable
     while room.renderer.refine(view):
         pass
     frame = room.renderer.render(view)
-    assert frame.walls_waiting == 0
+    assert frame.quality.waiting == 0
     assert (frame.state[first.state > 0] == FINAL).all()
     assert frame.version != first.version
     traced = room.renderer.render(room.view(90.0, 0.0, SIZE, distance=4.0, shading="path_traced", samples=256))
@@ -101,7 +101,7 @@ def test_other_shadings_show_the_walls(room: Workbench, shading: str) -> None:
     frame = room.renderer.render(room.view(90.0, 0.0, SIZE, distance=4.0, shading=shading))
     walls = frame.gbuffer.walls
     shown = frame.radiance.reshape(-1, 3)[walls.pixels[walls.numbers == 3]]
-    assert frame.walls_waiting == 0
+    assert frame.quality.waiting == 0
     assert (frame.state.ravel()[walls.pixels] == FINAL).all()
     assert (shown[:, 0] > 2.0 * shown[:, 1]).all()
 
@@ -155,7 +155,7 @@ def on_walls(*frames: Frame) -> list[np.ndarray]:
 def test_walls_are_final_at_once_after_a_restart(room: Workbench) -> None:
     view = room.view(90.0, 0.0, SIZE, distance=4.0)
     before, after = finished(room, view), room.again().renderer.render(view)
-    assert after.walls_waiting == 0
+    assert after.quality.waiting == 0
     np.testing.assert_array_equal(*on_walls(before, after))
     np.testing.assert_array_equal(*(frame.error.ravel()[before.gbuffer.walls.pixels] for frame in (before, after)))
 
@@ -171,7 +171,7 @@ def test_walls_between_two_isovalues_show_what_is_known_of_these(room: Workbench
     fresh.bake(here)
     lent = fresh.again().renderer.render(here)
     walls, true = lent.gbuffer.walls.pixels, finished(room, here)
-    assert lent.walls_waiting == len(walls), "they are not final"
+    assert lent.quality.waiting == len(walls), "they are not final"
     assert set(lent.state.ravel()[walls]) == {CONVERGING}
     shown, known = (frame.radiance.reshape(-1, 3)[walls] @ LUMINANCE for frame in (lent, true))
     wrong, told = shown - known, lent.error.ravel()[walls] * shown
@@ -193,7 +193,7 @@ def test_damaged_light_of_walls_is_baked_again(room: Workbench, tmp_path: Path) 
     objects[0].write_bytes(objects[0].read_bytes()[:-9])
     found = [damage.key for damage in Auditor(copy.caches.store).audit().damages]
     assert found == [objects[0].relative_to(copy.folder).as_posix()], "an audit finds it"
-    assert copy.renderer.render(view).walls_waiting
+    assert copy.renderer.render(view).quality.waiting
     np.testing.assert_array_equal(*on_walls(finished(copy, view), true))
     assert Auditor(copy.caches.store).audit().sound
 

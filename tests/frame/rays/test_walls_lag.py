@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.several.surfaces_frame import SurfacesFrame
+from isogi_core.frame.several.surfaces_frame import parts_of
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.sides import WALLS
@@ -35,7 +35,7 @@ def view_of(bench: Workbench) -> View:
 def beside_surface(frame: Frame) -> np.ndarray:
     """The states of pixels that show a wall and no surface."""
     alone = frame.state > 0
-    parts = frame.parts if isinstance(frame, SurfacesFrame) else ()
+    parts = parts_of(frame) if parts_of(frame) else ()
     for pixels in [frame.gbuffer.pixels, *(p for each in parts if each.side != WALLS for _, p in each.layers.each)]:
         alone.ravel()[pixels] = False
     return frame.state[alone]
@@ -50,7 +50,7 @@ def test_walls_are_fine_before_any_texel_has_light(bench: Workbench) -> None:
     assert not bench.renderer.render(replace(view, moving=True)).refinable, "a view that moves has no time for it"
     assert bench.renderer.refine(view, target)
     second = bench.renderer.render(view, target)
-    assert 0.9 * first.walls_waiting < second.walls_waiting and not second.walls_lag
+    assert 0.9 * first.quality.waiting < second.quality.waiting and not second.walls_lag
     assert (beside_surface(second) > PROVISIONAL).all()
     assert second.coverage["provisional"] < first.coverage["provisional"] == 1.0
     assert not bench.renderer.refine(view, target)
@@ -64,9 +64,9 @@ def test_walls_grow_while_they_err_more_than_the_surface(bench: Workbench) -> No
     bench.renderer.refine(view)
     bake(bench, view) if bench.scene.surfaces.several else bench.bake(view)
     frame = bench.renderer.render(view)
-    assert frame.walls_waiting and frame.checkable and frame.refinable
+    assert frame.quality.waiting and frame.checkable and frame.refinable
     while bench.renderer.refine(view):
         bake(bench, view) if bench.scene.surfaces.several else bench.bake(view)
     frame = bench.renderer.render(view)
-    assert not frame.walls_waiting and not frame.walls_lag and not frame.refinable
+    assert not frame.quality.waiting and not frame.walls_lag and not frame.refinable
     assert (frame.state[frame.state > 0] == FINAL).all()

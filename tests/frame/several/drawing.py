@@ -1,19 +1,20 @@
 """Frames of several surfaces, drawn and baked in this process, side by side."""
 
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.frame.several.surfaces_frame import SurfacesFrame
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.several.surfaces_frame import parts_of
 from isogi_core.model.view import View
 from tests.frame.conftest import Workbench, refine_chunk
 
 
-def drawn(bench: Workbench, view: View) -> SurfacesFrame:
+def drawn(bench: Workbench, view: View) -> Frame:
     """The frame of a view with the light that is there."""
     frame = bench.renderer.render(view)
-    assert isinstance(frame, SurfacesFrame)
+    assert parts_of(frame)
     return frame
 
 
-def bake(bench: Workbench, view: View, rungs: int | None = None) -> SurfacesFrame:
+def bake(bench: Workbench, view: View, rungs: int | None = None) -> Frame:
     """Bake rung by rung all that is wanted; of so many ``rungs`` where they are given."""
     rung, frame = FIRST_LEVEL, drawn(bench, view)
     while frame.stages and (rungs is None or rung < FIRST_LEVEL << rungs):
@@ -26,7 +27,7 @@ def bake(bench: Workbench, view: View, rungs: int | None = None) -> SurfacesFram
     return frame
 
 
-def check(bench: Workbench, view: View) -> SurfacesFrame:
+def check(bench: Workbench, view: View) -> Frame:
     """Bring the picture of a view to its target, with all the light that this takes."""
     frame = bake(bench, view)
     while bench.renderer.refine(view):

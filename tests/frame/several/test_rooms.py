@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.entry_kernels import AMONG, ROOM, frame_kernels
-from isogi_core.frame.several.surfaces_frame import SurfacesFrame
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.several.surfaces_frame import parts_of
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
 from isogi_core.kernels.shading.wall_light import light_walls
 from isogi_core.kernels.transport.room_paths import light_in_room
@@ -39,7 +40,7 @@ def view_of(bench: Workbench, **changes: Any) -> View:
     return bench.view(90.0, 0.0, SIZE, distance=4.0, **changes)
 
 
-def lit(bench: Workbench, view: View) -> SurfacesFrame:
+def lit(bench: Workbench, view: View) -> Frame:
     """The frame of a view with all of its light, walls' too."""
     bake(bench, view)
     return check(bench, view)
@@ -51,28 +52,28 @@ def test_it_becomes_final_and_is_what_paths_say(kind: str, tmp_path: Path) -> No
     bench = bench_of(kind, tmp_path)
     view = view_of(bench)
     first = drawn(bench, view)
-    (walls,) = (part for part in first.parts if part.side == WALLS)
-    assert first.walls_waiting == len(walls.layers.gbuffer.pixels)
+    (walls,) = (part for part in parts_of(first) if part.side == WALLS)
+    assert first.quality.waiting == len(walls.layers.gbuffer.pixels)
     assert not first.checkable, "texels come before walls"
     frame = lit(bench, view)
-    assert frame.walls_waiting == 0
+    assert frame.quality.waiting == 0
     assert (frame.state[first.state > 0] == FINAL).all()
-    assert frame.final or frame.given_up
+    assert frame.final or frame.quality.given_up
     traced = drawn(bench, replace(view, shading="path_traced", samples=256))
     assert relative_rmse(frame, traced) < 1.5 * LOOSE
     on = frame.state > 0
     np.testing.assert_allclose(frame.radiance[on].mean(axis=0), traced.radiance[on].mean(axis=0), rtol=0.05)
     again = Workbench(bench.scene, tmp_path)
-    assert drawn(again, view).walls_waiting == 0, "the store keeps the light of walls"
+    assert drawn(again, view).quality.waiting == 0, "the store keeps the light of walls"
 
 
 def test_walls_are_seen_through_clear_surfaces_by_their_share(tmp_path: Path) -> None:
     """Of all surfaces and walls the shares in a pixel make a whole, where the room has a wall behind."""
     bench = bench_of("clear", tmp_path)
     frame = drawn(bench, view_of(bench))
-    assert {part.side for part in frame.parts} == {OUTER, Side(0, True), WALLS}
-    total, (walls,) = np.zeros(SIZE * SIZE), [part for part in frame.parts if part.side == WALLS]
-    for part in frame.parts:
+    assert {part.side for part in parts_of(frame)} == {OUTER, Side(0, True), WALLS}
+    total, (walls,) = np.zeros(SIZE * SIZE), [part for part in parts_of(frame) if part.side == WALLS]
+    for part in parts_of(frame):
         for rows, pixels in part.layers.each:
             total[pixels] += part.layers.weights[rows]
     np.testing.assert_allclose(total[walls.layers.gbuffer.pixels], 1.0, atol=1.0 / 512.0)
@@ -134,7 +135,7 @@ def test_glow_behind_clear_surfaces_is_what_paths_say(room: dict[str, Any], tmp_
 def test_local_shadings_show_walls_too(shading: str, tmp_path: Path) -> None:
     bench = bench_of("clear", tmp_path)
     frame = drawn(bench, view_of(bench, shading=shading))
-    (walls,) = (part for part in frame.parts if part.side == WALLS)
+    (walls,) = (part for part in parts_of(frame) if part.side == WALLS)
     assert (walls.seen(walls.frame.radiance).sum(axis=1) > 0.0).any()
     assert (walls.seen(walls.frame.state) > PROVISIONAL).all()
 

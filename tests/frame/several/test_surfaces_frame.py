@@ -10,8 +10,9 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import NoRoomError
 from isogi_core.frame.entry_kernels import AMONG, frame_kernels
 from isogi_core.frame.film import develop, linear_table
+from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.several.surfaces_frame import SurfacesFrame
+from isogi_core.frame.several.surfaces_frame import parts_of
 from isogi_core.frame.surface_point import point_at
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
@@ -40,7 +41,7 @@ def halo(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
 def test_a_picture_becomes_final_and_is_what_paths_say(halo: Workbench) -> None:
     view = halo.view(size=SIZE)
     frame = drawn(halo, view)
-    assert {part.side for part in frame.parts} >= {OUTER, Side(1), Side(1, True)}
+    assert {part.side for part in parts_of(frame)} >= {OUTER, Side(1), Side(1, True)}
     assert frame.final and not frame.provisional
     assert frame.measured is not None and frame.measured.high <= LOOSE
     traced = drawn(halo, replace(view, shading="path_traced", samples=512))
@@ -52,10 +53,10 @@ def test_one_cache_of_what_slides_serves_all_isovalues(halo: Workbench) -> None:
     """Slid beyond its level, the picture asks for texels of its own layer, and of the pinned surface at another one."""
     before, folders = drawn(halo, halo.view(size=SIZE)), {*halo.folder.iterdir()}
     slid = drawn(halo, halo.view(size=SIZE, isovalue=0.0601))
-    kept, moved = (next(part for part in each.parts if part.side == OUTER) for each in (before, slid))
+    kept, moved = (next(part for part in parts_of(each) if part.side == OUTER) for each in (before, slid))
     assert kept.caches is moved.caches
     assert moved.frame.settled > 0.5 * moved.frame.surface
-    others = [part for part in slid.parts if part.side.number]
+    others = [part for part in parts_of(slid) if part.side.number]
     assert others and not any(part.frame.settled for part in others)
     assert {*halo.folder.iterdir()} == folders  # nothing is made before there is light
     again = drawn(halo, halo.view(size=SIZE))
@@ -104,7 +105,7 @@ def test_between_two_levels_nothing_is_baked_anew(halo: Workbench) -> None:
     bake(halo, halo.view(size=SIZE // 2, isovalue=first))
     folders, view = {*halo.folder.iterdir()}, halo.view(size=SIZE // 2, isovalue=other)
     slid = drawn(halo, view)
-    pinned = [part for part in slid.parts if part.side.number]
+    pinned = [part for part in parts_of(slid) if part.side.number]
     assert pinned and all(part.frame.settled > 0.6 * part.frame.surface for part in pinned)
     frame = bake(halo, view)
     assert {*halo.folder.iterdir()} == folders
@@ -119,15 +120,15 @@ def test_light_of_other_isovalues_makes_room(halo: Workbench) -> None:
     first = halo.scene.levels.index(SHOWN)
     views = [halo.view(size=SIZE, isovalue=each) for each in halo.scene.levels[first : first + 4]]
     plenty = [bake(halo, view, 1) for view in views]
-    sides = [sum(part.caches.nbytes for part in frame.parts if part.side.number) for frame in plenty]
+    sides = [sum(part.caches.nbytes for part in parts_of(frame) if part.side.number) for frame in plenty]
     caches = Caches(halo.prepared, halo.folder, sum(sides) - min(sides) // 2)
     small, readers = Renderer(caches, Tiles()), list[Caches]()
     for view, whole in zip([*views, views[0]], [*plenty, plenty[0]], strict=True):
         frame = small.render(view)
-        assert isinstance(frame, SurfacesFrame)
-        assert sum(part.caches.nbytes for part in frame.parts if part.side.number) <= caches.budget
+        assert parts_of(frame)
+        assert sum(part.caches.nbytes for part in parts_of(frame) if part.side.number) <= caches.budget
         np.testing.assert_array_equal(frame.radiance, whole.radiance)
-        readers.append(next(part.caches for part in frame.parts if part.side == Side(1)))
+        readers.append(next(part.caches for part in parts_of(frame) if part.side == Side(1)))
     assert readers[0] is not readers[-1], "the light of the first view was let go, and read anew"
 
 
@@ -143,7 +144,7 @@ def test_a_window_takes_shells_away_and_changes_no_light(halo: Workbench) -> Non
     middle = halo.scene.volume.world_centre[0]
     whole, view = drawn(halo, halo.view(size=SIZE)), halo.view(size=SIZE, window=read_window(f"x>{middle:g}"))
     frame = drawn(halo, view)
-    left = {part.side for part in frame.parts}
+    left = {part.side for part in parts_of(frame)}
     assert Side(1, True) in left
     faces = frame.gbuffer.faces
     assert len(faces.pixels) > 5
@@ -174,7 +175,7 @@ def test_edges_are_smoothed_layer_by_layer(halo: Workbench) -> None:
     np.testing.assert_allclose(cover / 255.0, 1.0 - mine, atol=0.003)
 
 
-def stairs(frame: SurfacesFrame) -> np.ndarray:
+def stairs(frame: Frame) -> np.ndarray:
     """The light of the pixels at edges without samples."""
     return np.asarray(frame.radiance.reshape(-1, 3)[frame.edges.pixels]) if frame.edges else np.zeros(3)
 

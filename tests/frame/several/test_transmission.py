@@ -8,6 +8,7 @@ import pytest
 
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.several.surfaces_frame import parts_of
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.bands import evaluate_harmonics
@@ -26,7 +27,7 @@ def test_a_sheet_that_loses_nothing_vanishes_in_the_furnace(distance: float, sid
     shell = {"albedo": [0.7, 0.4, 0.2], "transmission": [0.3, 0.6, 0.8], "bounces": 60}
     bench = Workbench(scene_of(ball(), 0.0, **shell), tmp_path)
     frame = drawn(bench, bench.view(size=16, distance=distance, shading="path_traced", samples=128))
-    assert {part.side for part in frame.parts} == {side}
+    assert {part.side for part in parts_of(frame)} == {side}
     shown = frame.radiance[frame.state > 0]
     np.testing.assert_allclose(shown @ LUMINANCE, 1.0, atol=0.2)
     np.testing.assert_allclose(shown.mean(axis=0), 1.0, atol=0.01)

@@ -16,7 +16,7 @@ import pytest
 from fastapi import FastAPI
 
 from isogi_core.errors import Cancelled, NoRoomError, StoreError
-from isogi_core.frame.frame import Frame
+from isogi_core.frame.frame import Frame, Quality
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.kernels._compilation import KernelProgress
@@ -32,6 +32,7 @@ from server.api.routes.scenes import scene_facts
 from server.api.service import Service
 from server.errors import BusyError
 from server.parameters import ViewParams
+from server.render.scene_variant import SceneVariant
 from server.render.scheduling import Rank, Renders
 from server.settings import Settings
 from tests.server.sockets import wait_for
@@ -84,6 +85,13 @@ class FakeEngine:
         if self.startable:
             raise self.startable
 
+    @property
+    def own_scenes(self) -> list[Scene]:
+        return list(self.scenes.values())
+
+    def variant(self, scene: str) -> SceneVariant:
+        return SceneVariant(scene)
+
     def planned(self, scene: str) -> Scene:
         return self.scenes[scene]
 
@@ -113,7 +121,9 @@ class FakeEngine:
         colour, ones = np.full((*shape, 3), 0.5, np.float32), np.ones(shape, np.float32)
         pixels = np.arange(ones.size, dtype=np.uint32)
         surface = GBuffer(shape, (1.0, 1.0, 1.0), (9.0, 0.0, 0.0), 0.5, pixels, colour.reshape(-1, 3))
-        return Frame(view, colour, ones.astype(np.uint8), ones, surface, 3, 1, None, self.version, watch.seconds)
+        return Frame(
+            view, colour, ones.astype(np.uint8), ones, surface, self.version, watch.seconds, Quality(chunks=(3, 1))
+        )
 
     def want(self, scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
         self.wants.append(viewer)

@@ -50,7 +50,7 @@ def test_walls_that_were_prewarmed_are_final_at_once(blocks: Path, tmp_path: Pat
         engine.start(hire=False)
         for view in Views(order_of({"isovalues": [0.4, 0.6], "views": 3, **SIZE, "distance": 4.0}), scene, Settings()):
             frame = engine.survey("among", view, 0.1)
-            assert len(frame.gbuffer.walls.pixels) and not frame.walls_waiting
+            assert len(frame.gbuffer.walls.pixels) and not frame.quality.waiting
             between = engine.survey("among", replace(view, isovalue=0.5), 0.1)
             assert set(between.state.ravel()[between.gbuffer.walls.pixels]) == {CONVERGING}
 
@@ -115,8 +115,10 @@ def test_projected_texels_are_prewarmed_too(
         engine.start(hire=False)
         for view in Views(order_of({"isovalues": ["0.4", "0.5"], "views": 3, **SIZE}), scene, Settings()):
             frame = engine.survey("projected", view, 0.1)
-            assert not frame.provisional and frame.projection
-            assert frame.projection.shares["projected"] > 0.2 and frame.projection.shares["pending"] == 0.0
+            assert not frame.provisional and frame.quality.projection
+            assert (
+                frame.quality.projection.shares["projected"] > 0.2 and frame.quality.projection.shares["pending"] == 0.0
+            )
     assert prewarm(str(path), order, settings).paths == 0
 
 

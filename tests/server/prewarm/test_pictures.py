@@ -238,7 +238,7 @@ def test_finer_texels_are_prewarmed_too(tmp_path: Path, monkeypatch: pytest.Monk
     (view,) = views_of(scene, order)
     with engine_of(scene, tmp_path / "light", hire=False) as engine:
         frame = engine.frame("coarse", view, wait=LONG)
-        assert frame.final and frame.fineness > 0
+        assert frame.final and frame.quality.fineness > 0
     assert warmed(scene, tmp_path / "light", order).paths == 0
 
 

@@ -60,8 +60,8 @@ def test_a_view_that_asks_for_finer_texels_has_them(engine: RenderEngine, scene:
     news = set()
     engine.listen(lambda bake, index, more: news.add(bake))
     frame = engine.frame(scene.id, view_of(scene), wait=LONG)
-    assert frame.final and frame.fineness > 0 and frame.finer is None
-    assert refined_header(frame).startswith(f"texels={2**frame.fineness}, pixels=0.")
+    assert frame.final and frame.quality.fineness > 0 and frame.quality.finer is None
+    assert refined_header(frame).startswith(f"texels={2**frame.quality.fineness}, pixels=0.")
     assert news == {scene.id}, "who waits for the scene's light hears of finer texels too"
     better = finer(scene)
     assert {better.layer_digest(layer) for layer in better.plan.layers} <= set(census_of(engine.store).counts)
@@ -69,12 +69,12 @@ def test_a_view_that_asks_for_finer_texels_has_them(engine: RenderEngine, scene:
 
 def test_what_is_coming_is_asked_for_and_not_shown(engine: RenderEngine, scene: Scene) -> None:
     view, target = view_of(scene), scene.target_error
-    while (frame := engine.survey(scene.id, view, target)).finer is None:
+    while (frame := engine.survey(scene.id, view, target)).quality.finer is None:
         assert not engine.frame(scene.id, view, wait=0.01).final
     bake, stage = engine.lacking(scene.id, frame)
     demands = stage.demands
-    assert bake != scene.id and demands == frame.finer.stages[0].demands != ()
-    assert frame.fineness == 0 and not frame.final and not frame.checkable and frame.measured
+    assert bake != scene.id and demands == frame.quality.finer.stages[0].demands != ()
+    assert frame.quality.fineness == 0 and not frame.final and not frame.checkable and frame.measured
     assert frame.measured.low > target
     assert engine.want(scene.id, frame, target, GUEST) == {demand.index for demand in demands}
 
@@ -92,7 +92,7 @@ def test_without_room_for_them_pixels_get_light_of_their_own(
         lambda self, *given: (full if self.prepared.scene.settings.lattice > 0.125 else plain)(self, *given),
     )
     frame = engine.frame(scene.id, view_of(scene), wait=LONG)
-    assert frame.final and frame.fineness == 0 and 0 < frame.own <= frame.surface
+    assert frame.final and frame.quality.fineness == 0 and 0 < frame.quality.own <= frame.surface
 
 
 def test_where_few_pixels_err_they_get_light_of_their_own(
@@ -100,5 +100,5 @@ def test_where_few_pixels_err_they_get_light_of_their_own(
 ) -> None:
     weigh_at(FREE.of_present, monkeypatch)
     frame = engine.frame(scene.id, view_of(scene), wait=LONG)
-    assert frame.final and frame.fineness == 0 and frame.own > 0
+    assert frame.final and frame.quality.fineness == 0 and frame.quality.own > 0
     assert not engine.lacking(scene.id, frame)[1].demands

@@ -122,8 +122,8 @@ def test_a_view_at_rest_has_projected_texels(begin: Open, scene: Scene) -> None:
     engine, news = begin(), []
     engine.listen(lambda bake, index, more: news.append((bake, index)))
     frame = engine.frame(scene.id, view_of(scene), wait=LONG)
-    assert not frame.provisional and frame.projection
-    shares = frame.projection.shares
+    assert not frame.provisional and frame.quality.projection
+    shares = frame.quality.projection.shares
     assert shares["projected"] > 0.2 and shares["pending"] == 0.0
     assert {bake for bake, _ in news} == {scene.id}, "who waits for the scene's light hears of projected texels too"
     assert engine.lacking(scene.id, frame)[1].demands == () == frame.stages
@@ -144,10 +144,10 @@ def test_projected_texels_have_a_bake_and_a_time_left(begin: Open, scene: Scene)
         engine.want(name, frame, target, GUEST)
         time.sleep(0.01)
     bake, stage = engine.lacking(name, frame)
-    assert frame.provisional and frame.projection and bake != name
-    assert places_of(stage.demands) == places_of(frame.projection.demands) != [] and stage.target == target
+    assert frame.provisional and frame.quality.projection and bake != name
+    assert places_of(stage.demands) == places_of(frame.quality.projection.demands) != [] and stage.target == target
     moving = engine.survey(name, replace(view, moving=True), target)
-    assert engine.lacking(name, moving)[0] == name and moving.projection is None
+    assert engine.lacking(name, moving)[0] == name and moving.quality.projection is None
     final = engine.frame(name, view, wait=LONG)
     left = engine.time_left(name, final)
     assert not final.provisional and left is not None and left.high == 0.0
@@ -162,8 +162,8 @@ def test_light_that_is_replaced_is_not_brought_to_the_target(begin: Open, scene:
     """Light on texels' own isosurfaces that only stands in stays as it is."""
     engine, view, strict = begin(), view_of(scene), 0.025
     lazy = engine.frame(scene.id, view, max_error=strict, wait=LONG)
-    assert not lazy.provisional and lazy.projection
-    wanted, base = lazy.projection.reading.wanted, lazy.projection.reading.base
+    assert not lazy.provisional and lazy.quality.projection
+    wanted, base = lazy.quality.projection.reading.wanted, lazy.quality.projection.reading.base
     assert wanted.any() and (base.grade[~wanted] >= FINAL).all()
     assert base.samples[wanted].max() == FIRST_LEVEL
 

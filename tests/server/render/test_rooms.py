@@ -50,4 +50,4 @@ def test_walls_are_lit_beside_texels(engine: RenderEngine) -> None:
     assert engine.want("orbital", second, target, GUEST) == wanted
     engine.hire()
     frame = awaited(engine, "orbital", view, None, LONG)
-    assert frame.final and not frame.walls_waiting
+    assert frame.final and not frame.quality.waiting

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from isogi_core.errors import ReportError
-from isogi_core.frame.several.surfaces_frame import SurfacesFrame
+from isogi_core.frame.several.surfaces_frame import parts_of
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_report.bench import Bench
@@ -41,13 +41,13 @@ def test_workers_bake_all_sides_and_a_restart_finds_them(make: Callable[..., Ren
     heard: list[str] = []
     engine.listen(lambda bake, index, more: heard.append(bake))
     frame = awaited(engine, "orbital", view, None, 240.0)
-    assert isinstance(frame, SurfacesFrame) and frame.final
-    assert len(frame.parts) > 2 and set(heard) == {"orbital"}
+    assert parts_of(frame) and frame.final
+    assert len(parts_of(frame)) > 2 and set(heard) == {"orbital"}
     engine.close()
     other = make(hire=False)
     again = other.survey("orbital", view, scene.target_error)
     assert not again.provisional and other.paths == 0
-    assert (again.radiance == frame.radiance).all() or again.own != frame.own
+    assert (again.radiance == frame.radiance).all() or again.quality.own != frame.quality.own
 
 
 def test_the_document_of_a_scene_tells_its_surfaces() -> None:

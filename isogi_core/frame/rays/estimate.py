@@ -1,4 +1,4 @@
-"""Sums of rays from the points of a picture, in two independent halves that tell their noise."""
+"""Sums of rays and paths from the points of a picture, by independent replicas that tell their noise."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -11,7 +11,7 @@ from isogi_core.kernels.shading.picture_noise import pool_noise
 from isogi_core.model.sky import LUMINANCE
 
 HALVES = 2
-"""Independent randomisations."""
+"""Independent randomisations, where neighbours tell of noise, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +37,8 @@ class NoisyLight:
 
 
 @dataclass(frozen=True, eq=False)
-class HalfSums:
-    """The ``sums`` (m, HALVES, 3) of ``counts`` (m,) rays of each half from as many points.
+class Estimate:
+    """The ``sums`` (m, replicas, 3) of ``counts`` (m,) rays, or paths, of each replica from as many points.
 
     Points whose noise is small enough take no more: the others have as many rays as any.
     """
@@ -47,9 +47,9 @@ class HalfSums:
     counts: np.ndarray
 
     @classmethod
-    def none(cls, points: int) -> "HalfSums":
+    def none(cls, points: int, replicas: int = HALVES) -> "Estimate":
         """No rays from so many points."""
-        return cls(np.zeros((points, HALVES, 3)), np.zeros(points, np.int64))
+        return cls(np.zeros((points, replicas, 3)), np.zeros(points, np.int64))
 
     @property
     def nbytes(self) -> int:
@@ -58,7 +58,7 @@ class HalfSums:
 
     @property
     def most(self) -> int:
-        """The most rays of each half that any point has."""
+        """The most rays of each replica that any point has."""
         return int(self.counts.max(initial=0))
 
     @property
@@ -68,7 +68,7 @@ class HalfSums:
 
     @property
     def means(self) -> np.ndarray:
-        """What a ray of either half brings on the average; (m, HALVES, 3)."""
+        """What a ray of each replica brings on the average; (m, replicas, 3)."""
         return np.asarray(self.sums / np.maximum(self.counts, 1)[:, None, None])
 
     def next(self, rays: int) -> range:
@@ -84,8 +84,8 @@ class HalfSums:
             return np.empty(0, np.int64)
         return np.flatnonzero((variance > allowed**2) & (self.counts == self.most))
 
-    def joined(self, places: np.ndarray, added: np.ndarray, last: int) -> "HalfSums":
-        """The sums with what was ``added`` (k, HALVES, 3) to the points in rows ``places``: they have ``last`` rays."""
+    def joined(self, places: np.ndarray, added: np.ndarray, last: int) -> "Estimate":
+        """The sums with what was ``added`` (k, replicas, 3) to the points in ``places``: these have ``last`` rays."""
         found = replace(self, sums=self.sums.copy(), counts=self.counts.copy())
         found.sums[places] += added
         found.counts[places] = last
