@@ -73,7 +73,7 @@ def sides_of(bench: Bench) -> Sides:
 
 def bare_light(turned: RotatedLight) -> Callable[[np.ndarray], np.ndarray]:
     """The luminance that unshadowed surfaces with normals (n, 3) have under ``turned`` lights, as frames have it; but
-    by harmonics, each colour LEAST of its mean at least."""
+    by harmonics, each colour MIN_UNSHADOWED of its mean at least."""
     sky, mean = turned.sky, turned.albedo * turned.mean / turned.spec.unit
 
     def bare(normals: np.ndarray) -> np.ndarray:

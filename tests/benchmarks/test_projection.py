@@ -10,7 +10,7 @@ import pytest
 from benchmarks.accuracy import carrying
 from benchmarks.accuracy.carrying import Neighbourhood, carry, texels_about, trilinear
 from benchmarks.accuracy.projection import (
-    LEAST,
+    MIN_UNSHADOWED,
     Sides,
     bare_light,
     by_isovalues,
@@ -88,7 +88,7 @@ def test_unshadowed_light_is_that_of_a_surface_which_sees_all(tmp_path: Path) ->
     spec = under_sky.renderer(under_sky.scene).caches.spec("gi")
     sky = bare_light(RotatedLight(spec, under_sky.view))(normals)
     assert sky[0] > sky[2] > sky[1] > 0.0, "up, level, down"
-    assert (sky >= 0.99 * LEAST * spec.unoccluded / spec.unit).all()
+    assert (sky >= 0.99 * MIN_UNSHADOWED * spec.unoccluded / spec.unit).all()
 
 
 def test_light_of_lobes_is_on_both_sides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ import pytest
 from isogi_core.bake import refine as refine_module
 from isogi_core.errors import ViewError
 from isogi_core.frame import renderer as renderer_module
-from isogi_core.frame import texel_shading
+from isogi_core.frame import surface_renderer, texel_shading
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.view import Vec3, quaternion_from_angles
@@ -113,7 +113,7 @@ def test_another_albedo_casts_no_ray_and_leaves_the_store(live: Workbench, monke
 
     for module, name in (
         *((refine_module, name) for name in ("bake_texels", "bake_irradiance", "locate_texels")),
-        *((renderer_module, name) for name in ("trace", "find_lobes")),
+        *((renderer_module, "trace"), (surface_renderer, "find_lobes")),
         (texel_shading, "find_texels"),
     ):
         monkeypatch.setattr(module, name, refuse)

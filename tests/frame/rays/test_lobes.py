@@ -12,7 +12,7 @@ import pytest
 
 from isogi_core.errors import Cancelled
 from isogi_core.files.radiance import write_hdr
-from isogi_core.frame import renderer as module
+from isogi_core.frame import surface_renderer as module
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.kernels.transport.lights import DIRECTIONAL
 from isogi_core.model.sky import LUMINANCE

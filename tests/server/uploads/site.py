@@ -13,6 +13,7 @@ from isogi_core.plan.scene import Scene
 from isogi_core.storage.store import Store
 from server.api.app import create_app
 from server.render.engine import RenderEngine
+from server.render.scene_variant import SceneVariant
 from server.settings import Settings
 from tests.live import live
 from tests.server.inline import InlinePool
@@ -33,6 +34,13 @@ class Poster:
         self.store = Store("memory://poster")
         self.scenes: dict[str, Scene] = {}
         self.refusal: Exception | None = None
+
+    @property
+    def own_scenes(self) -> list[Scene]:
+        return list(self.scenes.values())
+
+    def variant(self, scene: str) -> SceneVariant:
+        return SceneVariant(scene)
 
     def admit(self, scene: Scene) -> None:
         if self.refusal:
