@@ -61,8 +61,10 @@ class ViewChecks:
     def step(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, prices: Prices) -> bool:
         """Take a step of the check of a picture: see ``Refinement``."""
         check = self.of(light, frame.gbuffer, target)
-        with check.lock:
-            return check.step(frame, self._uncertainty(frame, light, check.known, tiles), tiles, prices)
+        with check.lock:  # pixels whose own light grows were chosen: nothing is drawn by the uncertainty then
+            known = check.known
+            uncertainty = known.uncertainty if check.growing else self._uncertainty(frame, light, known, tiles)
+            return check.step(frame, uncertainty, tiles, prices)
 
     def _uncertainty(self, frame: Frame, light: RotatedLight, known: PictureState, tiles: Tiles) -> np.ndarray:
         """How uncertain the light of each surface point is, by how texels around it differ, and its noise; (m,)."""

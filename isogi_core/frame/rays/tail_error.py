@@ -12,6 +12,7 @@ the interval of the percentile (Woodruff, Journal of the American Statistical As
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -20,8 +21,14 @@ from isogi_core.frame.rays.control_pixels import ControlPixels, classes_of, spre
 TAIL_SHARE = 0.01
 """Share of a picture's pixels that may err by more."""
 
-MIN_ERROR, ERRORS = 1e-4, 80
-"""The least relative error that is told from none, and errors from there to 1, by equal factors."""
+MIN_ERROR = 1e-4
+"""The least relative error that is told from none."""
+
+ERRORS = np.geomspace(MIN_ERROR, 1.0, 80)
+"""Relative errors, from the least one to 1, by equal factors."""
+
+BORDERS = np.sqrt(ERRORS[1:] * ERRORS[:-1])
+"""The borders between these."""
 
 ODD = 0.5
 """The share of pixels of which nothing is expected: each of the errors is as likely."""
@@ -73,11 +80,10 @@ def measure_tail(wrong: np.ndarray, weights: np.ndarray, classes: np.ndarray, ex
     ``weights`` (k,) say what each counts among all pixels, and ``classes`` (k,) from 0 which controls have about
     as much noise. All pixels (m,) are ``expected`` to err by so much.
     """
-    errors = np.geomspace(MIN_ERROR, 1.0, ERRORS)
     counts = weights / weights.sum()
-    seen = likelihoods(wrong, noise_of(wrong, classes), errors)
-    above = shares_above(seen, counts, shares_of(expected, errors))
-    low, likely, high = (falls_below(TAIL_SHARE, each, errors) for each in bounds(above, counts))
+    seen = likelihoods(wrong, noise_of(wrong, classes))
+    above = shares_above(seen, counts, shares_of(expected))
+    low, likely, high = (falls_below(TAIL_SHARE, each, ERRORS) for each in bounds(above, counts))
     return TailError(likely, low / INTERVAL_MARGIN, min(high * INTERVAL_MARGIN, 1.0))
 
 
@@ -88,24 +94,29 @@ def noise_of(wrong: np.ndarray, classes: np.ndarray) -> np.ndarray:
     return np.asarray((TRUSTED * pooled[classes] + each) / (TRUSTED + 1.0))
 
 
-def likelihoods(wrong: np.ndarray, variance: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """How likely what each control shows is if it errs by so much either way; (k, ERRORS), at most 1 in each row."""
+def likelihoods(wrong: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """How likely what each control shows is if it errs by each of the ERRORS, either way; (k, errors), at most 1."""
     seen, spread = np.minimum(np.abs(wrong.mean(axis=1)), 1.0)[:, None], np.maximum(variance, MIN_ERROR**2)[:, None]
-    apart = -((seen - errors) ** 2) / (2.0 * spread)
+    apart = -((seen - ERRORS) ** 2) / (2.0 * spread)
     return np.asarray(np.exp(apart - apart.max(axis=1, keepdims=True)))
 
 
-def shares_of(expected: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """The share of pixels that err by each of the ``errors``, where they are ``expected`` (m,) to err; (ERRORS,)."""
-    borders = np.sqrt(errors[1:] * errors[:-1])
-    of_scale = np.bincount(np.searchsorted(borders, expected), minlength=len(errors)) / len(expected)
-    below = np.array([[math.erf(border / (math.sqrt(2.0) * scale)) for scale in errors] for border in borders])
-    each = np.diff(below, axis=0, prepend=0.0, append=1.0) @ of_scale
-    return np.asarray(ODD / len(errors) + (1.0 - ODD) * each)
+def shares_of(expected: np.ndarray) -> np.ndarray:
+    """The share of pixels that err by each of the ERRORS, where they are ``expected`` (m,) to err; (errors,)."""
+    of_scale = np.bincount(np.searchsorted(BORDERS, expected), minlength=len(ERRORS)) / len(expected)
+    return np.asarray(ODD / len(ERRORS) + (1.0 - ODD) * (normal_shares() @ of_scale))
+
+
+@cache
+def normal_shares() -> np.ndarray:
+    """How much of a normal error, whose scale is each of the ERRORS, is about each of them; (errors, scales)."""
+    scales = math.sqrt(2.0) * ERRORS
+    below = np.array([[math.erf(border / scale) for scale in scales] for border in BORDERS])
+    return np.diff(below, axis=0, prepend=0.0, append=1.0)
 
 
 def shares_above(likely: np.ndarray, counts: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    """The chance that each control errs by more than each of the errors, whose shares are ``expected``; (k, ERRORS)."""
+    """The chance that each control errs by more than each of the errors, whose shares are ``expected``; (k, errors)."""
     shares, trusted = expected, TRUSTED_CONTROLS / (TRUSTED_CONTROLS + len(counts))
     for _ in range(ROUNDS):
         found = shares * ((counts / (likely @ shares)) @ likely)
@@ -115,7 +126,7 @@ def shares_above(likely: np.ndarray, counts: np.ndarray, expected: np.ndarray) -
 
 
 def bounds(above: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The share of pixels that err by more than each of the errors, with the ends of its interval; (ERRORS,) each."""
+    """The share of pixels that err by more than each of the errors, with the ends of its interval; (errors,) each."""
     likely, known = counts @ above, counts**2 @ above
     variance = known**2 / np.maximum(counts**2 @ above**2, 1e-300)
     one, square = 1.0 / len(counts), float((counts**2).mean())
@@ -134,7 +145,7 @@ def gamma_quantile(mean: np.ndarray, variance: np.ndarray, deviations: float) ->
 
 
 def falls_below(share: float, shares: np.ndarray, errors: np.ndarray) -> float:
-    """The error at which falling ``shares`` (ERRORS,) of pixels above an error come down to one; 0 to 1."""
+    """The error at which falling ``shares`` (errors,) of pixels above an error come down to one; 0 to 1."""
     over = np.flatnonzero(shares > share)
     if not len(over):
         return 0.0
