@@ -9,20 +9,36 @@ from isogi_core.kernels.transport.entries import PATHS
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.matter.matter_paths import ALONG, INWARD, Through
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
-from isogi_core.kernels.transport.room_paths import RoomStarts
 from isogi_core.model.lights import Colour
+from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Met, PreparedScene
 from isogi_core.runs import Run, serially
 
 
-def on_wall(starts: PathStarts, wall: float = NOWHERE) -> RoomStarts:
-    """The ``starts``, all of them on the ``wall`` of this number, or on what stands for one: by default on none."""
-    return RoomStarts(*starts, np.full(len(starts.seeds), wall))
+def starts_at(
+    points: np.ndarray,
+    normals: np.ndarray,
+    isovalue: float | Isovalue,
+    seeds: np.ndarray,
+    walls: np.ndarray | float = NOWHERE,
+) -> PathStarts:
+    """Starts of paths at ``points`` with ``normals`` (g, 3), on the surface of this ``isovalue`` or about it.
+
+    ``seeds`` (g,) are of the sequences that paths draw from, ``walls`` (g,) the numbers of walls: none by default.
+    """
+    here, around = (np.ascontiguousarray(each.T, np.float64) for each in (points, normals))
+    g = len(seeds)
+    return PathStarts(here, around, np.full(g, float(isovalue)), seeds, np.broadcast_to(walls, g).astype(np.float64))
+
+
+def starts_between(starts: PathStarts, first: int, last: int) -> PathStarts:
+    """Starts number ``first`` … ``last`` of some ``starts``."""
+    return PathStarts(*(np.ascontiguousarray(each[..., first:last]) for each in starts))
 
 
 def add_paths(
     met: Met,
-    starts: RoomStarts,
+    starts: PathStarts,
     samples: SampleRange,
     rules: PathRules,
     source: Surroundings | Glows,
@@ -42,17 +58,17 @@ def add_path_light(
 
     Where matter scatters, paths start inwards; where it does not, the eye's rays do, along the normals.
     """
-    wall = NOWHERE
     if isinstance(met, Through):
         wall = INWARD if met.matter.extinction > 0.0 else ALONG
-    add_paths(met, on_wall(starts, wall), samples, rules, light, sums)
+        starts = starts._replace(walls=np.full(len(starts.walls), wall))
+    add_paths(met, starts, samples, rules, light, sums)
 
 
 def add_glow_paths(
     prepared: PreparedScene,
     cells: ActiveCells,
     albedo: Colour,
-    starts: RoomStarts,
+    starts: PathStarts,
     samples: SampleRange,
     rules: PathRules,
     sums: np.ndarray,

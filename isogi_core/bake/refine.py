@@ -11,10 +11,11 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import DECAYS, blend_noise, evenness, finished, noise_of_halves
-from isogi_core.bake.path_light import add_glow_paths, add_path_light, on_wall
+from isogi_core.bake.path_light import add_glow_paths, add_path_light
 from isogi_core.bake.precision import VOID, next_level, noise_codes, noise_of, round_light
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.tracing.active_cells import ActiveCells
+from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
 from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange, TransferRules
@@ -231,7 +232,7 @@ def sample_glow(
     sums = np.zeros((len(void), 2, 3 * len(prepared.glows.rates)))
     for bricks, rows in by_isovalue(place[3], void, prepared):
         added = np.zeros((2 * len(rows), sums.shape[2]))
-        starts = on_wall(path_starts(place, rows))
+        starts = path_starts(place, rows)
         add_glow_paths(prepared, bricks, prepared.scene.surfaces.albedo, starts, some, rules, added)
         sums[rows] += added.reshape(-1, 2, sums.shape[2])
     for layer in layers:
@@ -244,7 +245,7 @@ def path_starts(place: Place, rows: np.ndarray) -> PathStarts:
     both = np.repeat(rows, 2)
     seeds = seeds_of(np.column_stack([texels[both], np.tile([0, 1], len(rows))]))
     here, around = (np.ascontiguousarray(each[:, both]) for each in (points, normals))
-    return PathStarts(here, around, isovalues[both], seeds)
+    return PathStarts(here, around, isovalues[both], seeds, np.full(len(both), NOWHERE))
 
 
 def by_isovalue(

@@ -31,7 +31,7 @@ from isogi_core.kernels.shading.lobes import (
     share_rays,
     spread_edges,
 )
-from isogi_core.kernels.shading.local_models import find_normals, find_shadows, shade_local, trace_points
+from isogi_core.kernels.shading.local_models import find_normals, find_shadows, shade_local
 from isogi_core.kernels.shading.picture_noise import pool_noise
 from isogi_core.kernels.shading.same_surface import mean_around
 from isogi_core.kernels.shading.shadow_points import prepare_points, sort_by_turn
@@ -141,7 +141,6 @@ FRAME = (
 """All of them but ROOM, those that take longest to compile first."""
 
 OTHERS = (
-    trace_points,
     mean_around,
     find_shadows,
     shade_local,

@@ -8,6 +8,7 @@ import numpy as np
 
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.local_models import find_normals
+from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.tracing.camera import Pinhole, trace_pixels
 from isogi_core.kernels.tracing.sight import FACE, Sight, trace_pixels_in_sight
 from isogi_core.kernels.tracing.walls import Walls
@@ -70,7 +71,7 @@ class GBuffer:
     points: np.ndarray
     walls: PointsBeside = field(default_factory=PointsBeside.none)
     faces: PointsBeside = field(default_factory=PointsBeside.none)
-    _normals: np.ndarray | None = field(default=None, repr=False)
+    _shown: SurfacePoints | None = field(default=None, repr=False)
     _albedos: np.ndarray | None = field(default=None, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
@@ -85,18 +86,22 @@ class GBuffer:
         """The surface's isovalue."""
         return self.surface.isovalue
 
-    def normals(self, tiles: Tiles) -> np.ndarray:
-        """Outward unit world normals (m, 3) float32, found when first asked for. Raises Cancelled."""
+    def shown(self, tiles: Tiles) -> SurfacePoints:
+        """The points with their outward normals, which are found when first asked for. Raises Cancelled."""
         with self._lock:
-            if self._normals is None:
+            if self._shown is None:
                 normals = np.empty_like(self.points)
 
                 def _piece(a: int, b: int) -> None:
                     find_normals(self.surface.field, self.points[a:b], self.eye, normals[a:b])
 
                 tiles.run(_piece, len(self.points), POINTS)
-                self._normals = normals
-            return self._normals
+                self._shown = SurfacePoints(self.points, normals, self.pixels)
+            return self._shown
+
+    def normals(self, tiles: Tiles) -> np.ndarray:
+        """Outward unit world normals (m, 3) float32, found when first asked for. Raises Cancelled."""
+        return self.shown(tiles).normals
 
     def albedos(self, colours: Colours, tiles: Tiles) -> np.ndarray:
         """The albedo of each point by the scene's ``colours``, (m, 3) float32, found when first asked for.
@@ -124,8 +129,12 @@ class GBuffer:
 
     def part(self, places: np.ndarray, tiles: Tiles) -> "GBuffer":
         """A G-buffer of the points in rows ``places`` (k,) alone, ascending. Raises Cancelled."""
-        some, normals = (self.pixels[places], self.points[places]), self.normals(tiles)[places]
-        return GBuffer(self.shape, self.spacing, self.eye, self.surface, *some, _normals=normals)
+        return self.of_these(self.shown(tiles).part(places))
+
+    def of_these(self, shown: SurfacePoints, walls: PointsBeside | None = None) -> "GBuffer":
+        """A G-buffer like this of the points ``shown``, whose pixels ascend, and of ``walls``, if any."""
+        place, beside = (self.shape, self.spacing, self.eye, self.surface), walls or PointsBeside.none()
+        return GBuffer(*place, shown.pixels, shown.points, beside, _shown=shown)
 
     @property
     def nbytes(self) -> int:

@@ -16,7 +16,7 @@ from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import PAIRED, ViewTexels
 from isogi_core.kernels.shading.filtering import PATHS, VARIANCE, filter_texels, lend_texels, take_filtered
-from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer, PixelPoints
+from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer
 from isogi_core.kernels.shading.irradiance_ratio import (
     GRADE,
     NOISE,
@@ -26,6 +26,7 @@ from isogi_core.kernels.shading.irradiance_ratio import (
 )
 from isogi_core.kernels.shading.lattice import LIT, UNBAKED, carry_light, light_texels
 from isogi_core.kernels.shading.local_models import find_shadows, shade_local
+from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.transport import streams
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
@@ -49,25 +50,25 @@ def empty_framebuffer(gbuffer: GBuffer) -> Framebuffer:
 def shade(gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch) -> Framebuffer:
     """The light of a picture that reads no texels: by a local model, or by paths from its pixels. Raises Cancelled."""
     with watch.stage("normals"):
-        normals = gbuffer.normals(tiles)
+        gbuffer.shown(tiles)
     if light.view.shading == "path_traced":
         with watch.stage("paths"):
             return shade_by_paths(gbuffer, light, target, tiles)
     with watch.stage("shade"):
-        framebuffer = shade_locally(gbuffer, normals, light, tiles)
+        framebuffer = shade_locally(gbuffer, light, tiles)
         colour_surface(gbuffer, light, framebuffer, tiles)
         return framebuffer
 
 
-def shade_locally(gbuffer: GBuffer, normals: np.ndarray, light: RotatedLight, tiles: Tiles) -> Framebuffer:
+def shade_locally(gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> Framebuffer:
     """Lambert and Phong, with or without shadow and fog. Raises Cancelled."""
-    points, pixels, framebuffer = gbuffer.points, gbuffer.pixels, empty_framebuffer(gbuffer)
+    points, framebuffer = gbuffer.shown(tiles), empty_framebuffer(gbuffer)
     view, traced = light.view, gbuffer.surface.traced(tiles.run)
     model = light.local_model(view.shading, fog_depths(view, light.spec.prepared.scene.volume))
-    camera, seen = (gbuffer.eye, gbuffer.spacing), np.empty(len(points), np.bool_)
+    camera, seen = (gbuffer.eye, gbuffer.spacing), np.empty(len(gbuffer.pixels), np.bool_)
 
     def _piece(a: int, b: int) -> None:
-        some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
+        some = points.part(slice(a, b))
         if model.shadow:
             find_shadows(traced, some, model.key, seen[a:b])
         shade_local(some, seen[a:b], *camera, model, framebuffer)
@@ -228,40 +229,38 @@ def noise_in_pixels(values: np.ndarray, column: int, texels: ViewTexels) -> np.n
 
 
 def carry_irradiance_ratios(
-    texels: ViewTexels, records: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
+    texels: ViewTexels, records: np.ndarray, points: SurfacePoints, light: RotatedLight, tiles: Tiles
 ) -> Framebuffer:
-    """The picture of irradiance ratios between texels, times unshadowed light about the pixels' ``normals``.
+    """The picture of irradiance ratios between texels, times unshadowed light at its ``points``.
 
     Raises Cancelled.
     """
     gbuffer, lattice, corners = texels.gbuffer, texels.lattice, texels.corners
-    points, pixels, framebuffer = gbuffer.points, gbuffer.pixels, empty_framebuffer(gbuffer)
+    framebuffer = empty_framebuffer(gbuffer)
     records = noise_in_pixels(records, NOISE, texels)
     unshadowed, unit = light.unshadowed, np.float32(light.spec.unit)
 
     def _piece(a: int, b: int) -> None:
-        some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
-        carry_ratios(lattice, some, corners[a:b], records, unshadowed, unit, framebuffer)
+        carry_ratios(lattice, points.part(slice(a, b)), corners[a:b], records, unshadowed, unit, framebuffer)
 
-    tiles.run(_piece, len(points), tiles.even(len(points)))
+    tiles.run(_piece, len(corners), tiles.even(len(corners)))
     return framebuffer
 
 
 def carry_texel_light(
-    texels: ViewTexels, reading: Reading, lit: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
+    texels: ViewTexels, reading: Reading, lit: np.ndarray, points: SurfacePoints, light: RotatedLight, tiles: Tiles
 ) -> Framebuffer:
-    """The picture of light between texels as it is. The sky about the pixels' ``normals`` replaces what is missing.
+    """The picture of light between texels as it is. The sky about the ``points`` replaces what is missing.
 
     Normals are not read where the ``reading`` is whole. Raises Cancelled.
     """
     gbuffer, lattice, corners = texels.gbuffer, texels.lattice, texels.corners
-    points, pixels, framebuffer = gbuffer.points, gbuffer.pixels, empty_framebuffer(gbuffer)
+    framebuffer = empty_framebuffer(gbuffer)
     lit = noise_in_pixels(lit, 3, texels)
     sky, unit = light.sky, np.float32(light.spec.unit)
 
     def _piece(a: int, b: int) -> None:
-        some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
-        carry_light(lattice, some, corners[a:b], reading.grade, lit, sky, unit, framebuffer)
+        carry_light(lattice, points.part(slice(a, b)), corners[a:b], reading.grade, lit, sky, unit, framebuffer)
 
-    tiles.run(_piece, len(points), tiles.even(len(points)))
+    tiles.run(_piece, len(corners), tiles.even(len(corners)))
     return framebuffer

@@ -38,6 +38,7 @@ from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_keys import surface_key
 from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels, reads_coarsely
 from isogi_core.kernels.shading.framebuffer import CONVERGING, Framebuffer
+from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -145,14 +146,14 @@ class TexelShading:
                 about = self._texel_normals(light.view, texels, reading, tiles)
             with watch.stage("light"):
                 records = fill_texel_records(reading.grade, lit, about, light, tiles)
-        normals = gbuffer.points  # as good as any where they are not read
+        points = SurfacePoints(gbuffer.points, gbuffer.points, gbuffer.pixels)  # normals that are not read
         if records is not None or not reading.whole:
             with watch.stage("normals"):
-                normals = gbuffer.normals(tiles)
+                points = gbuffer.shown(tiles)
         with watch.stage("shade"):
             if records is not None:
-                return carry_irradiance_ratios(texels, records, normals, light, tiles)
-            return carry_texel_light(texels, reading, lit, normals, light, tiles)
+                return carry_irradiance_ratios(texels, records, points, light, tiles)
+            return carry_texel_light(texels, reading, lit, points, light, tiles)
 
     @contextmanager
     def _read(

@@ -168,5 +168,6 @@ def test_a_part_has_the_points_and_the_normals_of_the_whole() -> None:
     places = np.arange(0, len(whole.points), 3)
     part, other = whole.part(places, TILES), seen(marks(), 0.0, 30.0)
     assert len(places) > 20 and np.array_equal(part.points, whole.points[places]) and not len(part.walls.pixels)
-    assert part.normals(TILES) is part._normals and np.array_equal(part._normals, other.normals(TILES)[places])
+    assert part.shown(TILES) is part.shown(TILES)
+    assert np.array_equal(part.normals(TILES), other.normals(TILES)[places])
     assert (whole.rows.flat[part.pixels] == places).all() and (whole.rows >= 0).sum() == len(whole.points)

@@ -9,6 +9,7 @@ from isogi_core.frame.entry_kernels import COLOURED, FRAME, GLOW, LOBES, OTHERS,
 from isogi_core.kernels.shading.irradiance_ratio import carry_ratios
 from isogi_core.kernels.shading.lattice import carry_light
 from isogi_core.kernels.tracing.stiffness import count_stiffness
+from isogi_core.kernels.transport.light_paths import light_in_the_open
 from isogi_core.kernels.transport.glow_paths import glow_in_room
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
@@ -152,13 +153,14 @@ def test_colours_need_kernels_of_their_own() -> None:
     plain = load_scene("demo:orbital", **CONSTANT)
     scene = load_scene("demo:orbital", volumes=[{"use": "colour", "of": "gradient"}], **CONSTANT)
     assert {*frame_kernels([scene])} - {*frame_kernels([plain])} == {*COLOURED}
-    assert {*other_kernels([plain])} == {*OTHERS} and light_in_room in other_kernels([plain, scene])
+    assert {*other_kernels([plain])} - {*OTHERS} == {light_in_the_open, fill_seeds}
+    assert light_in_room in other_kernels([plain, scene])
 
 
 def test_glow_needs_kernels_of_its_own() -> None:
     plain, scene = scene_of(CONSTANT), scene_of(GLOWING)
     assert {*frame_kernels([scene])} - {*frame_kernels([plain])} == {*GLOW}
-    assert {*other_kernels([plain, scene])} - {*OTHERS} == {glow_in_room, fill_seeds}
+    assert {*other_kernels([plain, scene])} - {*OTHERS} == {glow_in_room, light_in_the_open, fill_seeds}
     assert glow_in_room in frame_kernels([load_scene("demo:orbital", room="cornell", glow=GLOWING["glow"])])
 
 

@@ -15,6 +15,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import BLUE, GREEN, RED
 from isogi_core.kernels.shading.lobes import AXES, POINT_WEIGHT, RAYS, RIM, SHARP, STRATIFIED_VARIANCE, rim_way
 from isogi_core.kernels.shading.shadow_points import APART
+from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.tracing.field import OFFSET, to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE, cast, launch
 from isogi_core.kernels.transport import streams
@@ -66,7 +67,8 @@ def picture(points: np.ndarray, spacing: Spacing = (1.0, 1.0, 1.0)) -> GBuffer:
     surface: Any = SimpleNamespace(traced=lambda _: surface_of(field_of(ROOM, spacing), 0.0), isovalue=0.0)
     side = math.isqrt(len(points))
     normals, pixels = np.tile(UP.astype(np.float32), (len(points), 1)), np.arange(len(points), dtype=np.uint32)
-    return GBuffer((side, side), spacing, (20.0, 20.0, 40.0), surface, pixels, points, _normals=normals)
+    shown = SurfacePoints(points, normals, pixels)
+    return GBuffer((side, side), spacing, (20.0, 20.0, 40.0), surface, pixels, points, _shown=shown)
 
 
 def twin(lamps: LampArrays, points: np.ndarray, spacing: Spacing) -> np.ndarray:

@@ -5,8 +5,8 @@ import numpy as np
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.kernels.transport.colours import NO_COLOURS
 from isogi_core.kernels.transport.light_paths import Surroundings
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.room_paths import InRoom, Room, RoomStarts, light_in_room
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
+from isogi_core.kernels.transport.room_paths import InRoom, Room, light_in_room
 from tests.kernels.fields import cells_of
 
 X, Y, Z = np.eye(3)
@@ -50,7 +50,7 @@ def starts_in(field, points, normals, walls):
         np.ascontiguousarray(each.T) for each in (np.divide(points, field.spacing), np.array(normals, float))
     )
     g = len(points)
-    return RoomStarts(here, around, np.zeros(g), np.arange(1, g + 1, dtype=np.uint64), np.array(walls, float))
+    return PathStarts(here, around, np.zeros(g), np.arange(1, g + 1, dtype=np.uint64), np.array(walls, float))
 
 
 def gather(field, room, starts, samples, bounces=0, light=None, survival=1.0):

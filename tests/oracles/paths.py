@@ -291,7 +291,7 @@ def trace(world, sources, start, tree, branch, weight, box):
 def trace_all(world, sources, starts, samples, tree, weight, paths):
     """Fill ``paths`` (3 + 3 k, g · count) with the light and the glow that a ``SampleRange`` of paths brings.
 
-    Path s · g + i is the sample ``first + s`` of start i, of g ``RoomStarts``.
+    Path s · g + i is the sample ``first + s`` of start i, of g ``PathStarts``.
     """
     g = starts.isovalues.shape[0]
     for m in range(g * samples.count):

@@ -46,12 +46,12 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) ->
         reading = read_texels(texels, held.slots, loader.pool, Until(target, FIRST_LEVEL), tiles)
         about, numbers = calm_numbers(renderer, texels, reading, loader.pool, tiles)
     lit = fold(coding.numbers(coding.codes(numbers)), light)
-    normals = gbuffer.normals(tiles)
+    points = gbuffer.shown(tiles)
     if carries_irradiance_ratios(scene, "gi", False):
         records = fill_texel_records(reading.grade, lit, about, light, tiles)
-        picture = carry_irradiance_ratios(texels, records, normals, light, tiles)
+        picture = carry_irradiance_ratios(texels, records, points, light, tiles)
     else:
-        picture = carry_texel_light(texels, reading, lit, normals, light, tiles)
+        picture = carry_texel_light(texels, reading, lit, points, light, tiles)
     if light.spec.lobes:
         add_lobes(gbuffer.pixels, renderer.lobes(light, gbuffer).lit, light.spec.unit, picture)
     return picture

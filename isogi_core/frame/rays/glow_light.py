@@ -5,15 +5,14 @@ import numpy as np
 from isogi_core.bake.path_light import add_glow_paths
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.kernels.tracing.cast import TracedSurface
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.room_paths import RoomStarts
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 
 
 def add_glow(
     sums: np.ndarray,
     light: RotatedLight,
     traced: TracedSurface,
-    starts: RoomStarts,
+    starts: PathStarts,
     rules: PathRules,
     samples: SampleRange,
 ) -> None:

@@ -8,7 +8,6 @@ import numpy as np
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.lobes import (
     HALF,
@@ -76,7 +75,7 @@ class ShadowStarts:
 
 def find_starts(gbuffer: GBuffer, tiles: Tiles) -> ShadowStarts:
     """What shadow rays from the points of a G-buffer begin with. Raises Cancelled."""
-    points = PixelPoints(gbuffer.points, gbuffer.normals(tiles), gbuffer.pixels)
+    points = gbuffer.shown(tiles)
     m, ends = len(gbuffer.points), np.empty(TURNS + 1, np.int64)
     places = np.empty((m, 3)), np.empty((m, 4), np.int32), np.empty(m, np.bool_), np.empty(m, np.int32)
     picture, traced = ShadowPoints(points, gbuffer.rows, *places), gbuffer.surface.traced(tiles.run)

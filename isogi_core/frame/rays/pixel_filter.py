@@ -17,7 +17,8 @@ import numpy as np
 
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.shading.same_surface import ShownPoints, mean_around
+from isogi_core.kernels.shading.same_surface import mean_around
+from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.model.sky import LUMINANCE
 
 FILTER_PASSES = ((1, 1.0), (2, 1.8))
@@ -37,11 +38,10 @@ class Surroundings:
     tiles: Tiles
 
     @cached_property
-    def shown(self) -> ShownPoints:
-        """The surface points, as the kernel takes them. Raises Cancelled."""
-        buffer = self.gbuffer
-        points = buffer.points * np.array(buffer.spacing, np.float32)
-        return ShownPoints(buffer.rows, buffer.pixels, points, buffer.normals(self.tiles))
+    def shown(self) -> tuple[np.ndarray, SurfacePoints]:
+        """The number of the point in each pixel, and the points, in the world here. Raises Cancelled."""
+        shown, spacing = self.gbuffer.shown(self.tiles), np.array(self.gbuffer.spacing, np.float32)
+        return self.gbuffer.rows, shown._replace(points=shown.points * spacing)
 
     @property
     def voxel(self) -> float:
@@ -59,7 +59,7 @@ class Surroundings:
         shown, means, left = self.shown, np.empty_like(values), np.empty(len(values))
 
         def _piece(a: int, b: int) -> None:
-            mean_around(shown, step, a, values, variance, means[a:b], left[a:b])
+            mean_around(*shown, step, a, values, variance, means[a:b], left[a:b])
 
         self.tiles.run(_piece, len(values), self.tiles.even(len(values)))
         return means, left

@@ -7,15 +7,13 @@ from functools import cached_property
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
-from isogi_core.bake.path_light import on_wall
+from isogi_core.bake.path_light import add_path_light
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.glow_light import add_glow
-from isogi_core.frame.rays.point_paths import path_starts, sight_lines, trace_among
+from isogi_core.frame.rays.point_paths import path_starts, sight_lines
 from isogi_core.frame.rays.shine import add_shine
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.shading.framebuffer import PixelPoints
-from isogi_core.kernels.shading.local_models import trace_points
 from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.model.sky import LUMINANCE
@@ -81,24 +79,19 @@ class Paths:
         buffer, alone = self.gbuffer, self.light.shine is None and not self.light.coloured
         prepared, replicas = self.light.spec.prepared, range(stream, stream + sums.shape[1])
         own = sums if alone else np.zeros_like(sums)
-        points, pixels = buffer.points, buffer.pixels
-        if prepared.scene.surfaces.material.refracts:
-            points, normals = sight_lines(buffer)
-        else:
-            normals = buffer.normals(self.tiles)
+        refracts = prepared.scene.surfaces.material.refracts
+        points = sight_lines(buffer) if refracts else buffer.shown(self.tiles)
         traced, around = buffer.surface.traced(self.tiles.run), self.light.surroundings
         met = prepared.met(self.light.seen.albedo, traced.cells, self.tiles.run)
         rules, samples = PathRules(self.weights, self.survival), SampleRange(first, count)
 
         def _piece(a: int, b: int) -> None:
-            some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
-            if isinstance(met, Open):
-                trace_points(traced, some, around, rules, stream, samples, own[a:b])
-            else:
-                own[a:b] += trace_among(traced, met, some, around, rules, replicas, samples)
-            if prepared.scene.lighting.glowing.any:
-                starts = on_wall(path_starts(traced, some, replicas))
-                add_glow(own[a:b].reshape(-1, 3), self.light, traced, starts, rules, samples)
+            starts, here = path_starts(traced, points.part(slice(a, b)), replicas), own[a:b].reshape(-1, 3)
+            added = here if isinstance(met, Open) else np.zeros_like(here)
+            add_path_light(met, starts, samples, rules, around, added)
+            if added is not here:  # goes among walls are added up one by one
+                here += added
+            add_glow(here, self.light, traced, starts, rules, samples)
             if progress is not None:
                 progress((b - a) * sums.shape[1] * count)
 

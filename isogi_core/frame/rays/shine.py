@@ -4,7 +4,6 @@ A shiny surface mirrors light to the eye alone: light that it sends to other pla
 texels. So shine needs nothing baked, and what a ray sees of the surface is what its texels, or paths from there, show.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import count
@@ -12,14 +11,12 @@ from itertools import count
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
-from isogi_core.bake.path_light import add_paths
+from isogi_core.bake.path_light import add_paths, starts_at, starts_between
 from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.gbuffer import NO_WALLS, GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight, triple
 from isogi_core.frame.rays.glow_light import add_glow
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.shading.framebuffer import PixelPoints
-from isogi_core.kernels.shading.local_models import trace_points
 from isogi_core.kernels.shading.shine import (
     ISOSURFACE,
     NEVER,
@@ -28,19 +25,20 @@ from isogi_core.kernels.shading.shine import (
     cast_shine,
     fill_below,
 )
+from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.colours import NO_COLOURS, fill_albedos
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, LampArrays
 from isogi_core.kernels.transport.microfacets import NODES, ShineLobe, fill_energy
+from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.ray_lights import Discs, Panels, ShineLights
-from isogi_core.kernels.transport.room_paths import InRoom, Room, RoomStarts
+from isogi_core.kernels.transport.room_paths import Room
 from isogi_core.model.shine import DULL
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.plan.budget import survival_for
-from isogi_core.prepared.surface import Surface
 
 PLASTIC = 0.04
 """What plastic mirrors head on: Fresnel's ((n - 1)/(n + 1))² for an index of refraction of 1.5."""
@@ -52,6 +50,9 @@ find lights better.
 
 WAYS = 8
 """Ways of which each ray is chosen, where there are lights to be drawn towards: each ray is then worth several."""
+
+LOW_WORD = np.uint64(0xFFFFFFFF)
+"""What of a ray's sequence names the sequence of a path in the open from its end."""
 
 RAYS, PATHS, RAYS_OF_PATHS = 1 << 14, 256, 1 << 17
 """Rays that are cast together, paths from their ends, and rays whose ends are kept together where all send paths."""
@@ -107,12 +108,11 @@ def lights_of(light: RotatedLight, ways: int) -> ShineLights:
 
 def light_below(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
     """The share of diffuse light that shine leaves at each point of a G-buffer; (m, 3) float32. Raises Cancelled."""
-    lobe, normals = lobe_of(light), gbuffer.normals(tiles)
-    below = np.empty_like(gbuffer.points)
+    lobe, shown = lobe_of(light), gbuffer.shown(tiles)
+    below = np.empty_like(shown.points)
 
     def _piece(a: int, b: int) -> None:
-        some = PixelPoints(gbuffer.points[a:b], normals[a:b], gbuffer.pixels[a:b])
-        fill_below(some, gbuffer.eye, gbuffer.spacing, lobe, below[a:b])
+        fill_below(shown.part(slice(a, b)), gbuffer.eye, gbuffer.spacing, lobe, below[a:b])
 
     tiles.run(_piece, len(below), RAYS)
     return below
@@ -122,18 +122,13 @@ def light_below(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarr
 class ShineRays:
     """Rays of shine, ``each`` from as many points of a G-buffer, in order, and what they have ``brought`` (rays, 3).
 
-    The rays ``seen`` (h,), ascending, end on something lit, which counts ``weights`` (h, 3): at ``points`` (h, 3) in
-    index space with ``normals`` (h, 3), on what they ``met`` (h,), see ``ShineEnds``. Random numbers there belong to
-    ``seeds`` (h,). ``hits`` shows what these rays see, as a picture of one row, which has a ``number`` of its own.
+    ``ends`` are of the h rays that end on something lit, ascending. Random numbers there belong to ``seeds`` (h,).
+    ``hits`` shows what these rays see, as a picture of one row, which has a ``number`` of its own.
     """
 
     each: int
     brought: np.ndarray
-    seen: np.ndarray
-    weights: np.ndarray
-    points: np.ndarray
-    normals: np.ndarray
-    met: np.ndarray
+    ends: ShineEnds
     seeds: np.ndarray
     hits: GBuffer
     number: int
@@ -141,8 +136,13 @@ class ShineRays:
     @property
     def nbytes(self) -> int:
         """Bytes that they take."""
-        ends = (self.brought, self.seen, self.weights, self.points, self.normals, self.met, self.seeds)
+        ends = (self.brought, self.ends.weights, *self.ends.points, self.ends.met, self.seeds)
         return sum(each.nbytes for each in ends) + self.hits.nbytes
+
+    @property
+    def seen(self) -> np.ndarray:
+        """The numbers of the rays that end on something lit; (h,) uint32."""
+        return np.asarray(self.ends.points.pixels)
 
     def view(self, view: View) -> View:
         """The view of ``hits`` beside the ``view`` whose points they started from; of diffuse light."""
@@ -152,7 +152,7 @@ class ShineRays:
     def gather(self, light: np.ndarray) -> np.ndarray:
         """What each ray brings where ``light`` (h, 3) leaves what the rays see; (points, each, 3) float64."""
         total = self.brought.astype(np.float64)
-        total[self.seen] += self.weights * light.astype(np.float64)
+        total[self.seen] += self.ends.weights * light.astype(np.float64)
         return total.reshape(-1, self.each, 3)
 
 
@@ -173,43 +173,42 @@ def cast_rays(
 
     Replicas are numbers of independent randomisations; each ray is chosen of so many ``ways``. Raises Cancelled.
     """
-    points, pixels, normals = gbuffer.points, gbuffer.pixels, gbuffer.normals(tiles)
+    shown = gbuffer.shown(tiles)
     lobe, lights, room = lobe_of(light), lights_of(light, ways), room_of(light)
     traced, each = gbuffer.surface.traced(tiles.run), len(replicas) * len(samples)
-    total = each * len(points)
+    total = each * len(shown.pixels)
     brought, weights, here, around = np.empty((4, total, 3), np.float32)
-    ends = ShineEnds(brought, weights, here, around, np.empty(total, np.int8))
+    points = SurfacePoints(here, around, np.arange(total, dtype=np.uint32))
+    ends = ShineEnds(brought, weights, points, np.empty(total, np.int8))
 
     def _piece(a: int, b: int) -> None:
-        some, own = PixelPoints(points[a:b], normals[a:b], pixels[a:b]), slice(a * each, b * each)
+        some, own = shown.part(slice(a, b)), slice(a * each, b * each)
         point, replica, sample = (part.ravel() for part in np.indices((b - a, len(replicas), len(samples))))
-        seeds = seeds_of(np.column_stack([pixels[a:b][point], streams.SHINE + replicas.start + replica]))
+        seeds = seeds_of(np.column_stack([some.pixels[point], streams.SHINE + replicas.start + replica]))
         draws = ShineDraws(point, seeds, samples.start + sample)
         cast_shine(traced, room, some, gbuffer.eye, lobe, lights, draws, some_of(ends, own))
 
-    tiles.run(_piece, len(points), max(min(RAYS // each, tiles.even(len(points))), 1))
+    tiles.run(_piece, len(shown.pixels), max(min(RAYS // each, tiles.even(len(shown.pixels))), 1))
     seen = np.flatnonzero(ends.met > NEVER)
     point, rest = np.divmod(seen, each)
     replica, sample = np.divmod(rest, len(samples))
-    words = [pixels[point], streams.SHINE + replicas.start + replica, samples.start + sample]
+    words = [shown.pixels[point], streams.SHINE + replicas.start + replica, samples.start + sample]
     kept, seeds = some_of(ends, seen), seeds_of(np.column_stack(words))
-    hits = seen_by(kept.points, kept.normals, kept.met, gbuffer)
-    lit = (kept.weights, kept.points, kept.normals, kept.met)
-    return ShineRays(each, brought, seen, *lit, seeds, hits, next(NUMBERS))
+    return ShineRays(each, brought, kept, seeds, seen_by(kept, gbuffer), next(NUMBERS))
 
 
 def some_of(ends: ShineEnds, rows: slice | np.ndarray) -> ShineEnds:
     """The ``ends`` of some rays."""
-    brought, weights, points, normals, met = (part[rows] for part in ends)
-    return ShineEnds(brought, weights, points, normals, met)
+    return ShineEnds(ends.brought[rows], ends.weights[rows], ends.points.part(rows), ends.met[rows])
 
 
-def seen_by(points: np.ndarray, normals: np.ndarray, met: np.ndarray, gbuffer: GBuffer) -> GBuffer:
-    """The picture of one row that shows the ``points`` (h, 3), with their ``normals``, on what was ``met`` (h,)."""
-    shown, on = np.arange(len(met), dtype=np.uint32), met == ISOSURFACE
-    walls = PointsBeside(shown[~on], points[~on], met[~on])
-    place = (1, len(met)), gbuffer.spacing, gbuffer.eye, gbuffer.surface
-    return GBuffer(*place, shown[on], points[on], walls, _normals=normals[on])
+def seen_by(ends: ShineEnds, gbuffer: GBuffer) -> GBuffer:
+    """The picture of one row that shows where rays end, as a G-buffer beside the one that they start from."""
+    met, on = ends.met, ends.met == ISOSURFACE
+    shown = ends.points._replace(pixels=np.arange(len(met), dtype=np.uint32))
+    walls = PointsBeside(shown.pixels[~on], shown.points[~on], met[~on])
+    row = GBuffer.of_points(gbuffer.surface, gbuffer.eye, shown.points)
+    return row.of_these(shown.part(on), walls)
 
 
 def paths_from(rays: ShineRays, rows: np.ndarray, light: RotatedLight, bounces: int, tiles: Tiles) -> np.ndarray:
@@ -217,21 +216,25 @@ def paths_from(rays: ShineRays, rows: np.ndarray, light: RotatedLight, bounces: 
 
     Paths have so many ``bounces``. Raises Cancelled.
     """
-    room, surface, found = room_of(light), rays.hits.surface, np.zeros((len(rows), 3))
-    here, normals, met, seeds = rays.points[rows], rays.normals[rows], rays.met[rows], rays.seeds[rows]
-    rules = bounces, survival_for(light.reflecting, bounces)
-    carried = PathRules(path_weights(np.ones(3), bounces, 1.0), rules[1])
-    trace = among_walls if light.spec.prepared.scene.many_albedos else in_the_open
+    traced, found, ends = rays.hits.surface.traced(tiles.run), np.zeros((len(rows), 3)), some_of(rays.ends, rows)
+    on, points, survival = ends.met == ISOSURFACE, ends.points, survival_for(light.reflecting, bounces)
+    walls = np.where(on, NOWHERE, ends.met)
+    starts = starts_at(points.points, points.normals, traced.isovalue, rays.seeds[rows], walls)
+    own, carried = starts, PathRules(path_weights(np.ones(3), bounces, 1.0), survival)
+    met, rules, one = light.spec.prepared.met(light.seen.albedo, traced.cells, tiles.run), carried, SampleRange(0, 1)
+    if isinstance(met, Open):
+        words = np.column_stack([(starts.seeds & LOW_WORD).astype(np.int64), np.full(len(rows), streams.SHINE)])
+        own = starts._replace(seeds=seeds_of(words))
+        rules = PathRules(path_weights(light.albedo, bounces, survival), survival)
 
     def _piece(a: int, b: int) -> None:
-        starts = RoomStarts(here[a:b], normals[a:b], np.full(b - a, float(surface.isovalue)), seeds[a:b], met[a:b])
-        found[a:b] = trace(surface, starts, light, rules, tiles)
-        add_glow(found[a:b], light, surface.traced(tiles.run), in_columns(starts), carried, SampleRange(0, 1))
+        add_paths(met, starts_between(own, a, b), one, rules, light.surroundings, found[a:b])
+        add_glow(found[a:b], light, traced, starts_between(starts, a, b), carried, one)
 
     tiles.run(_piece, len(rows), PATHS)
-    on = met == ISOSURFACE
-    albedos, given = albedos_at(here, light), np.zeros((len(rows), 3))
-    albedos[~on], given[~on] = room.albedos[met[~on]], room.radiances[met[~on]]
+    room = room_of(light)
+    albedos, given = albedos_at(points.points, light), np.zeros((len(rows), 3))
+    albedos[~on], given[~on] = room.albedos[ends.met[~on]], room.radiances[ends.met[~on]]
     return np.asarray(given + albedos * found)
 
 
@@ -242,40 +245,6 @@ def albedos_at(points: np.ndarray, light: RotatedLight) -> np.ndarray:
     found = np.empty((len(points), 3), np.float32)
     fill_albedos(light.spec.prepared.colours, np.ascontiguousarray(points), found)
     return found.astype(np.float64)
-
-
-Trace = Callable[[Surface, RoomStarts, RotatedLight, tuple[int, float], Tiles], np.ndarray]
-
-
-def in_the_open(
-    surface: Surface, starts: RoomStarts, light: RotatedLight, rules: tuple[int, float], tiles: Tiles
-) -> np.ndarray:
-    """E/π by one path from each of the ``starts``, whose vectors are rows; (k, 3)."""
-    points = PixelPoints(starts.points, starts.normals, (starts.seeds & np.uint64(0xFFFFFFFF)).astype(np.uint32))
-    weights = path_weights(light.albedo, *rules)
-    sums = np.zeros((len(starts.seeds), 1, 3))
-    given = PathRules(weights, rules[1]), streams.SHINE, SampleRange(0, 1)
-    trace_points(surface.traced(tiles.run), points, light.surroundings, *given, sums)
-    return sums[:, 0]
-
-
-def among_walls(
-    surface: Surface, starts: RoomStarts, light: RotatedLight, rules: tuple[int, float], tiles: Tiles
-) -> np.ndarray:
-    """E/π by one path from each of the ``starts`` in the room of a scene, whose vectors are rows; (k, 3)."""
-    given = in_columns(starts)
-    sums, traced = np.zeros((len(given.walls), 3)), surface.traced(tiles.run)
-    weights = PathRules(path_weights(np.ones(3), rules[0], 1.0), rules[1])
-    met = InRoom(traced.field, traced.cells, room_of(light))
-    add_paths(met, given, SampleRange(0, 1), weights, light.surroundings, sums)
-    return sums
-
-
-def in_columns(starts: RoomStarts) -> RoomStarts:
-    """The ``starts`` of rays' ends, whose vectors are rows, as kernels take them."""
-    here, normals = (np.ascontiguousarray(each.T, np.float64) for each in starts[:2])
-    walls = np.where(starts.walls == ISOSURFACE, NOWHERE, starts.walls.astype(np.float64))
-    return RoomStarts(here, normals, starts.isovalues, starts.seeds, walls)
 
 
 def trace_shine(

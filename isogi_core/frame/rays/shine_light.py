@@ -30,7 +30,7 @@ from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_checks import ViewChecks, texels_until
 from isogi_core.frame.view_keys import check_key, surface_key
 from isogi_core.frame.view_texels import ViewTexels
-from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL, Framebuffer, PixelPoints
+from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.shine import light_ends
 from isogi_core.kernels.shading.shine_filter import filter_shine
@@ -219,7 +219,7 @@ def walls_seen(rays: ShineRays, light: RotatedLight) -> list[WallView]:
     if not len(walls.pixels):
         return []
     fronts = light.spec.prepared.room(light.seen.albedo).normals[walls.numbers]
-    sides = np.where((fronts * rays.normals[walls.pixels]).sum(axis=1) > 0.0, 1, -1)
+    sides = np.where((fronts * rays.ends.points.normals[walls.pixels]).sum(axis=1) > 0.0, 1, -1)
     return WallView.of_sides(hits, light, sides)
 
 
@@ -231,11 +231,11 @@ def add_lobes_seen(rays: ShineRays, light: RotatedLight, framebuffer: Framebuffe
     if not light.spec.lobes:
         return
     hits, lamps = rays.hits, light.lobes
-    normals, seeds = hits.normals(tiles), rays.seeds[hits.pixels]
+    shown, seeds = hits.shown(tiles), rays.seeds[hits.pixels]
     lit, traced = np.empty((len(hits.pixels), 3), np.float32), hits.surface.traced(tiles.run)
 
     def _piece(a: int, b: int) -> None:
-        light_ends(traced, PixelPoints(hits.points[a:b], normals[a:b], hits.pixels[a:b]), lamps, seeds[a:b], lit[a:b])
+        light_ends(traced, shown.part(slice(a, b)), lamps, seeds[a:b], lit[a:b])
 
     tiles.run(_piece, len(lit), RAYS)
     framebuffer.radiance[hits.pixels] += light.spec.unit * light.tint.astype(np.float32) * lit

@@ -13,16 +13,18 @@ from itertools import product
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
+from isogi_core.bake.path_light import starts_at
 from isogi_core.bake.refine import seeds_of
 from isogi_core.cache.wall_store import Planes, Side, WallState, WallStore, planes_of
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import pooled_variance, replicas_for, variance_of_mean
-from isogi_core.frame.rays.wall_texels import COARSE, FINE, FINEST, WallTexels, light_starts, starts_on
+from isogi_core.frame.rays.wall_texels import COARSE, FINE, FINEST, WallTexels, light_starts
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer, PixelPoints
+from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.local_models import find_shadows, shade_local
+from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.shading.wall_light import WallTable, light_walls
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.model.sky import LUMINANCE
@@ -211,7 +213,8 @@ class WallView:
         count, room = max(samples // replicas, 1), self.light.spec.prepared.room(self.light.seen.albedo)
         each, replica = (part.ravel() for part in np.indices((len(walls.pixels), replicas)))
         seeds = seeds_of(np.column_stack([walls.pixels[each], replica]))
-        starts = starts_on(walls.points[each], self._normals[each], walls.numbers[each], self.gbuffer.surface, seeds)
+        isovalue, numbers = self.gbuffer.surface.isovalue, walls.numbers[each]
+        starts = starts_at(walls.points[each], self._normals[each], isovalue, seeds, numbers)
         rules = PathRules(path_weights(np.ones(3), plan.bounces, 1.0), plan.survival)
         sums = light_starts(self.light, self.gbuffer.surface, starts, rules, SampleRange(0, count), tiles)
         means = room.albedos[walls.numbers][:, None] * sums.reshape(-1, replicas, 3) / count
@@ -232,10 +235,11 @@ class WallView:
         """Write the walls into a picture by a local model, whose shadows are those of the surface. Raises Cancelled."""
         walls, gbuffer, room = self.gbuffer.walls, self.gbuffer, self.light.spec.prepared.scene.lighting.room
         traced, normals = gbuffer.surface.traced(tiles.run), self._normals.astype(np.float32)
+        shown = SurfacePoints(walls.points, normals, walls.pixels)
         for number, _ in self.seen:
             rows = np.flatnonzero(walls.numbers == number)
             model = self.light.local_model(shading, depths, np.array(room.walls[number].albedo))
-            some = PixelPoints(walls.points[rows], normals[rows], walls.pixels[rows])
+            some = shown.part(rows)
             reached = np.empty(len(rows), np.bool_)
             if model.shadow:
                 find_shadows(traced, some, model.key, reached)

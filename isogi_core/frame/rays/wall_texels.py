@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
-from isogi_core.bake.path_light import add_paths
+from isogi_core.bake.path_light import add_paths, starts_at, starts_between
 from isogi_core.bake.precision import round_light
 from isogi_core.bake.refine import seeds_of
 from isogi_core.cache.wall_store import Planes, Side, planes_of, wall_layer
@@ -22,8 +22,7 @@ from isogi_core.frame.rays.pixel_rays import BINOMIAL, PATH_POINTS
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.matter.matter_paths import Through
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.room_paths import RoomStarts
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.prepared.surface import Surface
 
@@ -42,7 +41,7 @@ FIRST_PATHS, MAX_PATHS = 8, 1 << 12
 
 
 def light_starts(
-    light: RotatedLight, surface: Surface, starts: RoomStarts, rules: PathRules, samples: SampleRange, tiles: Tiles
+    light: RotatedLight, surface: Surface, starts: PathStarts, rules: PathRules, samples: SampleRange, tiles: Tiles
 ) -> np.ndarray:
     """Sums (g, 3) of a ``SampleRange`` of E/π, glow's too, at ``starts`` about a ``surface``; see ``add_paths``.
 
@@ -52,22 +51,13 @@ def light_starts(
     met = prepared.met(light.seen.albedo, traced.cells, tiles.run)
 
     def _piece(a: int, b: int) -> None:
-        some = RoomStarts(*(np.ascontiguousarray(each[..., a:b]) for each in starts))
+        some = starts_between(starts, a, b)
         add_paths(met, some, samples, rules, light.surroundings, sums[a:b])
         if not isinstance(met, Through):
             add_glow(sums[a:b], light, traced, some, rules, samples)
 
     tiles.run(_piece, len(sums), PATH_POINTS)
     return sums
-
-
-def starts_on(
-    points: np.ndarray, normals: np.ndarray, walls: np.ndarray, surface: Surface, seeds: np.ndarray
-) -> RoomStarts:
-    """Starts of paths at ``points`` and ``normals`` (g, 3) on ``walls`` (g,), by number, about a ``surface``."""
-    here, around = (np.ascontiguousarray(each.T, np.float64) for each in (points, normals))
-    levels = np.full(len(seeds), float(surface.isovalue))
-    return RoomStarts(here, around, levels, seeds, walls.astype(np.float64))
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +251,7 @@ class WallTexels:
         means[asked] = round_light((means[asked] * self.count + added)[..., None] / count, layer)[..., 0]
         return replace(self, means=means, count=count)
 
-    def _starts(self, light: RotatedLight, surface: Surface) -> RoomStarts:
+    def _starts(self, light: RotatedLight, surface: Surface) -> PathStarts:
         """Where the paths of each asked texel's halves start: in its middle."""
         room, (rows, columns) = light.spec.prepared.room(light.seen.albedo), self.settled.shape
         row, column, half = np.nonzero(np.repeat(self.asked[..., None], 2, axis=2))
@@ -271,7 +261,7 @@ class WallTexels:
         points /= surface.field.spacing
         normals = np.tile(self.side * room.normals[self.wall], (len(points), 1))
         words = np.column_stack([np.full(len(row), streams.WALLS + 2 * self.wall + (self.side < 0)), row, column, half])
-        return starts_on(points, normals, np.full(len(row), self.wall), surface, seeds_of(words))
+        return starts_at(points, normals, surface.isovalue, seeds_of(words), self.wall)
 
     @cached_property
     def leaving(self) -> np.ndarray:

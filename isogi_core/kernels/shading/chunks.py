@@ -6,8 +6,9 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.shading.framebuffer import FINAL, FRAMEBUFFER, PIXELS, POINTS, luminance
+from isogi_core.kernels.shading.framebuffer import FINAL, FRAMEBUFFER, luminance
 from isogi_core.kernels.shading.lattice import CORNERS, LATTICE, UNLIT, base_texel, trilinear
+from isogi_core.kernels.shading.surface_points import PIXELS, POINTS
 
 PLACES = types.uint32[::1]
 SLOTS = types.int32[:, :, ::1]

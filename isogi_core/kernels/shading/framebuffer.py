@@ -25,27 +25,6 @@ class Framebuffer(NamedTuple):
 FRAMEBUFFER = record(Framebuffer, types.float32[:, ::1], types.uint8[::1], types.float32[::1])
 
 
-class PixelPoints(NamedTuple):
-    """m surface points of a picture: ``points`` in index space and world ``normals``, float32 (m, 3), and the picture
-    indices of their ``pixels``, uint32 (m,).
-    """
-
-    points: Any
-    normals: Any
-    pixels: Any
-
-
-POINTS = types.float32[:, ::1]
-PIXELS = types.uint32[::1]
-PIXEL_POINTS = record(PixelPoints, POINTS, POINTS, PIXELS)
-
-
-@kernel()
-def point_of(vectors, m):
-    """Row ``m`` of a float32 (n, 3) array as a tuple of float64."""
-    return np.float64(vectors[m, 0]), np.float64(vectors[m, 1]), np.float64(vectors[m, 2])
-
-
 @kernel()
 def luminance(r, g, b):
     """Relative luminance of linear RGB (ITU-R BT.709)."""

@@ -13,15 +13,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.shading.framebuffer import (
-    FINAL,
-    FRAMEBUFFER,
-    PIXEL_POINTS,
-    POINTS,
-    PROVISIONAL,
-    luminance,
-    put_pixel,
-)
+from isogi_core.kernels.shading.framebuffer import FINAL, FRAMEBUFFER, PROVISIONAL, luminance, put_pixel
 from isogi_core.kernels.shading.lattice import (
     BURIED,
     CORNERS,
@@ -33,6 +25,7 @@ from isogi_core.kernels.shading.lattice import (
     base_texel,
     trilinear,
 )
+from isogi_core.kernels.shading.surface_points import POINTS, SURFACE_POINTS
 
 MIN_UNSHADOWED = 0.05
 """Share of the light's mean that unshadowed light is taken to be at least, so that ratios stay small."""
@@ -169,9 +162,9 @@ def shade_ratio(blended, under):
     return (r, g, b), math.sqrt(variance) * brighter
 
 
-@kernel(types.void(LATTICE, PIXEL_POINTS, CORNERS, TEXELS, UNSHADOWED, types.float32, FRAMEBUFFER))
+@kernel(types.void(LATTICE, SURFACE_POINTS, CORNERS, TEXELS, UNSHADOWED, types.float32, FRAMEBUFFER))
 def carry_ratios(lattice, points, corners, texels, unshadowed, unit, framebuffer):
-    """Carry the light of records ``texels`` (m, RECORD) to the ``framebuffer`` at the pixels of ``PixelPoints``.
+    """Carry the light of records ``texels`` (m, RECORD) to the ``framebuffer`` at the pixels of ``SurfacePoints``.
 
     Weights are trilinear (S1, section 4.2), times what ``agree`` makes of a texel's normal and the point's;
     ``corners`` (m, 8) are the numbers of the points' texels. Void and buried texels are left out, and of what is not

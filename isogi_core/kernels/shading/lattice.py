@@ -11,15 +11,8 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.shading.framebuffer import (
-    FINAL,
-    FRAMEBUFFER,
-    PIXEL_POINTS,
-    PROVISIONAL,
-    luminance,
-    point_of,
-    put_pixel,
-)
+from isogi_core.kernels.shading.framebuffer import FINAL, FRAMEBUFFER, PROVISIONAL, luminance, put_pixel
+from isogi_core.kernels.shading.surface_points import SURFACE_POINTS, point_of
 from isogi_core.kernels.transport.lights import unshadowed
 
 CHUNK = 16
@@ -252,9 +245,9 @@ def span_of(grade, corners, m):
     return least, most
 
 
-@kernel(types.void(LATTICE, PIXEL_POINTS, CORNERS, GRADES, types.float32[:, ::1], SKY, types.float32, FRAMEBUFFER))
+@kernel(types.void(LATTICE, SURFACE_POINTS, CORNERS, GRADES, types.float32[:, ::1], SKY, types.float32, FRAMEBUFFER))
 def carry_light(lattice, points, corners, grade, lit, sky, unit, framebuffer):
-    """Carry the texels' light ``lit`` (texels, LIT) to the ``framebuffer`` at the pixels of ``PixelPoints``.
+    """Carry the texels' light ``lit`` (texels, LIT) to the ``framebuffer`` at the pixels of ``SurfacePoints``.
 
     Trilinear (S1, section 4.2) over the texels that hold light, whose numbers are ``corners`` (m, 8); void and buried
     ones are left out, and what is not baked yet stands in as unshadowed light about the point's normal (read

@@ -18,17 +18,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.shading.framebuffer import (
-    BLUE,
-    FRAMEBUFFER,
-    GREEN,
-    PIXELS,
-    PROVISIONAL,
-    RED,
-    luminance,
-    point_of,
-    put_pixel,
-)
+from isogi_core.kernels.shading.framebuffer import BLUE, FRAMEBUFFER, GREEN, PROVISIONAL, RED, luminance, put_pixel
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.local_models import find_unoccluded
 from isogi_core.kernels.shading.same_surface import number_at
@@ -42,6 +32,7 @@ from isogi_core.kernels.shading.shadow_points import (
     step_of,
     turn_of,
 )
+from isogi_core.kernels.shading.surface_points import PIXELS, point_of
 from isogi_core.kernels.tracing.cast import SURFACE
 from isogi_core.kernels.tracing.vec import dot, length, madd, put_column, scale
 from isogi_core.kernels.transport.lights import LAMPS, draw_from_disc, row

@@ -7,27 +7,15 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.shading.framebuffer import (
-    FINAL,
-    FRAMEBUFFER,
-    PIXEL_POINTS,
-    POINTS,
-    PixelPoints,
-    point_of,
-    put_pixel,
-)
+from isogi_core.kernels.shading.framebuffer import FINAL, FRAMEBUFFER, put_pixel
+from isogi_core.kernels.shading.surface_points import POINTS, SURFACE_POINTS, point_of
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
 from isogi_core.kernels.tracing.field import FIELD, normal, to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE, launch
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, dot, length, madd, normalize, put_column, scale, sub
-from isogi_core.kernels.transport.integrate import add_paths
-from isogi_core.kernels.transport.light_paths import SURROUNDINGS, to_world
+from isogi_core.kernels.transport.light_paths import to_world
 from isogi_core.kernels.transport.lights import fog, row
-from isogi_core.kernels.transport.open_paths import Open
-from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, PathStarts, SampleRange
-from isogi_core.kernels.transport.rng import mix
-from isogi_core.kernels.transport.wavefront import WAVE
 
 
 class LocalModel(NamedTuple):
@@ -82,9 +70,9 @@ def find_unoccluded(surface, starts, owners, ways, reached):
         reached[i] = not t[i] < math.inf
 
 
-@kernel(types.void(SURFACE, PIXEL_POINTS, VECTOR, types.boolean[::1]))
+@kernel(types.void(SURFACE, SURFACE_POINTS, VECTOR, types.boolean[::1]))
 def find_shadows(surface, points, key, seen):
-    """Fill ``seen`` (m,): whether the key light reaches each of ``PixelPoints`` past the isosurface, by one shadow ray.
+    """Fill ``seen`` (m,): whether the key light reaches each of ``SurfacePoints`` past the isosurface, by a shadow ray.
 
     Points that are turned away from the light count as unseen.
     """
@@ -125,9 +113,9 @@ def shade_point(p, n, eye, spacing, model, seen):
     return scale(madd(model.ambient, seen * cosine + shine, model.sun), clear)
 
 
-@kernel(types.void(PIXEL_POINTS, types.boolean[::1], VECTOR, VECTOR, LOCAL_MODEL, FRAMEBUFFER))
+@kernel(types.void(SURFACE_POINTS, types.boolean[::1], VECTOR, VECTOR, LOCAL_MODEL, FRAMEBUFFER))
 def shade_local(points, seen, eye, spacing, model, framebuffer):
-    """Lambert or Phong, with or without hard shadow and fog, at the pixels of ``PixelPoints`` (S1, table 2).
+    """Lambert or Phong, with or without hard shadow and fog, at the pixels of ``SurfacePoints`` (S1, table 2).
 
     ``seen`` (m,) is what ``find_shadows`` says; it may hold no rows for a model without shadow. A
     surface seen from its solid side shows its outer side's light, as the cache does.
@@ -137,44 +125,3 @@ def shade_local(points, seen, eye, spacing, model, framebuffer):
         p, n = point_of(points.points, m), point_of(points.normals, m)
         light = shade_point(p, n, eye, spacing, model, reached)
         put_pixel(framebuffer, points.pixels[m], light, FINAL, 0.0)
-
-
-@kernel()
-def trace_together(surface, points, light, rules, stream, samples, sums):
-    """``trace_points`` for a few points whose paths go together."""
-    replicas = sums.shape[1]
-    g = replicas * points.pixels.shape[0]
-    here, around, seeds = np.empty((3, g)), np.empty((3, g)), np.empty(g, np.uint64)
-    for i in range(g):
-        put_column(here, i, point_of(points.points, i // replicas))
-        put_column(around, i, point_of(points.normals, i // replicas))
-        seeds[i] = mix(np.int64(points.pixels[i // replicas]), stream + i % replicas)
-    starts, scene = PathStarts(here, around, np.full(g, surface.isovalue), seeds), Open(surface.field, surface.cells)
-    add_paths(scene, starts, samples, rules, light, sums.reshape(g, 3))
-
-
-@kernel()
-def part_of(points, first, last):
-    """The ``PixelPoints`` from ``first`` up to ``last``."""
-    return PixelPoints(points.points[first:last], points.normals[first:last], points.pixels[first:last])
-
-
-@kernel(
-    types.void(SURFACE, PIXEL_POINTS, SURROUNDINGS, PATH_RULES, types.int64, SAMPLE_RANGE, types.float64[:, :, ::1])
-)
-def trace_points(surface, points, light, rules, stream, samples, sums):
-    """Path-trace ``PixelPoints``: add a ``SampleRange`` of each replica to ``sums`` (m, replicas, 3).
-
-    Replicas are independent randomisations, from number ``stream`` on; they and the points' pixels own the random
-    numbers. ``light`` are the Surroundings; the weights (bounces + 1, 3) of the ``PathRules`` are R^(k+1) per channel,
-    over the chance to get there (see ``russian_roulette``). Sums grow sample by sample, so that their bits do not
-    depend on in how many goes. Source: S1, figure 2; the reference of figures 7 and 11.
-    """
-    replicas, count = sums.shape[1], samples.count
-    together, most = max(WAVE // (replicas * count), 1), max(min(count, WAVE // replicas), 1)
-    last = samples.first + count
-    for a in range(0, sums.shape[0], together):
-        b = min(a + together, sums.shape[0])
-        for begin in range(samples.first, last, most):
-            some = SampleRange(begin, min(most, last - begin))
-            trace_together(surface, part_of(points, a, b), light, rules, stream, some, sums[a:b])

@@ -1,33 +1,20 @@
 """Means over the pixels around one, of a picture in which some show the same surface."""
 
-from typing import Any, NamedTuple
-
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.shading.picture_noise import NUMBERS, ROWS
+from isogi_core.kernels.shading.surface_points import SURFACE_POINTS
 
 SLOPE = 0.4
 """Sine of the angle, between a pixel's surface and the way to another point, at which that one counts a half less."""
 
 
-class ShownPoints(NamedTuple):
-    """Surface points of a picture: ``rows`` (h, w) int32 number those in each pixel, -1 where none is; the ``pixels``
-    (m,) uint32 in which they show, ``points`` (m, 3) float32 in the world, and unit ``normals`` (m, 3) float32.
-    """
-
-    rows: Any
-    pixels: Any
-    points: Any
-    normals: Any
-
-
 DISTANCE_WEIGHTS = np.exp(np.arange(3) / -2.0)
 """What a pixel counts by its squared distance, 0 to 2, in steps."""
 
-VECTORS = types.float32[:, ::1]
-SHOWN_POINTS = record(ShownPoints, types.int32[:, ::1], types.uint32[::1], VECTORS, VECTORS)
+ROW_NUMBERS = types.int32[:, ::1]
 
 
 @kernel()
@@ -54,12 +41,12 @@ def number_at(rows, y, x):
 
 
 @kernel()
-def find_around(shown, m, step, found):
-    """Fill ``found`` (9,) with the numbers of the points in the 3 × 3 pixels about ``m``, -1 where none is."""
-    y, x = divmod(np.int64(shown.pixels[m]), shown.rows.shape[1])
+def find_around(rows, pixel, step, found):
+    """Fill ``found`` (9,) with the numbers of the points in the 3 × 3 pixels about a ``pixel``, -1 where none is."""
+    y, x = divmod(np.int64(pixel), rows.shape[1])
     for dy in range(-1, 2):
         for dx in range(-1, 2):
-            found[3 * dy + dx + 4] = number_at(shown.rows, y + dy * step, x + dx * step)
+            found[3 * dy + dx + 4] = number_at(rows, y + dy * step, x + dx * step)
 
 
 @kernel()
@@ -71,18 +58,19 @@ def are_void(values, found):
     return True
 
 
-@kernel(types.void(SHOWN_POINTS, types.int64, types.int64, ROWS, NUMBERS, ROWS, NUMBERS))
-def mean_around(shown, step, first, values, variance, means, left):
+@kernel(types.void(ROW_NUMBERS, SURFACE_POINTS, types.int64, types.int64, ROWS, NUMBERS, ROWS, NUMBERS))
+def mean_around(rows, points, step, first, values, variance, means, left):
     """Fill ``means`` (k, n) of points from number ``first`` on with the mean of ``values`` (m, n) about each.
 
     Over the 3 × 3 pixels at a distance of ``step``, itself among them, by nearness and ``sameness``. Values with the
     independent ``variance`` (m,) have a mean whose variance goes to ``left`` (k,). Values of points whose last one is 0
-    are taken to be 0 all.
+    are taken to be 0 all. ``rows`` (h, w) number the ``SurfacePoints`` in each pixel, -1 where none is; these are in
+    the world here.
     """
     found = np.empty(9, np.int64)
     for i in range(means.shape[0]):
         m = np.uint64(first + i)
-        find_around(shown, m, step, found)
+        find_around(rows, points.pixels[m], step, found)
         total, noise = 1.0, variance[m]
         for c in range(means.shape[1]):
             means[i, c] = values[m, c]
@@ -92,7 +80,7 @@ def mean_around(shown, step, first, values, variance, means, left):
         for k in range(9):
             if k != 4 and found[k] >= 0:
                 n = np.uint64(found[k])
-                same, square = sameness(shown.points, shown.normals, m, n), (k // 3 - 1) ** 2 + (k % 3 - 1) ** 2
+                same, square = sameness(points.points, points.normals, m, n), (k // 3 - 1) ** 2 + (k % 3 - 1) ** 2
                 weight = DISTANCE_WEIGHTS[square] * same
                 total, noise = total + weight, noise + weight * weight * variance[n]
                 for c in range(means.shape[1]):

@@ -11,8 +11,8 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.shading.framebuffer import PIXEL_POINTS, PIXELS, point_of
 from isogi_core.kernels.shading.same_surface import number_at
+from isogi_core.kernels.shading.surface_points import PIXELS, SURFACE_POINTS, point_of
 from isogi_core.kernels.tracing.cast import SURFACE
 from isogi_core.kernels.tracing.intersect import OUTSIDE, launch
 from isogi_core.kernels.tracing.vec import add, length, scale, sub
@@ -40,7 +40,7 @@ ORDER = types.int32[::1]
 class ShadowPoints(NamedTuple):
     """All surface points of a picture, as shadow rays to any light start from them.
 
-    ``points`` are ``PixelPoints``, ``rows`` (h, w) their numbers, -1 where none; ``starts`` (m, 3) float64 in index
+    ``points`` are ``SurfacePoints``, ``rows`` (h, w) their numbers, -1 where none; ``starts`` (m, 3) float64 in index
     space; ``around`` (m, 4) the neighbours that are asked before a point, first -1 where they say nothing of it;
     ``edgy`` (m,) whether half-shadows are looked for there even where all neighbours agree; ``order`` (m,) the points
     turn by turn, those of one turn ascending.
@@ -56,7 +56,7 @@ class ShadowPoints(NamedTuple):
 
 SHADOW_POINTS = record(
     ShadowPoints,
-    PIXEL_POINTS,
+    SURFACE_POINTS,
     types.int32[:, ::1],
     types.float64[:, ::1],
     types.int32[:, ::1],

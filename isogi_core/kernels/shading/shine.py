@@ -14,7 +14,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.shading.framebuffer import PIXEL_POINTS, point_of
+from isogi_core.kernels.shading.surface_points import SURFACE_POINTS, point_of
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
 from isogi_core.kernels.tracing.field import normal, to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE, launch
@@ -74,21 +74,20 @@ class ShineDraws(NamedTuple):
 
 
 class ShineEnds(NamedTuple):
-    """What n rays bring and meet: light ``brought``, what light counts that leaves where they end, ``weights``, and
-    ``points`` in index space and ``normals`` there, all float32 (n, 3); ``met`` int8 (n,) is a wall, ISOSURFACE or
-    NEVER.
+    """What n rays bring and meet: light ``brought``, and what light that leaves where they end counts, ``weights``,
+    both float32 (n, 3); the ``points`` there, whose ``pixels`` are the rays' numbers; ``met`` int8 (n,) is a wall,
+    ISOSURFACE or NEVER.
     """
 
     brought: Any
     weights: Any
     points: Any
-    normals: Any
     met: Any
 
 
 COLUMNS = types.float32[:, ::1]
 SHINE_DRAWS = record(ShineDraws, types.int64[::1], types.uint64[::1], types.int64[::1])
-SHINE_ENDS = record(ShineEnds, COLUMNS, COLUMNS, COLUMNS, COLUMNS, types.int8[::1])
+SHINE_ENDS = record(ShineEnds, COLUMNS, COLUMNS, SURFACE_POINTS, types.int8[::1])
 VECTOR = types.UniTuple(types.float64, 3)
 
 
@@ -209,15 +208,15 @@ def end_ray(surface, room, ray, t, k, ends, i):
         ends.met[i] = ISOSURFACE
         n = normal(surface.field, p)
         n = scale(w, -1.0) if is_zero(n) else n
-    put_row(ends.points, i, p)
-    put_row(ends.normals, i, n)
+    put_row(ends.points.points, i, p)
+    put_row(ends.points.normals, i, n)
 
 
 @kernel(
-    types.void(SURFACE, ROOM, PIXEL_POINTS, VECTOR, SHINE_LOBE, SHINE_LIGHTS, SHINE_DRAWS, SHINE_ENDS),
+    types.void(SURFACE, ROOM, SURFACE_POINTS, VECTOR, SHINE_LOBE, SHINE_LIGHTS, SHINE_DRAWS, SHINE_ENDS),
 )
 def cast_shine(surface, room, points, eye, lobe, lights, draws, ends):
-    """Cast the rays of a ``lobe`` from ``PixelPoints``, as ``draws`` has them, and fill their ``ends``.
+    """Cast the rays of a ``lobe`` from ``SurfacePoints``, as ``draws`` has them, and fill their ``ends``.
 
     The ``eye`` is in index space. Rays meet the isosurface and the walls of a ``room``, which may have none.
     """
@@ -295,17 +294,17 @@ def add_lamp(surface, room, points, eye, lobe, lamp, draws, ends):
                 add_row(ends.brought, i, (1.0, 1.0, 1.0), column(lights, i))
 
 
-@kernel(types.void(PIXEL_POINTS, VECTOR, VECTOR, SHINE_LOBE, COLUMNS))
+@kernel(types.void(SURFACE_POINTS, VECTOR, VECTOR, SHINE_LOBE, COLUMNS))
 def fill_below(points, eye, spacing, lobe, below):
-    """Fill ``below`` (m, 3) with ``light_below`` of ``PixelPoints`` that are seen from the ``eye``, in index space."""
+    """Fill ``below`` (m, 3) with ``light_below`` of ``SurfacePoints`` seen from the ``eye``, in index space."""
     for m in range(points.pixels.shape[0]):
         v = to_viewer(point_of(points.points, m), point_of(points.normals, m), eye, spacing)
         put_row(below, m, light_below(lobe, v[2]))
 
 
-@kernel(types.void(SURFACE, PIXEL_POINTS, LAMPS, types.uint64[::1], COLUMNS))
+@kernel(types.void(SURFACE, SURFACE_POINTS, LAMPS, types.uint64[::1], COLUMNS))
 def light_ends(surface, points, lamps, seeds, lit):
-    """Fill ``lit`` (m, 3) with an estimate of E/π straight from directional ``lamps`` at ``PixelPoints``.
+    """Fill ``lit`` (m, 3) with an estimate of E/π straight from directional ``lamps`` at ``SurfacePoints``.
 
     One shadow ray from each point to each lamp, drawn from the disc of that by the sequences ``seeds``.
     """

@@ -6,7 +6,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.shading.framebuffer import POINTS
+from isogi_core.kernels.shading.surface_points import POINTS
 from isogi_core.kernels.tracing.field import FIELD, SIXTH, normal, to_world_normal
 from isogi_core.kernels.tracing.plateaus import point_within
 from isogi_core.kernels.tracing.vec import is_zero

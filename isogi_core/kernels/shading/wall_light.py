@@ -7,7 +7,8 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.shading.framebuffer import FRAMEBUFFER, PIXELS, POINTS, luminance, point_of, put_pixel
+from isogi_core.kernels.shading.framebuffer import FRAMEBUFFER, luminance, put_pixel
+from isogi_core.kernels.shading.surface_points import PIXELS, POINTS, point_of
 from isogi_core.kernels.tracing.vec import sub
 from isogi_core.kernels.tracing.walls import WALLS, inner
 from isogi_core.kernels.transport.lights import row

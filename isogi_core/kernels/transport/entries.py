@@ -4,13 +4,15 @@ from typing import Any
 
 from isogi_core.kernels.tracing.glow import Glows
 from isogi_core.kernels.transport.glow_paths import glow_in_room
-from isogi_core.kernels.transport.light_paths import Surroundings
+from isogi_core.kernels.transport.light_paths import Surroundings, light_in_the_open
 from isogi_core.kernels.transport.matter.matter_paths import Through, light_through_matter
+from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.room_paths import InRoom, fill_seeds, light_in_room
 from isogi_core.kernels.transport.surface_glow import glow_among_surfaces
 from isogi_core.kernels.transport.surface_paths import Among, light_among_surfaces
 
 PATHS = {
+    (Open, Surroundings): light_in_the_open,
     (InRoom, Surroundings): light_in_room,
     (InRoom, Glows): glow_in_room,
     (Among, Surroundings): light_among_surfaces,
@@ -19,10 +21,10 @@ PATHS = {
 }
 """By the types of scene and source: kernels that take scene, starts, samples, rules, source, and the sums to add to.
 
-Paths in the Open start from texels or pixels, in kernels of these: ``bake_irradiance`` and ``trace_points``.
+Texels in the Open have a kernel that takes them by their places, ``bake_irradiance``.
 """
 
 
 def path_kernels(meets: type, gathers: type) -> tuple[Any, ...]:
-    """The entry kernels of paths that meet and gather this; none for paths in the Open."""
-    return (PATHS[meets, gathers], fill_seeds) if (meets, gathers) in PATHS else ()
+    """The entry kernels of paths that meet and gather this."""
+    return PATHS[meets, gathers], fill_seeds

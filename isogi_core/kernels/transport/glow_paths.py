@@ -13,9 +13,9 @@ from isogi_core.kernels.tracing.walls import ROWS
 from isogi_core.kernels.transport.integrate import add_paths, gather_met, gather_sources
 from isogi_core.kernels.transport.light_paths import NO_START, to_world
 from isogi_core.kernels.transport.open_paths import cast_wave
-from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
+from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
-from isogi_core.kernels.transport.room_paths import IN_ROOM, STARTS, InRoom, gather_walls
+from isogi_core.kernels.transport.room_paths import IN_ROOM, InRoom, gather_walls
 from isogi_core.kernels.transport.sampling import about
 from isogi_core.kernels.transport.streams import PAIRS, SOURCES
 from isogi_core.kernels.transport.wavefront import columns, partition
@@ -119,9 +119,9 @@ def gather_met_glow(scene, state, vertices, bounce, glows):
     return gather_walls(state.wave, vertices, partition(rays, count), scene.room)
 
 
-@kernel(types.void(IN_ROOM, STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, ROWS))
+@kernel(types.void(IN_ROOM, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, ROWS))
 def glow_in_room(scene, starts, samples, rules, glows, sums):
-    """Add E/π of each of k ``glows``, of radiance 1, at each of g ``RoomStarts`` to ``sums`` (g, 3 k).
+    """Add E/π of each of k ``glows``, of radiance 1, at each of g ``PathStarts`` to ``sums`` (g, 3 k).
 
     All light that is reflected is in it; bounces count as in ``light_in_room``, the room of the ``scene``, which is
     InRoom, gives off no light, and may have no walls. Rays are drawn by cosine and towards the ball about each region,

@@ -9,9 +9,11 @@ from numba import types
 from isogi_core.kernels._jit import Choice, kernel, record
 from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.vec import column, dot, put_column
-from isogi_core.kernels.transport.integrate import add_carried, gather_met, gather_sources
+from isogi_core.kernels.tracing.walls import ROWS
+from isogi_core.kernels.transport.integrate import add_carried, add_paths, gather_met, gather_sources
 from isogi_core.kernels.transport.lights import LAMPS, NO_LAMPS, NO_LIGHT, arriving, draw_bright, illuminate
-from isogi_core.kernels.transport.open_paths import Open, cast_wave
+from isogi_core.kernels.transport.open_paths import OPEN, Open, cast_wave
+from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.streams import PAIRS, SOURCES
 from isogi_core.kernels.transport.wavefront import columns, partition
@@ -128,3 +130,15 @@ def gather_ends(wave, vertices, light):
 def gather_environment(scene, state, vertices, bounce, light):
     """Add the environment that paths leave to; returns how many go on."""
     return gather_ends(state.wave, vertices, light)
+
+
+@kernel(types.void(OPEN, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
+def light_in_the_open(scene, starts, samples, rules, light, sums):
+    """Add what a ``SampleRange`` of paths brings to each of g ``PathStarts`` to ``sums`` (g, 3).
+
+    The ``scene`` is Open, ``light`` the Surroundings. What is gathered after k bounces counts row k of the weights
+    (bounces + 1, 3) of the ``rules``: R^k for E/π, R^(k + 1) for what leaves, over the chance to get there (see
+    ``russian_roulette``). Sums grow sample by sample, so that their bits do not depend on in how many goes. Source: S1,
+    figure 2; the reference of figures 7 and 11.
+    """
+    add_paths(scene, starts, samples, rules, light, sums)

@@ -2,9 +2,11 @@
 
 from typing import Any, NamedTuple
 
-from isogi_core.kernels._jit import Choice
+from isogi_core.kernels._jit import Choice, record
+from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
+from isogi_core.kernels.tracing.field import FIELD
 from isogi_core.kernels.transport.integrate import advance, begin_wave, launch_starts, make_state, meet
-from isogi_core.kernels.transport.paths import PathRules, PathStarts
+from isogi_core.kernels.transport.paths import PathRules
 from isogi_core.kernels.transport.wavefront import compact, intersect, launch_all, next_vertex
 
 
@@ -17,6 +19,9 @@ class Open(NamedTuple):
 
     field: Any
     cells: Any
+
+
+OPEN = record(Open, FIELD, ACTIVE_CELLS)
 
 
 class Alone(NamedTuple):
@@ -36,13 +41,13 @@ def make_alone(scene, starts, wave):
     return Alone(wave)
 
 
-@launch_starts.case(PathStarts)
-def launch_in_the_open(scene, starts):
-    """Where first rays start, (3, g): off the surface."""
+@launch_starts.case()
+def launch_off(scene, starts):
+    """Where first rays start, (3, g): off the surface, see ``launch``, and on walls."""
     return launch_all(scene.field, starts)
 
 
-@begin_wave.case(PathStarts)
+@begin_wave.case()
 def begin_in_the_open(scene, state, vertices, starts, first):
     """Leave the vertices as they are: all stand on the surface."""
 

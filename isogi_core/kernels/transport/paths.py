@@ -5,19 +5,25 @@ from typing import Any, NamedTuple
 from numba import types
 
 from isogi_core.kernels._jit import record
+from isogi_core.kernels.tracing.walls import NUMBERS, ROWS
 
 
 class PathStarts(NamedTuple):
-    """g starts of paths on isosurfaces: ``points`` in index space and world ``normals`` (3, g), float64.
+    """g starts of paths on an isosurface or a wall: ``points`` in index space and world ``normals``, (3, g) float64.
 
-    ``isovalues`` (g,) float64, normalised; ``seeds`` (g,) uint64, of the sequences that their paths draw from. Rays
-    start outside.
+    They are columns, as vectors of a wave are. ``isovalues`` (g,) float64, normalised, are those of the surface that
+    paths meet; ``seeds`` (g,) uint64 of the sequences that they draw from. ``walls`` (g,) float64 are numbers of walls,
+    or NOWHERE on the isosurface, where rays start outside.
     """
 
     points: Any
     normals: Any
     isovalues: Any
     seeds: Any
+    walls: Any
+
+
+PATH_STARTS = record(PathStarts, ROWS, ROWS, NUMBERS, types.uint64[::1], NUMBERS)
 
 
 class SampleRange(NamedTuple):

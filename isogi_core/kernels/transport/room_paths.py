@@ -9,7 +9,7 @@ from numba import types
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.field import FIELD, to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN_SIDE, launch
+from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.tracing.vec import SMALLEST, column, dot, length, madd, put_column, scale, sub
 from isogi_core.kernels.tracing.walls import NUMBERS, ROWS, WALLS, meet_walls
 from isogi_core.kernels.transport.colours import COLOURS, albedo_at
@@ -20,7 +20,6 @@ from isogi_core.kernels.transport.integrate import (
     begin_wave,
     gather_met,
     gather_sources,
-    launch_starts,
 )
 from isogi_core.kernels.transport.light_paths import (
     NO_START,
@@ -33,7 +32,7 @@ from isogi_core.kernels.transport.light_paths import (
 )
 from isogi_core.kernels.transport.lights import NO_LIGHT, row
 from isogi_core.kernels.transport.open_paths import cast_wave
-from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
+from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import mix, point_of_words
 from isogi_core.kernels.transport.streams import PAIRS, SOURCES
 from isogi_core.kernels.transport.wavefront import columns, compact, intersect, next_vertex, whole
@@ -63,22 +62,6 @@ class Room(NamedTuple):
 
 
 ROOM = record(Room, WALLS, ROWS, types.float64[:, :, ::1], ROWS, NUMBERS, ROWS, ROWS, NUMBERS, NUMBERS, COLOURS)
-
-
-class RoomStarts(NamedTuple):
-    """g starts of paths, as ``PathStarts``, on the isosurface or on a wall: its number, or NOWHERE, in ``walls`` (g,).
-
-    ``isovalues`` of those on a wall are that of the surface in the room.
-    """
-
-    points: Any
-    normals: Any
-    isovalues: Any
-    seeds: Any
-    walls: Any
-
-
-STARTS = record(RoomStarts, ROWS, ROWS, NUMBERS, types.uint64[::1], NUMBERS)
 
 
 class InRoom(NamedTuple):
@@ -239,17 +222,6 @@ def advance_in_room(scene, state, vertices, following, bounce, rules):
     stand_on_walls(state.wave, vertices, following, scene.room)
 
 
-@launch_starts.case()
-def launch_in_room(scene, starts):
-    """Where the first rays start, (3, g): off the surface, see ``launch``, and on a wall."""
-    origins = starts.points.copy()
-    for i in range(starts.isovalues.shape[0]):
-        if starts.walls[i] < 0.0:
-            p, n = column(starts.points, i), column(starts.normals, i)
-            put_column(origins, i, launch(scene.field, starts.isovalues[i], p, n, OUTSIDE))
-    return origins
-
-
 @kernel()
 def begin_on_walls(wave, starts, first, count):
     """Say where the first ``count`` vertices of a wave stand, whose first path has the number ``first``."""
@@ -266,9 +238,9 @@ def begin_in_room(scene, state, vertices, starts, first):
     begin_on_walls(state.wave, starts, first, vertices.count)
 
 
-@kernel(types.void(IN_ROOM, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
+@kernel(types.void(IN_ROOM, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
 def light_in_room(scene, starts, samples, rules, light, sums):
-    """Add E/π of a ``SampleRange`` at each of g ``RoomStarts``, with all light that is reflected, to ``sums`` (g, 3).
+    """Add E/π of a ``SampleRange`` at each of g ``PathStarts``, with all light that is reflected, to ``sums`` (g, 3).
 
     The ``scene`` is InRoom. Each bounce counts the albedo of what it hit, of the room or of the isosurface, and all the
     first of the weights (bounces + 1, 3) of the ``rules``, of which the others are not read. ``light`` are the

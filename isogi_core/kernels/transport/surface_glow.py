@@ -13,8 +13,7 @@ from isogi_core.kernels.tracing.glow import GLOWS, Glows
 from isogi_core.kernels.tracing.walls import ROWS
 from isogi_core.kernels.transport.glow_paths import add_glow, aim_at_glow
 from isogi_core.kernels.transport.integrate import add_paths, gather_sources
-from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
-from isogi_core.kernels.transport.room_paths import STARTS
+from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE
 from isogi_core.kernels.transport.streams import CROSSINGS
 from isogi_core.kernels.transport.surface_paths import AMONG, Among, cast_at_all, cast_past, goes_on
 from isogi_core.kernels.transport.wavefront import columns
@@ -59,9 +58,9 @@ def gather_aimed_among(scene, state, vertices, bounce, glows):
                 cast_past(scene, state, surface, origins, count, going)
 
 
-@kernel(types.void(AMONG, STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, ROWS))
+@kernel(types.void(AMONG, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, ROWS))
 def glow_among_surfaces(scene, starts, samples, rules, glows, sums):
-    """Add E/π of each of k ``glows``, of radiance 1, at each of g ``RoomStarts`` to ``sums`` (g, 3 k).
+    """Add E/π of each of k ``glows``, of radiance 1, at each of g ``PathStarts`` to ``sums`` (g, 3 k).
 
     Rays meet the surfaces of the ``scene``, which is Among, as those of ``light_among_surfaces`` do, and gather as
     those of ``glow_in_room``; the room about the surfaces gives off no light. Source: Kajiya 1986; a lesion behind

@@ -20,9 +20,9 @@ from isogi_core.kernels.tracing.vec import SMALLEST, column, madd, put_column, s
 from isogi_core.kernels.tracing.walls import NOWHERE, meet_walls
 from isogi_core.kernels.transport.integrate import add_paths, advance, begin_wave, make_state, meet
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS, add_sent
-from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
+from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
-from isogi_core.kernels.transport.room_paths import ROOM, STARTS, begin_on_walls, stand_on_walls
+from isogi_core.kernels.transport.room_paths import ROOM, begin_on_walls, stand_on_walls
 from isogi_core.kernels.transport.streams import CROSSINGS, LEAVING, PAIRS, PASSING
 from isogi_core.kernels.transport.wavefront import columns, compact, next_vertex, whole
 
@@ -305,9 +305,9 @@ def begin_among(scene, state, vertices, starts, first):
     start_on_either_side(scene, state, vertices, starts)
 
 
-@kernel(types.void(AMONG, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
+@kernel(types.void(AMONG, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
 def light_among_surfaces(scene, starts, samples, rules, light, sums):
-    """Add E/π of a ``SampleRange`` at each of g ``RoomStarts``, with all light that is reflected, to ``sums`` (g, 3).
+    """Add E/π of a ``SampleRange`` at each of g ``PathStarts``, with all light that is reflected, to ``sums`` (g, 3).
 
     The ``scene`` is Among. A ray that meets a surface passes straight through it with the chance ``clear``, or meets a
     diffuse one there: of a thin shell that is lit on either side. Light of shadow rays is multiplied by the ``clear``

@@ -12,6 +12,7 @@ from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.field import FIELD, OFFSET, normal, to_index, value
 from isogi_core.kernels.tracing.plateaus import leave_plateau, point_within
 from isogi_core.kernels.tracing.vec import column, is_zero, length, load_columns, put_column
+from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.ends import blocks, make_ends, trace_ends
 from isogi_core.kernels.transport.harmonics import accumulate
 from isogi_core.kernels.transport.integrate import add_paths, limits
@@ -162,7 +163,7 @@ def start_halves(place, rows):
         put_column(here, i, column(points, r))
         put_column(around, i, column(normals, r))
         levels[i], seeds[i] = isovalues[r], texel_seed(texels[r, 0], texels[r, 1], texels[r, 2], i % 2)
-    return PathStarts(here, around, levels, seeds)
+    return PathStarts(here, around, levels, seeds, np.full(g, NOWHERE))
 
 
 @kernel()

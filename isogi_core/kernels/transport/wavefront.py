@@ -223,11 +223,12 @@ def next_vertex(field, wave, count, following):
 
 @kernel()
 def launch_all(field, starts):
-    """Where the first rays start, (3, g): see ``launch``."""
-    origins = np.empty(starts.points.shape)
+    """Where the first rays start, (3, g): off the surface, see ``launch``, and on a wall."""
+    origins = starts.points.copy()
     for i in range(starts.isovalues.shape[0]):
-        p, n = column(starts.points, i), column(starts.normals, i)
-        put_column(origins, i, launch(field, starts.isovalues[i], p, n, OUTSIDE))
+        if starts.walls[i] < 0.0:
+            p, n = column(starts.points, i), column(starts.normals, i)
+            put_column(origins, i, launch(field, starts.isovalues[i], p, n, OUTSIDE))
     return origins
 
 

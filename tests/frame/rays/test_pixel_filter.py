@@ -8,6 +8,7 @@ import pytest
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.rays.pixel_filter import Surroundings, correct, filter_pixels
 from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.model.sky import LUMINANCE
 
 SIZE, NOISE = 48, 0.1
@@ -19,15 +20,16 @@ def seen(depth: Bend, normal: tuple[float, float, float] | np.ndarray = (0.0, 0.
     y, x = (each.ravel().astype(np.float32) for each in np.mgrid[:SIZE, :SIZE])
     points = np.stack([x, y, depth(x, y)], axis=1).astype(np.float32)
     normals = np.ascontiguousarray(np.broadcast_to(np.float32(normal), points.shape))
+    shown = SurfacePoints(points, normals, np.arange(SIZE**2, dtype=np.uint32))
     surface: object = None
     return GBuffer(
         (SIZE, SIZE),
         (1.0, 1.0, 1.0),
         (0.0, 0.0, 99.0),
         surface,  # type: ignore[arg-type]
-        np.arange(SIZE**2, dtype=np.uint32),
+        shown.pixels,
         points,
-        _normals=normals,
+        _shown=shown,
     )
 
 

@@ -7,16 +7,7 @@ import pytest
 from scipy.special import sph_harm_y
 
 from isogi_core.frame.lighting import quadric_of
-from isogi_core.kernels.shading.framebuffer import (
-    BLUE,
-    CONVERGING,
-    FINAL,
-    GREEN,
-    PROVISIONAL,
-    RED,
-    Framebuffer,
-    PixelPoints,
-)
+from isogi_core.kernels.shading.framebuffer import BLUE, CONVERGING, FINAL, GREEN, PROVISIONAL, RED, Framebuffer
 from isogi_core.kernels.shading.irradiance_ratio import (
     LEAST_COSINE,
     RECORD,
@@ -26,6 +17,7 @@ from isogi_core.kernels.shading.irradiance_ratio import (
     fill_records,
 )
 from isogi_core.kernels.shading.lattice import BURIED, LIT, PARTIAL, UNBAKED, VOID
+from isogi_core.kernels.shading.surface_points import SurfacePoints
 from tests.kernels.shading.lattices import border_points, lattice, lower_texels, view_of
 
 RNG = np.random.default_rng(5)
@@ -68,7 +60,7 @@ def carry(points, records, normals, unshadowed=UNSHADOWED, unit=1.0):
     size, corners = 3 * len(points), view_of(points)[2]
     planes = Framebuffer(np.zeros((size, 3), np.float32), np.zeros(size, np.uint8), np.zeros(size, np.float32))
     pixels = np.arange(1, size, 3, dtype=np.uint32)
-    some = PixelPoints(points, normals, pixels)
+    some = SurfacePoints(points, normals, pixels)
     carry_ratios(lattice(), some, corners, records, unshadowed, np.float32(unit), planes)
     assert not planes.state[::3].any() and not planes.radiance[2::3].any(), "other pixels are left alone"
     return tuple(plane[pixels] for plane in planes)
@@ -236,7 +228,7 @@ def test_a_point_does_not_depend_on_its_company():
     for m in range(0, len(points), 37):
         planes = Framebuffer(np.zeros((1, 3), np.float32), np.zeros(1, np.uint8), np.zeros(1, np.float32))
         own = slice(m, m + 1)
-        some = PixelPoints(points[own], normals[own], np.zeros(1, np.uint32))
+        some = SurfacePoints(points[own], normals[own], np.zeros(1, np.uint32))
         carry_ratios(lattice(), some, corners[own], records, UNSHADOWED, np.float32(1.0), planes)
         assert all(np.array_equal(one[0], all_of[m]) for one, all_of in zip(planes, whole, strict=True))
 

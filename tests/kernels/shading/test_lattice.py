@@ -15,7 +15,6 @@ from isogi_core.kernels.shading.framebuffer import (
     PROVISIONAL,
     RED,
     Framebuffer,
-    PixelPoints,
     luminance,
 )
 from isogi_core.kernels.shading.lattice import (
@@ -34,6 +33,7 @@ from isogi_core.kernels.shading.lattice import (
     light_texels,
     trilinear,
 )
+from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
 from tests.kernels.shading.lattices import RNG, SHAPE, STEP, border_points, lattice, lower_texels, some_points, view_of
 
@@ -96,7 +96,7 @@ def carry(points, grade, lit, normals=None, order=3, unit=1.0):
     planes = Framebuffer(np.zeros((size, 3), np.float32), np.zeros(size, np.uint8), np.zeros(size, np.float32))
     pixels = np.arange(1, size, 3, dtype=np.uint32)
     normals = np.zeros_like(points) if normals is None else normals
-    some = PixelPoints(points, normals, pixels)
+    some = SurfacePoints(points, normals, pixels)
     carry_light(lattice(), some, corners, grade, lit, sky, np.float32(unit), planes)
     assert not planes.state[::3].any() and not planes.radiance[2::3].any(), "other pixels are left alone"
     return tuple(plane[pixels] for plane in planes)

@@ -7,20 +7,21 @@ import pytest
 from numba import njit
 
 from isogi_core.kernels.shading import local_models as shading
-from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer, PixelPoints, point_of
+from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
 from isogi_core.kernels.shading.local_models import (
     LocalModel,
     find_normals,
     find_shadows,
     shade_local,
-    trace_points,
 )
+from isogi_core.kernels.shading.surface_points import SurfacePoints, point_of
 from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE, cast, launch
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import fog
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from tests.kernels.fields import field_of, surface_of
+from tests.kernels.transport.lighting import trace_points
 from tests.scale import COMPILED, few
 
 COUNT = few(2000, 60)
@@ -45,7 +46,7 @@ def shade(model, points, normals, voxels=BALL, iso=0.0, spacing=(1.0, 1.0, 1.0))
     field, normals = field_of(voxels, spacing), normals.astype(np.float32)
     seen = np.zeros(len(points), np.bool_)
     size = 2 * len(points)
-    some = PixelPoints(points, normals, np.arange(1, size, 2, dtype=np.uint32))
+    some = SurfacePoints(points, normals, np.arange(1, size, 2, dtype=np.uint32))
     if model.shadow:
         find_shadows(surface_of(field, iso), some, model.key, seen)
     planes = Framebuffer(np.zeros((size, 3), np.float32), np.zeros(size, np.uint8), np.full(size, 7.0, np.float32))
@@ -156,7 +157,7 @@ def test_shadows_of_many_rays_are_those_of_single_ones(spacing):
     field, normals = field_of(NOISY, spacing), normals.astype(np.float32)
     seen = np.zeros((2, len(points)), np.bool_)
     pixels = np.arange(len(points), dtype=np.uint32)
-    find_shadows(surface_of(field, 0.0), PixelPoints(points, normals, pixels), KEY, seen[0])
+    find_shadows(surface_of(field, 0.0), SurfacePoints(points, normals, pixels), KEY, seen[0])
     shadows_one_by_one(field, 0.0, points, normals, KEY, seen[1])
     assert np.array_equal(*seen)
     assert 0.05 < seen[0].mean() < 0.45
@@ -182,7 +183,7 @@ def trace(place, light, weights, samples, replicas=2, stream=0):
     points, normals, *pixels = place
     sums = np.zeros((len(points), replicas, 3))
     own = (pixels[0] if pixels else np.arange(len(points))).astype(np.uint32)
-    some, rules = PixelPoints(points, normals.astype(np.float32), own), PathRules(weights, 1.0)
+    some, rules = SurfacePoints(points, normals.astype(np.float32), own), PathRules(weights, 1.0)
     trace_points(surface_of(field_of(BALL), 0.0), some, light, rules, stream, SampleRange(*samples), sums)
     return sums
 
@@ -232,7 +233,7 @@ def test_sums_of_any_number_of_goes_have_the_same_bits():
     points, normals = ball_points(6)
     surface, light = surface_of(field_of(BALL), 0.0), half_sky(np.eye(3))
     rules = PathRules(np.full((3, 3), 0.5), 1.0)
-    place = PixelPoints(points, normals.astype(np.float32), np.arange(6, dtype=np.uint32))
+    place = SurfacePoints(points, normals.astype(np.float32), np.arange(6, dtype=np.uint32))
     sums = np.zeros((2, 6, 2, 3))
     for goes, into in zip(((12,), (5, 7)), sums, strict=True):
         first = 0
@@ -249,7 +250,7 @@ def test_paths_that_end_by_chance_bring_the_same_light():
     weights, survival = 0.9 ** np.arange(1.0, 9.0)[:, None] * np.ones(3), 0.6
     fewer = weights / survival ** np.maximum(np.arange(8) - 1, 0)[:, None]
     surface = surface_of(field_of(NOISY), 0.0)
-    place = PixelPoints(points, normals.astype(np.float32), np.arange(20, dtype=np.uint32))
+    place = SurfacePoints(points, normals.astype(np.float32), np.arange(20, dtype=np.uint32))
     sums = np.zeros((2, 20, 8, 3))
     for into, own, chance, stream in zip(sums, (weights, fewer), (1.0, survival), (0, 8), strict=True):
         rules = PathRules(own, chance)

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.picture_noise import pool_noise
 from isogi_core.kernels.shading.shine import (
     ISOSURFACE,
@@ -16,6 +15,7 @@ from isogi_core.kernels.shading.shine import (
     fill_below,
     light_ends,
 )
+from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.transport.light_paths import NO_TABLE, Surroundings
 from isogi_core.kernels.transport.lights import DIRECTIONAL, NO_LAMPS, POINT, LampArrays
 from isogi_core.kernels.transport.microfacets import NODES, ShineLobe, fill_energy
@@ -58,12 +58,13 @@ def sky(radiance=0.0, lamps=NO_LAMPS):
 
 def point_at(x=4.0, y=4.0, z=4.5, normal=(0.0, 0.0, 1.0)):
     """One point of a picture."""
-    return PixelPoints(np.array([[x, y, z]], np.float32), np.array([normal], np.float32), np.zeros(1, np.uint32))
+    return SurfacePoints(np.array([[x, y, z]], np.float32), np.array([normal], np.float32), np.zeros(1, np.uint32))
 
 
 def cast(surface, lobe, lights, room=None, points=None, rays=RAYS):
     """The ends of many rays from one point, all of one sequence."""
-    ends = ShineEnds(*np.empty((4, rays, 3), np.float32), np.empty(rays, np.int8))
+    brought, weights, *there = np.empty((4, rays, 3), np.float32)
+    ends = ShineEnds(brought, weights, SurfacePoints(*there, np.arange(rays, dtype=np.uint32)), np.empty(rays, np.int8))
     draws = ShineDraws(np.zeros(rays, np.int64), np.full(rays, 77, np.uint64), np.arange(rays))
     cast_shine(surface, room or room_of([]), points or point_at(), EYE, lobe, lights, draws, ends)
     return ends
@@ -189,10 +190,10 @@ def test_rays_in_a_closed_room_end_on_its_walls(ground):
     assert not ends.brought.any()
     free = cast(ground, lobe, lights_of(sky(1.0)))
     np.testing.assert_allclose(ends.weights[above].sum(axis=0), free.brought.sum(axis=0), rtol=1e-4)
-    points, met = ends.points[above], ends.met[above]
+    (points, normals, _), met = ends.points.part(above), ends.met[above]
     heights = ((points - walls.corners[met]) * walls.normals[met]).sum(axis=1)
     assert np.abs(heights).max() < 1e-3
-    assert ((ends.normals[above] * (4.0 - points)).sum(axis=1) > 0.0).all()
+    assert ((normals * (4.0 - points)).sum(axis=1) > 0.0).all()
 
 
 def test_black_backs_of_walls_are_not_seen(ground):
@@ -212,8 +213,8 @@ def test_rays_meet_the_surface_from_outside():
     v = np.array(EYE) - points.points[0]
     assert v[0] > 0.0  # so that the mirror direction goes to lower x, where the wall is
     assert (ends.met == ISOSURFACE).all()
-    np.testing.assert_allclose(ends.points[:, 0], 4.0, atol=0.1)
-    np.testing.assert_allclose(ends.normals, np.tile([1.0, 0.0, 0.0], (64, 1)), atol=0.2)
+    np.testing.assert_allclose(ends.points.points[:, 0], 4.0, atol=0.1)
+    np.testing.assert_allclose(ends.points.normals, np.tile([1.0, 0.0, 0.0], (64, 1)), atol=0.2)
 
 
 def test_light_of_lobes_where_rays_end_is_that_of_a_disc(ground):
@@ -222,7 +223,7 @@ def test_light_of_lobes_where_rays_end_is_that_of_a_disc(ground):
         np.zeros(1, np.int8), np.array([[0.0, 0.0, 1.0]]), 0.3 * np.eye(3)[None, :2], np.full((1, 3), 0.5)
     )
     count = few(4096, 64)
-    points = PixelPoints(*(np.repeat(each, count, 0) for each in point_at()[:2]), np.zeros(count, np.uint32))
+    points = SurfacePoints(*(np.repeat(each, count, 0) for each in point_at()[:2]), np.zeros(count, np.uint32))
     lit = np.empty((count, 3), np.float32)
     light_ends(ground, points, lamps, np.arange(count, dtype=np.uint64), lit)
     assert lit.mean() == pytest.approx(0.5, rel=1e-3)

@@ -4,11 +4,12 @@ import math
 
 import numpy as np
 
+from isogi_core.frame.rays.point_paths import path_starts
 from isogi_core.kernels.tracing.walls import NOWHERE
-from isogi_core.kernels.transport.light_paths import Surroundings
+from isogi_core.kernels.transport.light_paths import Surroundings, light_in_the_open
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, NO_LAMPS, POINT, LampArrays
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.room_paths import RoomStarts
+from isogi_core.kernels.transport.open_paths import Open
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.transfer import bake_irradiance, locate_texels, texel_seed
 from isogi_core.model.environment import cumulative
 from isogi_core.model.latlong import pixel_directions, solid_angles
@@ -66,7 +67,13 @@ def halves_of(place):
     texels, *others = place
     seeds = [texel_seed(*texel, half) for texel in texels.tolist() for half in range(2)]
     both = (np.repeat(each, 2, axis=-1) for each in others)
-    return RoomStarts(*both, np.array(seeds, np.uint64), np.full(len(seeds), NOWHERE))
+    return PathStarts(*both, np.array(seeds, np.uint64), np.full(len(seeds), NOWHERE))
+
+
+def trace_points(surface, points, light, rules, stream, samples, sums):
+    """Add what paths in the open bring to ``SurfacePoints`` to ``sums`` (m, replicas, 3), from a ``stream`` on."""
+    starts = path_starts(surface, points, range(stream, stream + sums.shape[1]))
+    light_in_the_open(Open(surface.field, surface.cells), starts, samples, rules, light, sums.reshape(-1, 3))
 
 
 def on_ball(count, seed=3):

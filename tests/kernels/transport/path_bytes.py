@@ -11,15 +11,14 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
-from isogi_core.kernels.shading.framebuffer import PixelPoints
-from isogi_core.kernels.shading.local_models import trace_points
+from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.coloured_transfer import ColouredRules, bake_coloured_texels
 from isogi_core.kernels.transport.colours import colours_of
 from isogi_core.kernels.transport.glow_paths import glow_in_room
 from isogi_core.kernels.transport.matter.matter_paths import ALONG, INWARD, Through, light_through_matter
-from isogi_core.kernels.transport.paths import PathRules, SampleRange, TransferRules
-from isogi_core.kernels.transport.room_paths import InRoom, RoomStarts, light_in_room
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange, TransferRules
+from isogi_core.kernels.transport.room_paths import InRoom, light_in_room
 from isogi_core.kernels.transport.strays import Confines, find_strays
 from isogi_core.kernels.transport.surface_glow import glow_among_surfaces
 from isogi_core.kernels.transport.surface_paths import light_among_surfaces
@@ -27,7 +26,17 @@ from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels
 from tests.kernels.fields import cells_of, field_of, surface_of
 from tests.kernels.glows import ball, block, glows_of
 from tests.kernels.rooms import X, Y, Z, box, room_of, sky, wall
-from tests.kernels.transport.lighting import AREA, DIRECTIONAL, NOISY, POINT, lamps, on_ball, place_at, surroundings
+from tests.kernels.transport.lighting import (
+    AREA,
+    DIRECTIONAL,
+    NOISY,
+    POINT,
+    lamps,
+    on_ball,
+    place_at,
+    surroundings,
+    trace_points,
+)
 from tests.kernels.transport.matter.passables import passable
 from tests.kernels.transport.surfaces import among
 from tests.scale import few
@@ -58,14 +67,14 @@ SAMPLES, FEW = (SampleRange(3, count) for count in few((700, 40), (1, 1)))
 Sums = Iterator[tuple[str, np.ndarray]]
 
 
-def starts_on(*walls: float) -> RoomStarts:
+def starts_on(*walls: float) -> PathStarts:
     """Starts on the ball, or on what stands for a wall, and some on the floor."""
     points = np.hstack([POINTS, [[30.0, 8.0], [12.0, 50.0], [-4.0, -4.0]]])
     normals = np.hstack([NORMALS, np.tile(Z[:, None], 2)])
     g = points.shape[1]
     numbers = np.append(np.resize(walls, g - 2), [0.0, 0.0])
     points = np.ascontiguousarray(points / np.array(FIELD.spacing)[:, None])
-    return RoomStarts(points, np.ascontiguousarray(normals), np.zeros(g), np.arange(1, g + 1, dtype=np.uint64), numbers)
+    return PathStarts(points, np.ascontiguousarray(normals), np.zeros(g), np.arange(1, g + 1, dtype=np.uint64), numbers)
 
 
 def weights_of(bounces: int, survival: float) -> PathRules:
@@ -80,7 +89,7 @@ def in_the_open() -> Sums:
         sums = np.zeros((len(PLACE[0]), 2, 3))
         bake_irradiance(FIELD, CELLS, PLACE, np.arange(len(sums)), SAMPLES, weights_of(*rules), around, sums)
         yield f"irradiance {light} {name}", sums
-        pixels = PixelPoints(
+        pixels = SurfacePoints(
             *(np.ascontiguousarray(each.T, np.float32) for each in PLACE[1:3]), np.arange(len(sums), dtype=np.uint32)
         )
         sums = np.zeros((len(sums), 2, 3))

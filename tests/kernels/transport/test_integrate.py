@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from isogi_core.files.nrrd import read_nrrd
-from isogi_core.kernels.shading.framebuffer import PixelPoints
-from isogi_core.kernels.shading.local_models import find_normals, trace_points
+from isogi_core.kernels.shading.local_models import find_normals
+from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.tracing.field import OFFSET, to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN_SIDE, launch, shading_normal
 from isogi_core.kernels.transport import transfer
@@ -18,6 +18,7 @@ from isogi_core.kernels.transport.paths import PathRules, SampleRange, TransferR
 from isogi_core.kernels.transport.sampling import about
 from isogi_core.kernels.transport.transfer import bake_texels, locate_texels
 from tests.kernels.fields import cast_each, cells_of, field_of, surface_of
+from tests.kernels.transport.lighting import trace_points
 from tests.scale import COMPILED, few
 
 ENDLESS = 1000
@@ -62,7 +63,7 @@ def trace(field, iso, points, light, weights, count, image=DARK):
     normals, sums = np.empty_like(points), np.zeros((len(points), 2, 3))
     find_normals(field, points, (0.0, 0.0, 0.0), normals)
     surroundings = Surroundings(np.full(3, float(light)), np.asarray(image, np.float32), np.eye(3))
-    pixels = PixelPoints(points, normals, np.arange(len(points), dtype=np.uint32))
+    pixels = SurfacePoints(points, normals, np.arange(len(points), dtype=np.uint32))
     samples, rules = SampleRange(0, count // 2), PathRules(weights, 1.0)
     trace_points(surface_of(field, iso), pixels, surroundings, rules, 0, samples, sums)
     return sums.sum(axis=1) / (count // 2 * 2)

@@ -5,14 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from isogi_core.kernels.shading.framebuffer import PixelPoints
-from isogi_core.kernels.shading.local_models import trace_points
+from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.tracing.field import OFFSET
 from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, POINT
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.rng import mix
-from isogi_core.kernels.transport.room_paths import RoomStarts
 from isogi_core.kernels.transport.wavefront import WAVE
 from isogi_core.model.environment import cumulative
 from isogi_core.model.latlong import pixel_directions, solid_angles
@@ -34,6 +32,7 @@ from tests.kernels.transport.lighting import (
     place_at,
     sunny,
     surroundings,
+    trace_points,
 )
 from tests.oracles.paths import gathered, one_surface
 from tests.scale import COMPILED, PYTHON, few
@@ -63,11 +62,11 @@ def test_points_are_traced_by_the_paths_one_by_one(count, points):
     points, normals = (np.ascontiguousarray(each.T, np.float32) for each in on_ball(points))
     weights, pixels = np.cumprod(np.full((4, 3), 0.7), axis=0), np.arange(len(points), dtype=np.uint32) + 11
     sums = np.zeros((2, len(points), 2, 3))
-    place, samples = PixelPoints(points, normals, pixels), SampleRange(2, count)
+    place, samples = SurfacePoints(points, normals, pixels), SampleRange(2, count)
     trace_points(surface_of(field, 0.0), place, light, PathRules(weights, 1.0), 0, samples, sums[0])
     seeds = np.array([mix(pixel, half) for pixel in pixels.tolist() for half in range(2)], np.uint64)
     here, around = (np.repeat(each.T.astype(float), 2, axis=1) for each in (points, normals))
-    starts = RoomStarts(here, around, np.zeros(len(seeds)), seeds, np.full(len(seeds), NOWHERE))
+    starts = PathStarts(here, around, np.zeros(len(seeds)), seeds, np.full(len(seeds), NOWHERE))
     paths = gathered(one_surface(field, albedo=0.7), starts, samples, 3, light, weight=0.7)[:, :, 0]
     for sample in paths.reshape(len(points), 2, count, 3).transpose(2, 0, 1, 3):
         sums[1] += sample

@@ -5,8 +5,7 @@ import pytest
 
 from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.lights import DIRECTIONAL
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.room_paths import RoomStarts
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.surface_paths import light_among_surfaces
 from tests.kernels.fields import field_of
 from tests.kernels.rooms import X, Y, Z, box, room_of, sky, wall
@@ -22,7 +21,7 @@ def starts_at(scene, points, normals, walls=None):
     points, normals = (np.ascontiguousarray(each, np.float64) for each in (points, normals))
     g = points.shape[1]
     levels, seeds = np.full(g, scene.surfaces.isovalues[0]), np.arange(1, g + 1, dtype=np.uint64)
-    return RoomStarts(points, normals, levels, seeds, np.array(walls or [NOWHERE] * g, float))
+    return PathStarts(points, normals, levels, seeds, np.array(walls or [NOWHERE] * g, float))
 
 
 def gather(scene, starts, samples, bounces, light, walls=None, survival=1.0):

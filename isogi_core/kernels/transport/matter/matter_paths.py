@@ -27,9 +27,9 @@ from isogi_core.kernels.transport.lights import arriving, radiance, row
 from isogi_core.kernels.transport.matter.inside import MATTER
 from isogi_core.kernels.transport.matter.passage import make_passage, pass_matter
 from isogi_core.kernels.transport.open_paths import cast_wave
-from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
+from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
-from isogi_core.kernels.transport.room_paths import ROOM, STARTS, balance_area, cast_among_walls, lit_from
+from isogi_core.kernels.transport.room_paths import ROOM, balance_area, cast_among_walls, lit_from
 from isogi_core.kernels.transport.sampling import about, sample_cosine_hemisphere
 from isogi_core.kernels.transport.streams import DIRECTIONS
 from isogi_core.kernels.transport.wavefront import columns, compact, partition
@@ -204,9 +204,9 @@ def advance_through(scene, state, vertices, following, bounce, rules):
     stand_at_ends(state.wave, state.passage, following, scene.room, rules.survival if bounce > 0 else 1.0)
 
 
-@kernel(types.void(THROUGH, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
+@kernel(types.void(THROUGH, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
 def light_through_matter(scene, starts, samples, rules, light, sums):
-    """Add what a ``SampleRange`` of paths brings to each of g ``RoomStarts`` to ``sums`` (g, 3).
+    """Add what a ``SampleRange`` of paths brings to each of g ``PathStarts`` to ``sums`` (g, 3).
 
     The ``scene`` is Through. Of a start on a wall that is E/π, with all light that is reflected by walls. Of one that
     goes INWARD it is the radiance of the solid side over π and cosines there, B/π, of one ALONG a way the radiance that

@@ -5,8 +5,7 @@ import numpy as np
 from isogi_core.kernels.transport.matter.inside import Matter, Passable
 from isogi_core.kernels.transport.matter.matter_paths import Through, light_through_matter
 from isogi_core.kernels.transport.matter.sight import NONE, Chances, Leaves, see_through
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.room_paths import RoomStarts
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from tests.kernels.fields import cells_of, field_of, surface_of
 from tests.kernels.rooms import room_of, sky
 
@@ -34,7 +33,7 @@ def gather(field, met, starts, samples, light=None, bounces=0):
     points, normals, walls = (np.array(each, float) for each in starts)
     g = len(points)
     here, around = np.ascontiguousarray((points / field.spacing).T), np.ascontiguousarray(normals.T)
-    starts = RoomStarts(here, around, np.zeros(g), np.arange(1, g + 1, dtype=np.uint64), walls)
+    starts = PathStarts(here, around, np.zeros(g), np.arange(1, g + 1, dtype=np.uint64), walls)
     rules, sums = PathRules(np.ones((bounces + 1, 3)), 1.0), np.zeros((g, 3))
     some, around = SampleRange(0, samples), light or sky(0.0)
     light_through_matter(Through(field, cells_of(field, 0.0), *met), starts, some, rules, around, sums)
