@@ -73,7 +73,7 @@ def shade_locally(gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> Frameb
             find_shadows(traced, some, model.key, seen[a:b])
         shade_local(some, seen[a:b], *camera, model, framebuffer)
 
-    tiles.run(_piece, len(points), POINTS)
+    tiles.run(_piece, len(seen), POINTS)
     return framebuffer
 
 
