@@ -132,9 +132,9 @@ def raw_numbers(reading: Reading, pool: PagePool) -> np.ndarray:
 
 
 def noise_numbers(reading: Reading, pool: PagePool) -> np.ndarray:
-    """What the filter reads besides light, as logarithms to base 2: scatter, and 1 more than of samples; (m, 2) float32.
+    """What the filter reads besides light: log₂ of the scatter, and ±(1 + log₂ of the samples); (m, 2) float32.
 
-    That of samples is negative where light is not grainy; both are 0 where there is none.
+    The latter is negative where light is not grainy; both are 0 where there is none.
     """
     lit, scatter, samples = reading.lit, pool.scatter[reading.rows], reading.samples
     found = np.log2(np.maximum(np.column_stack([scatter, 2 * samples]), LEAST_SCATTER))
