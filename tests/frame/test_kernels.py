@@ -9,9 +9,9 @@ from isogi_core.frame.entry_kernels import COLOURED, FRAME, GLOW, LOBES, OTHERS,
 from isogi_core.kernels.shading.irradiance_ratio import carry_ratios
 from isogi_core.kernels.shading.lattice import carry_light
 from isogi_core.kernels.tracing.stiffness import count_stiffness
-from isogi_core.kernels.transport.light_paths import light_in_the_open
 from isogi_core.kernels.transport.glow_paths import glow_in_room
 from isogi_core.kernels.transport.harmonics import rotate
+from isogi_core.kernels.transport.light_paths import light_in_the_open
 from isogi_core.kernels.transport.lights import project_lamps
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
 from isogi_core.kernels.transport.texel_points import measure_distances

@@ -116,7 +116,7 @@ def test_a_coarse_draft_tells_the_noise_of_its_pixels(workbench: Make) -> None:
     for _ in range(64):
         lit = np.ones((len(texels.places), LIT), np.float32)
         lit[:, :3], lit[:, 3] = 1.0 + 0.05 * random.normal(size=(len(lit), 1)), 0.05
-        picture = carry_texel_light(texels, reading, lit, texels.gbuffer.points, light, tiles)
+        picture = carry_texel_light(texels, reading, lit, texels.gbuffer.shown(tiles), light, tiles)
         shown = picture.radiance[texels.gbuffer.pixels] @ LUMINANCE / light.spec.unit
         seen.append(shown)
         told.append(picture.error[texels.gbuffer.pixels] * shown)
