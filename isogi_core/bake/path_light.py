@@ -4,10 +4,10 @@ import numpy as np
 
 from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.tracing.glow import Glows
-from isogi_core.kernels.tracing.walls import NOWHERE
-from isogi_core.kernels.transport.entries import PATHS
+from isogi_core.kernels.tracing.walls import NO_WALL
+from isogi_core.kernels.transport.entries import PATH_KERNELS
 from isogi_core.kernels.transport.light_paths import Surroundings
-from isogi_core.kernels.transport.matter.matter_paths import ALONG, INWARD, Through
+from isogi_core.kernels.transport.matter.matter_paths import ALONG_RAY, INWARD, Through
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.model.lights import Colour
 from isogi_core.model.volume import Isovalue
@@ -20,7 +20,7 @@ def starts_at(
     normals: np.ndarray,
     isovalue: float | Isovalue,
     seeds: np.ndarray,
-    walls: np.ndarray | float = NOWHERE,
+    walls: np.ndarray | float = NO_WALL,
 ) -> PathStarts:
     """Starts of paths at ``points`` with ``normals`` (g, 3), on the surface of this ``isovalue`` or about it.
 
@@ -48,7 +48,7 @@ def add_paths(
 
     The kernel of PATHS for what is ``met`` and gathered does so, and says how.
     """
-    PATHS[type(met), type(source)](met, starts, samples, rules, source, sums)
+    PATH_KERNELS[type(met), type(source)](met, starts, samples, rules, source, sums)
 
 
 def add_path_light(
@@ -59,7 +59,7 @@ def add_path_light(
     Where matter scatters, paths start inwards; where it does not, the eye's rays do, along the normals.
     """
     if isinstance(met, Through):
-        wall = INWARD if met.matter.extinction > 0.0 else ALONG
+        wall = INWARD if met.matter.extinction > 0.0 else ALONG_RAY
         starts = starts._replace(walls=np.full(len(starts.walls), wall))
     add_paths(met, starts, samples, rules, light, sums)
 

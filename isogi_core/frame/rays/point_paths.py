@@ -7,7 +7,7 @@ from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.tracing.cast import TracedSurface
-from isogi_core.kernels.transport.matter.sight import BACK
+from isogi_core.kernels.transport.matter.sight import START_BACK_VOXELS
 from isogi_core.kernels.transport.paths import PathStarts
 
 
@@ -27,5 +27,5 @@ def sight_lines(gbuffer: GBuffer) -> SurfacePoints:
     ways = (gbuffer.points - np.array(gbuffer.eye)) * spacing
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     along = ways / spacing
-    before = gbuffer.points - BACK * along / np.abs(along).max(axis=1, keepdims=True)
+    before = gbuffer.points - START_BACK_VOXELS * along / np.abs(along).max(axis=1, keepdims=True)
     return SurfacePoints(before, ways, gbuffer.pixels)

@@ -18,25 +18,25 @@ from isogi_core.frame.lighting import RotatedLight, triple
 from isogi_core.frame.rays.glow_light import add_glow
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.shine import (
-    ISOSURFACE,
-    NEVER,
+    MET_ISOSURFACE,
+    MET_NOTHING,
     ShineDraws,
     ShineEnds,
     cast_shine,
     fill_below,
 )
 from isogi_core.kernels.shading.surface_points import SurfacePoints
-from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.colours import NO_COLOURS, fill_albedos
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, LampArrays
-from isogi_core.kernels.transport.microfacets import NODES, ShineLobe, fill_energy
+from isogi_core.kernels.transport.microfacets import ENERGY_STEPS, ShineLobe, fill_energy
 from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.ray_lights import Discs, Panels, ShineLights
 from isogi_core.kernels.transport.room_paths import Room
 from isogi_core.model.shine import DULL
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.plan.budget import survival_for
 
@@ -69,7 +69,7 @@ NO_ROOM = Room(
 @lru_cache(maxsize=64)
 def energy_of(alpha: float) -> np.ndarray:
     """The table of ``fill_energy``."""
-    energy = np.empty((NODES + 1, 2))
+    energy = np.empty((ENERGY_STEPS + 1, 2))
     fill_energy(alpha, energy)
     return energy
 
@@ -102,7 +102,7 @@ def lights_of(light: RotatedLight, ways: int) -> ShineLights:
     lamps = LampArrays(kinds[sharp], places[sharp], edges[sharp], colours[sharp])
     far = Discs(places[discs], edges[discs], colours[discs] / squares)
     several = len(around.table[0]) or len(panels.corners) or len(far.towards)
-    ambient = max(float(light.mean @ LUMINANCE), 1e-30)
+    ambient = max(float(light.mean @ LUMINANCE_WEIGHTS), 1e-30)
     return ShineLights(around._replace(lamps=lamps), panels, far, ambient, ways if several else 1)
 
 
@@ -184,15 +184,15 @@ def cast_rays(
     def _piece(a: int, b: int) -> None:
         some, own = shown.part(slice(a, b)), slice(a * each, b * each)
         point, replica, sample = (part.ravel() for part in np.indices((b - a, len(replicas), len(samples))))
-        seeds = seeds_of(np.column_stack([some.pixels[point], streams.SHINE + replicas.start + replica]))
+        seeds = seeds_of(np.column_stack([some.pixels[point], streams.SHINE_STREAM + replicas.start + replica]))
         draws = ShineDraws(point, seeds, samples.start + sample)
         cast_shine(traced, room, some, gbuffer.eye, lobe, lights, draws, some_of(ends, own))
 
     tiles.run(_piece, len(shown.pixels), max(min(RAYS // each, tiles.even(len(shown.pixels))), 1))
-    seen = np.flatnonzero(ends.met > NEVER)
+    seen = np.flatnonzero(ends.met > MET_NOTHING)
     point, rest = np.divmod(seen, each)
     replica, sample = np.divmod(rest, len(samples))
-    words = [shown.pixels[point], streams.SHINE + replicas.start + replica, samples.start + sample]
+    words = [shown.pixels[point], streams.SHINE_STREAM + replicas.start + replica, samples.start + sample]
     kept, seeds = some_of(ends, seen), seeds_of(np.column_stack(words))
     return ShineRays(each, brought, kept, seeds, seen_by(kept, gbuffer), next(NUMBERS))
 
@@ -204,7 +204,7 @@ def some_of(ends: ShineEnds, rows: slice | np.ndarray) -> ShineEnds:
 
 def seen_by(ends: ShineEnds, gbuffer: GBuffer) -> GBuffer:
     """The picture of one row that shows where rays end, as a G-buffer beside the one that they start from."""
-    met, on = ends.met, ends.met == ISOSURFACE
+    met, on = ends.met, ends.met == MET_ISOSURFACE
     shown = ends.points._replace(pixels=np.arange(len(met), dtype=np.uint32))
     walls = PointsBeside(shown.pixels[~on], shown.points[~on], met[~on])
     row = GBuffer.of_points(gbuffer.surface, gbuffer.eye, shown.points)
@@ -217,13 +217,13 @@ def paths_from(rays: ShineRays, rows: np.ndarray, light: RotatedLight, bounces: 
     Paths have so many ``bounces``. Raises Cancelled.
     """
     traced, found, ends = rays.hits.surface.traced(tiles.run), np.zeros((len(rows), 3)), some_of(rays.ends, rows)
-    on, points, survival = ends.met == ISOSURFACE, ends.points, survival_for(light.reflecting, bounces)
-    walls = np.where(on, NOWHERE, ends.met)
+    on, points, survival = ends.met == MET_ISOSURFACE, ends.points, survival_for(light.reflecting, bounces)
+    walls = np.where(on, NO_WALL, ends.met)
     starts = starts_at(points.points, points.normals, traced.isovalue, rays.seeds[rows], walls)
     own, carried = starts, PathRules(path_weights(np.ones(3), bounces, 1.0), survival)
     met, rules, one = light.spec.prepared.met(light.seen.albedo, traced.cells, tiles.run), carried, SampleRange(0, 1)
     if isinstance(met, Open):
-        words = np.column_stack([(starts.seeds & LOW_WORD).astype(np.int64), np.full(len(rows), streams.SHINE)])
+        words = np.column_stack([(starts.seeds & LOW_WORD).astype(np.int64), np.full(len(rows), streams.SHINE_STREAM)])
         own = starts._replace(seeds=seeds_of(words))
         rules = PathRules(path_weights(light.albedo, bounces, survival), survival)
 

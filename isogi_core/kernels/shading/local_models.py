@@ -10,8 +10,8 @@ from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.shading.framebuffer import FINAL, FRAMEBUFFER, put_pixel
 from isogi_core.kernels.shading.surface_points import POINTS, SURFACE_POINTS, point_of
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
-from isogi_core.kernels.tracing.field import FIELD, normal, to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE, launch
+from isogi_core.kernels.tracing.field import FIELD_RECORD, normal, to_index
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, launch
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, dot, length, madd, normalize, put_column, scale, sub
 from isogi_core.kernels.transport.light_paths import to_world
@@ -36,12 +36,14 @@ class LocalModel(NamedTuple):
     fog_far: float
 
 
-VECTOR = types.UniTuple(types.float64, 3)
-REAL = types.float64
-LOCAL_MODEL = record(LocalModel, VECTOR, VECTOR, VECTOR, REAL, REAL, types.boolean, REAL, REAL)
+REAL_TRIPLE = types.UniTuple(types.float64, 3)
+REAL_NUMBER = types.float64
+LOCAL_MODEL = record(
+    LocalModel, REAL_TRIPLE, REAL_TRIPLE, REAL_TRIPLE, REAL_NUMBER, REAL_NUMBER, types.boolean, REAL_NUMBER, REAL_NUMBER
+)
 
 
-@kernel(types.void(FIELD, POINTS, VECTOR, POINTS))
+@kernel(types.void(FIELD_RECORD, POINTS, REAL_TRIPLE, POINTS))
 def find_normals(field, points, eye, normals):
     """Fill ``normals`` (m, 3), world, outward, of the ``points`` (index space); towards the ``eye`` where flat."""
     for m in range(points.shape[0]):
@@ -64,13 +66,13 @@ def find_unoccluded(surface, starts, owners, ways, reached):
         put_column(origins, i, row(starts, owners[i]))
         put_column(directions, i, to_index(column(ways, i), field.spacing))
     t, came = np.empty(count), np.empty(count, np.int8)
-    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, OUTSIDE, np.int8))
+    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, OUTSIDE_SIGN, np.int8))
     cast_batch(field, surface.cells, rays, t, came)
     for i in range(count):
         reached[i] = not t[i] < math.inf
 
 
-@kernel(types.void(SURFACE, SURFACE_POINTS, VECTOR, types.boolean[::1]))
+@kernel(types.void(SURFACE, SURFACE_POINTS, REAL_TRIPLE, types.boolean[::1]))
 def find_shadows(surface, points, key, seen):
     """Fill ``seen`` (m,): whether the key light reaches each of ``SurfacePoints`` past the isosurface, by a shadow ray.
 
@@ -81,7 +83,7 @@ def find_shadows(surface, points, key, seen):
         p, n = point_of(points.points, m), point_of(points.normals, m)
         seen[m] = dot(n, key) > 0.0
         if seen[m]:
-            starts[m, 0], starts[m, 1], starts[m, 2] = launch(surface.field, surface.isovalue, p, n, OUTSIDE)
+            starts[m, 0], starts[m, 1], starts[m, 2] = launch(surface.field, surface.isovalue, p, n, OUTSIDE_SIGN)
             owners[count] = m
             count += 1
     ways, reached = np.empty((3, count)), np.empty(count, np.bool_)
@@ -113,7 +115,7 @@ def shade_point(p, n, eye, spacing, model, seen):
     return scale(madd(model.ambient, seen * cosine + shine, model.sun), clear)
 
 
-@kernel(types.void(SURFACE_POINTS, types.boolean[::1], VECTOR, VECTOR, LOCAL_MODEL, FRAMEBUFFER))
+@kernel(types.void(SURFACE_POINTS, types.boolean[::1], REAL_TRIPLE, REAL_TRIPLE, LOCAL_MODEL, FRAMEBUFFER))
 def shade_local(points, seen, eye, spacing, model, framebuffer):
     """Lambert or Phong, with or without hard shadow and fog, at the pixels of ``SurfacePoints`` (S1, table 2).
 

@@ -11,7 +11,7 @@ from isogi_core.kernels.transport.room_paths import InRoom, fill_seeds, light_in
 from isogi_core.kernels.transport.surface_glow import glow_among_surfaces
 from isogi_core.kernels.transport.surface_paths import Among, light_among_surfaces
 
-PATHS = {
+PATH_KERNELS = {
     (Open, Surroundings): light_in_the_open,
     (InRoom, Surroundings): light_in_room,
     (InRoom, Glows): glow_in_room,
@@ -27,4 +27,4 @@ Texels in the Open have a kernel that takes them by their places, ``bake_irradia
 
 def path_kernels(meets: type, gathers: type) -> tuple[Any, ...]:
     """The entry kernels of paths that meet and gather this."""
-    return PATHS[meets, gathers], fill_seeds
+    return PATH_KERNELS[meets, gathers], fill_seeds

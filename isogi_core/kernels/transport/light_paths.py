@@ -9,13 +9,13 @@ from numba import types
 from isogi_core.kernels._jit import Choice, kernel, record
 from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.vec import column, dot, put_column
-from isogi_core.kernels.tracing.walls import ROWS
+from isogi_core.kernels.tracing.walls import REAL_ROWS
 from isogi_core.kernels.transport.integrate import add_carried, add_paths, gather_met, gather_sources
 from isogi_core.kernels.transport.lights import LAMPS, NO_LAMPS, NO_LIGHT, arriving, draw_bright, illuminate
 from isogi_core.kernels.transport.open_paths import OPEN, Open, cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
-from isogi_core.kernels.transport.streams import PAIRS, SOURCES
+from isogi_core.kernels.transport.streams import FIRST_SOURCE_PAIR, PAIRS_PER_PURPOSE
 from isogi_core.kernels.transport.wavefront import columns, partition
 
 NO_START = (math.inf, math.inf, math.inf)
@@ -38,7 +38,7 @@ class Surroundings(NamedTuple):
     lamps: Any = NO_LAMPS
 
 
-SURROUNDINGS = record(
+SURROUNDINGS_RECORD = record(
     Surroundings,
     types.float64[::1],
     types.float32[:, :, ::1],
@@ -77,7 +77,7 @@ def aim_shadow_rays(wave, vertices, bounce, light, source, spacing):
     starts, lights = columns(shadow.starts, count), columns(shadow.light, count)
     directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
-    dimension = np.uint64(SOURCES + source * PAIRS + bounce)
+    dimension = np.uint64(FIRST_SOURCE_PAIR + source * PAIRS_PER_PURPOSE + bounce)
     for i in range(count):
         low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
         u, v = point_of_words(low, high, sample, dimension)
@@ -132,7 +132,7 @@ def gather_environment(scene, state, vertices, bounce, light):
     return gather_ends(state.wave, vertices, light)
 
 
-@kernel(types.void(OPEN, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
+@kernel(types.void(OPEN, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS_RECORD, REAL_ROWS))
 def light_in_the_open(scene, starts, samples, rules, light, sums):
     """Add what a ``SampleRange`` of paths brings to each of g ``PathStarts`` to ``sums`` (g, 3).
 

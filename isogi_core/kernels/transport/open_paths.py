@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from isogi_core.kernels._jit import Choice, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
-from isogi_core.kernels.tracing.field import FIELD
+from isogi_core.kernels.tracing.field import FIELD_RECORD
 from isogi_core.kernels.transport.integrate import advance, begin_wave, launch_starts, make_state, meet
 from isogi_core.kernels.transport.paths import PathRules
 from isogi_core.kernels.transport.wavefront import compact, intersect, launch_all, next_vertex
@@ -21,7 +21,7 @@ class Open(NamedTuple):
     cells: Any
 
 
-OPEN = record(Open, FIELD, ACTIVE_CELLS)
+OPEN = record(Open, FIELD_RECORD, ACTIVE_CELLS)
 
 
 class Alone(NamedTuple):

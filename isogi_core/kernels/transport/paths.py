@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 from numba import types
 
 from isogi_core.kernels._jit import record
-from isogi_core.kernels.tracing.walls import NUMBERS, ROWS
+from isogi_core.kernels.tracing.walls import REAL_ARRAY, REAL_ROWS
 
 
 class PathStarts(NamedTuple):
@@ -23,7 +23,7 @@ class PathStarts(NamedTuple):
     walls: Any
 
 
-PATH_STARTS = record(PathStarts, ROWS, ROWS, NUMBERS, types.uint64[::1], NUMBERS)
+PATH_STARTS = record(PathStarts, REAL_ROWS, REAL_ROWS, REAL_ARRAY, types.uint64[::1], REAL_ARRAY)
 
 
 class SampleRange(NamedTuple):

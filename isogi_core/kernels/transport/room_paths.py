@@ -8,11 +8,11 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
-from isogi_core.kernels.tracing.field import FIELD, to_index
+from isogi_core.kernels.tracing.field import FIELD_RECORD, to_index
 from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
-from isogi_core.kernels.tracing.vec import SMALLEST, column, dot, length, madd, put_column, scale, sub
-from isogi_core.kernels.tracing.walls import NUMBERS, ROWS, WALLS, meet_walls
-from isogi_core.kernels.transport.colours import COLOURS, albedo_at
+from isogi_core.kernels.tracing.vec import SMALLEST_NORMAL, column, dot, length, madd, put_column, scale, sub
+from isogi_core.kernels.tracing.walls import REAL_ARRAY, REAL_ROWS, WALLS_RECORD, meet_walls
+from isogi_core.kernels.transport.colours import COLOURS_RECORD, albedo_at
 from isogi_core.kernels.transport.integrate import (
     add_carried,
     add_paths,
@@ -23,7 +23,7 @@ from isogi_core.kernels.transport.integrate import (
 )
 from isogi_core.kernels.transport.light_paths import (
     NO_START,
-    SURROUNDINGS,
+    SURROUNDINGS_RECORD,
     Surroundings,
     add_sent,
     gather_ends,
@@ -34,7 +34,7 @@ from isogi_core.kernels.transport.lights import NO_LIGHT, row
 from isogi_core.kernels.transport.open_paths import cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import mix, point_of_words
-from isogi_core.kernels.transport.streams import PAIRS, SOURCES
+from isogi_core.kernels.transport.streams import FIRST_SOURCE_PAIR, PAIRS_PER_PURPOSE
 from isogi_core.kernels.transport.wavefront import columns, compact, intersect, next_vertex, whole
 
 SHADOWED_SHARE = 1.0 - 1e-9
@@ -61,7 +61,19 @@ class Room(NamedTuple):
     colours: Any
 
 
-ROOM = record(Room, WALLS, ROWS, types.float64[:, :, ::1], ROWS, NUMBERS, ROWS, ROWS, NUMBERS, NUMBERS, COLOURS)
+ROOM_RECORD = record(
+    Room,
+    WALLS_RECORD,
+    REAL_ROWS,
+    types.float64[:, :, ::1],
+    REAL_ROWS,
+    REAL_ARRAY,
+    REAL_ROWS,
+    REAL_ROWS,
+    REAL_ARRAY,
+    REAL_ARRAY,
+    COLOURS_RECORD,
+)
 
 
 class InRoom(NamedTuple):
@@ -72,7 +84,7 @@ class InRoom(NamedTuple):
     room: Any
 
 
-IN_ROOM = record(InRoom, FIELD, ACTIVE_CELLS, ROOM)
+IN_ROOM = record(InRoom, FIELD_RECORD, ACTIVE_CELLS, ROOM_RECORD)
 
 
 @kernel()
@@ -83,8 +95,8 @@ def balance_area(room, k, cosine, slope, distance):
     share of the radiance is what a ray of either sort adds to E/π. Source: Veach and Guibas 1995, balance heuristic.
     """
     by_cosine = cosine / math.pi
-    by_area = distance * distance / max(room.areas[k] * abs(slope), SMALLEST)
-    return by_cosine / max(by_cosine + by_area, SMALLEST)
+    by_area = distance * distance / max(room.areas[k] * abs(slope), SMALLEST_NORMAL)
+    return by_cosine / max(by_cosine + by_area, SMALLEST_NORMAL)
 
 
 @kernel()
@@ -115,7 +127,7 @@ def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
     starts, lights = columns(shadow.starts, count), columns(shadow.light, count)
     directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
-    dimension = np.uint64(SOURCES + source * PAIRS + bounce)
+    dimension = np.uint64(FIRST_SOURCE_PAIR + source * PAIRS_PER_PURPOSE + bounce)
     for i in range(count):
         low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
         u, v = point_of_words(low, high, sample, dimension)
@@ -238,7 +250,7 @@ def begin_in_room(scene, state, vertices, starts, first):
     begin_on_walls(state.wave, starts, first, vertices.count)
 
 
-@kernel(types.void(IN_ROOM, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
+@kernel(types.void(IN_ROOM, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS_RECORD, REAL_ROWS))
 def light_in_room(scene, starts, samples, rules, light, sums):
     """Add E/π of a ``SampleRange`` at each of g ``PathStarts``, with all light that is reflected, to ``sums`` (g, 3).
 
