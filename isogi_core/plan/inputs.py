@@ -23,7 +23,7 @@ Colour = tuple[float, float, float]
 FOUND: WeakKeyDictionary[Any, dict[Hashable, Any]] = WeakKeyDictionary()
 """What was worked out of the environments and volumes in use, which scenes share that have the same."""
 
-Input = TypeVar("T")
+Input = TypeVar("Input")
 
 
 def found(subject: Environment | Volume, what: Hashable, find: Callable[[], Input]) -> Input:

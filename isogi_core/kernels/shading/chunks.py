@@ -8,7 +8,7 @@ from numba import types
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.shading.framebuffer import FINAL, FRAMEBUFFER, luminance
 from isogi_core.kernels.shading.lattice import CORNER_ROWS, LATTICE, UNLIT_ROW, base_texel, trilinear
-from isogi_core.kernels.shading.surface_points import PIXELS, POINTS
+from isogi_core.kernels.shading.surface_points import PIXEL_ARRAY, POINT_ROWS
 
 PLACE_ARRAY = types.uint32[::1]
 SLOTS = types.int32[:, :, ::1]
@@ -34,7 +34,7 @@ def even_corner(z, y, x):
     return np.int64(x & 1 | (y & 1) << 1 | (z & 1) << 2)
 
 
-@kernel(types.void(LATTICE, POINTS, types.boolean, types.boolean[:, :, ::1]))
+@kernel(types.void(LATTICE, POINT_ROWS, types.boolean, types.boolean[:, :, ::1]))
 def touch_chunks(lattice, points, coarse, touched):
     """Set ``touched`` (chunks z, y, x) for each chunk that a point reads: all of its cell, or ``coarse`` texels."""
     bits = lattice.bits
@@ -77,7 +77,7 @@ def row_of_corner(slots, bits, z, y, x, c):
     return row_of(slots, bits, z + np.uint32(c >> 2), y + np.uint32(c >> 1 & 1), x), within(x, bits)
 
 
-@kernel(types.void(LATTICE, POINTS, types.boolean, SLOTS, WORD_ARRAY))
+@kernel(types.void(LATTICE, POINT_ROWS, types.boolean, SLOTS, WORD_ARRAY))
 def mark_texels(lattice, points, coarse, slots, read):
     """Set in ``read`` (slots · rows,), a bit for each texel of a row, those that a point reads.
 
@@ -118,7 +118,7 @@ def number_in_row(read, first, r, i):
     return first[r] + np.uint32(ones(read[r] & ((np.uint32(1) << np.uint32(i)) - np.uint32(1))))
 
 
-@kernel(types.void(LATTICE, POINTS, SLOTS, WORD_ARRAY, PLACE_ARRAY, CORNER_ROWS))
+@kernel(types.void(LATTICE, POINT_ROWS, SLOTS, WORD_ARRAY, PLACE_ARRAY, CORNER_ROWS))
 def find_corners(lattice, points, slots, read, first, corners):
     """Fill ``corners`` (points, 8), x fastest, with the view's own numbers of the texels.
 
@@ -144,7 +144,7 @@ def is_nearer(c, corner):
     return (apart & 1) + (apart >> 1 & 1) + (apart >> 2) < 2
 
 
-@kernel(types.void(LATTICE, POINTS, SLOTS, WORD_ARRAY, PLACE_ARRAY, CORNER_ROWS))
+@kernel(types.void(LATTICE, POINT_ROWS, SLOTS, WORD_ARRAY, PLACE_ARRAY, CORNER_ROWS))
 def find_coarse_corners(lattice, points, slots, read, first, corners):
     """Find corners of a view that reads the lattice coarsely: two texels of each cell stand for all.
 
@@ -197,7 +197,9 @@ def is_new(places, corners, m, c, bits):
 
 
 @kernel(
-    types.void(LATTICE, CORNER_ROWS, PLACE_ARRAY, PIXELS, types.int64, types.int64, FRAMEBUFFER, types.float64[::1])
+    types.void(
+        LATTICE, CORNER_ROWS, PLACE_ARRAY, PIXEL_ARRAY, types.int64, types.int64, FRAMEBUFFER, types.float64[::1]
+    )
 )
 def weigh_chunks(lattice, corners, places, pixels, width, height, framebuffer, weight):
     """Add to ``weight`` (chunks,) the ``visible_error`` of the points that read each chunk.
@@ -249,7 +251,7 @@ def find_rows(lattice, places, slots, pages, rows, error, stamp):
         stamp[t] = pages.stamp[row] if row >= 0 else row
 
 
-@kernel(types.void(LATTICE, POINTS, CORNER_ROWS, types.float64[::1]))
+@kernel(types.void(LATTICE, POINT_ROWS, CORNER_ROWS, types.float64[::1]))
 def add_footprints(lattice, points, corners, seen):
     """Add to ``seen`` (texels,) the squares of a texel's shares in the points; ``corners`` (points, 8), x fastest.
 

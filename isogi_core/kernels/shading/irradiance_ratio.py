@@ -25,7 +25,7 @@ from isogi_core.kernels.shading.lattice import (
     base_texel,
     trilinear,
 )
-from isogi_core.kernels.shading.surface_points import POINTS, SURFACE_POINTS
+from isogi_core.kernels.shading.surface_points import POINT_ROWS, SURFACE_POINTS
 
 MIN_UNSHADOWED = 0.05
 """Share of the light's mean that unshadowed light is taken to be at least, so that ratios stay small."""
@@ -86,7 +86,7 @@ def unshadowed_light(unshadowed, x, y, z):
 TEXEL_RECORDS = types.float32[:, ::1]
 
 
-@kernel(types.void(types.uint8[::1], types.float32[:, ::1], POINTS, UNSHADOWED, types.boolean, TEXEL_RECORDS))
+@kernel(types.void(types.uint8[::1], types.float32[:, ::1], POINT_ROWS, UNSHADOWED, types.boolean, TEXEL_RECORDS))
 def fill_records(grade, lit, normals, unshadowed, whole, texels):
     """Fill the records ``texels`` (m, RECORD) by the ``grade`` (m,) and the light ``lit`` (m, LIT) of ``light_texels``.
 

@@ -40,7 +40,7 @@ from isogi_core.kernels.shading.shadow_points import (
     step_of,
     turn_of,
 )
-from isogi_core.kernels.shading.surface_points import PIXELS, point_of
+from isogi_core.kernels.shading.surface_points import PIXEL_ARRAY, point_of
 from isogi_core.kernels.tracing.cast import SURFACE
 from isogi_core.kernels.tracing.vec import dot, length, madd, put_column, scale
 from isogi_core.kernels.transport.lights import LAMPS, draw_from_disc, row
@@ -365,7 +365,7 @@ def add_halves(lamps, pairs, shares, lit):
         add_lobe_light(lit, m, row(lamps.colours, k), shares[j, 0], shares[j, 1])
 
 
-@kernel(types.void(PIXELS, types.float32[:, ::1], types.float64, FRAMEBUFFER))
+@kernel(types.void(PIXEL_ARRAY, types.float32[:, ::1], types.float64, FRAMEBUFFER))
 def add_lobes(pixels, lit, unit, framebuffer):
     """Add light of lobes, as ``light_points`` has it and in ``unit``, to the ``framebuffer`` at the ``pixels`` (m,).
 

@@ -8,7 +8,7 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.shading.framebuffer import FINAL, FRAMEBUFFER, put_pixel
-from isogi_core.kernels.shading.surface_points import POINTS, SURFACE_POINTS, point_of
+from isogi_core.kernels.shading.surface_points import POINT_ROWS, SURFACE_POINTS, point_of
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
 from isogi_core.kernels.tracing.field import FIELD_RECORD, normal, to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, launch
@@ -43,7 +43,7 @@ LOCAL_MODEL = record(
 )
 
 
-@kernel(types.void(FIELD_RECORD, POINTS, REAL_TRIPLE, POINTS))
+@kernel(types.void(FIELD_RECORD, POINT_ROWS, REAL_TRIPLE, POINT_ROWS))
 def find_normals(field, points, eye, normals):
     """Fill ``normals`` (m, 3), world, outward, of the ``points`` (index space); towards the ``eye`` where flat."""
     for m in range(points.shape[0]):

@@ -12,7 +12,7 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.shading.same_surface import number_at
-from isogi_core.kernels.shading.surface_points import PIXELS, SURFACE_POINTS, point_of
+from isogi_core.kernels.shading.surface_points import PIXEL_ARRAY, SURFACE_POINTS, point_of
 from isogi_core.kernels.tracing.cast import SURFACE
 from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, launch
 from isogi_core.kernels.tracing.vec import add, length, scale, sub
@@ -157,7 +157,7 @@ def prepare_points(surface, picture, part):
         picture.edgy[m] = not left_out and not on_one_surface(points, m, beside)
 
 
-@kernel(types.void(PIXELS, types.int64, ORDER_ARRAY, types.int64[::1]))
+@kernel(types.void(PIXEL_ARRAY, types.int64, ORDER_ARRAY, types.int64[::1]))
 def sort_by_turn(pixels, width, order, ends):
     """Fill the ``order`` (m,) of points at ``pixels`` of a picture so wide, and the ``ends`` (TURNS + 1,) of turns.
 

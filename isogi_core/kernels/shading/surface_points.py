@@ -24,9 +24,9 @@ class SurfacePoints(NamedTuple):
         return SurfacePoints(self.points[some], self.normals[some], self.pixels[some])
 
 
-POINTS = types.float32[:, ::1]
-PIXELS = types.uint32[::1]
-SURFACE_POINTS = record(SurfacePoints, POINTS, POINTS, PIXELS)
+POINT_ROWS = types.float32[:, ::1]
+PIXEL_ARRAY = types.uint32[::1]
+SURFACE_POINTS = record(SurfacePoints, POINT_ROWS, POINT_ROWS, PIXEL_ARRAY)
 
 
 @kernel()

@@ -6,7 +6,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.shading.surface_points import POINTS
+from isogi_core.kernels.shading.surface_points import POINT_ROWS
 from isogi_core.kernels.tracing.field import FIELD_RECORD, SIXTH, normal, to_world_normal
 from isogi_core.kernels.tracing.plateaus import point_within
 from isogi_core.kernels.tracing.vec import is_zero
@@ -70,7 +70,7 @@ def normal_there(field, p, n, level):
     return normal(field, point_within(field.voxels.shape, p, d, t)) if t < math.inf else (0.0, 0.0, 0.0)
 
 
-@kernel(types.void(FIELD_RECORD, REAL_ARRAY, types.float64, types.boolean, TEXEL_PLACES, POINTS))
+@kernel(types.void(FIELD_RECORD, REAL_ARRAY, types.float64, types.boolean, TEXEL_PLACES, POINT_ROWS))
 def fill_texel_normals(field, step, level, projected, texels, normals):
     """Fill ``normals`` (m, 3), outward unit world ones, of ``texels`` (m, 3; z, y, x) at their own points.
 
@@ -103,7 +103,7 @@ def slot_of(number, keys):
     return at
 
 
-@kernel(types.void(KEY_ARRAY, KEY_ARRAY, POINTS, POINTS, types.boolean[::1]))
+@kernel(types.void(KEY_ARRAY, KEY_ARRAY, POINT_ROWS, POINT_ROWS, types.boolean[::1]))
 def look_up_normals(numbers, keys, table, normals, found):
     """Fill ``normals`` (m, 3) of the texels ``numbers`` (m,) that a ``table`` holds, and which are ``found`` (m,)."""
     for m in range(numbers.shape[0]):
@@ -113,7 +113,7 @@ def look_up_normals(numbers, keys, table, normals, found):
             normals[m, 0], normals[m, 1], normals[m, 2] = table[at, 0], table[at, 1], table[at, 2]
 
 
-@kernel(types.void(KEY_ARRAY, POINTS, KEY_ARRAY, POINTS))
+@kernel(types.void(KEY_ARRAY, POINT_ROWS, KEY_ARRAY, POINT_ROWS))
 def keep_normals(numbers, normals, keys, table):
     """Put the ``normals`` (m, 3) of the texels ``numbers`` (m,) into a ``table`` that has room for them."""
     for m in range(numbers.shape[0]):

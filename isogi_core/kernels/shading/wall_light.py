@@ -8,7 +8,7 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.shading.framebuffer import FRAMEBUFFER, luminance, put_pixel
-from isogi_core.kernels.shading.surface_points import PIXELS, POINTS, point_of
+from isogi_core.kernels.shading.surface_points import PIXEL_ARRAY, POINT_ROWS, point_of
 from isogi_core.kernels.tracing.vec import sub
 from isogi_core.kernels.tracing.walls import WALLS_RECORD, inner
 from isogi_core.kernels.transport.lights import row
@@ -52,7 +52,7 @@ def mix_texels(table, first, columns, way, c):
     return (1.0 - y) * low + y * high
 
 
-@kernel(types.void(WALLS_RECORD, WALL_TABLE, PIXELS, POINTS, types.int8[::1], types.float32, FRAMEBUFFER))
+@kernel(types.void(WALLS_RECORD, WALL_TABLE, PIXEL_ARRAY, POINT_ROWS, types.int8[::1], types.float32, FRAMEBUFFER))
 def light_walls(walls, table, pixels, points, numbers, darkest, framebuffer):
     """Write the light of walls at ``points`` (m, 3), in index space, of walls ``numbers`` (m,), to their ``pixels``.
 
