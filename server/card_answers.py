@@ -14,7 +14,7 @@ from isogi_core.frame.lighting import RotatedLight, triple
 from isogi_core.frame.rays.control_pixels import expected_error
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.view_texels import carries_irradiance_ratios
-from isogi_core.kernels.shading.framebuffer import GAIN, SHOULDER, TOE
+from isogi_core.kernels.shading.framebuffer import TONE_GAIN, TONE_SHOULDER, TONE_TOE
 from isogi_core.model.view import IDENTITY, View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -49,7 +49,7 @@ VOXELS_KEPT = Obstacle(
 """What keeps cards from drawing anything that this server shows."""
 
 LINKS = CardLinks(chunks="card/chunks", light="card/light/", transfer="card/transfer/")
-TONE = CardTone(gain=GAIN, toe=TOE, shoulder=SHOULDER)
+TONE = CardTone(gain=TONE_GAIN, toe=TONE_TOE, shoulder=TONE_SHOULDER)
 
 
 def card_obstacles(prepared: PreparedScene, view: View, hands_out: bool) -> list[Obstacle]:

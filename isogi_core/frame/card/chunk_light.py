@@ -25,7 +25,7 @@ from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.unlit_view import undrawn_frame
 from isogi_core.frame.view_texels import ViewTexels
-from isogi_core.kernels.shading.irradiance_ratio import DIRECT, REFLECTED
+from isogi_core.kernels.shading.irradiance_ratio import DIRECT_COLUMN, REFLECTED_COLUMN
 from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 
@@ -63,7 +63,9 @@ def fold_chunks(renderer: Renderer, view: View, chunks: Sequence[Index], target:
     if reading.grainy.any():
         reading, lit = filter_texel_light(found.texels, reading, lit, about, light, tiles)
     records = fill_texel_records(reading.grade, lit, about, light, tiles)
-    values = np.column_stack([records[:, DIRECT : DIRECT + 3], records[:, REFLECTED : REFLECTED + 3]])
+    values = np.column_stack(
+        [records[:, DIRECT_COLUMN : DIRECT_COLUMN + 3], records[:, REFLECTED_COLUMN : REFLECTED_COLUMN + 3]]
+    )
     return packed(found, pack(found, about, values, FOLDED), len(chunks), renderer.prepared)
 
 

@@ -17,7 +17,7 @@ from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.filtering import Numbering
-from isogi_core.kernels.shading.lattice import UNLIT
+from isogi_core.kernels.shading.lattice import UNLIT_ROW
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 
 
@@ -70,7 +70,7 @@ def hold_texels(
 
 def find_occupied(pool: PagePool, chunks: tuple[Index, ...], slots: np.ndarray) -> Occupied:
     """Which ``chunks`` in ``slots`` of a pool, -1 where absent, hold any texels, and which."""
-    there = np.where(slots[:, None] >= 0, pool.table[slots] != UNLIT, False)
+    there = np.where(slots[:, None] >= 0, pool.table[slots] != UNLIT_ROW, False)
     some = np.flatnonzero(there.any(axis=1))
     return Occupied(tuple(chunks[i] for i in some.tolist()), slots[some], there[some])
 

@@ -24,9 +24,9 @@ from isogi_core.frame.shading import carry_irradiance_ratios, carry_texel_light,
 from isogi_core.frame.texel_reading import read_texels
 from isogi_core.frame.view_texels import carries_irradiance_ratios
 from isogi_core.kernels.shading.framebuffer import Framebuffer
-from isogi_core.kernels.shading.lattice import LIT, light_texels
+from isogi_core.kernels.shading.lattice import LIGHT_NUMBERS, light_texels
 from isogi_core.kernels.shading.lobes import add_lobes
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 
 CONTROLS = 256
@@ -59,7 +59,7 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) ->
 
 def fold(numbers: np.ndarray, light: RotatedLight) -> np.ndarray:
     """The light of texels by the ``numbers`` (m, n) of their transfer over ``raw_scale``; (m, LIT) without noise."""
-    spec, lit = light.spec, np.zeros((len(numbers), LIT), np.float32)
+    spec, lit = light.spec, np.zeros((len(numbers), LIGHT_NUMBERS), np.float32)
     transfer = np.float32(raw_scale(spec)) * numbers.reshape(len(numbers), spec.channels, spec.columns)
     light_texels(np.arange(len(numbers), dtype=np.int32), transfer, lit[:, 3].copy(), *light.in_units, lit)
     return lit
@@ -117,7 +117,7 @@ class ControlPictures:
     def _squares(self, control: Control, coding: Coding) -> np.ndarray:
         """The squared errors of a picture's control pixels, relative to its mean light; (k,)."""
         framebuffer = draw_coded(self._renderer, control.view, coding, self._target)
-        picture = framebuffer.radiance[control.gbuffer.pixels] @ LUMINANCE
+        picture = framebuffer.radiance[control.gbuffer.pixels] @ LUMINANCE_WEIGHTS
         shown = picture[control.pixels.places]
         mean = control.pixels.mean(shown, float(picture.mean()))
         return control.pixels.squares(shown) / max(mean, np.finfo(float).tiny) ** 2

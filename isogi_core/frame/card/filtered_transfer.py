@@ -7,10 +7,16 @@ from isogi_core.frame.shading import filter_records
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels
-from isogi_core.kernels.shading.filtering import PATHS, VARIANCE
+from isogi_core.kernels.shading.filtering import PATHS_COLUMN, VARIANCE_COLUMN
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
-from isogi_core.kernels.shading.irradiance_ratio import BARE, DIRECT, GRADE, NORMAL, RECORD
-from isogi_core.kernels.shading.lattice import VOID
+from isogi_core.kernels.shading.irradiance_ratio import (
+    DIRECT_COLUMN,
+    GRADE_COLUMN,
+    NORMAL_COLUMN,
+    RECORD_LENGTH,
+    UNSHADOWED_COLUMN,
+)
+from isogi_core.kernels.shading.lattice import VOID_GRADE
 
 LEAST_SPREAD = 0.1
 """What the variance of a path's number is of its mean square at least: where all paths agree, few may by chance."""
@@ -38,12 +44,12 @@ def filter_numbers(
     The filter is that of light, ``filter_texel_light``, of each number alone: so it holds for any light. ``noise``
     (texels, n) is a variance, and ``normals`` (texels, 3) are those that texels are lit about. Raises Cancelled.
     """
-    filtered, records = np.empty_like(numbers), np.zeros((len(numbers), RECORD), np.float32)
-    records[:, BARE : BARE + 3], records[:, NORMAL : NORMAL + 3] = 1.0, normals
+    filtered, records = np.empty_like(numbers), np.zeros((len(numbers), RECORD_LENGTH), np.float32)
+    records[:, UNSHADOWED_COLUMN : UNSHADOWED_COLUMN + 3], records[:, NORMAL_COLUMN : NORMAL_COLUMN + 3] = 1.0, normals
     grade = np.where(reading.grainy, CONVERGING, FINAL)
-    records[:, PATHS], records[:, GRADE] = reading.samples, np.where(reading.lit, grade, VOID)
+    records[:, PATHS_COLUMN], records[:, GRADE_COLUMN] = reading.samples, np.where(reading.lit, grade, VOID_GRADE)
     for k in range(numbers.shape[1]):
         before = records.copy()
-        before[:, DIRECT : DIRECT + 3], before[:, VARIANCE] = numbers[:, k, None], noise[:, k]
-        filtered[:, k] = filter_records(texels, before, tiles)[:, DIRECT]
+        before[:, DIRECT_COLUMN : DIRECT_COLUMN + 3], before[:, VARIANCE_COLUMN] = numbers[:, k, None], noise[:, k]
+        filtered[:, k] = filter_records(texels, before, tiles)[:, DIRECT_COLUMN]
     return filtered

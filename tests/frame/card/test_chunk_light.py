@@ -11,7 +11,7 @@ from isogi_core.cache.page_pool import UNLIT_VERSION
 from isogi_core.frame.card.chunk_light import fold_chunks, seen_chunks, transfer_chunks
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.tiles import Stopwatch
-from isogi_core.kernels.shading.irradiance_ratio import DIRECT, REFLECTED
+from isogi_core.kernels.shading.irradiance_ratio import DIRECT_COLUMN, REFLECTED_COLUMN
 from isogi_core.model.view import View, quaternion_from_angles, rotation_matrix
 from server.card_answers import card_scene
 from tests.card_twin import Twin, blocks_in
@@ -70,7 +70,17 @@ def test_records_are_the_kernels_inputs_in_halves(workbench: Make) -> None:
     twin, light = twin_of(bench, view, False), RotatedLight(bench.caches.spec("gi"), view)
     texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
     reading, records = kernels_inputs(bench, view, light)
-    expected = records[:, [DIRECT, DIRECT + 1, DIRECT + 2, REFLECTED, REFLECTED + 1, REFLECTED + 2]]
+    expected = records[
+        :,
+        [
+            DIRECT_COLUMN,
+            DIRECT_COLUMN + 1,
+            DIRECT_COLUMN + 2,
+            REFLECTED_COLUMN,
+            REFLECTED_COLUMN + 1,
+            REFLECTED_COLUMN + 2,
+        ],
+    ]
     own = [twin.texels[z, y, x] for z, y, x in texels.positions.tolist()]
     found = np.array([[*each.direct, *each.reflected] for each in own])
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)

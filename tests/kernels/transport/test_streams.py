@@ -13,7 +13,7 @@ WORD = 1 << 32
 def test_no_two_purposes_of_a_path_draw_the_same_pair() -> None:
     last = 0
     for first, count in streams.PURPOSES:
-        assert first >= last and count >= streams.PAIRS
+        assert first >= last and count >= streams.PAIRS_PER_PURPOSE
         last = first + count
     assert last <= WORD
 
