@@ -135,14 +135,18 @@ def plan_of(renderer: Renderer) -> CardPlan:
 
 def light_of(light: RotatedLight) -> CardLight:
     """A light that is not turned, in the unit of its bake spec."""
-    columns = light.reflected / light.spec.unit * raw_scale(light.spec)
+    scale = raw_scale(light.spec)
+    columns, squares = light.reflected / light.spec.unit * scale, light.square * scale
     firsts, terms = light.spec.firsts.tolist(), light.seen.terms
-    parts = [(term.order, columns[:, a : a + term.order**2]) for a, term in zip(firsts, terms, strict=True)]
+    parts = [(term.order, slice(a, a + term.order**2)) for a, term in zip(firsts, terms, strict=True)]
     lobes, tint = light.lobes, light.tint
     shine = (triple(colour) for colour in lobes.colours * tint)
     return CardLight(
         unit=light.spec.unit,
-        terms=[CardTerm(order=order, light=colours_of(part)) for order, part in parts],
+        terms=[
+            CardTerm(order=order, light=colours_of(columns[:, part]), square=squares[part].tolist())
+            for order, part in parts
+        ],
         sky=colours_of(light.sky.lobe * light.sky.light),
         least=triple(light.unshadowed.least),
         lobes=[

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +15,6 @@ from isogi_core.cache.page_pool import PagePool
 from isogi_core.frame.card.blocks import CODED, FOLDED, RAW, pack
 from isogi_core.frame.card.chunk_texels import ChunkTexels, hold_texels, with_neighbours
 from isogi_core.frame.card.coding import Coding
-from isogi_core.frame.card.filtered_transfer import filter_numbers, number_noise
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.known_blocks import Block, Packed
 from isogi_core.frame.lighting import RotatedLight
@@ -37,6 +35,9 @@ CHUNKS = 64
 SEEN_BYTES = 256
 """Bytes that a chunk in a list of those seen takes in memory."""
 
+LEAST_SCATTER = 2.0**-20
+"""What scatter counts as at least, so that its logarithm is a number."""
+
 
 def known_light(renderer: Renderer, view: View, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
     """``fold_chunks``, of which each is folded once for all that ask for it. Raises as that does."""
@@ -45,7 +46,7 @@ def known_light(renderer: Renderer, view: View, chunks: Sequence[Index], target:
 
 
 def known_transfer(renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
-    """``transfer_chunks``, of which each is filtered once for all that ask for it. Raises as that does."""
+    """``transfer_chunks``, of which each is packed once for all that ask for it. Raises as that does."""
     return known(renderer, (RAW, target), chunks, lambda some: transfer_chunks(renderer, some, target, tiles), tiles)
 
 
@@ -73,17 +74,16 @@ def fold_chunks(renderer: Renderer, view: View, chunks: Sequence[Index], target:
 
 
 def transfer_chunks(renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
-    """``chunks`` with what their texels keep, for any light, filtered where it is grainy: see ``raw_scale``.
+    """``chunks`` with the ``raw_numbers`` of their texels, which fold to light and filter it wherever they are drawn.
 
     Raises as ``fold_chunks``.
     """
-    with hold_filtering(renderer, chunks, target, tiles) as (found, pool):
-        about, numbers = calm_numbers(renderer, found.texels, found.reading, pool, tiles)
-    return packed(found, pack(found, about, numbers, RAW), len(chunks), renderer.prepared)
+    found, about, numbers = read_raw(renderer, chunks, target, tiles)
+    return Packed(tuple(map(Block, pack(found, about, numbers, RAW), found.versions)))
 
 
 def packed(found: ChunkTexels, blocks: Iterator[bytes], count: int, prepared: PreparedScene) -> Packed:
-    """The first ``count`` of some ``blocks``, with the versions of all that their light comes from."""
+    """The first ``count`` of some ``blocks`` of light, with the versions of all that it comes from."""
     versions = dict(zip(found.chunks, found.versions, strict=True))
     filtered = bool(found.reading.grainy.any())
     return Packed(
@@ -97,10 +97,18 @@ def packed(found: ChunkTexels, blocks: Iterator[bytes], count: int, prepared: Pr
 def coded_chunks(
     renderer: Renderer, chunks: Sequence[Index], target: float, coding: Coding, tiles: Tiles
 ) -> tuple[bytes, ...]:
-    """The blocks of ``chunks`` with transfer in few bits, filtered where it is grainy. Raises as ``fold_chunks``."""
-    with hold_filtering(renderer, chunks, target, tiles) as (found, pool):
-        about, numbers = calm_numbers(renderer, found.texels, found.reading, pool, tiles)
-    return tuple(islice(pack(found, about, coding.codes(numbers), CODED), len(chunks)))
+    """The blocks of ``chunks`` with the ``raw_numbers`` of their texels in few bits. Raises as ``fold_chunks``."""
+    found, about, numbers = read_raw(renderer, chunks, target, tiles)
+    return tuple(pack(found, about, coding.codes(numbers), CODED))
+
+
+def read_raw(
+    renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles
+) -> tuple[ChunkTexels, np.ndarray, np.ndarray]:
+    """The texels of ``chunks``, the normals (m, 3) that they are lit about, and their ``raw_numbers``."""
+    with hold_texels(renderer.caches.of("gi"), chunks, target, tiles) as (found, pool):
+        numbers = raw_numbers(found.reading, pool)
+    return found, normals_of(renderer, found.texels, tiles), numbers
 
 
 @contextmanager
@@ -120,21 +128,23 @@ def hold_filtering(
         yield held
 
 
-def calm_numbers(
-    renderer: Renderer, texels: ViewTexels, reading: Reading, pool: PagePool, tiles: Tiles
-) -> tuple[np.ndarray, np.ndarray]:
-    """The normals (texels, 3) that texels are lit about, and their ``raw_numbers``, filtered where they are grainy."""
-    about, numbers = normals_of(renderer, texels, tiles), raw_numbers(reading.rows, pool)
-    if not reading.grainy.any():
-        return about, numbers
-    scatter = np.where(reading.rows >= 0, pool.scatter[reading.rows], np.float32(0.0))
-    return about, filter_numbers(texels, reading, numbers, number_noise(numbers, scatter, pool.spec), about, tiles)
+def raw_numbers(reading: Reading, pool: PagePool) -> np.ndarray:
+    """What texels keep, over ``raw_scale``, and their ``noise_numbers``; (m, numbers) float32, 0 where unlit."""
+    rows, spec = reading.rows, pool.spec
+    numbers = np.where((rows >= 0)[:, None, None], pool.transfer[rows], np.float32(0.0))
+    kept = numbers.reshape(len(rows), spec.channels * spec.columns) / np.float32(raw_scale(spec))
+    return np.column_stack([kept, noise_numbers(reading, pool)])
 
 
-def raw_numbers(rows: np.ndarray, pool: PagePool) -> np.ndarray:
-    """What texels in ``rows`` (m,) of a pool keep, over ``raw_scale``; (m, numbers) float32, 0 where unlit."""
-    numbers, spec = np.where((rows >= 0)[:, None, None], pool.transfer[rows], np.float32(0.0)), pool.spec
-    return np.asarray(numbers.reshape(len(rows), spec.channels * spec.columns) / np.float32(raw_scale(spec)))
+def noise_numbers(reading: Reading, pool: PagePool) -> np.ndarray:
+    """What the filter reads besides light: log₂ of the scatter, and ±(1 + log₂ of the samples); (m, 2) float32.
+
+    The latter is negative where light is not grainy; both are 0 where there is none.
+    """
+    lit, scatter, samples = reading.lit, pool.scatter[reading.rows], reading.samples
+    found = np.log2(np.maximum(np.column_stack([scatter, 2 * samples]), LEAST_SCATTER))
+    found[:, 1] *= np.where(reading.grainy, 1.0, -1.0)
+    return np.where(lit[:, None], found, 0.0).astype(np.float32)
 
 
 def raw_scale(spec: BakeSpec) -> float:

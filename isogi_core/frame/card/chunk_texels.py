@@ -81,7 +81,7 @@ def find_occupied(pool: PagePool, chunks: tuple[Index, ...], slots: np.ndarray, 
 
 
 def near_texels(chunks: Sequence[Index], around: Sequence[Index], prepared: PreparedScene) -> np.ndarray:
-    """Which texels of ``chunks`` filtering those ``around`` which they lie reads; (chunks, texels) bool."""
+    """Which texels of ``chunks`` the filter reads for the chunks ``around`` which they lie; (chunks, texels) bool."""
     side, reach = prepared.lattice.chunk, min(sum(FILTER_DISTANCES), prepared.lattice.chunk)
     parts = {-1: slice(side - reach, side), 0: slice(0, side), 1: slice(0, reach)}
     near = np.zeros((len(chunks), side, side, side), np.bool_)
