@@ -20,7 +20,7 @@ const ROW = 2048; // records in a row: ROW in bricks.glsl
 const BRICK = 4, NONE = 0xffffffff, NOWHERE = 255;
 
 /** How far bricks without texels look for one whose mean they show, in bricks. */
-const REACH = 2;
+const REACH = 4;
 
 /** Share of rows by which a texture is larger than it must be, so that it need not grow at once. */
 const SPARE = 1.5;

@@ -12,8 +12,8 @@ TYPICAL = 0.5
 MOST_CODE = (1 << 15) - 1
 """The greatest code; the least is its opposite."""
 
-NOISE_STEP = 0.5
-"""The step of ``noise_numbers``: filters know noise to a sixth, as texels of few paths do themselves."""
+NOISE_STEP = 1.0
+"""The step of ``noise_numbers``: filters know noise within a factor of √2, which moves pictures by 0.04 % (RMSE)."""
 
 
 @dataclass(frozen=True, eq=False)
