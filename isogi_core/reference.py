@@ -17,10 +17,10 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import Paths, variance_of_mean
 from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.transport import streams
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.value_survey import digest_of
 from isogi_core.model.view import View
-from isogi_core.plan.budget import BOUNCES, bounces_for, survival_for
+from isogi_core.plan.budget import BOUNCES_SHARE, bounces_for, survival_for
 from isogi_core.plan.scene import Scene
 
 REPLICAS = 8
@@ -67,7 +67,7 @@ class Reference:
     @property
     def noise(self) -> float:
         """Relative standard error of the whole: root mean square over the surface, over the mean luminance."""
-        light = float((self.mean[self.on] @ LUMINANCE).mean()) if self.on.any() else 0.0
+        light = float((self.mean[self.on] @ LUMINANCE_WEIGHTS).mean()) if self.on.any() else 0.0
         return float(np.sqrt(self.variance[self.on].mean(dtype=np.float64))) / light if light > 0.0 else 0.0
 
 
@@ -101,7 +101,7 @@ def trace_reference(
     paths, sums = Paths(RotatedLight(renderer.caches.spec("gi"), view), gbuffer, renderer.tiles), former.sums.copy()
     paths.prepare()
     begun = time.process_time()
-    paths.add(sums, streams.REFERENCE, taken, wanted - taken, progress)
+    paths.add(sums, streams.REFERENCE_STREAM, taken, wanted - taken, progress)
     return from_sums(gbuffer, sums, wanted, former.seconds + time.process_time() - begun, subject)
 
 
@@ -132,7 +132,7 @@ def from_sums(gbuffer: GBuffer, sums: np.ndarray, count: int, seconds: float, su
 def with_bounces(scene: Scene, bounces: int | None = None) -> Scene:
     """The scene with paths of so many ``bounces``; by default with so many that less than CUT of its light is cut."""
     if bounces is None:
-        bounces = bounces_for(scene.inputs.reflecting, CUT / BOUNCES)
+        bounces = bounces_for(scene.inputs.reflecting, CUT / BOUNCES_SHARE)
     survival = survival_for(scene.inputs.reflecting, bounces)
     return replace(scene, plan=replace(scene.plan, bounces=bounces, survival=survival))
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from isogi_core.frame.frame import Frame
-from isogi_core.model.scene_plan import GLOW, Layer
-from isogi_core.plan.left_out import BANDS
+from isogi_core.model.scene_plan import GLOW_KIND, Layer
+from isogi_core.plan.left_out import MEASURED_BANDS
 from isogi_core.plan.planner import unit_of
 from isogi_core.plan.scene import Scene
 from isogi_core.reference import Reference
@@ -108,9 +108,9 @@ def as_s1(scene: Scene) -> Scene | None:
     """The scene with what S1 keeps of any; None under lamps, which harmonics do not hold."""
     if scene.lighting.lamps.any:
         return None
-    whole = Layer("whole", BANDS, 3, half=False)
+    whole = Layer("whole", MEASURED_BANDS, 3, half=False)
     return with_plan(
-        scene, representation="transfer", layers=(whole, *of_glow(scene)), order=BANDS, lobes=0, survival=1.0
+        scene, representation="transfer", layers=(whole, *of_glow(scene)), order=MEASURED_BANDS, lobes=0, survival=1.0
     )
 
 
@@ -123,7 +123,7 @@ def as_irradiance(scene: Scene) -> Scene:
 
 def of_glow(scene: Scene) -> tuple[Layer, ...]:
     """The layer of what glows in a scene, which is the same whatever else is kept; none where nothing does."""
-    return tuple(layer for layer in scene.plan.layers if layer.kind == GLOW)
+    return tuple(layer for layer in scene.plan.layers if layer.kind == GLOW_KIND)
 
 
 def curve(name: str, own: list[Point]) -> Curve:

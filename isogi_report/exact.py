@@ -9,8 +9,8 @@ from isogi_core.bake.texel_light import Light
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import variance_of_mean
-from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
 from isogi_core.reference import Reference
@@ -104,8 +104,8 @@ def lit_by_transfer(bench: Bench, samples: int) -> Lit:
     bench.tiles.run(piece, len(halves), POINTS_A_PIECE)
     if turned.coloured:
         halves *= turned.tints(gbuffer, bench.tiles)[:, None]
-    half = (halves[:, 0] - halves[:, 1]) @ LUMINANCE / 2.0
-    return Lit(np.maximum(halves.mean(axis=1), 0.0) @ LUMINANCE + straight_light(bench), half**2)
+    half = (halves[:, 0] - halves[:, 1]) @ LUMINANCE_WEIGHTS / 2.0
+    return Lit(np.maximum(halves.mean(axis=1), 0.0) @ LUMINANCE_WEIGHTS + straight_light(bench), half**2)
 
 
 def straight_light(bench: Bench) -> np.ndarray:
@@ -129,7 +129,7 @@ def light_of_halves(turned: RotatedLight, place: Place, samples: int) -> np.ndar
     """Linear RGB (m, 2, 3) of each half of ``samples`` paths, under ``turned`` lights."""
     spec, void = turned.spec, np.zeros(len(place[3]), np.bool_)
     halves = light_of_glow(turned, place, samples)
-    layers = tuple(layer for layer in spec.plan.layers if layer.kind != GLOW)
+    layers = tuple(layer for layer in spec.plan.layers if layer.kind != GLOW_KIND)
     for layer, (sums, _) in zip(layers, sample_transfer(layers, place, void, spec, 0, samples), strict=True):
         light = turned.albedo[:, None] * turned.light_of(layer)
         n = min(layer.order**2, light.shape[1])

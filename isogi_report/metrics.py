@@ -8,7 +8,7 @@ import numpy as np
 
 from isogi_core.frame.film import BACKGROUND, MARK, tone_table
 from isogi_core.kernels.shading.framebuffer import develop_rows
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.reference import Reference
 from isogi_report.sections import Cell, Column
 
@@ -83,7 +83,7 @@ def spread_of(wrong: np.ndarray, noise: np.ndarray | float, mean: float) -> Spre
 
 def luminance(radiance: np.ndarray) -> np.ndarray:
     """Luminance (…) float64 of linear RGB (…, 3)."""
-    return np.asarray(radiance.astype(np.float64) @ LUMINANCE)
+    return np.asarray(radiance.astype(np.float64) @ LUMINANCE_WEIGHTS)
 
 
 def mean_of(light: np.ndarray) -> float:

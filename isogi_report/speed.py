@@ -24,13 +24,13 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import pinhole
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER
+from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER_LANES
 from isogi_core.kernels.tracing import ray_stream
 from isogi_core.kernels.tracing.cast import cast_batch
 from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.transport.wavefront import bounce_rays
-from isogi_core.model.scene_plan import FEWEST, MAX_SAMPLES
-from isogi_core.model.view import SHADINGS, View, quaternion_from_angles
+from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES
+from isogi_core.model.view import VIEW_SHADINGS, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.runs import Run, serially
@@ -249,7 +249,7 @@ def relight(renderer: Renderer, view: View) -> Candidate:
     return render
 
 
-QUICK = tuple(name for name in SHADINGS if name != "path_traced")
+QUICK = tuple(name for name in VIEW_SHADINGS if name != "path_traced")
 """Shadings whose frames are timed: all but the reference, which takes as long as it has paths."""
 
 TEXELS, SAMPLES = 8192, 64
@@ -288,7 +288,7 @@ class StepTimes:
     @cached_property
     def frame(self) -> Frame:
         """The view's frame, all of its texels baked; ViewError where there are none."""
-        frame = bake_view(self.renderer, self.view, FEWEST)
+        frame = bake_view(self.renderer, self.view, MIN_SAMPLES)
         if not frame.surface:
             raise ViewError(f"Nothing is to be seen at isovalue {self.scene.isovalue:g}: choose another.")
         return frame
@@ -312,7 +312,7 @@ class StepTimes:
             "survival": self.scene.plan.survival,
             "branches": self.scene.plan.branches,
             "threads": self.renderer.tiles.threads,
-            "lanes": RAY_WIDTH if REGISTER else 0,
+            "lanes": RAY_WIDTH if REGISTER_LANES else 0,
             "surface_pixels": self.frame.surface,
         }
 
@@ -320,7 +320,7 @@ class StepTimes:
         """``frame_ms``, by shading, of a camera that is new, light baked; ``relight_ms``: only the light is turned."""
         views = {name: replace(self.view, shading=name) for name in QUICK}
         for spec in SPECS:
-            bake_view(self.renderer, views[spec], FEWEST)
+            bake_view(self.renderer, views[spec], MIN_SAMPLES)
         candidates = {name: new_camera(self.renderer, view) for name, view in views.items()}
         taken = milliseconds({**candidates, "relight": relight(self.renderer, self.view)}, self.repeats)
         return {"relight_ms": taken.pop("relight"), "frame_ms": taken}

@@ -18,8 +18,8 @@ from isogi_core.model.colours import hex_of
 from isogi_core.model.environment import Lobe
 from isogi_core.model.lights import ENVIRONMENTS, Light
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.shine import KINDS, SHINE_KNOBS
-from isogi_core.model.view import SHADINGS, Vec3, View
+from isogi_core.model.shine import SHINE_KINDS, SHINE_KNOBS
+from isogi_core.model.view import VIEW_SHADINGS, Vec3, View
 from isogi_core.plan.first_view import front_of
 from isogi_core.plan.left_out import S1_BYTES
 from isogi_core.plan.materials import material_settings
@@ -79,7 +79,7 @@ def scene_schema(scene: Scene) -> SceneSchema:
         presets=[PresetSchema(**asdict(preset)) for preset in scene.presets],
         stops=list(scene.stops.levels),
         stops_note=scene.stops.note,
-        shadings=list(SHADINGS),
+        shadings=list(VIEW_SHADINGS),
         lights=[light_schema(light) for light in scene.lighting.lights],
         albedo=scene.surfaces.albedo,
         albedos=None
@@ -91,7 +91,7 @@ def scene_schema(scene: Scene) -> SceneSchema:
         material=write_material_text(material_settings(scene.surfaces.material)),
         transmission=scene.surfaces.transmission,
         materials=material_schemas(scene),
-        shines=(list(KINDS) if scene.surfaces.colours is None else ["plastic"]) if scene.surfaces.shine else [],
+        shines=(list(SHINE_KINDS) if scene.surfaces.colours is None else ["plastic"]) if scene.surfaces.shine else [],
         bounces=scene.bounces,
         cuts=scene.volume.orientation.straight,
         solid=scene.solid,

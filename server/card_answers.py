@@ -14,7 +14,7 @@ from isogi_core.frame.lighting import RotatedLight, triple
 from isogi_core.frame.rays.control_pixels import expected_error
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.view_texels import carries_irradiance_ratios
-from isogi_core.kernels.shading.framebuffer import GAIN, SHOULDER, TOE
+from isogi_core.kernels.shading.framebuffer import TONE_GAIN, TONE_SHOULDER, TONE_TOE
 from isogi_core.model.view import IDENTITY, View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -49,7 +49,7 @@ VOXELS_KEPT = Obstacle(
 """What keeps cards from drawing anything that this server shows."""
 
 LINKS = CardLinks(chunks="card/chunks", light="card/light/", transfer="card/transfer/")
-TONE = CardTone(gain=GAIN, toe=TOE, shoulder=SHOULDER)
+TONE = CardTone(gain=TONE_GAIN, toe=TONE_TOE, shoulder=TONE_SHOULDER)
 
 
 def card_obstacles(prepared: PreparedScene, view: View, hands_out: bool) -> list[Obstacle]:
@@ -135,14 +135,18 @@ def plan_of(renderer: Renderer) -> CardPlan:
 
 def light_of(light: RotatedLight) -> CardLight:
     """A light that is not turned, in the unit of its bake spec."""
-    columns = light.reflected / light.spec.unit * raw_scale(light.spec)
+    scale = raw_scale(light.spec)
+    columns, squares = light.reflected / light.spec.unit * scale, light.square * scale
     firsts, terms = light.spec.firsts.tolist(), light.seen.terms
-    parts = [(term.order, columns[:, a : a + term.order**2]) for a, term in zip(firsts, terms, strict=True)]
+    parts = [(term.order, slice(a, a + term.order**2)) for a, term in zip(firsts, terms, strict=True)]
     lobes, tint = light.lobes, light.tint
     shine = (triple(colour) for colour in lobes.colours * tint)
     return CardLight(
         unit=light.spec.unit,
-        terms=[CardTerm(order=order, light=colours_of(part)) for order, part in parts],
+        terms=[
+            CardTerm(order=order, light=colours_of(columns[:, part]), square=squares[part].tolist())
+            for order, part in parts
+        ],
         sky=colours_of(light.sky.lobe * light.sky.light),
         least=triple(light.unshadowed.least),
         lobes=[

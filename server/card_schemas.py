@@ -82,10 +82,14 @@ class CardPlan(BaseModel):
 
 
 class CardTerm(BaseModel):
-    """The unturned light that some columns meet: harmonics of an order, linear RGB times the albedo, in the unit."""
+    """The unturned light that some columns meet: harmonics of an order, linear RGB times the albedo, in the unit.
+
+    Those of the square of its luminance say how noisy light is.
+    """
 
     order: int
     light: Colours
+    square: list[float]
 
 
 class CardLobe(BaseModel):

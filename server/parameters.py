@@ -7,13 +7,13 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator, model_validator
 
 from isogi_core.errors import advice
-from isogi_core.model.glow import STRONGEST
+from isogi_core.model.glow import MAX_GLOW_STRENGTH
 from isogi_core.model.lights import ENVIRONMENTS
-from isogi_core.model.shine import KINDS, SHINE_RANGES
+from isogi_core.model.shine import SHINE_KINDS, SHINE_RANGES
 from isogi_core.model.view import (
     OVERLAYS,
     PROJECTIONS,
-    SHADINGS,
+    VIEW_SHADINGS,
     Quaternion,
     Vec3,
 )
@@ -126,7 +126,7 @@ class ViewParams(VariantParams):
         description="What share of the light the surface reflects, one number or r,g,b, within the scene's albedos;"
         " default: the scene's albedo.",
     )
-    shine: Annotated[str | None, Choice(KINDS)] = Field(
+    shine: Annotated[str | None, Choice(SHINE_KINDS)] = Field(
         None, description="What the surface shines as, where the scene has a shine; default: the scene's."
     )
     roughness: Annotated[float | None, Span(*SHINE_RANGES["roughness"])] = Field(
@@ -135,7 +135,7 @@ class ViewParams(VariantParams):
     strength: Annotated[float | None, Span(*SHINE_RANGES["strength"])] = Field(
         None, description="How much that shine counts; default: the scene's."
     )
-    glow: Annotated[float, Span(0, STRONGEST)] = Field(
+    glow: Annotated[float, Span(0, MAX_GLOW_STRENGTH)] = Field(
         1.0, description="How bright what glows is, where something does, over the scene's own."
     )
     window: Annotated[str | None, Planes()] = Field(
@@ -145,7 +145,7 @@ class ViewParams(VariantParams):
     )
     width: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
     height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
-    shading: Annotated[str, Choice(SHADINGS)] = Field("gi", description="How the surface is lit.")
+    shading: Annotated[str, Choice(VIEW_SHADINGS)] = Field("gi", description="How the surface is lit.")
     samples: Annotated[int, Span(1, 4096, whole=True)] = Field(16, description="Paths per pixel; path_traced alone.")
     wait_ms: Annotated[int, Span(0, LONGEST_WAIT, whole=True)] = Field(0, description="Longest wait for baking.")
     max_error: Annotated[float | None, Span(0.0001, 1)] = Field(

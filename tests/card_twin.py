@@ -4,21 +4,25 @@ import math
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 BURIED, VOID, FLAT = 0x80008001, 0x80008002, 0x80008003
 TURNED = 0.1055
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 @dataclass
 class Texel:
-    """One record: its word, and direct and reflected light."""
+    """One record: its word, direct and reflected light, the variance of both's luminance, and ``raw_numbers``' last."""
 
     word: int
     direct: np.ndarray
     reflected: np.ndarray
+    variance: float = 0.0
+    samples: float = 0.0
 
     @property
     def normal(self) -> np.ndarray:
@@ -143,6 +147,8 @@ class Twin:
     def __post_init__(self) -> None:
         light = self.scene["light"]
         self.columns = np.concatenate([turned(np.array(t["light"]), self.matrix) for t in light["terms"]], axis=1)
+        squares = [turned(np.array([t["square"]] * 3), self.matrix)[0] for t in light["terms"]]
+        self.squares = np.concatenate(squares)
         sky = turned(np.array(light["sky"]), self.matrix)
         self.sky = np.zeros((3, 9))
         self.sky[:, : sky.shape[1]] = sky
@@ -159,19 +165,21 @@ class Twin:
     def take(self, data: bytes) -> None:
         """Put the texels of some blocks into the lattice; raw ones are folded."""
         plan, chunk = self.scene["plan"], self.scene["lattice"]["chunk"]
-        for block in blocks_in(data, plan["channels"] * plan["columns"]):
+        for block in blocks_in(data, plan["channels"] * plan["columns"] + 2):
             for place, number in block.numbers():
                 z, y, x = (chunk * a + b for a, b in zip(block.at, place, strict=True))
                 word, record = int(block.words[number]), block.records[number]
-                light = self.fold(record, word) if block.kind else (record[:3], record[3:])
-                self.texels[z, y, x] = Texel(word, *light)
+                self.texels[z, y, x] = self.fold(record, word) if block.kind else Texel(word, record[:3], record[3:])
+        if any(each.samples > 0.0 for each in self.texels.values()):
+            for apart in (1, 2):
+                self.texels = {at: self.filtered(at, apart) for at in self.texels}
 
-    def fold(self, numbers: np.ndarray, word: int) -> tuple[np.ndarray, np.ndarray]:
-        """Direct and reflected light of raw transfer."""
+    def fold(self, numbers: np.ndarray, word: int) -> Texel:
+        """The texel of raw transfer."""
         plan, direct, reflected = self.scene["plan"], np.zeros(3), np.zeros(3)
         if word in (BURIED, VOID):
-            return direct, reflected
-        channels = numbers.reshape(plan["channels"], plan["columns"])
+            return Texel(word, direct, reflected)
+        channels = numbers[:-2].reshape(plan["channels"], plan["columns"])
         for c in range(3):
             each = channels[min(c, plan["channels"] - 1)] * self.columns[c]
             both = max(each.sum(), 0.0)
@@ -180,7 +188,41 @@ class Twin:
         if plan["whole"]:
             normal = np.zeros(3) if word == FLAT else normal_of(word)
             reflected = np.maximum(reflected, direct - self.under(normal)[0])
-        return direct - reflected, reflected
+        variance = 4.0 ** numbers[-2] * self.spread(channels)
+        return Texel(word, direct - reflected, reflected, variance, float(numbers[-1]))
+
+    def spread(self, channels: np.ndarray) -> float:
+        """The variance of one path's luminance, by the transfer of a texel."""
+        mean = LUMINANCE @ [channels[min(c, len(channels) - 1)] @ self.columns[c] for c in range(3)]
+        squares = channels[min(1, len(channels) - 1)] * self.squares
+        firsts = np.cumsum([0, *(term["order"] ** 2 for term in self.scene["light"]["terms"])])[:-1]
+        return float(max(squares.sum() - mean**2, 0.0) + 0.2 * np.maximum(squares[firsts], 0.0).sum())
+
+    def filtered(self, at: tuple[int, int, int], apart: int) -> Texel:
+        """A texel by its neighbours, as far as they agree."""
+        own = self.texels[at]
+        if own.samples <= 0.0:
+            return own
+        ways = [np.array(way) for way in product((-1, 0, 1), repeat=3)]
+        around = [(way @ way, self.texels.get(tuple((np.array(at) + apart * way).tolist()))) for way in ways]
+        found = [(square, each) for square, each in around if each and each.samples]
+        some = [each for _, each in found]
+        normals = np.array([each.normal for each in some])
+        weights = np.exp([-0.5 * square for square, _ in found]) * np.maximum(normals @ own.normal, 0.0) ** 16
+        if (weights > 0.0).sum() < 2:
+            return own
+        direct, reflected = (np.array([getattr(each, name) for each in some]) for name in ("direct", "reflected"))
+        variances, bare, here = np.array([each.variance for each in some]), self.under(normals), self.under(own.normal)
+        by_paths = weights * 2.0 ** np.abs([each.samples for each in some])
+        ratio = by_paths @ direct / np.maximum(by_paths @ bare, 1e-30)
+        mean = by_paths @ reflected / by_paths.sum()
+        apart_from = (direct + reflected - ratio * bare - mean) @ LUMINANCE
+        noise, total = weights @ variances, weights.sum()
+        signal = max(weights @ apart_from**2 - noise, 0.0)
+        keeps = signal / max(signal + noise, 1e-30)
+        left = keeps * noise / total + (1.0 - keeps) ** 2 * (by_paths**2 @ variances) / by_paths.sum() ** 2
+        straight = keeps * own.direct + (1.0 - keeps) * ratio * here[0]
+        return Texel(own.word, straight, keeps * own.reflected + (1.0 - keeps) * mean, left, own.samples)
 
     def shade(self, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
         """Radiance, before lobes, at a point in index space with this normal, where all of its texels are known."""

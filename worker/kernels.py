@@ -9,16 +9,16 @@ from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
 from isogi_core.kernels.transport.entries import path_kernels
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
-from isogi_core.plan.scene import COLOURED, PATH_KINDS
+from isogi_core.plan.scene import COLOURED_KIND, PATH_KINDS
 
 PATHS = {
     **{"direct": (bake_texels,), "indirect": (bake_texels,), "whole": (bake_texels,)},
-    **{"irradiance": (bake_irradiance,), COLOURED: (bake_coloured_texels,)},
+    **{"irradiance": (bake_irradiance,), COLOURED_KIND: (bake_coloured_texels,)},
     **{kind: path_kernels(*cell) for cell, kind in PATH_KINDS.items()},
 }
 """Entry kernels by the kind of layer that they bake; among walls or surfaces and on colours they are others."""
 
-KINDS = tuple(kind for kind in PATHS if kind not in (COLOURED, *PATH_KINDS.values()))
+KINDS = tuple(kind for kind in PATHS if kind not in (COLOURED_KIND, *PATH_KINDS.values()))
 """The kinds of layers of scenes with one surface, without walls, colours and glow."""
 
 OPENING = (fill_macrocells, fill_ranges, mark_bricks, pack_bricks, number_bricks)

@@ -13,7 +13,7 @@ import numpy as np
 from isogi_core.bake.noise import RATE, Effort
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.costs import Costs
-from isogi_core.model.scene_plan import FEWEST, MAX_SAMPLES, most_samples
+from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES, most_samples
 from isogi_core.prepared.prepared_scene import Index
 
 
@@ -233,7 +233,7 @@ def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
 
 def paths_after_first(usual: float, work: Work) -> float:
     """Paths after its first light of a texel without light, where others take ``usual`` paths."""
-    return min(max(usual, FEWEST), most_samples(work.target), work.enough) - FIRST_LEVEL
+    return min(max(usual, MIN_SAMPLES), most_samples(work.target), work.enough) - FIRST_LEVEL
 
 
 # --- cost of a whole bake, by a rehearsal

@@ -22,7 +22,7 @@ from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_report.speed import Candidate, bake_view, make_renderer, medians, seconds, view_of
@@ -78,7 +78,7 @@ def of_same_paths(fresh: Scene, live: Scene) -> Scene:
 def apart(frame: Frame, other: Frame) -> float:
     """Relative RMSE of the luminance of a frame's surface pixels beside another, percent."""
     on = frame.state > 0
-    ours, theirs = (each.radiance[on].astype(np.float64) @ LUMINANCE for each in (frame, other))
+    ours, theirs = (each.radiance[on].astype(np.float64) @ LUMINANCE_WEIGHTS for each in (frame, other))
     return 100.0 * math.sqrt(((ours - theirs) ** 2).mean()) / float(theirs.mean())
 
 

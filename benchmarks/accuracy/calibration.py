@@ -30,7 +30,7 @@ from isogi_core.bake.noise import finished
 from isogi_core.bake.precision import FIRST_LEVEL, next_level
 from isogi_core.bake.texel_light import Light
 from isogi_core.frame.frame import Frame
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import IDENTITY, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_report.bake import ViewBake
@@ -135,7 +135,7 @@ def compared(name: str, number: int, turn: int, light: str, frame: Frame, best: 
     """What a frame tells of its error beside what is seen of it against the ``best``."""
     on = best.state > 0
     apart, told = relative_rmse(frame.radiance, best.radiance, on), frame.noise
-    seen, exact = (one.radiance[on].astype(np.float64) @ LUMINANCE for one in (frame, best))
+    seen, exact = (one.radiance[on].astype(np.float64) @ LUMINANCE_WEIGHTS for one in (frame, best))
     error, shared = frame.error[on] * seen, best.error[on] * exact
     covered = np.abs(seen - exact) <= 1.96 * np.sqrt(np.maximum(error**2 - shared**2, 0.0))
     true = math.hypot(apart, best.noise)

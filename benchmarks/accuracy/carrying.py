@@ -9,7 +9,7 @@ from isogi_core.bake.refine import locate
 from isogi_core.bake.texel_light import Light
 from isogi_core.cache.page_pool import fill_rows, new_rows, reflected_share
 from isogi_core.frame.lighting import RotatedLight, scatter_at, weights_between
-from isogi_core.kernels.shading.lattice import LIT, light_texels
+from isogi_core.kernels.shading.lattice import LIGHT_NUMBERS, light_texels
 from isogi_core.kernels.tracing.field import bspline
 from isogi_report.bake import Bake
 from isogi_report.bench import Bench
@@ -117,7 +117,11 @@ def lit_texels(light: Light, turned: RotatedLight) -> tuple[np.ndarray, np.ndarr
 
     And whether the texel holds any light, (t,) bool.
     """
-    spec, lit, numbers = turned.spec, np.empty((len(light), LIT), np.float32), np.arange(len(light), dtype=np.int32)
+    spec, lit, numbers = (
+        turned.spec,
+        np.empty((len(light), LIGHT_NUMBERS), np.float32),
+        np.arange(len(light), dtype=np.int32),
+    )
     rows = new_rows(spec, len(light))
     held = fill_rows(rows, numbers, light, spec) >= 0
     scatter = rows.scatter

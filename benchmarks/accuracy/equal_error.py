@@ -45,7 +45,7 @@ from benchmarks.common.mitsuba import SAMPLERS
 from benchmarks.common.scenes import SIX, scene_of
 from benchmarks.common.suite import part
 from benchmarks.common.timing import Seconds
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 
@@ -188,7 +188,7 @@ def likeness(checked: Sequence[Check], converged: Sequence[Converged]) -> dict[s
     """How far the converged pictures of both are apart, picture by picture: brightness, and the median difference."""
     figures: dict[str, float] = {}
     for number, (each, best) in enumerate(zip(checked, converged, strict=True), 1):
-        ours, theirs = (picture[best.on][:, :3] @ LUMINANCE for picture in (each.best.mean, best.picture))
+        ours, theirs = (picture[best.on][:, :3] @ LUMINANCE_WEIGHTS for picture in (each.best.mean, best.picture))
         apart = float(np.median(abs(ours / ours.mean() - theirs / theirs.mean())))
         figures |= {
             f"picture {number}: isogi's error, compared pixels": each.error(best.on),

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
 
 def relative_rmse(picture: np.ndarray, best: np.ndarray, on: np.ndarray) -> float:
     """RMSE of the luminance over the pixels ``on`` (h, w), over its mean in the ``best``; both (h, w, 3 or more)."""
-    light = best[on][:, :3].astype(np.float64) @ LUMINANCE
-    wrong = picture[on][:, :3].astype(np.float64) @ LUMINANCE - light
+    light = best[on][:, :3].astype(np.float64) @ LUMINANCE_WEIGHTS
+    wrong = picture[on][:, :3].astype(np.float64) @ LUMINANCE_WEIGHTS - light
     return math.sqrt((wrong**2).mean()) / float(light.mean())
 
 

@@ -18,7 +18,7 @@ from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
 from isogi_core.frame.renderer import Renderer
-from isogi_core.model.scene_plan import FEWEST
+from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import Scene
@@ -42,7 +42,7 @@ def lobes(target: str | None, size: int, repeats: int) -> Measurement:
         for n, each in scenes.items():
             renderer = make_renderer(each, stack.enter_context(tempfile.TemporaryDirectory()))
             view = view_of(each, size)
-            bake_view(renderer, view, FEWEST)
+            bake_view(renderer, view, MIN_SAMPLES)
             candidates |= {f"{n} turned": relight(renderer, view), f"{n} at rest": at_rest(renderer, view)}
             candidates[f"{n} turned, processor"] = processor(renderer, view)
         median = medians(candidates, repeats)

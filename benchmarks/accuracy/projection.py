@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.accuracy import carrying
 from benchmarks.accuracy.carrying import Neighbourhood, carry, compared, neighbourhood, texels_around, trilinear
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.kernels.shading.irradiance_ratio import LEAST_COSINE, MIN_UNSHADOWED, TURNED
+from isogi_core.kernels.shading.irradiance_ratio import LEAST_COSINE, MIN_UNSHADOWED, NORMAL_TURN_LIMIT
 from isogi_core.kernels.transport.texel_points import measure_distances
 from isogi_core.plan.bands import evaluate_harmonics
 from isogi_report.bench import Bench
@@ -113,7 +113,7 @@ def by_shares_and_normals(sides: Sides, around: Neighbourhood) -> Lit:
 def agreement(sides: Sides, around: Neighbourhood) -> np.ndarray:
     """What texels count by their normals and their pixels'; (m, 64), positive. See ``irradiance_ratio.agree``."""
     cosines = np.einsum("mkc,mc->mk", around.normals[around.numbers], sides.normals)
-    return np.asarray((np.maximum(cosines, LEAST_COSINE) / (1.0 + (1.0 - cosines) / TURNED)) ** 2)
+    return np.asarray((np.maximum(cosines, LEAST_COSINE) / (1.0 + (1.0 - cosines) / NORMAL_TURN_LIMIT)) ** 2)
 
 
 def shared(sides: Sides, around: Neighbourhood, weights: np.ndarray) -> Lit:

@@ -27,7 +27,7 @@ from benchmarks.common.scenes import LIGHTS, shared_data
 from benchmarks.common.suite import part
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.frame import Frame
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
@@ -139,7 +139,7 @@ def measure(scene: Scene, size: int, paths: int) -> dict[str, float]:
 
 def apart(picture: np.ndarray, best: Converged) -> np.ndarray:
     """Differences of luminance over the mean; (pixels,)."""
-    found, light = (each[best.on][:, :3].astype(np.float64) @ LUMINANCE for each in (picture, best.picture))
+    found, light = (each[best.on][:, :3].astype(np.float64) @ LUMINANCE_WEIGHTS for each in (picture, best.picture))
     return np.asarray((found - light) / light.mean())
 
 

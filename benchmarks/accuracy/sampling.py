@@ -46,7 +46,7 @@ from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
-from isogi_core.plan.range_sampling import WAYS, sample_range
+from isogi_core.plan.range_sampling import SPACING_KINDS, sample_range
 from isogi_core.plan.scene import Scene
 from isogi_core.reference import trace_reference
 from isogi_report.bake import Bake, ViewBake
@@ -124,7 +124,7 @@ def sampling(target: str | None, levels: int, paths: int, truth: int, size: int,
     """Light of K level sets by Shepard's weights (S3), beside texels on their own isosurfaces, at equal paths."""
     found: dict[tuple[str, str], Found] = {}
     for name, scene in scenes(target, only):
-        for way in WAYS:
+        for way in SPACING_KINDS:
             with tempfile.TemporaryDirectory() as folder:
                 view = view_of(scene, size, camera=scene.camera(90.0, 15.0, 2.2, 30.0))
                 found[name, way] = measure(Bench(scene, view, Path(folder)), way, levels, paths, truth)

@@ -30,7 +30,7 @@ from benchmarks.common.suite import part
 from isogi_core.cache.chunk_record import facts_in, record_fields
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.frame import Frame
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.zarr_codec import unwrap_all
@@ -200,7 +200,7 @@ def beside(frame: Frame, traced: Frame) -> tuple[float, float]:
     The noise that this one tells of itself is taken from the RMSE.
     """
     on = traced.state > 0
-    light, true = (each.radiance[on].astype(np.float64) @ LUMINANCE for each in (frame, traced))
+    light, true = (each.radiance[on].astype(np.float64) @ LUMINANCE_WEIGHTS for each in (frame, traced))
     wrong = np.abs(light - true)
     square = float((wrong**2).mean() / true.mean() ** 2) - traced.noise**2
     return math.sqrt(max(square, 0.0)), float(np.quantile(wrong, 0.99) / true.mean())

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER
+from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER_LANES
 from isogi_core.storage.atomic_file import write_whole
 from isogi_report.heading import machine
 from isogi_report.sections import plain
@@ -143,7 +143,7 @@ def checked(name: str, value: Any) -> Any:
 
 def hardware() -> dict[str, Any]:
     """The processor, its cores, the system, and how many float32 lanes kernels use (0: none)."""
-    return {**machine(), "simd": RAY_WIDTH if REGISTER else 0}
+    return {**machine(), "simd": RAY_WIDTH if REGISTER_LANES else 0}
 
 
 def commit() -> str:

@@ -14,7 +14,7 @@ import httpx
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from isogi_core.model.view import SHADINGS
+from isogi_core.model.view import VIEW_SHADINGS
 
 SIDES = (48, 96, 160, 256)
 VIEWS = 12
@@ -135,7 +135,7 @@ class Client:
         return dict(self._random.choice(self._views))
 
     def _view(self, isovalues: tuple[float, ...]) -> dict[str, Any]:
-        shading = self._random.choice(("gi", "gi", "gi", *(each for each in SHADINGS if each != "path_traced")))
+        shading = self._random.choice(("gi", "gi", "gi", *(each for each in VIEW_SHADINGS if each != "path_traced")))
         side = self._random.choice(SIDES)
         view = {"isovalue": self._random.choice(isovalues), "shading": shading, "width": side, "height": side}
         return view | {

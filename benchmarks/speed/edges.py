@@ -22,7 +22,7 @@ from isogi_core.frame.film import BACKGROUND, averaged, develop, linear_table
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.shading.edges import find_contrasts
-from isogi_core.model.scene_plan import FEWEST
+from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.model.view import View
 from isogi_report.speed import DONE, Candidate, bake_view, make_renderer, medians, seconds, view_of
 
@@ -41,7 +41,7 @@ def edges(target: str | None, size: int, repeats: int) -> Measurement:
     with tempfile.TemporaryDirectory() as store:
         renderer = make_renderer(scene, store)
         plain = view_of(scene, size)
-        bake_view(renderer, plain, FEWEST)
+        bake_view(renderer, plain, MIN_SAMPLES)
         smooth = replace(plain, smooth=True)
         took = medians({"plain": pictured(renderer, plain), "smooth": pictured(renderer, smooth)}, repeats)
         errors = errors_of(renderer.render(plain, DONE), renderer.render(smooth, DONE), renderer)

@@ -22,7 +22,7 @@ from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
 from isogi_core.frame.film import develop
 from isogi_core.frame.renderer import Renderer
-from isogi_core.model.scene_plan import FEWEST, MAX_SAMPLES
+from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.model.window import Window
 from isogi_core.plan.scene import Scene
@@ -71,7 +71,7 @@ def lit(scene: Scene, size: int) -> Iterator[tuple[Renderer, View]]:
     with tempfile.TemporaryDirectory() as store:
         renderer, view = make_renderer(scene, store), view_of(scene, size)
         for each in (view, on_from(renderer, view)):
-            bake_view(renderer, each, FEWEST)
+            bake_view(renderer, each, MIN_SAMPLES)
         yield renderer, view
 
 

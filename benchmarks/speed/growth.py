@@ -25,7 +25,7 @@ from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
 from isogi_core.frame.renderer import Renderer
-from isogi_core.model.scene_plan import FEWEST
+from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.scene import Scene
 from isogi_report.speed import (
@@ -68,7 +68,7 @@ def baked(scene: Scene, store: str, sizes: Iterable[int], threads: int | None = 
     """A renderer with the light of the view at all ``sizes`` baked."""
     renderer = make_renderer(scene, store, threads)
     for size in sizes:
-        bake_view(renderer, view_of(scene, size), FEWEST)
+        bake_view(renderer, view_of(scene, size), MIN_SAMPLES)
     return renderer
 
 

@@ -29,7 +29,7 @@ from isogi_core.frame.film import develop
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.model.scene_plan import FEWEST
+from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_report.speed import (
@@ -51,7 +51,9 @@ Painter = Callable[[float], np.ndarray]
 def lit_renderer(scene: Scene, size: int, levels: list[float], store: str, threads: int) -> Renderer:
     """A renderer that has seen no isovalue, with the light of all ``levels`` in memory."""
     renderer = make_renderer(scene, store, threads)
-    chunks = {d.index for v in levels for d in bake_view(renderer, view_of(scene, size, isovalue=v), FEWEST).demands}
+    chunks = {
+        d.index for v in levels for d in bake_view(renderer, view_of(scene, size, isovalue=v), MIN_SAMPLES).demands
+    }
     fresh = make_renderer(scene, store, threads)
     fresh.caches.of("gi").ensure(sorted(chunks))
     return fresh

@@ -27,7 +27,7 @@ from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.tracing.intersect import OUTSIDE
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN
 from isogi_core.kernels.transport.wavefront import bounce_rays
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer
 from isogi_core.model.view import View
@@ -129,7 +129,7 @@ def texel_rays(prepared: PreparedScene, texels: np.ndarray, rng: np.random.Gener
     levels = prepared.field.voxels[tuple(texels.T)].astype(np.float64)
     origins, down = np.ascontiguousarray(texels[:, ::-1].T, np.float64), np.zeros((3, len(texels)))
     down[2] = -1.0
-    sides = np.full(len(texels), OUTSIDE, np.int8)
+    sides = np.full(len(texels), OUTSIDE_SIGN, np.int8)
     bounce_rays(prepared.field, levels, origins, down, np.zeros(len(texels)), sides, rng.random((2, len(texels))))
     return Rays(origins, down, levels, sides)
 

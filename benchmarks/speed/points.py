@@ -34,7 +34,7 @@ from isogi_core.frame.rays.pixel_rays import Paths, replicas_for
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.transport import streams
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_report.speed import make_renderer, view_of
 
@@ -67,7 +67,7 @@ class Pixels:
         """See ``Surfels``."""
         sums = np.zeros((len(self.paths.gbuffer.points), sequences, 3))
         self.paths.add(sums, stream, 0, points)
-        return np.asarray(sums @ LUMINANCE / points)
+        return np.asarray(sums @ LUMINANCE_WEIGHTS / points)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,7 @@ def measure(what: Surfels, most: int) -> list[Point]:
     """Both kinds of points, 16, 64 … up to the ``most`` samples."""
     what.light(0, 2, 1)
     rungs = [4**k for k in range(2, int(math.log(most, 4)) + 1)]
-    true = what.light(streams.REFERENCE, 8, MANY * most // 8)
+    true = what.light(streams.REFERENCE_STREAM, 8, MANY * most // 8)
     return [both(what, samples, true) for samples in tqdm(rungs, leave=False)]
 
 
@@ -144,7 +144,7 @@ def both(what: Surfels, samples: int, true: np.ndarray) -> Point:
 
 def random(what: Surfels, samples: int) -> np.ndarray:
     """The mean over the first points of as many sequences."""
-    blocks = range(2 * streams.REFERENCE, 2 * streams.REFERENCE + samples, min(TOGETHER, samples))
+    blocks = range(2 * streams.REFERENCE_STREAM, 2 * streams.REFERENCE_STREAM + samples, min(TOGETHER, samples))
     return np.asarray(np.mean([what.light(b, min(TOGETHER, samples), 1).mean(axis=1) for b in blocks], axis=0))
 
 

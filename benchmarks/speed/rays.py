@@ -23,7 +23,7 @@ from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import benchmark_scene, shared_data
 from benchmarks.common.suite import part
 from benchmarks.speed import embree
-from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER
+from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER_LANES
 from isogi_core.kernels.tracing.cast import cast_one_by_one
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -106,7 +106,7 @@ def measure(casts: Casts, rays: Rays, repeats: int) -> dict[str, float]:
 def figures_of(scene: Scene, size: int, repeats: int) -> dict[str, Any]:
     """The figures of one isosurface."""
     casts = Casts(scene)
-    figures: dict[str, Any] = {"lanes at once": RAY_WIDTH if REGISTER else 0}
+    figures: dict[str, Any] = {"lanes at once": RAY_WIDTH if REGISTER_LANES else 0}
     going, rng = primary_rays(casts.prepared, size), np.random.default_rng(1)
     for kind in ("primary", "bounce1", "bounce2"):
         figures[f"{kind}: rays"] = len(going)

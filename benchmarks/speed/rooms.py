@@ -28,7 +28,7 @@ from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.picture_plan import PRESENT
 from isogi_core.frame.renderer import Renderer
-from isogi_core.model.scene_plan import FEWEST
+from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
@@ -97,7 +97,7 @@ def compare(name: str, scenes: list[Scene], size: int, repeats: int) -> dict[str
 def lit(scene: Scene, store: str, size: int) -> Renderer:
     """A renderer of a scene, with the light that its view reads."""
     renderer, view = make_renderer(scene, store), camera_of(scene, size)
-    bake_view(renderer, view, FEWEST)
+    bake_view(renderer, view, MIN_SAMPLES)
     frame = renderer.render(view, DONE)
     while frame.quality.waiting and renderer.refine_frame(frame, DONE, renderer.tiles, PRESENT):
         frame = renderer.render(view, DONE)

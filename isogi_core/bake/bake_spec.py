@@ -9,15 +9,15 @@ import numpy as np
 
 from isogi_core.kernels.transport.coloured_transfer import ColouredRules
 from isogi_core.model.environment import Lobe
-from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer, ScenePlan
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer, ScenePlan
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.albedos import mixing_weights
 from isogi_core.plan.bands import evaluate_harmonics, project_environment, sphere_nodes
 from isogi_core.plan.inputs import Colour
 from isogi_core.plan.lobe_choice import FEW_LOBES_SEARCHED, project_lobes
 from isogi_core.plan.planner import vicinity_plan
-from isogi_core.plan.scene import COLOURED
+from isogi_core.plan.scene import COLOURED_KIND
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 
@@ -101,7 +101,7 @@ class BakeSpec:
     @cached_property
     def coloured(self) -> bool:
         """Whether paths carry the colours of what they hit to harmonics."""
-        return COLOURED in self.kinds
+        return COLOURED_KIND in self.kinds
 
     @property
     def order(self) -> int:
@@ -137,7 +137,7 @@ class BakeSpec:
         mean = self.prepared.around[:, 0] / np.sqrt(4.0 * np.pi)
         if self.prepared.scene.lighting.glowing.any:
             mean = mean + self.prepared.scene.glow_around
-        return float(mean * self.prepared.scene.inputs.albedo @ LUMINANCE)
+        return float(mean * self.prepared.scene.inputs.albedo @ LUMINANCE_WEIGHTS)
 
     @cached_property
     def unit(self) -> float:
@@ -176,7 +176,7 @@ class BakeSpec:
     @cached_property
     def _lights(self) -> tuple[tuple[tuple[int, ...], np.ndarray], ...]:
         """Layers that meet the same light, by their numbers, and that light, (3, n²)."""
-        numbers = [number for number, layer in enumerate(self.plan.layers) if layer.kind != GLOW]
+        numbers = [number for number, layer in enumerate(self.plan.layers) if layer.kind != GLOW_KIND]
         straight = tuple(i for i in numbers if self.plan.layers[i].kind == "direct")
         groups = [group for group in (straight, tuple(i for i in numbers if i not in straight)) if group]
         return tuple((group, self._beside(group, self.lobes if group == straight else ())) for group in groups)
@@ -196,7 +196,7 @@ class BakeSpec:
         if not self.plan.layers[term.layers[0]].nodes:
             yield term
             return
-        mix = LUMINANCE * np.array(self.albedo)
+        mix = LUMINANCE_WEIGHTS * np.array(self.albedo)
         mix = mix / max(float(mix.sum()), 1e-30)
         for node, counts in enumerate(self.mixing.T):
             light, share = counts[:, None] * term.light, float(mix @ counts)
@@ -274,7 +274,7 @@ class BakeSpec:
         """
         if layer.nodes:
             return np.eye(layer.channels)[-1]
-        mix = LUMINANCE * np.array(self.albedo)
+        mix = LUMINANCE_WEIGHTS * np.array(self.albedo)
         mix = mix / max(mix.sum(), 1e-30) if layer.colours == 3 else np.ones(1)
         return np.tile(mix, layer.channels // len(mix)) * (len(mix) / layer.channels)
 
@@ -356,7 +356,7 @@ def spec_for(prepared: PreparedScene, shading: str) -> BakeSpec:
 
 def to_luminance(light: np.ndarray, albedo: tuple[float, float, float], channels: int) -> np.ndarray:
     """Luminance of the reflected ``light`` (3, n²), split over the channels of the transfer; (channels, n²)."""
-    weighted = (LUMINANCE * np.array(albedo))[:, None] * light
+    weighted = (LUMINANCE_WEIGHTS * np.array(albedo))[:, None] * light
     return weighted if channels == 3 else weighted.sum(axis=0, keepdims=True)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec, band_of
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.shading.lattice import LEAST_SPREAD
-from isogi_core.model.scene_plan import FEWEST, MAX_SAMPLES, GlowLayer, Layer, most_samples, texel_target
+from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES, GlowLayer, Layer, most_samples, texel_target
 from isogi_core.plan.albedos import mixing_weights
 
 FLOOR = 0.5
@@ -120,7 +120,7 @@ def good_enough(error: np.ndarray, samples: np.ndarray, target: float, enough: i
     ``enough`` for the picture that reads them.
     """
     spent = samples >= min(most_samples(target), enough)
-    return (error <= texel_target(target)) & (samples >= FEWEST) | spent
+    return (error <= texel_target(target)) & (samples >= MIN_SAMPLES) | spent
 
 
 def noise_of_halves(halves: np.ndarray, samples: int, order: int, evenness: np.ndarray | float = 1.0) -> np.ndarray:
@@ -237,7 +237,7 @@ def samples_left(error: np.ndarray, samples: np.ndarray, target: float, enough: 
 def samples_needed(error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES) -> np.ndarray:
     """The sample level at which lit texels of this relative ``error`` are good enough; (texels,) float64."""
     most = min(most_samples(target), enough)
-    needed = np.clip(samples * (error / texel_target(target)) ** RATE, min(FEWEST, most), most)
+    needed = np.clip(samples * (error / texel_target(target)) ** RATE, min(MIN_SAMPLES, most), most)
     return np.asarray(2.0 ** np.ceil(np.log2(needed)))
 
 

@@ -4,10 +4,10 @@ import numpy as np
 
 from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.tracing.glow import Glows
-from isogi_core.kernels.tracing.walls import NOWHERE
-from isogi_core.kernels.transport.entries import PATHS
+from isogi_core.kernels.tracing.walls import NO_WALL
+from isogi_core.kernels.transport.entries import PATH_KERNELS
 from isogi_core.kernels.transport.light_paths import Surroundings
-from isogi_core.kernels.transport.matter.matter_paths import ALONG, INWARD, Through
+from isogi_core.kernels.transport.matter.matter_paths import ALONG_RAY, INWARD, Through
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts
 from isogi_core.model.lights import Colour
@@ -15,7 +15,7 @@ from isogi_core.prepared.prepared_scene import Met, PreparedScene
 from isogi_core.runs import Run, serially
 
 
-def on_wall(starts: PathStarts, wall: float = NOWHERE) -> RoomStarts:
+def on_wall(starts: PathStarts, wall: float = NO_WALL) -> RoomStarts:
     """The ``starts``, all of them on the ``wall`` of this number, or on what stands for one: by default on none."""
     return RoomStarts(*starts, np.full(len(starts.seeds), wall))
 
@@ -32,7 +32,7 @@ def add_paths(
 
     The kernel of PATHS for what is ``met`` and gathered does so, and says how.
     """
-    PATHS[type(met), type(source)](met, starts, samples, rules, source, sums)
+    PATH_KERNELS[type(met), type(source)](met, starts, samples, rules, source, sums)
 
 
 def add_path_light(
@@ -42,9 +42,9 @@ def add_path_light(
 
     Where matter scatters, paths start inwards; where it does not, the eye's rays do, along the normals.
     """
-    wall = NOWHERE
+    wall = NO_WALL
     if isinstance(met, Through):
-        wall = INWARD if met.matter.extinction > 0.0 else ALONG
+        wall = INWARD if met.matter.extinction > 0.0 else ALONG_RAY
     add_paths(met, on_wall(starts, wall), samples, rules, light, sums)
 
 

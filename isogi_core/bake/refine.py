@@ -19,9 +19,9 @@ from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
 from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange, TransferRules
 from isogi_core.kernels.transport.room_paths import fill_seeds
-from isogi_core.kernels.transport.texel_points import PROJECTED, project_texels
+from isogi_core.kernels.transport.texel_points import TEXEL_PROJECTED, project_texels
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
-from isogi_core.model.scene_plan import GLOW, MAX_SAMPLES, Layer, most_samples
+from isogi_core.model.scene_plan import GLOW_KIND, MAX_SAMPLES, Layer, most_samples
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import PreparedScene
 
@@ -87,7 +87,7 @@ Sampler = Callable[[Sequence[Layer], Place, np.ndarray, BakeSpec, int, int], Ite
 
 def by_sampler(parts: Sequence[Part]) -> Iterator[tuple[Sampler, list[Part]]]:
     """Some parts by who samples them: those that the same harmonics serve, irradiance, and what glows."""
-    own: dict[str, Sampler] = {"irradiance": sample_irradiance, GLOW: sample_glow}
+    own: dict[str, Sampler] = {"irradiance": sample_irradiance, GLOW_KIND: sample_glow}
     if lit := [part for part in parts if part.layer.kind not in own]:
         yield sample_transfer, lit
     for part in parts:
@@ -111,7 +111,7 @@ def add(part: Part, rows: np.ndarray, halves: np.ndarray, second: np.ndarray, to
 def noise_of_new(halves: np.ndarray, second: np.ndarray, count: int, layer: Layer, spec: BakeSpec) -> np.ndarray:
     """The noise of a layer, estimated from the sums of ``count`` new samples; see ``noise_of_halves``."""
     seen = spec.judged(halves, layer)
-    if layer.order > 1 or layer.kind in ("irradiance", GLOW):
+    if layer.order > 1 or layer.kind in ("irradiance", GLOW_KIND):
         return noise_of_halves(seen, count, layer.order)
     even = evenness(seen.sum(axis=1) / count, second / count, count)
     return noise_of_halves(seen, count, layer.order, even)
@@ -146,7 +146,7 @@ def locate(texels: np.ndarray, prepared: PreparedScene, shown: Isovalue | None =
     verdicts = np.empty(m, np.uint8)
     project_texels(prepared.field, prepared.step, shown, *place[:3], verdicts)
     place[3][:] = shown
-    return place, verdicts != PROJECTED
+    return place, verdicts != TEXEL_PROJECTED
 
 
 def sample_transfer(

@@ -17,9 +17,9 @@ from isogi_core.bake.precision import SAMPLES_OF
 from isogi_core.bake.texel_light import Light
 from isogi_core.cache.chunk import Chunks
 from isogi_core.errors import NoRoomError
-from isogi_core.kernels.shading.lattice import UNLIT, Lattice
+from isogi_core.kernels.shading.lattice import UNLIT_ROW, Lattice
 from isogi_core.kernels.shading.texel_table import Judge, Role, Rows, Sums, add_part, find_fewest, judge_rows
-from isogi_core.model.scene_plan import FEWEST, GLOW, Layer
+from isogi_core.model.scene_plan import GLOW_KIND, MIN_SAMPLES, Layer
 from isogi_core.prepared.prepared_scene import Index
 
 PAGE = 64
@@ -134,7 +134,7 @@ class PagePool:
             slots = np.array([entry.slot for entry in entries], np.int32)
             for slot in slots.tolist():
                 self._versions.pop(slot, None)
-            self.table[slots] = UNLIT
+            self.table[slots] = UNLIT_ROW
             self.table[np.repeat(slots, counts), chunks.offsets] = fill_rows(self.rows, rows, chunks.light, self.spec)
             if self.spec.plan.nodes:
                 self.reflected[rows] = reflected_share(chunks.light, self.spec)
@@ -171,7 +171,7 @@ class PagePool:
             rows = self.table[slot]
             stamps = np.where(rows >= 0, self.stamp[rows], rows.astype(np.float32))
             named = hashlib.blake2b(self.spec.digest.encode() + stamps.tobytes(), digest_size=8).digest()
-            self._versions[slot] = named if (rows != UNLIT).any() else UNLIT_VERSION
+            self._versions[slot] = named if (rows != UNLIT_ROW).any() else UNLIT_VERSION
         return self._versions[slot]
 
     def versions(self, indices: Sequence[Index]) -> tuple[bytes, ...]:
@@ -304,9 +304,9 @@ def role_of(number: int, layer: Layer, at: int, spec: BakeSpec) -> Role:
         width=term.order**2,
         first=number == min(term.layers),
         rung=LEVELS**number if last else 0,
-        straight=layer.kind not in ("indirect", GLOW),
+        straight=layer.kind not in ("indirect", GLOW_KIND),
         telling=layer.kind != "irradiance",
-        fewest=FEWEST,
+        fewest=MIN_SAMPLES,
     )
 
 

@@ -18,9 +18,9 @@ from isogi_core.files.volume_copies import find_copy, get_copy, get_file
 from isogi_core.files.voxel_file import Draft
 from isogi_core.model.colours import Label, Scale, SurfaceColours
 from isogi_core.model.lights import ENVIRONMENTS
-from isogi_core.model.orientation import PLAIN, Orientation
+from isogi_core.model.orientation import PLAIN_ORIENTATION, Orientation
 from isogi_core.model.value_survey import begin_digest
-from isogi_core.model.volume import BESIDE, Volume
+from isogi_core.model.volume import UNMEASURED_FIELDS, Volume
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.backend import one_line
 from isogi_core.storage.store import Store
@@ -132,7 +132,7 @@ class SceneAssets:
 
     volume: str
     files: tuple[tuple[str, str], ...]
-    orientation: Orientation = PLAIN
+    orientation: Orientation = PLAIN_ORIENTATION
     colours: str = ""
     glow_bits: str = ""
 
@@ -151,7 +151,7 @@ def send_assets(scene: Scene, store: Store) -> SceneAssets:
     bits = send_glow_bits(scene.lighting.glowing.bits, store) if scene.lighting.glowing.bits.size else ""
     if str(source.document.get("volume", DEFAULT_DEMO)).startswith("demo:"):
         return SceneAssets("", tuple(files), colours=colours, glow_bits=bits)
-    facts = {name: value for name, value in vars(volume.counted()).items() if name not in BESIDE}
+    facts = {name: value for name, value in vars(volume.counted()).items() if name not in UNMEASURED_FIELDS}
     Asset(store, f"volumes/{volume.digest}").put(volume.voxels, CHUNK, facts)
     return SceneAssets(volume.digest, tuple(files), volume.orientation, colours, bits)
 

@@ -14,7 +14,7 @@ from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.kernels.tracing.field import Field
 from isogi_core.kernels.tracing.glow import Glows, gather_from_eye
 from isogi_core.lru_cache import LruCache
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 Layer = tuple[np.ndarray, np.ndarray, np.ndarray | float]
@@ -115,7 +115,7 @@ def add_seen(frame: Frame, seen: np.ndarray) -> Frame:
     Relative errors become those of the sum.
     """
     radiance, state, error = frame.framebuffer
-    before, added = radiance @ LUMINANCE, seen @ LUMINANCE
+    before, added = radiance @ LUMINANCE_WEIGHTS, seen @ LUMINANCE_WEIGHTS
     error *= (before / np.maximum(before + added, np.finfo(np.float32).tiny)).astype(np.float32)
     radiance += seen
     state[(state == 0) & (added > 0.0)] = FINAL

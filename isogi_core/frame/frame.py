@@ -23,7 +23,7 @@ from isogi_core.frame.rays.tail_error import TailError, tail_of
 from isogi_core.frame.texel_reading import Lacking, Stage
 from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer, tally
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import Index
 
@@ -403,7 +403,9 @@ class Frame:
 
     def _shown_at(self, places: np.ndarray) -> np.ndarray:
         """The luminance that surface points show, by their numbers ``places`` (k,); (k,) float64."""
-        return np.asarray(self.leaving.reshape(-1, 3)[self.gbuffer.pixels[places]].astype(np.float64) @ LUMINANCE)
+        return np.asarray(
+            self.leaving.reshape(-1, 3)[self.gbuffer.pixels[places]].astype(np.float64) @ LUMINANCE_WEIGHTS
+        )
 
     @property
     def shown_mean(self) -> float:
@@ -444,7 +446,7 @@ class Frame:
 
     def luminance(self, pixels: np.ndarray) -> np.ndarray:
         """The luminance of these pixels; float64."""
-        return np.asarray(self.radiance.reshape(-1, 3)[pixels].astype(np.float64) @ LUMINANCE)
+        return np.asarray(self.radiance.reshape(-1, 3)[pixels].astype(np.float64) @ LUMINANCE_WEIGHTS)
 
     @cached_property
     def total(self) -> TotalError:

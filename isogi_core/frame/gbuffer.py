@@ -9,7 +9,7 @@ import numpy as np
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.local_models import find_normals
 from isogi_core.kernels.tracing.camera import Pinhole, trace_pixels
-from isogi_core.kernels.tracing.sight import FACE, Sight, trace_pixels_in_sight
+from isogi_core.kernels.tracing.sight import WINDOW_FACE, Sight, trace_pixels_in_sight
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.kernels.transport.colours import Colours, fill_albedos
 from isogi_core.model.view import Camera, View
@@ -205,5 +205,5 @@ def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None
     shown = (view.height, view.width), spacing, camera.eye, surface, pixels, points
     if view.window is None:
         return GBuffer(*shown, walls=seen)
-    on_face = seen.numbers == FACE
+    on_face = seen.numbers == WINDOW_FACE
     return GBuffer(*shown, walls=seen.part(~on_face), faces=seen.part(on_face))

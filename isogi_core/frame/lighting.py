@@ -13,13 +13,13 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.irradiance_ratio import MIN_UNSHADOWED, Unshadowed
 from isogi_core.kernels.shading.lattice import Sky
 from isogi_core.kernels.shading.local_models import LocalModel
-from isogi_core.kernels.simd.types import REGISTER
+from isogi_core.kernels.simd.types import REGISTER_LANES
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, rotate
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import DIRECTIONAL, LampArrays
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.shine import Shine
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import Camera, View, rotation_matrix
 from isogi_core.plan.albedos import mixing_weights
 from isogi_core.plan.scene import Scene
@@ -55,7 +55,7 @@ def reflected_weights(spec: BakeSpec) -> np.ndarray:
     A path that left after k bounces brings R^k, and its square is light of the albedo R². Of colours R_c that luminance
     mixes with w_c it is Σ w_c w_d (R_c R_d)^k.
     """
-    mix, nodes = LUMINANCE * np.array(spec.albedo), spec.plan.nodes
+    mix, nodes = LUMINANCE_WEIGHTS * np.array(spec.albedo), spec.plan.nodes
     mix = mix / max(float(mix.sum()), 1e-30)
     pairs = [(c, d) for c in range(3) for d in range(3)]
     products = [mixing_weights(spec.albedo[c] * spec.albedo[d], nodes, spec.plan.bounces) for c, d in pairs]
@@ -68,7 +68,7 @@ def all_weights(spec: BakeSpec) -> np.ndarray:
     The albedo of the surface that they start on is taken out.
     """
     squares = np.array([term.square[0] for term in spec.terms])
-    return np.asarray(squares / max(float(LUMINANCE @ spec.albedo) ** 2, 1e-30))
+    return np.asarray(squares / max(float(LUMINANCE_WEIGHTS @ spec.albedo) ** 2, 1e-30))
 
 
 KEY_SHARE = 0.1
@@ -251,7 +251,7 @@ class RotatedLight:
         """
         scene = self.spec.prepared.scene
         directions, irradiances = scene.lighting.lamps.seen_from(scene.volume.centre)
-        strengths = irradiances @ LUMINANCE
+        strengths = irradiances @ LUMINANCE_WEIGHTS
         if strengths.any():
             best = int(strengths.argmax())
             rest = (irradiances.sum(axis=0) - irradiances[best]) / (4.0 * math.pi) + scene.lighting.environment.mean()
@@ -260,9 +260,9 @@ class RotatedLight:
                 return triple(directions[best]), KEY * key, (1.0 - KEY) * key + rest
             return triple(directions[best]), key, rest
         first = np.array([self.around[:, i] if i < self.around.shape[1] else np.zeros(3) for i in (3, 1, 2)])
-        pull = first @ LUMINANCE
+        pull = first @ LUMINANCE_WEIGHTS
         strength = float(np.linalg.norm(pull)) * math.sqrt(4.0 * math.pi / 3.0)
-        mean = float(self.mean @ LUMINANCE)
+        mean = float(self.mean @ LUMINANCE_WEIGHTS)
         if strength <= KEY_SHARE * 4.0 * math.pi * mean:
             return shoulder_light(self.view.camera), KEY * self.mean, (1.0 - KEY) * self.mean
         share = min(strength / (4.0 * math.pi * mean), 0.9)
@@ -328,4 +328,6 @@ def version_of(light: RotatedLight, read: bytes) -> str:
     Light is summed in the order that fills the processor's registers, whose width is part of it.
     """
     spec, scene = light.spec.digest, light.spec.prepared.scene.digest
-    return hashlib.blake2b(repr((FORMAT, scene, spec, light.view, read, REGISTER)).encode(), digest_size=16).hexdigest()
+    return hashlib.blake2b(
+        repr((FORMAT, scene, spec, light.view, read, REGISTER_LANES)).encode(), digest_size=16
+    ).hexdigest()

@@ -6,7 +6,7 @@ from isogi_core.frame.film import LEVELS, tone_table
 from isogi_core.kernels.transport.lights import DIRECTIONAL
 from isogi_core.model.environment import Environment, Lamps
 from isogi_core.model.latlong import pixel_directions, resample, solid_angles
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
 FORMAT = 1
 """Counts up when the same light makes another picture."""
@@ -59,7 +59,7 @@ def tone(radiance: np.ndarray) -> np.ndarray:
     Source: Reinhard et al., "Photographic Tone Reproduction for Digital Images", SIGGRAPH 2002, eqs. 1 to 3, with
     the mean logarithm over the sphere.
     """
-    luminance = radiance @ LUMINANCE
+    luminance = radiance @ LUMINANCE_WEIGHTS
     shares = solid_angles(*luminance.shape) / (4.0 * np.pi)
     mean = float((shares * luminance).sum())
     if mean <= 0.0:

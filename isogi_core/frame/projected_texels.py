@@ -16,7 +16,7 @@ from isogi_core.frame.texel_reading import Lacking, Reading, Stage
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import Demand, ViewTexels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer
-from isogi_core.kernels.shading.lattice import BURIED, UNLIT, VOID
+from isogi_core.kernels.shading.lattice import BURIED_GRADE, UNLIT_ROW, VOID_GRADE
 from isogi_core.kernels.transport.texel_points import measure_distances
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
@@ -159,17 +159,17 @@ def join_readings(base: Reading, projected: Reading, distances: Distances, pool:
     One is read once its own error is less than what is expected without it, of interpolation and of noise.
     """
     beyond, grade = distances.beyond(base.target), projected.grade
-    wanted = beyond & (grade != VOID)
+    wanted = beyond & (grade != VOID_GRADE)
     without = np.hypot(distances.errors, np.where(base.samples > 0, base.error, 1.0))
     fit = (grade == FINAL) | (wanted & (grade == CONVERGING) & (projected.error <= without))
-    dark, pending = wanted & (grade == BURIED), wanted & (grade < FINAL)
+    dark, pending = wanted & (grade == BURIED_GRADE), wanted & (grade < FINAL)
     grade = np.where(fit, grade, base.grade)
     grade[dark] = FINAL
     grade[pending & (grade == FINAL)] = CONVERGING
     lacks = pending | (base.grade < FINAL) & ~wanted
     short = np.logical_or.reduceat(lacks, base.bounds[:-1]) if len(grade) else base.short
     return ProjectedReading(
-        rows=np.where(fit | dark, UNLIT, base.rows).astype(np.int32),
+        rows=np.where(fit | dark, UNLIT_ROW, base.rows).astype(np.int32),
         grade=grade,
         version=base.version + projected.version + repr((base.target, base.enough)).encode(),
         samples=np.where(fit, projected.samples, base.samples),
@@ -181,9 +181,9 @@ def join_readings(base: Reading, projected: Reading, distances: Distances, pool:
         base=base,
         projected=projected,
         pool=pool,
-        projected_rows=np.where(fit, projected.rows, UNLIT).astype(np.int32),
+        projected_rows=np.where(fit, projected.rows, UNLIT_ROW).astype(np.int32),
         wanted=wanted,
-        unreachable=beyond & (projected.grade == VOID),
+        unreachable=beyond & (projected.grade == VOID_GRADE),
         dark=dark,
         distances=distances,
     )

@@ -15,19 +15,25 @@ from isogi_core.frame.rays.pixel_rays import Paths, pooled_variance, replicas_fo
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import PAIRED, ViewTexels
-from isogi_core.kernels.shading.filtering import PATHS, VARIANCE, filter_texels, lend_texels, take_filtered
+from isogi_core.kernels.shading.filtering import (
+    PATHS_COLUMN,
+    VARIANCE_COLUMN,
+    filter_texels,
+    lend_texels,
+    take_filtered,
+)
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer, PixelPoints
 from isogi_core.kernels.shading.irradiance_ratio import (
-    GRADE,
-    NOISE,
-    RECORD,
+    GRADE_COLUMN,
+    NOISE_COLUMN,
+    RECORD_LENGTH,
     carry_ratios,
     fill_records,
 )
-from isogi_core.kernels.shading.lattice import LIT, UNBAKED, carry_light, light_texels
+from isogi_core.kernels.shading.lattice import LIGHT_NUMBERS, UNBAKED_GRADE, carry_light, light_texels
 from isogi_core.kernels.shading.local_models import find_shadows, shade_local
 from isogi_core.kernels.transport import streams
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.model.volume import Volume
 
@@ -93,10 +99,10 @@ def shade_by_paths(gbuffer: GBuffer, light: RotatedLight, target: float, tiles: 
     pixels, samples, framebuffer = gbuffer.pixels, light.view.samples, empty_framebuffer(gbuffer)
     replicas = replicas_for(samples)
     count, sums = max(samples // replicas, 1), np.zeros((len(pixels), replicas, 3))
-    Paths(light, gbuffer, tiles).add(sums, streams.PICTURE, 0, count)
+    Paths(light, gbuffer, tiles).add(sums, streams.PICTURE_STREAM, 0, count)
     means = np.minimum(sums / count, np.finfo(np.float32).max)
     radiance, deviation = means.mean(axis=1), np.sqrt(pooled_variance(variance_of_mean(means), gbuffer))
-    error = np.clip(deviation / np.maximum(radiance @ LUMINANCE, DARKEST * light.spec.unit), 0.0, 1.0)
+    error = np.clip(deviation / np.maximum(radiance @ LUMINANCE_WEIGHTS, DARKEST * light.spec.unit), 0.0, 1.0)
     framebuffer.radiance[pixels] = radiance
     framebuffer.state[pixels] = np.where(error <= target, FINAL, CONVERGING)
     framebuffer.error[pixels] = error
@@ -110,7 +116,7 @@ def light_sources(sources: Sequence[tuple[np.ndarray, PagePool]], light: Rotated
     Raises Cancelled.
     """
     lights, change, texels = light.in_units, albedo_change(light), len(sources[0][0])
-    lit = np.zeros((texels, LIT), np.float32)
+    lit = np.zeros((texels, LIGHT_NUMBERS), np.float32)
 
     def _piece(a: int, b: int) -> None:
         for rows, pool in sources:
@@ -138,7 +144,7 @@ def changed_scatter(rows: np.ndarray, pool: PagePool, change: np.ndarray, spec: 
 def texel_disagreement(texels: ViewTexels, reading: Reading, lit: np.ndarray) -> np.ndarray:
     """Standard deviation of the luminance of the lit texels around each surface point, in ``BakeSpec.unit``; (m,)."""
     fit, own = np.isin(reading.grade, (CONVERGING, FINAL)), np.zeros(len(lit))
-    own[fit] = lit[fit, :3] @ LUMINANCE
+    own[fit] = lit[fit, :3] @ LUMINANCE_WEIGHTS
     known, light = fit[texels.corners], own[texels.corners]
     count = np.maximum(known.sum(axis=1), 1)
     mean = light.sum(axis=1) / count
@@ -152,7 +158,7 @@ def fill_texel_records(
 
     See ``fill_records``. Raises Cancelled.
     """
-    unshadowed, records = light.unshadowed, np.empty((len(lit), RECORD), np.float32)
+    unshadowed, records = light.unshadowed, np.empty((len(lit), RECORD_LENGTH), np.float32)
     whole = light.spec.plan.representation == "irradiance"
 
     def _piece(a: int, b: int) -> None:
@@ -174,9 +180,9 @@ def filter_texel_light(
     those that they are lit about. Raises Cancelled.
     """
     records = fill_texel_records(reading.grade, lit, normals, light, tiles)
-    records[:, PATHS], records[:, VARIANCE] = reading.samples, records[:, NOISE] ** 2
+    records[:, PATHS_COLUMN], records[:, VARIANCE_COLUMN] = reading.samples, records[:, NOISE_COLUMN] ** 2
     grainy, lit_texels = reading.grainy, reading.lit
-    records[lit_texels, GRADE] = np.where(grainy[lit_texels], CONVERGING, FINAL)
+    records[lit_texels, GRADE_COLUMN] = np.where(grainy[lit_texels], CONVERGING, FINAL)
     records = filter_records(texels, records, tiles)
     grade, filtered = np.empty_like(reading.grade), np.empty_like(lit)
 
@@ -187,7 +193,7 @@ def filter_texel_light(
     found = replace(reading, grade=grade)
     lent, light_lent = lend_light(texels, found, filtered)
     unsure = grade != lent.grade
-    light_lent[unsure, 3] = light_lent[unsure, :3] @ LUMINANCE
+    light_lent[unsure, 3] = light_lent[unsure, :3] @ LUMINANCE_WEIGHTS
     return lent, light_lent
 
 
@@ -211,7 +217,7 @@ def lend_light(texels: ViewTexels, reading: Reading, lit: np.ndarray) -> tuple[R
 
     In the ``reading`` that is returned they are converging.
     """
-    if not (reading.grade == UNBAKED).any():
+    if not (reading.grade == UNBAKED_GRADE).any():
         return reading, lit
     grade, lent = reading.grade.copy(), lit.copy()
     lend_texels(texels.corners, reading.grade, lit, grade, lent)
@@ -236,7 +242,7 @@ def carry_irradiance_ratios(
     """
     gbuffer, lattice, corners = texels.gbuffer, texels.lattice, texels.corners
     points, pixels, framebuffer = gbuffer.points, gbuffer.pixels, empty_framebuffer(gbuffer)
-    records = noise_in_pixels(records, NOISE, texels)
+    records = noise_in_pixels(records, NOISE_COLUMN, texels)
     unshadowed, unit = light.unshadowed, np.float32(light.spec.unit)
 
     def _piece(a: int, b: int) -> None:

@@ -14,7 +14,7 @@ from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
-from isogi_core.kernels.shading.lattice import BURIED, PARTIAL, UNBAKED
+from isogi_core.kernels.shading.lattice import BURIED_GRADE, PARTIAL_GRADE, UNBAKED_GRADE
 from isogi_core.plan.volumes.cuts import Ranges, box_left, is_within
 
 
@@ -39,18 +39,18 @@ class StandIn:
 
         They are then partly lit: pixels that read them are provisional still. Raises Cancelled.
         """
-        caches, waiting = self._whole(), reading.grade == UNBAKED
+        caches, waiting = self._whole(), reading.grade == UNBAKED_GRADE
         if caches is None or not waiting.any() or caches.spec(light.view.shading).plan != light.spec.plan:
             return reading, lit
         loader = caches.of(light.view.shading)
         loader.ensure(texels.chunks, tiles.check)
         with loader.pool.hold(texels.chunks) as held:
             other = read_texels(texels, held.slots, loader.pool, Until(reading.target, reading.enough), tiles)
-            fit = waiting & np.isin(other.grade, (CONVERGING, FINAL, BURIED)) & self._is_far(texels, caches)
+            fit = waiting & np.isin(other.grade, (CONVERGING, FINAL, BURIED_GRADE)) & self._is_far(texels, caches)
             rows = np.where(fit, other.rows, -1).astype(np.int32)
             borrowed = light_sources(((rows, loader.pool),), light, tiles)
         version = hashlib.sha256(other.version + fit.tobytes()).digest()
-        grade = np.where(fit, np.uint8(PARTIAL), reading.grade)
+        grade = np.where(fit, np.uint8(PARTIAL_GRADE), reading.grade)
         return replace(reading, grade=grade, version=reading.version + version), np.where(fit[:, None], borrowed, lit)
 
     def _is_far(self, texels: ViewTexels, caches: Caches) -> np.ndarray:

@@ -13,7 +13,15 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import Demand, ViewTexels
 from isogi_core.kernels.shading.chunks import Pages, find_rows
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
-from isogi_core.kernels.shading.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
+from isogi_core.kernels.shading.lattice import (
+    BURIED_GRADE,
+    BURIED_ROW,
+    PARTIAL_GRADE,
+    UNBAKED_GRADE,
+    UNLIT_ROW,
+    VOID_GRADE,
+    VOID_ROW,
+)
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index
@@ -55,7 +63,7 @@ class Reading:
     @property
     def unbaked(self) -> bool:
         """Whether no texel holds light."""
-        return bool((self.grade == UNBAKED).all())
+        return bool((self.grade == UNBAKED_GRADE).all())
 
     @property
     def whole(self) -> bool:
@@ -224,7 +232,7 @@ class Lacking:
         return tuple(map(_demand, touched.tolist()))
 
 
-GRADES = {UNLIT: UNBAKED, VOID_ROW: VOID, BURIED_ROW: BURIED}
+GRADES = {UNLIT_ROW: UNBAKED_GRADE, VOID_ROW: VOID_GRADE, BURIED_ROW: BURIED_GRADE}
 """Grades of texels that have no row of light."""
 
 
@@ -234,7 +242,7 @@ def grade_rows(
     """How good the light in each row is, after at least so many ``samples`` in each part; (texels,) uint8."""
     grade = good_enough(error, samples, target, enough).view(np.uint8)
     grade += CONVERGING
-    grade[samples == 0] = PARTIAL
+    grade[samples == 0] = PARTIAL_GRADE
     if (rows < 0).any():
         for row, own in GRADES.items():
             grade[rows == row] = own

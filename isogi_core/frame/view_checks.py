@@ -20,7 +20,7 @@ from isogi_core.frame.texel_shading import TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_keys import check_key, is_checked
 from isogi_core.lru_cache import LruCache
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 
 PIXELS = 0.25
@@ -72,7 +72,7 @@ class ViewChecks:
         found = self._texels.lit(texels, light, Until(known.target, known.enough), tiles, Stopwatch())
         between = light.spec.unit * texel_disagreement(texels, *found)
         if light.coloured:
-            between *= light.tints(frame.gbuffer, tiles) @ LUMINANCE
+            between *= light.tints(frame.gbuffer, tiles) @ LUMINANCE_WEIGHTS
         between[known.own.places] = 0.0
         return np.asarray(np.hypot(between, frame.pixel_noise))
 

@@ -13,13 +13,13 @@ import numba
 
 from isogi_core.kernels._jit import Entry, entries_of, load
 
-LOOK = 0.02
+POLL_SECONDS = 0.02
 """Seconds between two looks at whether the wait for a compilation is given up."""
 
-KNOWN = 0.1
+MIN_TIMED_SHARE = 0.1
 """Share of a compilation after which its time is estimated."""
 
-NICENESS = 5
+COMPILER_NICENESS = 5
 """Niceness of processes that compile beside a server: pictures that can be drawn already come first."""
 
 
@@ -61,7 +61,7 @@ class Compilation:
         """Returns once ``kernels`` are compiled, or nobody is at it any more: it was stopped, or there is one core."""
         for entry in with_callees(kernels):
             while self._work and self._work.is_alive() and not entry.stored:  # a look at a folder: one at a time
-                self._work.join(LOOK)
+                self._work.join(POLL_SECONDS)
 
     def progress(self, kernels: Iterable[Any]) -> KernelProgress | None:
         """How far the compilation of ``kernels`` is; None where this machine has them all."""
@@ -73,7 +73,7 @@ class Compilation:
         whole, rest = sum(each.size for each in lacking), sum(each.size for each in left)
         under_way = sum(each.size for each in left[: numba.config.NUMBA_DEFAULT_NUM_THREADS]) / 2
         pace = (time.monotonic() - self._begun) / (whole - rest + under_way)
-        seconds = pace * (rest - under_way) if whole - rest > KNOWN * whole else None
+        seconds = pace * (rest - under_way) if whole - rest > MIN_TIMED_SHARE * whole else None
         return KernelProgress(len(lacking) - len(left), len(lacking), seconds)
 
 
@@ -113,7 +113,7 @@ def compile_beside(names: list[str], stopped: threading.Event, niceness: int = 0
         helper.start()
     for helper in helpers:
         while helper.is_alive() and not stopped.is_set():
-            helper.join(LOOK)
+            helper.join(POLL_SECONDS)
         helper.terminate()
         helper.join()
 

@@ -24,10 +24,10 @@ FASTMATH = {"nsz", "contract"}
 EXACT = {"nsz"}
 ANY_ORDER = FASTMATH | {"reassoc"}
 
-FOLDER = cache_folder()
-USED = hold(FOLDER)
+KERNEL_FOLDER = cache_folder()
+FOLDER_HOLD = hold(KERNEL_FOLDER)
 
-numba.config.CACHE_DIR = str(FOLDER)
+numba.config.CACHE_DIR = str(KERNEL_FOLDER)
 
 
 def no_blas() -> None:
@@ -63,7 +63,7 @@ class Entry:
         """Numba's compiled function. Asking for it compiles or loads it."""
         if self._ready is None:
             load(self.callees)
-            with locked(FOLDER / f"{self.name}.lock"):
+            with locked(KERNEL_FOLDER / f"{self.name}.lock"):
                 if self._ready is None:
                     self._compile()
         return self._ready
@@ -90,7 +90,7 @@ class Entry:
         if self.stored:
             return
         load(self.callees)
-        with locked(FOLDER / f"{self.name}.lock", wait=False) as ours:
+        with locked(KERNEL_FOLDER / f"{self.name}.lock", wait=False) as ours:
             if ours and not self.stored:
                 self._compile()
 
@@ -103,7 +103,7 @@ class Entry:
     def stored(self) -> bool:
         """Whether the folder of compiled kernels has it."""
         module, name = self.name.split(".")[-2:]
-        return any(FOLDER.glob(f"*/{module}.{name}-*.nbi"))
+        return any(KERNEL_FOLDER.glob(f"*/{module}.{name}-*.nbi"))
 
     def _compile(self) -> None:
         ready = njit(self._signature, cache=True, no_cfunc_wrapper=True, **self.targetoptions)(self.__wrapped__)

@@ -13,20 +13,20 @@ from isogi_core.kernels._jit import kernel
 MICROSECONDS = 1000
 """Between two looks at how much is resident."""
 
-STRIDE = 1 << 24
+RELEASE_BYTES = 1 << 24
 """Bytes of addresses that are let go of in one step."""
 
-LIBRARIES = 1 << 25
+LIBRARY_BYTES = 1 << 25
 """Bytes of files that a process may still load besides."""
 
-LINE = 256
+STATM_BYTES = 256
 """Bytes that a line of /proc/self/statm fits into."""
 
 NEVER_NEEDED = getattr(mmap, "MADV_DONTNEED", 4)
-SPACE, ZERO, FIELD = ord(" "), ord("0"), 2
-PAGE = mmap.PAGESIZE
+SPACE_CODE, ZERO_CODE, RESIDENT_FIELD = ord(" "), ord("0"), 2
+PAGE_BYTES = mmap.PAGESIZE
 
-TYPES = {types.int32: ctypes.c_int32, types.int64: ctypes.c_int64, types.uint32: ctypes.c_uint32}
+C_TYPES = {types.int32: ctypes.c_int32, types.int64: ctypes.c_int64, types.uint32: ctypes.c_uint32}
 
 
 def system_function(name: str, result: Any, *arguments: Any) -> Any:
@@ -34,7 +34,7 @@ def system_function(name: str, result: Any, *arguments: Any) -> Any:
     if not numba.config.DISABLE_JIT:
         return types.ExternalFunction(name, result(*arguments))
     found = getattr(ctypes.CDLL(None), name)
-    found.restype, found.argtypes = TYPES[result], [TYPES[each] for each in arguments]
+    found.restype, found.argtypes = C_TYPES[result], [C_TYPES[each] for each in arguments]
     return found
 
 
@@ -51,11 +51,11 @@ def resident(status, line):
     count = pread(status, line.ctypes.data, line.size, 0)
     field, pages = 0, 0
     for i in range(count):
-        if line[i] == SPACE:
+        if line[i] == SPACE_CODE:
             field += 1
-        elif field == FIELD:
-            pages = 10 * pages + (np.int64(line[i]) - ZERO)
-    return pages * PAGE
+        elif field == RESIDENT_FIELD:
+            pages = 10 * pages + (np.int64(line[i]) - ZERO_CODE)
+    return pages * PAGE_BYTES
 
 
 @kernel()
@@ -68,16 +68,16 @@ def let_go(status, line, enough, table, row, start):
     while done < total and resident(status, line) > enough:
         while start >= table[row, 1]:
             row, start = (row + 1) % table.shape[0], 0
-        size = min(STRIDE, table[row, 1] - start)
+        size = min(RELEASE_BYTES, table[row, 1] - start)
         madvise(table[row, 0] + start, size, NEVER_NEEDED)
         start, done = start + size, done + size
     return row, start, done >= total
 
 
-INTEGERS = types.int64[::1]
+INTEGER_ARRAY = types.int64[::1]
 
 
-@kernel(types.void(types.int32, INTEGERS, types.int64[:, ::1], INTEGERS))
+@kernel(types.void(types.int32, INTEGER_ARRAY, types.int64[:, ::1], INTEGER_ARRAY))
 def bound_pages(status, bounds, table, mutex):
     """Let go of mappings' pages when more than ``bounds[0]`` bytes are resident, down to ``bounds[1]``, until it is 0.
 
@@ -86,7 +86,7 @@ def bound_pages(status, bounds, table, mutex):
     not: what is needed again is still in the system's cache. Other files do not count, such as libraries: the
     ``bounds[2]`` bytes resident at first, and LIBRARIES more at most, by an eighth of what is left once all is let go.
     """
-    line, row, start = np.empty(LINE, np.uint8), 0, 0
+    line, row, start = np.empty(STATM_BYTES, np.uint8), 0, 0
     others = bounds[2]
     while bounds[0] > 0:
         usleep(MICROSECONDS)
@@ -96,4 +96,4 @@ def bound_pages(status, bounds, table, mutex):
             unlock_mutex(mutex.ctypes.data)
             if bare:
                 left = resident(status, line)
-                others = min(others + (left - others) // 8, bounds[2] + LIBRARIES)
+                others = min(others + (left - others) // 8, bounds[2] + LIBRARY_BYTES)

@@ -8,7 +8,7 @@ import numpy as np
 
 Colour = tuple[float, float, float]
 
-MAPS = {
+COLOUR_MAPS = {
     "viridis": "440154 48186a 472d7b 424086 3b528b 33638d 2c728e 26828e 21918c"
     " 1fa088 28ae80 3fbc73 5ec962 84d44b addc30 d8e219 fde725",
     "magma": "000004 0a0822 1d1147 36106b 51127c 6a1c81 832681 9c2e7f b73779"
@@ -42,7 +42,7 @@ def code_of(light: float) -> float:
 
 def table_of(name: str) -> np.ndarray:
     """The albedos of all VALUES by the map of this ``name``, (255, 3) float64, linear RGB, at most MAX_ALBEDO."""
-    anchors = np.array([list(bytes.fromhex(colour)) for colour in MAPS[name].split()]) / 255.0
+    anchors = np.array([list(bytes.fromhex(colour)) for colour in COLOUR_MAPS[name].split()]) / 255.0
     return np.vectorize(linear_of)(spread(anchors)).clip(0.0, MAX_ALBEDO)
 
 

@@ -18,8 +18,8 @@ from isogi_core.model.lights import (
     PointLight,
     Vector,
 )
-from isogi_core.model.orientation import PLAIN, Orientation
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.orientation import PLAIN_ORIENTATION, Orientation
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
 Row = tuple[int, np.ndarray, np.ndarray, np.ndarray]
 
@@ -76,10 +76,10 @@ class Lamps:
         directions, irradiances = self.seen_from(centre, radius)
         cosines = np.maximum(directions @ directions.T, 0.0)
         np.fill_diagonal(cosines, 1.0)
-        return float((cosines @ (irradiances @ LUMINANCE)).max(initial=0.0)) / math.pi
+        return float((cosines @ (irradiances @ LUMINANCE_WEIGHTS)).max(initial=0.0)) / math.pi
 
 
-def gather_lamps(lights: Sequence[Light], orientation: Orientation = PLAIN) -> Lamps:
+def gather_lamps(lights: Sequence[Light], orientation: Orientation = PLAIN_ORIENTATION) -> Lamps:
     """Gather the lamps among the lights into arrays, in the box of a volume with an ``orientation``."""
     rows = [_row(light) for light in lights if isinstance(light, Lamp)]
     arrays = LampArrays(
@@ -125,10 +125,10 @@ def _disc(light: DirectionalLight) -> tuple[np.ndarray, np.ndarray]:
 OVERVIEW = (256, 512)
 """Rows and columns of an environment's overview."""
 
-FINE = 4
+SAMPLES_PER_SIDE = 4
 """Samples along each side of a pixel of an image that is turned."""
 
-SHARP = 1.0
+SHARP_VARIANCE = 1.0
 """Relative variance of the luminance over the sphere from which shadow rays towards its bright parts pay.
 
 At equal time they make the variance of texels' irradiance smaller by 0.9 for half a sky (whose variance is 1), 1.4
@@ -161,10 +161,10 @@ class Environment:
 
     @cached_property
     def sharp(self) -> bool:
-        """Whether rays towards its bright parts pay: see ``SHARP``."""
+        """Whether rays towards its bright parts pay: see ``SHARP_VARIANCE``."""
         seen, shares = self._luminance, solid_angles(*self.image.shape[:2]) / (4.0 * np.pi)
         mean = float((shares * seen).sum())
-        return float((shares * seen**2).sum()) > (1.0 + SHARP) * mean**2
+        return float((shares * seen**2).sum()) > (1.0 + SHARP_VARIANCE) * mean**2
 
     @cached_property
     def table(self) -> tuple[np.ndarray, np.ndarray]:
@@ -175,7 +175,7 @@ class Environment:
         """
         if not self.sharp:
             return np.zeros(0), np.zeros((0, 0))
-        excess = np.maximum(self._luminance - self.mean() @ LUMINANCE, 0.0)
+        excess = np.maximum(self._luminance - self.mean() @ LUMINANCE_WEIGHTS, 0.0)
         return cumulative(excess * solid_angles(*excess.shape))
 
     @cached_property
@@ -186,7 +186,7 @@ class Environment:
     @property
     def _luminance(self) -> np.ndarray:
         """Luminance (h, w) float64 of all light, constant and image."""
-        return np.asarray(self.image @ LUMINANCE + self.constant @ LUMINANCE)
+        return np.asarray(self.image @ LUMINANCE_WEIGHTS + self.constant @ LUMINANCE_WEIGHTS)
 
     def turned(self, matrix: np.ndarray) -> "Environment":
         """This environment as a box sees it that lies in it turned by ``matrix`` (3, 3).
@@ -196,13 +196,18 @@ class Environment:
         if not self.image.any():
             return self
         height, width = self.image.shape[:2]
-        fine, image = pixel_directions(FINE * height, FINE * width), np.zeros((height, width, 3))
-        weights = np.sin((np.arange(FINE * height) + 0.5) * (np.pi / (FINE * height)))
+        fine, image = (
+            pixel_directions(SAMPLES_PER_SIDE * height, SAMPLES_PER_SIDE * width),
+            np.zeros((height, width, 3)),
+        )
+        weights = np.sin((np.arange(SAMPLES_PER_SIDE * height) + 0.5) * (np.pi / (SAMPLES_PER_SIDE * height)))
         for i in range(height):
-            rows = slice(FINE * i, FINE * (i + 1))
+            rows = slice(SAMPLES_PER_SIDE * i, SAMPLES_PER_SIDE * (i + 1))
             seen = self.radiance(fine[rows] @ matrix.T) - self.constant
-            shares = weights[rows] / (weights[rows].sum() * FINE)
-            image[i] = (shares[:, None, None] * seen.reshape(FINE, width, FINE, 3).sum(axis=2)).sum(axis=0)
+            shares = weights[rows] / (weights[rows].sum() * SAMPLES_PER_SIDE)
+            image[i] = (
+                shares[:, None, None] * seen.reshape(SAMPLES_PER_SIDE, width, SAMPLES_PER_SIDE, 3).sum(axis=2)
+            ).sum(axis=0)
         digest = hashlib.blake2b(f"{self.digest} {matrix.round(9).tolist()}".encode(), digest_size=16).hexdigest()
         return Environment(self.constant, image.astype(np.float32), digest, self.name)
 

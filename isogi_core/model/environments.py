@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from isogi_core.model.lights import ENVIRONMENTS, EnvironmentLight, SkyLight
-from isogi_core.model.sky import LUMINANCE, sky_image
+from isogi_core.model.sky import LUMINANCE_WEIGHTS, sky_image
 
 GROUND = 0.3
 """What the ground under an overcast sky reflects."""
@@ -19,14 +19,14 @@ GROUND = 0.3
 NOON = SkyLight(sun_azimuth=100.0, sun_elevation=62.0, turbidity=2.5)
 EVENING = SkyLight(sun_azimuth=20.0, sun_elevation=9.0, turbidity=4.5, ground=(0.3, 0.27, 0.23))
 
-BOXES = (
+SOFT_BOXES = (
     ((5.0, 42.0), (30.0, 26.0), (17.0, 16.2, 15.0)),
     ((125.0, 18.0), (20.0, 30.0), (4.2, 4.6, 5.2)),
 )
 """The soft boxes of the studio: azimuth and elevation of the middle, half width and half height in degrees, radiance:
 a large warm one before and above, a dimmer cool one to the side."""
 
-SOFT = 4.0
+EDGE_DEGREES = 4.0
 """Degrees over which a soft box fades at its edges."""
 
 Image = np.ndarray
@@ -38,7 +38,7 @@ def environment_image(light: EnvironmentLight, directions: np.ndarray, solid_ang
     ``solid_angles`` (h, w), steradians, say what each direction stands for. The mean luminance over the sphere is 1.
     """
     image = FORMULAS[light.environment](directions, solid_angles)
-    return np.asarray(image * (np.sum(solid_angles) / np.sum(solid_angles * (image @ LUMINANCE))))
+    return np.asarray(image * (np.sum(solid_angles) / np.sum(solid_angles * (image @ LUMINANCE_WEIGHTS))))
 
 
 def overcast(directions: np.ndarray, solid_angles: np.ndarray) -> Image:
@@ -54,7 +54,7 @@ def studio(directions: np.ndarray, solid_angles: np.ndarray) -> Image:
     height = directions[..., 2]
     room = 0.16 + 0.12 * height
     image = np.repeat(room[..., None], 3, axis=-1)
-    for (azimuth, elevation), half, radiance in BOXES:
+    for (azimuth, elevation), half, radiance in SOFT_BOXES:
         image += _box(directions, azimuth, elevation, half)[..., None] * np.array(radiance)
     return image
 
@@ -68,33 +68,41 @@ def _box(directions: np.ndarray, azimuth: float, elevation: float, half: tuple[f
     across, along = (
         np.degrees(np.arctan2(np.abs(directions @ axis), before)) for axis in (right, np.cross(towards, right))
     )
-    inside = [np.clip((size - angle) / SOFT + 0.5, 0.0, 1.0) for size, angle in zip(half, (across, along), strict=True)]
+    inside = [
+        np.clip((size - angle) / EDGE_DEGREES + 0.5, 0.0, 1.0)
+        for size, angle in zip(half, (across, along), strict=True)
+    ]
     return np.where(before > 0.0, inside[0] * inside[1], 0.0)
 
 
-ROOM = (3.0, 2.2, 1.0)
+GALLERY_HALF_SIZES = (3.0, 2.2, 1.0)
 """Half sizes of the gallery along x, y and z, seen from its middle."""
 
 SKYLIGHTS = (0.4, 1.4)
 """From where to where along y, to either side, its ceiling is of glass; along x it is so from wall to wall."""
 
-WALLS, CEILING, FLOOR, GLASS = (0.62, 0.60, 0.57), (0.5, 0.5, 0.49), (0.30, 0.22, 0.15), (3.6, 3.8, 4.1)
+WALL_RADIANCE, CEILING_RADIANCE, FLOOR_RADIANCE, GLASS_RADIANCE = (
+    (0.62, 0.60, 0.57),
+    (0.5, 0.5, 0.49),
+    (0.30, 0.22, 0.15),
+    (3.6, 3.8, 4.1),
+)
 """Radiances, linear RGB: white walls, a ceiling, a wooden floor, and the sky through the glass."""
 
 
 def gallery(directions: np.ndarray, solid_angles: np.ndarray) -> Image:
     """A white room under two skylights: what a box reflects and lets in, seen from its middle."""
-    size = np.array(ROOM)
+    size = np.array(GALLERY_HALF_SIZES)
     with np.errstate(divide="ignore"):
         reach = size / np.abs(directions)
     face = reach.argmin(axis=-1)
     points = directions * reach.min(axis=-1)[..., None]
     up = points[..., 2]
-    image = np.array(WALLS) * (0.75 + 0.25 * up / ROOM[2])[..., None]
-    image[(face == 2) & (up < 0.0)] = FLOOR
-    image[(face == 2) & (up > 0.0)] = CEILING
+    image = np.array(WALL_RADIANCE) * (0.75 + 0.25 * up / GALLERY_HALF_SIZES[2])[..., None]
+    image[(face == 2) & (up < 0.0)] = FLOOR_RADIANCE
+    image[(face == 2) & (up > 0.0)] = CEILING_RADIANCE
     aside = np.abs(points[..., 1])
-    image[(face == 2) & (up > 0.0) & (aside > SKYLIGHTS[0]) & (aside < SKYLIGHTS[1])] = GLASS
+    image[(face == 2) & (up > 0.0) & (aside > SKYLIGHTS[0]) & (aside < SKYLIGHTS[1])] = GLASS_RADIANCE
     return image
 
 

@@ -18,16 +18,16 @@ from isogi_core.model.volume import Volume
 MOST_GLOWS = 8
 """Most tables of a scene: every ray asks each of them."""
 
-STRONGEST = 16.0
+MAX_GLOW_STRENGTH = 16.0
 """How many times as bright as a scene says views may show what glows, at most."""
 
-ALL = (-math.inf, math.inf)
+ALL_VALUES = (-math.inf, math.inf)
 """The range of all values."""
 
 NO_BITS = np.zeros((0, 0, 0), np.uint8)
 """The masks of a scene in which no glow has one."""
 
-BEYOND = 1e-9
+REGION_ROUNDING = 1e-9
 """Share of the volume's radius by which a region may reach out of its box, by rounding."""
 
 
@@ -44,14 +44,14 @@ class Glow:
     radiance: Colour = (1.0, 1.0, 1.0)
     box: tuple[Vector, Vector] | None = None
     sphere: tuple[float, float, float, float] | None = None
-    values: tuple[float, float] = ALL
+    values: tuple[float, float] = ALL_VALUES
     mask: str = ""
     labels: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if self.box is not None and self.sphere is not None:
             raise SceneError("A glow has a box and a sphere: give one of them.")
-        if self.box is None and self.sphere is None and self.values == ALL and not self.mask:
+        if self.box is None and self.sphere is None and self.values == ALL_VALUES and not self.mask:
             raise SceneError("A glow says nowhere what glows: give it a box, a sphere, a range of values or a mask.")
         if self.labels and not self.mask:
             raise SceneError("A glow has labels of no mask: add mask, the file that they are in, or leave them out.")
@@ -79,7 +79,7 @@ class Glow:
             middle, half = (low + high) / 2.0, (high - low) / 2.0
         else:
             middle, half = extent / 2.0, extent / 2.0
-        if (np.abs(middle - extent / 2.0) + half > extent / 2.0 + BEYOND * volume.radius).any():
+        if (np.abs(middle - extent / 2.0) + half > extent / 2.0 + REGION_ROUNDING * volume.radius).any():
             low, high = ("[" + ", ".join(f"{x:g}" for x in corner) + "]" for corner in volume.world_bounds)
             raise SceneError(f"A glow reaches out of the volume's box, {low} to {high}: move it, or make it smaller.")
         return middle, half
@@ -181,8 +181,8 @@ def _box_of(mask: str, bits: np.ndarray, number: int) -> np.ndarray:
 
 def _voxels(values: tuple[float, float], volume: Volume) -> tuple[float, float]:
     """A range of values in the units of a volume's voxels. SceneError where no value is in it."""
-    if values == ALL:
-        return ALL
+    if values == ALL_VALUES:
+        return ALL_VALUES
     low, high = volume.value_range
     if values[0] > high or values[1] < low:
         raise SceneError(
@@ -194,10 +194,10 @@ def _voxels(values: tuple[float, float], volume: Volume) -> tuple[float, float]:
 
 def glow_from_mapping(table: Mapping[str, Any]) -> Glow:
     """The glow that one ``[[glow]]`` table describes. SceneError where a key is unknown, or has no meaning."""
-    unknown = [key for key in table if key not in READERS]
+    unknown = [key for key in table if key not in GLOW_READERS]
     if unknown:
-        raise SceneError(f"A glow has no '{unknown[0]}': {advice(unknown[0], READERS)}")
-    given: dict[str, Any] = {key: READERS[key](value) for key, value in table.items()}
+        raise SceneError(f"A glow has no '{unknown[0]}': {advice(unknown[0], GLOW_READERS)}")
+    given: dict[str, Any] = {key: GLOW_READERS[key](value) for key, value in table.items()}
     return Glow(**given)
 
 
@@ -249,7 +249,7 @@ def _labels(value: Any) -> tuple[float, ...]:
     return tuple(float(label) for label in value)
 
 
-READERS = {
+GLOW_READERS = {
     **{"box": _box, "sphere": _sphere, "values": _values, "mask": _mask, "labels": _labels},
     "radiance": _radiance,
 }

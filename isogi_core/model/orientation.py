@@ -98,7 +98,7 @@ class Orientation:
         return self.turned or self.origin != (0.0, 0.0, 0.0)
 
 
-PLAIN = Orientation()
+PLAIN_ORIENTATION = Orientation()
 """The orientation of a volume whose world is its voxels' indices times spacing."""
 
 

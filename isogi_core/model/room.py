@@ -19,7 +19,7 @@ from isogi_core.model.volume import Volume
 MOST_WALLS = 64
 """Most walls of a scene: every ray asks each of them."""
 
-SKEW = 1e-6
+MAX_SKEW = 1e-6
 """Cosine up to which two edges are at a right angle."""
 
 
@@ -60,7 +60,7 @@ def _check_edges(u: np.ndarray, v: np.ndarray) -> None:
     longest = max(float(np.linalg.norm(u)), float(np.linalg.norm(v)))
     if not 0.0 < np.linalg.norm(np.cross(u, v)) <= LARGEST_LIGHT or longest > LARGEST_LIGHT:
         raise SceneError("A wall's edges span no area: give two edges that are not parallel.")
-    if abs(u @ v) > SKEW * np.linalg.norm(u) * np.linalg.norm(v):
+    if abs(u @ v) > MAX_SKEW * np.linalg.norm(u) * np.linalg.norm(v):
         raise SceneError("A wall's edges are not at a right angle: walls are rectangles.")
 
 
@@ -139,13 +139,13 @@ def place_walls(walls: Sequence[Wall], volume: Volume) -> Room:
 
 def wall_from_mapping(table: Mapping[str, Any]) -> Wall:
     """The wall that one ``[[walls]]`` table describes. SceneError where a key is unknown, missing or has no meaning."""
-    unknown = [key for key in table if key not in READERS]
+    unknown = [key for key in table if key not in WALL_READERS]
     if unknown:
-        raise SceneError(f"A wall has no '{unknown[0]}': {advice(unknown[0], READERS)}")
+        raise SceneError(f"A wall has no '{unknown[0]}': {advice(unknown[0], WALL_READERS)}")
     missing = [key for key in ("corner", "edges") if key not in table]
     if missing:
         raise SceneError(f"A wall lacks its '{missing[0]}': add it to the scene.")
-    given: dict[str, Any] = {key: READERS[key](key, value) for key, value in table.items()}
+    given: dict[str, Any] = {key: WALL_READERS[key](key, value) for key, value in table.items()}
     return Wall(**given)
 
 
@@ -178,22 +178,22 @@ def _sides(key: str, value: Any) -> int:
     return int(value)
 
 
-READERS = {"corner": _vector, "edges": _edges, "albedo": _colour, "radiance": _colour, "sides": _sides}
+WALL_READERS = {"corner": _vector, "edges": _edges, "albedo": _colour, "radiance": _colour, "sides": _sides}
 """How the keys of a ``[[walls]]`` table are read."""
 
 ROOMS = ("cornell",)
 """Names of whole rooms."""
 
-WHITE, RED, GREEN = (0.73, 0.73, 0.73), (0.63, 0.065, 0.05), (0.14, 0.45, 0.09)
+WHITE_ALBEDO, RED_ALBEDO, GREEN_ALBEDO = (0.73, 0.73, 0.73), (0.63, 0.065, 0.05), (0.14, 0.45, 0.09)
 """Albedos of a Cornell room's walls."""
 
-WIDTH, GAP = 1.5, 0.05
+ROOM_WIDTH, FLOOR_GAP = 1.5, 0.05
 """The side of the room, and how far its floor is below the volume's box, over the box's longest side."""
 
 LAMP, HANG = 1.0 / 3.0, 0.005
 """The side of its luminaire, and how far that hangs below the ceiling, over the side of the room."""
 
-SHINE = 0.25 * math.pi / LAMP**2
+LAMP_RADIANCE = 0.25 * math.pi / LAMP**2
 """Radiance of the luminaire: it gives a white surface in the middle of the room, that faces it, a radiance of 1."""
 
 
@@ -204,9 +204,9 @@ def cornell_room(volume: Volume) -> tuple[Wall, ...]:
     """
     low, high = np.array(volume.world_bounds, np.float64)
     longest = float((high - low).max())
-    side = WIDTH * longest
+    side = ROOM_WIDTH * longest
     x, y = ((low + high) / 2.0 - side / 2.0)[:2]
-    z = low[2] - GAP * longest
+    z = low[2] - FLOOR_GAP * longest
     along = np.eye(3) * side
 
     def wall(corner: Sequence[float], u: np.ndarray, v: np.ndarray, albedo: Colour, radiance: float = 0.0) -> Wall:
@@ -214,10 +214,10 @@ def cornell_room(volume: Volume) -> tuple[Wall, ...]:
 
     rim, hung = 0.5 * (1.0 - LAMP) * side, z + (1.0 - HANG) * side
     return (
-        wall((x, y, z), along[0], along[1], WHITE),
-        wall((x, y, z + side), along[1], along[0], WHITE),
-        wall((x, y, z), along[2], along[0], WHITE),
-        wall((x + side, y, z), along[2], along[1], RED),
-        wall((x, y, z), along[1], along[2], GREEN),
-        wall((x + rim, y + rim, hung), LAMP * along[1], LAMP * along[0], (0.0, 0.0, 0.0), SHINE),
+        wall((x, y, z), along[0], along[1], WHITE_ALBEDO),
+        wall((x, y, z + side), along[1], along[0], WHITE_ALBEDO),
+        wall((x, y, z), along[2], along[0], WHITE_ALBEDO),
+        wall((x + side, y, z), along[2], along[1], RED_ALBEDO),
+        wall((x, y, z), along[1], along[2], GREEN_ALBEDO),
+        wall((x + rim, y + rim, hung), LAMP * along[1], LAMP * along[0], (0.0, 0.0, 0.0), LAMP_RADIANCE),
     )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-FEWEST, MAX_SAMPLES = 64, 1 << 20
+MIN_SAMPLES, MAX_SAMPLES = 64, 1 << 20
 """Bounds of the samples for any target error. With fewer than FEWEST a dark texel may have met no light at all."""
 
 REPRESENTATIONS = ("vicinity", "constant", "irradiance", "transfer")
@@ -72,7 +72,7 @@ class Layer:
         return 1 if self.nodes else self.channels
 
 
-GLOW = "glow"
+GLOW_KIND = "glow"
 """The kind of layers of what glows."""
 
 
@@ -188,4 +188,4 @@ def most_samples(target: float) -> int:
     texels reach leaves few behind.
     """
     samples = 4096.0 * (0.02 / max(texel_target(target), 1e-6)) ** 1.5
-    return min(max(1 << round(math.log2(samples)), FEWEST), MAX_SAMPLES)
+    return min(max(1 << round(math.log2(samples)), MIN_SAMPLES), MAX_SAMPLES)

@@ -7,10 +7,10 @@ from typing import Any
 from isogi_core.errors import SceneError, ViewError, advice
 from isogi_core.files.scene_file import is_number
 
-KINDS = ("plastic", "metal")
+SHINE_KINDS = ("plastic", "metal")
 """What a surface may shine as. Plastic mirrors 4 % of what arrives head on, in its own colour; metal its albedo."""
 
-SMOOTHEST = 0.02
+MIN_ROUGHNESS = 0.02
 """The least roughness: such a surface mirrors light within about a twentieth of a degree."""
 
 
@@ -27,15 +27,15 @@ class Shine:
     )
     roughness: float = field(
         default=0.3,
-        metadata={"range": (SMOOTHEST, 1), "help": "Of that shine, 0.02 (a mirror) to 1; default: the scene's."},
+        metadata={"range": (MIN_ROUGHNESS, 1), "help": "Of that shine, 0.02 (a mirror) to 1; default: the scene's."},
     )
     strength: float = field(
         default=1.0, metadata={"range": (0, 1), "help": "How much that shine counts, 0 to 1; default: the scene's."}
     )
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ViewError(f"A surface cannot shine as '{self.kind}': choose {' or '.join(KINDS)}.")
+        if self.kind not in SHINE_KINDS:
+            raise ViewError(f"A surface cannot shine as '{self.kind}': choose {' or '.join(SHINE_KINDS)}.")
         for name, (low, high) in SHINE_RANGES.items():
             if not low <= getattr(self, name) <= high:
                 given = f"The {name} of shine is {getattr(self, name):g}"

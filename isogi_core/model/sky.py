@@ -13,7 +13,7 @@ SUN_RADIUS = math.radians(0.2665)
 SUN_ILLUMINANCE = 128.0
 """Of the sun outside the atmosphere, klx."""
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
 """Weights of linear sRGB in luminance (ITU-R BT.709)."""
 
 _XYZ_TO_RGB = np.array(
@@ -74,7 +74,7 @@ def sky_image(light: SkyLight, directions: np.ndarray, solid_angles: np.ndarray)
     sky[up] += _sun_disc(light, directions[up], solid_angles[up])
     falling = (directions[..., 2] * solid_angles)[up] @ sky[up]
     sky[~up] = np.multiply(light.ground, falling / np.pi)
-    mean = np.sum(solid_angles * (sky @ LUMINANCE)) / np.sum(solid_angles)
+    mean = np.sum(solid_angles * (sky @ LUMINANCE_WEIGHTS)) / np.sum(solid_angles)
     return np.asarray(sky * (light.scale / mean))
 
 

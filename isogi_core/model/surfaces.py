@@ -13,13 +13,13 @@ from isogi_core.model.volume import Volume
 MOST_PINNED = 3
 """Most isosurfaces beside the one that slides: every ray is cast at each of them."""
 
-KEYS = ("isovalue", "albedo", "transmission", "clear", "name")
+SURFACE_KEYS = ("isovalue", "albedo", "transmission", "clear", "name")
 """What a ``[[surfaces]]`` table may have."""
 
 OPAQUE: Colour = (0.0, 0.0, 0.0)
 """The transmission of a surface that gives none."""
 
-ROUNDING = 1e-9
+SHARE_ROUNDING = 1e-9
 """How much more than all light may leave a surface: decimals add up to more than 1 by what floats round."""
 
 
@@ -63,14 +63,14 @@ def leaving(albedo: Colour, transmission: Colour) -> Colour:
 def refuse_gain(albedo: Colour, transmission: Colour, surface: str) -> None:
     """Raise SceneError where more light leaves a ``surface``, as messages name it, than falls on it."""
     most = max(back + through for back, through in zip(albedo, transmission, strict=True))
-    if most > 1.0 + ROUNDING:
+    if most > 1.0 + SHARE_ROUNDING:
         raise SceneError(f"{surface} has albedo + transmission = {most:g}: lower one, to 1 at most in each colour.")
 
 
 def pinned_from_mapping(table: Mapping[str, Any], volume: Volume) -> PinnedSurface:
     """The surface of a ``volume`` that a ``[[surfaces]]`` table describes. SceneError where it has no meaning."""
-    if unknown := sorted(set(table) - set(KEYS)):
-        raise SceneError(f"A surface has no '{unknown[0]}': {advice(unknown[0], KEYS)}")
+    if unknown := sorted(set(table) - set(SURFACE_KEYS)):
+        raise SceneError(f"A surface has no '{unknown[0]}': {advice(unknown[0], SURFACE_KEYS)}")
     low, high = volume.value_range
     isovalue, clear, name = table.get("isovalue", math.nan), table.get("clear", 0.0), table.get("name", "")
     if not is_number(isovalue) or not low <= isovalue <= high:

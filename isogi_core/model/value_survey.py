@@ -13,7 +13,7 @@ import numpy as np
 from isogi_core.errors import VolumeError
 from isogi_core.files.grid import Grid
 
-FURTHEST = 2.0**120
+MAX_NORMALISED = 2.0**120
 """Largest normalised voxel or isovalue, to which outliers are moved: float32 sums of a few such are finite."""
 
 
@@ -41,7 +41,7 @@ def normalise(values: np.ndarray, offset: float, scale: float) -> np.ndarray:
         distance = np.ldexp(values.astype(np.float64), -shift) - math.ldexp(offset, -shift)
         if values.dtype.kind in "iu" and values.dtype.itemsize == 8 and exponent < 63:
             distance = np.where(np.abs(distance) < 2.0**63, _integer_distance(values, int(offset)), distance)
-        return np.clip(np.ldexp(sign * distance, shift - exponent) + 0.0, -FURTHEST, FURTHEST)
+        return np.clip(np.ldexp(sign * distance, shift - exponent) + 0.0, -MAX_NORMALISED, MAX_NORMALISED)
 
 
 def _integer_distance(values: np.ndarray, offset: int) -> np.ndarray:
@@ -61,7 +61,7 @@ def count_steps(low: float, high: float, dtype: np.dtype[Any]) -> float:
 MAX_SURVEYED_VOXELS = 1 << 20
 """Most voxels that are sampled."""
 
-SLAB = 1 << 26
+SLAB_BYTES = 1 << 26
 """Bytes that are processed together."""
 
 OUTLIER_SPANS = 1024.0
@@ -84,7 +84,7 @@ def sample_values(array: np.ndarray) -> np.ndarray:
 
     They ascend. A few layers are read at a time: an array that is a file need not fit into memory.
     """
-    step, layers = sample_step(array.shape), max(SLAB // max(array[0].nbytes, 1), 1)
+    step, layers = sample_step(array.shape), max(SLAB_BYTES // max(array[0].nbytes, 1), 1)
     parts = [sample_layers(array[z : z + layers], step, z) for z in range(0, len(array), layers)]
     return np.unique(np.concatenate(parts))
 
@@ -134,7 +134,7 @@ def positions(values: np.ndarray) -> np.ndarray:
 LEAST_SPACING, MOST_SPACING = 1e-30, 1e30
 """Range of world units per voxel, as positions are float32."""
 
-STAGES = 3
+COPY_STAGES = 3
 """Passes over all layers while a copy is made: for the range, the voxels and their histogram."""
 
 Progress = Callable[[int, int], object]
@@ -192,7 +192,7 @@ class Survey:
         for z, voxels in enumerate(self.planes()):
             digest.update(voxels.data)
             write(voxels)
-            progress(len(self.grid) + z + 1, STAGES * len(self.grid))
+            progress(len(self.grid) + z + 1, COPY_STAGES * len(self.grid))
         return digest.hexdigest()
 
     def facts(self, name: str, digest: str) -> dict[str, Any]:
@@ -320,7 +320,7 @@ def tallying(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
         for plane in slab:
             tally += np.bincount(codes_of(plane).ravel(), minlength=len(tally))
             z += 1
-            progress(z, STAGES * len(grid))
+            progress(z, COPY_STAGES * len(grid))
     there = present(values, marks)
     found = values[there & (tally > 0)]
     if not len(found):
@@ -344,7 +344,7 @@ def scan(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
                 lows.append(there.min().item())
                 highs.append(there.max().item())
             z += 1
-            progress(z, STAGES * len(grid))
+            progress(z, COPY_STAGES * len(grid))
     if not lows:
         raise VolumeError(NO_FINITE_VALUE)
     return min(lows), max(highs), grid.size - count, np.unique(np.concatenate(some)), None

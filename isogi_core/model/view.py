@@ -6,14 +6,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from isogi_core.errors import ViewError
-from isogi_core.model.orientation import PLAIN, Orientation, triple
+from isogi_core.model.orientation import PLAIN_ORIENTATION, Orientation, triple
 from isogi_core.model.shine import Shine
 from isogi_core.model.window import Window
 
 Vec3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
-SHADINGS = (
+VIEW_SHADINGS = (
     "gi",
     "vicinity",
     "lambert",
@@ -25,7 +25,7 @@ SHADINGS = (
 )
 OVERLAYS = ("none", "provisional", "error")
 PROJECTIONS = ("perspective", "orthographic")
-AFAR = 1e7
+ORTHOGRAPHIC_RADII = 1e7
 """Radii of the volume from which an orthographic camera looks: its rays meet no more than a ten-millionth of their way,
 which is what the float32 coordinates of the points hold that they find.
 """
@@ -99,7 +99,7 @@ def orthographic(camera: Camera, radius: float) -> Camera:
     It is the same camera AFAR radii away, with the field of view that keeps the height of the picture at the target.
     It sees all that lies along its rays, also behind the eye of the perspective one.
     """
-    away, afar = math.dist(camera.eye, camera.target), AFAR * radius
+    away, afar = math.dist(camera.eye, camera.target), ORTHOGRAPHIC_RADII * radius
     _, _, (x, y, z) = camera.basis()
     fov = 2.0 * math.degrees(math.atan(math.tan(math.radians(camera.fov) / 2.0) * away / afar))
     eye = (camera.target[0] - afar * x, camera.target[1] - afar * y, camera.target[2] - afar * z)
@@ -185,7 +185,7 @@ class View:
     strip: tuple[int, int] | None = None
     shine: Shine | None = field(default=None, repr=False)
     glow: float = field(default=1.0, repr=False)
-    orientation: Orientation = field(default=PLAIN, repr=False)
+    orientation: Orientation = field(default=PLAIN_ORIENTATION, repr=False)
     window: Window | None = field(default=None, repr=False)
 
     @property
@@ -198,7 +198,7 @@ class View:
             raise ViewError("The isovalue is not a finite number.")
         if self.width < 1 or self.height < 1:
             raise ViewError(f"A picture of {self.width} × {self.height} pixels holds nothing: ask for at least 1 × 1.")
-        if self.shading not in SHADINGS:
-            raise ViewError(f"There is no shading '{self.shading}': choose one of {', '.join(SHADINGS)}.")
+        if self.shading not in VIEW_SHADINGS:
+            raise ViewError(f"There is no shading '{self.shading}': choose one of {', '.join(VIEW_SHADINGS)}.")
         if self.samples < 1:
             raise ViewError("At least one sample per pixel is needed.")

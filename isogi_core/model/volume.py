@@ -11,16 +11,16 @@ from typing import Any, NewType
 import numpy as np
 
 from isogi_core.files.grid import Grid, Vector
-from isogi_core.model.orientation import PLAIN, Orientation, triple
-from isogi_core.model.value_survey import STAGES, Progress, no_progress, normalise, survey
+from isogi_core.model.orientation import PLAIN_ORIENTATION, Orientation, triple
+from isogi_core.model.value_survey import COPY_STAGES, Progress, no_progress, normalise, survey
 
-CORE = 4.0
+CORE_LIMIT = 4.0
 """Largest normalised voxel of the core; outliers are a hundred times larger."""
 
-BINS = 256
+HISTOGRAM_BINS = 256
 """Bins of a histogram."""
 
-SLAB = 1 << 26
+SLAB_BYTES = 1 << 26
 """Bytes of voxels that are processed together."""
 
 Isovalue = NewType("Isovalue", np.floating[Any])
@@ -31,7 +31,7 @@ isovalue that was not normalised, and one that was where the file's units are me
 """
 
 
-BESIDE = ("voxels", "orientation", "moment", "segmented")
+UNMEASURED_FIELDS = ("voxels", "orientation", "moment", "segmented")
 """Fields of a volume that are no facts of its voxels, which are kept with these."""
 
 
@@ -64,7 +64,7 @@ class Volume:
     holes: int
     counts: tuple[int, ...] = ()
     span: tuple[float, ...] = ()
-    orientation: Orientation = PLAIN
+    orientation: Orientation = PLAIN_ORIENTATION
     moment: tuple[int, int] = (0, 1)
     segmented: bool = False
 
@@ -123,7 +123,7 @@ class Volume:
 
     def slabs(self) -> Iterator[np.ndarray]:
         """The voxels a few layers at a time, (layers, ny, nx) each, for work that makes arrays of their size."""
-        layers = max(SLAB // self.voxels[0].nbytes, 1)
+        layers = max(SLAB_BYTES // self.voxels[0].nbytes, 1)
         for z in range(0, len(self.voxels), layers):
             yield self.voxels[z : z + layers]
 
@@ -131,7 +131,7 @@ class Volume:
         """The voxels of the core, a slab at a time, of any shape."""
         whole = self.core == self.value_range and not self.holes
         for slab in self.slabs():
-            yield slab if whole else slab[np.abs(slab) <= CORE]
+            yield slab if whole else slab[np.abs(slab) <= CORE_LIMIT]
 
     def core_span(self) -> tuple[float, float]:
         """The least and the greatest voxel of the core."""
@@ -153,7 +153,10 @@ class Volume:
         return self.offset + self.scale * values[::-1]
 
     def counted(
-        self, bins: int = BINS, progress: Progress = no_progress, tally: tuple[np.ndarray, np.ndarray] | None = None
+        self,
+        bins: int = HISTOGRAM_BINS,
+        progress: Progress = no_progress,
+        tally: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> "Volume":
         """The volume with its histogram's counts and the core's span kept, which take passes over all voxels.
 
@@ -163,11 +166,11 @@ class Volume:
         if len(self.counts) == bins and self.span:
             return self
         if tally is not None:
-            inner = np.abs(tally[0]) <= CORE
+            inner = np.abs(tally[0]) <= CORE_LIMIT
             voxels, weights = (each[inner] for each in tally)
             span = float(voxels.min()), float(voxels.max())
             counts = np.histogram(voxels, bins, span, weights=weights)[0]
-            progress(STAGES * len(self.voxels), STAGES * len(self.voxels))
+            progress(COPY_STAGES * len(self.voxels), COPY_STAGES * len(self.voxels))
             return replace(self, span=span, counts=tuple(counts.astype(int).tolist()))
         known = replace(self, span=self.core_span())
         return replace(known, counts=tuple(known._count(bins, progress).tolist()))
@@ -185,9 +188,9 @@ class Volume:
         vars(turned)["inside_out"] = self
         return turned
 
-    def histogram(self, bins: int = BINS) -> tuple[np.ndarray, np.ndarray]:
+    def histogram(self, bins: int = HISTOGRAM_BINS) -> tuple[np.ndarray, np.ndarray]:
         """Counts (bins,) int64 of the voxels in the core, and the ``bins + 1`` edges, float64, in own units."""
-        counts = self._usual if bins == BINS else self._count(bins)
+        counts = self._usual if bins == HISTOGRAM_BINS else self._count(bins)
         low, high = self.core
         if low == high:
             low, high = low - 0.5, high + 0.5
@@ -197,7 +200,7 @@ class Volume:
     @cached_property
     def _usual(self) -> np.ndarray:
         """The counts that were kept with the volume, or those of BINS bins, which are counted once."""
-        return np.array(self.counts) if len(self.counts) == BINS else self._count(BINS)
+        return np.array(self.counts) if len(self.counts) == HISTOGRAM_BINS else self._count(HISTOGRAM_BINS)
 
     def _count(self, bins: int, progress: Progress = no_progress) -> np.ndarray:
         """Counts (bins,) int64 of the voxels in the core, ascending in the voxels' units."""
@@ -205,7 +208,7 @@ class Volume:
         slabs = sum(1 for _ in self.slabs())
         for number, inner in enumerate(self.core_voxels(), 1):
             counts += np.histogram(inner, bins, span)[0]
-            progress((STAGES - 1) * layers + number * layers // slabs, STAGES * layers)
+            progress((COPY_STAGES - 1) * layers + number * layers // slabs, COPY_STAGES * layers)
         return counts
 
 

@@ -13,13 +13,15 @@ from isogi_core.model.orientation import Orientation, triple
 MAX_WINDOW_PLANES = 12
 """Most planes of a window: six at any angle, and the six of a box."""
 
-MIN_NORMAL_LENGTH, FURTHEST = 1e-12, 1e12
+MIN_NORMAL_LENGTH, MAX_PLANE_NUMBER = 1e-12, 1e12
 """The least and the greatest length of a plane's normal, and the greatest distance of a plane from the origin."""
 
-AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+AXIS_NORMALS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
-NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-TERM = re.compile(rf"([xyz]|{NUMBER},{NUMBER},{NUMBER})([<>])({NUMBER})", re.ASCII)
+NUMBER_PATTERN = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+TERM_PATTERN = re.compile(
+    rf"([xyz]|{NUMBER_PATTERN},{NUMBER_PATTERN},{NUMBER_PATTERN})([<>])({NUMBER_PATTERN})", re.ASCII
+)
 
 Plane = tuple[float, float, float, float]
 
@@ -60,14 +62,14 @@ def read_window(text: str) -> Window:
 
 
 def _read_term(term: str) -> Plane:
-    match = TERM.fullmatch(term) if len(term) <= 200 else None
+    match = TERM_PATTERN.fullmatch(term) if len(term) <= 200 else None
     if match is None:
         shown = term if len(term) <= 40 else f"{term[:39]}…"
         raise ViewError(f"A plane takes away, such as x>40 or 0,1,-1<12.5, with ; between planes; '{shown}' is none.")
     named, sign, limit = match[1], -1.0 if match[2] == ">" else 1.0, float(match[3])
-    normal = AXES.get(named) or triple([float(each) for each in named.split(",")])
+    normal = AXIS_NORMALS.get(named) or triple([float(each) for each in named.split(",")])
     length = math.hypot(*normal)
-    if not MIN_NORMAL_LENGTH <= length <= FURTHEST or not abs(limit) <= FURTHEST * length:
+    if not MIN_NORMAL_LENGTH <= length <= MAX_PLANE_NUMBER or not abs(limit) <= MAX_PLANE_NUMBER * length:
         raise ViewError(
             f"The plane '{term}' has no direction, or is too far away: give a longer normal or a less limit."
         )

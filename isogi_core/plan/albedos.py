@@ -18,7 +18,7 @@ import numpy as np
 MAX_NODES = 6
 """Most nodes."""
 
-CHANCES = np.geomspace(1e-3, 0.98, 96)
+ESCAPE_CHANCES = np.geomspace(1e-3, 0.98, 96)
 """Chances f to leave at each hit that the weights are fitted to: from deep cavities to nearly open places."""
 
 EVALUATED_ALBEDOS = 48
@@ -54,14 +54,14 @@ def mixing_error(nodes: tuple[float, ...], bounces: int) -> float:
     albedos = nodes[-1] * np.arange(1, EVALUATED_ALBEDOS) / EVALUATED_ALBEDOS
     light = reflected_light(albedos, bounces)
     mixed = kept @ np.array([mixing_weights(albedo, nodes, bounces) for albedo in albedos]).T
-    return float((np.abs(mixed - light) / (CHANCES[:, None] + light)).max())
+    return float((np.abs(mixed - light) / (ESCAPE_CHANCES[:, None] + light)).max())
 
 
 @cache
 def mixing_weights(albedo: float, nodes: tuple[float, ...], bounces: int) -> np.ndarray:
     """The weights v_j(R) of the light kept at each of the ``nodes`` at an ``albedo``; (nodes,) float64."""
     kept, light = reflected_light(np.array(nodes), bounces), reflected_light(np.array([albedo]), bounces)
-    whole = CHANCES[:, None] + light
+    whole = ESCAPE_CHANCES[:, None] + light
     weights = np.linalg.lstsq(kept / whole, (light / whole)[:, 0], rcond=None)[0]
     weights.flags.writeable = False
     return np.asarray(weights)
@@ -69,5 +69,5 @@ def mixing_weights(albedo: float, nodes: tuple[float, ...], bounces: int) -> np.
 
 def reflected_light(albedos: np.ndarray, bounces: int) -> np.ndarray:
     """Σ R^k f (1 - f)^k over k = 1 … ``bounces``, for each of CHANCES and each of ``albedos``; (chances, albedos)."""
-    ratio = albedos * (1.0 - CHANCES)[:, None]
-    return np.asarray(CHANCES[:, None] * ratio * (1.0 - ratio**bounces) / (1.0 - ratio))
+    ratio = albedos * (1.0 - ESCAPE_CHANCES)[:, None]
+    return np.asarray(ESCAPE_CHANCES[:, None] * ratio * (1.0 - ratio**bounces) / (1.0 - ratio))

@@ -10,8 +10,8 @@ import numpy as np
 
 from isogi_core.errors import SceneError
 from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, find_source
-from isogi_core.kernels.shading.lattice import CHUNK
-from isogi_core.kernels.tracing.field import OFFSET
+from isogi_core.kernels.shading.lattice import DEFAULT_CHUNK_SIDE
+from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.colours import SurfaceColours
 from isogi_core.model.demo import DEMOS
@@ -19,18 +19,18 @@ from isogi_core.model.scene_plan import REPRESENTATIONS
 from isogi_core.model.surfaces import leaving
 from isogi_core.model.value_survey import Progress, no_progress
 from isogi_core.model.view import PROJECTIONS
-from isogi_core.model.volume import BINS, Volume
+from isogi_core.model.volume import HISTOGRAM_BINS, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import read_presets
 from isogi_core.plan.lighting import SceneLighting, read_lighting
 from isogi_core.plan.lobe_choice import MANY_LOBES_SEARCHED as MOST_LOBES
 from isogi_core.plan.planner import plan_scene
-from isogi_core.plan.scene import CHUNKS, NORMALS, Scene, SceneSettings
+from isogi_core.plan.scene import CHUNK_SIDES, NORMAL_KINDS, Scene, SceneSettings
 from isogi_core.plan.surfaces import SceneSurfaces, read_surfaces
 from isogi_core.plan.volumes.colours import find_table, read_colours
 from isogi_core.plan.volumes.cuts import cut_away
 from isogi_core.plan.volumes.label_colours import colours_of_labels
-from isogi_core.plan.volumes.labels import ALL, HALF, find_labels
+from isogi_core.plan.volumes.labels import ALL_LABELS, LABEL_ISOVALUE, find_labels
 from isogi_core.plan.volumes.opening import open_volume
 
 INSIDE_OUT = 0.6
@@ -109,9 +109,9 @@ def read_settings(settings: Settings, isovalues: tuple[float, float], overrides:
     """What a scene's file says of texels, rays and views. SceneError where a value has no meaning."""
     return SceneSettings(
         lattice=settings.number("lattice", 1.0, 0.125, 4.0),
-        chunk=settings.choice("chunk", CHUNKS) or CHUNK,
-        normals=settings.choice("normals", NORMALS) or NORMALS[0],
-        offset=settings.number("offset", OFFSET, 0.0, 2.0),
+        chunk=settings.choice("chunk", CHUNK_SIDES) or DEFAULT_CHUNK_SIDE,
+        normals=settings.choice("normals", NORMAL_KINDS) or NORMAL_KINDS[0],
+        offset=settings.number("offset", RAY_OFFSET_VOXELS, 0.0, 2.0),
         projected=settings.flag("projected", None),
         presets=read_presets(settings, isovalues),
         projection=settings.choice("projection", PROJECTIONS) or PROJECTIONS[0],
@@ -144,7 +144,7 @@ def with_labels(settings: Settings, whole: Volume) -> Settings:
     source = settings.source
     if not whole.segmented or source.document.get("labels"):
         return settings
-    return Settings(replace(source, document={**source.document, "labels": ALL}), settings.known)
+    return Settings(replace(source, document={**source.document, "labels": ALL_LABELS}), settings.known)
 
 
 def colours_by_data(settings: Settings, whole: Volume) -> SurfaceColours | None:
@@ -202,17 +202,17 @@ def default_isovalue(settings: Settings, volume: Volume) -> float:
     between the values on its two sides.
     """
     if find_labels(settings) is not None:
-        return HALF
+        return LABEL_ISOVALUE
     name = settings.text("volume", DEFAULT_DEMO)
     if name.startswith("demo:"):
         return float(DEMOS[name.removeprefix("demo:")][1])
     return halfway(volume, otsu(*volume.histogram()))
 
 
-LAYERS = 16
+SAMPLED_LAYERS = 16
 """Layers of a volume whose voxels are looked at for values beside an isovalue."""
 
-NEAR_VALUES_SHARE = 2 / BINS
+NEAR_VALUES_SHARE = 2 / HISTOGRAM_BINS
 """Share of the core's span up to which values are near each other: they fill the histogram's bins."""
 
 
@@ -220,7 +220,7 @@ def halfway(volume: Volume, isovalue: float) -> float:
     """The middle between the values next to an ``isovalue``, as in a mask or few whole numbers; itself where values
     are near each other, or on one side alone. Some layers are looked at.
     """
-    layers = volume.voxels[:: max(len(volume.voxels) // LAYERS, 1)]
+    layers = volume.voxels[:: max(len(volume.voxels) // SAMPLED_LAYERS, 1)]
     level = volume.normalise_isovalue(isovalue)
     low = float(np.max(layers, where=layers < level, initial=-np.inf))
     high = float(np.min(layers, where=layers > level, initial=np.inf))

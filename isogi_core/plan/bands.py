@@ -5,12 +5,14 @@ from typing import Literal
 
 import numpy as np
 
-from isogi_core.kernels.transport.harmonics import DIAGONAL, MAX_ORDER, OFFSET, SLOPE
+from isogi_core.kernels.transport.harmonics import DIAGONAL, MAX_ORDER, RECURRENCE_OFFSET, RECURRENCE_SLOPE
 from isogi_core.model.environment import Environment
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
 # Gauss nodes and weights on [0, 1]: exact to rounding up to MAX_ORDER, even over a whole meridian.
-NODES, WEIGHTS = (0.5 * (g + shift) for g, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0), strict=True))
+GAUSS_NODES, GAUSS_WEIGHTS = (
+    0.5 * (g + shift) for g, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0), strict=True)
+)
 
 
 def project_environment(environment: Environment, order: int) -> np.ndarray:
@@ -50,8 +52,8 @@ def _waves(order: int, width: int) -> np.ndarray:
 def _profiles(order: int, height: int) -> np.ndarray:
     """∫ Y_lm(θ, 0) sinθ dθ over each of the ``height`` rows, m >= 0; (order, order, height) at [m, l], 0 for l < m."""
     row = math.pi / height
-    theta = (np.arange(height)[:, None] + NODES) * row
-    weights = row * WEIGHTS * np.sin(theta)
+    theta = (np.arange(height)[:, None] + GAUSS_NODES) * row
+    weights = row * GAUSS_WEIGHTS * np.sin(theta)
     profiles = np.zeros((order, order, height))
     for m in range(order):
         for l, values in enumerate(_meridian(order, m, theta), start=m):
@@ -64,7 +66,7 @@ def _meridian(order: int, m: int, theta: np.ndarray) -> list[np.ndarray]:
     z = np.cos(theta)
     before, values = np.zeros_like(z), [DIAGONAL[m] * np.sin(theta) ** m]
     for l in range(m + 1, order):
-        values.append(SLOPE[l, m] * z * values[-1] - OFFSET[l, m] * before)
+        values.append(RECURRENCE_SLOPE[l, m] * z * values[-1] - RECURRENCE_OFFSET[l, m] * before)
         before = values[-2]
     return values
 
@@ -90,7 +92,7 @@ def evaluate_harmonics(order: int, theta: np.ndarray, phi: np.ndarray) -> np.nda
 Kind = Literal["direct", "indirect"]
 """Light that reaches a texel straight from the environment, or after it was reflected."""
 
-ALBEDO = 0.7
+MEASURED_ALBEDO = 0.7
 """The albedo of the surfaces that the transfer was measured on."""
 
 TRANSFER_DIRECT = np.array([0.871, 0.417, 0.0797, 6.44e-3, 3.79e-3, 1.52e-3, 1.07e-3, 5.87e-4, 4.49e-4, 3.01e-4])
@@ -106,7 +108,7 @@ shadows add the slow decay.
 DECAY: dict[Kind, float] = {"direct": 2.8, "indirect": 3.9}
 """From MAX_ORDER on T_l falls as (l + ½)^-DECAY: fitted to bands 8 … 31 and 8 … 20 of the same texels."""
 
-STEEPEST = -4.0
+STEEPEST_SLOPE = -4.0
 """The steepest slope that is assumed for a light's power per coefficient: beyond band 9 probes level off."""
 
 _TRANSFER: dict[Kind, np.ndarray] = {"direct": TRANSFER_DIRECT, "indirect": TRANSFER_INDIRECT}
@@ -128,11 +130,11 @@ def band_energy(light: np.ndarray) -> np.ndarray:
     B_l = Σ_m c_lm² / 4π, a mean over the sphere, or over all turns of the light in one direction.
     """
     order = math.isqrt(light.shape[1])
-    squares = (LUMINANCE @ light) ** 2 / (4.0 * math.pi)
+    squares = (LUMINANCE_WEIGHTS @ light) ** 2 / (4.0 * math.pi)
     return np.add.reduceat(squares, np.arange(order) ** 2)
 
 
-def truncation_error(energy: np.ndarray, order: int, kind: Kind, albedo: float = ALBEDO) -> float:
+def truncation_error(energy: np.ndarray, order: int, kind: Kind, albedo: float = MEASURED_ALBEDO) -> float:
     """Relative error of a lit surface when its ``kind`` of light keeps the bands below ``order`` <= MAX_ORDER.
 
     The root mean square over the surface that views see and all turns of the light, over the mean of direct and
@@ -146,12 +148,12 @@ def truncation_error(energy: np.ndarray, order: int, kind: Kind, albedo: float =
     if not energy[0] > 0.0:
         return 0.0
     lost = float(_TRANSFER[kind][order:] @ energy[order:]) + _beyond(energy, kind)
-    reflected = albedo / ALBEDO if kind == "indirect" else 1.0
+    reflected = albedo / MEASURED_ALBEDO if kind == "indirect" else 1.0
     return reflected * math.sqrt(lost / float(energy[0]))
 
 
 def choose_order(
-    energy: np.ndarray, target: float, kind: Kind, most: int = 5, albedo: float = ALBEDO
+    energy: np.ndarray, target: float, kind: Kind, most: int = 5, albedo: float = MEASURED_ALBEDO
 ) -> tuple[int, float]:
     """Least order whose ``truncation_error`` is within ``target``, or else ``most``; and that error.
 
@@ -175,7 +177,7 @@ def _beyond(energy: np.ndarray, kind: Kind) -> float:
     near, far = float(per_coefficient[4:7].mean()), float(per_coefficient[7:10].mean())
     if far == 0.0:
         return 0.0
-    slope = max(math.log(far / near) / math.log(8.5 / 5.5), STEEPEST) if far < near else 0.0
+    slope = max(math.log(far / near) / math.log(8.5 / 5.5), STEEPEST_SLOPE) if far < near else 0.0
     light = 2.0 * MAX_ORDER * far * (MAX_ORDER / 8.5) ** slope
     transfer = _TRANSFER[kind][-1] * (MAX_ORDER / (MAX_ORDER - 0.5)) ** -DECAY[kind]
     return float(light * transfer * MAX_ORDER / (DECAY[kind] - slope - 2.0))

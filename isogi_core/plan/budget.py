@@ -7,7 +7,7 @@ that; its shares are chosen so that it stays about as large as the noise, or sma
 import math
 from dataclasses import replace
 
-from isogi_core.model.scene_plan import GLOW, Layer
+from isogi_core.model.scene_plan import GLOW_KIND, Layer
 from isogi_core.plan.bands import truncation_error
 from isogi_core.plan.inputs import Colour, PlanInputs
 
@@ -20,13 +20,13 @@ Both together are then within the target, as independent errors add.
 EVEN_LIGHT_SHARE = 0.25
 """Share of the target for taking a light as the same from all sides."""
 
-BOUNCES = 0.5
+BOUNCES_SHARE = 0.5
 """Share of the target for bounces that are cut off."""
 
 MIXING = 0.25
 """Share of the target for light of albedos between those that it is kept for."""
 
-ROUNDING = 1.0 / 3.0
+ROUNDING_SHARE = 1.0 / 3.0
 """Share of the target for rounding."""
 
 HALF_ONE = 3.3e-4
@@ -42,7 +42,7 @@ HALF_SUM = 4.5e-4
 tenth of the mean or more, 1.0e-3, 0.7e-3 and 0.8e-3.
 """
 
-BYTE = 0.033
+BYTE_ROUNDING = 0.033
 """Relative error of a coefficient that is kept as a byte.
 
 Codes are 9 % apart, so that the error of one rounding is 2.5 %, and of many levels 3.2 %: from code to code a mean
@@ -51,7 +51,7 @@ costs 0.27 to 0.33 % of the luminance (uffizi), 0.37 to 0.45 % (grace) and 0.51 
 of the engine at 70 and of the CT head at 110 to order 6; from band 2 on three times that.
 """
 
-ROULETTE = 0.5
+ROULETTE_ALBEDO = 0.5
 """The albedo from which on Russian roulette ends paths: it then saves more rays than the noise that it adds costs.
 
 On texels of the engine at 70 and the CT head at 110 reflected light took 1.18 and 1.13 times the paths of 0.79 and
@@ -94,7 +94,7 @@ def byte_error(layer: Layer, inputs: PlanInputs, lobes: int = 0) -> float:
     if layer.coarse is None:
         return 0.0
     below, above = (cut_error(replace(layer, order=n), inputs, lobes) for n in (layer.coarse, layer.order))
-    return BYTE * math.sqrt(max(below**2 - above**2, 0.0))
+    return BYTE_ROUNDING * math.sqrt(max(below**2 - above**2, 0.0))
 
 
 def bounces_for(albedo: Colour, target_error: float) -> int:
@@ -104,13 +104,13 @@ def bounces_for(albedo: Colour, target_error: float) -> int:
         return 0
     if brightest >= 1.0:
         return LONGEST_PATH
-    return min(max(math.ceil(math.log(target_error * BOUNCES) / math.log(brightest)) - 1, 0), LONGEST_PATH)
+    return min(max(math.ceil(math.log(target_error * BOUNCES_SHARE) / math.log(brightest)) - 1, 0), LONGEST_PATH)
 
 
 def survival_for(albedo: Colour, bounces: int) -> float:
     """The probability that a path goes on after its second and later hits; 1 where roulette does not pay."""
     brightest = max(albedo)
-    return brightest if bounces > 1 and brightest >= ROULETTE else 1.0
+    return brightest if bounces > 1 and brightest >= ROULETTE_ALBEDO else 1.0
 
 
 def branches_for(layers: tuple[Layer, ...], inputs: PlanInputs) -> int:
@@ -142,7 +142,7 @@ def even(inputs: PlanInputs) -> bool:
     )
 
 
-UNCUT = ("irradiance", GLOW)
+UNCUT_KINDS = ("irradiance", GLOW_KIND)
 """The kinds of layers that no harmonics are cut off from."""
 
 
@@ -152,7 +152,7 @@ def harmonics_error(layers: tuple[Layer, ...], inputs: PlanInputs, lobes: int = 
     Errors of direct and of reflected light are taken as independent. Layers that are UNCUT cut off nothing. The first
     ``lobes`` lobes are lit apart from direct light's harmonics.
     """
-    return math.sqrt(sum(cut_error(layer, inputs, lobes) ** 2 for layer in layers if layer.kind not in UNCUT))
+    return math.sqrt(sum(cut_error(layer, inputs, lobes) ** 2 for layer in layers if layer.kind not in UNCUT_KINDS))
 
 
 def cut_error(layer: Layer, inputs: PlanInputs, lobes: int = 0) -> float:

@@ -22,22 +22,22 @@ from isogi_core.plan.range_sampling import CELLS_WAITED_FOR, edges_between, extr
 FRONT = (50.0, 25.0)
 """Azimuth and elevation from which a volume is seen that is as wide as it is deep."""
 
-ASKEW = (20.0, 70.0)
+SKEW_AZIMUTHS = (20.0, 70.0)
 """Azimuths between which others are seen: of the longer they are, the more from the side."""
 
-FACE = (65.0, 15.0)
+FACE_VIEW = (65.0, 15.0)
 """Azimuth and elevation for a patient, whose face is at azimuth 90."""
 
-INSIDE = (90.0, 5.0)
+ROOM_VIEW = (90.0, 5.0)
 """Azimuth and elevation in a room, from its open side."""
 
-NORMALS = 4096
+MAX_NORMALS = 4096
 """Normals that stand for a surface, at most."""
 
-BRIGHT = 0.98
+BRIGHT_SHARE = 0.98
 """Share of the seen surface that shows its albedo or less."""
 
-WHITEST = 0.75
+MAX_SHOWN_ALBEDO = 0.75
 """Highest albedo that is shown as it is: lighter surfaces are darkened to it, so that their highlights keep shape."""
 
 FALL = 0.5
@@ -45,7 +45,7 @@ FALL = 0.5
 in white.
 """
 
-BALL = pixel_directions(16, 32).reshape(-1, 3)
+BALL_DIRECTIONS = pixel_directions(16, 32).reshape(-1, 3)
 """Directions all around, (n, 3)."""
 
 
@@ -62,12 +62,12 @@ def front_of(volume: Volume, inside: bool) -> tuple[float, float]:
     ``inside`` a room it is seen from the open side.
     """
     if inside:
-        return INSIDE
+        return ROOM_VIEW
     if volume.orientation.letters:
-        return FACE
+        return FACE_VIEW
     (_, deep, wide), (x, y, _) = volume.shape, volume.spacing
     azimuth = FRONT[0] - 45.0 + math.degrees(math.atan2(wide * x, deep * y))
-    return float(round(min(max(azimuth, ASKEW[0]), ASKEW[1]))), FRONT[1]
+    return float(round(min(max(azimuth, SKEW_AZIMUTHS[0]), SKEW_AZIMUTHS[1]))), FRONT[1]
 
 
 def find_seen(volume: Volume, level: Isovalue, front: tuple[float, float]) -> SeenNormals:
@@ -78,7 +78,7 @@ def find_seen(volume: Volume, level: Isovalue, front: tuple[float, float]) -> Se
     towards = np.array(volume.orientation.direction_to_box(orbit((0.0, 0.0, 0.0), 1.0, *front, 1.0, 1.0).eye))
     found = surface_normals(volume, level)
     facing = found[found @ towards > 0.0]
-    normals = facing[:: max(math.ceil(len(facing) / NORMALS), 1)] if len(facing) else BALL
+    normals = facing[:: max(math.ceil(len(facing) / MAX_NORMALS), 1)] if len(facing) else BALL_DIRECTIONS
     weights = np.maximum(normals @ towards, 0.0) / (np.abs(normals) @ np.array(volume.spacing))
     return SeenNormals(normals, weights)
 
@@ -104,9 +104,9 @@ def exposure_for(light: np.ndarray, albedo: Colour, seen: SeenNormals) -> float:
     ``light`` is all that shines on it, as harmonics, linear RGB (3, n²). The exposure is 1 where that is nothing.
     """
     tint = np.array(albedo) / max(albedo) if any(albedo) else np.ones(3)
-    front = percentile(brightness(light, tint, seen.normals), seen.weights, BRIGHT)
-    white = max(front, FALL * float(brightness(light, tint, BALL).max()))
-    return float(f"{WHITEST / max(*albedo, WHITEST) / white:.3g}") if white > 0.0 else 1.0
+    front = percentile(brightness(light, tint, seen.normals), seen.weights, BRIGHT_SHARE)
+    white = max(front, FALL * float(brightness(light, tint, BALL_DIRECTIONS).max()))
+    return float(f"{MAX_SHOWN_ALBEDO / max(*albedo, MAX_SHOWN_ALBEDO) / white:.3g}") if white > 0.0 else 1.0
 
 
 def brightness(light: np.ndarray, tint: np.ndarray, normals: np.ndarray) -> np.ndarray:

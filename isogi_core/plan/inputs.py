@@ -12,7 +12,7 @@ import numpy as np
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.environment import Environment, Lamps, Lobe
 from isogi_core.model.lights import Vector
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.volume import Volume
 from isogi_core.plan.bands import band_energy, project_environment
 from isogi_core.plan.lobe_choice import energy_beside, find_lobes
@@ -23,15 +23,15 @@ Colour = tuple[float, float, float]
 FOUND: WeakKeyDictionary[Any, dict[Hashable, Any]] = WeakKeyDictionary()
 """What was worked out of the environments and volumes in use, which scenes share that have the same."""
 
-T = TypeVar("T")
+Input = TypeVar("Input")
 
 
-def found(subject: Environment | Volume, what: Hashable, find: Callable[[], T]) -> T:
+def found(subject: Environment | Volume, what: Hashable, find: Callable[[], Input]) -> Input:
     """What was found of a ``subject``, or is found now: ``what`` holds all that it depends on besides."""
     known = FOUND.setdefault(subject, {})
     if what not in known:
         known[what] = find()
-    kept: T = known[what]
+    kept: Input = known[what]
     return kept
 
 
@@ -99,7 +99,7 @@ class PlanInputs:
 
         The environment's part is taken from bands 0 and 1, which hold nearly all of it: mean + 2 |mean of L·ω|.
         """
-        mean, *slope = (LUMINANCE @ self.harmonics[:, :4] / math.sqrt(4.0 * math.pi)).tolist()
+        mean, *slope = (LUMINANCE_WEIGHTS @ self.harmonics[:, :4] / math.sqrt(4.0 * math.pi)).tolist()
         return mean + 2.0 * math.hypot(*slope) / math.sqrt(3.0) + self.lamps.brightest(self.centre, self.radius)
 
     @cached_property

@@ -9,15 +9,15 @@ import numpy as np
 
 from isogi_core.errors import SceneError
 from isogi_core.files.scene_file import Settings, is_number
-from isogi_core.model.volume import CORE, Volume
+from isogi_core.model.volume import CORE_LIMIT, Volume
 
-BINS = 256
+TRIED_ISOVALUES = 256
 """Number of isovalues that are tried, evenly over the core."""
 
-SMOOTHING = 3.0
+SMOOTHING_BINS = 3.0
 """Standard deviation, in bins, of the Gaussian that evens the curve out."""
 
-SAMPLED = 1 << 21
+SAMPLED_VOXELS = 1 << 21
 """Number of voxels that are sampled, in whole layers."""
 
 MAX_SUGGESTED_PRESETS = 4
@@ -29,7 +29,7 @@ LEAST_AREA = 0.005
 LEAST_FALL = 0.1
 """Least prominence of a peak, over its height."""
 
-TOP = 0.95
+PEAK_SHARE = 0.95
 """Share of its height down to which a peak reaches; the middle of that range is suggested."""
 
 RANGE_MARGIN = 0.02
@@ -41,7 +41,7 @@ def find_boundaries(volume: Volume, isovalues: tuple[float, float]) -> tuple[flo
     total, area = surface_integrals(volume)
     sharpness = smooth(total / np.maximum(area, np.finfo(float).tiny))
     sharpness[smooth(area) < LEAST_AREA * area.max()] = 0.0
-    shares = [(peak + 0.5) / BINS for peak in peaks(sharpness)]
+    shares = [(peak + 0.5) / TRIED_ISOVALUES for peak in peaks(sharpness)]
     values = {_own_value(volume, share if volume.scale > 0 else 1.0 - share) for share in shares}
     return tuple(sorted(value for value in values if isovalues[0] <= value <= isovalues[1]))
 
@@ -61,13 +61,13 @@ def surface_integrals(volume: Volume) -> tuple[np.ndarray, np.ndarray]:
     stands for the area between it and its neighbours.
     """
     voxels, (dx, dy, dz) = volume.voxels, volume.spacing
-    sums, span = np.zeros((2, BINS + 1)), volume.core_span()
-    for z in range(0, len(voxels) - 1, max(voxels.size // SAMPLED, 1)):
+    sums, span = np.zeros((2, TRIED_ISOVALUES + 1)), volume.core_span()
+    for z in range(0, len(voxels) - 1, max(voxels.size // SAMPLED_VOXELS, 1)):
         layer, above = voxels[z], voxels[z + 1]
         _count_edges(layer, above, 1.0 / dz, span, sums)
         _count_edges(layer[1:], layer[:-1], 1.0 / dy, span, sums)
         _count_edges(layer[:, 1:], layer[:, :-1], 1.0 / dx, span, sums)
-    total, area = sums.cumsum(axis=1)[:, :BINS]
+    total, area = sums.cumsum(axis=1)[:, :TRIED_ISOVALUES]
     return total, area
 
 
@@ -76,20 +76,20 @@ def _count_edges(a: np.ndarray, b: np.ndarray, density: float, span: tuple[float
 
     ``density`` is the inverse length of an edge: the area that it stands for, but for a factor that all axes share.
     """
-    there = (a != b) & (np.abs(a) <= CORE) & (np.abs(b) <= CORE)
+    there = (a != b) & (np.abs(a) <= CORE_LIMIT) & (np.abs(b) <= CORE_LIMIT)
     low, high = np.minimum(a[there], b[there]), np.maximum(a[there], b[there])
-    scale = BINS / ((span[1] - span[0]) or 1.0)
+    scale = TRIED_ISOVALUES / ((span[1] - span[0]) or 1.0)
     gradient = (high - low) * density
     for ends, sign in ((low, density), (high, -density)):
-        places = np.clip(np.ceil((ends - span[0]) * scale - 0.5), 0, BINS).astype(np.int64)
-        sums[0] += sign * np.bincount(places, gradient, BINS + 1)
-        sums[1] += sign * np.bincount(places, minlength=BINS + 1)
+        places = np.clip(np.ceil((ends - span[0]) * scale - 0.5), 0, TRIED_ISOVALUES).astype(np.int64)
+        sums[0] += sign * np.bincount(places, gradient, TRIED_ISOVALUES + 1)
+        sums[1] += sign * np.bincount(places, minlength=TRIED_ISOVALUES + 1)
 
 
 def smooth(curve: np.ndarray) -> np.ndarray:
     """The curve under a Gaussian of SMOOTHING, its ends carried on."""
-    reach = math.ceil(3 * SMOOTHING)
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / SMOOTHING) ** 2)
+    reach = math.ceil(3 * SMOOTHING_BINS)
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / SMOOTHING_BINS) ** 2)
     return np.convolve(np.pad(curve, reach, "edge"), weights / weights.sum(), "valid")
 
 
@@ -120,7 +120,7 @@ def _saddle(side: np.ndarray, height: float) -> float:
 
 def _top(curve: np.ndarray, at: int) -> tuple[int, int]:
     """The first and the last place around a peak that are no lower than TOP of it."""
-    low = np.flatnonzero(curve < TOP * curve[at])
+    low = np.flatnonzero(curve < PEAK_SHARE * curve[at])
     return int(low[low < at].max(initial=-1)) + 1, int(low[low > at].min(initial=len(curve))) - 1
 
 

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from isogi_core.kernels.tracing.peels import LAYERS
+from isogi_core.kernels.tracing.peels import MAX_PEELED_LAYERS
 from isogi_core.model.environment import Environment, Lamps
-from isogi_core.model.scene_plan import GLOW, Layer, LeftOut, Saving, ScenePlan
+from isogi_core.model.scene_plan import GLOW_KIND, Layer, LeftOut, Saving, ScenePlan
 from isogi_core.model.shine import Shine
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.albedos import mixing_error
@@ -15,7 +15,7 @@ from isogi_core.plan.inputs import PlanInputs
 from isogi_core.plan.projection import ProjectionPlan
 from isogi_core.plan.reachable_texels import TexelCount
 
-LOBES = (
+LOBE_KERNELS = (
     *("prepare_points", "sort_by_turn", "see_middles", "mark_edges", "see_rims", "spread_edges", "find_sides"),
     *("see_discs", "share_rays", "light_points", "add_halves", "add_lobes"),
 )
@@ -25,19 +25,19 @@ LOBES = (
 def uncalled(rotating: bool, environment: Environment, lamps: Lamps, lobes: int) -> tuple[str, ...]:
     """Names of kernels that no frame calls: constant and fixed lights are not rotated."""
     called = {"rotate": rotating and bool(environment.image.any()), "project_lamps": lamps.any}
-    called |= dict.fromkeys(LOBES, lobes > 0)
+    called |= dict.fromkeys(LOBE_KERNELS, lobes > 0)
     return tuple(name for name, needed in called.items() if not needed)
 
 
-BANDS = 5
+MEASURED_BANDS = 5
 """The order of the harmonics in S1."""
 
-S1_BYTES = 3 * BANDS**2 * 4
+S1_BYTES = 3 * MEASURED_BANDS**2 * 4
 """Bytes of a texel in S1, whatever the light: 25 floats for each channel."""
 
-FLOAT = 4
+FLOAT_BYTES = 4
 
-BRIGHTEST = 0.95
+MAX_MEASURED_ALBEDO = 0.95
 """The highest albedo at which ROULETTE_RAYS was measured, with at least as many bounces as the planner chooses."""
 
 REASONS = {
@@ -64,10 +64,10 @@ def bands(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """Bands of direct light that S1 keeps, and bands of reflected light that direct light keeps."""
     if plan.representation != "transfer":
         return
-    direct, *reflected = (layer for layer in plan.layers if layer.kind != GLOW)
-    if direct.order < BANDS:
+    direct, *reflected = (layer for layer in plan.layers if layer.kind != GLOW_KIND)
+    if direct.order < MEASURED_BANDS:
         error = truncation_error(inputs.energy_beside(plan.lobes), direct.order, "direct")
-        yield cut(direct, BANDS, error, inputs)
+        yield cut(direct, MEASURED_BANDS, error, inputs)
     for layer in reflected:
         if layer.order < direct.order:
             error = truncation_error(inputs.energy, layer.order, "indirect", max(inputs.albedo))
@@ -104,17 +104,17 @@ def channels(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
     """Colour channels that would all be the same."""
     for layer in plan.layers:
         if layer.colours == 1 and not layer.nodes:
-            what, why = CHANNELS[layer.kind]
+            what, why = SINGLE_CHANNELS[layer.kind]
             more = added(layer, replace(layer, channels=3 * layer.channels))
             yield LeftOut(f"two of three channels of {what}", why, (more,))
 
 
-CHANNELS = {
+SINGLE_CHANNELS = {
     "direct": ("direct light", "What was not reflected yet has no colour of the surface."),
     "indirect": ("reflected light", "The albedo is grey, so that reflected light keeps its colour."),
     "whole": ("light", "The albedo is grey, so that reflected light keeps its colour."),
     "irradiance": ("irradiance", "The albedo and all lights are grey."),
-    GLOW: ("what glows", "The albedo is grey: what glows has the colour that frames give it."),
+    GLOW_KIND: ("what glows", "The albedo is grey: what glows has the colour that frames give it."),
 }
 """Light by the kind of its layer, and why one channel is enough."""
 
@@ -162,7 +162,11 @@ def ends(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
         return
     why = f"From its second hit on a path goes on with the chance {plan.survival:.2g}, and stands for those that end."
     long = plan.bounces >= bounces_for(inputs.reflecting, inputs.target_error)
-    saved = (Saving(ROULETTE_RAYS, "percent of rays", True),) if long and max(inputs.reflecting) <= BRIGHTEST else ()
+    saved = (
+        (Saving(ROULETTE_RAYS, "percent of rays", True),)
+        if long and max(inputs.reflecting) <= MAX_MEASURED_ALBEDO
+        else ()
+    )
     yield LeftOut("the rest of paths that end by chance", why, saved)
 
 
@@ -192,14 +196,14 @@ def halves(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 def records(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
     """Facts of a texel that can be recovered without being stored."""
     why = "A texel lies on the surface of the volume's own value there."
-    yield LeftOut("isovalue of each texel", why, (Saving(FLOAT, "bytes per texel"),))
+    yield LeftOut("isovalue of each texel", why, (Saving(FLOAT_BYTES, "bytes per texel"),))
     codes = sum(layer.noises + 1 for layer in plan.layers)
     why = "A byte holds noise to 5 %, and sample counts, which are powers of two, exactly."
-    yield LeftOut("noise and samples as floats", why, (Saving((FLOAT - 1) * codes, "bytes per texel"),))
+    yield LeftOut("noise and samples as floats", why, (Saving((FLOAT_BYTES - 1) * codes, "bytes per texel"),))
     spreads = sum(layer.coefficients - layer.noises for layer in plan.layers if layer.order > 1)
     if spreads:
         why = "The noise of band 0 and that of the bands above give the noise of the luminance."
-        yield LeftOut("noise of each coefficient", why, (Saving(FLOAT * spreads, "bytes per texel"),))
+        yield LeftOut("noise of each coefficient", why, (Saving(FLOAT_BYTES * spreads, "bytes per texel"),))
 
 
 def turning(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
@@ -278,7 +282,9 @@ def unshared(pinned: int, levels: int, plan: ScenePlan) -> tuple[LeftOut, ...]:
     many ``levels``.
     """
     why = "The last that a pixel shows is the first opaque one that is left; what counts less than 1/512 is left out."
-    deep = LeftOut(f"surfaces behind the first {LAYERS} in a pixel", why, (Saving(1, "surface a pixel, or more"),))
+    deep = LeftOut(
+        f"surfaces behind the first {MAX_PEELED_LAYERS} in a pixel", why, (Saving(1, "surface a pixel, or more"),)
+    )
     if not pinned:
         return (deep,)
     size = plan.bytes_per_texel

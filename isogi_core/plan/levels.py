@@ -12,15 +12,15 @@ from itertools import pairwise
 import numpy as np
 
 from isogi_core.model.volume import Volume
-from isogi_core.plan.range_sampling import BINS, edges_between, extremes_between
+from isogi_core.plan.range_sampling import RANGE_BINS, edges_between, extremes_between
 
-VOXEL = 1.0
+LEVEL_VOXELS = 1.0
 """How far a surface moves from one level to the next, in voxels on the average."""
 
-READ = 1 << 26
+MAX_READ_VOXELS = 1 << 26
 """Voxels that are read of a volume, about: of a larger one every so manyth layer."""
 
-CELLS = 1.5
+CELLS_PER_VOXEL = 1.5
 """Cells that a surface meets for each voxel of its area: the mean of |nx| + |ny| + |nz| over all unit normals n."""
 
 
@@ -35,12 +35,12 @@ def find_levels(volume: Volume, isovalues: tuple[float, float], named: Iterable[
         return (first,)
     each = mean_ways(volume, (min(span), max(span)))
     ways = np.append(0.0, np.cumsum(each if span[0] < span[1] else each[::-1]))
-    edges, found = np.linspace(first, last, BINS + 1), {first, last}
+    edges, found = np.linspace(first, last, RANGE_BINS + 1), {first, last}
     found |= {level for level in named if first <= level <= last}
     onward = np.append(True, np.diff(ways) > 0.0)
     for one, other in pairwise(sorted(found)):
         near, far = np.interp([one, other], edges, ways)
-        steps = max(round((far - near) / VOXEL), 1)
+        steps = max(round((far - near) / LEVEL_VOXELS), 1)
         found |= {*np.interp(np.linspace(near, far, steps + 1)[1:-1], ways[onward], edges[onward]).tolist()}
     return tuple(sorted(found))
 
@@ -51,18 +51,20 @@ def mean_ways(volume: Volume, span: tuple[float, float]) -> np.ndarray:
     (BINS,) float64. A cell is passed at an even speed from its least corner to its greatest one: in 1 / (high - low)
     voxels for each step of the isovalue, over CELLS, as large as the way is along its normal.
     """
-    sums = np.zeros((2, BINS + 1))
-    for z in range(0, len(volume.voxels) - 1, -(-volume.voxels.size // READ)):
+    sums = np.zeros((2, RANGE_BINS + 1))
+    for z in range(0, len(volume.voxels) - 1, -(-volume.voxels.size // MAX_READ_VOXELS)):
         low, high = extremes_between(edges_between(volume.voxels[z], volume.voxels[z + 1]))
         met = (high > span[0]) & (low < span[1]) & (high > low)
-        low, high = ((each[met].astype(np.float64) - span[0]) / (span[1] - span[0]) * BINS for each in (low, high))
+        low, high = (
+            (each[met].astype(np.float64) - span[0]) / (span[1] - span[0]) * RANGE_BINS for each in (low, high)
+        )
         width = np.maximum(high - low, 1.0)
-        first = np.clip(np.floor(low), 0, BINS - 1).astype(np.int64)
-        last = np.clip(np.maximum(np.ceil(high), first + 1), 1, BINS).astype(np.int64)
+        first = np.clip(np.floor(low), 0, RANGE_BINS - 1).astype(np.int64)
+        last = np.clip(np.maximum(np.ceil(high), first + 1), 1, RANGE_BINS).astype(np.int64)
         for row, counts in enumerate((np.ones_like(width), 1.0 / width)):
-            sums[row] += np.bincount(first, counts, BINS + 1) - np.bincount(last, counts, BINS + 1)
-    cells, speeds = np.cumsum(sums, axis=1)[:, :BINS]
-    return np.where(cells > 0.5, CELLS * speeds / np.maximum(cells, 1.0), 0.0)
+            sums[row] += np.bincount(first, counts, RANGE_BINS + 1) - np.bincount(last, counts, RANGE_BINS + 1)
+    cells, speeds = np.cumsum(sums, axis=1)[:, :RANGE_BINS]
+    return np.where(cells > 0.5, CELLS_PER_VOXEL * speeds / np.maximum(cells, 1.0), 0.0)
 
 
 def levels_around(levels: Sequence[float], pinned: Iterable[float], shown: float) -> tuple[tuple[float, float], ...]:

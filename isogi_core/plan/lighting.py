@@ -14,7 +14,7 @@ from isogi_core.files.radiance import read_hdr
 from isogi_core.files.scene_file import Settings
 from isogi_core.model.environment import Environment, Lamps, gather_lamps
 from isogi_core.model.environments import environment_image
-from isogi_core.model.glow import NO_GLOW, STRONGEST, Glowing, glow_from_mapping, place_glows
+from isogi_core.model.glow import MAX_GLOW_STRENGTH, NO_GLOW, Glowing, glow_from_mapping, place_glows
 from isogi_core.model.latlong import pixel_directions, resample, solid_angles
 from isogi_core.model.lights import (
     ConstantLight,
@@ -69,10 +69,10 @@ class SceneLighting:
 
     def glow_for(self, asked: float) -> float:
         """How bright what glows is to be, over the scene's own, as ``asked``; ViewError where nothing glows."""
-        if asked == 1.0 or (self.glowing.any and 0.0 <= asked <= STRONGEST):
+        if asked == 1.0 or (self.glowing.any and 0.0 <= asked <= MAX_GLOW_STRENGTH):
             return asked
         if self.glowing.any:
-            raise ViewError(f"glow must be from 0 to {STRONGEST:g} times the scene's own, not {asked:g}.")
+            raise ViewError(f"glow must be from 0 to {MAX_GLOW_STRENGTH:g} times the scene's own, not {asked:g}.")
         raise ViewError(
             "glow is for scenes in which something glows: leave it out, or give the scene a [[glow]] table."
         )

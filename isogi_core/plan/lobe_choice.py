@@ -9,16 +9,16 @@ import numpy as np
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.environment import Environment, Lobe
 from isogi_core.model.latlong import solid_angles
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.plan.bands import FAR_BANDS, FAR_BANDS_ERROR, band_energy, evaluate_harmonics, truncation_error
 
 FEW_LOBES_SEARCHED, MANY_LOBES_SEARCHED = 4, 64
 """Lobes that are searched for in any environment, and in one that these leave too sharp for harmonics."""
 
-ORDER = 6
+JUDGED_ORDER = 6
 """The order of harmonics whose error the lobes are to make small."""
 
-GAIN = 0.9
+MAX_GAIN_SHARE = 0.9
 """The search ends where lobes no longer bring the error below this share of what it was."""
 
 LOBES_TOGETHER = 8
@@ -27,7 +27,7 @@ LOBES_TOGETHER = 8
 LOBE_ERROR = 0.004
 """Error below which no more lobes are taken."""
 
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(MAX_ORDER)
+GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(MAX_ORDER)
 
 
 def find_lobes(environment: Environment, light: np.ndarray, target: float) -> tuple[Lobe, ...]:
@@ -57,12 +57,12 @@ def search(environment: Environment, light: np.ndarray, most: int, patience: int
         errors.append(min(found))
         lobes.append(found[errors[-1]].lobe)
         found[errors[-1]].clear(radiance)
-        if len(lobes) >= patience and errors[-1] > GAIN * errors[-1 - patience]:
+        if len(lobes) >= patience and errors[-1] > MAX_GAIN_SHARE * errors[-1 - patience]:
             return tuple(lobes[:-patience])
     return tuple(lobes)
 
 
-def error_beside(light: np.ndarray, lobes: Sequence[Lobe], order: int = ORDER) -> float:
+def error_beside(light: np.ndarray, lobes: Sequence[Lobe], order: int = JUDGED_ORDER) -> float:
     """Relative error of harmonics of an ``order`` for a ``light`` (3, MAX_ORDER²) without its ``lobes``."""
     return truncation_error(energy_beside(light, lobes), order, "direct")
 
@@ -90,17 +90,17 @@ def project_lobes(lobes: Sequence[Lobe], order: int) -> np.ndarray:
 
 def disc_means(cosine: float, order: int) -> np.ndarray:
     """Means of the Legendre polynomials P_l, l < ``order``, from ``cosine`` to 1: 1 for a disc without size."""
-    heights = cosine + (1.0 - cosine) * (NODES + 1.0) / 2.0
-    return np.asarray(WEIGHTS / 2.0 @ np.polynomial.legendre.legvander(heights, order - 1))
+    heights = cosine + (1.0 - cosine) * (GAUSS_NODES + 1.0) / 2.0
+    return np.asarray(GAUSS_WEIGHTS / 2.0 @ np.polynomial.legendre.legvander(heights, order - 1))
 
 
-SHARES = (0.5, 0.25, 0.1, 0.05, 0.02, 0.01)
+EDGE_SHARES = (0.5, 0.25, 0.1, 0.05, 0.02, 0.01)
 """Shares of the peak's luminance that are tried as a lobe's edge."""
 
-WIDEST = 0.1
+MAX_SOLID_ANGLE = 0.1
 """Largest solid angle of a lobe, steradians, about 20° across: harmonics hold wider light well."""
 
-CONTRAST = 4.0
+MIN_CONTRAST = 4.0
 """Least luminance of a lobe's peak over the mean luminance."""
 
 RIM_WIDTH = 2
@@ -126,12 +126,12 @@ def outlines(radiance: np.ndarray) -> Iterator[Outline]:
 
     Edges that give the same region give one outline. There is none where the peak does not stand out.
     """
-    seen, known = radiance @ LUMINANCE, {0}
+    seen, known = radiance @ LUMINANCE_WEIGHTS, {0}
     angles = solid_angles(*seen.shape)
     peak = int(seen.argmax())
-    if not seen.flat[peak] > CONTRAST * float((seen * angles).sum()) / (4.0 * math.pi):
+    if not seen.flat[peak] > MIN_CONTRAST * float((seen * angles).sum()) / (4.0 * math.pi):
         return
-    for share in SHARES:
+    for share in EDGE_SHARES:
         region = grow(seen > share * seen.flat[peak], peak, angles[:, 0])
         if len(region) not in known:
             known.add(len(region))
@@ -150,7 +150,7 @@ def grow(mask: np.ndarray, seed: int, angles: np.ndarray) -> np.ndarray:
     while len(front):
         found.append(front)
         filled += float(angles[front // mask.shape[1]].sum())
-        if filled > WIDEST:
+        if filled > MAX_SOLID_ANGLE:
             return np.zeros(0, np.int64)
         around = neighbours(front, mask.shape[0], mask.shape[1], 1)
         front = around[left[around]]
@@ -185,9 +185,9 @@ def lobe_of(radiance: np.ndarray, region: np.ndarray, level: np.ndarray) -> Lobe
     """
     moments = moments_of(region, *radiance.shape[:2])
     excess = np.maximum(radiance.reshape(-1, 3)[region] - level, 0.0)
-    flux, vector = moments[:, 3] @ excess, (excess @ LUMINANCE) @ moments[:, :3]
+    flux, vector = moments[:, 3] @ excess, (excess @ LUMINANCE_WEIGHTS) @ moments[:, :3]
     length = float(np.linalg.norm(vector))
-    cosine = min(2.0 * length / float(flux @ LUMINANCE) - 1.0, 1.0)
+    cosine = min(2.0 * length / float(flux @ LUMINANCE_WEIGHTS) - 1.0, 1.0)
     x, y, z = (vector / length).tolist()
     r, g, b = flux.tolist()
     return Lobe((x, y, z), cosine, (r, g, b))

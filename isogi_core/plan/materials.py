@@ -8,10 +8,10 @@ from isogi_core.model.material import DIFFUSE, INDICES, MATERIALS, WINDOW_GLASS,
 from isogi_core.model.scene_plan import LeftOut, Saving
 from isogi_core.model.volume import Volume
 
-THICK = 0.02
+DEFAULT_FREE_PATH = 0.02
 """The mean free path of a subsurface that gives none, over the radius of its volume."""
 
-BESIDE = {
+EXCLUDED_SETTINGS = {
     "glass": {"albedo": "it reflects no diffuse light"}
     | dict.fromkeys(("clear", "transmission"), "it lets light pass by its index already"),
     "subsurface": dict.fromkeys(("clear", "transmission"), "it lets light in already"),
@@ -28,7 +28,7 @@ BESIDE_BOTH = {
 }
 """What no scene can have whose surface rays pass, and why."""
 
-DARKEST = 0.01
+MIN_SUBSURFACE_ALBEDO = 0.01
 """Least albedo of a subsurface: what its texels keep is over that."""
 
 
@@ -36,20 +36,21 @@ def read_material(settings: Settings, volume: Volume) -> Material:
     """What the scene's surface is made of. SceneError where a value has no meaning, or the scene has what it cannot."""
     kind, given = settings.choice("material", MATERIALS) or MATERIALS[0], settings.source.document
     index, absorption = settings.number("index", WINDOW_GLASS, *INDICES), _colour(settings, "absorption")
-    path = settings.number("mean_free_path", THICK * volume.radius, 0.0, LARGEST_LIGHT)
+    path = settings.number("mean_free_path", DEFAULT_FREE_PATH * volume.radius, 0.0, LARGEST_LIGHT)
     for key, of in MATERIAL_NUMBERS.items():
         if key in given and of != kind:
             raise SceneError(f'{key} is of {of}: add material = "{of}" to the scene, or leave {key} out.')
     if kind == "diffuse":
         return DIFFUSE
-    for key, why in (BESIDE_BOTH | BESIDE[kind]).items():
+    for key, why in (BESIDE_BOTH | EXCLUDED_SETTINGS[kind]).items():
         if key in given:
             raise SceneError(f"The surface is {kind}, and {why}: leave {key} out.")
     if kind == "glass":
         return Material(kind, index, absorption)
-    if min(settings.colour("albedo", 0.7)) < DARKEST:
+    if min(settings.colour("albedo", 0.7)) < MIN_SUBSURFACE_ALBEDO:
         raise SceneError(
-            f"The albedo of a subsurface is what scattering leaves: give {DARKEST:g} or more of each colour."
+            "The albedo of a subsurface is what scattering leaves: "
+            f"give {MIN_SUBSURFACE_ALBEDO:g} or more of each colour."
         )
     return Material(kind, mean_free_path=path)
 

@@ -5,13 +5,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from isogi_core.errors import LightError, SceneError
-from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer, ScenePlan, most_samples
+from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer, ScenePlan, most_samples
 from isogi_core.plan.albedos import choose_nodes, mixing_error
 from isogi_core.plan.bands import FAR_BANDS, FAR_BANDS_ERROR, choose_order, truncation_error
 from isogi_core.plan.budget import (
     HARMONICS,
     MIXING,
-    ROUNDING,
+    ROUNDING_SHARE,
     bounces_for,
     branches_for,
     even,
@@ -23,15 +23,15 @@ from isogi_core.plan.budget import (
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.left_out import left_out, percent
 
-DIMMEST, BRIGHTEST = 1e-32, 1e32
+MIN_RADIANCE, MAX_RADIANCE = 1e-32, 1e32
 """Radiances of a white surface that frames of single floats show with all shades from a millionth up."""
 
 
 def refuse_brightness(inputs: PlanInputs) -> None:
     """Raise LightError where all lights together are too bright for frames to hold, or so dim that frames are black."""
-    if inputs.brightest != 0.0 and not DIMMEST <= inputs.brightest <= BRIGHTEST:
+    if inputs.brightest != 0.0 and not MIN_RADIANCE <= inputs.brightest <= MAX_RADIANCE:
         given = f"The lights give a white surface the radiance {inputs.brightest:.3g}"
-        raise LightError(f"{given}: scale them to give it from {DIMMEST:g} to {BRIGHTEST:g}, or nothing.")
+        raise LightError(f"{given}: scale them to give it from {MIN_RADIANCE:g} to {MAX_RADIANCE:g}, or nothing.")
 
 
 def refuse_idle(representation: str, bounces: int, inputs: PlanInputs, overrides: PlanOverrides) -> None:
@@ -117,7 +117,7 @@ def refuse_no_bytes(layers: tuple[Layer, ...]) -> tuple[Layer, ...]:
     return layers
 
 
-DIRECTED = 2
+DIRECTED_ORDER = 2
 """The least order of reflected light that turns with the light."""
 
 LOWEST_BYTES = 2
@@ -209,7 +209,7 @@ GLOW_SCALE = 2.0**-6
 def glow_layers(inputs: PlanInputs, bounces: int) -> tuple[GlowLayer, ...]:
     """The layer of what glows, beside any other light; none where nothing does."""
     colours = 1 if inputs.grey or not bounces else 3
-    layer = GlowLayer(GLOW, channels=colours * inputs.glows, scale=GLOW_SCALE, glows=inputs.glows)
+    layer = GlowLayer(GLOW_KIND, channels=colours * inputs.glows, scale=GLOW_SCALE, glows=inputs.glows)
     return (layer,) if inputs.glows else ()
 
 
@@ -246,7 +246,7 @@ def indirect_order(inputs: PlanInputs, direct: int, lobes: int, most: int) -> in
     within = error < target
     allowed = math.sqrt(target**2 - error**2) if within else error / 2.0
     order, _ = choose_order(inputs.energy, allowed, "indirect", most, max(inputs.albedo))
-    return order if within else min(max(order, DIRECTED), most)
+    return order if within else min(max(order, DIRECTED_ORDER), most)
 
 
 def unit_of(inputs: PlanInputs) -> float:
@@ -282,7 +282,7 @@ def in_bytes(layer: Layer, band: int) -> Layer:
 
 def fits(layers: tuple[Layer, ...], inputs: PlanInputs, lobes: int) -> bool:
     """Whether the rounding error is within its share of the target; single floats always fit."""
-    return not layers[0].half or rounding_error(layers, inputs, lobes) <= ROUNDING * inputs.target_error
+    return not layers[0].half or rounding_error(layers, inputs, lobes) <= ROUNDING_SHARE * inputs.target_error
 
 
 def errors_of(plan: ScenePlan, inputs: PlanInputs, overrides: PlanOverrides) -> tuple[tuple[str, float], ...]:

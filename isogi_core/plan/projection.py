@@ -12,19 +12,19 @@ import numpy as np
 
 from isogi_core.kernels.tracing.field import Field
 from isogi_core.kernels.tracing.stiffness import (
-    CELLS,
+    CELLS_ROW,
     COUNTED_ROWS,
-    FACES,
-    HOLED,
-    NOISY,
-    PLATEAU,
-    STEEP,
+    FACES_ROW,
+    HOLED_ROW,
+    NOISY_ROW,
+    PLATEAU_ROW,
+    STEEP_ROW,
     count_stiffness,
 )
 from isogi_core.model.volume import Isovalue
 from isogi_core.runs import Run, serially
 
-LAYERS, SAMPLED = 8, 2
+COUNTED_LAYERS, SAMPLED_LAYERS = 8, 2
 """Layers of cells that are counted together, in all and in a sample; the voxels between two of these are read twice."""
 
 SMOOTH_ERROR, STEEP_ERROR, NOISY_ERROR = 0.005, 0.01, 0.12
@@ -87,7 +87,7 @@ def measure_stiffness(field: Field, levels: Any, run: Run = serially, most: int 
     """
     layers = field.voxels.shape[0] - 1
     stride = 1 if most is None else max(-(-field.voxels.size // most), 1)
-    thick = LAYERS if stride == 1 else SAMPLED
+    thick = COUNTED_LAYERS if stride == 1 else SAMPLED_LAYERS
     begins = range(stride // 2 * thick, layers, stride * thick) or range(1)
     ascending = np.unique(np.asarray(levels, np.float32))
     counts, lock = np.zeros((COUNTED_ROWS, len(ascending) + 1), np.int64), threading.Lock()
@@ -101,7 +101,15 @@ def measure_stiffness(field: Field, levels: Any, run: Run = serially, most: int 
 
     run(piece, len(begins), 1)
     rows = counts.cumsum(axis=1)[:, :-1]
-    return Stiffness(ascending, rows[CELLS], rows[STEEP], rows[PLATEAU], rows[NOISY], rows[HOLED], rows[FACES:])
+    return Stiffness(
+        ascending,
+        rows[CELLS_ROW],
+        rows[STEEP_ROW],
+        rows[PLATEAU_ROW],
+        rows[NOISY_ROW],
+        rows[HOLED_ROW],
+        rows[FACES_ROW:],
+    )
 
 
 INTERPOLATION = 0.5
@@ -110,10 +118,10 @@ INTERPOLATION = 0.5
 The survey may expect a third of the true error, see MAX_ERROR_FACTOR, and projecting in vain costs half a bake.
 """
 
-LEVELS = 33
+SURVEYED_LEVELS = 33
 """Isovalues that a volume is surveyed at, evenly spaced."""
 
-SURVEYED = 1 << 20
+MAX_SURVEYED_CELLS = 1 << 20
 """Cells that the survey looks at, at most."""
 
 Span = tuple[Isovalue, Isovalue]
@@ -168,7 +176,7 @@ def plan_projection(field: Field, span: Span, start: Isovalue, target: float) ->
     ``target`` is the relative error of the scene; macrocells are not asked for. What stiff surfaces err by is of
     ``Stiffness``.
     """
-    levels = np.append(np.linspace(*span, LEVELS), start)
-    found = measure_stiffness(field, levels, most=SURVEYED)
+    levels = np.append(np.linspace(*span, SURVEYED_LEVELS), start)
+    found = measure_stiffness(field, levels, most=MAX_SURVEYED_CELLS)
     errors = np.array([found.expectation(place).likely for place in range(len(found.levels))])
     return ProjectionPlan(found.levels.astype(float), errors, INTERPOLATION * target)

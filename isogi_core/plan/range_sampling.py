@@ -14,19 +14,19 @@ import numpy as np
 
 from isogi_core.model.volume import Volume
 
-BINS = 1024
+RANGE_BINS = 1024
 """Even parts of a range in which the isosurfaces are looked at."""
 
 CELLS_WAITED_FOR = 1 << 21
 """Cells that are looked at for what a person waits for, about: they take a tenth of a second."""
 
-WAYS = ("uniform", "adaptive")
+SPACING_KINDS = ("uniform", "adaptive")
 """How levels are spaced."""
 
-HUGE = 1e300
+MAX_ROUNDED_STEP = 1e300
 """Steps from here on are not rounded to: a double may have no room for the next multiple."""
 
-STOPS = 20
+SLIDER_STOPS = 20
 """Stops of a slider. S3 lit 17 to 52 levels; twenty stand 16 pixels apart on the page, and a held key passes them in a
 second.
 """
@@ -71,7 +71,7 @@ def find_stops(volume: Volume, isovalues: tuple[float, float]) -> SampledRange:
     """The isovalues where a slider over a range stops, by the adaptive rule; none where the range is one isovalue."""
     if isovalues[0] == isovalues[1]:
         return SampledRange(())
-    return sample_range(volume, isovalues, STOPS, "adaptive", CELLS_WAITED_FOR)
+    return sample_range(volume, isovalues, SLIDER_STOPS, "adaptive", CELLS_WAITED_FOR)
 
 
 def shortened(levels: list[float], isovalues: tuple[float, float]) -> tuple[float, ...]:
@@ -83,7 +83,7 @@ def shortened(levels: list[float], isovalues: tuple[float, float]) -> tuple[floa
 
 def rounded(value: float, most: float) -> float:
     """The nearest multiple of a power of ten that is ``most`` at most; the value where there is none, or it is huge."""
-    return round(value, -math.floor(math.log10(most))) + 0.0 if 0.0 < most < HUGE else value
+    return round(value, -math.floor(math.log10(most))) + 0.0 if 0.0 < most < MAX_ROUNDED_STEP else value
 
 
 def adaptive_shares(
@@ -104,7 +104,7 @@ def adaptive_shares(
     if not there.any():
         return shares, 0.0
     way = np.append(0.0, np.cumsum(np.where(there, 1.0 / (np.where(there, gradients, 0.0) + soft), 0.0)))
-    edges = np.arange(BINS + 1) / BINS
+    edges = np.arange(RANGE_BINS + 1) / RANGE_BINS
     onward = np.append(True, np.diff(way) > 0.0)
     found = np.interp(shares, way[onward] / way[-1], edges[onward])
     return found, float((gradients[there] < soft).mean())
@@ -117,18 +117,18 @@ def least_gradients(volume: Volume, span: tuple[float, float], most: float = mat
     inf where no cell has a surface. One pass over the voxels, two layers at a time. Of a volume of more cells than
     ``most`` it takes evenly spread rows: what it finds is then at least gMin.
     """
-    depth, step = BINS.bit_length(), max(math.ceil(math.sqrt(volume.voxels.size / most)), 1)
-    table = np.full(depth * BINS, np.inf)
+    depth, step = RANGE_BINS.bit_length(), max(math.ceil(math.sqrt(volume.voxels.size / most)), 1)
+    table = np.full(depth * RANGE_BINS, np.inf)
     for z in range(0, len(volume.voxels) - 1, step):
         low, high, gradient = cells_between(volume.voxels[z], volume.voxels[z + 1], volume.spacing, step)
-        places = ((each.astype(np.float64) - span[0]) / (span[1] - span[0]) * BINS for each in (low, high))
+        places = ((each.astype(np.float64) - span[0]) / (span[1] - span[0]) * RANGE_BINS for each in (low, high))
         first, last = (np.ceil(place - 0.5) for place in places)
-        met = (np.clip(last, 0, BINS) > np.clip(first, 0, BINS)) & np.isfinite(gradient)
-        begin, end = (np.clip(each[met], 0, BINS).astype(np.int64) for each in (first, last))
+        met = (np.clip(last, 0, RANGE_BINS) > np.clip(first, 0, RANGE_BINS)) & np.isfinite(gradient)
+        begin, end = (np.clip(each[met], 0, RANGE_BINS).astype(np.int64) for each in (first, last))
         level = np.frexp(end - begin)[1] - 1
         for place in (begin, end - (1 << level)):
-            np.minimum.at(table, level * BINS + place, gradient[met])
-    return spread_down(table.reshape(depth, BINS))
+            np.minimum.at(table, level * RANGE_BINS + place, gradient[met])
+    return spread_down(table.reshape(depth, RANGE_BINS))
 
 
 def edges_between(lower: np.ndarray, upper: np.ndarray, step: int = 1) -> tuple[np.ndarray, ...]:

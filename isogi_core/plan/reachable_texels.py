@@ -17,7 +17,7 @@ Shape = tuple[int, int, int]
 Cells = Callable[[int, int], np.ndarray]
 """Gives the marks of a range of layers of cells, the last excluded."""
 
-SAMPLE = 1 << 15
+SAMPLED_TEXELS = 1 << 15
 """Shown texels, evenly sampled, among which void ones are counted."""
 
 
@@ -48,7 +48,7 @@ def count_texels(field: Field, shape: Shape, lowest: Isovalue, highest: Isovalue
     def cells(first: int, last: int) -> np.ndarray:
         return surface_cells(field.voxels[first : last + 1], lowest, highest)
 
-    sample, touched = Sample(SAMPLE), 0
+    sample, touched = Sample(SAMPLED_TEXELS), 0
     for n, block in enumerate(shown_blocks(cells, (nz, ny, nx), shape, chunk)):
         for z, layer in enumerate(block):
             sample.add(np.flatnonzero(layer) + (n * chunk + z) * layer.size)

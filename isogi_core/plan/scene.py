@@ -9,8 +9,8 @@ import numpy as np
 
 from isogi_core.errors import SceneError
 from isogi_core.files.scene_file import SceneSource
-from isogi_core.kernels.shading.lattice import CHUNK
-from isogi_core.kernels.tracing.field import OFFSET, Field
+from isogi_core.kernels.shading.lattice import DEFAULT_CHUNK_SIDE
+from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS, Field
 from isogi_core.kernels.tracing.glow import Glows
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.kernels.transport.light_paths import Surroundings
@@ -18,7 +18,7 @@ from isogi_core.kernels.transport.matter.matter_paths import Through
 from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.room_paths import InRoom
 from isogi_core.kernels.transport.surface_paths import Among
-from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer, LeftOut, ScenePlan
+from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer, LeftOut, ScenePlan
 from isogi_core.model.value_survey import digest_of
 from isogi_core.model.view import Camera, orbit, orthographic
 from isogi_core.model.volume import Isovalue, Volume
@@ -37,21 +37,21 @@ from isogi_core.plan.surfaces import SceneSurfaces
 BAKE_FORMAT = 6
 """Version of baked light: increased when a chunk's content, or the way its light is computed, changes."""
 
-NORMALS = ("bspline", "gradient")
+NORMAL_KINDS = ("bspline", "gradient")
 """Gradients that normals may be made of: smoothed with the tricubic B-spline, or plain (S1, figure 5)."""
 
-ROOM, COLOURED, AMONG, INSIDE, GLOW_AMONG = "room", "coloured", "among", "inside", "glow among"
+ROOM_KIND, COLOURED_KIND, AMONG_KIND, INSIDE_KIND, GLOW_AMONG_KIND = "room", "coloured", "among", "inside", "glow among"
 """Stand for the kinds of layers that are baked among walls, on a surface with colours where its light may turn, among
 several surfaces, or inside of one.
 """
 
 PATH_KINDS: dict[tuple[type, type], str] = {
-    **{(InRoom, Surroundings): ROOM, (Among, Surroundings): AMONG, (Through, Surroundings): INSIDE},
-    **{(InRoom, Glows): GLOW, (Among, Glows): GLOW_AMONG},
+    **{(InRoom, Surroundings): ROOM_KIND, (Among, Surroundings): AMONG_KIND, (Through, Surroundings): INSIDE_KIND},
+    **{(InRoom, Glows): GLOW_KIND, (Among, Glows): GLOW_AMONG_KIND},
 }
 """The kinds of layers by what their paths meet and gather: those of ``transport.entries``."""
 
-CHUNKS = (8, 16, 32)
+CHUNK_SIDES = (8, 16, 32)
 """Sides that a chunk may have, in texels. Small chunks spread over more workers; large ones are fewer objects."""
 
 
@@ -131,10 +131,10 @@ class Scene:
         """The kind of a ``layer`` of a ``plan``, or what stands for it, by whose kernels it is baked."""
         if layer.kind == "irradiance":
             return PATH_KINDS.get((self.meets, Surroundings), layer.kind)
-        if layer.kind == GLOW:
+        if layer.kind == GLOW_KIND:
             return PATH_KINDS[self.glow_meets, Glows]
-        reflected = any(each.reflected and each.kind != GLOW for each in plan.layers)
-        return COLOURED if self.surfaces.colours and reflected else layer.kind
+        reflected = any(each.reflected and each.kind != GLOW_KIND for each in plan.layers)
+        return COLOURED_KIND if self.surfaces.colours and reflected else layer.kind
 
     @property
     def name(self) -> str:
@@ -217,7 +217,7 @@ class Scene:
     @property
     def _bare_field(self) -> Field:
         """The volume as kernels take it, without macrocells."""
-        none, smooth = np.empty((0, 0, 0), np.float32), self.settings.normals == NORMALS[0]
+        none, smooth = np.empty((0, 0, 0), np.float32), self.settings.normals == NORMAL_KINDS[0]
         return Field(self.volume.voxels, none, none, self.volume.spacing, smooth, self.settings.offset)
 
     @property
@@ -300,8 +300,8 @@ class Scene:
     @property
     def departures(self) -> list[Any]:
         """Settings of rays and chunks that differ from the defaults; digests hold these alone, and old ones last."""
-        rays = [] if self._rays == (NORMALS[0], OFFSET) else [*self._rays]
-        return rays if self.settings.chunk == CHUNK else [*rays, self.settings.chunk]
+        rays = [] if self._rays == (NORMAL_KINDS[0], RAY_OFFSET_VOXELS) else [*self._rays]
+        return rays if self.settings.chunk == DEFAULT_CHUNK_SIDE else [*rays, self.settings.chunk]
 
     def plan_digest(self, plan: ScenePlan, shown: Isovalue | None = None) -> str:
         """Digest (hex) of all layers of a ``plan`` for this scene."""

@@ -34,7 +34,7 @@ class Side:
 OUTER = Side(0)
 """The side whose light is that of the scene itself."""
 
-WALLS = Side(MAX_SURFACES)
+WALLS_SIDE = Side(MAX_SURFACES)
 """Stands for the sides of the walls about the surfaces."""
 
 

@@ -14,7 +14,7 @@ from isogi_core.model.volume import Volume
 from isogi_core.plan.inputs import PlanOverrides
 from isogi_core.plan.materials import read_material
 
-BARE = (0.0, 1.0)
+BARE_ALBEDOS = (0.0, 1.0)
 """The albedos that views may ask for where nothing is reflected."""
 
 
@@ -155,7 +155,7 @@ def choosable(albedo: Colour, colours: SurfaceColours | None, overrides: PlanOve
     """
     albedos = overrides.albedos
     if albedos is None:
-        return BARE if overrides.bounces == 0 and max(albedo) > 0.0 and colours is None else None
+        return BARE_ALBEDOS if overrides.bounces == 0 and max(albedo) > 0.0 and colours is None else None
     if not albedos[0] <= min(albedo) <= max(albedo) <= albedos[1]:
         given = f"albedos = [{albedos[0]:g}, {albedos[1]:g}]"
         raise SceneError(f"{given} leaves out the scene's own albedo, {min(albedo):g} to {max(albedo):g}: widen it.")

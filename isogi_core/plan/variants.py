@@ -20,7 +20,7 @@ from isogi_core.files.scene_changes import (
 from isogi_core.files.scene_file import FOLLOWED
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.material import MATERIALS
-from isogi_core.model.scene_plan import GLOW, Layer, ScenePlan
+from isogi_core.model.scene_plan import GLOW_KIND, Layer, ScenePlan
 from isogi_core.model.value_survey import no_progress
 from isogi_core.model.volume import Volume
 from isogi_core.plan.assembly import build_scene
@@ -130,10 +130,10 @@ def _of_material(scene: Scene, kind: str) -> Scene | str:
         return str(error)
 
 
-FINEST = 4.0
+MAX_FINENESS = 4.0
 """Texels per voxel along each axis, at most."""
 
-DENSER = 2.0
+FINER_FACTOR = 2.0
 """How many times as many texels finer light has along each axis."""
 
 FURTHER = 2
@@ -144,12 +144,16 @@ def has_finer(scene: Scene) -> bool:
     """Whether there is finer light of a ``scene``: not beyond FINEST, and not among walls, which have light of their
     own, nor of several surfaces.
     """
-    return DENSER * scene.settings.lattice <= FINEST and not scene.lighting.room.any and not scene.surfaces.several
+    return (
+        FINER_FACTOR * scene.settings.lattice <= MAX_FINENESS
+        and not scene.lighting.room.any
+        and not scene.surfaces.several
+    )
 
 
 def finer(scene: Scene) -> Scene:
     """The ``scene`` with finer light."""
-    lattice = DENSER * scene.settings.lattice
+    lattice = FINER_FACTOR * scene.settings.lattice
     source = replace(scene.source, document={**scene.source.document, "lattice": lattice})
     plan = complete(further(scene.plan), scene.inputs, scene.settings.overrides)
     return replace(scene.with_settings(lattice=lattice), source=source, plan=plan)
@@ -165,6 +169,6 @@ def further(plan: ScenePlan) -> ScenePlan:
 
 def further_layer(layer: Layer) -> Layer:
     """A ``layer`` with more bands; what glows keeps none."""
-    if layer.kind == GLOW:
+    if layer.kind == GLOW_KIND:
         return layer
     return replace(layer, order=min(layer.order + FURTHER, MAX_ORDER))

@@ -22,7 +22,7 @@ from isogi_core.model.value_survey import sample_values
 from isogi_core.model.volume import Isovalue
 from isogi_core.runs import Run, serially
 
-PARTS = 64
+CORE_GROUPS = 64
 """Groups over the core of the values, [0, 1] as voxels have it.
 
 A map 1/64 of the value range wide made 512 × 512 primary rays up to 7 % slower than one of the isovalue
@@ -34,7 +34,7 @@ CROWDED_SHARE = 15 / 16
 """Share of a volume's values in one group from which on it is parted by their ranks: smooth fields reach 0.86."""
 
 
-ABOVE = 2.0**-30
+NEAR_ZERO_LEVEL = 2.0**-30
 """A level next to 0, which empty space often is: maps of isovalues above it hold none of that."""
 
 
@@ -45,16 +45,18 @@ def find_levels(voxels: np.ndarray) -> np.ndarray:
     it: a map of that would hold every cell. Such a part has PARTS quantiles of its own values between its ends.
     """
     values = sample_values(voxels).astype(np.float64)
-    levels = [-np.inf, *(np.arange(PARTS + 1) / PARTS), np.inf]
-    return np.unique([*chain.from_iterable(parted(values, *ends) for ends in pairwise(levels)), ABOVE, np.inf])
+    levels = [-np.inf, *(np.arange(CORE_GROUPS + 1) / CORE_GROUPS), np.inf]
+    return np.unique(
+        [*chain.from_iterable(parted(values, *ends) for ends in pairwise(levels)), NEAR_ZERO_LEVEL, np.inf]
+    )
 
 
 def parted(values: np.ndarray, low: float, high: float) -> list[float]:
     """The levels of one group, without its upper end; ``values`` are all, distinct and ascending."""
     inner = values[np.searchsorted(values, low) : np.searchsorted(values, high)]
-    if len(inner) <= max(CROWDED_SHARE * len(values), PARTS):
+    if len(inner) <= max(CROWDED_SHARE * len(values), CORE_GROUPS):
         return [low]
-    ranks = np.arange(PARTS) * len(inner) // PARTS
+    ranks = np.arange(CORE_GROUPS) * len(inner) // CORE_GROUPS
     return [low, *inner[ranks].tolist()]
 
 
@@ -70,7 +72,7 @@ NARROW_LEVELS = 2
 Through maps 12 levels wide paths in a volume of 1024³ voxels took 1.7 times as long: they look at more cells.
 """
 
-LAYERS = 4
+MARKED_LAYERS = 4
 """Layers of bricks that are marked in one go."""
 
 
@@ -163,7 +165,7 @@ class ActiveCellMaps:
         """The map from one level to another."""
         ends = float(self.levels[first]), float(self.levels[last])
         self._kept.make_room(USUAL_BLOCK_BYTES * self._bricks)
-        made = make_active_cells(self._voxels, self._ranges, *ends, partial(run, size=LAYERS), self._take)
+        made = make_active_cells(self._voxels, self._ranges, *ends, partial(run, size=MARKED_LAYERS), self._take)
         with self._lock:
             self._sizes[first, last] = made.nbytes
             self._widen()

@@ -10,16 +10,18 @@ import numpy as np
 
 from isogi_core.model.volume import Isovalue
 
-CELLS = 1 << 16
+MESH_BATCH_CELLS = 1 << 16
 """Cells whose vertices are found together."""
 
 NEWTON_STEPS = 6
 """Newton steps from the mean of a cell's crossings onto the surface."""
 
-CORNERS = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)])
+CELL_CORNERS = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)])
 EDGES = np.array([(a, a | bit) for bit in (1, 2, 4) for a in range(8) if not a & bit])
-AROUND = np.array([[[0, -1, -1], [0, 0, -1], [0, 0, 0], [0, -1, 0]], [[-1, 0, -1], [-1, 0, 0], [0, 0, 0], [0, 0, -1]]])
-RING = np.concatenate([AROUND, [[[-1, -1, 0], [0, -1, 0], [0, 0, 0], [-1, 0, 0]]]])
+CELLS_AROUND_EDGES = np.array(
+    [[[0, -1, -1], [0, 0, -1], [0, 0, 0], [0, -1, 0]], [[-1, 0, -1], [-1, 0, 0], [0, 0, 0], [0, 0, -1]]]
+)
+RING = np.concatenate([CELLS_AROUND_EDGES, [[[-1, -1, 0], [0, -1, 0], [0, 0, 0], [-1, 0, 0]]]])
 """For an edge along x, y, z, the four cells around it, anticlockwise as the edge's end sees them; offsets x, y, z."""
 
 
@@ -40,9 +42,9 @@ def isosurface_mesh(voxels: np.ndarray, isovalue: Isovalue) -> Mesh:
     Solid is what lies above. Cells beside a voxel that is NaN have no surface.
     """
     level, (cells, _) = float(isovalue), cells_of(voxels, float(isovalue))
-    corners = np.stack([voxels[tuple((cells + corner).T[::-1])] for corner in CORNERS], axis=1).astype(np.float64)
-    starts = range(0, len(cells), CELLS)
-    inside = [_settled(corners[start : start + CELLS], level) for start in starts]
+    corners = np.stack([voxels[tuple((cells + corner).T[::-1])] for corner in CELL_CORNERS], axis=1).astype(np.float64)
+    starts = range(0, len(cells), MESH_BATCH_CELLS)
+    inside = [_settled(corners[start : start + MESH_BATCH_CELLS], level) for start in starts]
     vertices = cells + np.concatenate([np.zeros((0, 3)), *inside])
     quads = _quads(cells, corners > level, voxels.shape)
     first, second = vertices[quads[:, 0]] - vertices[quads[:, 2]], vertices[quads[:, 1]] - vertices[quads[:, 3]]
@@ -83,7 +85,7 @@ def _settled(corners: np.ndarray, level: float) -> np.ndarray:
     crossed = (one > level) != (other > level)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(crossed, (level - one) / (other - one), 0.0)
-    ends = CORNERS[EDGES[:, 0]] + share[..., None] * (CORNERS[EDGES[:, 1]] - CORNERS[EDGES[:, 0]])
+    ends = CELL_CORNERS[EDGES[:, 0]] + share[..., None] * (CELL_CORNERS[EDGES[:, 1]] - CELL_CORNERS[EDGES[:, 0]])
     place = (ends * crossed[..., None]).sum(axis=1) / crossed.sum(axis=1)[:, None]
     for _ in range(NEWTON_STEPS):
         value, slope = _trilinear(corners, place)
@@ -95,10 +97,10 @@ def _settled(corners: np.ndarray, level: float) -> np.ndarray:
 
 def _trilinear(corners: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Value (n,) and gradient (n, 3) of the trilinear field of ``corners`` (n, 8) at a ``place`` (n, 3)."""
-    factors = np.where(CORNERS[None] == 1, place[:, None], 1.0 - place[:, None])
+    factors = np.where(CELL_CORNERS[None] == 1, place[:, None], 1.0 - place[:, None])
     value = (corners * factors.prod(axis=2)).sum(axis=1)
     slopes = [
-        (corners * (2 * CORNERS[:, axis] - 1) * np.delete(factors, axis, axis=2).prod(axis=2)).sum(axis=1)
+        (corners * (2 * CELL_CORNERS[:, axis] - 1) * np.delete(factors, axis, axis=2).prod(axis=2)).sum(axis=1)
         for axis in range(3)
     ]
     return value, np.stack(slopes, axis=1)

@@ -9,7 +9,7 @@ from isogi_core.files.mappings import UNMAPPED_SHARE, budget
 from isogi_core.files.volume_copies import get_survey
 from isogi_core.kernels.shading.lattice import Lattice
 from isogi_core.kernels.tracing.active_cells import ActiveCells
-from isogi_core.kernels.tracing.field import OFFSET, Field
+from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS, Field
 from isogi_core.kernels.tracing.glow import Glows
 from isogi_core.kernels.tracing.macrocells import fill_macrocells, macrocell_shape
 from isogi_core.kernels.tracing.peels import MAX_SURFACES
@@ -31,7 +31,7 @@ from isogi_core.prepared.surface import Surface
 from isogi_core.prepared.voxel_codes import VoxelCodes, find_codes
 from isogi_core.runs import Run, serially
 
-AROUND = 3
+UNSHADOWED_ORDER = 3
 """The harmonics' order of unshadowed light: the cosine lobe keeps 99 % of any light in it (Ramamoorthi, Hanrahan)."""
 
 Index = tuple[int, int, int]
@@ -101,7 +101,7 @@ class PreparedScene:
         Of order AROUND, and 1 for constant light.
         """
         environment, lamps, volume = self.scene.lighting.environment, self.scene.lighting.lamps, self.scene.volume
-        order = AROUND if lamps.any or environment.image.any() else 1
+        order = UNSHADOWED_ORDER if lamps.any or environment.image.any() else 1
         return project_environment(environment, order) + lamps.approximate(order, volume.centre, volume.radius)
 
     def room(self, albedo: tuple[float, float, float]) -> Room:
@@ -200,14 +200,14 @@ def survey_of(volume: Volume) -> Survey:
     To read all voxels of 1024³ takes each process seconds, and lets go of those pages that its rays need.
     """
     large = volume.voxels.nbytes > UNMAPPED_SHARE * budget()
-    return partial(get_survey, f"{volume.digest}-{SURVEYS}") if large else anew
+    return partial(get_survey, f"{volume.digest}-{SURVEY_VERSION}") if large else anew
 
 
-SURVEYS = 1
+SURVEY_VERSION = 1
 """Version of what is measured of volumes: increased when the same voxels give other arrays."""
 
 
-def make_field(volume: Volume, smooth: bool = True, offset: float = OFFSET) -> Field:
+def make_field(volume: Volume, smooth: bool = True, offset: float = RAY_OFFSET_VOXELS) -> Field:
     """The volume's voxels with the macrocells that serve every isovalue, and how rays leave a surface."""
 
     def measure() -> np.ndarray:

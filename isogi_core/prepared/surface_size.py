@@ -11,21 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from isogi_core.model.volume import Isovalue
-from isogi_core.prepared.isosurface_mesh import CORNERS, cells_of
+from isogi_core.prepared.isosurface_mesh import CELL_CORNERS, cells_of
 
-CELLS = 1 << 12
+SUMMED_CELLS = 1 << 12
 """Cells whose tetrahedra are summed together."""
 
-TRIED = 1 << 16
+MAX_TRIED_CELLS = 1 << 16
 """Cells in which half the steps are tried: of more, evenly spread ones are."""
 
-PATHS = np.array([(0, 1, 3, 7), (0, 1, 5, 7), (0, 2, 3, 7), (0, 2, 6, 7), (0, 4, 5, 7), (0, 4, 6, 7)])
+TETRAHEDRON_CORNERS = np.array([(0, 1, 3, 7), (0, 1, 5, 7), (0, 2, 3, 7), (0, 2, 6, 7), (0, 4, 5, 7), (0, 4, 6, 7)])
 """Corners of the six tetrahedra of a cell, along its edges from the first corner to the last (Kuhn)."""
 
-HALVES = np.array([[x, y, z] for z in (0, 0.5, 1) for y in (0, 0.5, 1) for x in (0, 0.5, 1)])
+HALF_STEP_PLACES = np.array([[x, y, z] for z in (0, 0.5, 1) for y in (0, 0.5, 1) for x in (0, 0.5, 1)])
 """Places of a cell's corners and of those half-way between them."""
 
-EIGHTHS = (CORNERS[:, None] + CORNERS) @ np.array([1, 3, 9])
+EIGHTHS = (CELL_CORNERS[:, None] + CELL_CORNERS) @ np.array([1, 3, 9])
 """Numbers in HALVES of the corners of each eighth of a cell (8, 8)."""
 
 
@@ -67,7 +67,7 @@ def _plain(voxels: np.ndarray, level: float, matrix: np.ndarray) -> np.ndarray:
 def _finer(voxels: np.ndarray, level: float, matrix: np.ndarray) -> np.ndarray:
     """By how much area and volume are greater, (2,), by tetrahedra of eighths of the cells."""
     cells, _ = cells_of(voxels, level)
-    some = cells[:: len(cells) // TRIED + 1]
+    some = cells[:: len(cells) // MAX_TRIED_CELLS + 1]
     more = _sums(voxels, some, level, matrix, halves=True) - _sums(voxels, some, level, matrix)
     return more * len(cells) / max(len(some), 1)
 
@@ -75,9 +75,11 @@ def _finer(voxels: np.ndarray, level: float, matrix: np.ndarray) -> np.ndarray:
 def _sums(voxels: np.ndarray, cells: np.ndarray, level: float, matrix: np.ndarray, halves: bool = False) -> np.ndarray:
     """Area, and volume above a level, (2,), in ``cells`` (n, 3) by their tetrahedra, or by those of their eighths."""
     total = np.zeros(2)
-    for start in range(0, len(cells), CELLS):
-        some = cells[start : start + CELLS]
-        corners = np.stack([voxels[tuple((some + corner).T[::-1])] for corner in CORNERS], axis=1).astype(np.float64)
+    for start in range(0, len(cells), SUMMED_CELLS):
+        some = cells[start : start + SUMMED_CELLS]
+        corners = np.stack([voxels[tuple((some + corner).T[::-1])] for corner in CELL_CORNERS], axis=1).astype(
+            np.float64
+        )
         total += _cut(_halved(corners), level, matrix / 2.0) if halves else _cut(corners, level, matrix)
     return total
 
@@ -90,22 +92,22 @@ def _reaches(voxels: np.ndarray, level: float) -> bool:
 
 def _halved(corners: np.ndarray) -> np.ndarray:
     """The corners (8 n, 8) of the eight halves of cells with these ``corners`` (n, 8)."""
-    weights = np.where(CORNERS[None] == 1, HALVES[:, None], 1.0 - HALVES[:, None]).prod(axis=2)
+    weights = np.where(CELL_CORNERS[None] == 1, HALF_STEP_PLACES[:, None], 1.0 - HALF_STEP_PLACES[:, None]).prod(axis=2)
     return (corners @ weights.T)[:, EIGHTHS].reshape(-1, 8)
 
 
 def _cut(corners: np.ndarray, level: float, matrix: np.ndarray) -> np.ndarray:
     """Area, and volume above a level, (2,), of the tetrahedra of all cells with these ``corners`` (n, 8)."""
-    values = corners[:, PATHS].reshape(-1, 4) - level
+    values = corners[:, TETRAHEDRON_CORNERS].reshape(-1, 4) - level
     above = (values > 0.0).sum(axis=1)
     area, share = 0.0, float((above == 4).sum())
     for count, cut in ((1, _tip), (2, _wedge), (3, _foot)):
         some = np.flatnonzero(above == count)
         order = np.argsort(-values[some], axis=1)
-        places = (CORNERS @ matrix.T)[PATHS[(some % len(PATHS))[:, None], order]]
+        places = (CELL_CORNERS @ matrix.T)[TETRAHEDRON_CORNERS[(some % len(TETRAHEDRON_CORNERS))[:, None], order]]
         found = cut(np.take_along_axis(values[some], order, axis=1).T, places.transpose(1, 0, 2))
         area, share = area + found[0], share + found[1]
-    return np.array([area, share * abs(np.linalg.det(matrix)) / len(PATHS)])
+    return np.array([area, share * abs(np.linalg.det(matrix)) / len(TETRAHEDRON_CORNERS)])
 
 
 def _tip(values: np.ndarray, corners: np.ndarray) -> tuple[float, float]:

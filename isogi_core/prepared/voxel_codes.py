@@ -11,10 +11,10 @@ import numpy as np
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.reachable_texels import surface_cells
 
-HOLE = -float(np.finfo(np.float32).max)
+HOLE_CODE = -float(np.finfo(np.float32).max)
 """The code of a voxel without a value: graphics cards may take NaN for any number."""
 
-SLAB = 1 << 22
+SLAB_CODE_BYTES = 1 << 22
 """Bytes of codes in a slab at most, but for volumes of which one layer takes more."""
 
 
@@ -41,7 +41,7 @@ class VoxelCodes:
     def slabs(self) -> tuple[tuple[int, int], ...]:
         """The first layer of each slab along z, and the first after it."""
         depth = self.shape[0]
-        layers = max(SLAB * depth // self.nbytes, 1)
+        layers = max(SLAB_CODE_BYTES * depth // self.nbytes, 1)
         return tuple((z, min(z + layers, depth)) for z in range(0, depth, layers))
 
     def code(self, voxels: np.ndarray) -> np.ndarray:
@@ -70,10 +70,10 @@ def find_codes(volume: Volume) -> VoxelCodes:
             codes = VoxelCodes(kind, gain, ends[0], None, volume.shape)
             if ends[1] - ends[0] <= gain * np.iinfo(kind).max and all(map(codes.holds, volume.slabs())):
                 return codes
-    return VoxelCodes("float32", 1.0, 0.0, HOLE if volume.holes else None, volume.shape)
+    return VoxelCodes("float32", 1.0, 0.0, HOLE_CODE if volume.holes else None, volume.shape)
 
 
-BEFORE, AFTER = 1, 2
+VOXELS_BEFORE, VOXELS_AFTER = 1, 2
 """Voxels along each axis that drawing a cell reads before the cell's first one, and from that on: the B-spline's."""
 
 
@@ -89,7 +89,7 @@ class IdleVoxels:
 
     def flattened(self, first: int, last: int) -> np.ndarray:
         """Layers from ``first`` to before ``last`` with all idle voxels of a side alike; those without a value stay."""
-        a, b = max(first - AFTER, 0), min(last + AFTER, len(self._voxels))
+        a, b = max(first - VOXELS_AFTER, 0), min(last + VOXELS_AFTER, len(self._voxels))
         slab, (low, high), (below, above) = self._voxels[a:b], self._range, self._sides
         needed = surface_cells(slab, low, high)
         for axis in range(3):
@@ -102,7 +102,7 @@ class IdleVoxels:
 def spread(cells: np.ndarray, axis: int) -> np.ndarray:
     """The voxels along an ``axis`` that drawing marked ``cells`` reads; bool, one more along that axis."""
     marks = np.moveaxis(cells, axis, 0)
-    wide = np.zeros((len(marks) + BEFORE + AFTER, *marks.shape[1:]), np.bool_)
-    for shift in range(BEFORE + AFTER + 1):
+    wide = np.zeros((len(marks) + VOXELS_BEFORE + VOXELS_AFTER, *marks.shape[1:]), np.bool_)
+    for shift in range(VOXELS_BEFORE + VOXELS_AFTER + 1):
         wide[shift : shift + len(marks)] |= marks
-    return np.moveaxis(wide[BEFORE : BEFORE + len(marks) + 1], 0, axis)
+    return np.moveaxis(wide[VOXELS_BEFORE : VOXELS_BEFORE + len(marks) + 1], 0, axis)

@@ -13,7 +13,7 @@ from fastapi import Depends, Header
 
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
-from isogi_core.plan.variants import DENSER
+from isogi_core.plan.variants import FINER_FACTOR
 from server.parameters import LONGEST_WAIT, FrameParams, ViewParams
 from worker.progress import TimeLeft
 
@@ -95,7 +95,7 @@ def projection_header(shares: Mapping[str, float]) -> str:
 
 def refined_header(frame: Frame) -> str:
     """By what a picture is better than its plan: texels along each axis, times the plan's, and pixels' own light."""
-    return f"texels={DENSER**frame.quality.fineness:g}, pixels={frame.quality.own / max(frame.surface, 1):.3f}"
+    return f"texels={FINER_FACTOR**frame.quality.fineness:g}, pixels={frame.quality.own / max(frame.surface, 1):.3f}"
 
 
 def error_header(frame: Frame) -> str:

@@ -17,7 +17,7 @@ from pydantic import BeforeValidator, Field, StrictBool, WithJsonSchema, model_v
 from isogi_core.model.shine import DULL
 from isogi_core.model.view import View
 from isogi_core.plan.range_sampling import CELLS_WAITED_FOR, sample_range
-from isogi_core.plan.range_sampling import WAYS as SAMPLINGS
+from isogi_core.plan.range_sampling import SPACING_KINDS as SAMPLINGS
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.parameters import TURN, NoParams, ViewParams, read

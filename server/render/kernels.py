@@ -6,8 +6,8 @@ from typing import Any
 
 from isogi_core.frame.entry_kernels import first_kernels, frame_kernels, other_kernels
 from isogi_core.kernels._cache_folder import prune_folders
-from isogi_core.kernels._compilation import NICENESS, Compilation, KernelProgress, warm
-from isogi_core.kernels._jit import FOLDER, load
+from isogi_core.kernels._compilation import COMPILER_NICENESS, Compilation, KernelProgress, warm
+from isogi_core.kernels._jit import KERNEL_FOLDER, load
 from isogi_core.plan.scene import Scene
 from server.progress import about_left
 from worker.fork_server import START_METHOD, start_fork_server
@@ -49,7 +49,7 @@ class SceneKernels:
         """Have kernels of pictures without light in this process; the others begin to be compiled."""
         if self.progress is not None:
             start_fork_server()
-        self._all.begin(self._stopped, NICENESS, START_METHOD)
+        self._all.begin(self._stopped, COMPILER_NICENESS, START_METHOD)
         self._all.wait(first_kernels(self._scenes()))
         load(first_kernels(self._scenes()), self._stopped)
 
@@ -57,11 +57,11 @@ class SceneKernels:
         """Have kernels of pictures with light in this process, and those of bakes on this machine."""
         self._all.wait(self._lit)
         load(frame_kernels(self._scenes()), self._stopped)
-        prune_folders(FOLDER)
+        prune_folders(KERNEL_FOLDER)
 
     def others(self) -> None:
         """Have kernels of pictures without light from texels, and of whole paths, in this process."""
-        warm(other_kernels(self._scenes()), self._stopped, NICENESS)
+        warm(other_kernels(self._scenes()), self._stopped, COMPILER_NICENESS)
 
     def admit(self, scene: Scene) -> None:
         """Have kernels of pictures of one more scene in this process."""

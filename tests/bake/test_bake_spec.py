@@ -12,7 +12,7 @@ from isogi_core.bake.noise import deviation
 from isogi_core.bake.refine import add
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.model.scene_plan import Layer, ScenePlan
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import ALBEDO, CONSTANT, SKY, orbital, plan_of, rotations_of, spec_of
 from tests.loaded import load_scene
@@ -71,14 +71,14 @@ def test_luminance_light_gives_the_reflected_luminance(channels: int) -> None:
     transfer = np.random.default_rng(1).normal(size=(channels, 25))
     colour = np.array(ALBEDO) * np.einsum("cn,cn->c", np.broadcast_to(transfer, (3, 25)), spec.light)
     assert spec.luminance_light.shape == (channels, 25)
-    assert (spec.luminance_light * transfer).sum() == pytest.approx(LUMINANCE @ colour)
+    assert (spec.luminance_light * transfer).sum() == pytest.approx(LUMINANCE_WEIGHTS @ colour)
 
 
 @pytest.mark.parametrize("lights", [[CONSTANT], [SKY], [CONSTANT, SKY]])
 def test_unoccluded_light_is_the_mean_times_the_albedo(lights: list[Any]) -> None:
     spec = spec_of(plan_of(Layer("direct", 3)), lights=lights)
     mean = spec.prepared.scene.lighting.environment.mean()
-    assert spec.unoccluded == pytest.approx(LUMINANCE @ (np.array(ALBEDO) * mean), rel=1e-3)
+    assert spec.unoccluded == pytest.approx(LUMINANCE_WEIGHTS @ (np.array(ALBEDO) * mean), rel=1e-3)
 
 
 # --- terms ------------------------------------------------------------------------------------------------------
@@ -167,14 +167,14 @@ def test_noise_of_irradiance_is_the_error_of_its_luminance(colour: tuple[float, 
     halves = np.random.default_rng(4).random((50, 2, 3, 1)) * np.array(colour)[:, None] * count / 2
     part = Part.dark(layer, 50)
     add(part, np.arange(50), halves, np.zeros(50), count, spec)
-    luminance = (halves[..., 0] / (count / 2)) @ (LUMINANCE * np.array(spec.prepared.scene.surfaces.albedo))
+    luminance = (halves[..., 0] / (count / 2)) @ (LUMINANCE_WEIGHTS * np.array(spec.prepared.scene.surfaces.albedo))
     np.testing.assert_allclose(deviation(part, spec), abs(luminance[:, 0] - luminance[:, 1]) / 2, rtol=0.05)
 
 
 def test_colours_are_judged_by_their_luminance() -> None:
     spec = spec_of(plan_of(Layer("direct", 5), Layer("indirect", 5, 3)))
     halves = np.random.default_rng(5).normal(size=(10, 2, 3, 25))
-    mix = LUMINANCE * np.array(ALBEDO)
+    mix = LUMINANCE_WEIGHTS * np.array(ALBEDO)
     expected = (halves * (mix / mix.sum())[:, None]).sum(axis=2)
     np.testing.assert_allclose(spec.judged(halves, Layer("indirect", 5, 3)), expected)
     assert np.array_equal(spec.judged(halves[:, :, :1], Layer("direct", 5)), halves[:, :, 0])

@@ -3,7 +3,7 @@ import pytest
 
 from isogi_core.bake.noise import Effort, efforts, expected_samples, good_enough, samples_left, samples_needed
 from isogi_core.bake.precision import VOID
-from isogi_core.model.scene_plan import FEWEST, most_samples, texel_target
+from isogi_core.model.scene_plan import MIN_SAMPLES, most_samples, texel_target
 
 TARGET = 0.05
 ERRORS = texel_target(TARGET)
@@ -11,7 +11,7 @@ ERRORS = texel_target(TARGET)
 
 def test_samples_follow_the_rate_of_errors_up_to_a_level() -> None:
     error, samples = ERRORS * np.array([4.0, 2.0, 1.02, 60.0, 0.2]), np.array([64, 64, 64, 64, 16])
-    goals = [512, 256, 128, most_samples(TARGET), FEWEST]  # 64 · 4^1.5 = 512, 64 · 2^1.5 = 181
+    goals = [512, 256, 128, most_samples(TARGET), MIN_SAMPLES]  # 64 · 4^1.5 = 512, 64 · 2^1.5 = 181
     assert (samples + samples_left(error, samples, TARGET)).tolist() == goals
 
 
@@ -45,5 +45,5 @@ def test_unlit_texels_are_expected_to_need_what_others_do() -> None:
     samples, chunks = np.array([64, 64, 0, 0, 16]), np.array([0, 0, 0, 1, 3])
     error = ERRORS * np.array([4.0, 2.0, 180.0, 180.0, 0.2])
     first, second, last = samples_needed(error[[0, 1, 4]], samples[[0, 1, 4]], TARGET)
-    assert (first, second, last) == (512, 256, FEWEST)
-    assert expected_samples(chunks, 4, error, samples, TARGET).tolist() == [1.5 * (512 + 256), 0.0, 0.0, FEWEST]
+    assert (first, second, last) == (512, 256, MIN_SAMPLES)
+    assert expected_samples(chunks, 4, error, samples, TARGET).tolist() == [1.5 * (512 + 256), 0.0, 0.0, MIN_SAMPLES]

@@ -9,7 +9,7 @@ import pytest
 from isogi_core.bake.bake_spec import band_of, square_light
 from isogi_core.bake.noise import evenness, path_deviation
 from isogi_core.bake.texel_light import Light
-from isogi_core.kernels.shading.lattice import LEAST_SPREAD, LIT, light_texels
+from isogi_core.kernels.shading.lattice import LEAST_SPREAD, LIGHT_NUMBERS, light_texels
 from isogi_core.model.scene_plan import Layer
 from tests.bake.texels import plan_of, rotations_of, spec_of
 from tests.kernels.transport.harmonic_bases import basis
@@ -47,7 +47,7 @@ def test_a_texels_spread_is_that_of_its_paths_light(rng: np.random.Generator) ->
     square = square_light(colour @ light)
     values = basis(3, ways(rng, 3000)) * (rng.random((3000, 1)) < 2 / 3)
     transfer = np.float32(values.mean(axis=0))[None, None]
-    lit = np.empty((1, LIT), np.float32)
+    lit = np.empty((1, LIGHT_NUMBERS), np.float32)
     args = (np.float32(light), np.float32(square), np.zeros(1, np.int32), 9, lit)
     light_texels(np.zeros(1, np.int32), transfer, np.full(1, 0.1, np.float32), *args)
     variance = (values @ (colour @ light)).var()

@@ -20,7 +20,7 @@ from isogi_core.bake.noise import (
 )
 from isogi_core.bake.precision import VOID
 from isogi_core.bake.texel_light import Light, Part
-from isogi_core.model.scene_plan import FEWEST, most_samples, texel_target
+from isogi_core.model.scene_plan import MIN_SAMPLES, most_samples, texel_target
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import baked, climbed, orbital, rotations_of, surface_texels
 from tests.loaded import load_scene
@@ -82,18 +82,20 @@ def test_no_light_has_no_error() -> None:
 
 def test_a_texel_is_done_when_good_enough_spent_or_void() -> None:
     spec = orbital(sky=False)
-    light = light_of(spec, [[FEWEST, FEWEST, most_samples(0.01), VOID, 0]], noise=1.0)
+    light = light_of(spec, [[MIN_SAMPLES, MIN_SAMPLES, most_samples(0.01), VOID, 0]], noise=1.0)
     light.parts[0].noise[1] = 0.0
     assert finished(light, spec, 0.01).tolist() == [False, True, True, True, False]
     light.parts[0].noise[:] = 0.0
     assert finished(light, spec, 0.01).tolist() == [True, True, True, True, False], "unlit is never done"
-    light.parts[0].samples[0] = FEWEST // 2
+    light.parts[0].samples[0] = MIN_SAMPLES // 2
     assert not finished(light, spec, 0.01)[0], "few paths that all died say nothing"
 
 
 def test_all_parts_must_have_the_fewest_samples() -> None:
     most = most_samples(0.5)
-    light = light_of(orbital(), [[FEWEST, FEWEST, FEWEST // 2, most], [0, FEWEST, FEWEST, most]], noise=0.0)
+    light = light_of(
+        orbital(), [[MIN_SAMPLES, MIN_SAMPLES, MIN_SAMPLES // 2, most], [0, MIN_SAMPLES, MIN_SAMPLES, most]], noise=0.0
+    )
     assert finished(light, orbital(), 0.5).tolist() == [False, True, False, True]
 
 
@@ -101,7 +103,7 @@ def test_the_frame_and_the_bake_agree_on_final_light() -> None:
     """The frame judges errors that were rounded to single floats."""
     target = 0.02
     errors = texel_target(target) * (1.0 + np.linspace(-1e-8, 1e-8, 201))
-    samples = np.full(201, FEWEST)
+    samples = np.full(201, MIN_SAMPLES)
     final = good_enough(errors, samples, target)
     assert 0 < final.sum() < 201
     assert good_enough(errors.astype(np.float32), samples, target)[final].all()

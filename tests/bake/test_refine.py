@@ -12,7 +12,7 @@ from isogi_core.bake.refine import add_to_mean, climb, locate, next_samples, ref
 from isogi_core.bake.texel_light import Light
 from isogi_core.kernels.transport.paths import SampleRange, TransferRules
 from isogi_core.kernels.transport.transfer import bake_texels, locate_texels
-from isogi_core.model.scene_plan import FEWEST, texel_target
+from isogi_core.model.scene_plan import MIN_SAMPLES, texel_target
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import COLUMNS, NEVER, baked, climbed, orbital, same, surface_texels
 from tests.scale import COMPILED
@@ -101,14 +101,14 @@ def test_light_in_memory_is_rounded_as_in_the_store(settings: dict[str, object])
 def test_texels_at_the_target_are_left_alone() -> None:
     spec = orbital()
     texels = surface_texels(spec, 60)
-    start = climbed(spec, texels, FEWEST)
+    start = climbed(spec, texels, MIN_SAMPLES)
     target = float(np.median(relative_error(start, spec))) / texel_target(1.0)
     done = finished(start, spec, target)
     light = start.rows(np.arange(60))
-    refine(light, texels, spec, 8 * FEWEST, target)
+    refine(light, texels, spec, 8 * MIN_SAMPLES, target)
     assert 0 < done.sum() < 60
     assert same(light.rows(np.flatnonzero(done)), start.rows(np.flatnonzero(done)))
-    climbing = sum(part.samples for part in light.parts) > 2 * FEWEST
+    climbing = sum(part.samples for part in light.parts) > 2 * MIN_SAMPLES
     assert np.array_equal(climbing, ~done)
 
 
@@ -243,7 +243,7 @@ def test_void_texels_are_marked_once_and_hold_nothing(settings: dict[str, object
     hollow.prepared.__dict__["field"] = spec.prepared.field._replace(voxels=voxels)
     light = baked(hollow, np.array([[z, y, x], *surface_texels(spec, 3)], np.int32), 16, 128)
     assert light.void.tolist() == [True, False, False, False]
-    assert light.samples[0] == VOID and (light.samples[1:] >= FEWEST).all()
+    assert light.samples[0] == VOID and (light.samples[1:] >= MIN_SAMPLES).all()
     assert not light.transfer[0].any() and all(np.isfinite(part.coefficients).all() for part in light.parts)
 
 

@@ -17,7 +17,7 @@ from benchmarks.accuracy.sampling import (
     shots,
     vertices_of,
 )
-from isogi_core.plan.range_sampling import WAYS
+from isogi_core.plan.range_sampling import SPACING_KINDS
 from isogi_core.reference import trace_reference
 from isogi_report.exact import lit_by_paths
 from tests.benchmarks.parts import bench_of, figures
@@ -90,7 +90,7 @@ def test_the_part_tells_of_both_ways_and_places(tmp_path: Path) -> None:
     scene = tmp_path / "orbital.toml"
     scene.write_text(ROOM)
     found = figures(sampling, str(scene), "--size", "16", "--levels", "3", "--paths", "16", "--truth", "64")
-    for way in WAYS:
+    for way in SPACING_KINDS:
         own = {key.removeprefix(f"orbital, {way}: "): value for key, value in found.items() if way in key}
         assert {f"{method} {place}: RMSE, %" for method in METHODS for place in PLACES} < set(own)
         assert 1.0 <= own["S3, paths"] / own["own texels, paths"] < 1.8, "two more from a vertex at most"

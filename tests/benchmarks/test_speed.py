@@ -116,7 +116,7 @@ class Coins:
     """Surfels whose sequences all have one random number, twice as many times as points."""
 
     def light(self, stream: int, sequences: int, points: int) -> np.ndarray:
-        assert points == 1 and stream >= 2 * streams.REFERENCE
+        assert points == 1 and stream >= 2 * streams.REFERENCE_STREAM
         return np.random.default_rng(stream).normal(size=(4000, sequences))
 
 

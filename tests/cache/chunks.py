@@ -10,7 +10,7 @@ from isogi_core.bake.refine import refine
 from isogi_core.cache.chunk import Chunk, Chunks
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.layer import LayerStore
-from isogi_core.kernels.shading.lattice import CHUNK
+from isogi_core.kernels.shading.lattice import DEFAULT_CHUNK_SIDE
 from isogi_core.model.scene_plan import Layer, ScenePlan
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from tests.bake.texels import same
@@ -21,7 +21,7 @@ CONSTANT = {"type": "constant", "radiance": 1.0}
 SETTINGS: dict[str, Any] = {"lattice": 0.4, "bounces": 1, "target_error": 0.5, "lights": [SKY], "lobes": 0}
 """39³ texels in 3³ chunks: the last along each axis is 7 texels wide, and texels lie between voxels."""
 
-TEXELS = CHUNK**3
+TEXELS = DEFAULT_CHUNK_SIDE**3
 """Texels of each of these chunks."""
 
 ORDERS = {"order": 2, "indirect_order": 2}

@@ -13,9 +13,9 @@ from isogi_core.bake.precision import VOID
 from isogi_core.cache.chunk import Chunk, Chunks
 from isogi_core.cache.page_pool import FEWEST_CHUNKS, PAGE, PagePool, fewest_samples
 from isogi_core.errors import StoreError
-from isogi_core.kernels.shading.lattice import BURIED_ROW, UNLIT, VOID_ROW
-from isogi_core.model.scene_plan import FEWEST
-from isogi_core.plan.scene import CHUNKS
+from isogi_core.kernels.shading.lattice import BURIED_ROW, UNLIT_ROW, VOID_ROW
+from isogi_core.model.scene_plan import MIN_SAMPLES
+from isogi_core.plan.scene import CHUNK_SIDES
 from isogi_core.prepared.prepared_scene import Index
 from tests.cache.chunks import CONSTANT, TEXELS, spec_of
 
@@ -63,11 +63,11 @@ def test_the_table_leads_each_texel_to_its_light(spec: BakeSpec) -> None:
         part.coefficients[:] = rng.random(part.coefficients.shape)
         part.samples[[3, 77]] = VOID
     for part in chunk.light.parts:
-        part.samples[50], part.coefficients[50] = FEWEST, 0.0
+        part.samples[50], part.coefficients[50] = MIN_SAMPLES, 0.0
     pool.insert(chunk)
     with pool.hold([(1, 0, 2)]) as (slots, _):
         table = pool.table[slots[0]]
-        assert (table[np.setdiff1d(np.arange(TEXELS), chunk.offsets)] == UNLIT).all()
+        assert (table[np.setdiff1d(np.arange(TEXELS), chunk.offsets)] == UNLIT_ROW).all()
         assert table[chunk.offsets[[3, 50, 77]]].tolist() == [VOID_ROW, BURIED_ROW, VOID_ROW]
         lit = np.setdiff1d(np.arange(150), [3, 50, 77])
         rows = table[chunk.offsets[lit]]
@@ -117,11 +117,11 @@ def test_an_empty_chunk_is_unlit_everywhere(spec: BakeSpec) -> None:
     pool = PagePool(spec, 1 << 22)
     pool.insert(empty(spec, (0, 0, 0)))
     with pool.hold([(0, 0, 0)]) as (slots, _):
-        assert (pool.table[slots[0]] == UNLIT).all()
+        assert (pool.table[slots[0]] == UNLIT_ROW).all()
 
 
 @pytest.mark.parametrize("order", [2, 5])
-@pytest.mark.parametrize("chunk", CHUNKS)
+@pytest.mark.parametrize("chunk", CHUNK_SIDES)
 @pytest.mark.parametrize("budget", [1 << 21, 10_000_000, 1 << 26])
 def test_the_arrays_stay_within_the_budget(order: int, chunk: int, budget: int) -> None:
     pool = PagePool(spec_of(order=order, lattice=0.25, chunk=chunk), budget)

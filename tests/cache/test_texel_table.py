@@ -11,9 +11,9 @@ from isogi_core.bake.noise import relative_error, scatter, standard_error
 from isogi_core.bake.precision import VOID, level_codes
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.cache.page_pool import CHECKSUMS, LEVELS, fewest_samples, fill_rows, new_rows
-from isogi_core.kernels.shading.lattice import BURIED_ROW, UNLIT, VOID_ROW
+from isogi_core.kernels.shading.lattice import BURIED_ROW, UNLIT_ROW, VOID_ROW
 from isogi_core.kernels.shading.texel_table import Rows
-from isogi_core.model.scene_plan import FEWEST, Layer, ScenePlan
+from isogi_core.model.scene_plan import MIN_SAMPLES, Layer, ScenePlan
 from tests.bake.texels import plan_of, spec_of
 
 PLANS = (
@@ -45,7 +45,7 @@ def random_light(spec: BakeSpec, texels: int) -> Light:
     """Light of every kind of texel: void, without samples or with few in any part, and dark in any."""
     rng, light = np.random.default_rng(7), Light.dark(spec.plan, texels)
     for part in light.parts:
-        part.samples[:] = rng.choice([VOID, 0, 16, 32, FEWEST, 8 * FEWEST], texels)
+        part.samples[:] = rng.choice([VOID, 0, 16, 32, MIN_SAMPLES, 8 * MIN_SAMPLES], texels)
         part.noise[:] = rng.random(part.noise.shape) ** 4
         part.coefficients[:] = rng.normal(size=part.coefficients.shape) * 0.1
         part.coefficients[:, :, 0] = rng.random(part.coefficients.shape[:2])
@@ -79,8 +79,8 @@ def places_of(light: Light) -> np.ndarray:
     straight = np.array([part.layer.kind != "indirect" for part in light.parts])
     unlit = (none & [part.samples == 0 for part in light.parts])[straight].any(axis=0)
     dark = none.all(axis=0) & all(part.layer.kind != "irradiance" for part in light.parts)
-    buried = np.where(dark & (light.samples >= FEWEST), BURIED_ROW, np.arange(len(light)))
-    return np.where(light.void, VOID_ROW, np.where(unlit, UNLIT, buried))
+    buried = np.where(dark & (light.samples >= MIN_SAMPLES), BURIED_ROW, np.arange(len(light)))
+    return np.where(light.void, VOID_ROW, np.where(unlit, UNLIT_ROW, buried))
 
 
 @pytest.mark.parametrize("spec", LOOKS, ids=[f"{plan.layers}{plan.lobes}" for plan in PLANS])
@@ -92,7 +92,7 @@ def test_rows_are_what_numpy_makes_of_the_light(spec: BakeSpec) -> None:
     np.testing.assert_allclose(rows.scatter, scatter(standard_error(light, spec), light, spec), rtol=2e-6)
     np.testing.assert_array_equal(rows.stamp, stamps_of(light))
     np.testing.assert_array_equal(places, places_of(light))
-    assert {UNLIT, VOID_ROW} <= {*places.tolist()} and (places >= 0).any()
+    assert {UNLIT_ROW, VOID_ROW} <= {*places.tolist()} and (places >= 0).any()
 
 
 def test_only_the_given_rows_are_written() -> None:
@@ -140,7 +140,7 @@ def test_stamps_change_with_light_that_is_shown_without_samples() -> None:
 
 
 def test_texels_without_a_row_have_no_samples() -> None:
-    marks = np.array([UNLIT, VOID_ROW, BURIED_ROW], np.float32)
+    marks = np.array([UNLIT_ROW, VOID_ROW, BURIED_ROW], np.float32)
     assert fewest_samples(marks, 2).tolist() == [0, 0, 0]
 
 
@@ -149,7 +149,10 @@ def test_texels_without_a_row_have_no_samples() -> None:
 
 def test_buried_are_texels_from_which_no_path_of_any_part_left() -> None:
     light = light_of(
-        [[FEWEST, FEWEST, FEWEST, FEWEST, 16, VOID, 4 * FEWEST], [FEWEST, FEWEST, FEWEST, 0, FEWEST, 0, FEWEST]]
+        [
+            [MIN_SAMPLES, MIN_SAMPLES, MIN_SAMPLES, MIN_SAMPLES, 16, VOID, 4 * MIN_SAMPLES],
+            [MIN_SAMPLES, MIN_SAMPLES, MIN_SAMPLES, 0, MIN_SAMPLES, 0, MIN_SAMPLES],
+        ]
     )
     light.parts[0].coefficients[1, 0, 0] = 1e-6
     light.parts[1].coefficients[2, 2, 0] = 1e-6
@@ -159,12 +162,12 @@ def test_buried_are_texels_from_which_no_path_of_any_part_left() -> None:
 def test_dark_irradiance_is_not_buried() -> None:
     """Lights that do not move may leave a side of the surface black, which light would reach."""
     spec = spec_of(plan_of(Layer("irradiance"), representation="irradiance"))
-    assert filled(light_of([[FEWEST, VOID]], spec), spec)[1].tolist() == [0, VOID_ROW]
+    assert filled(light_of([[MIN_SAMPLES, VOID]], spec), spec)[1].tolist() == [0, VOID_ROW]
 
 
 def test_reflected_light_alone_is_not_shown() -> None:
     """Direct light may be known of another layer, and then has no samples here."""
-    light = light_of([[0, 0, FEWEST, FEWEST], [FEWEST, FEWEST, 0, FEWEST]])
+    light = light_of([[0, 0, MIN_SAMPLES, MIN_SAMPLES], [MIN_SAMPLES, MIN_SAMPLES, 0, MIN_SAMPLES]])
     for part, lit in zip(light.parts, ([1, 2, 3], [0, 1, 3]), strict=True):
         part.coefficients[lit, 0, 0] = 0.5
-    assert filled(light)[1].tolist() == [UNLIT, 1, 2, 3]
+    assert filled(light)[1].tolist() == [UNLIT_ROW, 1, 2, 3]

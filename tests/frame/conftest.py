@@ -24,7 +24,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.latlong import pixel_directions
 from isogi_core.model.scene_plan import MAX_SAMPLES
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.scene import Scene
@@ -166,7 +166,7 @@ def ball(size: int = 40, radius: float = 12.0, spacing: tuple[float, float, floa
 
 def luminance(frame: Frame) -> np.ndarray:
     """Luminance of the surface pixels, float64."""
-    return frame.radiance[frame.state > 0].astype(np.float64) @ LUMINANCE
+    return frame.radiance[frame.state > 0].astype(np.float64) @ LUMINANCE_WEIGHTS
 
 
 def relative_rmse(frame: Frame, reference: Frame) -> float:

@@ -9,7 +9,7 @@ import pytest
 from isogi_core.frame.fitting import FILLED, Stand, fitted, fitted_to_all, nearest
 from isogi_core.model.view import PROJECTIONS, Vec3, View, orbit
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.first_view import ASKEW, FRONT, front_of
+from isogi_core.plan.first_view import FRONT, SKEW_AZIMUTHS, front_of
 from tests.frame.conftest import Workbench
 from tests.loaded import load_scene
 
@@ -62,7 +62,7 @@ def test_what_glows_beside_the_surface_is_seen_whole(tmp_path: Path) -> None:
 
 def test_the_longer_side_lies_across_the_first_picture() -> None:
     cube, long, wide = (front_of(make_volume(np.zeros(shape)), False) for shape in ((4, 8, 8), (4, 16, 8), (4, 8, 80)))
-    assert cube == FRONT and long[0] < cube[0] and wide == (ASKEW[1], FRONT[1])
+    assert cube == FRONT and long[0] < cube[0] and wide == (SKEW_AZIMUTHS[1], FRONT[1])
 
 
 def edges_of(bench: Workbench, view: View, stand: Stand, found: tuple[Vec3, float], projection: str) -> np.ndarray:

@@ -21,7 +21,7 @@ from isogi_core.kernels.shading.irradiance_ratio import MIN_UNSHADOWED
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
 from isogi_core.kernels.transport.lights import unshadowed
-from isogi_core.kernels.transport.texel_points import PROJECTED, project_texels
+from isogi_core.kernels.transport.texel_points import TEXEL_PROJECTED, project_texels
 from isogi_core.model.view import Camera, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -138,7 +138,7 @@ def test_normals_of_projected_texels_are_found_once(orbital: Workbench, monkeypa
     places, count = texels.positions, len(found.own)
     there, normals, verdicts = np.empty((3, count)), np.empty((3, count)), np.empty(count, np.uint8)
     project_texels(orbital.prepared.field, orbital.prepared.step, gbuffer.isovalue, places, there, normals, verdicts)
-    projected = verdicts == PROJECTED
+    projected = verdicts == TEXEL_PROJECTED
     projected[::3] = False
     for mask in (projected & (np.arange(count) % 2 == 0), projected, projected):
         facing = found.where(mask, texels, orbital.prepared, Tiles(1))

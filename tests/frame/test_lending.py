@@ -12,8 +12,8 @@ from isogi_core.frame.shading import carry_texel_light, filter_texel_light, lend
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import PAIRED, first_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
-from isogi_core.kernels.shading.lattice import BURIED, LIT, PARTIAL, UNBAKED, VOID
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.kernels.shading.lattice import BURIED_GRADE, LIGHT_NUMBERS, PARTIAL_GRADE, UNBAKED_GRADE, VOID_GRADE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from tests.frame.conftest import SKY, Workbench, reading_of, refine_chunk, relative_rmse
 from tests.loaded import load_scene
 
@@ -30,16 +30,21 @@ def test_unlit_texels_have_the_mean_of_their_cells_others(workbench: Make) -> No
     bench, random = orbital(workbench), np.random.default_rng(5)
     view = bench.view(size=24)
     texels, empty = bench.renderer.texels(view, bench.renderer.gbuffer(view)), reading_of(bench, view, Tiles(1))
-    chosen = random.choice([UNBAKED, PARTIAL, CONVERGING, FINAL, BURIED, VOID], len(texels.places))
-    reading, lit = replace(empty, grade=chosen.astype(np.uint8)), random.random((len(chosen), LIT), np.float32)
+    chosen = random.choice(
+        [UNBAKED_GRADE, PARTIAL_GRADE, CONVERGING, FINAL, BURIED_GRADE, VOID_GRADE], len(texels.places)
+    )
+    reading, lit = (
+        replace(empty, grade=chosen.astype(np.uint8)),
+        random.random((len(chosen), LIGHT_NUMBERS), np.float32),
+    )
     after, lent = lend_light(texels, reading, lit)
     expected: dict[int, list[np.ndarray]] = {}
     for cell in texels.corners.tolist():
         lenders = [t for t in cell if CONVERGING <= chosen[t] <= FINAL]
         for t in cell:
-            if chosen[t] == UNBAKED and lenders:
+            if chosen[t] == UNBAKED_GRADE and lenders:
                 expected.setdefault(t, []).append(lit[lenders].mean(axis=0))
-    assert 100 < len(expected) < (chosen == UNBAKED).sum()
+    assert 100 < len(expected) < (chosen == UNBAKED_GRADE).sum()
     for t, means in expected.items():
         assert after.grade[t] == CONVERGING
         assert any(np.allclose(lent[t], mean, rtol=1e-5) for mean in means)
@@ -52,7 +57,10 @@ def test_light_that_is_all_there_is_left_alone(workbench: Make) -> None:
     bench = orbital(workbench)
     view = bench.view(size=24)
     texels, empty = bench.renderer.texels(view, bench.renderer.gbuffer(view)), reading_of(bench, view, Tiles(1))
-    reading, lit = replace(empty, grade=np.full_like(empty.grade, CONVERGING)), np.ones((len(empty.grade), LIT))
+    reading, lit = (
+        replace(empty, grade=np.full_like(empty.grade, CONVERGING)),
+        np.ones((len(empty.grade), LIGHT_NUMBERS)),
+    )
     assert lend_light(texels, reading, lit) == (reading, lit)
 
 
@@ -114,10 +122,10 @@ def test_a_coarse_draft_tells_the_noise_of_its_pixels(workbench: Make) -> None:
     reading = replace(reading_of(bench, view, tiles), grade=np.full(len(texels.places), CONVERGING, np.uint8))
     seen, told = [], []
     for _ in range(64):
-        lit = np.ones((len(texels.places), LIT), np.float32)
+        lit = np.ones((len(texels.places), LIGHT_NUMBERS), np.float32)
         lit[:, :3], lit[:, 3] = 1.0 + 0.05 * random.normal(size=(len(lit), 1)), 0.05
         picture = carry_texel_light(texels, reading, lit, texels.gbuffer.points, light, tiles)
-        shown = picture.radiance[texels.gbuffer.pixels] @ LUMINANCE / light.spec.unit
+        shown = picture.radiance[texels.gbuffer.pixels] @ LUMINANCE_WEIGHTS / light.spec.unit
         seen.append(shown)
         told.append(picture.error[texels.gbuffer.pixels] * shown)
     true = np.sqrt(np.var(seen, axis=0).mean())
@@ -133,10 +141,10 @@ def test_lent_light_may_all_be_wrong(workbench: Make) -> None:
     normals = np.tile(np.array([[0.0, 0.0, 1.0]], np.float32), (len(texels.places), 1))
     normals[turned] *= -1.0
     grade = np.full(len(normals), CONVERGING, np.uint8)
-    grade[turned] = UNBAKED
-    samples = np.where(grade == UNBAKED, 0, 16).astype(np.int32)
+    grade[turned] = UNBAKED_GRADE
+    samples = np.where(grade == UNBAKED_GRADE, 0, 16).astype(np.int32)
     reading = replace(reading_of(bench, view, tiles), grade=grade, samples=samples)
-    lit = np.full((len(normals), LIT), 0.5, np.float32)
+    lit = np.full((len(normals), LIGHT_NUMBERS), 0.5, np.float32)
     lit[:, 3], lit[turned] = 0.01, 0.0
     for moving in (False, True):
         light = bench.renderer._light(replace(view, moving=moving))

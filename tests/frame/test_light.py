@@ -14,9 +14,9 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.texel_reading import read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
-from isogi_core.kernels.shading.lattice import BURIED
-from isogi_core.model.sky import LUMINANCE
-from isogi_core.model.view import IDENTITY, SHADINGS, Camera, View, quaternion_from_angles
+from isogi_core.kernels.shading.lattice import BURIED_GRADE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.view import IDENTITY, VIEW_SHADINGS, Camera, View, quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, ball, luminance, relative_rmse, scene_of
 from tests.loaded import load_scene
@@ -58,7 +58,7 @@ def test_vicinity_does_not_rotate(orbital: Workbench) -> None:
     np.testing.assert_allclose(plain.radiance, turned.radiance, rtol=1e-5)
 
 
-@pytest.mark.parametrize("shading", [s for s in SHADINGS if s.startswith(("lambert", "phong"))])
+@pytest.mark.parametrize("shading", [s for s in VIEW_SHADINGS if s.startswith(("lambert", "phong"))])
 def test_local_models_need_no_light_from_the_cache(shading: str, workbench: Make) -> None:
     bench = workbench(load_scene("demo:orbital", lights=[SKY]))
     frame = bench.renderer.render(bench.view(shading=shading))
@@ -96,7 +96,7 @@ def test_a_ball_sampled_unevenly_is_lit_the_same(spacing: tuple[float, float, fl
         bench = workbench(scene_of(ball(42, 15.0, steps), 0.0, lights=[SKY], target_error=0.05, bounces=1))
         frames.append(bench.bake(bench.view(20.0, 30.0, 32)))
     both = (frames[0].state > 0) & (frames[1].state > 0)
-    even, uneven = (frame.radiance[both].astype(float) @ LUMINANCE for frame in frames)
+    even, uneven = (frame.radiance[both].astype(float) @ LUMINANCE_WEIGHTS for frame in frames)
     assert np.sqrt(((even - uneven) ** 2).mean()) / even.mean() < 0.08
     assert uneven.mean() == pytest.approx(even.mean(), rel=0.02)
 
@@ -182,7 +182,7 @@ def test_buried_texels_under_a_lit_surface_do_not_darken_it(
     with pool.hold(texels.chunks) as held:
         grade = read_texels(texels, held.slots, pool, Until(bench.scene.target_error), Tiles(1)).grade
     roof = np.abs(gbuffer.points[:, :2] - 16.0).max(axis=1) < 7.0
-    assert roof.sum() > 50 and ((grade[texels.corners[roof]] == BURIED).sum(axis=1) == 4).all()
+    assert roof.sum() > 50 and ((grade[texels.corners[roof]] == BURIED_GRADE).sum(axis=1) == 4).all()
     np.testing.assert_allclose(frame.radiance.reshape(-1, 3)[gbuffer.pixels[roof]], 0.5, rtol=0.002)
     assert (frame.state.ravel()[gbuffer.pixels] == FINAL).all()
 

@@ -14,10 +14,10 @@ from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.lighting import KEY_SHARE, RotatedLight, shoulder_light
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, evaluate
 from isogi_core.model.latlong import pixel_directions, solid_angles
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import IDENTITY, Camera, Quaternion, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
-from isogi_core.prepared.prepared_scene import AROUND, PreparedScene
+from isogi_core.prepared.prepared_scene import UNSHADOWED_ORDER, PreparedScene
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, luminance
 from tests.loaded import load_scene
 
@@ -87,11 +87,11 @@ def test_reflected_light_is_tinted_by_the_albedo() -> None:
 
 def test_sky_holds_the_cosine_lobe_of_each_coefficient() -> None:
     turned = around([SKY], ODD, albedo=[0.2, 0.5, 1.0])
-    assert turned.sky.order == AROUND
-    bands = [l for l in range(AROUND) for _ in range(2 * l + 1)]
-    np.testing.assert_allclose(turned.sky.lobe, cosine_lobe_factors(AROUND)[bands] / math.pi)
+    assert turned.sky.order == UNSHADOWED_ORDER
+    bands = [l for l in range(UNSHADOWED_ORDER) for _ in range(2 * l + 1)]
+    np.testing.assert_allclose(turned.sky.lobe, cosine_lobe_factors(UNSHADOWED_ORDER)[bands] / math.pi)
     np.testing.assert_allclose(
-        turned.sky.light, turned.light[:, : AROUND**2] * np.array([[0.2], [0.5], [1.0]]) / turned.spec.unit
+        turned.sky.light, turned.light[:, : UNSHADOWED_ORDER**2] * np.array([[0.2], [0.5], [1.0]]) / turned.spec.unit
     )
 
 
@@ -153,8 +153,8 @@ def test_key_and_ambient_light_have_the_bands_0_and_1(tmp_path: Path) -> None:
     np.testing.assert_allclose(ambient + flux / (4 * math.pi), turned.mean, rtol=1e-9)
     basis = np.empty(4)
     evaluate(2, *key, basis)
-    expected = LUMINANCE @ turned.light[:, 1:4]
-    np.testing.assert_allclose((LUMINANCE @ flux) * basis[1:], expected, rtol=1e-6, atol=1e-9)
+    expected = LUMINANCE_WEIGHTS @ turned.light[:, 1:4]
+    np.testing.assert_allclose((LUMINANCE_WEIGHTS @ flux) * basis[1:], expected, rtol=1e-6, atol=1e-9)
 
 
 def test_light_without_a_direction_has_its_key_over_the_shoulder() -> None:

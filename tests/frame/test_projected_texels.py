@@ -18,7 +18,15 @@ from isogi_core.frame.projected_texels import Distances, join_readings
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
-from isogi_core.kernels.shading.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
+from isogi_core.kernels.shading.lattice import (
+    BURIED_GRADE,
+    BURIED_ROW,
+    PARTIAL_GRADE,
+    UNBAKED_GRADE,
+    UNLIT_ROW,
+    VOID_GRADE,
+    VOID_ROW,
+)
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
@@ -174,16 +182,16 @@ def test_readings_are_join_readings_as_a_walk_through_them_says() -> None:
     found = join_readings(base, new, ways, pool)
     for t in range(count):
         expected = STEEP * ways.voxels[t]
-        steep, void = expected > LOOSE, new.grade[t] == VOID
+        steep, void = expected > LOOSE, new.grade[t] == VOID_GRADE
         without = np.hypot(expected, base.error[t] if base.samples[t] else 1.0)
         good = new.grade[t] == FINAL or (steep and new.grade[t] == CONVERGING and new.error[t] <= without)
         pending = steep and new.grade[t] < FINAL
-        grade, dark = base.grade[t], steep and new.grade[t] == BURIED
+        grade, dark = base.grade[t], steep and new.grade[t] == BURIED_GRADE
         if good or dark:
             grade = FINAL if dark else new.grade[t]
         elif pending and grade == FINAL:
             grade = CONVERGING
-        rows = (UNLIT, new.rows[t]) if good else (UNLIT if dark else base.rows[t], UNLIT)
+        rows = (UNLIT_ROW, new.rows[t]) if good else (UNLIT_ROW if dark else base.rows[t], UNLIT_ROW)
         assert (found.rows[t], found.projected_rows[t]) == rows
         assert found.grade[t] == grade
         assert (found.wanted[t], found.unreachable[t], found.dark[t]) == (steep and not void, steep and void, dark)
@@ -195,9 +203,11 @@ def test_readings_are_join_readings_as_a_walk_through_them_says() -> None:
 
 def reading(rng: np.random.Generator, count: int, bounds: np.ndarray) -> Reading:
     """A reading of texels of every kind."""
-    grade = rng.choice([UNBAKED, PARTIAL, CONVERGING, FINAL, BURIED, VOID], count).astype(np.uint8)
+    grade = rng.choice([UNBAKED_GRADE, PARTIAL_GRADE, CONVERGING, FINAL, BURIED_GRADE, VOID_GRADE], count).astype(
+        np.uint8
+    )
     rows = np.arange(count, dtype=np.int32)
-    for kind, row in ((UNBAKED, UNLIT), (BURIED, BURIED_ROW), (VOID, VOID_ROW)):
+    for kind, row in ((UNBAKED_GRADE, UNLIT_ROW), (BURIED_GRADE, BURIED_ROW), (VOID_GRADE, VOID_ROW)):
         rows[grade == kind] = row
     short = np.minimum.reduceat(grade, bounds[:-1]) < FINAL
     error = rng.random(count).astype(np.float32)

@@ -20,7 +20,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import first_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 from isogi_core.model.scene_plan import MAX_SAMPLES
-from isogi_core.model.view import IDENTITY, SHADINGS, quaternion_from_angles
+from isogi_core.model.view import IDENTITY, VIEW_SHADINGS, quaternion_from_angles
 from isogi_core.model.volume import make_volume
 from tests.frame.conftest import (
     LOOSE,
@@ -144,7 +144,7 @@ def test_light_of_one_layer_is_shown_and_provisional(workbench: Make) -> None:
 
 def test_a_picture_without_surface_is_final_and_empty(workbench: Make) -> None:
     bench = workbench(scene_of(make_volume(np.zeros((9, 9, 9))), 0.0))
-    for shading in SHADINGS:
+    for shading in VIEW_SHADINGS:
         frame = bench.renderer.render(bench.view(size=8, shading=shading))
         assert not frame.state.any() and not frame.radiance.any()
         assert not frame.provisional and frame.noise == 0.0 and frame.coverage["final"] == 1.0
@@ -283,7 +283,7 @@ def test_two_stores_baked_apart_hold_the_same_light(tmp_path: Path) -> None:
 def test_a_cancelled_frame_stops(orbital: Workbench) -> None:
     cancelled = threading.Event()
     cancelled.set()
-    for shading in SHADINGS:
+    for shading in VIEW_SHADINGS:
         with pytest.raises(Cancelled):
             orbital.again().renderer.render(orbital.view(shading=shading), cancelled=cancelled)
     assert orbital.renderer.render(orbital.view(), enough=MAX_SAMPLES).coverage["final"] == 1.0

@@ -12,11 +12,19 @@ from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.rays import lobe_light
 from isogi_core.frame.rays.lobe_light import find_lobes, find_starts
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.shading.framebuffer import BLUE, GREEN, RED
-from isogi_core.kernels.shading.lobes import AXES, POINT_WEIGHT, RAYS, RIM, SHARP, STRATIFIED_VARIANCE, rim_way
-from isogi_core.kernels.shading.shadow_points import APART
-from isogi_core.kernels.tracing.field import OFFSET, to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE, cast, launch
+from isogi_core.kernels.shading.framebuffer import BLUE_LUMINANCE, GREEN_LUMINANCE, RED_LUMINANCE
+from isogi_core.kernels.shading.lobes import (
+    NEIGHBOUR_AXES,
+    PENUMBRA_RAYS,
+    POINT_WEIGHT,
+    RIM_RAYS,
+    SHARP_SINE,
+    STRATIFIED_VARIANCE,
+    rim_way,
+)
+from isogi_core.kernels.shading.shadow_points import MAX_NEIGHBOUR_VOXELS
+from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS, to_index
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, cast, launch
 from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.lights import DIRECTIONAL, LampArrays, draw_from_disc
 from isogi_core.kernels.transport.rng import mix, point_2d
@@ -26,7 +34,7 @@ Z, Y, X = np.mgrid[:41, :41, :41].astype(float)
 FLOOR, EDGE = 8.0, 18.0
 ROOM = np.maximum(FLOOR - Z, np.minimum(np.minimum(EDGE - X, Z - 24.0), 27.0 - Z))
 """A floor, and above it a shelf one side of which ends at x = EDGE."""
-LIGHT = np.array([RED, GREEN, BLUE], float)
+LIGHT = np.array([RED_LUMINANCE, GREEN_LUMINANCE, BLUE_LUMINANCE], float)
 SIDE = 64
 UP = np.array([0.0, 0.0, 1.0])
 Spacing = tuple[float, float, float]
@@ -90,16 +98,16 @@ def twin(lamps: LampArrays, points: np.ndarray, spacing: Spacing) -> np.ndarray:
 
 def free(field: Any, p: np.ndarray, w: Any) -> bool:
     """Whether a ray from a point gets away."""
-    origin = launch(field, 0.0, tuple(p), tuple(UP), OUTSIDE)
-    return not cast(field, 0.0, origin, to_index(tuple(w), field.spacing), OUTSIDE)[0] < math.inf
+    origin = launch(field, 0.0, tuple(p), tuple(UP), OUTSIDE_SIGN)
+    return not cast(field, 0.0, origin, to_index(tuple(w), field.spacing), OUTSIDE_SIGN)[0] < math.inf
 
 
 def rims_seen(field: Any, lamps: LampArrays, k: int, m: int, p: np.ndarray) -> list[bool]:
     """What a point sees along rays to a lobe's rim; to its middle, where it is sharp."""
     rim = [lamps.places[k]]
-    if np.linalg.norm(lamps.edges[k, 0]) > SHARP:
-        first = 0.5 * math.pi * point_2d(np.uint64(mix(m, streams.LOBES)), 0, k)[0]
-        rim = [np.array(rim_way(lamps, k, first + 2.0 * math.pi * i / RIM)) for i in range(RIM)]
+    if np.linalg.norm(lamps.edges[k, 0]) > SHARP_SINE:
+        first = 0.5 * math.pi * point_2d(np.uint64(mix(m, streams.LOBES_STREAM)), 0, k)[0]
+        rim = [np.array(rim_way(lamps, k, first + 2.0 * math.pi * i / RIM_RAYS)) for i in range(RIM_RAYS)]
     return [w[2] > 0.0 and free(field, p, w) for w in rim]
 
 
@@ -113,7 +121,7 @@ def half_seen(
     ]
     total, share, variance = sum(weight for _, weight in given), 0.0, 0.0
     for n, weight in given:
-        rays = RAYS[len(pairs_beside(half, math.isqrt(len(points)), n))]
+        rays = PENUMBRA_RAYS[len(pairs_beside(half, math.isqrt(len(points)), n))]
         each = share_of(field, lamps, k, n, points[n], rays)
         share, variance = share + weight / total * each[0], variance + (weight / total) ** 2 * each[1]
     return share, variance
@@ -122,7 +130,7 @@ def half_seen(
 def pairs_beside(half: np.ndarray, side: int, m: int) -> list[tuple[tuple[int, int], float]]:
     """The pairs of points opposite each other about one that are both in the half-shadow, and what each counts."""
     y, x = divmod(m, side)
-    pairs = [((y - dy, x - dx), (y + dy, x + dx), weight) for dy, dx, weight in AXES]
+    pairs = [((y - dy, x - dx), (y + dy, x + dx), weight) for dy, dx, weight in NEIGHBOUR_AXES]
     inside = [each for each in pairs if all(0 <= i < side for i in (*each[0], *each[1]))]
     numbered = [((a * side + b, c * side + d), weight) for (a, b), (c, d), weight in inside]
     return [each for each in numbered if half[each[0][0]] and half[each[0][1]]]
@@ -133,7 +141,7 @@ def share_of(field: Any, lamps: LampArrays, k: int, m: int, p: np.ndarray, rays:
     brought = []
     for i in range(rays):
         w, cosine = draw_from_disc(
-            tuple(lamps.places[k]), lamps.edges[k], *point_2d(np.uint64(mix(m, streams.LOBES)), i, k)
+            tuple(lamps.places[k]), lamps.edges[k], *point_2d(np.uint64(mix(m, streams.LOBES_STREAM)), i, k)
         )
         brought.append(max(w[2], 0.0) / cosine * free(field, p.astype(float), w))
     return float(np.mean(brought)), float(STRATIFIED_VARIANCE[rays] * np.var(brought) / (rays - 1))
@@ -154,7 +162,7 @@ def test_light_of_lobes_is_that_of_all_rays(degrees: float, spacing: Spacing) ->
 @pytest.mark.parametrize(("side", "believed"), [(48, True), (16, False)])
 def test_neighbours_far_apart_on_the_surface_are_not_believed(side: int, believed: bool) -> None:
     """Four pixels are 2 voxels of the finer picture, and 6 of the coarser one, whose next neighbours still count."""
-    assert 2.0 * math.sqrt(2.0) < APART < 6.0
+    assert 2.0 * math.sqrt(2.0) < MAX_NEIGHBOUR_VOXELS < 6.0
     starts = find_starts(picture(floor(side)), Tiles(1))
     first = starts.picture.around[:, 0].reshape(side, side)[4:-4, 4:-4]
     assert (first[::4, ::4] == -1).all(), "those that are asked first"
@@ -194,7 +202,7 @@ def half_shadow_of_the_shelf(points: np.ndarray, degrees: float) -> tuple[np.nda
     """Which points are about the shelf's edge, and the share of a lobe straight above that each of these sees."""
     radius, near = math.sin(math.radians(degrees / 2.0)), np.abs(points[:, 0] - EDGE) < 3.0
     away = EDGE - points[near, 0]
-    slope = away / (np.where(away > 0.0, 24.0, 27.0) - FLOOR - OFFSET)
+    slope = away / (np.where(away > 0.0, 24.0, 27.0) - FLOOR - RAY_OFFSET_VOXELS)
     d = np.clip(slope / np.sqrt(1.0 + slope**2) / radius, -1.0, 1.0)  # a plane cuts the disc about there
     return near, (np.arccos(d) - d * np.sqrt(1.0 - d**2)) / math.pi
 
@@ -221,7 +229,7 @@ def test_rays_in_a_wide_half_shadow_are_shared(monkeypatch: pytest.MonkeyPatch) 
         counts = list[int]()
 
         def rims(*given: Any, counts: list[int] = counts) -> None:
-            counts.append(RIM * len(given[3]))
+            counts.append(RIM_RAYS * len(given[3]))
             see_rims(*given)
 
         def discs(*given: Any, counts: list[int] = counts) -> None:

@@ -11,8 +11,16 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_reading import Lacking, grade_rows
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
-from isogi_core.kernels.shading.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
-from isogi_core.model.scene_plan import FEWEST, most_samples
+from isogi_core.kernels.shading.lattice import (
+    BURIED_GRADE,
+    BURIED_ROW,
+    PARTIAL_GRADE,
+    UNBAKED_GRADE,
+    UNLIT_ROW,
+    VOID_GRADE,
+    VOID_ROW,
+)
+from isogi_core.model.scene_plan import MIN_SAMPLES, most_samples
 from isogi_core.model.view import View
 from tests.frame.conftest import CONSTANT, SKY, Workbench, reading_of, refine_chunk
 from tests.loaded import load_scene
@@ -22,14 +30,14 @@ TARGET = 0.02
 
 def test_grades_part_missing_rough_and_good_light() -> None:
     expected = [
-        (0, 0.0, 0, PARTIAL),
-        (5, 0.01, FEWEST // 2, CONVERGING),
-        (1, 0.04, FEWEST, CONVERGING),
-        (2, 0.03, FEWEST, FINAL),
+        (0, 0.0, 0, PARTIAL_GRADE),
+        (5, 0.01, MIN_SAMPLES // 2, CONVERGING),
+        (1, 0.04, MIN_SAMPLES, CONVERGING),
+        (2, 0.03, MIN_SAMPLES, FINAL),
         (3, 0.04, most_samples(TARGET), FINAL),
-        (UNLIT, 0.0, 0, UNBAKED),
-        (VOID_ROW, 0.0, 0, VOID),
-        (BURIED_ROW, 0.0, 0, BURIED),
+        (UNLIT_ROW, 0.0, 0, UNBAKED_GRADE),
+        (VOID_ROW, 0.0, 0, VOID_GRADE),
+        (BURIED_ROW, 0.0, 0, BURIED_GRADE),
     ]
     rows, error, samples, grades = (np.array(column) for column in zip(*expected, strict=True))
     assert grade_rows(rows.astype(np.int32), error.astype(np.float32), samples, TARGET).tolist() == grades.tolist()
@@ -47,7 +55,7 @@ def test_light_short_of_final_is_demanded_chunk_by_chunk(workbench: Callable[...
     view = bench.view(size=24)
     texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
     before = reading_of(bench, view, Tiles(1))
-    assert before.short.all() and not before.whole and (before.grade == UNBAKED).all()
+    assert before.short.all() and not before.whole and (before.grade == UNBAKED_GRADE).all()
     wanted = Lacking(texels, before, planes_of(view, 1.0)).demands
     assert [demand.effort.unlit for demand in wanted] == np.diff(texels.bounds).tolist()
     assert [demand.index for demand in wanted] == list(texels.chunks)
@@ -104,7 +112,7 @@ def test_efforts_of_chunks_in_pieces_are_those_of_their_texels(
         [d.effort for d in Lacking(texels, each, planes_of(view, 1.0)).demands] for each in (whole, pieces)
     )
     assert efforts == same and len(efforts) == len(texels.chunks)
-    unlit = [int((whole.rows[a:b] == UNLIT).sum()) for a, b in pairwise(texels.bounds.tolist())]
+    unlit = [int((whole.rows[a:b] == UNLIT_ROW).sum()) for a, b in pairwise(texels.bounds.tolist())]
     assert [effort.unlit for effort in efforts] == unlit and 0 < sum(unlit) < len(whole.rows)
     assert all(effort.taken > 0.0 for effort in efforts if not effort.unlit)
 

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from isogi_core.kernels.tracing.field import bspline, bspline_slope
-from isogi_core.kernels.tracing.plateaus import FARTHEST, STRIDE
+from isogi_core.kernels.tracing.plateaus import MAX_SHIFT_VOXELS, STEP_VOXELS
 
 
 def smoothed(voxels, p):
@@ -25,7 +25,7 @@ def values(voxels, points):
 
 def search(voxels, p, down, level):
     """The stride (first, last place) along `down` in which the level is crossed; None where it is in none."""
-    places = p + np.arange(0.0, FARTHEST + STRIDE / 2, STRIDE)[:, None] * down
+    places = p + np.arange(0.0, MAX_SHIFT_VOXELS + STEP_VOXELS / 2, STEP_VOXELS)[:, None] * down
     solid = values(voxels, places) > level
     changes = np.flatnonzero(solid != solid[0])
     return places[changes[0] - 1 : changes[0] + 1] if len(changes) else None

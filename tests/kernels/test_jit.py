@@ -68,8 +68,8 @@ def test_options_keep_threads_out_and_nan_in():
 
 @COMPILED
 def test_the_cache_lies_in_the_folder_of_these_sources():
-    assert Path(config.CACHE_DIR) == _jit.FOLDER
-    assert _jit.FOLDER.name == _cache_folder.sources_digest()
+    assert Path(config.CACHE_DIR) == _jit.KERNEL_FOLDER
+    assert _jit.KERNEL_FOLDER.name == _cache_folder.sources_digest()
 
 
 def test_the_cache_goes_where_it_is_told(monkeypatch, tmp_path):
@@ -156,7 +156,7 @@ def test_an_edited_helper_is_compiled_anew_an_old_one_loaded(tmp_path):
 
 @COMPILED
 def test_threads_that_call_a_kernel_wait_for_one_compilation(tmp_path, monkeypatch):
-    monkeypatch.setattr(_jit, "FOLDER", tmp_path)
+    monkeypatch.setattr(_jit, "KERNEL_FOLDER", tmp_path)
     made = []
 
     def compile_here(signature, cache, **options):
@@ -174,7 +174,7 @@ def test_threads_that_call_a_kernel_wait_for_one_compilation(tmp_path, monkeypat
 
 @COMPILED
 def test_a_kernel_that_somebody_is_at_is_left_to_them(tmp_path, monkeypatch):
-    monkeypatch.setattr(_jit, "FOLDER", tmp_path)
+    monkeypatch.setattr(_jit, "KERNEL_FOLDER", tmp_path)
     monkeypatch.setattr(_jit.Entry, "_compile", lambda entry: setattr(entry, "_ready", entry.__wrapped__))
     entry = _jit.Entry(lambda x: x, "float64(float64)", {})
     with _cache_folder.locked(tmp_path / f"{entry.name}.lock"):

@@ -51,7 +51,7 @@ if __name__ == "__main__":
 
 
 def test_once_it_is_stopped_nothing_is_loaded(tmp_path, monkeypatch):
-    monkeypatch.setattr(_jit, "FOLDER", tmp_path)
+    monkeypatch.setattr(_jit, "KERNEL_FOLDER", tmp_path)
     entries = [_jit.Entry(lambda x: x, "float64(float64)", {}) for _ in range(2)]
     stopped = threading.Event()
     stopped.set()
@@ -60,7 +60,7 @@ def test_once_it_is_stopped_nothing_is_loaded(tmp_path, monkeypatch):
 
 
 def test_what_is_loaded_is_what_is_compiled_ahead(tmp_path, monkeypatch):
-    monkeypatch.setattr(_jit, "FOLDER", tmp_path)
+    monkeypatch.setattr(_jit, "KERNEL_FOLDER", tmp_path)
     monkeypatch.setattr(_jit.Entry, "_compile", lambda entry: setattr(entry, "_ready", entry.__wrapped__))
     entries = [_jit.Entry(lambda x: x, "float64(float64)", {}) for _ in range(2)]
     assert entries_of([entries[0], max, entries[1]]) == entries
@@ -155,7 +155,7 @@ def test_what_a_kernel_calls_by_address_is_known_before():
     for entry in entries:
         entry.ready  # noqa: B018
         module, name = entry.name.split(".")[-2:]
-        (code,) = [path.read_bytes() for path in _jit.FOLDER.glob(f"*/{module}.{name}-*.nbc")]
+        (code,) = [path.read_bytes() for path in _jit.KERNEL_FOLDER.glob(f"*/{module}.{name}-*.nbc")]
         called = {each.name for each in entries if b"\0" + each.name.encode() + b"\0" in code}
         assert called == {each.name for each in entry.callees}, entry.name
     assert sum(bool(entry.callees) for entry in entries) > 10

@@ -12,7 +12,7 @@ from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, POINT
 from isogi_core.model.environment import gather_lamps
 from isogi_core.model.lights import AreaLight, ConstantLight, DirectionalLight, Lamp, PointLight
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.plan.scene import Scene
 from tests.loaded import load_scene
 
@@ -77,7 +77,7 @@ def test_a_lamp_at_the_centre_shines_from_all_sides_alike() -> None:
     expected = np.zeros((3, 16))
     expected[:, 0] = np.array([9.0, 0.0, 18.0]) / 9.0 / math.sqrt(4.0 * math.pi)
     np.testing.assert_allclose(lamps.approximate(4, CENTRE, 3.0), expected)
-    assert lamps.brightest(CENTRE, 3.0) == pytest.approx(np.array([1.0, 0.0, 2.0]) @ LUMINANCE / math.pi)
+    assert lamps.brightest(CENTRE, 3.0) == pytest.approx(np.array([1.0, 0.0, 2.0]) @ LUMINANCE_WEIGHTS / math.pi)
 
 
 def harmonic(l: int, m: int, theta: float, phi: float) -> float:

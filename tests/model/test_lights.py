@@ -21,7 +21,7 @@ from isogi_core.model.lights import (
     SkyLight,
     light_from_mapping,
 )
-from isogi_core.model.sky import LUMINANCE, SUN_ILLUMINANCE, sky_image, sun_direction
+from isogi_core.model.sky import LUMINANCE_WEIGHTS, SUN_ILLUMINANCE, sky_image, sun_direction
 from isogi_core.plan.lighting import assemble_environment
 
 HERE = Path("scenes")
@@ -248,7 +248,9 @@ def table_of(image: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
     """Densities per pixel (h, w) that a table says, and the excess of the luminance over its mean by solid angle."""
     light = replace(assemble_environment([]), image=image.astype(np.float32))
     marginal, conditional = light.table
-    excess = np.maximum(light.image @ LUMINANCE - light.mean() @ LUMINANCE, 0.0) * solid_angles(*image.shape[:2])
+    excess = np.maximum(light.image @ LUMINANCE_WEIGHTS - light.mean() @ LUMINANCE_WEIGHTS, 0.0) * solid_angles(
+        *image.shape[:2]
+    )
     return light.sharp, np.diff(marginal)[:, None] * np.diff(conditional, axis=1), excess / max(excess.sum(), 1e-300)
 
 
@@ -293,13 +295,13 @@ SKIES = [SkyLight(200.0, e, t) for e, t in itertools.product((0.0, 10.0, 45.0, 9
 def test_sky_is_finite_and_has_the_mean_that_was_asked_for(light: SkyLight) -> None:
     image, _, _ = small_sky(light)
     assert np.isfinite(image).all() and image.min() >= 0.0
-    assert mean_radiance(image) @ LUMINANCE == pytest.approx(1.0)
+    assert mean_radiance(image) @ LUMINANCE_WEIGHTS == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("light", SKIES[3:])
 def test_sun_stands_where_it_was_put(light: SkyLight) -> None:
     image, directions, _ = small_sky(light)
-    brightest = np.unravel_index((image @ LUMINANCE).argmax(), image.shape[:2])
+    brightest = np.unravel_index((image @ LUMINANCE_WEIGHTS).argmax(), image.shape[:2])
     assert directions[brightest] @ sun_direction(light) > np.cos(np.sqrt(2.0) * np.pi / 128)
 
 
@@ -310,7 +312,7 @@ def test_sun_energy_does_not_depend_on_the_grid() -> None:
         image, directions, angles = small_sky(light, height)
         near = directions @ sun_direction(light) > np.cos(np.radians(4.0))
         flux = angles[..., None] * image
-        shares.append((flux[near].sum(axis=0) / flux.sum(axis=(0, 1))) @ LUMINANCE)
+        shares.append((flux[near].sum(axis=0) / flux.sum(axis=(0, 1))) @ LUMINANCE_WEIGHTS)
     assert np.ptp(shares) < 0.02 * np.mean(shares)
     assert np.mean(shares) > 0.3
 
@@ -319,8 +321,8 @@ def test_ratio_of_sun_to_sky_is_that_of_daylight() -> None:
     """On the ground at noon, a clear sky gives some 10 to 25 klx and the beam of the sun some 70 to 110."""
     light = SkyLight(0.0, 60.0, 2.5, (0.0, 0.0, 0.0))
     image, directions, angles = small_sky(light, 256)
-    falling = angles * np.maximum(directions[..., 2], 0.0) * (image @ LUMINANCE)
-    disc = image @ LUMINANCE > 100.0
+    falling = angles * np.maximum(directions[..., 2], 0.0) * (image @ LUMINANCE_WEIGHTS)
+    disc = image @ LUMINANCE_WEIGHTS > 100.0
     ratio = falling[disc].sum() / falling[~disc].sum()
     assert 70 / 25 < ratio < SUN_ILLUMINANCE / 10
 
@@ -353,8 +355,8 @@ def test_noon_is_blue_and_sunset_is_red() -> None:
 
 def test_a_sky_in_an_environment() -> None:
     light = assemble_environment([SkyLight(sun_azimuth=90.0, sun_elevation=30.0, scale=2.0)])
-    assert light.mean() @ LUMINANCE == pytest.approx(2.0, rel=1e-5)
-    up, down = light.radiance(np.array([[0.0, np.cos(np.pi / 6), 0.5], [0.0, 0.5, -0.5]])) @ LUMINANCE
+    assert light.mean() @ LUMINANCE_WEIGHTS == pytest.approx(2.0, rel=1e-5)
+    up, down = light.radiance(np.array([[0.0, np.cos(np.pi / 6), 0.5], [0.0, 0.5, -0.5]])) @ LUMINANCE_WEIGHTS
     assert up > 1e4 * down > 0.0
 
 
@@ -363,6 +365,6 @@ def test_real_probes_have_the_light_that_their_list_says(shared_data: Path) -> N
     known = {"grace_256x128": (0.19, 2177), "noon_grass_1024x512": (0.56, 63_700)}
     for name, (mean, peak) in known.items():
         light = assemble_environment([ProbeLight(shared_data / f"probe_{name}.hdr")])
-        assert light.mean() @ LUMINANCE == pytest.approx(mean, abs=0.005)
-        assert (light.image @ LUMINANCE).max() == pytest.approx(peak, rel=1e-3)
+        assert light.mean() @ LUMINANCE_WEIGHTS == pytest.approx(mean, abs=0.005)
+        assert (light.image @ LUMINANCE_WEIGHTS).max() == pytest.approx(peak, rel=1e-3)
         assert light.sharp

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from isogi_core.model.scene_plan import FEWEST, MAX_SAMPLES, Layer, ScenePlan, most_samples, texel_target
+from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES, Layer, ScenePlan, most_samples, texel_target
 
 SINGLE = {"half": False}
 
@@ -55,4 +55,4 @@ def test_a_stricter_target_is_worth_more_samples() -> None:
     worth = [most_samples(target) for target in (1.0, 0.05, 0.02, 0.01, 0.005, 1e-4)]
     assert worth == sorted(worth) and worth[2] == 2048
     assert all(n & (n - 1) == 0 for n in worth), "rungs of the ladder are powers of two"
-    assert (worth[0], most_samples(1e-9), most_samples(0.0)) == (FEWEST, MAX_SAMPLES, MAX_SAMPLES)
+    assert (worth[0], most_samples(1e-9), most_samples(0.0)) == (MIN_SAMPLES, MAX_SAMPLES, MAX_SAMPLES)

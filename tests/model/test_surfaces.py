@@ -7,7 +7,7 @@ import pytest
 
 from isogi_core.errors import SceneError, ViewError
 from isogi_core.plan.assembly import load_scene
-from isogi_core.plan.scene import AMONG
+from isogi_core.plan.scene import AMONG_KIND
 from tests.frame.conftest import shell
 
 SKIN = {"isovalue": 60.0, "clear": 0.5, "albedo": [0.8, 0.5, 0.4], "name": "skin"}
@@ -18,7 +18,7 @@ def test_a_scene_has_pinned_surfaces_and_light_that_stays() -> None:
     (pinned,) = scene.surfaces.pinned
     assert pinned.table == SKIN
     assert (scene.surfaces.clear, scene.lighting.rotating, scene.plan.representation) == (0.25, False, "irradiance")
-    assert scene.bakes == {AMONG}
+    assert scene.bakes == {AMONG_KIND}
     assert scene.inputs.reflecting == (0.8, 0.7, 0.7)
     told = {each.what for each in scene.left_out}
     assert {"light of pinned surfaces at each isovalue", "turning of the light"} <= told
@@ -37,7 +37,7 @@ def test_light_that_gets_through_is_planned_for() -> None:
     """Paths carry what is reflected or let through, at most their sum, and texels keep what leaves one side."""
     scene = load_scene("demo:casting", albedo=[0.5, 0.4, 0.3], transmission=0.4)
     assert (scene.surfaces.several, scene.surfaces.transmits, scene.lighting.rotating) == (True, True, False)
-    assert (scene.plan.representation, scene.bakes) == ("irradiance", {AMONG})
+    assert (scene.plan.representation, scene.bakes) == ("irradiance", {AMONG_KIND})
     assert scene.surfaces.leaving_for(None) == scene.inputs.albedo == scene.inputs.reflecting == (0.9, 0.8, 0.7)
     assert not scene.inputs.grey
     told = {each.what: each for each in scene.left_out}

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from isogi_core.errors import ViewError
 from isogi_core.model.view import (
     IDENTITY,
-    SHADINGS,
+    VIEW_SHADINGS,
     Camera,
     Quaternion,
     Vec3,
@@ -128,7 +128,7 @@ def test_views_without_meaning_are_refused(change: dict[str, object], word: str)
         View(**{"isovalue": 1.0, "camera": CAMERA, **change})  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("shading", SHADINGS)
+@pytest.mark.parametrize("shading", VIEW_SHADINGS)
 def test_every_shading_makes_a_view_that_can_be_a_key(shading: str) -> None:
     view = View(70.0, CAMERA, shading=shading)
     assert {view: 1}[View(70.0, CAMERA, shading=shading)] == 1

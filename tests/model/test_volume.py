@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import VolumeError
-from isogi_core.model.value_survey import FURTHEST
+from isogi_core.model.value_survey import MAX_NORMALISED
 from isogi_core.model.volume import Volume, make_volume
 
 SOLIDS = ("above", "below")
@@ -164,7 +164,7 @@ def test_outliers_leave_the_others_their_digits(outliers: list[float], solid: st
     np.testing.assert_allclose(own_units(volume)[kept], UNIT[kept], atol=2.0**-24)
     above = np.array(outliers) > 1.0
     assert ((volume.voxels[places] > 500.0) == (above == (solid == "above"))).all()
-    assert np.isfinite(volume.voxels).all() and (np.abs(volume.voxels) <= FURTHEST).all()
+    assert np.isfinite(volume.voxels).all() and (np.abs(volume.voxels) <= MAX_NORMALISED).all()
     assert volume.core == (values[kept].min(), values[kept].max())
     assert volume.value_range == (values.min(), values.max())
     counts, edges = volume.histogram(8)

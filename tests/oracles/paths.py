@@ -12,9 +12,9 @@ from numba import njit
 
 from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.glow import NO_BITS, Glows, gather_on_way
-from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN_SIDE, cast, launch, shading_normal
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, UNKNOWN_SIDE, cast, launch, shading_normal
 from isogi_core.kernels.tracing.vec import dot, madd, scale
-from isogi_core.kernels.tracing.walls import NOWHERE, nearest_wall
+from isogi_core.kernels.tracing.walls import NO_WALL, nearest_wall
 from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.colours import albedo_at
 from isogi_core.kernels.transport.glow_paths import balance_cone, cap_of, draw_towards
@@ -93,8 +93,8 @@ def crossings(world, levels, on, side, o, d):
 
     It starts on surface ``on``, or on wall -1 - ``on``, and wall k is surface -1 - k.
     """
-    end, wall = nearest_wall(world.room.walls, o, d, -1.0 - on if on < 0 else NOWHERE, math.inf)
-    found = [(end, -1 - int(wall), UNKNOWN_SIDE) for _ in range(1 if wall != NOWHERE else 0)]
+    end, wall = nearest_wall(world.room.walls, o, d, -1.0 - on if on < 0 else NO_WALL, math.inf)
+    found = [(end, -1 - int(wall), UNKNOWN_SIDE) for _ in range(1 if wall != NO_WALL else 0)]
     for k in range(len(levels)):
         t, here = 0.0, side if k == on else UNKNOWN_SIDE
         while True:
@@ -118,7 +118,7 @@ def first_met(world, found, draws, bounce):
     seed, sample = draws
     for crossing, (t, k, came) in enumerate(found):
         clear = world.clears[k] if k >= 0 else 0.0
-        number = streams.PASSING + crossing * streams.PAIRS + bounce
+        number = streams.PASSING + crossing * streams.PAIRS_PER_PURPOSE + bounce
         if not (clear > 0.0 and (clear >= 1.0 or point_2d(seed, sample, number)[0] < clear)):
             return t, k, came
     return math.inf, 0, UNKNOWN_SIDE
@@ -161,7 +161,7 @@ def reflect(world, on, p, carried, draws, vertex, chance):
 @njit
 def draw_source(world, light, source, on, o, n, draws, bounce):
     """Direction, reach and E/π of a ray towards a ``source``: bright sky, a lamp, or a luminaire."""
-    u, v = point_2d(draws[0], draws[1], streams.SOURCES + source * streams.PAIRS + bounce)
+    u, v = point_2d(draws[0], draws[1], streams.FIRST_SOURCE_PAIR + source * streams.PAIRS_PER_PURPOSE + bounce)
     p, k = to_world(o, world.field.spacing), source - 1 - light.lamps.kinds.shape[0]
     if k < 0:
         return sample_source(light, source, p, n, u, v)
@@ -208,7 +208,7 @@ def aimed_glow(world, levels, glows, k, vertex, draws, bounce):
     on, side, o, n = vertex
     p, (u, v) = (
         to_world(o, world.field.spacing),
-        point_2d(draws[0], draws[1], streams.SOURCES + k * streams.PAIRS + bounce),
+        point_2d(draws[0], draws[1], streams.FIRST_SOURCE_PAIR + k * streams.PAIRS_PER_PURPOSE + bounce),
     )
     if not cap_of(glows, k, p) > 0.0:
         return 0.0
@@ -235,13 +235,13 @@ def stand(world, on, o, t, d, w, came):
 @njit
 def begin(world, start, carried):
     """The first vertex of a path, on a wall or on either side of the first surface: (on, side, normal, carried)."""
-    if start.wall != NOWHERE:
+    if start.wall != NO_WALL:
         return -1 - int(start.wall), UNKNOWN_SIDE, start.normal, carried
     if not world.transmissions[0].max() > 0.0:
-        return 0, OUTSIDE, start.normal, carried
+        return 0, OUTSIDE_SIGN, start.normal, carried
     share = carried / np.maximum(world.albedos[0] + world.transmissions[0], 1e-300)
     carried, other = choose_way(world, 0, share, (start.seed, start.sample), 0, 1.0)
-    return (0, -OUTSIDE, scale(start.normal, -1.0), carried) if other else (0, OUTSIDE, start.normal, carried)
+    return (0, -OUTSIDE_SIGN, scale(start.normal, -1.0), carried) if other else (0, OUTSIDE_SIGN, start.normal, carried)
 
 
 @njit
@@ -277,7 +277,7 @@ def trace(world, sources, start, tree, branch, weight, box):
             strayed |= not box[0, c] <= p[c] <= box[1, c]
         if bounce == 0:
             sample = sample * tree.branches + branch
-        elif not point_2d(start.seed, sample, streams.ROULETTE + bounce)[0] < tree.survival:
+        elif not point_2d(start.seed, sample, streams.FIRST_ROULETTE_PAIR + bounce)[0] < tree.survival:
             break
         if not goes_on or bounce == tree.bounces:
             break

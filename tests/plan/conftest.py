@@ -22,7 +22,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.latlong import pixel_directions
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.scene import Scene
@@ -130,5 +130,5 @@ def apart(frame: Frame, other: Frame) -> float:
     """How far two frames of one surface differ: RMSE over its pixels in luminance, over the mean of the other."""
     on = other.state > 0
     assert np.array_equal(frame.state > 0, on) and on.any()
-    wrong = (frame.radiance[on].astype(np.float64) - other.radiance[on]) @ LUMINANCE
-    return float(np.sqrt((wrong**2).mean()) / (other.radiance[on] @ LUMINANCE).mean())
+    wrong = (frame.radiance[on].astype(np.float64) - other.radiance[on]) @ LUMINANCE_WEIGHTS
+    return float(np.sqrt((wrong**2).mean()) / (other.radiance[on] @ LUMINANCE_WEIGHTS).mean())

@@ -11,7 +11,7 @@ from isogi_core.bake.bake_spec import spec_for
 from isogi_core.bake.refine import locate, sample_transfer
 from isogi_core.kernels.transport.harmonics import MAX_ORDER, rotate
 from isogi_core.model.lights import ProbeLight
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.plan.bands import (
     DECAY,
     TRANSFER_DIRECT,
@@ -48,7 +48,7 @@ def turned(light: np.ndarray, count: int) -> np.ndarray:
     order, out = math.isqrt(light.shape[1]), np.empty((count, *light.shape))
     for matrix, place in zip(Rotation.random(count, rng=1).as_matrix(), out, strict=True):
         rotate(order, np.ascontiguousarray(matrix), light, place)
-    return LUMINANCE @ out
+    return LUMINANCE_WEIGHTS @ out
 
 
 def test_band_energies_are_mean_squares_over_the_sphere() -> None:
@@ -57,7 +57,7 @@ def test_band_energies_are_mean_squares_over_the_sphere() -> None:
     table = basis(4, directions)
     for l, energy in enumerate(band_energy(light)):
         own = slice(l * l, (l + 1) ** 2)
-        seen = table[:, own] @ (LUMINANCE @ light)[own]
+        seen = table[:, own] @ (LUMINANCE_WEIGHTS @ light)[own]
         assert energy == pytest.approx(weights @ seen**2 / (4.0 * math.pi))
 
 
@@ -78,7 +78,7 @@ def test_truncation_error_matches_turned_lights_on_a_surface(kind: Kind, order: 
     light = random_light(6)
     light[:, 49:] = 0.0  # nothing to be extrapolated
     lost = tau[:, order**2 :] @ turned(light, 300)[:, order**2 :].T
-    mean = (LUMINANCE @ light)[0] / math.sqrt(4.0 * math.pi)
+    mean = (LUMINANCE_WEIGHTS @ light)[0] / math.sqrt(4.0 * math.pi)
     assert truncation_error(band_energy(light), order, kind) == pytest.approx(
         math.sqrt((lost**2).mean()) / mean, rel=0.03
     )

@@ -12,7 +12,7 @@ from isogi_core.bake.bake_spec import spec_for
 from isogi_core.bake.texel_light import Light
 from isogi_core.frame.lighting import rotated_by
 from isogi_core.model.lights import ConstantLight, ProbeLight, SkyLight
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.plan.bands import project_environment
 from isogi_core.plan.budget import harmonics_error, rounding_error, tail_of_bounces
 from isogi_core.plan.inputs import PlanOverrides
@@ -57,7 +57,9 @@ def test_rounding_errs_as_the_budget_says(shared_data: Path, probe: str, precisi
     lights = [ProbeLight(shared_data / f"probe_{probe}.hdr")]
     inputs = inputs_of(lights)
     still = project_environment(inputs.environment, 6)
-    turns = np.array([LUMINANCE @ rotated_by(still, matrix) for matrix in Rotation.random(24, rng=3).as_matrix()])
+    turns = np.array(
+        [LUMINANCE_WEIGHTS @ rotated_by(still, matrix) for matrix in Rotation.random(24, rng=3).as_matrix()]
+    )
     measured = rounding_of(engine(shared_data, precision), engine(shared_data, "single"), turns, 6)
     expected = rounding_error(plan_scene(inputs, PlanOverrides(**ORDERS, precision=precision)).layers, inputs)
     assert expected / 1.5 < measured < expected * 1.5

@@ -14,7 +14,7 @@ from isogi_core.plan.bands import project_image
 from isogi_core.plan.first_view import (
     FALL,
     FRONT,
-    WHITEST,
+    MAX_SHOWN_ALBEDO,
     SeenNormals,
     brightness,
     exposure_for,
@@ -93,7 +93,7 @@ def test_a_ball_stands_for_a_surface_that_is_not_there() -> None:
     assert exposure_for(np.full((3, 1), math.sqrt(4.0 * math.pi)), GREY, facing) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(("albedo", "shown"), [(0.2, 0.2), (0.7, 0.7), (0.95, WHITEST)])
+@pytest.mark.parametrize(("albedo", "shown"), [(0.2, 0.2), (0.7, 0.7), (0.95, MAX_SHOWN_ALBEDO)])
 def test_even_light_shows_the_albedo_or_the_whitest(albedo: float, shown: float) -> None:
     scene = load_scene("demo:orbital", albedo=albedo, lights=[{"type": "constant", "radiance": 2.0}])
     assert 2.0 * albedo * scene.default_exposure == pytest.approx(shown, rel=0.005)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.isovalue_presets import BINS, find_boundaries, peaks, prominence, surface_integrals
+from isogi_core.plan.isovalue_presets import TRIED_ISOVALUES, find_boundaries, peaks, prominence, surface_integrals
 from tests.loaded import load_scene
 
 Z, Y, X = np.mgrid[:32, :36, :40].astype(np.float64)
@@ -75,8 +75,8 @@ def test_the_integrals_are_those_of_a_plane() -> None:
     """A ramp of slope 3 along y: each isosurface has the box's face for area, and 3 for gradient."""
     volume = make_volume(np.broadcast_to(6.0 * np.arange(9.0)[:, None], (5, 9, 7)).copy(), (4.0, 2.0, 3.0))
     total, area = surface_integrals(volume)
-    inner = slice(1, BINS - 1)
-    assert (total[inner] / area[inner]).tolist() == pytest.approx([3.0 / volume.scale] * (BINS - 2))
+    inner = slice(1, TRIED_ISOVALUES - 1)
+    assert (total[inner] / area[inner]).tolist() == pytest.approx([3.0 / volume.scale] * (TRIED_ISOVALUES - 2))
     assert np.ptp(area[inner]) == pytest.approx(0.0, abs=1e-9)
 
 

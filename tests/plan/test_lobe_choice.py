@@ -16,9 +16,9 @@ from isogi_core.plan.budget import HARMONICS
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.lobe_choice import (
     FEW_LOBES_SEARCHED,
+    JUDGED_ORDER,
     LOBE_ERROR,
     MANY_LOBES_SEARCHED,
-    ORDER,
     disc_means,
     find_lobes,
     project_lobes,
@@ -90,7 +90,7 @@ def test_a_street_of_lamps_has_more_lobes_than_a_few() -> None:
 
 def test_what_suns_leave_has_nothing_that_harmonics_lack() -> None:
     inputs = inputs_of((3.0, 2000.0), (5.0, 900.0))
-    errors = [truncation_error(inputs.energy_beside(n), ORDER, "direct") for n in range(3)]
+    errors = [truncation_error(inputs.energy_beside(n), JUDGED_ORDER, "direct") for n in range(3)]
     assert errors[0] > errors[1] > errors[2] and errors[2] < LOBE_ERROR
     np.testing.assert_allclose([inputs.energy_beside(n)[0] for n in range(3)], inputs.energy[0], rtol=1e-12)
     np.testing.assert_allclose(inputs.energy_beside(0), inputs.energy)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from isogi_core.model.latlong import pixel_directions, solid_angles
-from isogi_core.model.sky import LUMINANCE
-from isogi_core.plan.lobe_choice import WIDEST, Outline, grow, lobe_of, moments_of, neighbours, outlines
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.plan.lobe_choice import MAX_SOLID_ANGLE, Outline, grow, lobe_of, moments_of, neighbours, outlines
 
 SHAPE = (128, 256)
 COLOUR = np.array([3.0, 2.0, 1.0])
@@ -102,7 +102,7 @@ def test_a_region_grows_over_seam_and_poles_and_no_farther(seed: tuple[int, int]
 
 def test_a_region_that_fills_too_much_is_none() -> None:
     places = grow(np.ones(SHAPE, bool), 0, solid_angles(*SHAPE)[:, 0])
-    assert not len(places) and 4.0 * math.pi > WIDEST
+    assert not len(places) and 4.0 * math.pi > MAX_SOLID_ANGLE
 
 
 def test_neighbours_are_those_around_and_beyond_the_pole() -> None:
@@ -123,5 +123,5 @@ def test_the_irradiance_of_a_lobe_is_that_of_its_disc() -> None:
     lobe = lobe_of(image, np.flatnonzero(image.any(axis=2)), np.zeros(3))
     facing = np.maximum(pixel_directions(*SHAPE)[..., 2:], 0.0)
     np.testing.assert_allclose(lobe.irradiance, flux(image * facing), rtol=1e-3)
-    assert (np.array(lobe.flux) @ LUMINANCE) > lobe.irradiance @ LUMINANCE
+    assert (np.array(lobe.flux) @ LUMINANCE_WEIGHTS) > lobe.irradiance @ LUMINANCE_WEIGHTS
     assert lobe.elevation == pytest.approx(90.0, abs=0.1) and 0.0 <= lobe.azimuth < 360.0

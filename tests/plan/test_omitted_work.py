@@ -12,7 +12,7 @@ from isogi_core.frame import lighting as surroundings
 from isogi_core.frame.gbuffer import trace
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import find_texels
-from isogi_core.kernels.shading.lattice import CHUNK
+from isogi_core.kernels.shading.lattice import DEFAULT_CHUNK_SIDE
 from isogi_core.model import environment as lamps
 from isogi_core.model.view import IDENTITY
 from isogi_core.plan.reachable_texels import surface_cells, void_texels
@@ -93,8 +93,8 @@ def read_by(scene: Scene, isovalue: float, azimuth: float) -> np.ndarray:
     marks = np.zeros(prepared.shape, np.bool_)
     texels = find_texels(gbuffer, prepared, tiles)
     for index, offsets in zip(texels.chunks, texels.offsets, strict=True):
-        inside = np.unravel_index(offsets, (CHUNK,) * 3)
-        marks[tuple(at + CHUNK * chunk for at, chunk in zip(inside, index, strict=True))] = True
+        inside = np.unravel_index(offsets, (DEFAULT_CHUNK_SIDE,) * 3)
+        marks[tuple(at + DEFAULT_CHUNK_SIDE * chunk for at, chunk in zip(inside, index, strict=True))] = True
     return marks
 
 

@@ -15,7 +15,15 @@ from isogi_core.model.latlong import pixel_directions
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, PointLight, ProbeLight, SkyLight
 from isogi_core.model.scene_plan import Layer, ScenePlan
 from isogi_core.plan.bands import FAR_BANDS, truncation_error
-from isogi_core.plan.budget import BOUNCES, EVEN_LIGHT_SHARE, LONGEST_PATH, ROUNDING, bounces_for, even, rounding_error
+from isogi_core.plan.budget import (
+    BOUNCES_SHARE,
+    EVEN_LIGHT_SHARE,
+    LONGEST_PATH,
+    ROUNDING_SHARE,
+    bounces_for,
+    even,
+    rounding_error,
+)
 from isogi_core.plan.inputs import PlanOverrides
 from isogi_core.plan.planner import MOST_BANDS, MOST_REFLECTED, plan_scene, vicinity_plan
 from tests.plan.planning import NOTHING, inputs_of, plan_of
@@ -188,9 +196,9 @@ def test_a_probe_that_is_even_enough_is_constant_light(tmp_path: Path, slope: fl
 def test_bounces_are_the_fewest_within_their_share(albedo: float, target: float) -> None:
     bounces = bounces_for((albedo, 0.0, 0.0), target)
     if bounces < LONGEST_PATH:
-        assert albedo ** (bounces + 1) <= BOUNCES * target * (1 + 1e-12)
+        assert albedo ** (bounces + 1) <= BOUNCES_SHARE * target * (1 + 1e-12)
     if bounces > 0:
-        assert albedo**bounces > BOUNCES * target
+        assert albedo**bounces > BOUNCES_SHARE * target
 
 
 @pytest.mark.parametrize(("albedo", "bounces"), [(0.0, 0), (1.0, LONGEST_PATH), (0.999, LONGEST_PATH), (0.7, 12)])
@@ -224,10 +232,10 @@ def test_the_coarsest_precision_whose_rounding_fits(soft: ProbeLight, target: fl
         inputs = inputs_of(lights, target=target)
         plan = plan_scene(inputs, PlanOverrides())
         if plan.half:
-            assert rounding_error(plan.layers, inputs, plan.lobes) <= ROUNDING * target
+            assert rounding_error(plan.layers, inputs, plan.lobes) <= ROUNDING_SHARE * target
         else:
             halved = tuple(Layer(layer.kind, layer.order, layer.channels) for layer in plan.layers)
-            assert rounding_error(halved, inputs, plan.lobes) > ROUNDING * target
+            assert rounding_error(halved, inputs, plan.lobes) > ROUNDING_SHARE * target
 
 
 @pytest.mark.parametrize("precision", ["bytes", "half", "single"])

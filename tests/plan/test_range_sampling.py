@@ -5,8 +5,8 @@ import pytest
 
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.range_sampling import (
-    BINS,
-    STOPS,
+    RANGE_BINS,
+    SLIDER_STOPS,
     find_stops,
     least_gradients,
     rounded,
@@ -47,7 +47,7 @@ def test_the_least_gradient_is_that_of_the_field() -> None:
     volume = radial(lambda r: r * r, size=65, spacing=(0.5, 1.0, 0.75))
     low, high = (float(volume.normalise_isovalue(each)) for each in (25.0, 225.0))
     found = least_gradients(volume, (low, high)) * abs(volume.scale)
-    radii = np.sqrt(25.0 + 200.0 * (np.arange(BINS) + 0.5) / BINS)
+    radii = np.sqrt(25.0 + 200.0 * (np.arange(RANGE_BINS) + 0.5) / RANGE_BINS)
     assert (found <= 2.0 * radii + 1e-6).all()
     assert (found >= 2.0 * (radii - 1.0)).all()
 
@@ -64,7 +64,7 @@ def test_of_a_large_volume_some_cells_say_nearly_the_same() -> None:
 def test_stops_are_spread_over_the_range_and_are_short_numbers() -> None:
     volume = radial(lambda r: r * r, size=65)
     stops = find_stops(volume, (100.0, 900.0)).levels
-    assert len(stops) == STOPS
+    assert len(stops) == SLIDER_STOPS
     assert np.diff([100.0, *stops, 900.0]).min() > 0.0
     assert max(len(f"{stop:.15g}") for stop in stops) <= 5
     assert find_stops(volume, (300.0, 300.0)).levels == ()
@@ -77,7 +77,7 @@ def test_outliers_move_no_stop(outlier: float, scale: float) -> None:
     values[4, 4, 4] = outlier * scale
     volume = make_volume(values)
     stops = find_stops(volume, (scale, 4.0 * scale)).levels
-    assert len(stops) == STOPS
+    assert len(stops) == SLIDER_STOPS
     assert np.diff([1.0, *(stop / scale for stop in stops), 4.0]).min() > 0.0
 
 

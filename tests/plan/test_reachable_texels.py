@@ -12,7 +12,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import find_texels
 from isogi_core.model.view import View
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.reachable_texels import SAMPLE, Sample, count_texels, surface_cells, void_texels
+from isogi_core.plan.reachable_texels import SAMPLED_TEXELS, Sample, count_texels, surface_cells, void_texels
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import scene_of
@@ -114,7 +114,7 @@ def test_void_texels_are_estimated_from_a_sample() -> None:
     shape = (60, 60, 60)
     count = count_texels(bare_field(voxels), shape, 0.0, 1.0, CHUNK)
     places = np.flatnonzero(shown_texels(surface_cells(voxels, 0.0, 1.0), shape))
-    assert count.shown == len(places) > 2 * SAMPLE
+    assert count.shown == len(places) > 2 * SAMPLED_TEXELS
     exact = int(void_texels(bare_field(voxels), shape, places).sum())
     assert exact > 0 and count.void == pytest.approx(exact, rel=0.1)
 

@@ -10,7 +10,7 @@ import pytest
 from isogi_core.cache.chunk_record import record_type
 from isogi_core.cache.layer import facts_of
 from isogi_core.frame.entry_kernels import frame_kernels
-from isogi_core.kernels.shading.lattice import CHUNK
+from isogi_core.kernels.shading.lattice import DEFAULT_CHUNK_SIDE
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, SkyLight
@@ -48,8 +48,8 @@ def bytes_of(layers: Sequence[Layer]) -> float:
     names = ("rung", "noise", "light", "high")
     total = 0
     for layer in layers:
-        record = record_type(layer, CHUNK**3)
-        total += sum(record[name].itemsize for name in record.names or () if name in names) // CHUNK**3
+        record = record_type(layer, DEFAULT_CHUNK_SIDE**3)
+        total += sum(record[name].itemsize for name in record.names or () if name in names) // DEFAULT_CHUNK_SIDE**3
     return total
 
 
@@ -182,15 +182,15 @@ def test_shadow_rays_are_left_out_where_no_light_is_sharp() -> None:
 def test_unwritten_chunks_save_megabytes_and_single_texels_none() -> None:
     """A record has room for all texels of its chunk, whether or not they are shown."""
     plan = plan_of([SKY])
-    left = {each.what: each.saves for each in unseen(TexelCount(1000, 300, 20, 40, 30, CHUNK), plan)}
+    left = {each.what: each.saves for each in unseen(TexelCount(1000, 300, 20, 40, 30, DEFAULT_CHUNK_SIDE), plan)}
     assert [(saved.amount, saved.unit) for saved in left["unseen texels"]] == [(700, "texels")]
     assert [(saved.amount, saved.unit) for saved in left["void texels"]] == [(20, "texels")]
     chunks, megabytes = left["empty chunks"]
-    types = [record_type(layer, CHUNK**3) for layer in plan.layers]
+    types = [record_type(layer, DEFAULT_CHUNK_SIDE**3) for layer in plan.layers]
     heads = [each[name].itemsize for each in types for name in ("bake", "index", "scale")]
     records = sum(each.itemsize for each in types) - sum(heads)
     assert (chunks.amount, megabytes.amount) == (10, pytest.approx(10 * records / 1e6))
-    assert unseen(TexelCount(300, 300, 0, 30, 30, CHUNK), plan) == ()
+    assert unseen(TexelCount(300, 300, 0, 30, 30, DEFAULT_CHUNK_SIDE), plan) == ()
 
 
 def test_a_scene_leaves_out_by_its_plan_and_unseen_texels() -> None:

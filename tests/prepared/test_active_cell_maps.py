@@ -14,11 +14,11 @@ from isogi_core.kernels.tracing.active_cells import ActiveCells, block_ranges, m
 from isogi_core.lru_cache import OVERHEAD
 from isogi_core.model.volume import Isovalue, make_volume
 from isogi_core.prepared import active_cell_maps as module
-from isogi_core.prepared.active_cell_maps import ABOVE, LAYERS, PARTS, ActiveCellMaps
+from isogi_core.prepared.active_cell_maps import CORE_GROUPS, MARKED_LAYERS, NEAR_ZERO_LEVEL, ActiveCellMaps
 from isogi_core.prepared.prepared_scene import make_field, survey_of
 from isogi_core.runs import Piece, Run, serially
 
-STEP = 1.0 / PARTS
+STEP = 1.0 / CORE_GROUPS
 HALF = Isovalue(0.5)
 VOXELS = np.random.default_rng(1).random((70, 21, 34)).astype(np.float32)
 
@@ -59,7 +59,8 @@ def test_a_map_is_that_of_the_whole_step() -> None:
 
 @pytest.mark.parametrize(
     ("lowest", "highest", "steps"),
-    [(0.0, 0.0, (0, ABOVE / STEP)), (ABOVE, ABOVE, (ABOVE / STEP, 1)), (1.0, 1.0, (64, np.inf)),
+    [(0.0, 0.0, (0, NEAR_ZERO_LEVEL / STEP)),
+     (NEAR_ZERO_LEVEL, NEAR_ZERO_LEVEL, (NEAR_ZERO_LEVEL / STEP, 1)), (1.0, 1.0, (64, np.inf)),
      (0.51, 0.51, (32, 33)), (0.5, 0.51, (32, 33)), (0.49, 0.51, (31, 33)), (-0.01, 0.0, (-np.inf, 0)),
      (0.5, 0.53125, (32, 34)), (1e30, 1e36, (64, np.inf))],
 )  # fmt: skip
@@ -123,7 +124,7 @@ def test_a_cancelled_map_is_dropped_and_made_later(when: int) -> None:
         cancelled.set()
     with pytest.raises(Cancelled):
         maps.at(HALF, run)
-    assert pieces == list(range(0, when * LAYERS, LAYERS))
+    assert pieces == list(range(0, when * MARKED_LAYERS, MARKED_LAYERS))
     again = maps.at(HALF)
     assert_same(again, ActiveCellMaps(VOXELS).at(HALF))
     assert maps.at(HALF, run) is again, "what is kept need not be made"

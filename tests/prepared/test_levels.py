@@ -2,10 +2,16 @@
 
 import numpy as np
 
-from isogi_core.prepared.active_cell_maps import ABOVE, CROWDED_SHARE, PARTS, ActiveCellMaps, find_levels
+from isogi_core.prepared.active_cell_maps import (
+    CORE_GROUPS,
+    CROWDED_SHARE,
+    NEAR_ZERO_LEVEL,
+    ActiveCellMaps,
+    find_levels,
+)
 
 EVEN = np.random.default_rng(1).random((20, 21, 22)).astype(np.float32)
-UNIFORM = [-np.inf, 0.0, ABOVE, *(np.arange(1, PARTS + 1) / PARTS), np.inf]
+UNIFORM = [-np.inf, 0.0, NEAR_ZERO_LEVEL, *(np.arange(1, CORE_GROUPS + 1) / CORE_GROUPS), np.inf]
 
 
 def crowd(voxels: np.ndarray) -> float:
@@ -29,13 +35,13 @@ def test_crowded_values_are_parted_by_rank() -> None:
     squeezed = EVEN / 100
     squeezed[0, 0, 0] = 1.0
     assert np.histogram(squeezed, UNIFORM[1:-1])[0].max() > CROWDED_SHARE * squeezed.size
-    assert crowd(squeezed) < 1.1 / PARTS
+    assert crowd(squeezed) < 1.1 / CORE_GROUPS
     levels = find_levels(squeezed)
     assert (np.diff(levels) > 0).all() and set(UNIFORM) <= set(levels.tolist())
 
 
 def test_values_beyond_the_core_are_parted_too() -> None:
-    assert crowd(EVEN * np.float32(1e30) + 2) < 1.1 / PARTS
+    assert crowd(EVEN * np.float32(1e30) + 2) < 1.1 / CORE_GROUPS
 
 
 def test_groups_are_two_levels_wide_and_hold_their_isovalues() -> None:

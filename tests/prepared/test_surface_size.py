@@ -111,7 +111,7 @@ def test_cells_beside_a_hole_are_left_out() -> None:
 
 def test_some_cells_stand_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = size_of(ball(7.9, EVEN), 0.0)
-    monkeypatch.setattr(module, "TRIED", 150)
+    monkeypatch.setattr(module, "MAX_TRIED_CELLS", 150)
     part = size_of(ball(7.9, EVEN), 0.0)
     assert part.area == pytest.approx(whole.area, rel=5e-4)
     assert part.volume == pytest.approx(whole.volume, rel=5e-4)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isogi_core.model.volume import make_volume
-from isogi_core.prepared.voxel_codes import HOLE, SLAB, VoxelCodes, find_codes
+from isogi_core.prepared.voxel_codes import HOLE_CODE, SLAB_CODE_BYTES, VoxelCodes, find_codes
 
 RNG = np.random.default_rng(3)
 
@@ -57,8 +57,8 @@ def test_holes_are_a_number_below_all_others() -> None:
     volume = make_volume(array)
     codes = find_codes(volume)
     found = codes.code(volume.voxels)
-    assert codes.hole == HOLE and found[2, 3, 4] == np.float32(HOLE)
-    assert np.isfinite(found).all() and (found == np.float32(HOLE)).sum() == 1
+    assert codes.hole == HOLE_CODE and found[2, 3, 4] == np.float32(HOLE_CODE)
+    assert np.isfinite(found).all() and (found == np.float32(HOLE_CODE)).sum() == 1
 
 
 def test_holes_among_whole_numbers_stay_apart() -> None:
@@ -66,11 +66,11 @@ def test_holes_among_whole_numbers_stay_apart() -> None:
     array[1, 2, 3] = 7
     volume = make_volume(array, missing=[7.0])
     codes = find_codes(volume)
-    assert codes.kind == "float32" and (codes.code(volume.voxels) == np.float32(HOLE)).sum() == volume.holes > 0
+    assert codes.kind == "float32" and (codes.code(volume.voxels) == np.float32(HOLE_CODE)).sum() == volume.holes > 0
 
 
 def test_slabs_are_all_layers_once() -> None:
     for shape in ((128, 256, 256), (7, 3000, 3000), (1000, 4, 4)):
         codes = VoxelCodes("uint8", 1.0, 0.0, None, shape)
         assert [z for a, b in codes.slabs for z in range(a, b)] == list(range(shape[0]))
-        assert all((b - a) * shape[1] * shape[2] <= max(SLAB, shape[1] * shape[2]) for a, b in codes.slabs)
+        assert all((b - a) * shape[1] * shape[2] <= max(SLAB_CODE_BYTES, shape[1] * shape[2]) for a, b in codes.slabs)

@@ -9,7 +9,7 @@ import pytest
 
 from isogi_core.errors import Cancelled, ReportError
 from isogi_core.frame.renderer import Renderer
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.reference import load_reference, save_reference, trace_reference, with_bounces
 from tests.frame.conftest import CONSTANT, SKY, Workbench, ball, scene_of
 from tests.loaded import load_scene
@@ -44,8 +44,8 @@ def test_a_ball_under_constant_light_has_its_albedo_and_no_noise(tmp_path: Path)
 def test_its_noise_is_its_distance_to_one_of_many_more_samples(bench: Workbench) -> None:
     view = bench.view(size=48)
     few, many = (trace_reference(bench.renderer, view, samples) for samples in (32, 1024))
-    wrong = (few.mean - many.mean)[many.on] @ LUMINANCE
-    level = float((many.mean[many.on] @ LUMINANCE).mean())
+    wrong = (few.mean - many.mean)[many.on] @ LUMINANCE_WEIGHTS
+    level = float((many.mean[many.on] @ LUMINANCE_WEIGHTS).mean())
     assert 0.85 < np.sqrt((wrong**2).mean()) / level / few.noise < 1.15
     assert 0.8 < (np.abs(wrong) < 1.96 * few.standard_error[many.on]).mean() < 0.97, "of 7 degrees of freedom"
     assert many.noise < few.noise / 5.0, "stratified points do better than 1 / sqrt(32)"

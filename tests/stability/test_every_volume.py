@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from isogi_core.model.view import SHADINGS
+from isogi_core.model.view import VIEW_SHADINGS
 from tests.stability.scenes import frame_of, is_finite, renderer_of, scenes_of, surface_light, view_of
 from tests.stability.volumes import CAVE, SPECKS, VOLUMES
 
@@ -22,7 +22,7 @@ def test_every_shading_has_finite_pixels_from_within_too(name: str) -> None:
     """Light is not baked for it."""
     for scene in scenes_of(name, VOLUMES[name]):
         with renderer_of(scene) as renderer:
-            for shading in SHADINGS:
+            for shading in VIEW_SHADINGS:
                 for distance in (VOLUMES[name].distance, 0.1):
                     view = view_of(scene, 8, shading=shading, distance=distance)
                     assert is_finite(renderer.render(view)), (shading, distance)

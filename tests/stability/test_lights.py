@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.model.scene_plan import FEWEST
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.scene_plan import MIN_SAMPLES
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from tests.stability.scenes import (
     ABOVE,
     CONSTANT,
@@ -163,7 +163,7 @@ def test_frames_without_light_are_black_and_soon_final(light: Light) -> None:
     assert not frame.provisional
     assert not frame.radiance.any()
     assert frame.noise == 0.0
-    assert 0 < bake.light.samples.max() <= FEWEST
+    assert 0 < bake.light.samples.max() <= MIN_SAMPLES
 
 
 def test_harmonics_that_ring_below_zero_make_no_pixel_negative() -> None:
@@ -171,7 +171,7 @@ def test_harmonics_that_ring_below_zero_make_no_pixel_negative() -> None:
     light = spot(32, 64, 16, 40, 1e6)
     scene = lit(body_volume(24), 0.5, light, rotating=True, lobes=0, target_error=0.1)
     with view_bake(scene, view_of(scene, 24)) as bake:
-        bake.grow(FEWEST)
+        bake.grow(MIN_SAMPLES)
         radiance = bake.frame().radiance
     shares = (bake.light.transfer @ bake.spec.luminance_light.T)[~bake.light.void]
     assert (shares < 0.0).any()
@@ -195,4 +195,4 @@ def light_below_a_lamp(distance: float) -> float:
     frame = frame_of(scene, view_of(scene, 11, **ABOVE))
     across = np.where(frame.state > 0, np.linalg.norm(frame.position[..., :2] - MIDDLE, axis=-1), math.inf)
     below = np.unravel_index(across.argmin(), across.shape)
-    return float(frame.radiance[below] @ LUMINANCE) * math.pi / scene.surfaces.albedo[0]
+    return float(frame.radiance[below] @ LUMINANCE_WEIGHTS) * math.pi / scene.surfaces.albedo[0]

@@ -7,8 +7,8 @@ from dataclasses import astuple, dataclass
 import numpy as np
 import pytest
 
-from isogi_core.kernels.tracing.field import OFFSET
-from isogi_core.kernels.tracing.intersect import OUTSIDE, SKIN, SOLID, UNKNOWN_SIDE
+from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, SKIN, SOLID_SIGN, UNKNOWN_SIDE
 from isogi_core.kernels.transport.wavefront import bounce_rays
 from tests.stability.scenes import ARITHMETICS, Surface, surface_of
 from tests.stability.volumes import CLOSED, CLOSED_SIDE, RADIUS, grid
@@ -113,7 +113,7 @@ def follow(surface: Surface, origins: np.ndarray, directions: np.ndarray, by: st
     Those that start in the skin are not judged by where they end.
     """
     heights = surface.height(origins)
-    starts = np.where(heights > 0.0, SOLID, OUTSIDE)
+    starts = np.where(heights > 0.0, SOLID_SIGN, OUTSIDE_SIGN)
     judged, ends = (heights == 0.0) | (abs(heights) > SHALLOW), starts.copy()
     faults, alive, sides, short = Faults(), np.arange(len(origins)), np.int8(UNKNOWN_SIDE), np.zeros(len(origins), bool)
     for _ in range(MOST_CROSSINGS):
@@ -132,7 +132,7 @@ def follow(surface: Surface, origins: np.ndarray, directions: np.ndarray, by: st
         origins, directions = origins[hit] + t[hit, None] * directions[hit], directions[hit]
     else:
         faults.endless = len(alive)
-    faults.leaks = int((judged & (ends != OUTSIDE)).sum())
+    faults.leaks = int((judged & (ends != OUTSIDE_SIGN)).sum())
     return faults
 
 
@@ -233,7 +233,7 @@ def test_a_hole_takes_the_surface_of_its_eight_cells_only(hole: float, place: tu
 @pytest.mark.parametrize("offset", [0.0, 1000.0])
 @pytest.mark.parametrize(
     ("lift", "normal"),
-    [*((0.0, normal) for normal in EXACT), *((OFFSET, normal) for normal in EXACT + TILTED)],
+    [*((0.0, normal) for normal in EXACT), *((RAY_OFFSET_VOXELS, normal) for normal in EXACT + TILTED)],
     ids=lambda value: "normal " + " ".join(map(str, value)) if isinstance(value, tuple) else f"lift {value}",
 )
 def test_rays_that_leave_a_plane_never_meet_it_again(lift: float, normal: tuple[float, ...], offset: float) -> None:

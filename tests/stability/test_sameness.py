@@ -27,7 +27,7 @@ from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.model.scene_plan import MAX_SAMPLES, most_samples
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
-from isogi_core.plan.scene import CHUNKS, Scene
+from isogi_core.plan.scene import CHUNK_SIDES, Scene
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.runs import Run, serially
@@ -174,7 +174,7 @@ def in_chunks(chunk: int) -> tuple[Frame, np.ndarray]:
 
 
 def test_pictures_and_texels_do_not_depend_on_the_size_of_chunks() -> None:
-    (frame, texels), *others = map(in_chunks, CHUNKS)
+    (frame, texels), *others = map(in_chunks, CHUNK_SIDES)
     assert np.count_nonzero(texels[..., 0]) > 100
     for other, light in others:
         assert_same(frame, other)

@@ -15,11 +15,11 @@ from isogi_core.bake.texel_light import Light
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer
-from isogi_core.plan.budget import BYTE, HALF_ONE
+from isogi_core.plan.budget import BYTE_ROUNDING, HALF_ONE
 from isogi_report.bake import NEVER, ViewBake
 from tests.stability.scenes import body_volume, is_finite, lit, view_bake, view_of
 
-EXPECTED = {"half floats": HALF_ONE, "bytes": BYTE, "single floats": 1e-7}
+EXPECTED = {"half floats": HALF_ONE, "bytes": BYTE_ROUNDING, "single floats": 1e-7}
 """The error that the planner expects of rounding, by how one number is kept."""
 
 

@@ -17,7 +17,7 @@ import pytest
 from fastapi import FastAPI
 from PIL import Image
 
-from isogi_core.model.view import SHADINGS
+from isogi_core.model.view import VIEW_SHADINGS
 from isogi_core.model.volume import make_volume
 from server.api.app import create_app
 from server.cli.command import run, settings_from
@@ -112,7 +112,7 @@ def is_sentence(text: str) -> bool:
 def test_every_endpoint_answers_hard_volumes_in_finite_numbers(name: str, tmp_path: Path) -> None:
     """In every shading and every format of pictures."""
     scene = "/v1/scenes/s"
-    frames = [{"shading": shading, "f": "npy"} for shading in SHADINGS]
+    frames = [{"shading": shading, "f": "npy"} for shading in VIEW_SHADINGS]
     frames += [{"f": form, "wait_ms": "300", "overlay": "provisional"} for form in ("png", "jpeg", "webp")]
     paths = [*PAGES, scene, f"{scene}/coverage?{urlencode(SMALL)}"]
     paths += [f"{scene}/frame?{urlencode({**SMALL, **frame})}" for frame in frames]

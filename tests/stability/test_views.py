@@ -11,7 +11,7 @@ from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import ViewError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.shading.framebuffer import CONVERGING
-from isogi_core.model.view import SHADINGS, Camera, View, orthographic
+from isogi_core.model.view import VIEW_SHADINGS, Camera, View, orthographic
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.scene import Scene
 from isogi_report.bake import ViewBake
@@ -103,7 +103,7 @@ def far_eye(scene: Scene, distance: float) -> Camera:
     return looking(np.array(scene.volume.centre) + distance * out, scene.volume.centre, fov)
 
 
-@pytest.mark.parametrize("shading", SHADINGS)
+@pytest.mark.parametrize("shading", VIEW_SHADINGS)
 def test_every_number_is_finite_from_every_hard_view(renderer: Renderer, shading: str) -> None:
     """Light, error, positions, normals, and the weights of what the frame wants baked."""
     for name, view in hard_views(renderer, 16).items():

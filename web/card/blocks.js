@@ -14,6 +14,7 @@ const HEADER = 32, BRICK_WORDS = 4, RECORD_WORDS = 4;
  * @property {number} first of them in its run: where they lie on the card
  * @property {Uint32Array} records words of folded ones; of raw ones their normals
  * @property {Uint16Array} layers halves of raw transfer, layer by layer
+ * @property {boolean} [grainy] whether light of the transfer is to be filtered for its noise
  */
 
 const CODED = 2; // kind of a block in few bits

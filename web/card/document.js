@@ -22,7 +22,7 @@
 /**
  * @typedef {object} Lights before they are turned, in the box
  * @property {number} unit the radiance that light is counted in
- * @property {{order: number, light: number[][]}[]} terms harmonics of each colour
+ * @property {{order: number, light: number[][], square: number[]}[]} terms harmonics of each colour, and of their luminance squared
  * @property {number[][]} sky harmonics of unshadowed light, of each colour
  * @property {Vec3} least
  * @property {{towards: Vec3, edges: [Vec3, Vec3], shine: Vec3}[]} lobes

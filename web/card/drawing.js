@@ -26,6 +26,9 @@ import { drawInto, fillTexture, makeTexture } from "./textures.js";
  * @property {boolean} [lambert] whether the local model is drawn in place of the light of texels
  */
 
+/** Distances between the neighbours that light which converges is filtered by, pass by pass; an even number of passes. */
+const FILTER_DISTANCES = [1, 2];
+
 /** Names the turn of a light. @param {import("./light.js").Quaternion} light @returns {string} */
 export const keyOf = (light) => light.map((x) => x.toFixed(9)).join(" ");
 
@@ -34,16 +37,16 @@ export const keyOf = (light) => light.map((x) => x.toFixed(9)).join(" ");
  * @param {WebGL2RenderingContext} gl
  * @param {CardDocument} document
  * @param {(name: string) => Promise<string>} read text of a shader's file
- * @returns {Promise<{lit: Program, fold: Program, show: Program, makeLocal: () => Promise<Program>}>}
+ * @returns {Promise<{lit: Program, fold: Program, filter: Program, show: Program, makeLocal: () => Promise<Program>}>}
  */
 export async function programsOf(gl, { grid, volume, plan, light }, read) {
   const sampler = volume.type === "float32" ? "highp sampler3D" : "highp usampler3D";
   const common = { VOXELS: sampler, SMOOTH: Number(grid.smooth), RATIOS: Number(plan.ratios), LOBES: light.lobes.length };
-  const numbers = { NUMBERS: plan.channels * plan.columns, COLUMNS: plan.columns, STRAIGHT: plan.straight, WHOLE: Number(plan.whole) };
-  const [view, fold, show] = await Promise.all(["view.frag.glsl", "fold.frag.glsl", "show.frag.glsl"].map((name) => joined(name, read)));
-  const compiled = [compile(gl, view, { ...common, SHADING: 1 }), compile(gl, fold, { ...common, ...numbers }), compile(gl, show)];
-  const [lit, folding, showing] = await Promise.all(compiled);
-  return { lit, fold: folding, show: showing, makeLocal: () => compile(gl, view, { ...common, SHADING: 0, LOBES: 0 }) };
+  const numbers = { NUMBERS: plan.channels * plan.columns, COLUMNS: plan.columns, TERMS: light.terms.length, STRAIGHT: plan.straight, WHOLE: Number(plan.whole) };
+  const [view, fold, filter, show] = await Promise.all(["view", "fold", "filter", "show"].map((name) => joined(`${name}.frag.glsl`, read)));
+  const compiled = [compile(gl, view, { ...common, SHADING: 1 }), compile(gl, fold, { ...common, ...numbers }), compile(gl, filter, common), compile(gl, show)];
+  const [lit, folding, filtering, showing] = await Promise.all(compiled);
+  return { lit, fold: folding, filter: filtering, show: showing, makeLocal: () => compile(gl, view, { ...common, SHADING: 0, LOBES: 0 }) };
 }
 
 /** What is drawn of a scene. */
@@ -90,7 +93,7 @@ export class Drawing {
     const { gl, volume, texels, programs } = this;
     this.picture?.release();
     for (const { id } of [this.turned, ...volume.textures, ...texels.textures]) gl.deleteTexture(id);
-    for (const program of [programs.lit, programs.fold, programs.show, this.local]) if (program) gl.deleteProgram(program.id);
+    for (const program of [programs.lit, programs.fold, programs.filter, programs.show, this.local]) if (program) gl.deleteProgram(program.id);
   }
 
   /**
@@ -148,22 +151,40 @@ export class Drawing {
   #fold(light, key) {
     const { texels } = this;
     if (texels.runs.every((each) => each.lightKey === key)) return texels.records;
-    if (this.folded !== key) this.#foldRuns(light);
+    if (this.folded !== key) {
+      this.#foldRuns(light);
+      if (texels.grainy) FILTER_DISTANCES.forEach((apart, pass) => this.#filter(light, apart, texels.turned[pass % 2], texels.turned[1 - (pass % 2)]));
+    }
     this.folded = key;
-    return texels.turned;
+    return texels.turned[0].records;
   }
 
   /** @param {import("./light.js").TurnedLight} light */
   #foldRuns({ columns, quadric }) {
-    const { gl, texels, document } = this, { least } = document.light, { channels } = document.plan;
-    const numbers = Array.from({ length: channels }, (_, c) => columns.map((light) => [...light.map((x, i) => (channels === 1 || i === c ? x : 0)), 0]));
-    fillTexture(gl, this.turned, new Float32Array(numbers.flat(2)));
-    const framebuffer = drawInto(gl, texels.turned);
+    const { gl, texels, document } = this, { least, terms } = document.light, { channels } = document.plan, green = Math.min(channels - 1, 1);
+    const met = (/** @type {number} */ c) => columns.map(([r, g, b, square]) => [...[r, g, b].map((x, i) => (channels === 1 || i === c ? x : 0)), c === green ? square : 0]);
+    fillTexture(gl, this.turned, new Float32Array(Array.from({ length: channels }, (_, c) => met(c)).flat(2)));
+    const firsts = terms.map((_, k) => green * columns.length + terms.slice(0, k).reduce((sum, { order }) => sum + order ** 2, 0));
+    const [{ records, noise }] = texels.turned, framebuffer = drawInto(gl, records, noise);
     for (const each of texels.runs) {
-      gl.viewport(0, each.row, texels.turned.size[0], each.rows);
+      gl.viewport(0, each.row, records.size[0], each.rows);
       const raw = texels.takesRaw && isRaw(each);
-      run(gl, this.programs.fold, { records: texels.records, transfer: texels.transfer, turned: this.turned, raw: Number(raw), quadric, quadric_then: each.quadric, least });
+      run(gl, this.programs.fold, { records: texels.records, transfer: texels.transfer, turned: this.turned, firsts, raw: Number(raw), quadric, quadric_then: each.quadric, least });
     }
+    gl.deleteFramebuffer(framebuffer);
+  }
+
+  /**
+   * Filter folded light by neighbours that are so many texels `apart`.
+   * @param {import("./light.js").TurnedLight} light
+   * @param {number} apart
+   * @param {import("./texels.js").Folded} from
+   * @param {import("./texels.js").Folded} to
+   */
+  #filter({ quadric }, apart, from, to) {
+    const { gl, texels, document } = this, framebuffer = drawInto(gl, to.records, to.noise);
+    gl.viewport(0, 0, to.records.size[0], texels.rows);
+    run(gl, this.programs.filter, { records: from.records, noises: from.noise, places: texels.places, bricks: texels.bricks, lattice: document.lattice.size, apart, quadric, least: document.light.least });
     gl.deleteFramebuffer(framebuffer);
   }
 

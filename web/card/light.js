@@ -8,7 +8,7 @@ import { bandRotations, turned } from "./harmonics.js";
 
 /**
  * @typedef {object} TurnedLight
- * @property {number[][]} columns what each column of a texel's transfer meets, r, g, b
+ * @property {number[][]} columns what each column of a texel's transfer meets, r, g, b, and their luminance squared
  * @property {number[]} quadric unshadowed light, nine times r, g, b
  * @property {Vec3[]} towards of each lobe
  * @property {[Vec3, Vec3][]} edges of each lobe
@@ -51,14 +51,14 @@ export function turnLight({ grid, light }, rotation) {
   const matrix = inBox(grid.rotation, rotationMatrix(rotation));
   const order = Math.max(...light.terms.map((term) => term.order), Math.sqrt(light.sky[0].length));
   const bands = bandRotations(order, matrix);
-  const terms = light.terms.flatMap((term) => byColumn(term.light.map((colour) => turned(bands, colour))));
+  const terms = light.terms.flatMap((term) => byColumn([...term.light, term.square].map((each) => turned(bands, each))));
   const quadric = byColumn(light.sky.map((colour) => quadricOf(turned(bands, colour)))).flat();
   const turn = (/** @type {Vec3} */ v) => /** @type {Vec3} */ (matrix.map((row) => row[0] * v[0] + row[1] * v[1] + row[2] * v[2]));
   const edges = light.lobes.map((lobe) => /** @type {[Vec3, Vec3]} */ ([turn(lobe.edges[0]), turn(lobe.edges[1])]));
   return { columns: terms, quadric, towards: light.lobes.map((lobe) => turn(lobe.towards)), edges };
 }
 
-/** Numbers of three colours, each side by side. @param {number[][]} colours @returns {number[][]} */
-function byColumn([r, g, b]) {
-  return r.map((x, i) => [x, g[i], b[i]]);
+/** Numbers of colours, each side by side. @param {number[][]} colours @returns {number[][]} */
+function byColumn(colours) {
+  return colours[0].map((_, i) => colours.map((each) => each[i]));
 }

@@ -13,13 +13,14 @@ import { bytesOf, fillTexture, makeTexture } from "./textures.js";
 /** @typedef {import("./blocks.js").Block} Block */
 /** @typedef {import("./document.js").CardDocument} CardDocument */
 /** @typedef {import("./textures.js").Texture} Texture */
+/** @typedef {{records: Texture, noise: Texture}} Folded */
 /** @typedef {{blocks: Block[], row: number, rows: number, lightKey: string, quadric: number[], raw: Map<string, Block>}} Run */
 
 const ROW = 2048; // records in a row: ROW in bricks.glsl
 const BRICK = 4, NONE = 0xffffffff, NOWHERE = 255;
 
 /** How far bricks without texels look for one whose mean they show, in bricks. */
-const REACH = 2;
+const REACH = 4;
 
 /** Share of rows by which a texture is larger than it must be, so that it need not grow at once. */
 const SPARE = 1.5;
@@ -36,14 +37,16 @@ export class Texels {
     this.gl = gl;
     this.most = most2d;
     this.lattice = lattice;
-    this.layers = Math.ceil((plan.channels * plan.columns) / 4);
+    this.numbers = plan.channels * plan.columns;
+    this.layers = Math.ceil((this.numbers + 2) / 4);
     this.budget = this.layers <= layers ? budget : 0;
     this.wantsRaw = plan.turns || runs.some(({ raw }) => raw.size > 0);
     this.shape = lattice.size.map((n) => Math.ceil(n / BRICK));
     this.table = new Uint32Array(4 * this.shape[0] * this.shape[1] * this.shape[2]);
     this.bricks = makeTexture(gl, "RGBA32UI", this.shape);
     this.records = makeTexture(gl, "RGBA32UI", [ROW, 1]);
-    this.turned = makeTexture(gl, "RGBA32UI", [ROW, 1]);
+    this.places = makeTexture(gl, "R32UI", [ROW, 1]);
+    this.turned = [foldedTextures(gl, 1), foldedTextures(gl, 1)];
     this.transfer = makeTexture(gl, "RGBA16F", [ROW, 1, 1], { layered: true });
     this.takesRaw = false;
     this.rows = 0;
@@ -53,7 +56,17 @@ export class Texels {
 
   /** All of its textures. @returns {Texture[]} */
   get textures() {
-    return [this.bricks, this.records, this.turned, this.transfer];
+    return [this.bricks, ...this.#ofRows];
+  }
+
+  /** Textures of a size that follows from the rows of records. @returns {Texture[]} */
+  get #ofRows() {
+    return [this.records, this.places, ...this.turned.flatMap(({ records, noise }) => [records, noise]), this.transfer];
+  }
+
+  /** Whether light of any run, folded here, is to be filtered for its noise. */
+  get grainy() {
+    return this.takesRaw && this.runs.some((run) => isRaw(run) && [...run.raw.values()].some(({ grainy }) => grainy));
   }
 
   /** Versions of the chunks that are here, and whether with raw transfer. @returns {Map<string, {version: string, lightKey: string, raw: boolean}>} */
@@ -94,14 +107,15 @@ export class Texels {
   #layOut() {
     this.runs = joinedRuns(youngest(this.runs, this.most));
     const { gl } = this, rows = this.runs.reduce((sum, run) => sum + neededRows(run.blocks), 0);
-    for (const old of [this.records, this.turned, this.transfer]) gl.deleteTexture(old.id);
+    for (const old of this.#ofRows) gl.deleteTexture(old.id);
     const height = Math.min(Math.ceil(SPARE * rows) + 16, this.most);
     if (rows > height) throw new Error("The graphics card takes no more texels.");
     this.records = makeTexture(gl, "RGBA32UI", [ROW, height]);
-    this.turned = makeTexture(gl, "RGBA32UI", [ROW, height]);
     const size = [ROW, height, this.layers];
     this.takesRaw = this.wantsRaw && bytesOf("RGBA16F", size) <= this.budget;
     this.transfer = makeTexture(gl, "RGBA16F", this.takesRaw ? size : [ROW, 1, 1], { layered: true });
+    this.places = makeTexture(gl, "R32UI", [ROW, this.takesRaw ? height : 1]);
+    this.turned = [foldedTextures(gl, height), foldedTextures(gl, this.takesRaw ? height : 1)];
     this.rows = 0;
     for (let b = 0; b < this.table.length; b += 4) this.table.set([0, 0, NONE, NOWHERE], b);
     for (const run of this.runs) this.#place(run);
@@ -112,26 +126,34 @@ export class Texels {
   #place(run) {
     run.row = this.rows;
     run.rows = neededRows(run.blocks);
-    const words = new Uint32Array(4 * ROW * run.rows);
+    const words = new Uint32Array(4 * ROW * run.rows), places = new Uint32Array(ROW * run.rows).fill(NONE);
     let first = 0;
     for (const block of run.blocks) {
       block.first = first;
       words.set(block.records, 4 * first);
-      this.#list(block, run.row * ROW + first);
+      this.#list(block, run.row * ROW + first, places.subarray(first));
       first += block.count;
     }
     if (run.rows) fillTexture(this.gl, this.records, words, [0, run.row], [ROW, run.rows]);
+    if (run.rows && this.takesRaw) fillTexture(this.gl, this.places, places, [0, run.row], [ROW, run.rows]);
     this.rows += run.rows;
     this.#fillRaw(run);
   }
 
-  /** Enter a block's bricks into the table, whose records begin at `first`, and lend means to bricks without texels. @param {Block} block @param {number} first */
-  #list(block, first) {
+  /**
+   * Enter a block's bricks into the table, whose records begin at `first`, and lend means to bricks without texels.
+   * @param {Block} block
+   * @param {number} first
+   * @param {Uint32Array} places of its records in the lattice, to be filled
+   */
+  #list(block, first, places) {
     const side = this.lattice.chunk / BRICK;
     for (let i = 0; i < block.bricks.length; i += 4) {
       const [low, high, own, place] = block.bricks.subarray(i, i + 4);
       const at = [place & 255, (place >> 8) & 255, (place >> 16) & 255].map((x, axis) => block.index[axis] * side + x);
-      this.table.set([low, high, first + own, 0], 4 * this.#number(at));
+      const number = this.#number(at);
+      this.table.set([low, high, first + own, 0], 4 * number);
+      bitsOf(low, high).forEach((bit, k) => { places[own + k] = (number << 6) | bit; });
       this.#lend(at, first + own + ones(low) + ones(high));
     }
   }
@@ -165,8 +187,15 @@ export class Texels {
   #addRaw(block) {
     const run = this.runs.find(({ blocks }) => blocks.some((each) => each.at === block.at && each.version === block.version && each.count === block.count));
     if (!run || !this.takesRaw) return;
-    run.raw.set(block.at, block);
+    run.raw.set(block.at, { ...block, grainy: this.#isGrainy(block) });
     this.#fillRaw(run);
+  }
+
+  /** Whether any texel of raw transfer has samples that are not negative: its light is grainy. @param {Block} block */
+  #isGrainy({ layers, count }) {
+    const last = this.numbers + 1, first = 4 * count * (last >> 2) + (last & 3);
+    for (let at = first; at < layers.length; at += 4) if (layers[at] > 0 && layers[at] < 0x8000) return true;
+    return false;
   }
 
   /** Fill the layers of a run, if there is raw transfer of all of it. @param {Run} run */
@@ -181,6 +210,16 @@ export class Texels {
       fillTexture(this.gl, this.transfer, halves, [0, run.row, layer], [ROW, run.rows, 1]);
     }
   }
+}
+
+/** Textures of folded light: records, and the noise of each. @param {WebGL2RenderingContext} gl @param {number} height rows @returns {Folded} */
+function foldedTextures(gl, height) {
+  return { records: makeTexture(gl, "RGBA32UI", [ROW, height]), noise: makeTexture(gl, "R32UI", [ROW, height]) };
+}
+
+/** The bits that are set in two words, ascending. @param {number} low @param {number} high @returns {number[]} */
+function bitsOf(low, high) {
+  return Array.from({ length: 64 }, (_, bit) => bit).filter((bit) => ((bit < 32 ? low : high) >>> (bit & 31)) & 1);
 }
 
 /** Whether all of a run has raw transfer. @param {Run} run @returns {boolean} */

@@ -65,10 +65,11 @@ export function bytesOf(format, size) {
   return size.reduce((product, n) => product * n, BYTES[format]);
 }
 
-/** A framebuffer that draws into a texture. @param {WebGL2RenderingContext} gl @param {Texture} texture @returns {WebGLFramebuffer} */
-export function drawInto(gl, texture) {
-  const framebuffer = gl.createFramebuffer();
+/** A framebuffer that draws into textures of one size. @param {WebGL2RenderingContext} gl @param {Texture[]} textures @returns {WebGLFramebuffer} */
+export function drawInto(gl, ...textures) {
+  const framebuffer = gl.createFramebuffer(), places = textures.map((_, i) => gl.COLOR_ATTACHMENT0 + i);
   gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
-  gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, texture.target, texture.id, 0);
+  textures.forEach(({ target, id }, i) => gl.framebufferTexture2D(gl.FRAMEBUFFER, places[i], target, id, 0));
+  gl.drawBuffers(places);
   return framebuffer;
 }

@@ -8,7 +8,7 @@ import numpy as np
 from isogi_core.frame.card.chunk_texels import ChunkTexels
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import FINAL
-from isogi_core.kernels.shading.lattice import BURIED, PARTIAL, VOID
+from isogi_core.kernels.shading.lattice import BURIED_GRADE, PARTIAL_GRADE, VOID_GRADE
 
 MARK = b"ISOB"
 """What a block begins with."""
@@ -24,7 +24,7 @@ FOLDED, RAW, CODED = 0, 1, 2
 EDGE = 2
 """Texels along each side of a brick, as a power of two."""
 
-CODES = {BURIED: 0x80008001, VOID: 0x80008002}
+CODES = {BURIED_GRADE: 0x80008001, VOID_GRADE: 0x80008002}
 """Words of texels without light in place of a normal, by their grade; no part of a normal is -32768."""
 
 FLAT = 0x80008003
@@ -81,7 +81,7 @@ def with_means(order: Order, grade: np.ndarray, values: np.ndarray) -> tuple[np.
     A mean is of the texels with light, or buried or void where there are none.
     """
     grade, values, bricks = grade[order.texels], values[order.texels], np.arange(len(order.begins))
-    ends, fit = np.append(order.begins[1:], len(grade)), (grade >= PARTIAL) & (grade <= FINAL)
+    ends, fit = np.append(order.begins[1:], len(grade)), (grade >= PARTIAL_GRADE) & (grade <= FINAL)
     if not len(bricks):
         return grade, values
     count = np.add.reduceat(fit, order.begins, dtype=np.int64)

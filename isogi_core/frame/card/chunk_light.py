@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import islice
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -10,11 +10,11 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.cache.loader import Loader
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.frame.card.blocks import CODED, FOLDED, RAW, pack
 from isogi_core.frame.card.chunk_texels import ChunkTexels, hold_texels, with_neighbours
 from isogi_core.frame.card.coding import Coding
-from isogi_core.frame.card.filtered_transfer import filter_numbers, number_noise
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.known_blocks import Block, Packed
 from isogi_core.frame.lighting import RotatedLight
@@ -25,12 +25,18 @@ from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.unlit_view import undrawn_frame
 from isogi_core.frame.view_texels import ViewTexels
-from isogi_core.kernels.shading.irradiance_ratio import DIRECT, REFLECTED
+from isogi_core.kernels.shading.irradiance_ratio import DIRECT_COLUMN, REFLECTED_COLUMN
 from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 
 CHUNKS = 64
 """Chunks that are packed together at most."""
+
+SEEN_BYTES = 256
+"""Bytes that a chunk in a list of those seen takes in memory."""
+
+LEAST_SCATTER = 2.0**-20
+"""What scatter counts as at least, so that its logarithm is a number."""
 
 
 def known_light(renderer: Renderer, view: View, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
@@ -40,7 +46,7 @@ def known_light(renderer: Renderer, view: View, chunks: Sequence[Index], target:
 
 
 def known_transfer(renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
-    """``transfer_chunks``, of which each is filtered once for all that ask for it. Raises as that does."""
+    """``transfer_chunks``, of which each is packed once for all that ask for it. Raises as that does."""
     return known(renderer, (RAW, target), chunks, lambda some: transfer_chunks(renderer, some, target, tiles), tiles)
 
 
@@ -63,22 +69,23 @@ def fold_chunks(renderer: Renderer, view: View, chunks: Sequence[Index], target:
     if reading.grainy.any():
         reading, lit = filter_texel_light(found.texels, reading, lit, about, light, tiles)
     records = fill_texel_records(reading.grade, lit, about, light, tiles)
-    values = np.column_stack([records[:, DIRECT : DIRECT + 3], records[:, REFLECTED : REFLECTED + 3]])
+    values = np.column_stack(
+        [records[:, DIRECT_COLUMN : DIRECT_COLUMN + 3], records[:, REFLECTED_COLUMN : REFLECTED_COLUMN + 3]]
+    )
     return packed(found, pack(found, about, values, FOLDED), len(chunks), renderer.prepared)
 
 
 def transfer_chunks(renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
-    """``chunks`` with what their texels keep, for any light, filtered where it is grainy: see ``raw_scale``.
+    """``chunks`` with the ``raw_numbers`` of their texels, which fold to light and filter it wherever they are drawn.
 
     Raises as ``fold_chunks``.
     """
-    with hold_filtering(renderer, chunks, target, tiles) as (found, pool):
-        about, numbers = calm_numbers(renderer, found.texels, found.reading, pool, tiles)
-    return packed(found, pack(found, about, numbers, RAW), len(chunks), renderer.prepared)
+    found, about, numbers = read_raw(renderer, chunks, target, tiles)
+    return Packed(tuple(map(Block, pack(found, about, numbers, RAW), found.versions)))
 
 
 def packed(found: ChunkTexels, blocks: Iterator[bytes], count: int, prepared: PreparedScene) -> Packed:
-    """The first ``count`` of some ``blocks``, with the versions of all that their light comes from."""
+    """The first ``count`` of some ``blocks`` of light, with the versions of all that it comes from."""
     versions = dict(zip(found.chunks, found.versions, strict=True))
     filtered = bool(found.reading.grainy.any())
     return Packed(
@@ -92,17 +99,25 @@ def packed(found: ChunkTexels, blocks: Iterator[bytes], count: int, prepared: Pr
 def coded_chunks(
     renderer: Renderer, chunks: Sequence[Index], target: float, coding: Coding, tiles: Tiles
 ) -> tuple[bytes, ...]:
-    """The blocks of ``chunks`` with transfer in few bits, filtered where it is grainy. Raises as ``fold_chunks``."""
-    with hold_filtering(renderer, chunks, target, tiles) as (found, pool):
-        about, numbers = calm_numbers(renderer, found.texels, found.reading, pool, tiles)
-    return tuple(islice(pack(found, about, coding.codes(numbers), CODED), len(chunks)))
+    """The blocks of ``chunks`` with the ``raw_numbers`` of their texels in few bits. Raises as ``fold_chunks``."""
+    found, about, numbers = read_raw(renderer, chunks, target, tiles)
+    return tuple(pack(found, about, coding.codes(numbers), CODED))
+
+
+def read_raw(
+    renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles
+) -> tuple[ChunkTexels, np.ndarray, np.ndarray]:
+    """The texels of ``chunks``, the normals (m, 3) that they are lit about, and their ``raw_numbers``."""
+    with hold_texels(renderer.caches.of("gi"), chunks, target, tiles) as (found, pool):
+        numbers = raw_numbers(found.reading, pool)
+    return found, normals_of(renderer, found.texels, tiles), numbers
 
 
 @contextmanager
 def hold_filtering(
     renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles
 ) -> Iterator[tuple[ChunkTexels, PagePool]]:
-    """The texels of ``chunks``, and behind them those of all chunks that touch one, where some are grainy.
+    """The texels of ``chunks``, and behind them those near by of all chunks that touch one, where some are grainy.
 
     They are held in the pool while the block runs. Raises as ``fold_chunks``.
     """
@@ -111,25 +126,27 @@ def hold_filtering(
         if not held[0].reading.grainy.any():
             yield held
             return
-    with hold_texels(loader, more, target, tiles) as held:
+    with hold_texels(loader, more, target, tiles, around=chunks) as held:
         yield held
 
 
-def calm_numbers(
-    renderer: Renderer, texels: ViewTexels, reading: Reading, pool: PagePool, tiles: Tiles
-) -> tuple[np.ndarray, np.ndarray]:
-    """The normals (texels, 3) that texels are lit about, and their ``raw_numbers``, filtered where they are grainy."""
-    about, numbers = normals_of(renderer, texels, tiles), raw_numbers(reading.rows, pool)
-    if not reading.grainy.any():
-        return about, numbers
-    scatter = np.where(reading.rows >= 0, pool.scatter[reading.rows], np.float32(0.0))
-    return about, filter_numbers(texels, reading, numbers, number_noise(numbers, scatter, pool.spec), about, tiles)
+def raw_numbers(reading: Reading, pool: PagePool) -> np.ndarray:
+    """What texels keep, over ``raw_scale``, and their ``noise_numbers``; (m, numbers) float32, 0 where unlit."""
+    rows, spec = reading.rows, pool.spec
+    numbers = np.where((rows >= 0)[:, None, None], pool.transfer[rows], np.float32(0.0))
+    kept = numbers.reshape(len(rows), spec.channels * spec.columns) / np.float32(raw_scale(spec))
+    return np.column_stack([kept, noise_numbers(reading, pool)])
 
 
-def raw_numbers(rows: np.ndarray, pool: PagePool) -> np.ndarray:
-    """What texels in ``rows`` (m,) of a pool keep, over ``raw_scale``; (m, numbers) float32, 0 where unlit."""
-    numbers, spec = np.where((rows >= 0)[:, None, None], pool.transfer[rows], np.float32(0.0)), pool.spec
-    return np.asarray(numbers.reshape(len(rows), spec.channels * spec.columns) / np.float32(raw_scale(spec)))
+def noise_numbers(reading: Reading, pool: PagePool) -> np.ndarray:
+    """What the filter reads besides light: log₂ of the scatter, and ±(1 + log₂ of the samples); (m, 2) float32.
+
+    The latter is negative where light is not grainy; both are 0 where there is none.
+    """
+    lit, scatter, samples = reading.lit, pool.scatter[reading.rows], reading.samples
+    found = np.log2(np.maximum(np.column_stack([scatter, 2 * samples]), LEAST_SCATTER))
+    found[:, 1] *= np.where(reading.grainy, 1.0, -1.0)
+    return np.where(lit[:, None], found, 0.0).astype(np.float32)
 
 
 def raw_scale(spec: BakeSpec) -> float:
@@ -145,24 +162,56 @@ class SeenChunk(NamedTuple):
     final: bool
 
 
-def seen_chunks(renderer: Renderer, view: View, target: float, tiles: Tiles) -> list[SeenChunk]:
+@dataclass(frozen=True, eq=False)
+class Look:
+    """The chunks that a view reads, those first that most of its pixels do.
+
+    Where some of them are not final, a ``frame`` that is not drawn says what light it lacks.
+    """
+
+    seen: tuple[SeenChunk, ...]
+    frame: Frame | None
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes where all is final."""
+        return SEEN_BYTES * len(self.seen)
+
+    def is_current(self, loader: Loader, tiles: Tiles) -> bool:
+        """Whether nothing was baked on since. Raises what ``Loader.ensure`` does."""
+        chunks = [each.at for each in self.seen]
+        loader.ensure(chunks, tiles.check)
+        return loader.pool.versions(chunks) == tuple(each.version for each in self.seen)
+
+
+def seen_chunks(renderer: Renderer, view: View, target: float, tiles: Tiles) -> tuple[SeenChunk, ...]:
     """The chunks that a ``view`` reads, those first that most of its pixels do. Raises as ``fold_chunks``."""
-    return look_at(renderer, view, target, tiles)[0]
+    return look_at(renderer, view, target, tiles).seen
 
 
-def look_at(renderer: Renderer, view: View, target: float, tiles: Tiles) -> tuple[list[SeenChunk], Frame]:
-    """The chunks that a ``view`` reads, and a frame that is not drawn, which says what light it lacks."""
-    texels, loader = renderer.texels(view, renderer.gbuffer(view, tiles), tiles), renderer.caches.of("gi")
+def look_at(renderer: Renderer, view: View, target: float, tiles: Tiles) -> Look:
+    """What a ``view`` reads; looks at final light are kept for all that ask. Raises as ``fold_chunks``."""
+    check, loader = renderer.checks.held(view, target), renderer.caches.of("gi")
+    until = Until(target, check.known.enough if check else FIRST_LEVEL)
+    known: Look | None = renderer.looks.held((view, until))
+    if known is not None and known.is_current(loader, tiles):
+        return known
+    renderer.looks.drop((view, until))
+    look = new_look(renderer, view, until, loader, tiles)
+    return look if look.frame else renderer.looks.get((view, until), lambda: look)
+
+
+def new_look(renderer: Renderer, view: View, until: Until, loader: Loader, tiles: Tiles) -> Look:
+    """What a ``view`` reads, by its rays."""
+    texels = renderer.texels(view, renderer.gbuffer(view, tiles), tiles)
     loader.ensure(texels.chunks, tiles.check)
     with loader.pool.hold(texels.chunks) as held:
-        check = renderer.checks.held(view, target)
-        until = Until(target, check.known.enough if check else FIRST_LEVEL)
         reading = read_texels(texels, held.slots, loader.pool, until, tiles)
         versions = list(map(loader.pool.version, held.slots.tolist()))
     read = texels.places[texels.corners].ravel() >> 3 * texels.lattice.bits
     order = np.argsort(-np.bincount(read, minlength=len(versions)), kind="stable").tolist()
-    seen = [SeenChunk(texels.chunks[i], versions[i], not reading.short[i]) for i in order]
-    return seen, undrawn_frame(renderer, view, texels, reading)
+    seen = tuple(SeenChunk(texels.chunks[i], versions[i], not reading.short[i]) for i in order)
+    return Look(seen, undrawn_frame(renderer, view, texels, reading) if reading.short.any() else None)
 
 
 def normals_of(renderer: Renderer, texels: ViewTexels, tiles: Tiles) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 
 from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.frame.card.chunk_light import calm_numbers, raw_scale
+from isogi_core.frame.card.chunk_light import normals_of, raw_numbers, raw_scale
 from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
@@ -20,13 +20,18 @@ from isogi_core.frame.rays.control_pixels import (
     trace_controls,
 )
 from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.shading import carry_irradiance_ratios, carry_texel_light, fill_texel_records
+from isogi_core.frame.shading import (
+    carry_irradiance_ratios,
+    carry_texel_light,
+    fill_texel_records,
+    filter_texel_light,
+)
 from isogi_core.frame.texel_reading import read_texels
 from isogi_core.frame.view_texels import carries_irradiance_ratios
 from isogi_core.kernels.shading.framebuffer import Framebuffer
-from isogi_core.kernels.shading.lattice import LIT, light_texels
+from isogi_core.kernels.shading.lattice import LIGHT_NUMBERS, light_texels
 from isogi_core.kernels.shading.lobes import add_lobes
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 
 CONTROLS = 256
@@ -36,7 +41,7 @@ CONTROLS = 256
 def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) -> Framebuffer:
     """The picture of a ``view`` that a card draws of all texels' transfer in few bits, with lobes as at rest.
 
-    Transfer is filtered where it is noisier than a ``target`` error. Raises what ``Loader.ensure`` does.
+    Light is final at a ``target`` error. Raises what ``Loader.ensure`` does.
     """
     tiles, loader, scene = renderer.tiles, renderer.caches.of("gi"), renderer.prepared.scene
     gbuffer, light = renderer.gbuffer(view), RotatedLight(renderer.caches.spec("gi"), view)
@@ -44,8 +49,10 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) ->
     loader.ensure(texels.chunks, tiles.check)
     with loader.pool.hold(texels.chunks) as held:
         reading = read_texels(texels, held.slots, loader.pool, Until(target, FIRST_LEVEL), tiles)
-        about, numbers = calm_numbers(renderer, texels, reading, loader.pool, tiles)
-    lit = fold(coding.numbers(coding.codes(numbers)), light)
+        numbers = raw_numbers(reading, loader.pool)
+    about, lit = normals_of(renderer, texels, tiles), fold(coding.numbers(coding.codes(numbers)), light)
+    if reading.grainy.any():
+        reading, lit = filter_texel_light(texels, reading, lit, about, light, tiles)
     normals = gbuffer.normals(tiles)
     if carries_irradiance_ratios(scene, "gi", False):
         records = fill_texel_records(reading.grade, lit, about, light, tiles)
@@ -58,10 +65,11 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) ->
 
 
 def fold(numbers: np.ndarray, light: RotatedLight) -> np.ndarray:
-    """The light of texels by the ``numbers`` (m, n) of their transfer over ``raw_scale``; (m, LIT) without noise."""
-    spec, lit = light.spec, np.zeros((len(numbers), LIT), np.float32)
-    transfer = np.float32(raw_scale(spec)) * numbers.reshape(len(numbers), spec.channels, spec.columns)
-    light_texels(np.arange(len(numbers), dtype=np.int32), transfer, lit[:, 3].copy(), *light.in_units, lit)
+    """The light of texels by their ``raw_numbers`` (m, n); (m, LIGHT_NUMBERS)."""
+    spec, lit = light.spec, np.zeros((len(numbers), LIGHT_NUMBERS), np.float32)
+    kept, scatter = numbers[:, :-2].reshape(len(numbers), spec.channels, spec.columns), np.exp2(numbers[:, -2])
+    transfer = np.float32(raw_scale(spec)) * kept
+    light_texels(np.arange(len(numbers), dtype=np.int32), transfer, scatter, *light.in_units, lit)
     return lit
 
 
@@ -117,7 +125,7 @@ class ControlPictures:
     def _squares(self, control: Control, coding: Coding) -> np.ndarray:
         """The squared errors of a picture's control pixels, relative to its mean light; (k,)."""
         framebuffer = draw_coded(self._renderer, control.view, coding, self._target)
-        picture = framebuffer.radiance[control.gbuffer.pixels] @ LUMINANCE
+        picture = framebuffer.radiance[control.gbuffer.pixels] @ LUMINANCE_WEIGHTS
         shown = picture[control.pixels.places]
         mean = control.pixels.mean(shown, float(picture.mean()))
         return control.pixels.squares(shown) / max(mean, np.finfo(float).tiny) ** 2

@@ -16,9 +16,9 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.transport import streams
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.volume import Isovalue
-from isogi_core.plan.budget import BOUNCES, bounces_for
+from isogi_core.plan.budget import BOUNCES_SHARE, bounces_for
 from isogi_core.plan.scene import Scene
 
 CUT = 0.001
@@ -122,7 +122,7 @@ def draw_places(gbuffer: GBuffer, uncertainty: np.ndarray, key: tuple[int, int],
     """
     order = np.argsort(interleaved(gbuffer.pixels % gbuffer.shape[1], gbuffer.pixels // gbuffer.shape[1]))
     reached = np.cumsum(chances(uncertainty)[order])
-    strata = (np.arange(count) + np.random.default_rng((streams.CONTROLS, *key)).random(count)) / count
+    strata = (np.arange(count) + np.random.default_rng((streams.CONTROLS_STREAM, *key)).random(count)) / count
     return np.asarray(order[np.minimum(np.searchsorted(reached, strata * reached[-1]), len(order) - 1)])
 
 
@@ -161,15 +161,15 @@ def trace_controls(
     distinct, each = np.unique(places, return_inverse=True)
     sums = np.zeros((len(distinct), 2, 3))
     paths_from = Paths(light, gbuffer.part(distinct, tiles), tiles, bounces_of_truth(light))
-    paths_from.add(sums, streams.CONTROLS + 2 * stream, 0, paths)
-    return np.asarray((sums @ LUMINANCE / paths)[each])
+    paths_from.add(sums, streams.CONTROLS_STREAM + 2 * stream, 0, paths)
+    return np.asarray((sums @ LUMINANCE_WEIGHTS / paths)[each])
 
 
 def bounces_of_truth(light: RotatedLight) -> int:
     """Bounces of paths that nothing of worth is cut off from; the scene's own where somebody gave them."""
     plan = light.spec.prepared.scene.plan
     chosen = "bounces" in dict(plan.errors)
-    return max(bounces_for(light.reflecting, CUT / BOUNCES), plan.bounces) if chosen else plan.bounces
+    return max(bounces_for(light.reflecting, CUT / BOUNCES_SHARE), plan.bounces) if chosen else plan.bounces
 
 
 QUANTILE = 2.2

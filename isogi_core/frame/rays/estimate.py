@@ -8,7 +8,7 @@ import numpy as np
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.picture_noise import pool_noise
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
 HALVES = 2
 """Independent randomisations, where neighbours tell of noise, too."""
@@ -27,7 +27,7 @@ class NoisyLight:
 
         Raises Cancelled.
         """
-        values, rows, variance = np.ascontiguousarray(means @ LUMINANCE), gbuffer.rows, np.empty(len(means))
+        values, rows, variance = np.ascontiguousarray(means @ LUMINANCE_WEIGHTS), gbuffer.rows, np.empty(len(means))
 
         def _piece(a: int, b: int) -> None:
             pool_noise(rows, gbuffer.pixels, a, values, variance[a:b])

@@ -9,10 +9,10 @@ from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PixelPoints
-from isogi_core.kernels.shading.lattice import DARKEST
+from isogi_core.kernels.shading.lattice import MIN_LIGHT
 from isogi_core.kernels.shading.lobes import (
-    HALF,
-    RAYS,
+    LOBE_HALF_SEEN,
+    PENUMBRA_RAYS,
     STRATIFIED_VARIANCE,
     add_halves,
     find_sides,
@@ -24,10 +24,17 @@ from isogi_core.kernels.shading.lobes import (
     share_rays,
     spread_edges,
 )
-from isogi_core.kernels.shading.shadow_points import ANY, STRIDE, TURNS, ShadowPoints, prepare_points, sort_by_turn
+from isogi_core.kernels.shading.shadow_points import (
+    ANY_TURN,
+    FIRST_TURN_STRIDE,
+    SAMPLING_TURNS,
+    ShadowPoints,
+    prepare_points,
+    sort_by_turn,
+)
 from isogi_core.kernels.tracing.cast import TracedSurface
 from isogi_core.kernels.transport.lights import LampArrays
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
 LOBE_POINTS, RIMS, HALVES = 4096, 1024, 256
 """Surface points, pairs of points and lobes at edges of shadows, and such pairs in half-shadow, of a tile."""
@@ -54,7 +61,7 @@ class LobeLight:
         if (tint == tint[0]).all():
             return LobeLight(self.lit * np.array([*tint, tint[0] ** 2], np.float32))
         colours = (self.lit[:, :3] * tint).astype(np.float32)
-        grown = (colours @ LUMINANCE) / np.maximum(self.lit[:, :3] @ LUMINANCE, DARKEST)
+        grown = (colours @ LUMINANCE_WEIGHTS) / np.maximum(self.lit[:, :3] @ LUMINANCE_WEIGHTS, MIN_LIGHT)
         return LobeLight(np.column_stack([colours, self.lit[:, 3] * grown**2]).astype(np.float32))
 
 
@@ -77,7 +84,7 @@ class ShadowStarts:
 def find_starts(gbuffer: GBuffer, tiles: Tiles) -> ShadowStarts:
     """What shadow rays from the points of a G-buffer begin with. Raises Cancelled."""
     points = PixelPoints(gbuffer.points, gbuffer.normals(tiles), gbuffer.pixels)
-    m, ends = len(gbuffer.points), np.empty(TURNS + 1, np.int64)
+    m, ends = len(gbuffer.points), np.empty(SAMPLING_TURNS + 1, np.int64)
     places = np.empty((m, 3)), np.empty((m, 4), np.int32), np.empty(m, np.bool_), np.empty(m, np.int32)
     picture, traced = ShadowPoints(points, gbuffer.rows, *places), gbuffer.surface.traced(tiles.run)
     tiles.run(lambda a, b: prepare_points(traced, picture, (a, b)), m, LOBE_POINTS)
@@ -145,17 +152,17 @@ class Shadows:
         found = [halves]
         while len(halves):
             found.append(halves := self._ask_about(halves, 0, seen, asked))
-        for turn in range(1, TURNS):
+        for turn in range(1, SAMPLING_TURNS):
             found.append(self._ask_about(np.concatenate(found), turn, seen, asked))
         halves = np.concatenate(found)
-        for _ in range(STRIDE):
-            found.append(halves := self._ask_about(halves, ANY, seen, asked))
+        for _ in range(FIRST_TURN_STRIDE):
+            found.append(halves := self._ask_about(halves, ANY_TURN, seen, asked))
         return np.sort(np.concatenate(found))
 
     def _ask(self, pairs: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """Put into ``seen`` what ``pairs`` see of each other by their rims; those of them in half-shadow."""
         seen.reshape(-1)[pairs] = sees = self._rims(pairs)
-        return pairs[sees == HALF]
+        return pairs[sees == LOBE_HALF_SEEN]
 
     def _ask_about(self, halves: np.ndarray, turn: int, seen: np.ndarray, asked: np.ndarray) -> np.ndarray:
         """The pairs about ``halves`` that are in half-shadow, too, and not ``asked`` yet: see ``spread_edges``."""
@@ -177,7 +184,7 @@ class Shadows:
         """Shares of lobes that points see in part, and their variance; (pairs, 2)."""
         sides, places = np.empty(len(pairs), np.uint8), np.empty(self.points, np.int32)
         find_sides(self.picture, pairs, seen, sides)
-        rays, own, shares = np.array(RAYS)[np.bitwise_count(sides)], *np.empty((2, len(pairs), 2))
+        rays, own, shares = np.array(PENUMBRA_RAYS)[np.bitwise_count(sides)], *np.empty((2, len(pairs), 2))
         for count in np.unique(rays).tolist():
             own[rays == count] = self._shares(pairs[rays == count], count)
 
@@ -197,7 +204,7 @@ class Shadows:
         def _piece(a: int, b: int) -> None:
             see_discs(self.traced, self.picture, self.lamps, pairs[a:b], rays, STRATIFIED_VARIANCE[rays], shares[a:b])
 
-        self.tiles.run(_piece, len(pairs), HALVES * RAYS[0] // rays)
+        self.tiles.run(_piece, len(pairs), HALVES * PENUMBRA_RAYS[0] // rays)
         return shares
 
 

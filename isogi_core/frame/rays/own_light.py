@@ -16,9 +16,9 @@ from isogi_core.frame.rays.pixel_filter import correct, filter_pixels
 from isogi_core.frame.rays.pixel_rays import Paths, pooled_variance, variance_of_mean
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
-from isogi_core.kernels.shading.lattice import DARKEST
+from isogi_core.kernels.shading.lattice import MIN_LIGHT
 from isogi_core.kernels.transport import streams
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
 REPLICAS, FIRST_PATHS = 4, 16
 """Independent randomisations of each pixel, and paths of each after the first step."""
@@ -66,7 +66,7 @@ class PixelLight:
         """The light of points by an ``estimate``, filtered without their colours. Raises Cancelled."""
         means, buffer, tiles = estimate.means, paths.gbuffer, paths.tiles
         tints = tints_of(paths.light, buffer, tiles)
-        grey, variance = (tints @ LUMINANCE) ** 2, pooled_variance(variance_of_mean(means), buffer)
+        grey, variance = (tints @ LUMINANCE_WEIGHTS) ** 2, pooled_variance(variance_of_mean(means), buffer)
         light, variance = filter_pixels(means.mean(axis=1) / tints, variance / grey, buffer, tiles)
         return cls(places, estimate, light * tints, variance * grey, expected)
 
@@ -103,7 +103,7 @@ class PixelLight:
         for first in np.unique(estimate.counts[estimate.counts < count]).tolist():
             rows = np.flatnonzero(estimate.counts == first)
             some = estimate.sums[rows]
-            paths.of(rows).add(some, streams.PIXEL_LIGHT, first, count - first, progress)
+            paths.of(rows).add(some, streams.PIXEL_LIGHT_STREAM, first, count - first, progress)
             estimate.sums[rows], estimate.counts[rows] = some, count
         return PixelLight.of(places, estimate, paths, expected)
 
@@ -112,11 +112,11 @@ class PixelLight:
         if not len(self.places):
             return
         pixels, own, tints = gbuffer.pixels, gbuffer.pixels[self.places], tints_of(light, gbuffer, tiles)
-        some, grey = tints[self.places], (tints[self.places] @ LUMINANCE) ** 2
-        given = self.expected / (tints @ LUMINANCE), self.places, self.light / some, self.variance / grey
+        some, grey = tints[self.places], (tints[self.places] @ LUMINANCE_WEIGHTS) ** 2
+        given = self.expected / (tints @ LUMINANCE_WEIGHTS), self.places, self.light / some, self.variance / grey
         whole, variance = correct(framebuffer.radiance[pixels] / tints, *given, gbuffer, tiles)
         framebuffer.radiance[pixels] = np.clip(whole * tints, 0.0, np.finfo(np.float32).max)
-        shown = np.maximum(framebuffer.radiance[own] @ LUMINANCE, DARKEST * light.spec.unit)
+        shown = np.maximum(framebuffer.radiance[own] @ LUMINANCE_WEIGHTS, MIN_LIGHT * light.spec.unit)
         framebuffer.state[own], framebuffer.error[own] = FINAL, np.minimum(np.sqrt(variance * grey) / shown, 1.0)
 
 

@@ -15,12 +15,12 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.control_pixels import MAX_CONTROLS, TotalError
 from isogi_core.frame.rays.own_light import Choice, choose
 from isogi_core.model.scene_plan import most_samples
-from isogi_core.plan.variants import DENSER
+from isogi_core.plan.variants import FINER_FACTOR
 
 QUIETER = 0.5
 """What one rung leaves of the variance of a filtered picture: 0.35 to 0.7 on the engine, the bonsai and the chest."""
 
-CLOSER = DENSER**-2
+CLOSER = FINER_FACTOR**-2
 """What finer texels leave of a picture's squared error besides its noise: 0.11 to 0.44."""
 
 SHARED = 0.25
@@ -61,7 +61,7 @@ PRESENT = AWAITED.of_present
 SHARED_PRICES = Prices(SHARED, 0.0).of_present
 """Prices of a picture that stands for others, of any size: they all read its texels, and none its pixels' light."""
 
-AGAIN = DENSER**2
+AGAIN = FINER_FACTOR**2
 """How many times as many texels of a surface there are where the lattice is twice as fine, about: 2.2 to 4."""
 
 

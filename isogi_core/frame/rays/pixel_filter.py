@@ -18,7 +18,7 @@ import numpy as np
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.same_surface import ShownPoints, mean_around
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
 FILTER_PASSES = ((1, 1.0), (2, 1.8))
 """Distances, in pixels, between those that a pass mixes; and how much more variance their mean has than that of
@@ -74,10 +74,10 @@ def filter_pixels(
     """
     around = Surroundings(gbuffer, tiles)
     for step, shared in FILTER_PASSES:
-        shown = light @ LUMINANCE
+        shown = light @ LUMINANCE_WEIGHTS
         means, taken = around.means(np.column_stack([light, variance, shown**2]), variance, step)
         mean, noise, square = means[:, :3], means[:, 3], means[:, 4]
-        kept = beyond_noise(square - (mean @ LUMINANCE) ** 2, noise)
+        kept = beyond_noise(square - (mean @ LUMINANCE_WEIGHTS) ** 2, noise)
         light = mean + kept[:, None] * (light - mean)
         variance = np.minimum(kept * noise + (1.0 - kept) ** 2 * shared * taken, variance)
     return light, variance
@@ -114,7 +114,7 @@ def correct(
     light = light + share**2 * (3.0 - 2.0 * share) * scale * known[:, :3] / np.maximum(known[:, 3:], 1e-300)
     apart = own - light[places]
     near = Surroundings(gbuffer.part(places, tiles), tiles)
-    means, _ = near.means(np.column_stack([variance, (apart @ LUMINANCE) ** 2]), variance)
+    means, _ = near.means(np.column_stack([variance, (apart @ LUMINANCE_WEIGHTS) ** 2]), variance)
     kept = beyond_noise(means[:, 1], means[:, 0])
     light[places] += kept[:, None] * apart
     return light, kept * variance

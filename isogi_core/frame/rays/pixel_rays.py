@@ -18,7 +18,7 @@ from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.local_models import trace_points
 from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.plan.budget import survival_for
 
 PATH_POINTS, PATHS = 256, 1 << 16
@@ -118,7 +118,7 @@ class Paths:
 
 def variance_of_mean(means: np.ndarray) -> np.ndarray:
     """Variance of the luminance of the mean over independent replicas ``means`` (m, replicas, 3); (m,) float64."""
-    return np.asarray((means @ LUMINANCE).var(axis=1, ddof=1) / means.shape[1])
+    return np.asarray((means @ LUMINANCE_WEIGHTS).var(axis=1, ddof=1) / means.shape[1])
 
 
 def replicas_for(samples: int) -> int:

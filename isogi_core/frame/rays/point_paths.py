@@ -8,7 +8,7 @@ from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.tracing.cast import TracedSurface
 from isogi_core.kernels.transport.light_paths import Surroundings
-from isogi_core.kernels.transport.matter.sight import BACK
+from isogi_core.kernels.transport.matter.sight import START_BACK_VOXELS
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.prepared.prepared_scene import Met
 
@@ -52,5 +52,5 @@ def sight_lines(gbuffer: GBuffer) -> tuple[np.ndarray, np.ndarray]:
     ways = (gbuffer.points - np.array(gbuffer.eye)) * spacing
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     along = ways / spacing
-    before = gbuffer.points - BACK * along / np.abs(along).max(axis=1, keepdims=True)
+    before = gbuffer.points - START_BACK_VOXELS * along / np.abs(along).max(axis=1, keepdims=True)
     return before, ways

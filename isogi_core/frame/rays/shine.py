@@ -21,23 +21,23 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.local_models import trace_points
 from isogi_core.kernels.shading.shine import (
-    ISOSURFACE,
-    NEVER,
+    MET_ISOSURFACE,
+    MET_NOTHING,
     ShineDraws,
     ShineEnds,
     cast_shine,
     fill_below,
 )
-from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.colours import NO_COLOURS, fill_albedos
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, LampArrays
-from isogi_core.kernels.transport.microfacets import NODES, ShineLobe, fill_energy
+from isogi_core.kernels.transport.microfacets import ENERGY_STEPS, ShineLobe, fill_energy
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.ray_lights import Discs, Panels, ShineLights
 from isogi_core.kernels.transport.room_paths import InRoom, Room, RoomStarts
 from isogi_core.model.shine import DULL
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.plan.budget import survival_for
 from isogi_core.prepared.surface import Surface
@@ -68,7 +68,7 @@ NO_ROOM = Room(
 @lru_cache(maxsize=64)
 def energy_of(alpha: float) -> np.ndarray:
     """The table of ``fill_energy``."""
-    energy = np.empty((NODES + 1, 2))
+    energy = np.empty((ENERGY_STEPS + 1, 2))
     fill_energy(alpha, energy)
     return energy
 
@@ -101,7 +101,7 @@ def lights_of(light: RotatedLight, ways: int) -> ShineLights:
     lamps = LampArrays(kinds[sharp], places[sharp], edges[sharp], colours[sharp])
     far = Discs(places[discs], edges[discs], colours[discs] / squares)
     several = len(around.table[0]) or len(panels.corners) or len(far.towards)
-    ambient = max(float(light.mean @ LUMINANCE), 1e-30)
+    ambient = max(float(light.mean @ LUMINANCE_WEIGHTS), 1e-30)
     return ShineLights(around._replace(lamps=lamps), panels, far, ambient, ways if several else 1)
 
 
@@ -183,15 +183,15 @@ def cast_rays(
     def _piece(a: int, b: int) -> None:
         some, own = PixelPoints(points[a:b], normals[a:b], pixels[a:b]), slice(a * each, b * each)
         point, replica, sample = (part.ravel() for part in np.indices((b - a, len(replicas), len(samples))))
-        seeds = seeds_of(np.column_stack([pixels[a:b][point], streams.SHINE + replicas.start + replica]))
+        seeds = seeds_of(np.column_stack([pixels[a:b][point], streams.SHINE_STREAM + replicas.start + replica]))
         draws = ShineDraws(point, seeds, samples.start + sample)
         cast_shine(traced, room, some, gbuffer.eye, lobe, lights, draws, some_of(ends, own))
 
     tiles.run(_piece, len(points), max(min(RAYS // each, tiles.even(len(points))), 1))
-    seen = np.flatnonzero(ends.met > NEVER)
+    seen = np.flatnonzero(ends.met > MET_NOTHING)
     point, rest = np.divmod(seen, each)
     replica, sample = np.divmod(rest, len(samples))
-    words = [pixels[point], streams.SHINE + replicas.start + replica, samples.start + sample]
+    words = [pixels[point], streams.SHINE_STREAM + replicas.start + replica, samples.start + sample]
     kept, seeds = some_of(ends, seen), seeds_of(np.column_stack(words))
     hits = seen_by(kept.points, kept.normals, kept.met, gbuffer)
     lit = (kept.weights, kept.points, kept.normals, kept.met)
@@ -206,7 +206,7 @@ def some_of(ends: ShineEnds, rows: slice | np.ndarray) -> ShineEnds:
 
 def seen_by(points: np.ndarray, normals: np.ndarray, met: np.ndarray, gbuffer: GBuffer) -> GBuffer:
     """The picture of one row that shows the ``points`` (h, 3), with their ``normals``, on what was ``met`` (h,)."""
-    shown, on = np.arange(len(met), dtype=np.uint32), met == ISOSURFACE
+    shown, on = np.arange(len(met), dtype=np.uint32), met == MET_ISOSURFACE
     walls = PointsBeside(shown[~on], points[~on], met[~on])
     place = (1, len(met)), gbuffer.spacing, gbuffer.eye, gbuffer.surface
     return GBuffer(*place, shown[on], points[on], walls, _normals=normals[on])
@@ -229,7 +229,7 @@ def paths_from(rays: ShineRays, rows: np.ndarray, light: RotatedLight, bounces: 
         add_glow(found[a:b], light, surface.traced(tiles.run), in_columns(starts), carried, SampleRange(0, 1))
 
     tiles.run(_piece, len(rows), PATHS)
-    on = met == ISOSURFACE
+    on = met == MET_ISOSURFACE
     albedos, given = albedos_at(here, light), np.zeros((len(rows), 3))
     albedos[~on], given[~on] = room.albedos[met[~on]], room.radiances[met[~on]]
     return np.asarray(given + albedos * found)
@@ -254,7 +254,7 @@ def in_the_open(
     points = PixelPoints(starts.points, starts.normals, (starts.seeds & np.uint64(0xFFFFFFFF)).astype(np.uint32))
     weights = path_weights(light.albedo, *rules)
     sums = np.zeros((len(starts.seeds), 1, 3))
-    given = PathRules(weights, rules[1]), streams.SHINE, SampleRange(0, 1)
+    given = PathRules(weights, rules[1]), streams.SHINE_STREAM, SampleRange(0, 1)
     trace_points(surface.traced(tiles.run), points, light.surroundings, *given, sums)
     return sums[:, 0]
 
@@ -274,7 +274,7 @@ def among_walls(
 def in_columns(starts: RoomStarts) -> RoomStarts:
     """The ``starts`` of rays' ends, whose vectors are rows, as kernels take them."""
     here, normals = (np.ascontiguousarray(each.T, np.float64) for each in starts[:2])
-    walls = np.where(starts.walls == ISOSURFACE, NOWHERE, starts.walls.astype(np.float64))
+    walls = np.where(starts.walls == MET_ISOSURFACE, NO_WALL, starts.walls.astype(np.float64))
     return RoomStarts(here, normals, starts.isovalues, starts.seeds, walls)
 
 

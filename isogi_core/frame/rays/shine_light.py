@@ -31,12 +31,12 @@ from isogi_core.frame.view_checks import ViewChecks, texels_until
 from isogi_core.frame.view_keys import check_key, surface_key
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL, Framebuffer, PixelPoints
-from isogi_core.kernels.shading.lattice import DARKEST
+from isogi_core.kernels.shading.lattice import MIN_LIGHT
 from isogi_core.kernels.shading.shine import light_ends
 from isogi_core.kernels.shading.shine_filter import filter_shine
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.shine import DULL
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
 MIN_RAYS, MAX_RAYS = 8, 1 << 12
 """Rays of each half from a point: so many find highlights that a few miss; and at most."""
@@ -104,14 +104,14 @@ class ShineLight:
         All rays bring it, or the first ones where these have ``seen`` light. Raises Cancelled.
         """
         brought = self._sharp(tiles) if seen is None else self._filtered(self.rays.gather(seen.light), tiles)
-        darkest = DARKEST * self.light.spec.unit
+        darkest = MIN_LIGHT * self.light.spec.unit
 
         def _piece(a: int, b: int) -> None:
             pixels = self.gbuffer.pixels[a:b]
             diffuse = framebuffer.radiance[pixels] * self.below[a:b]
-            noise = framebuffer.error[pixels] * (diffuse @ LUMINANCE)
+            noise = framebuffer.error[pixels] * (diffuse @ LUMINANCE_WEIGHTS)
             light = diffuse + brought.light[a:b]
-            error = np.sqrt(noise**2 + brought.variance[a:b]) / np.maximum(light @ LUMINANCE, darkest)
+            error = np.sqrt(noise**2 + brought.variance[a:b]) / np.maximum(light @ LUMINANCE_WEIGHTS, darkest)
             framebuffer.radiance[pixels] = np.minimum(light, np.finfo(np.float32).max)
             unknown = framebuffer.state[pixels] <= PROVISIONAL
             framebuffer.error[pixels] = np.where(unknown, 1.0, np.minimum(error, 1.0))
@@ -131,7 +131,7 @@ class ShineLight:
 
             tiles.run(_piece, len(before), tiles.even(len(before)))
             steps.append(after)
-        blurred = ((steps[-1] - steps[-2])[:, :3] @ LUMINANCE) ** 2
+        blurred = ((steps[-1] - steps[-2])[:, :3] @ LUMINANCE_WEIGHTS) ** 2
         return NoisyLight(steps[-1][:, :3], steps[-1][:, 3] + blurred)
 
     def _sharp(self, tiles: Tiles) -> NoisyLight:

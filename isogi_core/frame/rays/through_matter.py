@@ -24,9 +24,9 @@ from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_keys import check_key
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer
 from isogi_core.kernels.transport import streams
-from isogi_core.kernels.transport.matter.sight import NONE, Chances, Leaves, see_through
+from isogi_core.kernels.transport.matter.sight import NO_SAMPLE, Chances, Leaves, see_through
 from isogi_core.lru_cache import LruCache
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
 FIRST_BREADTH, BREADTH = 8, 64
 """Places that a point sees, at most, by its first tree, and by each of those drawn while the view rests: trees with 64
@@ -73,11 +73,11 @@ class Trees:
         """How they choose, of points in ``pixels`` (m,)."""
         shape = len(pixels), len(self.replicas), len(self.samples)
         point, replica, sample = (part.ravel() for part in np.indices(shape))
-        words = np.column_stack([pixels[point], streams.GLASS + self.replicas.start + replica])
+        words = np.column_stack([pixels[point], streams.GLASS_STREAM + self.replicas.start + replica])
         return Chances(seeds_of(words), self.samples.start + sample, DEEP)
 
 
-GREATEST = Trees(FIRST_BREADTH, range(1), range(NONE, NONE + 1))
+GREATEST = Trees(FIRST_BREADTH, range(1), range(NO_SAMPLE, NO_SAMPLE + 1))
 """A tree of each point that leaves nothing to chance."""
 
 
@@ -135,7 +135,7 @@ class SeenThrough:
         """
         light, brought = self.sky.astype(np.float64), self.weights * lit.radiance[: len(self.rows)].astype(np.float64)
         np.add.at(light, self.rows, brought)
-        wrong = np.bincount(self.rows, (brought @ LUMINANCE) * lit.error[: len(self.rows)], len(self.sky))
+        wrong = np.bincount(self.rows, (brought @ LUMINANCE_WEIGHTS) * lit.error[: len(self.rows)], len(self.sky))
         return light, wrong
 
     def states(self, lit: Framebuffer) -> np.ndarray:
@@ -172,7 +172,7 @@ class SurfaceSeen:
         light, state = np.minimum(shown.light, np.finfo(np.float32).max), self.first.states(lit)
         if len(self.noisy(sums, shown, target)):
             np.minimum(state, CONVERGING, out=state)
-        error = np.sqrt(shown.variance + wrong**2) / np.maximum(light @ LUMINANCE, 1e-30)
+        error = np.sqrt(shown.variance + wrong**2) / np.maximum(light @ LUMINANCE_WEIGHTS, 1e-30)
         framebuffer.radiance[pixels], framebuffer.state[pixels] = light, state
         framebuffer.error[pixels] = np.minimum(error, 1.0)
         return sums.version
@@ -190,7 +190,11 @@ class SurfaceSeen:
 
     def noisy(self, sums: Estimate, shown: NoisyLight, target: float) -> np.ndarray:
         """Rows of the points that are to have more trees than in ``sums`` before what is ``shown`` is at its target."""
-        allowed = (SEEN_NOISE_SHARE if len(self.first.rows) else 1.0) * target * float((shown.light @ LUMINANCE).mean())
+        allowed = (
+            (SEEN_NOISE_SHARE if len(self.first.rows) else 1.0)
+            * target
+            * float((shown.light @ LUMINANCE_WEIGHTS).mean())
+        )
         count = sums.most
         if count >= MAX_TREES:
             return np.empty(0, np.int64)

@@ -21,11 +21,11 @@ from isogi_core.frame.rays.pixel_rays import pooled_variance, replicas_for, vari
 from isogi_core.frame.rays.wall_texels import COARSE, FINE, FINEST, WallTexels, light_starts, starts_on
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer, PixelPoints
-from isogi_core.kernels.shading.lattice import DARKEST
+from isogi_core.kernels.shading.lattice import MIN_LIGHT
 from isogi_core.kernels.shading.local_models import find_shadows, shade_local
 from isogi_core.kernels.shading.wall_light import WallTable, light_walls
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.prepared.surface import Surface
 
 
@@ -183,7 +183,7 @@ class WallView:
         """
         walls, prepared = self.gbuffer.walls, self.light.spec.prepared
         finals = {each.wall: each.final(target) for each in texels}
-        table, darkest = self._table(texels, finals), np.float32(DARKEST * self.light.spec.unit)
+        table, darkest = self._table(texels, finals), np.float32(MIN_LIGHT * self.light.spec.unit)
         met = prepared.room(self.light.seen.albedo).walls
 
         def _piece(a: int, b: int) -> None:
@@ -217,7 +217,7 @@ class WallView:
         means = room.albedos[walls.numbers][:, None] * sums.reshape(-1, replicas, 3) / count
         variance = pooled_variance(variance_of_mean(means), self.gbuffer, walls.pixels)
         light = np.minimum(means.mean(axis=1) + room.radiances[walls.numbers], np.finfo(np.float32).max)
-        error = np.sqrt(variance) / np.maximum(light @ LUMINANCE, DARKEST * self.light.spec.unit)
+        error = np.sqrt(variance) / np.maximum(light @ LUMINANCE_WEIGHTS, MIN_LIGHT * self.light.spec.unit)
         framebuffer.radiance[walls.pixels] = light
         framebuffer.state[walls.pixels] = np.where(error <= target, FINAL, CONVERGING)
         framebuffer.error[walls.pixels] = np.clip(error, 0.0, 1.0)

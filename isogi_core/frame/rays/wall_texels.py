@@ -24,7 +24,7 @@ from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.matter.matter_paths import Through
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.prepared.surface import Surface
 
 COARSE, FINE, FINEST = 16, 64, 256
@@ -142,7 +142,7 @@ class WallTexels:
     @cached_property
     def variance(self) -> np.ndarray:
         """Variance of the luminance that leaves each texel, a mean with its neighbours', by NEAR; (rows, columns)."""
-        halves = self.means @ (LUMINANCE * self.albedo)
+        halves = self.means @ (LUMINANCE_WEIGHTS * self.albedo)
         return pooled(((halves[..., 0] - halves[..., 1]) / 2.0) ** 2)
 
     @cached_property
@@ -176,7 +176,7 @@ class WallTexels:
     @property
     def luminance(self) -> np.ndarray:
         """The luminance that the wall reflects at each texel; (rows, columns)."""
-        return np.asarray(self.means.mean(axis=2) @ (LUMINANCE * self.albedo))
+        return np.asarray(self.means.mean(axis=2) @ (LUMINANCE_WEIGHTS * self.albedo))
 
     def relative(self, variance: np.ndarray) -> float:
         """The error that a ``variance`` (rows, columns) makes of all of them, relative; 0 where no light arrives."""
@@ -270,7 +270,9 @@ class WallTexels:
         points += np.outer((row + 0.5) / rows, edges[1])
         points /= surface.field.spacing
         normals = np.tile(self.side * room.normals[self.wall], (len(points), 1))
-        words = np.column_stack([np.full(len(row), streams.WALLS + 2 * self.wall + (self.side < 0)), row, column, half])
+        words = np.column_stack(
+            [np.full(len(row), streams.WALLS_STREAM + 2 * self.wall + (self.side < 0)), row, column, half]
+        )
         return starts_on(points, normals, np.full(len(row), self.wall), surface, seeds_of(words))
 
     @cached_property

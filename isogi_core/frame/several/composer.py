@@ -25,7 +25,7 @@ from isogi_core.frame.view_keys import surface_key
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
 from isogi_core.plan.levels import levels_around
-from isogi_core.plan.sides import OUTER, WALLS, Side, scene_of_side, sides_of, surfaces_of
+from isogi_core.plan.sides import OUTER, WALLS_SIDE, Side, scene_of_side, sides_of, surfaces_of
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 SHOWN, HELD = 2, 6
@@ -70,7 +70,7 @@ class Composer:
         parts = []
         for side, layers in peels.sides.items():
             renderer = self.renderer(side, view.isovalue)
-            if side == WALLS:
+            if side == WALLS_SIDE:
                 frame = renderer.draw_walls(peels.walls, view, until.target, tiles, watch)
             else:
                 tall = self._view_of(side, view, layers.layers)
@@ -104,14 +104,16 @@ class Composer:
         frame = self.draw(view, Until(target, FIRST_LEVEL), tiles, Stopwatch())
         if not frame.refinable:
             return False
-        waiting = [part for part in parts_of(frame) if part.frame.checkable and (frame.checkable or part.side == WALLS)]
+        waiting = [
+            part for part in parts_of(frame) if part.frame.checkable and (frame.checkable or part.side == WALLS_SIDE)
+        ]
         waiting.sort(key=wrong_of, reverse=True)
         own, at = (self.renderer(part.side, view.isovalue) for part in waiting), prices.of_present
         return any(each.refine_frame(part.frame, target, tiles, at) for each, part in zip(own, waiting, strict=True))
 
     def renderer(self, side: Side, shown: float) -> SurfaceRenderer:
         """The renderer of a ``side``, or of WALLS, where the surface that slides shows the isovalue ``shown``."""
-        if side in (OUTER, WALLS):
+        if side in (OUTER, WALLS_SIDE):
             return self._own
         key = side, shown if side.number else None
         with self._lock:
@@ -174,7 +176,7 @@ class Composer:
                 prepared = self.renderer(side, view.isovalue).caches.prepared
                 sides[side] = layers_of(hits, side, first, prepared.surface(every[side.number].isovalue))
         walls, seen = walls_of(hits, first)
-        return Peels(first, sides | ({} if seen is None else {WALLS: seen}), left, walls)
+        return Peels(first, sides | ({} if seen is None else {WALLS_SIDE: seen}), left, walls)
 
 
 Kept = TypeVar("Kept")

@@ -14,8 +14,8 @@ from isogi_core.frame.several.peels import Hits, Peeler
 from isogi_core.frame.several.surfaces_frame import parts_of
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.edges import Shown, borrow_light
-from isogi_core.kernels.tracing.peels import WALL
-from isogi_core.kernels.tracing.sight import FACE
+from isogi_core.kernels.tracing.peels import FIRST_WALL_SIDE
+from isogi_core.kernels.tracing.sight import WINDOW_FACE
 
 
 def smooth_surfaces(frame: Frame, peeler: Peeler, exposure: float, tiles: Tiles, glow: EyeGlow | None = None) -> Frame:
@@ -49,7 +49,7 @@ def pictures_of(frame: Frame) -> dict[int, Shown]:
     """The tall picture of each side in a ``frame``, by the side's number as of ``Peeled``; and that with its faces."""
     whole = shown_by(frame)
     tall = {part.side.peeled: shown_by(part.frame) for part in parts_of(frame)}
-    return {int(FACE): whole} | {side: picture._replace(fine=whole.fine) for side, picture in tall.items()}
+    return {int(WINDOW_FACE): whole} | {side: picture._replace(fine=whole.fine) for side, picture in tall.items()}
 
 
 def by_layer(hits: Hits) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -68,7 +68,7 @@ def add_light(hits: Hits, side: int, picture: Shown, height: int, places: np.nda
 
     It is the light of the pixels around in the same layer of its tall ``picture``, by the weight of the hit.
     """
-    some = np.flatnonzero(np.minimum(hits.sides, WALL) == side)
+    some = np.flatnonzero(np.minimum(hits.sides, FIRST_WALL_SIDE) == side)
     rays, down = hits.pixels[some], np.array([0.0, height], np.float32)
     there, found = places[rays] + hits.ranks[some][:, None] * down, np.zeros((len(some), 3), np.float32)
     borrow_light(picture, there, np.arange(len(some), dtype=np.uint32), hits.points[some], found)

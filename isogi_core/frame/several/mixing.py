@@ -7,7 +7,7 @@ import numpy as np
 
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.texel_reading import Lacking, Reading, Stage
-from isogi_core.kernels.shading.lattice import BURIED, PARTIAL, UNBAKED, UNLIT
+from isogi_core.kernels.shading.lattice import BURIED_GRADE, PARTIAL_GRADE, UNBAKED_GRADE, UNLIT_ROW
 
 NOISE = 3
 """The number of a texel's light, of LIT, that is its standard error."""
@@ -57,12 +57,12 @@ def mixed(levels: Sequence[Level], found: Sequence[tuple[Reading, np.ndarray]]) 
         return found[0]
     readings, lights = zip(*found, strict=True)
     grades = np.stack([reading.grade for reading in readings])
-    empty = (grades == BURIED) | (grades == UNBAKED)
+    empty = (grades == BURIED_GRADE) | (grades == UNBAKED_GRADE)
     own = np.where(empty, 0.0, np.array([[level.share] for level in levels])).astype(np.float32)
     shares = own / np.maximum(own.sum(axis=0), np.float32(1e-6))
     light = np.einsum("lt,ltc->tc", shares, np.stack(lights))
     light[:, NOISE] = np.sqrt(np.einsum("lt,lt->t", shares**2, np.stack([lit[:, NOISE] for lit in lights]) ** 2))
-    rows = np.where(empty.all(axis=0), UNLIT, 0).astype(np.int32)
+    rows = np.where(empty.all(axis=0), UNLIT_ROW, 0).astype(np.int32)
     errors = np.where(shares > 0.0, np.stack([reading.error for reading in readings]), np.float32(0.0))
     reading = MixedReading(
         rows=rows,
@@ -85,6 +85,6 @@ def worst_of(grades: np.ndarray) -> np.ndarray:
     Whether a texel is void follows from its own place, and so at all levels.
     """
     worst = grades.min(axis=0)
-    lit = ((grades != UNBAKED) & (grades != BURIED)).any(axis=0)
-    worst[lit & (worst == UNBAKED)] = PARTIAL
+    lit = ((grades != UNBAKED_GRADE) & (grades != BURIED_GRADE)).any(axis=0)
+    worst[lit & (worst == UNBAKED_GRADE)] = PARTIAL_GRADE
     return np.asarray(worst, np.uint8)

@@ -9,11 +9,11 @@ import numpy as np
 from isogi_core.frame.gbuffer import RAYS, GBuffer, PointsBeside, sight_among, view_pinhole
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.tracing.camera import Pinhole
-from isogi_core.kernels.tracing.peels import LAYERS, MAX_SURFACES, WALL, Peeled, Shells, peel_rays
-from isogi_core.kernels.tracing.sight import FACE, Sight
+from isogi_core.kernels.tracing.peels import FIRST_WALL_SIDE, MAX_PEELED_LAYERS, MAX_SURFACES, Peeled, Shells, peel_rays
+from isogi_core.kernels.tracing.sight import WINDOW_FACE, Sight
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.model.view import View
-from isogi_core.plan.sides import WALLS, Side
+from isogi_core.plan.sides import WALLS_SIDE, Side
 from isogi_core.prepared.surface import Surface
 
 
@@ -39,12 +39,14 @@ class Hits:
 
     def rows_of(self, side: Side) -> np.ndarray:
         """The rows of those that are of a ``side``."""
-        return np.flatnonzero(np.minimum(self.sides, WALL) == side.peeled)
+        return np.flatnonzero(np.minimum(self.sides, FIRST_WALL_SIDE) == side.peeled)
 
     def beside(self, rows: np.ndarray) -> PointsBeside:
         """The hits in some ``rows``, which are on walls or faces."""
         sides = self.sides[rows]
-        return PointsBeside(self.pixels[rows], self.points[rows], np.where(sides < WALL, sides, sides - WALL))
+        return PointsBeside(
+            self.pixels[rows], self.points[rows], np.where(sides < FIRST_WALL_SIDE, sides, sides - FIRST_WALL_SIDE)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +115,7 @@ class Peeler:
         """What is met through places (n,) of the picture, by their numbers; and the share left behind, (n,) float64."""
         corner, right, down = (np.array(each)[:, None] for each in self.camera[1:])
         directions = np.ascontiguousarray(corner + x * right + y * down)
-        room, left = (LAYERS + 1) * len(x), np.empty(len(x))
+        room, left = (MAX_PEELED_LAYERS + 1) * len(x), np.empty(len(x))
         sides, ranks = np.empty((2, room), np.int8)
         rays, points = np.empty(room, np.uint32), np.empty((room, 3), np.float32)
         peeled = Peeled(rays, points, sides, ranks, np.empty(room, np.float32))
@@ -149,7 +151,7 @@ def first_of(view: View, hits: Hits, surface: Surface) -> GBuffer:
     """The G-buffer of what is in front, and of the faces of a window; it has the ``surface`` of the one that slides."""
     spacing = surface.field.spacing
     front = np.append(True, hits.pixels[1:] != hits.pixels[:-1])[: len(hits.pixels)]
-    face, wall = hits.sides == FACE, hits.sides >= WALL
+    face, wall = hits.sides == WINDOW_FACE, hits.sides >= FIRST_WALL_SIDE
     on = np.flatnonzero(front & ~face & ~wall)
     shown = (view.height, view.width), spacing, view_pinhole(view, spacing).eye, surface
     walls, faces = (hits.beside(np.flatnonzero(each)) for each in (front & wall, face))
@@ -160,7 +162,7 @@ def walls_of(hits: Hits, first: GBuffer) -> tuple[GBuffer, SideLayers | None]:
     """The picture of walls alone among some ``hits``, and what they count in that which ``first`` is of; None where
     there are none.
     """
-    rows, shown = hits.rows_of(WALLS), (first.shape, first.spacing, first.eye, first.surface)
+    rows, shown = hits.rows_of(WALLS_SIDE), (first.shape, first.spacing, first.eye, first.surface)
     seen = hits.beside(rows)
     picture = GBuffer(*shown, np.empty(0, np.uint32), np.empty((0, 3), np.float32), walls=seen)
     if not len(rows):

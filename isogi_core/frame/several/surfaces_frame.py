@@ -16,10 +16,10 @@ from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.sides import OUTER, WALLS, Side
+from isogi_core.plan.sides import OUTER, WALLS_SIDE, Side
 
 DARK = 1e-30
 """Luminance below which relative errors are of nothing."""
@@ -49,7 +49,7 @@ class Part:
     def measured(self) -> TotalError | None:
         """The total error by control pixels; walls have no control pixels, and report their noise."""
         noise = self.frame.noise
-        return TotalError(noise, noise, noise) if self.side == WALLS else self.frame.measured
+        return TotalError(noise, noise, noise) if self.side == WALLS_SIDE else self.frame.measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,18 +105,20 @@ class SurfacesQuality(Quality):
 
     def checkable(self, frame: Frame) -> bool:
         """See ``Frame.checkable``."""
-        lit = not any(part.frame.provisional for part in self.parts if part.side != WALLS)
+        lit = not any(part.frame.provisional for part in self.parts if part.side != WALLS_SIDE)
         return lit and not frame.final and any(part.frame.checkable for part in self.parts)
 
     def walls_lag(self, frame: Frame) -> bool:
         """See ``Frame.walls_lag``: more wrong than the side with the largest error."""
-        walls = [part for part in self.parts if part.side == WALLS and part.frame.quality.waiting]
-        worst = max((wrong_of(part) for part in self.parts if part.side != WALLS), default=0.0)
+        walls = [part for part in self.parts if part.side == WALLS_SIDE and part.frame.quality.waiting]
+        worst = max((wrong_of(part) for part in self.parts if part.side != WALLS_SIDE), default=0.0)
         return any(part.frame.quality.walls_coarse(part.frame) or wrong_of(part) > worst for part in walls)
 
     def true_mean(self, frame: Frame) -> float:
         """The mean luminance of the pixels that show something."""
-        return float((frame.radiance[frame.state > 0].astype(np.float64) @ LUMINANCE).sum()) / max(frame.surface, 1)
+        return float((frame.radiance[frame.state > 0].astype(np.float64) @ LUMINANCE_WEIGHTS).sum()) / max(
+            frame.surface, 1
+        )
 
     def measured(self, frame: Frame) -> TotalError | None:
         """The total relative RMSE by the control pixels of all sides, whose errors count as independent of each other;
@@ -159,11 +161,11 @@ def summed_errors(errors: Sequence[tuple[Part, np.ndarray]], radiance: np.ndarra
     """Relative errors (h, w) of a picture of this ``radiance``, by those of its parts' tall pictures."""
     squares = np.zeros(radiance.shape[0] * radiance.shape[1])
     for part, error in errors:
-        light = part.seen(part.frame.radiance).astype(np.float64) @ LUMINANCE
+        light = part.seen(part.frame.radiance).astype(np.float64) @ LUMINANCE_WEIGHTS
         own = (part.layers.weights * light * part.seen(error)) ** 2
         for rows, pixels in part.layers.each:
             squares[pixels] += own[rows]
-    light = radiance.reshape(-1, 3).astype(np.float64) @ LUMINANCE
+    light = radiance.reshape(-1, 3).astype(np.float64) @ LUMINANCE_WEIGHTS
     return np.minimum(np.sqrt(squares) / np.maximum(light, DARK), 1.0).astype(np.float32).reshape(radiance.shape[:2])
 
 

@@ -6,12 +6,12 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.shading.framebuffer import FINAL, FRAMEBUFFER, PIXELS, POINTS, luminance
-from isogi_core.kernels.shading.lattice import CORNERS, LATTICE, UNLIT, base_texel, trilinear
+from isogi_core.kernels.shading.framebuffer import FINAL, FRAMEBUFFER, PIXEL_ARRAY, POINT_ROWS, luminance
+from isogi_core.kernels.shading.lattice import CORNER_ROWS, LATTICE, UNLIT_ROW, base_texel, trilinear
 
-PLACES = types.uint32[::1]
+PLACE_ARRAY = types.uint32[::1]
 SLOTS = types.int32[:, :, ::1]
-WORDS = types.uint32[::1]
+WORD_ARRAY = types.uint32[::1]
 
 
 @kernel()
@@ -33,7 +33,7 @@ def even_corner(z, y, x):
     return np.int64(x & 1 | (y & 1) << 1 | (z & 1) << 2)
 
 
-@kernel(types.void(LATTICE, POINTS, types.boolean, types.boolean[:, :, ::1]))
+@kernel(types.void(LATTICE, POINT_ROWS, types.boolean, types.boolean[:, :, ::1]))
 def touch_chunks(lattice, points, coarse, touched):
     """Set ``touched`` (chunks z, y, x) for each chunk that a point reads: all of its cell, or ``coarse`` texels."""
     bits = lattice.bits
@@ -76,7 +76,7 @@ def row_of_corner(slots, bits, z, y, x, c):
     return row_of(slots, bits, z + np.uint32(c >> 2), y + np.uint32(c >> 1 & 1), x), within(x, bits)
 
 
-@kernel(types.void(LATTICE, POINTS, types.boolean, SLOTS, WORDS))
+@kernel(types.void(LATTICE, POINT_ROWS, types.boolean, SLOTS, WORD_ARRAY))
 def mark_texels(lattice, points, coarse, slots, read):
     """Set in ``read`` (slots · rows,), a bit for each texel of a row, those that a point reads.
 
@@ -117,7 +117,7 @@ def number_in_row(read, first, r, i):
     return first[r] + np.uint32(ones(read[r] & ((np.uint32(1) << np.uint32(i)) - np.uint32(1))))
 
 
-@kernel(types.void(LATTICE, POINTS, SLOTS, WORDS, PLACES, CORNERS))
+@kernel(types.void(LATTICE, POINT_ROWS, SLOTS, WORD_ARRAY, PLACE_ARRAY, CORNER_ROWS))
 def find_corners(lattice, points, slots, read, first, corners):
     """Fill ``corners`` (points, 8), x fastest, with the view's own numbers of the texels.
 
@@ -143,7 +143,7 @@ def is_nearer(c, corner):
     return (apart & 1) + (apart >> 1 & 1) + (apart >> 2) < 2
 
 
-@kernel(types.void(LATTICE, POINTS, SLOTS, WORDS, PLACES, CORNERS))
+@kernel(types.void(LATTICE, POINT_ROWS, SLOTS, WORD_ARRAY, PLACE_ARRAY, CORNER_ROWS))
 def find_coarse_corners(lattice, points, slots, read, first, corners):
     """Find corners of a view that reads the lattice coarsely: two texels of each cell stand for all.
 
@@ -161,7 +161,7 @@ def find_coarse_corners(lattice, points, slots, read, first, corners):
             corners[m, c] = numbers[0] if is_nearer(c, even) else numbers[1]
 
 
-@kernel(types.void(LATTICE, types.int64, types.int64, WORDS, PLACES, PLACES))
+@kernel(types.void(LATTICE, types.int64, types.int64, WORD_ARRAY, PLACE_ARRAY, PLACE_ARRAY))
 def find_places(lattice, begin, end, read, first, places):
     """Write to ``places`` (texels,) where the texels of the rows ``begin`` … ``end`` are.
 
@@ -195,7 +195,11 @@ def is_new(places, corners, m, c, bits):
     return True
 
 
-@kernel(types.void(LATTICE, CORNERS, PLACES, PIXELS, types.int64, types.int64, FRAMEBUFFER, types.float64[::1]))
+@kernel(
+    types.void(
+        LATTICE, CORNER_ROWS, PLACE_ARRAY, PIXEL_ARRAY, types.int64, types.int64, FRAMEBUFFER, types.float64[::1]
+    )
+)
 def weigh_chunks(lattice, corners, places, pixels, width, height, framebuffer, weight):
     """Add to ``weight`` (chunks,) the ``visible_error`` of the points that read each chunk.
 
@@ -226,11 +230,11 @@ class Pages(NamedTuple):
     stamp: Any
 
 
-NUMBERS, REALS = types.int32[::1], types.float32[::1]
-PAGES = record(Pages, types.int32[:, ::1], REALS, REALS)
+COUNT_ARRAY, SINGLE_ARRAY = types.int32[::1], types.float32[::1]
+PAGES = record(Pages, types.int32[:, ::1], SINGLE_ARRAY, SINGLE_ARRAY)
 
 
-@kernel(types.void(LATTICE, PLACES, NUMBERS, PAGES, NUMBERS, REALS, REALS))
+@kernel(types.void(LATTICE, PLACE_ARRAY, COUNT_ARRAY, PAGES, COUNT_ARRAY, SINGLE_ARRAY, SINGLE_ARRAY))
 def find_rows(lattice, places, slots, pages, rows, error, stamp):
     """Where the light of the texels at ``places`` is kept, and how far it is baked; all outputs (texels,).
 
@@ -240,13 +244,13 @@ def find_rows(lattice, places, slots, pages, rows, error, stamp):
     bits = 3 * lattice.bits
     for t in range(places.shape[0]):
         slot = slots[places[t] >> bits]
-        row = pages.table[slot, within(places[t], bits)] if slot >= 0 else UNLIT
+        row = pages.table[slot, within(places[t], bits)] if slot >= 0 else UNLIT_ROW
         rows[t] = row
         error[t] = pages.error[row] if row >= 0 else 0.0
         stamp[t] = pages.stamp[row] if row >= 0 else row
 
 
-@kernel(types.void(LATTICE, POINTS, CORNERS, types.float64[::1]))
+@kernel(types.void(LATTICE, POINT_ROWS, CORNER_ROWS, types.float64[::1]))
 def add_footprints(lattice, points, corners, seen):
     """Add to ``seen`` (texels,) the squares of a texel's shares in the points; ``corners`` (points, 8), x fastest.
 

@@ -7,7 +7,7 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 
-CLOSE = np.float32(0.1**2)
+NEAR_CENTRE = np.float32(0.1**2)
 """Squared distance, in pixels, within which a sample is as good as at a pixel's middle."""
 
 HALF_F32, ZERO_F32 = np.float32(0.5), np.float32(0.0)
@@ -57,7 +57,7 @@ class Shown(NamedTuple):
     fine: Any
 
 
-SHOWN = record(
+SHOWN_RECORD = record(
     Shown,
     types.int32[:, ::1],
     types.float32[:, ::1],
@@ -90,14 +90,16 @@ def add_pixel(shown, x, y, sample, unit, total):
     points, m = sample
     row, pixel = shown.rows[y, x], y * width + x
     own = shown.points[row, 0], shown.points[row, 1], shown.points[row, 2]
-    near = squared_distance(shown.spacing, points, m, own) * unit + CLOSE
+    near = squared_distance(shown.spacing, points, m, own) * unit + NEAR_CENTRE
     weight = np.float32(1.0) / (near * near)
     r, g, b, w = total
     light = shown.radiance
     return r + weight * light[pixel, 0], g + weight * light[pixel, 1], b + weight * light[pixel, 2], w + weight
 
 
-@kernel(types.void(SHOWN, types.float32[:, ::1], types.uint32[::1], types.float32[:, ::1], types.float32[:, ::1]))
+@kernel(
+    types.void(SHOWN_RECORD, types.float32[:, ::1], types.uint32[::1], types.float32[:, ::1], types.float32[:, ::1])
+)
 def borrow_light(shown, places, found, points, light):
     """Fill rows ``found`` (k,) of ``light`` (n, 3) with that of surface ``points``, seen at ``places`` (n, 2; x, y).
 

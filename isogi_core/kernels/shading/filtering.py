@@ -14,19 +14,28 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.shading.chunks import SLOTS, WORDS, ones, within
+from isogi_core.kernels.shading.chunks import SLOTS, WORD_ARRAY, ones, within
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, luminance
-from isogi_core.kernels.shading.irradiance_ratio import BARE, DIRECT, GRADE, NOISE, NORMAL, RECORD, REFLECTED, TEXELS
-from isogi_core.kernels.shading.lattice import CORNERS, DARKEST, GRADES, LIT, UNBAKED
-from isogi_core.kernels.transport.transfer import TEXELS as POSITIONS
+from isogi_core.kernels.shading.irradiance_ratio import (
+    DIRECT_COLUMN,
+    GRADE_COLUMN,
+    NOISE_COLUMN,
+    NORMAL_COLUMN,
+    RECORD_LENGTH,
+    REFLECTED_COLUMN,
+    TEXEL_RECORDS,
+    UNSHADOWED_COLUMN,
+)
+from isogi_core.kernels.shading.lattice import CORNER_ROWS, GRADE_ARRAY, LIGHT_NUMBERS, MIN_LIGHT, UNBAKED_GRADE
+from isogi_core.kernels.transport.transfer import TEXEL_PLACES
 
-PATHS, VARIANCE = 14, 15
+PATHS_COLUMN, VARIANCE_COLUMN = 14, 15
 """Where a record has how many samples a texel took, and the variance of its own light's luminance, for filtering."""
 
 DISTANCE_WEIGHTS = np.exp(np.arange(4, dtype=np.float32) / np.float32(-2.0))
 """What a neighbour counts by its squared distance, 0 … 3, in steps: a Gauss curve of a step's width."""
 
-SHARED = np.float32(27 / 8)
+SHARED_VARIANCE_FACTOR = np.float32(27 / 8)
 """How much more the variance that neighbours share counts in pixels than the variance of one texel's noise.
 
 Pixels mix eight texels with trilinear weights, whose squares sum up to (2/3)³ in the mean over a cell: to so little of
@@ -49,7 +58,7 @@ class Numbering(NamedTuple):
     first: Any
 
 
-NUMBERING = record(Numbering, SLOTS, WORDS, WORDS)
+NUMBERING = record(Numbering, SLOTS, WORD_ARRAY, WORD_ARRAY)
 
 
 @kernel()
@@ -77,8 +86,11 @@ def number_of(numbering, row, place):
 @kernel(inline=True)
 def likeness(texels, t, s):
     """What texel ``s`` counts for ``t`` by the cosine between their normals: its 16th power, half at 17°."""
-    cosine = texels[t, NORMAL] * texels[s, NORMAL]
-    cosine += texels[t, NORMAL + 1] * texels[s, NORMAL + 1] + texels[t, NORMAL + 2] * texels[s, NORMAL + 2]
+    cosine = texels[t, NORMAL_COLUMN] * texels[s, NORMAL_COLUMN]
+    cosine += (
+        texels[t, NORMAL_COLUMN + 1] * texels[s, NORMAL_COLUMN + 1]
+        + texels[t, NORMAL_COLUMN + 2] * texels[s, NORMAL_COLUMN + 2]
+    )
     square = max(cosine, ZERO_F32) ** 2
     return square**2 * square**2 * (square**2 * square**2)
 
@@ -100,7 +112,7 @@ def neighbours_of(numbering, bits, texels, at, step, found, weights):
                 own = row if inside else row_at(numbering, bits, z + k * step, y + j * step, x + i * step)
                 number = number_of(numbering, own, within(x + i * step, bits)) if own >= 0 else -1
                 s = np.uint64(max(number, 0))
-                if number >= 0 and CONVERGING <= texels[s, GRADE] <= FINAL:
+                if number >= 0 and CONVERGING <= texels[s, GRADE_COLUMN] <= FINAL:
                     weight = DISTANCE_WEIGHTS[k * k + j * j + i * i] * likeness(texels, t, s)
                     if weight > ZERO_F32:
                         found[count], weights[count] = s, weight
@@ -115,23 +127,35 @@ def mean_of(texels, found, weights, count):
     They count by their samples too.
     """
     direct = bare = reflected = (ZERO_F32, ZERO_F32, ZERO_F32)
-    total, variance = DARKEST, ZERO_F32
+    total, variance = MIN_LIGHT, ZERO_F32
     for n in range(np.uint64(count)):
         s = np.uint64(found[n])
-        w = weights[n] * texels[s, PATHS]
+        w = weights[n] * texels[s, PATHS_COLUMN]
         direct = direct[0] + w * texels[s, 0], direct[1] + w * texels[s, 1], direct[2] + w * texels[s, 2]
-        bare = bare[0] + w * texels[s, BARE], bare[1] + w * texels[s, BARE + 1], bare[2] + w * texels[s, BARE + 2]
-        r, g, b = texels[s, REFLECTED], texels[s, REFLECTED + 1], texels[s, REFLECTED + 2]
+        bare = (
+            bare[0] + w * texels[s, UNSHADOWED_COLUMN],
+            bare[1] + w * texels[s, UNSHADOWED_COLUMN + 1],
+            bare[2] + w * texels[s, UNSHADOWED_COLUMN + 2],
+        )
+        r, g, b = texels[s, REFLECTED_COLUMN], texels[s, REFLECTED_COLUMN + 1], texels[s, REFLECTED_COLUMN + 2]
         reflected = reflected[0] + w * r, reflected[1] + w * g, reflected[2] + w * b
-        total, variance = total + w, variance + w * w * texels[s, VARIANCE]
-    ratio = direct[0] / max(bare[0], DARKEST), direct[1] / max(bare[1], DARKEST), direct[2] / max(bare[2], DARKEST)
+        total, variance = total + w, variance + w * w * texels[s, VARIANCE_COLUMN]
+    ratio = (
+        direct[0] / max(bare[0], MIN_LIGHT),
+        direct[1] / max(bare[1], MIN_LIGHT),
+        direct[2] / max(bare[2], MIN_LIGHT),
+    )
     return ratio, (reflected[0] / total, reflected[1] / total, reflected[2] / total), variance / (total * total)
 
 
 @kernel(inline=True)
 def expected(texels, s, ratio, reflected):
     """The light of texel ``s`` by the ``ratio`` and the ``reflected`` light of its neighbours; linear RGB, twice."""
-    direct = ratio[0] * texels[s, BARE], ratio[1] * texels[s, BARE + 1], ratio[2] * texels[s, BARE + 2]
+    direct = (
+        ratio[0] * texels[s, UNSHADOWED_COLUMN],
+        ratio[1] * texels[s, UNSHADOWED_COLUMN + 1],
+        ratio[2] * texels[s, UNSHADOWED_COLUMN + 2],
+    )
     return direct, reflected
 
 
@@ -142,29 +166,29 @@ def differences(texels, found, weights, count, ratio, reflected):
     Variance is that of the luminance about what is ``expected``; what noise explains of it is taken off. The noise is
     that of all of them, as a few paths may agree by chance and show none.
     """
-    apart, noise, total = ZERO_F32, ZERO_F32, DARKEST
+    apart, noise, total = ZERO_F32, ZERO_F32, MIN_LIGHT
     for n in range(np.uint64(count)):
         s, w = np.uint64(found[n]), weights[n]
         direct, around = expected(texels, s, ratio, reflected)
-        r = texels[s, 0] + texels[s, REFLECTED] - direct[0] - around[0]
-        g = texels[s, 1] + texels[s, REFLECTED + 1] - direct[1] - around[1]
-        b = texels[s, 2] + texels[s, REFLECTED + 2] - direct[2] - around[2]
+        r = texels[s, 0] + texels[s, REFLECTED_COLUMN] - direct[0] - around[0]
+        g = texels[s, 1] + texels[s, REFLECTED_COLUMN + 1] - direct[1] - around[1]
+        b = texels[s, 2] + texels[s, REFLECTED_COLUMN + 2] - direct[2] - around[2]
         difference = luminance(r, g, b)
-        apart, noise, total = apart + w * difference * difference, noise + w * texels[s, VARIANCE], total + w
+        apart, noise, total = apart + w * difference * difference, noise + w * texels[s, VARIANCE_COLUMN], total + w
     return max(apart - noise, ZERO_F32), noise, total
 
 
 @kernel()
 def mean_paths(texels, found, weights, count):
     """How many samples a texel's neighbours took, in the mean."""
-    paths, total = ZERO_F32, DARKEST
+    paths, total = ZERO_F32, MIN_LIGHT
     for n in range(np.uint64(count)):
         s, w = np.uint64(found[n]), weights[n]
-        paths, total = paths + w * texels[s, PATHS], total + w
+        paths, total = paths + w * texels[s, PATHS_COLUMN], total + w
     return paths / total
 
 
-@kernel(types.void(NUMBERING, types.int64, POSITIONS, types.int64, types.int64, TEXELS, TEXELS))
+@kernel(types.void(NUMBERING, types.int64, TEXEL_PLACES, types.int64, types.int64, TEXEL_RECORDS, TEXEL_RECORDS))
 def filter_texels(numbering, bits, positions, first, step, texels, filtered):
     """Write to ``filtered`` (texels, RECORD) the records ``texels``, from the ``first`` on one for each position.
 
@@ -175,10 +199,10 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
     found, weights = np.empty(27, np.uint32), np.empty(27, np.float32)
     for m in range(positions.shape[0]):
         t = np.uint64(first + m)
-        for c in range(RECORD):
+        for c in range(RECORD_LENGTH):
             filtered[t, c] = texels[t, c]
-        unlit = texels[t, GRADE] == UNBAKED
-        if texels[t, GRADE] != CONVERGING and not unlit:
+        unlit = texels[t, GRADE_COLUMN] == UNBAKED_GRADE
+        if texels[t, GRADE_COLUMN] != CONVERGING and not unlit:
             continue
         at = t, np.int64(positions[m, 0]), np.int64(positions[m, 1]), np.int64(positions[m, 2])
         count = neighbours_of(numbering, bits, texels, at, step, found, weights)
@@ -188,37 +212,40 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
         signal, noise, total = differences(texels, found, weights, count, ratio, reflected)
         if unlit and total < LENDS:
             continue
-        own = ZERO_F32 if unlit else signal / max(signal + noise, DARKEST)
+        own = ZERO_F32 if unlit else signal / max(signal + noise, MIN_LIGHT)
         direct, around = expected(texels, t, ratio, reflected)
         for c in range(3):
-            filtered[t, DIRECT + c] = own * texels[t, DIRECT + c] + (ONE_F32 - own) * direct[c]
-            filtered[t, REFLECTED + c] = own * texels[t, REFLECTED + c] + (ONE_F32 - own) * around[c]
+            filtered[t, DIRECT_COLUMN + c] = own * texels[t, DIRECT_COLUMN + c] + (ONE_F32 - own) * direct[c]
+            filtered[t, REFLECTED_COLUMN + c] = own * texels[t, REFLECTED_COLUMN + c] + (ONE_F32 - own) * around[c]
         kept, taken = signal / total if unlit else own * (noise / total), (ONE_F32 - own) ** 2 * variance
         if unlit:
-            filtered[t, GRADE], filtered[t, PATHS] = CONVERGING, mean_paths(texels, found, weights, count)
-        filtered[t, VARIANCE], filtered[t, NOISE] = kept + taken, math.sqrt(kept + SHARED * taken)
+            filtered[t, GRADE_COLUMN], filtered[t, PATHS_COLUMN] = CONVERGING, mean_paths(texels, found, weights, count)
+        filtered[t, VARIANCE_COLUMN], filtered[t, NOISE_COLUMN] = (
+            kept + taken,
+            math.sqrt(kept + SHARED_VARIANCE_FACTOR * taken),
+        )
 
 
-@kernel(types.void(TEXELS, types.boolean[::1], GRADES, TEXELS, GRADES, TEXELS))
+@kernel(types.void(TEXEL_RECORDS, types.boolean[::1], GRADE_ARRAY, TEXEL_RECORDS, GRADE_ARRAY, TEXEL_RECORDS))
 def take_filtered(records, noisy, grade, lit, graded, filtered):
     """Fill ``filtered`` (texels, LIT) with the light of the ``records`` where it is ``noisy`` (texels,), or where there
     was none and now is; with ``lit`` elsewhere. ``graded`` (texels,) is ``grade``, in which the latter are CONVERGING.
     """
     for t in range(lit.shape[0]):
-        new = grade[t] == UNBAKED and records[t, GRADE] == CONVERGING
+        new = grade[t] == UNBAKED_GRADE and records[t, GRADE_COLUMN] == CONVERGING
         graded[t] = CONVERGING if new else grade[t]
-        for c in range(LIT):
+        for c in range(LIGHT_NUMBERS):
             filtered[t, c] = lit[t, c]
         if noisy[t] or new:
-            filtered[t, 3] = records[t, NOISE]
+            filtered[t, 3] = records[t, NOISE_COLUMN]
             for c in range(3):
                 filtered[t, c], filtered[t, 4 + c] = (
-                    records[t, DIRECT + c] + records[t, REFLECTED + c],
-                    records[t, REFLECTED + c],
+                    records[t, DIRECT_COLUMN + c] + records[t, REFLECTED_COLUMN + c],
+                    records[t, REFLECTED_COLUMN + c],
                 )
 
 
-@kernel(types.void(CORNERS, GRADES, TEXELS, GRADES, TEXELS))
+@kernel(types.void(CORNER_ROWS, GRADE_ARRAY, TEXEL_RECORDS, GRADE_ARRAY, TEXEL_RECORDS))
 def lend_texels(corners, grade, lit, graded, lent):
     """Write to ``lent`` the light of texels without any: the mean of the others in a cell of theirs, the last such.
 
@@ -230,14 +257,14 @@ def lend_texels(corners, grade, lit, graded, lent):
         lenders, unlit = ZERO_F32, False
         mean[:] = ZERO_F32
         for t in cell:
-            unlit = unlit or grade[t] == UNBAKED
+            unlit = unlit or grade[t] == UNBAKED_GRADE
             if CONVERGING <= grade[t] <= FINAL:
                 lenders += ONE_F32
                 for c in range(mean.shape[0]):
                     mean[c] += lit[t, c]
         if unlit and lenders > ZERO_F32:
             for t in cell:
-                if grade[t] == UNBAKED:
+                if grade[t] == UNBAKED_GRADE:
                     graded[t] = CONVERGING
                     for c in range(mean.shape[0]):
                         lent[t, c] = mean[c] / lenders

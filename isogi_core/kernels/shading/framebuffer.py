@@ -11,7 +11,7 @@ from isogi_core.kernels._jit import kernel, record
 PROVISIONAL, CONVERGING, FINAL = 1, 2, 3
 """States of a pixel that shows the surface; 0 where none is seen."""
 
-RED, GREEN, BLUE = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
+RED_LUMINANCE, GREEN_LUMINANCE, BLUE_LUMINANCE = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
 
 
 class Framebuffer(NamedTuple):
@@ -35,9 +35,9 @@ class PixelPoints(NamedTuple):
     pixels: Any
 
 
-POINTS = types.float32[:, ::1]
-PIXELS = types.uint32[::1]
-PIXEL_POINTS = record(PixelPoints, POINTS, POINTS, PIXELS)
+POINT_ROWS = types.float32[:, ::1]
+PIXEL_ARRAY = types.uint32[::1]
+PIXEL_POINTS = record(PixelPoints, POINT_ROWS, POINT_ROWS, PIXEL_ARRAY)
 
 
 @kernel()
@@ -49,7 +49,7 @@ def point_of(vectors, m):
 @kernel()
 def luminance(r, g, b):
     """Relative luminance of linear RGB (ITU-R BT.709)."""
-    return RED * r + GREEN * g + BLUE * b
+    return RED_LUMINANCE * r + GREEN_LUMINANCE * g + BLUE_LUMINANCE * b
 
 
 @kernel()
@@ -73,7 +73,7 @@ def tally(framebuffer, counts, sums):
             sums[1] += (light * framebuffer.error[i]) ** 2
 
 
-GAIN, TOE, SHOULDER = 1.7, 0.16, 0.6
+TONE_GAIN, TONE_TOE, TONE_SHOULDER = 1.7, 0.16, 0.6
 """The tone curve: light below TOE is deepened, the rest has GAIN, and from SHOULDER on it is bent towards 1.
 
 Chosen by eye on ten volumes under sky, probes and studio: daylight leaves their shade near 0.15 and their sunlit sides
@@ -87,10 +87,10 @@ def tone(x):
 
     It is 0 at 0, rises everywhere, has a continuous slope, and is never above 1.
     """
-    y = GAIN * x * (x / (x + TOE)) if x < 1e3 else GAIN * x
-    if y <= SHOULDER:
+    y = TONE_GAIN * x * (x / (x + TONE_TOE)) if x < 1e3 else TONE_GAIN * x
+    if y <= TONE_SHOULDER:
         return y
-    return 1.0 - (1.0 - SHOULDER) * math.exp((SHOULDER - y) / (1.0 - SHOULDER))
+    return 1.0 - (1.0 - TONE_SHOULDER) * math.exp((TONE_SHOULDER - y) / (1.0 - TONE_SHOULDER))
 
 
 @kernel()

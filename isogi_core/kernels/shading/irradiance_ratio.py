@@ -17,19 +17,19 @@ from isogi_core.kernels.shading.framebuffer import (
     FINAL,
     FRAMEBUFFER,
     PIXEL_POINTS,
-    POINTS,
+    POINT_ROWS,
     PROVISIONAL,
     luminance,
     put_pixel,
 )
 from isogi_core.kernels.shading.lattice import (
-    BURIED,
-    CORNERS,
-    DARKEST,
+    BURIED_GRADE,
+    CORNER_ROWS,
     LATTICE,
-    PARTIAL,
-    UNBAKED,
-    VOID,
+    MIN_LIGHT,
+    PARTIAL_GRADE,
+    UNBAKED_GRADE,
+    VOID_GRADE,
     base_texel,
     trilinear,
 )
@@ -40,12 +40,20 @@ MIN_UNSHADOWED = 0.05
 LEAST_COSINE = np.float32(1e-3)
 """Cosine between a texel's normal and a pixel's that weights count with at least: where all face away, all count."""
 
-TURNED = np.float32(0.1055)
+NORMAL_TURN_LIMIT = np.float32(0.1055)
 """1 - cosine, of 27°, at which weights have fallen to a fifth; they are a half at 16°."""
 
 ZERO_F32, ONE_F32 = np.float32(0.0), np.float32(1.0)
 
-DIRECT, NOISE, BARE, GRADE, REFLECTED, NORMAL, RECORD = 0, 3, 4, 7, 8, 11, 16
+DIRECT_COLUMN, NOISE_COLUMN, UNSHADOWED_COLUMN, GRADE_COLUMN, REFLECTED_COLUMN, NORMAL_COLUMN, RECORD_LENGTH = (
+    0,
+    3,
+    4,
+    7,
+    8,
+    11,
+    16,
+)
 """Where numbers of a texel begin in its record, and how many there are, a cache line: its direct light, linear RGB, the
 standard error of all its light, unshadowed light about its normal, its grade, reflected light, and the normal.
 """
@@ -82,10 +90,10 @@ def unshadowed_light(unshadowed, x, y, z):
     return max(r, low[0]), max(g, low[1]), max(b, low[2])
 
 
-TEXELS = types.float32[:, ::1]
+TEXEL_RECORDS = types.float32[:, ::1]
 
 
-@kernel(types.void(types.uint8[::1], types.float32[:, ::1], POINTS, UNSHADOWED, types.boolean, TEXELS))
+@kernel(types.void(types.uint8[::1], types.float32[:, ::1], POINT_ROWS, UNSHADOWED, types.boolean, TEXEL_RECORDS))
 def fill_records(grade, lit, normals, unshadowed, whole, texels):
     """Fill the records ``texels`` (m, RECORD) by the ``grade`` (m,) and the light ``lit`` (m, LIT) of ``light_texels``.
 
@@ -96,14 +104,14 @@ def fill_records(grade, lit, normals, unshadowed, whole, texels):
     for t in range(grade.shape[0]):
         x, y, z = normals[t, 0], normals[t, 1], normals[t, 2]
         under = unshadowed_light(unshadowed, x, y, z)
-        there, unbaked = PARTIAL <= grade[t] <= FINAL, grade[t] == UNBAKED
+        there, unbaked = PARTIAL_GRADE <= grade[t] <= FINAL, grade[t] == UNBAKED_GRADE
         for c in range(3):
             reflected = max(lit[t, 4 + c], lit[t, c] - under[c] if whole else ZERO_F32) if there else ZERO_F32
-            texels[t, DIRECT + c] = lit[t, c] - reflected if there else under[c] if unbaked else ZERO_F32
-            texels[t, BARE + c], texels[t, REFLECTED + c] = under[c], reflected
-        texels[t, NOISE] = lit[t, 3] if there else ZERO_F32
-        texels[t, NORMAL], texels[t, NORMAL + 1], texels[t, NORMAL + 2] = x, y, z
-        texels[t, GRADE] = np.float32(grade[t])
+            texels[t, DIRECT_COLUMN + c] = lit[t, c] - reflected if there else under[c] if unbaked else ZERO_F32
+            texels[t, UNSHADOWED_COLUMN + c], texels[t, REFLECTED_COLUMN + c] = under[c], reflected
+        texels[t, NOISE_COLUMN] = lit[t, 3] if there else ZERO_F32
+        texels[t, NORMAL_COLUMN], texels[t, NORMAL_COLUMN + 1], texels[t, NORMAL_COLUMN + 2] = x, y, z
+        texels[t, GRADE_COLUMN] = np.float32(grade[t])
 
 
 @kernel()
@@ -114,8 +122,8 @@ def agree(texels, t, n):
     power of the cosine the error at rims of thin walls is a sixth higher, at its 99th percentile. What faces away
     hardly counts.
     """
-    cosine = n[0] * texels[t, NORMAL] + n[1] * texels[t, NORMAL + 1] + n[2] * texels[t, NORMAL + 2]
-    weight = max(cosine, LEAST_COSINE) / (ONE_F32 + (ONE_F32 - cosine) / TURNED)
+    cosine = n[0] * texels[t, NORMAL_COLUMN] + n[1] * texels[t, NORMAL_COLUMN + 1] + n[2] * texels[t, NORMAL_COLUMN + 2]
+    weight = max(cosine, LEAST_COSINE) / (ONE_F32 + (ONE_F32 - cosine) / NORMAL_TURN_LIMIT)
     return weight * weight
 
 
@@ -133,14 +141,17 @@ def blend_records(corners, m, texels, n, f):
     ``f`` (z, y, x), times what ``agree`` makes of the point's normal ``n``.
     """
     direct = unshadowed = reflected = (ZERO_F32, ZERO_F32, ZERO_F32)
-    variance, weight, least, (fz, fy, fx) = ZERO_F32, ZERO_F32, np.float32(VOID), f
+    variance, weight, least, (fz, fy, fx) = ZERO_F32, ZERO_F32, np.float32(VOID_GRADE), f
     for c in range(8):
         t = corners[m, c]
-        grade = texels[t, GRADE]
+        grade = texels[t, GRADE_COLUMN]
         w = (fz if c & 4 else ONE_F32 - fz) * (fy if c & 2 else ONE_F32 - fy) * (fx if c & 1 else ONE_F32 - fx)
         w *= agree(texels, t, n) if grade <= FINAL else ZERO_F32
-        direct, unshadowed = madd_colour(direct, w, texels, t, DIRECT), madd_colour(unshadowed, w, texels, t, BARE)
-        reflected, noise = madd_colour(reflected, w, texels, t, REFLECTED), w * texels[t, NOISE]
+        direct, unshadowed = (
+            madd_colour(direct, w, texels, t, DIRECT_COLUMN),
+            madd_colour(unshadowed, w, texels, t, UNSHADOWED_COLUMN),
+        )
+        reflected, noise = madd_colour(reflected, w, texels, t, REFLECTED_COLUMN), w * texels[t, NOISE_COLUMN]
         variance, weight, least = variance + noise * noise, weight + w, min(least, grade)
     return direct, unshadowed, reflected, variance, weight, least
 
@@ -153,7 +164,7 @@ def stand_in(corners, m, texels, under, f):
     """
     buried = 0.0
     for c in range(8):
-        if texels[corners[m, c], GRADE] == BURIED:
+        if texels[corners[m, c], GRADE_COLUMN] == BURIED_GRADE:
             buried += trilinear(c, f[0], f[1], f[2])
     return (ZERO_F32, ZERO_F32, ZERO_F32) if buried > 0.0 else under
 
@@ -162,14 +173,14 @@ def stand_in(corners, m, texels, under, f):
 def shade_ratio(blended, under):
     """Light under ``under`` by what ``blend_records`` found, linear RGB, and the standard error of its luminance."""
     direct, over, reflected, variance, weight, _ = blended
-    r = direct[0] / max(over[0], DARKEST) * under[0] + reflected[0] / weight
-    g = direct[1] / max(over[1], DARKEST) * under[1] + reflected[1] / weight
-    b = direct[2] / max(over[2], DARKEST) * under[2] + reflected[2] / weight
-    brighter = luminance(under[0], under[1], under[2]) / max(luminance(over[0], over[1], over[2]), DARKEST)
+    r = direct[0] / max(over[0], MIN_LIGHT) * under[0] + reflected[0] / weight
+    g = direct[1] / max(over[1], MIN_LIGHT) * under[1] + reflected[1] / weight
+    b = direct[2] / max(over[2], MIN_LIGHT) * under[2] + reflected[2] / weight
+    brighter = luminance(under[0], under[1], under[2]) / max(luminance(over[0], over[1], over[2]), MIN_LIGHT)
     return (r, g, b), math.sqrt(variance) * brighter
 
 
-@kernel(types.void(LATTICE, PIXEL_POINTS, CORNERS, TEXELS, UNSHADOWED, types.float32, FRAMEBUFFER))
+@kernel(types.void(LATTICE, PIXEL_POINTS, CORNER_ROWS, TEXEL_RECORDS, UNSHADOWED, types.float32, FRAMEBUFFER))
 def carry_ratios(lattice, points, corners, texels, unshadowed, unit, framebuffer):
     """Carry the light of records ``texels`` (m, RECORD) to the ``framebuffer`` at the pixels of ``PixelPoints``.
 
@@ -189,6 +200,6 @@ def carry_ratios(lattice, points, corners, texels, unshadowed, unit, framebuffer
             (r, g, b), noise = shade_ratio(blended, under)
         else:
             (r, g, b), noise = stand_in(corners, m, texels, under, f), ZERO_F32
-        error = ONE_F32 if least <= PARTIAL else min(noise / max(luminance(r, g, b), DARKEST), ONE_F32)
+        error = ONE_F32 if least <= PARTIAL_GRADE else min(noise / max(luminance(r, g, b), MIN_LIGHT), ONE_F32)
         state = np.uint8(min(max(least, np.float32(PROVISIONAL)), np.float32(FINAL)))
         put_pixel(framebuffer, points.pixels[m], (r * unit, g * unit, b * unit), state, error)

@@ -22,10 +22,10 @@ from isogi_core.kernels.shading.framebuffer import (
 )
 from isogi_core.kernels.transport.lights import unshadowed
 
-CHUNK = 16
+DEFAULT_CHUNK_SIDE = 16
 """Texels along each side of a chunk, where a scene does not say."""
 
-UNLIT = -1
+UNLIT_ROW = -1
 """Row of a texel that is not baked yet."""
 
 VOID_ROW = -2
@@ -43,14 +43,14 @@ lie within 1.96 times their standard error, with it 92.5 %; frames' errors are e
 
 Shape = tuple[int, int, int]
 
-LIT = 7
+LIGHT_NUMBERS = 7
 """Numbers of a texel's light: linear RGB, its standard error, and what of it is reflected light, linear RGB."""
 
-DARK = np.float32(0.0)
-DARKEST = np.float32(1e-30)
+NO_LIGHT = np.float32(0.0)
+MIN_LIGHT = np.float32(1e-30)
 ONE_F32 = np.float32(1.0)
 
-UNBAKED, PARTIAL, BURIED, VOID = 0, PROVISIONAL, FINAL + 1, FINAL + 2
+UNBAKED_GRADE, PARTIAL_GRADE, BURIED_GRADE, VOID_GRADE = 0, PROVISIONAL, FINAL + 1, FINAL + 2
 """Grades of texels besides CONVERGING and FINAL: nothing baked, not all layers baked, buried, void.
 
 The latter two take nothing from a point's state.
@@ -65,7 +65,7 @@ class Lattice(NamedTuple):
     bits: int
 
     @classmethod
-    def of(cls, shape: Shape, density: tuple[float, float, float], chunk: int = CHUNK) -> "Lattice":
+    def of(cls, shape: Shape, density: tuple[float, float, float], chunk: int = DEFAULT_CHUNK_SIDE) -> "Lattice":
         """The lattice whose ``chunk`` has this number of texels along each side, a power of two up to 32."""
         return cls(shape, density, chunk.bit_length() - 1)
 
@@ -97,8 +97,8 @@ class Lattice(NamedTuple):
 
 
 LATTICE = record(Lattice, types.UniTuple(types.int64, 3), types.UniTuple(types.float64, 3), types.int64)
-CORNERS = types.uint32[:, ::1]
-GRADES = types.uint8[::1]
+CORNER_ROWS = types.uint32[:, ::1]
+GRADE_ARRAY = types.uint8[::1]
 
 
 @kernel()
@@ -151,7 +151,7 @@ def light_texels(rows, transfer, scatter, light, square, firsts, straight, lit):
         row = np.uint32(rows[m])
         if rows[m] < 0:
             continue
-        r = g = b = second = DARK
+        r = g = b = second = NO_LIGHT
         for i in range(first, columns):
             r += transfer[row, 0, i] * light[0, i]
             g += transfer[row, green, i] * light[1, i]
@@ -163,14 +163,19 @@ def light_texels(rows, transfer, scatter, light, square, firsts, straight, lit):
             g += transfer[row, green, i] * light[1, i]
             b += transfer[row, blue, i] * light[2, i]
             second += transfer[row, green, i] * square[i]
-        even = DARK
+        even = NO_LIGHT
         for i in firsts:
-            even += max(transfer[row, green, i] * square[i], DARK)
+            even += max(transfer[row, green, i] * square[i], NO_LIGHT)
         mean = luminance(r, g, b)
-        spread = math.sqrt(max(second - mean * mean, DARK) + LEAST_SPREAD * even)
-        lit[m, 0], lit[m, 1], lit[m, 2], lit[m, 3] = max(r, DARK), max(g, DARK), max(b, DARK), scatter[row] * spread
+        spread = math.sqrt(max(second - mean * mean, NO_LIGHT) + LEAST_SPREAD * even)
+        lit[m, 0], lit[m, 1], lit[m, 2], lit[m, 3] = (
+            max(r, NO_LIGHT),
+            max(g, NO_LIGHT),
+            max(b, NO_LIGHT),
+            scatter[row] * spread,
+        )
         for c in range(3):
-            lit[m, 4 + c] = min(max(reflected[c], DARK), lit[m, c])
+            lit[m, 4 + c] = min(max(reflected[c], NO_LIGHT), lit[m, c])
 
 
 class Sky(NamedTuple):
@@ -210,13 +215,13 @@ def blend_some(corners, m, grade, lit, fz, fy, fx):
     for c in range(8):
         t = corners[m, c]
         w = trilinear(c, fz, fy, fx)
-        if PARTIAL <= grade[t] <= FINAL:
+        if PARTIAL_GRADE <= grade[t] <= FINAL:
             r, g, b = r + w * lit[t, 0], g + w * lit[t, 1], b + w * lit[t, 2]
             variance += (w * lit[t, 3]) ** 2
             weight += w
-        elif grade[t] == UNBAKED:
+        elif grade[t] == UNBAKED_GRADE:
             unbaked += w
-        elif grade[t] == BURIED:
+        elif grade[t] == BURIED_GRADE:
             buried += w
     return r, g, b, variance, weight, unbaked, buried
 
@@ -245,14 +250,16 @@ def fill_in(some, n, sky, basis):
 @kernel()
 def span_of(grade, corners, m):
     """Least and greatest grade of the eight texels of point ``m``."""
-    least, most = np.uint8(VOID), np.uint8(0)
+    least, most = np.uint8(VOID_GRADE), np.uint8(0)
     for c in range(8):
         own = grade[corners[m, c]]
         least, most = min(least, own), max(most, own)
     return least, most
 
 
-@kernel(types.void(LATTICE, PIXEL_POINTS, CORNERS, GRADES, types.float32[:, ::1], SKY, types.float32, FRAMEBUFFER))
+@kernel(
+    types.void(LATTICE, PIXEL_POINTS, CORNER_ROWS, GRADE_ARRAY, types.float32[:, ::1], SKY, types.float32, FRAMEBUFFER)
+)
 def carry_light(lattice, points, corners, grade, lit, sky, unit, framebuffer):
     """Carry the texels' light ``lit`` (texels, LIT) to the ``framebuffer`` at the pixels of ``PixelPoints``.
 
@@ -265,12 +272,12 @@ def carry_light(lattice, points, corners, grade, lit, sky, unit, framebuffer):
     for m in range(points.pixels.shape[0]):
         _, _, _, fz, fy, fx = base_texel(lattice, points.points, m)
         least, most = span_of(grade, corners, m)
-        if PARTIAL <= least and most <= FINAL:
+        if PARTIAL_GRADE <= least and most <= FINAL:
             r, g, b, variance = blend_texels(corners, m, lit, fz, fy, fx)
         else:
             some = blend_some(corners, m, grade, lit, fz, fy, fx)
             r, g, b, variance = fill_in(some, point_of(points.normals, m), sky, basis)
-        noise = min(math.sqrt(variance) / max(luminance(r, g, b), DARKEST), ONE_F32)
-        error = ONE_F32 if least <= PARTIAL else noise
+        noise = min(math.sqrt(variance) / max(luminance(r, g, b), MIN_LIGHT), ONE_F32)
+        error = ONE_F32 if least <= PARTIAL_GRADE else noise
         state = min(max(least, PROVISIONAL), FINAL)
         put_pixel(framebuffer, points.pixels[m], (r * unit, g * unit, b * unit), state, error)

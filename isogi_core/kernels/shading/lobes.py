@@ -19,22 +19,22 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.shading.framebuffer import (
-    BLUE,
+    BLUE_LUMINANCE,
     FRAMEBUFFER,
-    GREEN,
-    PIXELS,
+    GREEN_LUMINANCE,
+    PIXEL_ARRAY,
     PROVISIONAL,
-    RED,
+    RED_LUMINANCE,
     luminance,
     point_of,
     put_pixel,
 )
-from isogi_core.kernels.shading.lattice import DARKEST
+from isogi_core.kernels.shading.lattice import MIN_LIGHT
 from isogi_core.kernels.shading.local_models import find_unoccluded
 from isogi_core.kernels.shading.same_surface import number_at
 from isogi_core.kernels.shading.shadow_points import (
-    ANY,
-    ORDER,
+    ANY_TURN,
+    ORDER_ARRAY,
     PART,
     SHADOW_POINTS,
     near_between,
@@ -46,22 +46,22 @@ from isogi_core.kernels.tracing.cast import SURFACE
 from isogi_core.kernels.tracing.vec import dot, length, madd, put_column, scale
 from isogi_core.kernels.transport.lights import LAMPS, draw_from_disc, row
 from isogi_core.kernels.transport.rng import mix, point_2d
-from isogi_core.kernels.transport.streams import LOBES as LOBES_STREAM
+from isogi_core.kernels.transport.streams import LOBES_STREAM
 
-RIM = 4
+RIM_RAYS = 4
 """Rays to the rim of a lobe: at ends of diameters that cross, turned by another angle for each pixel."""
 
-RAYS = (16, 8, 8, 4, 4)
+PENUMBRA_RAYS = (16, 8, 8, 4, 4)
 """Rays to a lobe from a point in its half-shadow, by how many pairs of neighbours share theirs with it; powers of two.
 """
 
-AXES = ((0, 1, 2.0), (1, 0, 2.0), (1, 1, 1.0), (1, -1, 1.0))
+NEIGHBOUR_AXES = ((0, 1, 2.0), (1, 0, 2.0), (1, 1, 1.0), (1, -1, 1.0))
 """Steps along y and x to the two neighbours of a pair, on either side, and what each counts beside OWN."""
 
 POINT_WEIGHT = 4.0
 """What a point's own rays count: with all four pairs the mean is binomial along x and y."""
 
-SHARP = math.sin(math.radians(0.25))
+SHARP_SINE = math.sin(math.radians(0.25))
 """Lobes whose half angle has at most this sine are seen along one ray."""
 
 STRATIFIED_VARIANCE = {4: 0.5, 8: 0.35, 16: 0.25}
@@ -71,14 +71,14 @@ STRATIFIED_VARIANCE = {4: 0.5, 8: 0.35, 16: 0.25}
 rays to the rim miss of them, a tenth of all half-shadow at its ends, is another 0.9 %. It falls as the root of rays.
 """
 
-GRAZING = 0.03
+GRAZING_SHARE = 0.03
 """What a lobe brings at most, over what it would from straight above, where its half-shadows are not looked for."""
 
-AWAY, DARK, LIT, HALF, UNASKED = range(5)
+NO_LOBE, LOBE_HIDDEN, LOBE_SEEN, LOBE_HALF_SEEN, LOBE_UNASKED = range(5)
 """What a point sees of what is above its horizon of a lobe: none is there; nothing; all; a part; not known yet."""
 
-SEEN = types.uint8[:, ::1]
-PAIRS, SIDES, SHARES = types.int64[::1], types.uint8[::1], types.float64[:, ::1]
+SEEN_ROWS = types.uint8[:, ::1]
+PAIR_ARRAY, SIDE_CODES, SHARE_ROWS = types.int64[::1], types.uint8[::1], types.float64[:, ::1]
 """Lobes and points that go together: number of the lobe times the points, plus that of the point. Of which AXES
 neighbours share their rays with each, a bit for each; and how much of the lobe the point sees, with its variance.
 """
@@ -88,7 +88,7 @@ neighbours share their rays with each, a bit for each; and how much of the lobe 
 def radius(lamps, k):
     """The sine of the half angle of lobe ``k``; 0 for one that is seen along one ray."""
     sine = length(row(lamps.edges[k], 0))
-    return sine if sine > SHARP else 0.0
+    return sine if sine > SHARP_SINE else 0.0
 
 
 @kernel()
@@ -115,13 +115,13 @@ def irradiance(cosine, s):
 def agreed(around, m, seen):
     """What the neighbours ``around`` point ``m`` all have ``seen`` (m,) of a lobe, DARK or LIT; else UNKNOWN."""
     if around[m, 0] < 0:
-        return UNASKED
+        return LOBE_UNASKED
     found = seen[around[m, 0]]
     same = found == seen[around[m, 1]] and found == seen[around[m, 2]] and found == seen[around[m, 3]]
-    return found if same and (found == DARK or found == LIT) else UNASKED
+    return found if same and (found == LOBE_HIDDEN or found == LOBE_SEEN) else LOBE_UNASKED
 
 
-@kernel(types.void(SURFACE, SHADOW_POINTS, LAMPS, PART, SEEN))
+@kernel(types.void(SURFACE, SHADOW_POINTS, LAMPS, PART, SEEN_ROWS))
 def see_middles(surface, picture, lamps, part, seen):
     """Fill what points have ``seen`` (lobes, m) of lobes' middles: AWAY by their normals, DARK or LIT.
 
@@ -136,15 +136,15 @@ def see_middles(surface, picture, lamps, part, seen):
             m = np.int64(picture.order[i])
             n = point_of(picture.points.normals, m)
             cosine = dot(n, towards)
-            seen[k, m] = AWAY if cosine <= -s else agreed(picture.around, m, seen[k])
-            if seen[k, m] == UNASKED:
+            seen[k, m] = NO_LOBE if cosine <= -s else agreed(picture.around, m, seen[k])
+            if seen[k, m] == LOBE_UNASKED:
                 owners[count], lobes[count] = m, k
                 put_column(ways, count, madd(towards, 0.5 * max(s - cosine, 0.0), n))
                 count += 1
     reached = np.empty(count, np.bool_)
     find_unoccluded(surface, picture.starts, owners[:count], ways[:, :count], reached)
     for i in range(count):
-        seen[lobes[i], owners[i]] = LIT if reached[i] else DARK
+        seen[lobes[i], owners[i]] = LOBE_SEEN if reached[i] else LOBE_HIDDEN
 
 
 @kernel()
@@ -156,11 +156,11 @@ def is_seen(seen, m, what):
 @kernel()
 def may_be_half(points, lamps, k, m, seen):
     """Whether point ``m`` may see a part of lobe ``k`` that is worth more rays."""
-    known, s = seen[k, m] == DARK or seen[k, m] == LIT, radius(lamps, k)
-    return known and s > 0.0 and irradiance(cosine_of(points, lamps, k, m), s) > GRAZING
+    known, s = seen[k, m] == LOBE_HIDDEN or seen[k, m] == LOBE_SEEN, radius(lamps, k)
+    return known and s > 0.0 and irradiance(cosine_of(points, lamps, k, m), s) > GRAZING_SHARE
 
 
-@kernel(types.void(SHADOW_POINTS, LAMPS, PART, SEEN, SEEN))
+@kernel(types.void(SHADOW_POINTS, LAMPS, PART, SEEN_ROWS, SEEN_ROWS))
 def mark_edges(picture, lamps, part, seen, asked):
     """Set ``asked`` (lobes, m) for points of a ``part`` whose rim rays are to be cast: those at edges of shadows, and
     ``edgy`` ones.
@@ -170,7 +170,7 @@ def mark_edges(picture, lamps, part, seen, asked):
         y, x = divmod(np.int64(picture.points.pixels[m]), width)
         a, b, c, d = neighbours(picture.rows, y, x, 0, 1)
         for k in range(seen.shape[0]):
-            other, sees = LIT + DARK - seen[k, m], seen[k]
+            other, sees = LOBE_SEEN + LOBE_HIDDEN - seen[k, m], seen[k]
             edge = picture.edgy[m] or is_seen(sees, a, other) or is_seen(sees, b, other)
             edge = edge or is_seen(sees, c, other) or is_seen(sees, d, other)
             asked[k, m] = edge and may_be_half(picture.points, lamps, k, m, seen)
@@ -181,11 +181,11 @@ def halves_around(picture, m, seen):
     """How many of the four neighbours that point ``m`` believes have ``seen`` (m,) a lobe in part."""
     count = 0
     for i in range(4):
-        count += is_seen(seen, picture.around[m, i], HALF)
+        count += is_seen(seen, picture.around[m, i], LOBE_HALF_SEEN)
     return count
 
 
-@kernel(types.UniTuple(types.int64, 2)(SHADOW_POINTS, LAMPS, PAIRS, types.int64, SEEN, SEEN, PAIRS))
+@kernel(types.UniTuple(types.int64, 2)(SHADOW_POINTS, LAMPS, PAIR_ARRAY, types.int64, SEEN_ROWS, SEEN_ROWS, PAIR_ARRAY))
 def spread_edges(picture, lamps, halves, turn, seen, asked, more):
     """Find pairs about those in the half-shadow, ``halves``, that are not ``asked`` yet, and mark them.
 
@@ -203,14 +203,14 @@ def spread_edges(picture, lamps, halves, turn, seen, asked, more):
         for above in range(step * ((y - 1) // step), y + step + 1, step):
             for aside in range(step * ((x - 1) // step), x + step + 1, step):
                 n = number_at(picture.rows, above, aside)
-                if n < 0 or asked[k, n] or (turn != ANY and turn_of(aside, above) != turn):
+                if n < 0 or asked[k, n] or (turn != ANY_TURN and turn_of(aside, above) != turn):
                     continue
                 amid = halves_around(picture, n, seen[k])
                 if (turn > 0 and amid < 2) or not may_be_half(picture.points, lamps, k, n, seen):
                     continue
                 asked[k, n] = 1
                 if amid == 4:
-                    seen[k, n] = HALF
+                    seen[k, n] = LOBE_HALF_SEEN
                     last -= 1
                     more[last] = k * points + n
                 else:
@@ -226,19 +226,19 @@ def rim_way(lamps, k, turn):
     return madd(across, math.sqrt(max(1.0 - dot(across, across), 0.0)), row(lamps.places, k))
 
 
-@kernel(types.void(SURFACE, SHADOW_POINTS, LAMPS, PAIRS, SIDES))
+@kernel(types.void(SURFACE, SHADOW_POINTS, LAMPS, PAIR_ARRAY, SIDE_CODES))
 def see_rims(surface, picture, lamps, pairs, sees):
     """Fill what points and lobes of ``pairs`` see of each other by their rims, ``sees`` (pairs,): DARK, LIT or HALF.
 
     Of RIM rays none is cast from below a point's own surface: it would end there.
     """
-    points, most, count = picture.points, RIM * pairs.shape[0], 0
+    points, most, count = picture.points, RIM_RAYS * pairs.shape[0], 0
     owners, asking, ways = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((3, most))
     for j in range(pairs.shape[0]):
         k, m = divmod(pairs[j], points.pixels.shape[0])
         first = 0.5 * math.pi * point_2d(mix(np.int64(points.pixels[m]), LOBES_STREAM), 0, k)[0]
-        for i in range(RIM):
-            w = rim_way(lamps, k, first + 2.0 * math.pi * i / RIM)
+        for i in range(RIM_RAYS):
+            w = rim_way(lamps, k, first + 2.0 * math.pi * i / RIM_RAYS)
             if dot(point_of(points.normals, m), w) > 0.0:
                 owners[count], asking[count] = m, j
                 put_column(ways, count, w)
@@ -249,31 +249,31 @@ def see_rims(surface, picture, lamps, pairs, sees):
     for i in range(count):
         sees[asking[i]] += reached[i]
     for j in range(pairs.shape[0]):
-        sees[j] = DARK if sees[j] == 0 else LIT if sees[j] == RIM else HALF
+        sees[j] = LOBE_HIDDEN if sees[j] == 0 else LOBE_SEEN if sees[j] == RIM_RAYS else LOBE_HALF_SEEN
 
 
 @kernel()
 def opposite(picture, m, axis):
     """The numbers of the two points beside point ``m`` along one of the AXES."""
     y, x = divmod(np.int64(picture.points.pixels[m]), picture.rows.shape[1])
-    dy, dx, _ = AXES[axis]
+    dy, dx, _ = NEIGHBOUR_AXES[axis]
     return number_at(picture.rows, y - dy, x - dx), number_at(picture.rows, y + dy, x + dx)
 
 
-@kernel(types.void(SHADOW_POINTS, PAIRS, SEEN, SIDES))
+@kernel(types.void(SHADOW_POINTS, PAIR_ARRAY, SEEN_ROWS, SIDE_CODES))
 def find_sides(picture, pairs, seen, sides):
     """Fill ``sides`` (pairs,): along which axes both neighbours are in the half-shadow, too, on one smooth surface."""
     for j in range(pairs.shape[0]):
         k, m = divmod(pairs[j], seen.shape[1])
         sides[j] = 0
-        for axis in range(len(AXES)):
+        for axis in range(len(NEIGHBOUR_AXES)):
             a, b = opposite(picture, m, axis)
-            both = is_seen(seen[k], a, HALF) and is_seen(seen[k], b, HALF)
+            both = is_seen(seen[k], a, LOBE_HALF_SEEN) and is_seen(seen[k], b, LOBE_HALF_SEEN)
             if both and near_between(picture.points.points, m, a, b):
                 sides[j] |= 1 << axis
 
 
-@kernel(types.void(SURFACE, SHADOW_POINTS, LAMPS, PAIRS, types.int64, types.float64, SHARES))
+@kernel(types.void(SURFACE, SHADOW_POINTS, LAMPS, PAIR_ARRAY, types.int64, types.float64, SHARE_ROWS))
 def see_discs(surface, picture, lamps, pairs, rays, even, shares):
     """Fill ``shares`` (pairs, 2): E/π from lobes by a number of ``rays`` of each of the ``pairs``, and its variance.
 
@@ -298,7 +298,7 @@ def see_discs(surface, picture, lamps, pairs, rays, even, shares):
         shares[j, 0], shares[j, 1] = mean, even * squares / (rays * (rays - 1))
 
 
-@kernel(types.void(SHADOW_POINTS, LAMPS, PAIRS, SIDES, ORDER, SHARES, PART, SHARES))
+@kernel(types.void(SHADOW_POINTS, LAMPS, PAIR_ARRAY, SIDE_CODES, ORDER_ARRAY, SHARE_ROWS, PART, SHARE_ROWS))
 def share_rays(picture, lamps, pairs, sides, places, own, part, shares):
     """Fill ``shares`` (pairs, 2) of a ``part`` of the ``pairs`` by their rays and by rays that neighbours share.
 
@@ -309,12 +309,12 @@ def share_rays(picture, lamps, pairs, sides, places, own, part, shares):
         k, m = divmod(pairs[j], places.shape[0])
         mean, variance, total = POINT_WEIGHT * own[j, 0], POINT_WEIGHT * POINT_WEIGHT * own[j, 1], POINT_WEIGHT
         bare = irradiance(cosine_of(picture.points, lamps, k, m), radius(lamps, k))
-        for axis in range(len(AXES)):
+        for axis in range(len(NEIGHBOUR_AXES)):
             if not sides[j] >> axis & 1:
                 continue
             for n in opposite(picture, m, axis):
                 above = bare / irradiance(cosine_of(picture.points, lamps, k, n), radius(lamps, k))
-                weight, i = AXES[axis][2], places[n]
+                weight, i = NEIGHBOUR_AXES[axis][2], places[n]
                 total, mean = total + weight, mean + weight * above * own[i, 0]
                 variance += (weight * above) ** 2 * own[i, 1]
         shares[j, 0], shares[j, 1] = mean / total, variance / total**2
@@ -325,7 +325,7 @@ def add_lobe_light(lit, m, colour, share, variance):
     """Add a ``share`` of the light ``colour``, whose ``variance`` is known, to point ``m``."""
     for c in range(3):
         lit[m, c] += share * colour[c]
-    lit[m, 3] += variance * (RED * colour[0] + GREEN * colour[1] + BLUE * colour[2]) ** 2
+    lit[m, 3] += variance * (RED_LUMINANCE * colour[0] + GREEN_LUMINANCE * colour[1] + BLUE_LUMINANCE * colour[2]) ** 2
 
 
 @kernel()
@@ -335,12 +335,12 @@ def share_around(picture, m, seen):
     y, x = divmod(np.int64(picture.points.pixels[m]), width)
     for i in range(9):
         n = number_at(picture.rows, y + i // 3 - 1, x + i % 3 - 1)
-        if n >= 0 and seen[n] != AWAY:
-            lit, facing = lit + (seen[n] == LIT), facing + 1.0
+        if n >= 0 and seen[n] != NO_LOBE:
+            lit, facing = lit + (seen[n] == LOBE_SEEN), facing + 1.0
     return lit / facing
 
 
-@kernel(types.void(SHADOW_POINTS, LAMPS, PART, types.boolean, SEEN, types.float32[:, ::1]))
+@kernel(types.void(SHADOW_POINTS, LAMPS, PART, types.boolean, SEEN_ROWS, types.float32[:, ::1]))
 def light_points(picture, lamps, part, smooth, seen, lit):
     """Fill ``lit`` (m, 4): E/π, linear RGB, straight from directional ``lamps``, and the variance of its luminance.
 
@@ -351,14 +351,14 @@ def light_points(picture, lamps, part, smooth, seen, lit):
     for k in range(seen.shape[0]):
         colour, s = row(lamps.colours, k), radius(lamps, k)
         for m in range(part[0], part[1]):
-            if seen[k, m] == AWAY or (seen[k, m] == DARK and not smooth):
+            if seen[k, m] == NO_LOBE or (seen[k, m] == LOBE_HIDDEN and not smooth):
                 continue
-            share = share_around(picture, m, seen[k]) if smooth else 1.0 if seen[k, m] == LIT else 0.0
+            share = share_around(picture, m, seen[k]) if smooth else 1.0 if seen[k, m] == LOBE_SEEN else 0.0
             if share > 0.0:
                 add_lobe_light(lit, m, colour, share * irradiance(cosine_of(picture.points, lamps, k, m), s), 0.0)
 
 
-@kernel(types.void(LAMPS, PAIRS, SHARES, types.float32[:, ::1]))
+@kernel(types.void(LAMPS, PAIR_ARRAY, SHARE_ROWS, types.float32[:, ::1]))
 def add_halves(lamps, pairs, shares, lit):
     """Add the ``shares`` (pairs, 2) of lobes that points see in part to their light; see ``frame.rays.lobe_light``."""
     for j in range(pairs.shape[0]):
@@ -366,7 +366,7 @@ def add_halves(lamps, pairs, shares, lit):
         add_lobe_light(lit, m, row(lamps.colours, k), shares[j, 0], shares[j, 1])
 
 
-@kernel(types.void(PIXELS, types.float32[:, ::1], types.float64, FRAMEBUFFER))
+@kernel(types.void(PIXEL_ARRAY, types.float32[:, ::1], types.float64, FRAMEBUFFER))
 def add_lobes(pixels, lit, unit, framebuffer):
     """Add light of lobes, as ``light_points`` has it and in ``unit``, to the ``framebuffer`` at the ``pixels`` (m,).
 
@@ -378,6 +378,6 @@ def add_lobes(pixels, lit, unit, framebuffer):
         r, g, b = radiance[p, 0] / unit, radiance[p, 1] / unit, radiance[p, 2] / unit
         noise = framebuffer.error[p] * luminance(r, g, b)
         r, g, b = r + lit[m, 0], g + lit[m, 1], b + lit[m, 2]
-        error = min(math.sqrt(noise * noise + lit[m, 3]) / max(luminance(r, g, b), DARKEST), 1.0)
+        error = min(math.sqrt(noise * noise + lit[m, 3]) / max(luminance(r, g, b), MIN_LIGHT), 1.0)
         error = 1.0 if framebuffer.state[p] == PROVISIONAL else error
         put_pixel(framebuffer, p, (r * unit, g * unit, b * unit), framebuffer.state[p], error)

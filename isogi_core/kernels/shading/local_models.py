@@ -11,23 +11,23 @@ from isogi_core.kernels.shading.framebuffer import (
     FINAL,
     FRAMEBUFFER,
     PIXEL_POINTS,
-    POINTS,
+    POINT_ROWS,
     PixelPoints,
     point_of,
     put_pixel,
 )
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
-from isogi_core.kernels.tracing.field import FIELD, normal, to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE, launch
+from isogi_core.kernels.tracing.field import FIELD_RECORD, normal, to_index
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, launch
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, dot, length, madd, normalize, put_column, scale, sub
 from isogi_core.kernels.transport.integrate import add_paths
-from isogi_core.kernels.transport.light_paths import SURROUNDINGS, to_world
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD, to_world
 from isogi_core.kernels.transport.lights import fog, row
 from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, PathStarts, SampleRange
 from isogi_core.kernels.transport.rng import mix
-from isogi_core.kernels.transport.wavefront import WAVE
+from isogi_core.kernels.transport.wavefront import WAVE_PATHS
 
 
 class LocalModel(NamedTuple):
@@ -48,12 +48,14 @@ class LocalModel(NamedTuple):
     fog_far: float
 
 
-VECTOR = types.UniTuple(types.float64, 3)
-REAL = types.float64
-LOCAL_MODEL = record(LocalModel, VECTOR, VECTOR, VECTOR, REAL, REAL, types.boolean, REAL, REAL)
+REAL_TRIPLE = types.UniTuple(types.float64, 3)
+REAL_NUMBER = types.float64
+LOCAL_MODEL = record(
+    LocalModel, REAL_TRIPLE, REAL_TRIPLE, REAL_TRIPLE, REAL_NUMBER, REAL_NUMBER, types.boolean, REAL_NUMBER, REAL_NUMBER
+)
 
 
-@kernel(types.void(FIELD, POINTS, VECTOR, POINTS))
+@kernel(types.void(FIELD_RECORD, POINT_ROWS, REAL_TRIPLE, POINT_ROWS))
 def find_normals(field, points, eye, normals):
     """Fill ``normals`` (m, 3), world, outward, of the ``points`` (index space); towards the ``eye`` where flat."""
     for m in range(points.shape[0]):
@@ -76,13 +78,13 @@ def find_unoccluded(surface, starts, owners, ways, reached):
         put_column(origins, i, row(starts, owners[i]))
         put_column(directions, i, to_index(column(ways, i), field.spacing))
     t, came = np.empty(count), np.empty(count, np.int8)
-    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, OUTSIDE, np.int8))
+    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, OUTSIDE_SIGN, np.int8))
     cast_batch(field, surface.cells, rays, t, came)
     for i in range(count):
         reached[i] = not t[i] < math.inf
 
 
-@kernel(types.void(SURFACE, PIXEL_POINTS, VECTOR, types.boolean[::1]))
+@kernel(types.void(SURFACE, PIXEL_POINTS, REAL_TRIPLE, types.boolean[::1]))
 def find_shadows(surface, points, key, seen):
     """Fill ``seen`` (m,): whether the key light reaches each of ``PixelPoints`` past the isosurface, by one shadow ray.
 
@@ -93,7 +95,7 @@ def find_shadows(surface, points, key, seen):
         p, n = point_of(points.points, m), point_of(points.normals, m)
         seen[m] = dot(n, key) > 0.0
         if seen[m]:
-            starts[m, 0], starts[m, 1], starts[m, 2] = launch(surface.field, surface.isovalue, p, n, OUTSIDE)
+            starts[m, 0], starts[m, 1], starts[m, 2] = launch(surface.field, surface.isovalue, p, n, OUTSIDE_SIGN)
             owners[count] = m
             count += 1
     ways, reached = np.empty((3, count)), np.empty(count, np.bool_)
@@ -125,7 +127,7 @@ def shade_point(p, n, eye, spacing, model, seen):
     return scale(madd(model.ambient, seen * cosine + shine, model.sun), clear)
 
 
-@kernel(types.void(PIXEL_POINTS, types.boolean[::1], VECTOR, VECTOR, LOCAL_MODEL, FRAMEBUFFER))
+@kernel(types.void(PIXEL_POINTS, types.boolean[::1], REAL_TRIPLE, REAL_TRIPLE, LOCAL_MODEL, FRAMEBUFFER))
 def shade_local(points, seen, eye, spacing, model, framebuffer):
     """Lambert or Phong, with or without hard shadow and fog, at the pixels of ``PixelPoints`` (S1, table 2).
 
@@ -160,7 +162,9 @@ def part_of(points, first, last):
 
 
 @kernel(
-    types.void(SURFACE, PIXEL_POINTS, SURROUNDINGS, PATH_RULES, types.int64, SAMPLE_RANGE, types.float64[:, :, ::1])
+    types.void(
+        SURFACE, PIXEL_POINTS, SURROUNDINGS_RECORD, PATH_RULES, types.int64, SAMPLE_RANGE, types.float64[:, :, ::1]
+    )
 )
 def trace_points(surface, points, light, rules, stream, samples, sums):
     """Path-trace ``PixelPoints``: add a ``SampleRange`` of each replica to ``sums`` (m, replicas, 3).
@@ -171,7 +175,7 @@ def trace_points(surface, points, light, rules, stream, samples, sums):
     depend on in how many goes. Source: S1, figure 2; the reference of figures 7 and 11.
     """
     replicas, count = sums.shape[1], samples.count
-    together, most = max(WAVE // (replicas * count), 1), max(min(count, WAVE // replicas), 1)
+    together, most = max(WAVE_PATHS // (replicas * count), 1), max(min(count, WAVE_PATHS // replicas), 1)
     last = samples.first + count
     for a in range(0, sums.shape[0], together):
         b = min(a + together, sums.shape[0])

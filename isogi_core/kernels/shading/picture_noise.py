@@ -8,10 +8,10 @@ from isogi_core.kernels._jit import kernel
 RADIUS = 2
 """Pixels to either side of a pixel that its noise is estimated by."""
 
-BINOMIAL = (1.0, 4.0, 6.0, 4.0, 1.0)
+BINOMIAL_WEIGHTS = (1.0, 4.0, 6.0, 4.0, 1.0)
 """What neighbours count along an axis."""
 
-ROWS, NUMBERS = types.float64[:, ::1], types.float64[::1]
+REAL_ROWS, REAL_ARRAY = types.float64[:, ::1], types.float64[::1]
 
 
 @kernel()
@@ -22,7 +22,7 @@ def spread_between(values, m, n):
     return 0.25 * (values[n, 0] - values[n, 1]) ** 2
 
 
-@kernel(types.void(types.int32[:, ::1], types.uint32[::1], types.int64, ROWS, NUMBERS))
+@kernel(types.void(types.int32[:, ::1], types.uint32[::1], types.int64, REAL_ROWS, REAL_ARRAY))
 def pool_noise(rows, pixels, first, values, variance):
     """Fill ``variance`` (k,) of points from number ``first`` on: a mean of estimates by points near them.
 
@@ -38,6 +38,6 @@ def pool_noise(rows, pixels, first, values, variance):
                 inside = 0 <= y + dy < rows.shape[0] and 0 <= x + dx < rows.shape[1]
                 n = np.int64(rows[y + dy, x + dx]) if inside else -1
                 if n >= 0 and (n != m or values.shape[1] > 1):
-                    weight = BINOMIAL[dy + RADIUS] * BINOMIAL[dx + RADIUS]
+                    weight = BINOMIAL_WEIGHTS[dy + RADIUS] * BINOMIAL_WEIGHTS[dx + RADIUS]
                     total, weights = total + weight * spread_between(values, m, n), weights + weight
         variance[i] = total / max(weights, 1.0)

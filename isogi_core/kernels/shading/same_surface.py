@@ -6,9 +6,9 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.shading.picture_noise import NUMBERS, ROWS
+from isogi_core.kernels.shading.picture_noise import REAL_ARRAY, REAL_ROWS
 
-SLOPE = 0.4
+MAX_SLOPE_SINE = 0.4
 """Sine of the angle, between a pixel's surface and the way to another point, at which that one counts a half less."""
 
 
@@ -26,8 +26,8 @@ class ShownPoints(NamedTuple):
 DISTANCE_WEIGHTS = np.exp(np.arange(3) / -2.0)
 """What a pixel counts by its squared distance, 0 to 2, in steps."""
 
-VECTORS = types.float32[:, ::1]
-SHOWN_POINTS = record(ShownPoints, types.int32[:, ::1], types.uint32[::1], VECTORS, VECTORS)
+SINGLE_ROWS = types.float32[:, ::1]
+SHOWN_POINTS = record(ShownPoints, types.int32[:, ::1], types.uint32[::1], SINGLE_ROWS, SINGLE_ROWS)
 
 
 @kernel()
@@ -42,7 +42,7 @@ def sameness(points, normals, m, n):
         way = np.float64(points[n, c]) - np.float64(points[m, c])
         like, square = like + a * b, square + way * way
         from_m, from_n = from_m + a * way, from_n + b * way
-    slope = max(from_m * from_m, from_n * from_n) / (SLOPE * SLOPE * square)
+    slope = max(from_m * from_m, from_n * from_n) / (MAX_SLOPE_SINE * MAX_SLOPE_SINE * square)
     like = max(like, 0.0) ** 2
     return like**2 * like**2 * (like**2 * like**2) * np.exp2(-slope)
 
@@ -71,7 +71,7 @@ def are_void(values, found):
     return True
 
 
-@kernel(types.void(SHOWN_POINTS, types.int64, types.int64, ROWS, NUMBERS, ROWS, NUMBERS))
+@kernel(types.void(SHOWN_POINTS, types.int64, types.int64, REAL_ROWS, REAL_ARRAY, REAL_ROWS, REAL_ARRAY))
 def mean_around(shown, step, first, values, variance, means, left):
     """Fill ``means`` (k, n) of points from number ``first`` on with the mean of ``values`` (m, n) about each.
 

@@ -11,30 +11,30 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.shading.framebuffer import PIXEL_POINTS, PIXELS, point_of
+from isogi_core.kernels.shading.framebuffer import PIXEL_ARRAY, PIXEL_POINTS, point_of
 from isogi_core.kernels.shading.same_surface import number_at
 from isogi_core.kernels.tracing.cast import SURFACE
-from isogi_core.kernels.tracing.intersect import OUTSIDE, launch
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, launch
 from isogi_core.kernels.tracing.vec import add, length, scale, sub
 
-BENT = 0.25
+MAX_BEND = 0.25
 """How far a point may be from the middle of two neighbours, over their distance, for what these see to hold for it."""
 
-APART = 4.0
+MAX_NEIGHBOUR_VOXELS = 4.0
 """Voxels between two neighbours, at most, of which a point amid them believes something: surfaces hide nothing smaller.
 """
 
-STRIDE = 4
+FIRST_TURN_STRIDE = 4
 """Pixels asked in the first turn are so far apart along x and y."""
 
-TURNS = 5
+SAMPLING_TURNS = 5
 """Turns in which pixels are asked, each of them amid four of the turns before."""
 
-ANY = -1
+ANY_TURN = -1
 """In place of a turn: all of them."""
 
 PART = types.UniTuple(types.int64, 2)
-ORDER = types.int32[::1]
+ORDER_ARRAY = types.int32[::1]
 
 
 class ShadowPoints(NamedTuple):
@@ -61,7 +61,7 @@ SHADOW_POINTS = record(
     types.float64[:, ::1],
     types.int32[:, ::1],
     types.boolean[::1],
-    ORDER,
+    ORDER_ARRAY,
 )
 
 
@@ -76,7 +76,7 @@ def turn_of(x, y):
 @kernel()
 def step_of(turn):
     """How far apart the pixels of a turn and of those before it are, along x and y; 1 of ANY."""
-    return STRIDE if turn == 0 else 2 if 0 < turn < 3 else 1
+    return FIRST_TURN_STRIDE if turn == 0 else 2 if 0 < turn < 3 else 1
 
 
 @kernel()
@@ -86,7 +86,7 @@ def is_midway(points, m, a, b):
         return False
     p, q = point_of(points, a), point_of(points, b)
     bend = sub(scale(add(p, q), 0.5), point_of(points, m))
-    return length(bend) <= BENT * length(sub(p, q))
+    return length(bend) <= MAX_BEND * length(sub(p, q))
 
 
 @kernel()
@@ -98,7 +98,7 @@ def apart(points, a, b):
 @kernel()
 def are_near(points, a, b):
     """Whether a point amid points ``a`` and ``b`` may believe what they see."""
-    return apart(points, a, b) <= APART
+    return apart(points, a, b) <= MAX_NEIGHBOUR_VOXELS
 
 
 @kernel()
@@ -115,7 +115,7 @@ def amid_near(points, m, four):
         if n < 0:
             return False
         nearest = min(nearest, apart(points, m, n))
-    return nearest <= 0.5 * APART
+    return nearest <= 0.5 * MAX_NEIGHBOUR_VOXELS
 
 
 @kernel()
@@ -142,7 +142,7 @@ def prepare_points(surface, picture, part):
     rows, points, around, width = picture.rows, picture.points.points, picture.around, picture.rows.shape[1]
     for m in range(part[0], part[1]):
         p, n = point_of(points, m), point_of(picture.points.normals, m)
-        start = launch(surface.field, surface.isovalue, p, n, OUTSIDE)
+        start = launch(surface.field, surface.isovalue, p, n, OUTSIDE_SIGN)
         picture.starts[m, 0], picture.starts[m, 1], picture.starts[m, 2] = start
         y, x = divmod(np.int64(picture.points.pixels[m]), width)
         turn = turn_of(x, y)
@@ -157,7 +157,7 @@ def prepare_points(surface, picture, part):
         picture.edgy[m] = not left_out and not on_one_surface(points, m, beside)
 
 
-@kernel(types.void(PIXELS, types.int64, ORDER, types.int64[::1]))
+@kernel(types.void(PIXEL_ARRAY, types.int64, ORDER_ARRAY, types.int64[::1]))
 def sort_by_turn(pixels, width, order, ends):
     """Fill the ``order`` (m,) of points at ``pixels`` of a picture so wide, and the ``ends`` (TURNS + 1,) of turns.
 
@@ -167,7 +167,7 @@ def sort_by_turn(pixels, width, order, ends):
     for m in range(pixels.shape[0]):
         y, x = divmod(np.int64(pixels[m]), width)
         ends[turn_of(x, y) + 1] += 1
-    for turn in range(TURNS):
+    for turn in range(SAMPLING_TURNS):
         ends[turn + 1] += ends[turn]
     places = ends.copy()
     for m in range(pixels.shape[0]):

@@ -17,10 +17,10 @@ from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.shading.framebuffer import PIXEL_POINTS, point_of
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
 from isogi_core.kernels.tracing.field import normal, to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE, launch
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, launch
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import (
-    SMALLEST,
+    SMALLEST_NORMAL,
     column,
     dot,
     is_zero,
@@ -32,7 +32,7 @@ from isogi_core.kernels.tracing.vec import (
     sub,
     times,
 )
-from isogi_core.kernels.tracing.walls import NOWHERE, nearest_wall
+from isogi_core.kernels.tracing.walls import NO_WALL, nearest_wall
 from isogi_core.kernels.transport.light_paths import NO_START, to_world
 from isogi_core.kernels.transport.lights import (
     LAMPS,
@@ -41,7 +41,7 @@ from isogi_core.kernels.transport.lights import (
     row,
 )
 from isogi_core.kernels.transport.microfacets import (
-    GRAZING,
+    MIN_VIEW_COSINE,
     SHINE_LOBE,
     light_below,
     reflected,
@@ -57,11 +57,11 @@ from isogi_core.kernels.transport.ray_lights import (
     lamps_before,
 )
 from isogi_core.kernels.transport.rng import point_2d
-from isogi_core.kernels.transport.room_paths import ROOM, lit_from
+from isogi_core.kernels.transport.room_paths import ROOM_RECORD, lit_from
 from isogi_core.kernels.transport.sampling import BELOW_ONE, about
 from isogi_core.kernels.transport.streams import SHINE_CHOICE, SHINE_LAMP, SHINE_WAY
 
-NEVER, ISOSURFACE = -2, -1
+MET_NOTHING, MET_ISOSURFACE = -2, -1
 """What a ray ``met``, besides the numbers of walls: nothing, or the isosurface."""
 
 
@@ -86,10 +86,10 @@ class ShineEnds(NamedTuple):
     met: Any
 
 
-COLUMNS = types.float32[:, ::1]
+SINGLE_ROWS = types.float32[:, ::1]
 SHINE_DRAWS = record(ShineDraws, types.int64[::1], types.uint64[::1], types.int64[::1])
-SHINE_ENDS = record(ShineEnds, COLUMNS, COLUMNS, COLUMNS, COLUMNS, types.int8[::1])
-VECTOR = types.UniTuple(types.float64, 3)
+SHINE_ENDS = record(ShineEnds, SINGLE_ROWS, SINGLE_ROWS, SINGLE_ROWS, SINGLE_ROWS, types.int8[::1])
+REAL_TRIPLE = types.UniTuple(types.float64, 3)
 
 
 @kernel()
@@ -107,7 +107,7 @@ def to_viewer(p, n, eye, spacing):
     """
     v = normalize(to_world(sub(eye, p), spacing))
     x, y, z = to_local(n, v)
-    return normalize((x, y, max(abs(z), GRAZING)))
+    return normalize((x, y, max(abs(z), MIN_VIEW_COSINE)))
 
 
 @kernel(inline=True)
@@ -146,7 +146,7 @@ def judge_way(lobe, lights, p, v, l, w):
     light, density = expect_along(lights, p, w)
     hope = dot(share, light) + lights.ambient * (share[0] + share[1] + share[2])
     drawn = (1.0 - aside) * reflected_pdf(lobe.alpha, v, l) + aside * density
-    return share, light, hope, hope / max(drawn, SMALLEST)
+    return share, light, hope, hope / max(drawn, SMALLEST_NORMAL)
 
 
 @kernel(inline=True)
@@ -167,7 +167,7 @@ def choose_way(lobe, lights, p, n, v, seed, sample):
         if chance < taken:
             chosen, colour, bright, expected, chance = w, share, light, hope, chance / taken
         else:
-            chance = (chance - taken) / max(1.0 - taken, SMALLEST)
+            chance = (chance - taken) / max(1.0 - taken, SMALLEST_NORMAL)
     return chosen, scale(colour, total / (lights.ways * expected)), bright
 
 
@@ -189,7 +189,7 @@ def cast_from(surface, origins, directions, t):
     """Fill ``t`` (n,) with how far rays (3, n), which start off the surface, come to it: inf where they never do."""
     count = t.shape[0]
     came = np.empty(count, np.int8)
-    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, OUTSIDE, np.int8))
+    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, OUTSIDE_SIGN, np.int8))
     cast_batch(surface.field, surface.cells, rays, t, came)
 
 
@@ -203,10 +203,10 @@ def end_ray(surface, room, ray, t, k, ends, i):
     p = madd(o, t, d)
     if k >= 0:
         slope = dot(row(room.normals, k), w)
-        ends.met[i] = k if lit_from(room, k, slope) else NEVER
+        ends.met[i] = k if lit_from(room, k, slope) else MET_NOTHING
         n = scale(row(room.normals, k), -1.0 if slope > 0.0 else 1.0)
     else:
-        ends.met[i] = ISOSURFACE
+        ends.met[i] = MET_ISOSURFACE
         n = normal(surface.field, p)
         n = scale(w, -1.0) if is_zero(n) else n
     put_row(ends.points, i, p)
@@ -214,7 +214,7 @@ def end_ray(surface, room, ray, t, k, ends, i):
 
 
 @kernel(
-    types.void(SURFACE, ROOM, PIXEL_POINTS, VECTOR, SHINE_LOBE, SHINE_LIGHTS, SHINE_DRAWS, SHINE_ENDS),
+    types.void(SURFACE, ROOM_RECORD, PIXEL_POINTS, REAL_TRIPLE, SHINE_LOBE, SHINE_LIGHTS, SHINE_DRAWS, SHINE_ENDS),
 )
 def cast_shine(surface, room, points, eye, lobe, lights, draws, ends):
     """Cast the rays of a ``lobe`` from ``PixelPoints``, as ``draws`` has them, and fill their ``ends``.
@@ -239,7 +239,7 @@ def aim_rays(surface, points, eye, lobe, lights, draws, rays, ends):
     for i in range(draws.owners.shape[0]):
         m = draws.owners[i]
         p, n = point_of(points.points, m), point_of(points.normals, m)
-        o = launch(field, surface.isovalue, p, n, OUTSIDE)
+        o = launch(field, surface.isovalue, p, n, OUTSIDE_SIGN)
         v = to_viewer(p, n, eye, field.spacing)
         w, weight, light = choose_way(lobe, lights, to_world(o, field.spacing), n, v, draws.seeds[i], draws.samples[i])
         alive = max(weight[0], weight[1], weight[2]) > 0.0
@@ -256,11 +256,11 @@ def end_rays(surface, room, lights, rays, t, ends):
     """Fill the ``ends`` of ``rays``, (origins, directions, ways), which come as far as ``t`` (n,) on the surface."""
     origins, directions, ways = rays
     for i in range(t.shape[0]):
-        ends.met[i] = NEVER
+        ends.met[i] = MET_NOTHING
         if not origins[0, i] < math.inf:
             continue
         o, d, w = column(origins, i), column(directions, i), column(ways, i)
-        reach, wall = nearest_wall(room.walls, o, d, NOWHERE, t[i])
+        reach, wall = nearest_wall(room.walls, o, d, NO_WALL, t[i])
         if reach < math.inf:
             end_ray(surface, room, (o, d, w), reach, int(wall), ends, i)
             light = lamps_before(lights, to_world(o, surface.field.spacing), w, reach)
@@ -277,7 +277,7 @@ def add_lamp(surface, room, points, eye, lobe, lamp, draws, ends):
     for i in range(count):
         m = draws.owners[i]
         p, n = point_of(points.points, m), point_of(points.normals, m)
-        o, v = launch(field, surface.isovalue, p, n, OUTSIDE), to_viewer(p, n, eye, field.spacing)
+        o, v = launch(field, surface.isovalue, p, n, OUTSIDE_SIGN), to_viewer(p, n, eye, field.spacing)
         w, reach[i], light = illuminate(lamps, k, to_world(o, field.spacing), n, 0.5, 0.5)
         l = to_local(n, w)
         put_column(origins, i, NO_START)
@@ -291,11 +291,11 @@ def add_lamp(surface, room, points, eye, lobe, lamp, draws, ends):
     for i in range(count):
         if origins[0, i] < math.inf:
             o, d = column(origins, i), column(directions, i)
-            if not nearest_wall(room.walls, o, d, NOWHERE, t[i])[0] < reach[i]:
+            if not nearest_wall(room.walls, o, d, NO_WALL, t[i])[0] < reach[i]:
                 add_row(ends.brought, i, (1.0, 1.0, 1.0), column(lights, i))
 
 
-@kernel(types.void(PIXEL_POINTS, VECTOR, VECTOR, SHINE_LOBE, COLUMNS))
+@kernel(types.void(PIXEL_POINTS, REAL_TRIPLE, REAL_TRIPLE, SHINE_LOBE, SINGLE_ROWS))
 def fill_below(points, eye, spacing, lobe, below):
     """Fill ``below`` (m, 3) with ``light_below`` of ``PixelPoints`` that are seen from the ``eye``, in index space."""
     for m in range(points.pixels.shape[0]):
@@ -303,7 +303,7 @@ def fill_below(points, eye, spacing, lobe, below):
         put_row(below, m, light_below(lobe, v[2]))
 
 
-@kernel(types.void(SURFACE, PIXEL_POINTS, LAMPS, types.uint64[::1], COLUMNS))
+@kernel(types.void(SURFACE, PIXEL_POINTS, LAMPS, types.uint64[::1], SINGLE_ROWS))
 def light_ends(surface, points, lamps, seeds, lit):
     """Fill ``lit`` (m, 3) with an estimate of E/π straight from directional ``lamps`` at ``PixelPoints``.
 
@@ -318,7 +318,7 @@ def light_ends(surface, points, lamps, seeds, lit):
             a, b = point_2d(seeds[i], 0, SHINE_LAMP + k)
             w, _, light = illuminate(lamps, k, p, n, a, b)
             facing = max(light[0], light[1], light[2]) > 0.0
-            put_column(origins, i, launch(field, surface.isovalue, p, n, OUTSIDE) if facing else NO_START)
+            put_column(origins, i, launch(field, surface.isovalue, p, n, OUTSIDE_SIGN) if facing else NO_START)
             put_column(directions, i, to_index(w, field.spacing))
             put_column(lights, i, light)
         cast_from(surface, origins, directions, t)

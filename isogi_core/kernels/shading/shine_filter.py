@@ -4,11 +4,11 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.shading.picture_noise import BINOMIAL, RADIUS
+from isogi_core.kernels.shading.picture_noise import BINOMIAL_WEIGHTS, RADIUS
 
 ZERO_F32, ONE_F32 = np.float32(0.0), np.float32(1.0)
 
-COLUMNS = types.float32[:, ::1]
+SINGLE_ROWS = types.float32[:, ::1]
 
 
 @kernel(inline=True)
@@ -23,7 +23,14 @@ def biweight(normals, n, normal, narrow):
 
 @kernel(
     types.void(
-        types.int32[:, ::1], types.uint32[::1], COLUMNS, types.int64, COLUMNS, types.int64, types.float32, COLUMNS
+        types.int32[:, ::1],
+        types.uint32[::1],
+        SINGLE_ROWS,
+        types.int64,
+        SINGLE_ROWS,
+        types.int64,
+        types.float32,
+        SINGLE_ROWS,
     )
 )
 def filter_shine(rows, pixels, normals, first, light, step, width, found):
@@ -45,7 +52,9 @@ def filter_shine(rows, pixels, normals, first, light, step, width, found):
                 u = x + dx * step
                 n = np.int64(rows[v, u]) if 0 <= u < across else -1
                 if n >= 0:
-                    w = np.float32(BINOMIAL[dy + RADIUS] * BINOMIAL[dx + RADIUS]) * biweight(normals, n, normal, narrow)
+                    w = np.float32(BINOMIAL_WEIGHTS[dy + RADIUS] * BINOMIAL_WEIGHTS[dx + RADIUS]) * biweight(
+                        normals, n, normal, narrow
+                    )
                     red, green, blue = red + w * light[n, 0], green + w * light[n, 1], blue + w * light[n, 2]
                     variance, total = variance + w * w * light[n, 3], total + w
         found[i, 0], found[i, 1], found[i, 2] = red / total, green / total, blue / total

@@ -6,12 +6,12 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.shading.framebuffer import POINTS
-from isogi_core.kernels.tracing.field import FIELD, SIXTH, normal, to_world_normal
+from isogi_core.kernels.shading.framebuffer import POINT_ROWS
+from isogi_core.kernels.tracing.field import FIELD_RECORD, SIXTH, normal, to_world_normal
 from isogi_core.kernels.tracing.plateaus import point_within
 from isogi_core.kernels.tracing.vec import is_zero
 from isogi_core.kernels.transport.texel_points import way_to
-from isogi_core.kernels.transport.transfer import TEXELS, VECTOR
+from isogi_core.kernels.transport.transfer import REAL_ARRAY, TEXEL_PLACES
 
 NEARLY = 8
 """Halvings that find a projected texel's place to a quarter of a thousandth of a voxel: enough for its normal."""
@@ -70,7 +70,7 @@ def normal_there(field, p, n, level):
     return normal(field, point_within(field.voxels.shape, p, d, t)) if t < math.inf else (0.0, 0.0, 0.0)
 
 
-@kernel(types.void(FIELD, VECTOR, types.float64, types.boolean, TEXELS, POINTS))
+@kernel(types.void(FIELD_RECORD, REAL_ARRAY, types.float64, types.boolean, TEXEL_PLACES, POINT_ROWS))
 def fill_texel_normals(field, step, level, projected, texels, normals):
     """Fill ``normals`` (m, 3), outward unit world ones, of ``texels`` (m, 3; z, y, x) at their own points.
 
@@ -86,10 +86,10 @@ def fill_texel_normals(field, step, level, projected, texels, normals):
         normals[m, 0], normals[m, 1], normals[m, 2] = n
 
 
-KEYS = types.uint64[::1]
+KEY_ARRAY = types.uint64[::1]
 """Which texels a table of normals holds, each at the first free place from its own on: number plus 1; 0 is free."""
 
-SPREAD = np.uint64(0x9E3779B97F4A7C15)
+HASH_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 """An odd number near 2⁶⁴ over the golden ratio: its multiples spread numbers in a row all over."""
 
 
@@ -97,13 +97,13 @@ SPREAD = np.uint64(0x9E3779B97F4A7C15)
 def slot_of(number, keys):
     """Where in a table of a power of two of ``keys`` the texel ``number`` is, or where it may be put."""
     last, key = np.uint64(keys.shape[0] - 1), number + np.uint64(1)
-    at = (number * SPREAD >> np.uint64(32)) & last
+    at = (number * HASH_MULTIPLIER >> np.uint64(32)) & last
     while keys[at] != key and keys[at] != np.uint64(0):
         at = (at + np.uint64(1)) & last
     return at
 
 
-@kernel(types.void(KEYS, KEYS, POINTS, POINTS, types.boolean[::1]))
+@kernel(types.void(KEY_ARRAY, KEY_ARRAY, POINT_ROWS, POINT_ROWS, types.boolean[::1]))
 def look_up_normals(numbers, keys, table, normals, found):
     """Fill ``normals`` (m, 3) of the texels ``numbers`` (m,) that a ``table`` holds, and which are ``found`` (m,)."""
     for m in range(numbers.shape[0]):
@@ -113,7 +113,7 @@ def look_up_normals(numbers, keys, table, normals, found):
             normals[m, 0], normals[m, 1], normals[m, 2] = table[at, 0], table[at, 1], table[at, 2]
 
 
-@kernel(types.void(KEYS, POINTS, KEYS, POINTS))
+@kernel(types.void(KEY_ARRAY, POINT_ROWS, KEY_ARRAY, POINT_ROWS))
 def keep_normals(numbers, normals, keys, table):
     """Put the ``normals`` (m, 3) of the texels ``numbers`` (m,) into a ``table`` that has room for them."""
     for m in range(numbers.shape[0]):

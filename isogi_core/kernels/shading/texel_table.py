@@ -7,9 +7,9 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.shading.lattice import BURIED_ROW, LEAST_SPREAD, UNLIT, VOID_ROW
+from isogi_core.kernels.shading.lattice import BURIED_ROW, LEAST_SPREAD, UNLIT_ROW, VOID_ROW
 
-INFINITE = 0x7C00
+INFINITE_HALF = 0x7C00
 """Bits of the half float that stands for no finite number, and below all others that do not."""
 
 
@@ -35,10 +35,10 @@ def plane(kind, axes):
 
 
 OFFSETS, BOUNDS = types.int32[::1], types.int64[::1]
-SCALES, RUNGS, NOISE_CODES = plane(types.float32, 1), plane(types.uint8, 2), plane(types.uint8, 3)
-HALVES, SINGLES, BYTES = plane(types.uint16, 4), plane(types.float32, 4), plane(types.uint8, 4)
+SCALE_PLANE, RUNG_PLANE, NOISE_PLANE = plane(types.float32, 1), plane(types.uint8, 2), plane(types.uint8, 3)
+HALF_PLANE, SINGLE_PLANE, BYTE_PLANE = plane(types.uint16, 4), plane(types.float32, 4), plane(types.uint8, 4)
 TEXEL_NUMBERS = record(Numbers, types.int32[::1], types.float32[::1], types.float32[::1])
-TEXELS = record(Texels, types.int32[::1], types.float32[:, ::1], types.float32[:, :, ::1])
+TEXELS_RECORD = record(Texels, types.int32[::1], types.float32[:, ::1], types.float32[:, :, ::1])
 
 
 @kernel()
@@ -49,7 +49,7 @@ def number_of_half(half):
     is subnormal (IEEE 754).
     """
     size = np.uint32(half) & np.uint32(0x7FFF)
-    if size >= INFINITE:
+    if size >= INFINITE_HALF:
         return np.float32(np.nan)
     bits = np.uint32(size << np.uint32(13)) | np.uint32((np.uint32(half) & np.uint32(0x8000)) << np.uint32(16))
     return np.uint32(bits).view(np.float32) * np.float32(2.0**112)
@@ -76,10 +76,10 @@ def take_codes(plane, offsets, numbers, scale, into):
         into[m] = numbers[plane[np.uint32(t)]] * scale
 
 
-PLANES = types.Tuple((SCALES, RUNGS, NOISE_CODES, HALVES, SINGLES, BYTES))
+PLANE_TUPLE = types.Tuple((SCALE_PLANE, RUNG_PLANE, NOISE_PLANE, HALF_PLANE, SINGLE_PLANE, BYTE_PLANE))
 
 
-@kernel(types.void(OFFSETS, BOUNDS, PLANES, TEXEL_NUMBERS, TEXELS))
+@kernel(types.void(OFFSETS, BOUNDS, PLANE_TUPLE, TEXEL_NUMBERS, TEXELS_RECORD))
 def unpack_texels(offsets, bounds, planes, numbers, texels):
     """Fill ``texels`` with those at ``offsets`` (m,) in records; ``bounds[k]`` … ``bounds[k + 1]`` are of record k.
 
@@ -104,10 +104,10 @@ def unpack_texels(offsets, bounds, planes, numbers, texels):
                 take_codes(codes[k, c, i - second], own, numbers.light, scale, light[:, c, i])
 
 
-LIT, LACKING, SPARSE, NEVER = 1, 2, 4, 8
+TEXEL_LIT, LIGHT_LACKING, FEW_SAMPLES, TEXEL_VOID = 1, 2, 4, 8
 """What a part may say of a texel: it has light; shown light lacks; it has too few samples to be dark; it is void."""
 
-VOID = -1
+VOID_SAMPLES = -1
 """Number of samples of a texel that can hold no light (see bake.precision.VOID)."""
 
 
@@ -155,14 +155,14 @@ class Role(NamedTuple):
     fewest: int
 
 
-COLUMN, INTEGERS = types.float32[::1], types.int64[::1]
-REAL = types.float64[::1]
-ROWS = record(Rows, types.float32[:, :, ::1], COLUMN, COLUMN, COLUMN)
-SUMS = record(Sums, REAL, REAL, INTEGERS, INTEGERS, types.uint8[::1])
-TERM = (types.int64, types.int64, types.boolean)
-ROLE = record(Role, REAL, REAL, *TERM, types.int64, types.boolean, types.boolean, types.int64)
-SAMPLES, NUMBERS = types.int32[::1], types.int32[::1]
-NOISE, LIGHT = types.float32[:, ::1], types.float32[:, :, ::1]
+SINGLE_ARRAY, INTEGER_ARRAY = types.float32[::1], types.int64[::1]
+REAL_ARRAY = types.float64[::1]
+ROWS_RECORD = record(Rows, types.float32[:, :, ::1], SINGLE_ARRAY, SINGLE_ARRAY, SINGLE_ARRAY)
+SUMS_RECORD = record(Sums, REAL_ARRAY, REAL_ARRAY, INTEGER_ARRAY, INTEGER_ARRAY, types.uint8[::1])
+TERM_TYPES = (types.int64, types.int64, types.boolean)
+ROLE = record(Role, REAL_ARRAY, REAL_ARRAY, *TERM_TYPES, types.int64, types.boolean, types.boolean, types.int64)
+SAMPLE_COUNTS, COUNT_ARRAY = types.int32[::1], types.int32[::1]
+NOISE_ROWS, LIGHT_ROWS = types.float32[:, ::1], types.float32[:, :, ::1]
 
 
 @kernel()
@@ -210,9 +210,9 @@ def variance_of(noise, m, gains):
 def mark_of(samples, lit, role):
     """The marks that a part with this number of ``samples`` gives a texel, ``lit`` or dark in it."""
     lacks = role.straight and samples == 0 and not lit
-    marks = LIT if lit or not role.telling else 0
-    marks |= (LACKING if lacks else 0) | (SPARSE if samples < role.fewest else 0)
-    return marks | (NEVER if samples == VOID else 0)
+    marks = TEXEL_LIT if lit or not role.telling else 0
+    marks |= (LIGHT_LACKING if lacks else 0) | (FEW_SAMPLES if samples < role.fewest else 0)
+    return marks | (TEXEL_VOID if samples == VOID_SAMPLES else 0)
 
 
 @kernel()
@@ -225,7 +225,11 @@ def sum_bits(bits, m):
     return total
 
 
-@kernel(types.void(SAMPLES, NOISE, LIGHT, types.int32[:, :, ::1], ROLE, NUMBERS, ROWS, SUMS))
+@kernel(
+    types.void(
+        SAMPLE_COUNTS, NOISE_ROWS, LIGHT_ROWS, types.int32[:, :, ::1], ROLE, COUNT_ARRAY, ROWS_RECORD, SUMS_RECORD
+    )
+)
 def add_part(samples, noise, light, bits, role, rows, into, sums):
     """Add one part of m texels to their ``rows`` (m,) in ``into``, and to their ``sums``.
 
@@ -245,11 +249,11 @@ def add_part(samples, noise, light, bits, role, rows, into, sums):
 @kernel()
 def lookup_of(marks, row):
     """Where a texel with these ``marks`` is looked up: its ``row``, or why it has none."""
-    if marks & NEVER:
+    if marks & TEXEL_VOID:
         return VOID_ROW
-    if marks & LACKING:
-        return UNLIT
-    return row if marks & (LIT | SPARSE) else BURIED_ROW
+    if marks & LIGHT_LACKING:
+        return UNLIT_ROW
+    return row if marks & (TEXEL_LIT | FEW_SAMPLES) else BURIED_ROW
 
 
 class Judge(NamedTuple):
@@ -273,7 +277,7 @@ class Judge(NamedTuple):
 
 
 POWERS = types.float64[:, :, :, :, ::1]
-JUDGE = record(Judge, INTEGERS, INTEGERS, REAL, POWERS, *[types.float64] * 3, types.int64, types.int64)
+JUDGE = record(Judge, INTEGER_ARRAY, INTEGER_ARRAY, REAL_ARRAY, POWERS, *[types.float64] * 3, types.int64, types.int64)
 
 
 @kernel()
@@ -307,7 +311,7 @@ def mean_square(transfer, row, judge):
     return total
 
 
-@kernel(types.void(NUMBERS, ROWS, SUMS, JUDGE, NUMBERS))
+@kernel(types.void(COUNT_ARRAY, ROWS_RECORD, SUMS_RECORD, JUDGE, COUNT_ARRAY))
 def judge_rows(rows, into, sums, judge, places):
     """Fill scatter, error and stamp of the ``rows`` (m,) in ``into``, whose parts were all added, from their ``sums``.
 

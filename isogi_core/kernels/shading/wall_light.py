@@ -7,12 +7,12 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.shading.framebuffer import FRAMEBUFFER, PIXELS, POINTS, luminance, point_of, put_pixel
+from isogi_core.kernels.shading.framebuffer import FRAMEBUFFER, PIXEL_ARRAY, POINT_ROWS, luminance, point_of, put_pixel
 from isogi_core.kernels.tracing.vec import sub
-from isogi_core.kernels.tracing.walls import WALLS, inner
+from isogi_core.kernels.tracing.walls import WALLS_RECORD, inner
 from isogi_core.kernels.transport.lights import row
 
-VARIANCE = 3
+WALL_VARIANCE_COLUMN = 3
 """The column of a wall's texel, after its colours, that holds the variance of its luminance."""
 
 
@@ -30,8 +30,8 @@ class WallTable(NamedTuple):
     states: Any
 
 
-INTEGERS = types.int64[::1]
-WALL_TABLE = record(WallTable, types.float32[:, ::1], INTEGERS, INTEGERS, INTEGERS, types.uint8[::1])
+INTEGER_ARRAY = types.int64[::1]
+WALL_TABLE = record(WallTable, types.float32[:, ::1], INTEGER_ARRAY, INTEGER_ARRAY, INTEGER_ARRAY, types.uint8[::1])
 
 
 @kernel()
@@ -51,7 +51,7 @@ def mix_texels(table, first, columns, way, c):
     return (1.0 - y) * low + y * high
 
 
-@kernel(types.void(WALLS, WALL_TABLE, PIXELS, POINTS, types.int8[::1], types.float32, FRAMEBUFFER))
+@kernel(types.void(WALLS_RECORD, WALL_TABLE, PIXEL_ARRAY, POINT_ROWS, types.int8[::1], types.float32, FRAMEBUFFER))
 def light_walls(walls, table, pixels, points, numbers, darkest, framebuffer):
     """Write the light of walls at ``points`` (m, 3), in index space, of walls ``numbers`` (m,), to their ``pixels``.
 
@@ -68,6 +68,6 @@ def light_walls(walls, table, pixels, points, numbers, darkest, framebuffer):
             mix_texels(table, first, table.columns[k], way, 1),
             mix_texels(table, first, table.columns[k], way, 2),
         )
-        noise = math.sqrt(mix_texels(table, first, table.columns[k], way, VARIANCE))
+        noise = math.sqrt(mix_texels(table, first, table.columns[k], way, WALL_VARIANCE_COLUMN))
         error = min(noise / max(luminance(r, g, b), darkest), 1.0)
         put_pixel(framebuffer, pixels[m], (r, g, b), table.states[k], np.float32(error))

@@ -12,7 +12,7 @@ from numba.extending import models, register_model
 
 from isogi_core.kernels.simd.types import Vector
 
-BIT, BYTE, WORD, LONG, FLOAT, DOUBLE = (
+BIT_TYPE, BYTE_TYPE, WORD_TYPE, LONG_TYPE, FLOAT_TYPE, DOUBLE_TYPE = (
     ir.IntType(1),
     ir.IntType(8),
     ir.IntType(32),
@@ -20,15 +20,21 @@ BIT, BYTE, WORD, LONG, FLOAT, DOUBLE = (
     ir.FloatType(),
     ir.DoubleType(),
 )
-ELEMENTS = {types.float32: FLOAT, types.float64: DOUBLE, types.int32: WORD, types.uint32: WORD, types.boolean: BIT}
+ELEMENTS = {
+    types.float32: FLOAT_TYPE,
+    types.float64: DOUBLE_TYPE,
+    types.int32: WORD_TYPE,
+    types.uint32: WORD_TYPE,
+    types.boolean: BIT_TYPE,
+}
 """LLVM's types of a vector's elements."""
 
 Build = Callable[..., ir.Value]
 Typer = Callable[..., Any]
 
 ANYTHING = ((types.VarArg(types.Any),),)
-UNARY = ((Vector,),)
-BINARY = ((Vector, Vector), (Vector, types.Number), (types.Number, Vector))
+UNARY_PATTERNS = ((Vector,),)
+BINARY_PATTERNS = ((Vector, Vector), (Vector, types.Number), (types.Number, Vector))
 """Patterns of arguments: those of functions that are ours alone, and of Python's with vectors among the arguments."""
 
 
@@ -91,7 +97,7 @@ def elementwise(function: Any, arity: int, elements: set[Any], masks: bool = Fal
         return signature(kind.mask if masks else kind, *given)
 
     def _register(build: Build) -> Build:
-        @define(function, _typer, UNARY if arity == 1 else BINARY if arity == 2 else ANYTHING)
+        @define(function, _typer, UNARY_PATTERNS if arity == 1 else BINARY_PATTERNS if arity == 2 else ANYTHING)
         def _lower(context: Any, builder: ir.IRBuilder, sig: Any, *values: ir.Value) -> ir.Value:
             kind = operand(sig.args)
             return build(builder, kind, *[spread(builder, value, kind) for value in values])
@@ -116,8 +122,8 @@ def stub(name: str, does: str, module: str) -> Any:
 def splat(builder: ir.IRBuilder, value: ir.Value, count: int) -> ir.Value:
     """A vector with ``value`` in each of ``count`` lanes."""
     vector = ir.VectorType(value.type, count)
-    first = builder.insert_element(ir.Constant(vector, ir.Undefined), value, WORD(0))
-    zeros = ir.Constant(ir.VectorType(WORD, count), [0] * count)
+    first = builder.insert_element(ir.Constant(vector, ir.Undefined), value, WORD_TYPE(0))
+    zeros = ir.Constant(ir.VectorType(WORD_TYPE, count), [0] * count)
     return builder.shuffle_vector(first, ir.Constant(vector, ir.Undefined), zeros)
 
 
@@ -127,7 +133,7 @@ def spread(builder: ir.IRBuilder, value: ir.Value, kind: Vector) -> ir.Value:
         return value
     element = ELEMENTS[kind.number]
     if value.type != element:
-        value = builder.fptrunc(value, FLOAT) if element == FLOAT else builder.trunc(value, element)
+        value = builder.fptrunc(value, FLOAT_TYPE) if element == FLOAT_TYPE else builder.trunc(value, element)
     return splat(builder, value, kind.count)
 
 
@@ -145,7 +151,7 @@ def suffix(kind: Vector) -> str:
 def consecutive(first: int, last: int, step: int = 1) -> ir.Constant:
     """The vector first, first + step, … below ``last``, to shuffle by."""
     numbers = list(range(first, last, step))
-    return ir.Constant(ir.VectorType(WORD, len(numbers)), numbers)
+    return ir.Constant(ir.VectorType(WORD_TYPE, len(numbers)), numbers)
 
 
 def join(builder: ir.IRBuilder, parts: list[ir.Value]) -> ir.Value:
@@ -159,11 +165,11 @@ def join(builder: ir.IRBuilder, parts: list[ir.Value]) -> ir.Value:
 
 def mask_bits(builder: ir.IRBuilder, mask: ir.Value) -> ir.Value:
     """A mask as an integer of 64 bits, bit i for lane i."""
-    return builder.zext(builder.bitcast(mask, ir.IntType(mask.type.count)), LONG)
+    return builder.zext(builder.bitcast(mask, ir.IntType(mask.type.count)), LONG_TYPE)
 
 
 def ranks(builder: ir.IRBuilder, word: ir.Value, count: int) -> ir.Value:
     """How many bits below it are set in a word of 32 bits, for each of ``count`` lanes."""
-    before = ir.Constant(ir.VectorType(WORD, count), [(1 << lane) - 1 for lane in range(count)])
+    before = ir.Constant(ir.VectorType(WORD_TYPE, count), [(1 << lane) - 1 for lane in range(count)])
     below = builder.and_(splat(builder, word, count), before)
     return call(builder, f"llvm.ctpop.v{count}i32", before.type, below)

@@ -17,10 +17,10 @@ from numba.extending import intrinsic, overload
 
 from isogi_core.kernels.simd import operators
 from isogi_core.kernels.simd.llvm import (
-    BIT,
-    DOUBLE,
-    LONG,
-    WORD,
+    BIT_TYPE,
+    DOUBLE_TYPE,
+    LONG_TYPE,
+    WORD_TYPE,
     call,
     consecutive,
     define,
@@ -33,7 +33,7 @@ from isogi_core.kernels.simd.llvm import (
     suffix,
     vector_type,
 )
-from isogi_core.kernels.simd.operators import REALS, TRUTHS
+from isogi_core.kernels.simd.operators import BOOLEAN_TYPES, REAL_TYPES
 from isogi_core.kernels.simd.types import PATH_WIDTH, RAY_WIDTH, Vector
 
 TO_UNIT = 2.0**-32
@@ -65,7 +65,7 @@ def _type_of_choice(truth: Any, a: Any, b: Any) -> Any:
     if isinstance(truth, types.Boolean):
         kind = types.int64 if whole else types.float64 if numbers else types.boolean if a == b == truth else None
         return kind and signature(kind, truth, kind, kind)
-    if not (isinstance(truth, Vector) and truth.number in TRUTHS):
+    if not (isinstance(truth, Vector) and truth.number in BOOLEAN_TYPES):
         return None
     if numbers:
         kind = truth.of(types.int32 if whole else types.float64)
@@ -92,8 +92,8 @@ def _chooser(sign: str) -> Any:
     return _build
 
 
-elementwise(min, 2, REALS | operators.WHOLES)(_chooser("<"))
-elementwise(max, 2, REALS | operators.WHOLES)(_chooser(">"))
+elementwise(min, 2, REAL_TYPES | operators.INTEGER_TYPES)(_chooser("<"))
+elementwise(max, 2, REAL_TYPES | operators.INTEGER_TYPES)(_chooser(">"))
 
 
 def not_(truth: Any) -> Any:
@@ -115,7 +115,7 @@ def _not(context: Any, builder: ir.IRBuilder, sig: Any, truth: ir.Value) -> ir.V
 def _any_of(context: Any, builder: ir.IRBuilder, sig: Any, truth: ir.Value) -> ir.Value:
     if not isinstance(truth.type, ir.VectorType):
         return truth
-    return builder.icmp_unsigned("!=", mask_bits(builder, truth), LONG(0))
+    return builder.icmp_unsigned("!=", mask_bits(builder, truth), LONG_TYPE(0))
 
 
 def divide(a: Any, b: Any) -> Any:
@@ -136,7 +136,7 @@ def _divide(context: Any, builder: ir.IRBuilder, sig: Any, *pair: ir.Value) -> i
     kind = sig.return_type
     if isinstance(kind, Vector):
         pair = tuple(spread(builder, value, kind) for value in pair)
-    return builder.fdiv(*pair, flags=operators.FLAGS[types.float64])
+    return builder.fdiv(*pair, flags=operators.FAST_FLAGS[types.float64])
 
 
 # --- functions ----------------------------------------------------------------------------------------------
@@ -147,17 +147,17 @@ def _fma(builder: ir.IRBuilder, kind: Vector, *values: ir.Value) -> ir.Value:
     return call(builder, f"llvm.fma.{suffix(kind)}", vector_type(kind), *values)
 
 
-@elementwise(abs, 1, REALS)
+@elementwise(abs, 1, REAL_TYPES)
 def _abs(builder: ir.IRBuilder, kind: Vector, a: ir.Value) -> ir.Value:
     return call(builder, f"llvm.fabs.{suffix(kind)}", a.type, a)
 
 
-@elementwise(math.sqrt, 1, REALS)
+@elementwise(math.sqrt, 1, REAL_TYPES)
 def _sqrt(builder: ir.IRBuilder, kind: Vector, a: ir.Value) -> ir.Value:
     return call(builder, f"llvm.sqrt.{suffix(kind)}", a.type, a)
 
 
-@elementwise(math.copysign, 2, REALS)
+@elementwise(math.copysign, 2, REAL_TYPES)
 def _copysign(builder: ir.IRBuilder, kind: Vector, size: ir.Value, sign: ir.Value) -> ir.Value:
     return call(builder, f"llvm.copysign.{suffix(kind)}", sign.type, size, sign)
 
@@ -193,7 +193,7 @@ def _conversion(number: Any) -> Any:
 
     def _typer(value: Any) -> Any:
         if isinstance(value, Vector):
-            return signature(value.of(number), value) if value.number not in TRUTHS else None
+            return signature(value.of(number), value) if value.number not in BOOLEAN_TYPES else None
         kind = Vector(number, RAY_WIDTH)
         return signature(kind, kind.scalar) if isinstance(value, types.Number) else None
 
@@ -243,7 +243,7 @@ def _type_of_fraction(word: Any) -> Any:
 
 @define(fraction, _type_of_fraction)
 def _fraction(context: Any, builder: ir.IRBuilder, sig: Any, word: ir.Value) -> ir.Value:
-    kind, unit = DOUBLE, DOUBLE(TO_UNIT)
+    kind, unit = DOUBLE_TYPE, DOUBLE_TYPE(TO_UNIT)
     if isinstance(sig.return_type, Vector):
         kind, unit = vector_type(sig.return_type), splat(builder, unit, sig.return_type.count)
     return builder.fmul(builder.uitofp(word, kind), unit)
@@ -254,7 +254,7 @@ def _fraction(context: Any, builder: ir.IRBuilder, sig: Any, word: ir.Value) -> 
 
 @define(mask_of, lambda truth: signature(Vector(types.boolean, RAY_WIDTH), types.boolean))
 def _mask_of(context: Any, builder: ir.IRBuilder, sig: Any, truth: ir.Value) -> ir.Value:
-    return splat(builder, builder.trunc(truth, BIT), RAY_WIDTH)
+    return splat(builder, builder.trunc(truth, BIT_TYPE), RAY_WIDTH)
 
 
 @define(bits, lambda mask: signature(types.int64, mask))
@@ -264,7 +264,7 @@ def _bits(context: Any, builder: ir.IRBuilder, sig: Any, mask: ir.Value) -> ir.V
 
 @define(popcount, lambda mask: signature(types.int64, mask))
 def _popcount(context: Any, builder: ir.IRBuilder, sig: Any, mask: ir.Value) -> ir.Value:
-    return call(builder, "llvm.ctpop.i64", LONG, mask_bits(builder, mask))
+    return call(builder, "llvm.ctpop.i64", LONG_TYPE, mask_bits(builder, mask))
 
 
 @define(lane_numbers, lambda: signature(Vector(types.int32, RAY_WIDTH)))
@@ -274,7 +274,7 @@ def _lane_numbers(context: Any, builder: ir.IRBuilder, sig: Any) -> ir.Value:
 
 @define(rank, lambda mask: signature(mask.of(types.int32), mask))
 def _rank(context: Any, builder: ir.IRBuilder, sig: Any, mask: ir.Value) -> ir.Value:
-    return ranks(builder, builder.trunc(mask_bits(builder, mask), WORD), mask.type.count)
+    return ranks(builder, builder.trunc(mask_bits(builder, mask), WORD_TYPE), mask.type.count)
 
 
 def _type_of_item(vector: Any, lane: Any) -> Any:

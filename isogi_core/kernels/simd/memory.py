@@ -10,13 +10,13 @@ from numba.core.typing.templates import signature
 from numba.extending import overload
 
 from isogi_core.kernels.simd.llvm import (
-    BIT,
-    BYTE,
-    DOUBLE,
+    BIT_TYPE,
+    BYTE_TYPE,
+    DOUBLE_TYPE,
     ELEMENTS,
-    FLOAT,
-    LONG,
-    WORD,
+    FLOAT_TYPE,
+    LONG_TYPE,
+    WORD_TYPE,
     call,
     consecutive,
     define,
@@ -25,7 +25,7 @@ from isogi_core.kernels.simd.llvm import (
     stub,
     vector_type,
 )
-from isogi_core.kernels.simd.types import REGISTER, Vector
+from isogi_core.kernels.simd.types import REGISTER_LANES, Vector
 
 ELEMENT_OF = {
     types.float32: types.float32,
@@ -99,7 +99,7 @@ def _at(builder: ir.IRBuilder, base: ir.Value, place: ir.Value, count: int) -> i
 
 def _one(builder: ir.IRBuilder, base: ir.Value, index: ir.Value, lane: int) -> ir.Value:
     """Pointer to the element that one lane of an index names."""
-    return builder.gep(base, [builder.sext(builder.extract_element(index, WORD(lane)), LONG)])
+    return builder.gep(base, [builder.sext(builder.extract_element(index, WORD_TYPE(lane)), LONG_TYPE)])
 
 
 # --- whole vectors ------------------------------------------------------------------------------------------
@@ -128,7 +128,7 @@ def _type_of_store(array: Any, i: Any, vector: Any) -> Any:
 @access(store, set(ELEMENT_OF), _type_of_store)
 def _store(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, vector: Any) -> ir.Value:
     dtype, count = sig.args[0].dtype, vector.type.count
-    narrow = builder.trunc(vector, ir.VectorType(BYTE, count)) if dtype == types.int8 else vector
+    narrow = builder.trunc(vector, ir.VectorType(BYTE_TYPE, count)) if dtype == types.int8 else vector
     builder.store(narrow, _at(builder, base, place, count), align=dtype.bitwidth // 8)
     return context.get_dummy_value()
 
@@ -148,7 +148,7 @@ def _overload_add_to(array: Any, i: Any, value: Any) -> Any:
 @access(prefetch, {types.float32}, lambda flat, place: signature(types.none, flat, types.int64))
 def _prefetch(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value) -> ir.Value:
     line = builder.bitcast(builder.gep(base, [place]), cgutils.voidptr_t)
-    call(builder, "llvm.prefetch.p0", ir.VoidType(), line, WORD(0), WORD(3), WORD(1))
+    call(builder, "llvm.prefetch.p0", ir.VoidType(), line, WORD_TYPE(0), WORD_TYPE(3), WORD_TYPE(1))
     return context.get_dummy_value()
 
 
@@ -158,13 +158,13 @@ def _prefetch(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, pla
 @access(gather, SINGLE | {types.float64}, lambda array, index: signature(_vector(array, index.count), array, index))
 def _gather(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, index: ir.Value) -> ir.Value:
     kind = sig.return_type
-    if REGISTER == 16:
+    if REGISTER_LANES == 16:
         width = 8 if kind.number == types.float64 else 16
         parts = [_gather_part(builder, kind, base, index, first, width) for first in range(0, kind.count, width)]
         return join(builder, parts)
     vector = ir.Constant(vector_type(kind), ir.Undefined)
     for lane in range(kind.count):
-        vector = builder.insert_element(vector, builder.load(_one(builder, base, index, lane)), WORD(lane))
+        vector = builder.insert_element(vector, builder.load(_one(builder, base, index, lane)), WORD_TYPE(lane))
     return vector
 
 
@@ -174,10 +174,10 @@ def _gather_part(
     """AVX-512's gather for one register; AVX2's gains nothing over single loads."""
     part = ir.VectorType(ELEMENTS[kind.number], width)
     letters = {types.float32: "ps", types.float64: "pd", types.int32: "pi"}[kind.number]
-    every = ir.Constant(ir.VectorType(BIT, width), [1] * width)
+    every = ir.Constant(ir.VectorType(BIT_TYPE, width), [1] * width)
     places = builder.shuffle_vector(index, index, consecutive(first, first + width))
-    pointer = builder.bitcast(base, BYTE.as_pointer())
-    arguments = (ir.Constant(part, None), pointer, places, every, WORD(kind.number.bitwidth // 8))
+    pointer = builder.bitcast(base, BYTE_TYPE.as_pointer())
+    arguments = (ir.Constant(part, None), pointer, places, every, WORD_TYPE(kind.number.bitwidth // 8))
     return call(builder, f"llvm.x86.avx512.mask.gather.d{letters}.512", part, *arguments)
 
 
@@ -188,7 +188,7 @@ def _type_of_pair(array: Any, index: Any) -> Any:
 
 @access(gather_pair, {types.float32}, _type_of_pair)
 def _gather_pair(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, index: ir.Value) -> ir.Value:
-    width = REGISTER // 2
+    width = REGISTER_LANES // 2
     pairs = [_pairs(builder, base, index, first, width) for first in range(0, index.type.count, width)]
     sides = [
         join(builder, [builder.shuffle_vector(p, p, consecutive(side, 2 * width, 2)) for p in pairs]) for side in (0, 1)
@@ -198,18 +198,24 @@ def _gather_pair(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, 
 
 def _pairs(builder: ir.IRBuilder, base: ir.Value, index: ir.Value, first: int, width: int) -> ir.Value:
     """Two neighbours for each of ``width`` lanes from lane ``first`` on, side by side in one register of float32."""
-    vector = ir.VectorType(DOUBLE, width)
-    if REGISTER == 16:
-        every = ir.Constant(ir.VectorType(BIT, width), [1] * width)
+    vector = ir.VectorType(DOUBLE_TYPE, width)
+    if REGISTER_LANES == 16:
+        every = ir.Constant(ir.VectorType(BIT_TYPE, width), [1] * width)
         places = builder.shuffle_vector(index, index, consecutive(first, first + width))
-        arguments = (ir.Constant(vector, None), builder.bitcast(base, BYTE.as_pointer()), places, every, WORD(4))
+        arguments = (
+            ir.Constant(vector, None),
+            builder.bitcast(base, BYTE_TYPE.as_pointer()),
+            places,
+            every,
+            WORD_TYPE(4),
+        )
         pairs = call(builder, "llvm.x86.avx512.mask.gather.dpd.512", vector, *arguments)
     else:
         pairs = ir.Constant(vector, ir.Undefined)
         for lane in range(width):
-            pointer = builder.bitcast(_one(builder, base, index, first + lane), DOUBLE.as_pointer())
-            pairs = builder.insert_element(pairs, builder.load(pointer, align=4), WORD(lane))
-    return builder.bitcast(pairs, ir.VectorType(FLOAT, 2 * width))
+            pointer = builder.bitcast(_one(builder, base, index, first + lane), DOUBLE_TYPE.as_pointer())
+            pairs = builder.insert_element(pairs, builder.load(pointer, align=4), WORD_TYPE(lane))
+    return builder.bitcast(pairs, ir.VectorType(FLOAT_TYPE, 2 * width))
 
 
 def _type_of_take(array: Any, first: Any, mask: Any) -> Any:
@@ -221,15 +227,15 @@ def _type_of_take(array: Any, first: Any, mask: Any) -> Any:
 def _take(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, mask: ir.Value) -> ir.Value:
     kind, parts = sig.return_type, []
     whole = kind.number == types.int32
-    name = {16: "llvm.x86.avx512.permvar.s{}.512", 8: "llvm.x86.avx2.perm{}"}[REGISTER]
-    name = name.format({16: "fi", 8: ("ps", "d")}[REGISTER][whole])
-    part = ir.VectorType(ELEMENTS[kind.number], REGISTER)
-    for first in range(0, kind.count, REGISTER):
-        own = builder.shuffle_vector(mask, mask, consecutive(first, first + REGISTER))
-        word = builder.zext(builder.bitcast(own, ir.IntType(REGISTER)), WORD)
+    name = {16: "llvm.x86.avx512.permvar.s{}.512", 8: "llvm.x86.avx2.perm{}"}[REGISTER_LANES]
+    name = name.format({16: "fi", 8: ("ps", "d")}[REGISTER_LANES][whole])
+    part = ir.VectorType(ELEMENTS[kind.number], REGISTER_LANES)
+    for first in range(0, kind.count, REGISTER_LANES):
+        own = builder.shuffle_vector(mask, mask, consecutive(first, first + REGISTER_LANES))
+        word = builder.zext(builder.bitcast(own, ir.IntType(REGISTER_LANES)), WORD_TYPE)
         pointer = builder.bitcast(builder.gep(base, [place]), part.as_pointer())
-        parts.append(call(builder, name, part, builder.load(pointer, align=4), ranks(builder, word, REGISTER)))
-        taken = call(builder, "llvm.ctpop.i32", WORD, word)
+        parts.append(call(builder, name, part, builder.load(pointer, align=4), ranks(builder, word, REGISTER_LANES)))
+        taken = call(builder, "llvm.ctpop.i32", WORD_TYPE, word)
         place = builder.add(place, builder.zext(taken, place.type))
     return join(builder, parts)
 
@@ -245,8 +251,8 @@ def _scatter(
     context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, index: ir.Value, vector: ir.Value, mask: ir.Value
 ) -> ir.Value:
     for lane in range(index.type.count):
-        with builder.if_then(builder.extract_element(mask, WORD(lane))):
-            element = builder.extract_element(vector, WORD(lane))
-            element = builder.trunc(element, BYTE) if sig.args[0].dtype == types.int8 else element
+        with builder.if_then(builder.extract_element(mask, WORD_TYPE(lane))):
+            element = builder.extract_element(vector, WORD_TYPE(lane))
+            element = builder.trunc(element, BYTE_TYPE) if sig.args[0].dtype == types.int8 else element
             builder.store(element, _one(builder, base, index, lane))
     return context.get_dummy_value()

@@ -13,18 +13,18 @@ from numba import types
 from isogi_core.kernels.simd.llvm import Build, elementwise
 from isogi_core.kernels.simd.types import Vector
 
-REALS, WHOLES, TRUTHS = {types.float32, types.float64}, {types.int32, types.uint32}, {types.boolean}
+REAL_TYPES, INTEGER_TYPES, BOOLEAN_TYPES = {types.float32, types.float64}, {types.int32, types.uint32}, {types.boolean}
 
 # An operation without a flag is given those of its kernel: products of float64 would be fused with sums.
-FLAGS = {types.float32: ("contract", "nsz"), types.float64: ("nsz",)}
+FAST_FLAGS = {types.float32: ("contract", "nsz"), types.float64: ("nsz",)}
 
 
 def method(real: str, whole: str = "") -> Build:
     """The builder's method ``real`` for floating point, ``whole`` for integers and masks."""
 
     def _build(builder: ir.IRBuilder, kind: Vector, *values: ir.Value) -> ir.Value:
-        if kind.number in REALS:
-            return getattr(builder, real)(*values, flags=FLAGS[kind.number])
+        if kind.number in REAL_TYPES:
+            return getattr(builder, real)(*values, flags=FAST_FLAGS[kind.number])
         return getattr(builder, whole)(*values)
 
     return _build
@@ -37,13 +37,13 @@ def define_binary(name: str, elements: set[Any], build: Build) -> None:
 
 
 for _operator in ("add", "sub", "mul"):
-    define_binary(_operator, REALS | WHOLES, method("f" + _operator, _operator))
-define_binary("truediv", REALS, method("fdiv"))
-define_binary("lshift", WHOLES, method("", "shl"))
+    define_binary(_operator, REAL_TYPES | INTEGER_TYPES, method("f" + _operator, _operator))
+define_binary("truediv", REAL_TYPES, method("fdiv"))
+define_binary("lshift", INTEGER_TYPES, method("", "shl"))
 for _operator in ("and_", "or_", "xor"):
-    define_binary(_operator, WHOLES | TRUTHS, method("", _operator))
-elementwise(operator.invert, 1, TRUTHS)(method("", "not_"))
-elementwise(operator.neg, 1, REALS)(lambda builder, kind, a: builder.fneg(a))
+    define_binary(_operator, INTEGER_TYPES | BOOLEAN_TYPES, method("", _operator))
+elementwise(operator.invert, 1, BOOLEAN_TYPES)(method("", "not_"))
+elementwise(operator.neg, 1, REAL_TYPES)(lambda builder, kind, a: builder.fneg(a))
 
 
 def _shift_right(builder: ir.IRBuilder, kind: Vector, a: ir.Value, b: ir.Value) -> ir.Value:
@@ -51,14 +51,14 @@ def _shift_right(builder: ir.IRBuilder, kind: Vector, a: ir.Value, b: ir.Value) 
     return builder.ashr(a, b) if kind.number == types.int32 else builder.lshr(a, b)
 
 
-define_binary("rshift", WHOLES, _shift_right)
+define_binary("rshift", INTEGER_TYPES, _shift_right)
 
 
 def comparison(sign: str) -> Build:
     """How two vectors compare; nothing is true of what is no number, but that it differs."""
 
     def _build(builder: ir.IRBuilder, kind: Vector, a: ir.Value, b: ir.Value) -> ir.Value:
-        if kind.number in REALS:
+        if kind.number in REAL_TYPES:
             return (builder.fcmp_unordered if sign == "!=" else builder.fcmp_ordered)(sign, a, b)
         if kind.number == types.int32:
             return builder.icmp_signed(sign, a, b)
@@ -68,6 +68,8 @@ def comparison(sign: str) -> Build:
 
 
 for _operator, _sign in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">=")):
-    elementwise(getattr(operator, _operator), 2, REALS | WHOLES, masks=True)(comparison(_sign))
+    elementwise(getattr(operator, _operator), 2, REAL_TYPES | INTEGER_TYPES, masks=True)(comparison(_sign))
 for _operator, _sign in (("eq", "=="), ("ne", "!=")):
-    elementwise(getattr(operator, _operator), 2, REALS | WHOLES | TRUTHS, masks=True)(comparison(_sign))
+    elementwise(getattr(operator, _operator), 2, REAL_TYPES | INTEGER_TYPES | BOOLEAN_TYPES, masks=True)(
+        comparison(_sign)
+    )

@@ -25,13 +25,13 @@ def register_lanes() -> int | None:
     return 16 if wide else 8 if any(name.startswith(cpu) for cpu in AVX2_CPUS) else None
 
 
-REGISTER = register_lanes()
+REGISTER_LANES = register_lanes()
 """Float32 lanes of a register, or None."""
 
-RAY_WIDTH = 2 * REGISTER if REGISTER else 1
+RAY_WIDTH = 2 * REGISTER_LANES if REGISTER_LANES else 1
 """Lanes of the vectors that rays are traced in: two registers of float32. 1 where there is no SIMD."""
 
-PATH_WIDTH = 1 if numba.config.DISABLE_JIT else REGISTER or 4
+PATH_WIDTH = 1 if numba.config.DISABLE_JIT else REGISTER_LANES or 4
 """Lanes of the vectors that paths are worked out in: two registers of float64."""
 
 SCALARS = {

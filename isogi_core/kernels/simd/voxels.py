@@ -9,7 +9,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
 
-from isogi_core.kernels.simd.llvm import DOUBLE, FLOAT, WORD, consecutive, splat, vector_type
+from isogi_core.kernels.simd.llvm import DOUBLE_TYPE, FLOAT_TYPE, WORD_TYPE, consecutive, splat, vector_type
 from isogi_core.kernels.simd.types import Vector
 
 FOUR = Vector(types.float64, 4)
@@ -34,13 +34,15 @@ def cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
 def load_pairs(builder: ir.IRBuilder, data: ir.Value, places: ir.Value) -> list[ir.Value]:
     """Two float32 at each of the ``places``: the first ones and the second ones, as vectors of float64."""
     count = places.type.count
-    pairs = ir.Constant(ir.VectorType(DOUBLE, count), ir.Undefined)
+    pairs = ir.Constant(ir.VectorType(DOUBLE_TYPE, count), ir.Undefined)
     for lane in range(count):
-        pair = builder.bitcast(builder.gep(data, [builder.extract_element(places, WORD(lane))]), DOUBLE.as_pointer())
-        pairs = builder.insert_element(pairs, builder.load(pair, align=4), WORD(lane))
-    singles = builder.bitcast(pairs, ir.VectorType(FLOAT, 2 * count))
+        pair = builder.bitcast(
+            builder.gep(data, [builder.extract_element(places, WORD_TYPE(lane))]), DOUBLE_TYPE.as_pointer()
+        )
+        pairs = builder.insert_element(pairs, builder.load(pair, align=4), WORD_TYPE(lane))
+    singles = builder.bitcast(pairs, ir.VectorType(FLOAT_TYPE, 2 * count))
     halves = [consecutive(odd, 2 * count, 2) for odd in (0, 1)]
-    wide = ir.VectorType(DOUBLE, count)
+    wide = ir.VectorType(DOUBLE_TYPE, count)
     return [builder.fpext(builder.shuffle_vector(singles, singles, half), wide) for half in halves]
 
 
@@ -80,7 +82,7 @@ def _four_together(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
     def _build(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> ir.Value:
         data, slab, row = open_voxels(context, builder, sig.args[0], values[0])
         place = builder.add(builder.mul(values[1], slab), builder.add(builder.mul(values[2], row), values[3]))
-        first = builder.bitcast(builder.gep(data, [place]), ir.VectorType(FLOAT, 4).as_pointer())
+        first = builder.bitcast(builder.gep(data, [place]), ir.VectorType(FLOAT_TYPE, 4).as_pointer())
         return builder.fpext(builder.load(first, align=4), vector_type(FOUR))
 
     return FOUR(voxels, types.int64, types.int64, types.int64), _build
@@ -91,7 +93,7 @@ def _four_apart(typing: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
     def _build(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> ir.Value:
         vector = ir.Constant(vector_type(FOUR), ir.Undefined)
         for lane, value in enumerate(values):
-            vector = builder.insert_element(vector, builder.fpext(value, DOUBLE), WORD(lane))
+            vector = builder.insert_element(vector, builder.fpext(value, DOUBLE_TYPE), WORD_TYPE(lane))
         return vector
 
     return FOUR(types.float32, types.float32, types.float32, types.float32), _build

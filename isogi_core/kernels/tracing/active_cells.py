@@ -8,19 +8,19 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, plain, record
 from isogi_core.kernels.simd.memory import prefetch
-from isogi_core.kernels.tracing.field import VOXELS
-from isogi_core.kernels.tracing.macrocells import INFINITE, RANGES, SIZE, blocks_along, find_ranges
+from isogi_core.kernels.tracing.field import VOXEL_ARRAY
+from isogi_core.kernels.tracing.macrocells import MACROCELL_SIDE, RANGES, SINGLE_INFINITY, blocks_along, find_ranges
 from isogi_core.kernels.tracing.skips import fill_skips
 
-BRICK = 4
+BRICK_CELLS = 4
 POSITION_ERROR = 2.0**-20
 """How far a float32 ray strays from the true one, over the longest side; twice what rounding can do."""
 
 VALUE_ERROR = 2.0**-19
 """Rounding of a float32 trilinear value, over the largest magnitude in it."""
 
-FLAT = types.float32[::1]
-WORDS = types.int32[::1]
+SINGLE_ARRAY = types.float32[::1]
+WORD_ARRAY = types.int32[::1]
 EMPTY = types.boolean[::1]
 
 
@@ -45,16 +45,16 @@ class ActiveCells(NamedTuple):
         return self.tops.nbytes + self.cells.nbytes
 
 
-ACTIVE_CELLS = record(ActiveCells, WORDS, WORDS, FLAT, types.UniTuple(types.int64, 3))
+ACTIVE_CELLS = record(ActiveCells, WORD_ARRAY, WORD_ARRAY, SINGLE_ARRAY, types.UniTuple(types.int64, 3))
 
 
 @plain
 def brick_shape(shape):
     """Bricks along (z, y, x) for a volume of ``shape`` voxels."""
-    return blocks_along(shape, BRICK)
+    return blocks_along(shape, BRICK_CELLS)
 
 
-@kernel(types.void(VOXELS, types.int64, RANGES, RANGES, RANGES))
+@kernel(types.void(VOXEL_ARRAY, types.int64, RANGES, RANGES, RANGES))
 def fill_ranges(voxels, size, low, high, margins):
     """Fill ``low``, ``high`` and ``margins`` (blocks of ``size``³ cells along z, y, x), which serve every isovalue."""
     nz, ny, nx = voxels.shape
@@ -69,10 +69,10 @@ def fill_ranges(voxels, size, low, high, margins):
 GROUP = 4
 """Bricks along x that are marked together, in loops of fixed length that compilers turn into vectors."""
 
-ROW = GROUP * BRICK
+GROUP_CELLS = GROUP * BRICK_CELLS
 """Cells along x in a group."""
 
-FINE = 1 << 21
+MAX_FINE_BRICKS = 1 << 21
 """Bricks up to which each has ranges of its own, 24 MB; in larger volumes each macrocell has."""
 
 
@@ -80,7 +80,7 @@ FINE = 1 << 21
 def below(level):
     """The largest float32 that is not above ``level``."""
     near = np.float32(level)
-    return np.nextafter(near, -INFINITE) if near > level else near
+    return np.nextafter(near, -SINGLE_INFINITY) if near > level else near
 
 
 @kernel()
@@ -88,9 +88,9 @@ def copy_voxels(voxels, i0, j0, k0, block):
     """Copy the voxels of a group's cells into the flat ``block``, the volume's faces repeated."""
     nz, ny, nx = voxels.shape
     place = 0
-    for c in range(BRICK + 1):
-        for r in range(BRICK + 1):
-            for i in range(ROW + 1):
+    for c in range(BRICK_CELLS + 1):
+        for r in range(BRICK_CELLS + 1):
+            for i in range(GROUP_CELLS + 1):
                 block[place] = voxels[min(k0 + c, nz - 1), min(j0 + r, ny - 1), min(i0 + i, nx - 1)]
                 place += 1
 
@@ -109,15 +109,15 @@ def mark_layer(flat, place, row, plane, levels, marks):
     cell that has not all corners above ``levels[0]`` or all below ``levels[1]``.
     """
     marks[:] = 0
-    for r in range(BRICK):
-        for i in range(ROW):
+    for r in range(BRICK_CELLS):
+        for i in range(GROUP_CELLS):
             p = place + r * row + i
             q = p + plane
             a, b, c, d = at(flat, p), at(flat, p + 1), at(flat, p + row), at(flat, p + row + 1)
             e, f, g, h = at(flat, q), at(flat, q + 1), at(flat, q + row), at(flat, q + row + 1)
             least, most = min(a, b, c, d, e, f, g, h), max(a, b, c, d, e, f, g, h)
             certain = (least > levels[0, i]) | (most < levels[1, i])
-            marks[i] |= np.int32(0 if certain else 1) << np.int32(BRICK * r + i % BRICK)
+            marks[i] |= np.int32(0 if certain else 1) << np.int32(BRICK_CELLS * r + i % BRICK_CELLS)
 
 
 @kernel()
@@ -127,12 +127,12 @@ def mark_group(block, levels, marks, words, empty, b, count):
     Their voxels are a ``block`` (flat, place, row, plane): see ``mark_layer``.
     """
     flat, place, row, plane = block
-    for c in range(BRICK):
+    for c in range(BRICK_CELLS):
         mark_layer(flat, place + c * plane, row, plane, levels, marks)
         for g in range(count):
-            first = BRICK * g
+            first = BRICK_CELLS * g
             word = marks[first] | marks[first + 1] | marks[first + 2] | marks[first + 3]
-            words[BRICK * (b + g) + c] = word
+            words[BRICK_CELLS * (b + g) + c] = word
             if word:
                 empty[b + g] = False
 
@@ -145,7 +145,7 @@ def set_levels(margins, first, count, side, iso_low, iso_high, levels):
     """
     for m in range(count):
         solid, outside = below(iso_high + margins[first + m]), -below(margins[first + m] - iso_low)
-        for i in range(BRICK * side * m, BRICK * side * (m + 1)):
+        for i in range(BRICK_CELLS * side * m, BRICK_CELLS * side * (m + 1)):
             levels[0, i], levels[1, i] = solid, outside
 
 
@@ -187,18 +187,20 @@ def across(i, side, bx):
 def prefetch_group(flat, place, row, plane):
     """Have the voxels of a group come nearer, the first at ``place``."""
     last = flat.shape[0] - 1
-    for c in range(BRICK + 1):
-        for r in range(BRICK + 1):
+    for c in range(BRICK_CELLS + 1):
+        for r in range(BRICK_CELLS + 1):
             p = place + c * plane + r * row
             prefetch(flat, min(p, last))
-            prefetch(flat, min(p + ROW, last))
+            prefetch(flat, min(p + GROUP_CELLS, last))
 
 
-BLOCK_RANGES = types.UniTuple(FLAT, 3)
-INTEGER, NUMBER = types.int64, types.float64
+BLOCK_RANGES = types.UniTuple(SINGLE_ARRAY, 3)
+INTEGER, REAL_NUMBER = types.int64, types.float64
 
 
-@kernel(types.void(VOXELS, BLOCK_RANGES, INTEGER, types.UniTuple(NUMBER, 2), INTEGER, INTEGER, WORDS, EMPTY))
+@kernel(
+    types.void(VOXEL_ARRAY, BLOCK_RANGES, INTEGER, types.UniTuple(REAL_NUMBER, 2), INTEGER, INTEGER, WORD_ARRAY, EMPTY)
+)
 def mark_bricks(voxels, ranges, side, isovalues, first, last, words, empty):
     """Write the ``words`` of the bricks in layers ``first`` … ``last`` - 1 along z, and which are ``empty``.
 
@@ -208,51 +210,51 @@ def mark_bricks(voxels, ranges, side, isovalues, first, last, words, empty):
     iso_low, iso_high = isovalues
     nz, ny, nx = voxels.shape
     bz, by, bx = shape = brick_shape(voxels.shape)
-    flat, block = voxels.reshape(voxels.size), np.empty((BRICK + 1) ** 2 * (ROW + 1), np.float32)
-    levels, marks = np.empty((2, ROW), np.float32), np.empty(ROW, np.int32)
+    flat, block = voxels.reshape(voxels.size), np.empty((BRICK_CELLS + 1) ** 2 * (GROUP_CELLS + 1), np.float32)
+    levels, marks = np.empty((2, GROUP_CELLS), np.float32), np.empty(GROUP_CELLS, np.int32)
     groups = np.empty(by * (bx // GROUP + 1) + 1, np.int64)
     empty[:] = True
     for k in range(first, last):
         for n in range(find_groups(ranges, side, iso_low, iso_high, k, shape, groups)):
             j, i = groups[n] // bx, groups[n] % bx
-            i0, j0, k0, b = i * BRICK, j * BRICK, k * BRICK, (k - first) * by * bx + groups[n]
+            i0, j0, k0, b = i * BRICK_CELLS, j * BRICK_CELLS, k * BRICK_CELLS, (k - first) * by * bx + groups[n]
             ahead = groups[n + 1]
-            prefetch_group(flat, (k0 * ny + ahead // bx * BRICK) * nx + ahead % bx * BRICK, nx, ny * nx)
+            prefetch_group(flat, (k0 * ny + ahead // bx * BRICK_CELLS) * nx + ahead % bx * BRICK_CELLS, nx, ny * nx)
             block_first, count = block_at(k, j, i, side, shape), across(i, side, bx)
             set_levels(ranges[2], block_first, count, side, iso_low, iso_high, levels)
             source, place, row, plane = flat, (k0 * ny + j0) * nx + i0, nx, ny * nx
-            if i0 + ROW >= nx or j0 + BRICK >= ny or k0 + BRICK >= nz:
+            if i0 + GROUP_CELLS >= nx or j0 + BRICK_CELLS >= ny or k0 + BRICK_CELLS >= nz:
                 copy_voxels(voxels, i0, j0, k0, block)
-                source, place, row, plane = block, 0, ROW + 1, (BRICK + 1) * (ROW + 1)
+                source, place, row, plane = block, 0, GROUP_CELLS + 1, (BRICK_CELLS + 1) * (GROUP_CELLS + 1)
             mark_group((source, place, row, plane), levels, marks, words, empty, b, min(GROUP, bx - i))
 
 
 @kernel()
 def mark_blocks(cells, first):
     """Add the bits of 2³ blocks to the words of the brick at ``first``."""
-    for k in range(0, BRICK, 2):
+    for k in range(0, BRICK_CELLS, 2):
         pair = cells[first + k] | cells[first + k + 1]
         along_x = (pair | pair >> 1) & 0x5555
-        both = (along_x | along_x >> BRICK) & 0x0505
+        both = (along_x | along_x >> BRICK_CELLS) & 0x0505
         block = both | both << 1
-        block |= block << BRICK
+        block |= block << BRICK_CELLS
         cells[first + k] |= block << 16
         cells[first + k + 1] |= block << 16
 
 
-@kernel(types.void(WORDS, EMPTY, WORDS))
+@kernel(types.void(WORD_ARRAY, EMPTY, WORD_ARRAY))
 def pack_bricks(words, empty, cells):
     """Put the ``words`` of bricks that are not ``empty`` together in ``cells``."""
     first = 0
     for b in range(empty.shape[0]):
         if not empty[b]:
-            for i in range(BRICK):
-                cells[first + i] = words[BRICK * b + i]
+            for i in range(BRICK_CELLS):
+                cells[first + i] = words[BRICK_CELLS * b + i]
             mark_blocks(cells, first)
-            first += BRICK
+            first += BRICK_CELLS
 
 
-@kernel(types.void(EMPTY, types.UniTuple(types.int64, 3), WORDS))
+@kernel(types.void(EMPTY, types.UniTuple(types.int64, 3), WORD_ARRAY))
 def number_bricks(empty, shape, tops):
     """Write the places of bricks that are not ``empty`` among each other to ``tops``, and the skips of the others."""
     marked = 0
@@ -277,25 +279,25 @@ class BlockRanges(NamedTuple):
     side: int
 
 
-def measure_ranges(voxels, fine=FINE):
+def measure_ranges(voxels, fine=MAX_FINE_BRICKS):
     """Low, high and margins (3; blocks along z, y, x) of a volume's bricks, see ``fill_ranges``.
 
     Of its macrocells where there are more than ``fine`` bricks.
     """
-    size = BRICK if math.prod(brick_shape(voxels.shape)) <= fine else SIZE
+    size = BRICK_CELLS if math.prod(brick_shape(voxels.shape)) <= fine else MACROCELL_SIDE
     found = np.empty((3, *blocks_along(voxels.shape, size)), np.float32)
     fill_ranges(voxels, size, *found)
     return found
 
 
-def block_ranges(voxels, fine=FINE, take=np.empty, measured=None):
+def block_ranges(voxels, fine=MAX_FINE_BRICKS, take=np.empty, measured=None):
     """The ranges of a volume's blocks, from what ``measure_ranges`` ``measured`` where that was done before.
 
     ``take(count, dtype)`` makes the array of what is kept for each of many bricks.
     """
     bz, by, bx = shape = brick_shape(voxels.shape)
     low, high, margins = measure_ranges(voxels, fine) if measured is None else measured
-    side, of_bricks = 1 if margins.shape == shape else SIZE // BRICK, margins
+    side, of_bricks = 1 if margins.shape == shape else MACROCELL_SIDE // BRICK_CELLS, margins
     if side > 1:
         of_bricks = take(bz * by * bx, np.float32).reshape(shape)
         y, x = np.arange(by) // side, np.arange(bx) // side
@@ -316,9 +318,9 @@ def make_active_cells(voxels, ranges, lowest, highest, run=None, take=np.empty):
 
     def _mark(first, last):
         own = empty[first * layer : last * layer]
-        words = np.zeros(BRICK * len(own), np.int32)
+        words = np.zeros(BRICK_CELLS * len(own), np.int32)
         mark_bricks(voxels, ranges[:3], ranges.side, ends, first, last, words, own)
-        packed[first] = take(BRICK * (len(own) - np.count_nonzero(own)), np.int32)
+        packed[first] = take(BRICK_CELLS * (len(own) - np.count_nonzero(own)), np.int32)
         pack_bricks(words, own, packed[first])
 
     run(_mark, bz) if run else _mark(0, bz)
@@ -333,8 +335,8 @@ def joined(packed, take):
 
     At least one brick of zeros, as lanes read there that read nothing.
     """
-    cells, end = take(max(sum(map(len, packed.values())), BRICK), np.int32), 0
-    cells[:BRICK] = 0
+    cells, end = take(max(sum(map(len, packed.values())), BRICK_CELLS), np.int32), 0
+    cells[:BRICK_CELLS] = 0
     for first in sorted(packed):
         part = packed.pop(first)
         cells[end : end + len(part)] = part

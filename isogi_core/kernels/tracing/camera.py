@@ -25,8 +25,8 @@ class Pinhole(NamedTuple):
     down: tuple[float, float, float]
 
 
-VECTOR = types.UniTuple(types.float64, 3)
-PINHOLE = record(Pinhole, VECTOR, VECTOR, VECTOR, VECTOR)
+REAL_TRIPLE = types.UniTuple(types.float64, 3)
+PINHOLE = record(Pinhole, REAL_TRIPLE, REAL_TRIPLE, REAL_TRIPLE, REAL_TRIPLE)
 
 
 @kernel()

@@ -9,28 +9,28 @@ from numba import types
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.simd.maths import bits, f64, where
 from isogi_core.kernels.simd.memory import gather, load, scatter
-from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER
+from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER_LANES
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS, POSITION_ERROR
-from isogi_core.kernels.tracing.field import FIELD
-from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN_SIDE, cast
+from isogi_core.kernels.tracing.field import FIELD_RECORD
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, SOLID_SIGN, UNKNOWN_SIDE, cast
 from isogi_core.kernels.tracing.ray_stream import Rays, fill_stream, make_stream
 from isogi_core.kernels.tracing.simd_intersect import cross_cells
 from isogi_core.kernels.tracing.slabs import longest
 from isogi_core.kernels.tracing.traversal import MISS, UNSURE, cell_of, traverse
 from isogi_core.kernels.tracing.vec import column
 
-BATCH = 4096
+BATCH_RAYS = 4096
 """Rays that are traversed together: their stream stays in the second-level cache."""
 
-SIMD = REGISTER is not None
+SIMD = REGISTER_LANES is not None
 
 MOST_VOXELS, LONGEST_SIDE = 2**31, 2**18
 """Larger or longer volumes overflow the traversal's words of 32 bits, or its proofs in float32."""
 
 ORIGINS = types.float64[:, ::1]
-SIDES = types.int8[::1]
-VECTOR = types.float64[::1]
-RAYS = record(Rays, VECTOR, ORIGINS, ORIGINS, SIDES)
+SIDE_ARRAY = types.int8[::1]
+REAL_ARRAY = types.float64[::1]
+RAYS_RECORD = record(Rays, REAL_ARRAY, ORIGINS, ORIGINS, SIDE_ARRAY)
 
 
 class TracedSurface(NamedTuple):
@@ -41,7 +41,7 @@ class TracedSurface(NamedTuple):
     isovalue: float
 
 
-SURFACE = record(TracedSurface, FIELD, ACTIVE_CELLS, types.float64)
+SURFACE = record(TracedSurface, FIELD_RECORD, ACTIVE_CELLS, types.float64)
 
 
 @kernel()
@@ -59,7 +59,7 @@ def settle_vector(volume, rays, columns, stream, found, entries, hits):
     late = (near - span[0]) * longest(d) - f64(gather(entries, columns))
     sure = sure & known & (late <= 0.5 * POSITION_ERROR * max(shape))
     scatter(t, m, hit, sure)
-    scatter(came, m, where(solid, SOLID, OUTSIDE), sure)
+    scatter(came, m, where(solid, SOLID_SIGN, OUTSIDE_SIGN), sure)
     return bits(~sure)
 
 
@@ -87,14 +87,14 @@ def settle(field, volume, rays, count, stream, found, entries, hits):
 @kernel()
 def cast_simd(field, cells, rays, t, came):
     """``cast_batch`` by SIMD traversal; at least RAY_WIDTH rays."""
-    room = min(BATCH, t.shape[0]) + RAY_WIDTH
+    room = min(BATCH_RAYS, t.shape[0]) + RAY_WIDTH
     stream, entries, found = make_stream(room), np.empty(room, np.float32), np.empty(room, np.int32)
     shape = field.voxels.shape
     volume, hits = (field.voxels.reshape(field.voxels.size), shape), (t, came)
     t[:] = math.inf
     came[:] = UNKNOWN_SIDE
-    for first in range(0, t.shape[0], BATCH):
-        count = fill_stream(shape, cells.shape, rays, first, min(first + BATCH, t.shape[0]), stream)
+    for first in range(0, t.shape[0], BATCH_RAYS):
+        count = fill_stream(shape, cells.shape, rays, first, min(first + BATCH_RAYS, t.shape[0]), stream)
         found[:count] = MISS
         traverse(volume, cells, stream.records, count, found, entries)
         settle(field, volume, rays, count, stream, found, entries, hits)
@@ -108,7 +108,7 @@ def cast_scalar(field, rays, t, came):
         t[m], came[m] = cast(field, rays.isovalues[m], o, d, int(rays.sides[m]))
 
 
-CAST = types.void(FIELD, ACTIVE_CELLS, RAYS, VECTOR, SIDES)
+CAST = types.void(FIELD_RECORD, ACTIVE_CELLS, RAYS_RECORD, REAL_ARRAY, SIDE_ARRAY)
 
 
 @kernel(CAST)

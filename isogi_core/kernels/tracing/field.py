@@ -16,10 +16,10 @@ from isogi_core.kernels.simd.memory import store
 from isogi_core.kernels.simd.voxels import cube, four
 from isogi_core.kernels.tracing.vec import column, is_zero, load_columns, put_column
 
-VOXELS = types.float32[:, :, ::1]
+VOXEL_ARRAY = types.float32[:, :, ::1]
 SIXTH = 1.0 / 6.0
 
-OFFSET = 0.3
+RAY_OFFSET_VOXELS = 0.3
 """Start of illumination rays above the surface, in voxels along the normal, by default (S1, section 4.1.1)."""
 
 
@@ -37,10 +37,12 @@ class Field(NamedTuple):
     high: Any
     spacing: tuple[float, float, float]
     smooth: bool = True
-    offset: float = OFFSET
+    offset: float = RAY_OFFSET_VOXELS
 
 
-FIELD = record(Field, VOXELS, VOXELS, VOXELS, types.UniTuple(types.float64, 3), types.boolean, types.float64)
+FIELD_RECORD = record(
+    Field, VOXEL_ARRAY, VOXEL_ARRAY, VOXEL_ARRAY, types.UniTuple(types.float64, 3), types.boolean, types.float64
+)
 
 
 @kernel()

@@ -7,9 +7,9 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.tracing.field import FIELD, value
+from isogi_core.kernels.tracing.field import FIELD_RECORD, value
 from isogi_core.kernels.tracing.vec import column, dot, length, madd, scale, sub
-from isogi_core.kernels.tracing.walls import NUMBERS, ROWS
+from isogi_core.kernels.tracing.walls import REAL_ARRAY, REAL_ROWS
 
 VALUE_STEP = 0.5
 """Steps in which a range of values is looked for along a ray, in voxels of the least spacing."""
@@ -40,7 +40,7 @@ class Glows(NamedTuple):
 
 
 NO_BITS = np.zeros((0, 0, 0), np.uint8)
-GLOWS = record(Glows, ROWS, ROWS, *[NUMBERS] * 6, types.uint8[:, :, ::1])
+GLOWS = record(Glows, REAL_ROWS, REAL_ROWS, *[REAL_ARRAY] * 6, types.uint8[:, :, ::1])
 
 
 @kernel()
@@ -157,11 +157,11 @@ def gather_on_way(field, glows, k, p, w, reach):
     return way * share_within(field, glows.lows[k], glows.highs[k], p, w, near, far)
 
 
-RAYS, LIGHT = types.float64[:, ::1], types.float64[:, ::1]
+RAY_ROWS, LIGHT_ROWS = types.float64[:, ::1], types.float64[:, ::1]
 EYE = types.UniTuple(types.float64, 3)
 
 
-@kernel(types.void(FIELD, GLOWS, EYE, RAYS, NUMBERS, LIGHT))
+@kernel(types.void(FIELD_RECORD, GLOWS, EYE, RAY_ROWS, REAL_ARRAY, LIGHT_ROWS))
 def gather_from_eye(field, glows, eye, directions, reaches, light):
     """Fill ``light`` (n, k) with what rays from the ``eye`` gather of each of k regions, which have radiance 1.
 

@@ -13,12 +13,12 @@ from isogi_core.kernels.simd.maths import where
 from isogi_core.kernels.simd.voxels import cube
 from isogi_core.kernels.tracing.cubic import cubic_along, ends_solid, first_crossing
 from isogi_core.kernels.tracing.field import clamp_cell, normal, to_index, value
-from isogi_core.kernels.tracing.macrocells import SIZE
+from isogi_core.kernels.tracing.macrocells import MACROCELL_SIDE
 from isogi_core.kernels.tracing.slabs import clip_box, cut_cell, leave_block, longest, reciprocals
 from isogi_core.kernels.tracing.vec import length, madd, scale
 
-OUTSIDE = 1
-SOLID = -1
+OUTSIDE_SIGN = 1
+SOLID_SIGN = -1
 UNKNOWN_SIDE = 0
 
 SLIVER = 1e-5
@@ -27,7 +27,7 @@ SLIVER = 1e-5
 That is the cubic root of rounding where the field hardly leaves the isovalue, at the edge of a mask.
 """
 
-BLUR = 2e-15
+CUBIC_ROUNDING = 2e-15
 """Rounding of a cubic's values, over the largest corner value and for each voxel of the volume's longest side.
 
 A turn that is nearer to 0 only touches it. Three roundings of a place lie between the ray and its cell, each of them
@@ -74,14 +74,14 @@ def cross_cell(volume, ray, cell, box, side):
     if math.isnan(total):
         return math.inf, UNKNOWN_SIDE
     if low > 0.0 or not high > 0.0:
-        return carry_side(near, side, SOLID if low > 0.0 else OUTSIDE)
+        return carry_side(near, side, SOLID_SIGN if low > 0.0 else OUTSIDE_SIGN)
     a = (o[0] + near * d[0] - cell[0], o[1] + near * d[1] - cell[1], o[2] + near * d[2] - cell[2])
     span = far - near
     q = cubic_along(c, a, (d[0] * span, d[1] * span, d[2] * span))
     if side == UNKNOWN_SIDE:
-        side = SOLID if q[3] * through > SKIN * abs(q[2]) else OUTSIDE
-    t, crosses = first_crossing(q, side == SOLID, BLUR * max(voxels.shape) * max(high, -low), True)
-    return (near + t * span, side) if crosses else (math.inf, SOLID if ends_solid(q) else OUTSIDE)
+        side = SOLID_SIGN if q[3] * through > SKIN * abs(q[2]) else OUTSIDE_SIGN
+    t, crosses = first_crossing(q, side == SOLID_SIGN, CUBIC_ROUNDING * max(voxels.shape) * max(high, -low), True)
+    return (near + t * span, side) if crosses else (math.inf, SOLID_SIGN if ends_solid(q) else OUTSIDE_SIGN)
 
 
 @kernel()
@@ -100,8 +100,8 @@ def cross_macrocell(volume, ray, block, box, part, side):
     near, far = part
     nz, ny, nx = voxels.shape
     p = madd(o, near, d)
-    i0, j0, k0 = block[0] * SIZE, block[1] * SIZE, block[2] * SIZE
-    i1, j1, k1 = min(i0 + SIZE, nx - 1), min(j0 + SIZE, ny - 1), min(k0 + SIZE, nz - 1)
+    i0, j0, k0 = block[0] * MACROCELL_SIDE, block[1] * MACROCELL_SIDE, block[2] * MACROCELL_SIDE
+    i1, j1, k1 = min(i0 + MACROCELL_SIDE, nx - 1), min(j0 + MACROCELL_SIDE, ny - 1), min(k0 + MACROCELL_SIDE, nz - 1)
     i = min(max(clamp_cell(p[0], nx), i0), i1 - 1)
     j = min(max(clamp_cell(p[1], ny), j0), j1 - 1)
     k = min(max(clamp_cell(p[2], nz), k0), k1 - 1)
@@ -131,19 +131,23 @@ def cast(field, iso, o, d, side):
     nz, ny, nx = field.voxels.shape
     mz, my, mx = field.low.shape
     p = madd(o, near, d)
-    i, j, k = clamp_cell(p[0], nx) // SIZE, clamp_cell(p[1], ny) // SIZE, clamp_cell(p[2], nz) // SIZE
+    i, j, k = (
+        clamp_cell(p[0], nx) // MACROCELL_SIDE,
+        clamp_cell(p[1], ny) // MACROCELL_SIDE,
+        clamp_cell(p[2], nz) // MACROCELL_SIDE,
+    )
     if near > 0.0:
         side = UNKNOWN_SIDE
     inv = reciprocals(d)
     volume, ray = (field.voxels, iso), (o, d, inv)
     while 0 <= i < mx and 0 <= j < my and 0 <= k < mz:
-        face, si, sj, sk = leave_block(o, inv, (i, j, k), SIZE)
+        face, si, sj, sk = leave_block(o, inv, (i, j, k), MACROCELL_SIDE)
         leave = max(near, min(face, far))
         solid = field.low[k, j, i] > iso
         if not (solid or field.high[k, j, i] <= iso):
             t, side = cross_macrocell(volume, ray, (i, j, k), box, (near, leave), side)
         elif (leave - near) * most >= SLIVER:
-            t, side = carry_side(near, side, SOLID if solid else OUTSIDE)
+            t, side = carry_side(near, side, SOLID_SIGN if solid else OUTSIDE_SIGN)
         if t < math.inf:
             return t, side
         if leave >= far:
@@ -165,7 +169,7 @@ def launch(field, iso, p, n, side):
     x, y, z = p[0] + rise * x, p[1] + rise * y, p[2] + rise * z
     nz, ny, nx = field.voxels.shape
     within = (x >= 0.0) & (x <= nx - 1) & (y >= 0.0) & (y <= ny - 1) & (z >= 0.0) & (z <= nz - 1)
-    there = where(value(field.voxels, (x, y, z)) > iso, float(SOLID), float(OUTSIDE))
+    there = where(value(field.voxels, (x, y, z)) > iso, float(SOLID_SIGN), float(OUTSIDE_SIGN))
     astray = within & (there * side < 0.0)
     return where(astray, p[0], x), where(astray, p[1], y), where(astray, p[2], z)
 
@@ -176,4 +180,4 @@ def shading_normal(field, p, side, d):
     n = normal(field, p)
     if n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0:
         return scale(d, -1.0 / length(d))
-    return n if side == OUTSIDE else scale(n, -1.0)
+    return n if side == OUTSIDE_SIGN else scale(n, -1.0)

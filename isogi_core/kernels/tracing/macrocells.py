@@ -6,12 +6,12 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, plain
-from isogi_core.kernels.tracing.field import VOXELS
+from isogi_core.kernels.tracing.field import VOXEL_ARRAY
 
-SIZE = 8
+MACROCELL_SIDE = 8
 """Cells along each side of a macrocell."""
 
-INFINITE = np.float32(np.inf)
+SINGLE_INFINITY = np.float32(np.inf)
 
 RANGES = types.float32[:, :, ::1]
 
@@ -32,12 +32,12 @@ def take_planes(voxels, first, last, low, high):
     _, ny, nx = voxels.shape
     for j in range(ny):
         least, most = low[j], high[j]
-        least[:], most[:] = INFINITE, -INFINITE
+        least[:], most[:] = SINGLE_INFINITY, -SINGLE_INFINITY
         for k in range(first, last):
             row = voxels[k, j]
             for i in range(nx):
                 whole = row[i] == row[i]
-                v, w = row[i] if whole else -INFINITE, row[i] if whole else INFINITE
+                v, w = row[i] if whole else -SINGLE_INFINITY, row[i] if whole else SINGLE_INFINITY
                 least[i] = v if v < least[i] else least[i]
                 most[i] = w if w > most[i] else most[i]
 
@@ -45,7 +45,7 @@ def take_planes(voxels, first, last, low, high):
 @kernel()
 def take_rows(low, high, first, last, least, most):
     """Fill ``least`` and ``most`` (nx,) with the range of rows ``first`` … ``last`` - 1 of ``low`` and ``high``."""
-    least[:], most[:] = INFINITE, -INFINITE
+    least[:], most[:] = SINGLE_INFINITY, -SINGLE_INFINITY
     for j in range(first, last):
         v, w = low[j], high[j]
         for i in range(least.shape[0]):
@@ -76,7 +76,7 @@ def find_ranges(voxels, size, apron, low, high):
             take_rows(planes[0], planes[1], first, last, rows[0], rows[1])
             for i in range(low.shape[2]):
                 first, last = window(i, size, apron, nx)
-                least, most = INFINITE, -INFINITE
+                least, most = SINGLE_INFINITY, -SINGLE_INFINITY
                 for x in range(first, last):
                     least, most = min(least, rows[0, x]), max(most, rows[1, x])
                 low[k, j, i], high[k, j, i] = least, most
@@ -89,18 +89,18 @@ def fill_macrocells(voxels, low, high):
     A macrocell takes in the voxels on all its faces, shared ones too. One with a NaN in it gets
     (-inf, +inf), so that it is never skipped: its cells decide one by one.
     """
-    find_ranges(voxels, SIZE, 0, low, high)
+    find_ranges(voxels, MACROCELL_SIDE, 0, low, high)
 
 
 def macrocell_shape(shape):
     """Macrocells along (z, y, x) for a volume of ``shape`` voxels."""
-    return blocks_along(shape, SIZE)
+    return blocks_along(shape, MACROCELL_SIDE)
 
 
-MARKS = types.boolean[:, :, ::1]
+CELL_MARKS = types.boolean[:, :, ::1]
 
 
-@kernel(types.void(VOXELS, types.float32, types.float32, MARKS))
+@kernel(types.void(VOXEL_ARRAY, types.float32, types.float32, CELL_MARKS))
 def mark_cells(voxels, lowest, highest, cells):
     """Fill ``cells`` (nz - 1, ny - 1, nx - 1): whether an isovalue lies between the least and greatest corner.
 

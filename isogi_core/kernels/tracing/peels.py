@@ -13,18 +13,18 @@ from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.camera import put_point
 from isogi_core.kernels.tracing.cast import TracedSurface, cast_batch
-from isogi_core.kernels.tracing.field import FIELD, clamp_cell
-from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN_SIDE, cross_cell
+from isogi_core.kernels.tracing.field import FIELD_RECORD, clamp_cell
+from isogi_core.kernels.tracing.intersect import SOLID_SIGN, UNKNOWN_SIDE, cross_cell
 from isogi_core.kernels.tracing.ray_stream import Rays
-from isogi_core.kernels.tracing.sight import FACE, SIGHT, is_solid, look_through
+from isogi_core.kernels.tracing.sight import SIGHT, WINDOW_FACE, is_solid, look_through
 from isogi_core.kernels.tracing.slabs import clip_box, cut_cell, reciprocals
 from isogi_core.kernels.tracing.vec import column, madd, put_column
-from isogi_core.kernels.tracing.walls import NOWHERE, nearest_wall
+from isogi_core.kernels.tracing.walls import NO_WALL, nearest_wall
 
 MAX_SURFACES = 4
 """Isosurfaces of a scene at most: the one that slides, and the pinned ones."""
 
-LAYERS = 64
+MAX_PEELED_LAYERS = 64
 """Surfaces that a ray shows behind each other, at most. Where each lets nine tenths pass, what is left of a ray's light
 is below LEAST before. The last of them is the first opaque one that is left.
 """
@@ -35,7 +35,7 @@ MIN_RAY_SHARE = 1.0 / 512.0
 NO_SIDE = -3
 """The side that a ray meets where it meets nothing; FACE is that of a window, and others are from 0 on."""
 
-WALL = 2 * MAX_SURFACES
+FIRST_WALL_SIDE = 2 * MAX_SURFACES
 """The side that a ray meets on the first wall; one more on the next."""
 
 
@@ -89,9 +89,9 @@ class Layers(NamedTuple):
     weights: Any
 
 
-NUMBERS, ROWS, BYTES = types.float64[::1], types.float64[:, ::1], types.int8[::1]
-SHELLS = record(Shells, FIELD, types.UniTuple(ACTIVE_CELLS, MAX_SURFACES), NUMBERS, NUMBERS)
-PEELED = record(Peeled, types.uint32[::1], types.float32[:, ::1], BYTES, BYTES, types.float32[::1])
+REAL_ARRAY, REAL_ROWS, BYTE_ARRAY = types.float64[::1], types.float64[:, ::1], types.int8[::1]
+SHELLS = record(Shells, FIELD_RECORD, types.UniTuple(ACTIVE_CELLS, MAX_SURFACES), REAL_ARRAY, REAL_ARRAY)
+PEELED = record(Peeled, types.uint32[::1], types.float32[:, ::1], BYTE_ARRAY, BYTE_ARRAY, types.float32[::1])
 
 
 @kernel()
@@ -168,11 +168,11 @@ def first_crossings(shells, sight, eye, directions, layers, left):
     for i in range(n):
         d = column(directions, i)
         near, far = look_through(sight.window, eye, d)
-        crossings.ends[i], crossings.walls[i] = nearest_wall(sight.walls, eye, d, NOWHERE, math.inf)
+        crossings.ends[i], crossings.walls[i] = nearest_wall(sight.walls, eye, d, NO_WALL, math.inf)
         crossings.far[i] = min(far, crossings.ends[i])
         crossings.t[:, i] = near
         if 0.0 < near <= crossings.ends[i] and opens(shells, madd(eye, near, d)):
-            layers.sides[0, i], layers.t[0, i], layers.weights[0, i], left[i] = FACE, near, 1.0, 0.0
+            layers.sides[0, i], layers.t[0, i], layers.weights[0, i], left[i] = WINDOW_FACE, near, 1.0, 0.0
     for k in range(s):
         if shells.clears[k] < 1.0:
             cast_to_next(shells, crossings, k, eye, directions, every)
@@ -199,10 +199,10 @@ def take_layer(shells, crossings, layers, number, left):
     """
     some = False
     for i in range(left.shape[0]):
-        k = next_surface(shells, crossings, i, number == LAYERS - 1) if left[i] > 0.0 else -1
+        k = next_surface(shells, crossings, i, number == MAX_PEELED_LAYERS - 1) if left[i] > 0.0 else -1
         if k >= 0:
             clear = shells.clears[k]
-            layers.sides[number, i] = 2 * k + (crossings.came[k, i] == SOLID)
+            layers.sides[number, i] = 2 * k + (crossings.came[k, i] == SOLID_SIGN)
             layers.t[number, i], layers.weights[number, i] = crossings.t[k, i], left[i] * (1.0 - clear)
             left[i] = left[i] * clear if left[i] * clear >= MIN_RAY_SHARE else 0.0
             some = some or left[i] > 0.0
@@ -213,11 +213,11 @@ def take_layer(shells, crossings, layers, number, left):
 def take_walls(crossings, layers, left):
     """Make the wall that ends each ray the last of its layers, with all that is ``left`` (n,)."""
     for i in range(left.shape[0]):
-        if left[i] > 0.0 and crossings.walls[i] != NOWHERE:
+        if left[i] > 0.0 and crossings.walls[i] != NO_WALL:
             last = 0
             while layers.sides[last, i] != NO_SIDE:
                 last += 1
-            layers.sides[last, i] = WALL + int(crossings.walls[i])
+            layers.sides[last, i] = FIRST_WALL_SIDE + int(crossings.walls[i])
             layers.t[last, i], layers.weights[last, i], left[i] = crossings.ends[i], left[i], 0.0
 
 
@@ -237,7 +237,7 @@ def write_layers(eye, directions, layers, peeled):
     count = 0
     for i in range(directions.shape[1]):
         first = count
-        for layer in range(LAYERS + 1):
+        for layer in range(MAX_PEELED_LAYERS + 1):
             side = layers.sides[layer, i]
             if side == NO_SIDE:
                 break
@@ -257,7 +257,7 @@ def rank_of(peeled, first, row):
     return found
 
 
-@kernel(types.int64(SHELLS, SIGHT, types.UniTuple(types.float64, 3), ROWS, PEELED, NUMBERS))
+@kernel(types.int64(SHELLS, SIGHT, types.UniTuple(types.float64, 3), REAL_ROWS, PEELED, REAL_ARRAY))
 def peel_rays(shells, sight, eye, directions, peeled, left):
     """All that rays from the ``eye`` in ``directions`` (3, n) meet, in index space: how much that is.
 
@@ -266,12 +266,12 @@ def peel_rays(shells, sight, eye, directions, peeled, left):
     walls away.
     """
     n = directions.shape[1]
-    ways = np.empty((2, LAYERS + 1, n))
-    layers = Layers(np.full((LAYERS + 1, n), NO_SIDE, np.int8), ways[0], ways[1])
+    ways = np.empty((2, MAX_PEELED_LAYERS + 1, n))
+    layers = Layers(np.full((MAX_PEELED_LAYERS + 1, n), NO_SIDE, np.int8), ways[0], ways[1])
     left[:] = 1.0
     crossings, some = first_crossings(shells, sight, eye, directions, layers, left), np.empty(n, np.int64)
     number = 0
-    while take_layer(shells, crossings, layers, number, left) and number < LAYERS - 1:
+    while take_layer(shells, crossings, layers, number, left) and number < MAX_PEELED_LAYERS - 1:
         for k in range(shells.clears.shape[0]):
             count = find_passing(layers, number, k, left, some)
             count = leave_cells(shells, crossings, k, eye, directions, some[:count])

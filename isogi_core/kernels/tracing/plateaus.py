@@ -14,23 +14,23 @@ import numpy as np
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.tracing.field import normal, value
 
-EDGE = 0.1
+EDGE_SHARE = 0.1
 """Share of the range of the values about a texel within which it is at an end of it."""
 
-FLAT = 2 / 7
+FLAT_SHARE = 2 / 7
 """Share of the voxels about a texel that are as it is, at the edge of a plateau: a cube's corner has 8 of 27.
 
 Without it the texels of noisy fields, many of which are the least or the greatest for a voxel around, would leave their
 isosurfaces too, and have a quarter more error.
 """
 
-FARTHEST = 1.5
+MAX_SHIFT_VOXELS = 1.5
 """How far from its place, in voxels, a texel is lit at most."""
 
-BEHIND = -0.6
+BEHIND_VOXELS = -0.6
 """How far ahead of a texel, in voxels, a place is at most that is behind it; a cube's corner has none such."""
 
-STRIDE = 0.0625
+STEP_VOXELS = 0.0625
 """Voxels between places at which the field is asked for the side that it is on; a power of two."""
 
 HALVINGS = 32
@@ -68,13 +68,13 @@ def flat(voxels, p, own, edge):
             for i in range(xs[0], xs[1] + 1):
                 alike += abs(np.float64(voxels[k, j, i]) - own) <= edge
                 count += 1
-    return alike >= FLAT * count
+    return alike >= FLAT_SHARE * count
 
 
 @kernel(exact=True)
 def at_edge(voxels, p, own, low, high):
     """Whether a point ``p`` of value ``own`` is at the edge of a plateau between the values ``low`` and ``high``."""
-    edge = EDGE * (np.float64(high) - np.float64(low))
+    edge = EDGE_SHARE * (np.float64(high) - np.float64(low))
     return low < high and not low + edge < own < high - edge and flat(voxels, p, own, edge)
 
 
@@ -97,12 +97,12 @@ def crossing(voxels, p, d, level, halvings=HALVINGS):
     """
     t, v = 0.0, value(voxels, p)
     solid = v > level
-    while t < FARTHEST and (v > level) == solid and not math.isnan(v):
-        t += STRIDE
+    while t < MAX_SHIFT_VOXELS and (v > level) == solid and not math.isnan(v):
+        t += STEP_VOXELS
         v = value(voxels, point_within(voxels.shape, p, d, t))
     if (v > level) == solid or math.isnan(v):
         return math.inf
-    near, far = t - STRIDE, t
+    near, far = t - STEP_VOXELS, t
     for _ in range(halvings):
         middle = 0.5 * (near + far)
         if (value(voxels, point_within(voxels.shape, p, d, middle)) > level) == solid:
@@ -125,7 +125,7 @@ def thin(voxels, p, d, level):
     """Whether one of the 26 places a voxel away from ``p`` is open and BEHIND it: the wall's other side is as near."""
     for place in range(27):
         o = (place % 3 - 1.0, place // 3 % 3 - 1.0, place // 9 - 1.0)
-        behind = o[0] * d[0] + o[1] * d[1] + o[2] * d[2] < BEHIND
+        behind = o[0] * d[0] + o[1] * d[1] + o[2] * d[2] < BEHIND_VOXELS
         if behind and value(voxels, point_within(voxels.shape, p, o, 1.0)) <= level:
             return True
     return False

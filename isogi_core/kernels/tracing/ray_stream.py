@@ -9,7 +9,7 @@ from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.simd.maths import bits, f32, lane_numbers, where
 from isogi_core.kernels.simd.memory import load, store
 from isogi_core.kernels.simd.types import RAY_WIDTH
-from isogi_core.kernels.tracing.active_cells import BRICK
+from isogi_core.kernels.tracing.active_cells import BRICK_CELLS
 from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.tracing.slabs import clip_box, longest
 
@@ -19,7 +19,7 @@ FIELDS = 10
 EVERY = (1 << RAY_WIDTH) - 1
 """The bits of all lanes."""
 
-STRAY = 8
+STRAY_BIT = 8
 """The bit of a mirror that says: no ray to follow, ask ``cast``."""
 
 
@@ -74,10 +74,10 @@ def put_rays(shape, bricks, rays, m, stream, r):
     most = longest(d)
     shrink = 1.0 / most
     sound = (shrink < math.inf) & (far < math.inf)
-    mirror = where(sound, 0, STRAY)
+    mirror = where(sound, 0, STRAY_BIT)
     for a in range(3):
         step, here = where(sound, d[a] * shrink, 1.0), where(sound, o[a] + near * d[a], 0.0)
-        step, here, descends = mirrored_axis(step, here, float(BRICK * bricks[2 - a]))
+        step, here, descends = mirrored_axis(step, here, float(BRICK_CELLS * bricks[2 - a]))
         mirror = mirror + where(descends, 1 << a, 0)
         store(records[a], r, here)
         store(records[3 + a], r, step)

@@ -12,13 +12,13 @@ from isogi_core.kernels.simd.memory import load, store
 from isogi_core.kernels.simd.types import PATH_WIDTH
 from isogi_core.kernels.tracing.camera import PINHOLE, pixel_ray, put_point, write_hits
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
-from isogi_core.kernels.tracing.field import VOXELS, value
+from isogi_core.kernels.tracing.field import VOXEL_ARRAY, value
 from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, load_columns, madd, put_column
-from isogi_core.kernels.tracing.walls import NOWHERE, ROWS, WALLS, inner, nearest_wall
+from isogi_core.kernels.tracing.walls import NO_WALL, REAL_ROWS, WALLS_RECORD, inner, nearest_wall
 
-FACE = -2.0
+WINDOW_FACE = -2.0
 """Stands for a face of the window in place of a wall's number."""
 
 
@@ -29,8 +29,8 @@ class Sight(NamedTuple):
     window: Any
 
 
-SIGHT = record(Sight, WALLS, ROWS)
-PIXELS, POINTS = types.uint32[:, ::1], types.float32[:, :, ::1]
+SIGHT = record(Sight, WALLS_RECORD, REAL_ROWS)
+PIXEL_ROWS, POINT_ROWS = types.uint32[:, ::1], types.float32[:, :, ::1]
 
 
 @kernel()
@@ -72,7 +72,7 @@ def cast_through(surface, window, eye, directions, t, met):
         opened = near[i] > 0.0 and is_solid(surface, column(origins, i))
         t[i] = near[i] if opened else near[i] + t[i]
         seen = t[i] <= far[i]
-        t[i], met[i] = t[i] if seen else math.inf, FACE if opened and seen else NOWHERE
+        t[i], met[i] = t[i] if seen else math.inf, WINDOW_FACE if opened and seen else NO_WALL
 
 
 @kernel()
@@ -84,18 +84,18 @@ def cast_sight(surface, sight, eye, directions, t, met):
     whole = t.shape[0] // PATH_WIDTH * PATH_WIDTH
     for i in range(0, whole, PATH_WIDTH):
         d, reach = load_columns(directions, i), load(t, i, PATH_WIDTH)
-        reach, wall = nearest_wall(sight.walls, eye, d, d[0] * 0.0 + NOWHERE, reach)
+        reach, wall = nearest_wall(sight.walls, eye, d, d[0] * 0.0 + NO_WALL, reach)
         store(t, i, reach)
-        store(met, i, where(wall > NOWHERE, wall, load(met, i, PATH_WIDTH)))
+        store(met, i, where(wall > NO_WALL, wall, load(met, i, PATH_WIDTH)))
     for i in range(whole, t.shape[0]):
-        t[i], wall = nearest_wall(sight.walls, eye, column(directions, i), NOWHERE, t[i])
-        met[i] = met[i] if wall == NOWHERE else wall
+        t[i], wall = nearest_wall(sight.walls, eye, column(directions, i), NO_WALL, t[i])
+        met[i] = met[i] if wall == NO_WALL else wall
 
 
-SEEN = types.UniTuple(types.int64, 2)
+SEEN_COUNTS = types.UniTuple(types.int64, 2)
 
 
-@kernel(SEEN(SURFACE, SIGHT, PINHOLE, types.int64, types.int64, PIXELS, POINTS, types.int8[::1]))
+@kernel(SEEN_COUNTS(SURFACE, SIGHT, PINHOLE, types.int64, types.int64, PIXEL_ROWS, POINT_ROWS, types.int8[::1]))
 def trace_pixels_in_sight(surface, sight, camera, first, width, pixels, points, numbers):
     """``trace_pixels`` where there are walls or a window: how many pixels show the surface, and how many these.
 
@@ -110,7 +110,7 @@ def trace_pixels_in_sight(surface, sight, camera, first, width, pixels, points, 
     cast_sight(surface, sight, camera.eye, directions, t, met)
     hits = beside = 0
     for i in range(count):
-        kind, place = (0, hits) if met[i] == NOWHERE else (1, beside)
+        kind, place = (0, hits) if met[i] == NO_WALL else (1, beside)
         if t[i] < math.inf:
             pixels[kind, place] = first + i
             put_point(points[kind], place, madd(camera.eye, t[i], column(directions, i)))
@@ -130,7 +130,7 @@ def trace_places_in_sight(surface, sight, camera, places, found, points):
     return write_hits(camera.eye, directions, t, 0, found, points)
 
 
-@kernel(types.void(VOXELS, types.float32[:, ::1], types.float32[::1]))
+@kernel(types.void(VOXEL_ARRAY, types.float32[:, ::1], types.float32[::1]))
 def read_values(voxels, points, values):
     """Fill ``values`` (n,) with the voxels' trilinear values at ``points`` (n, 3) in index space, within the box."""
     for i in range(values.shape[0]):

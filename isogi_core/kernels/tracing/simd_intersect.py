@@ -10,7 +10,7 @@ from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.simd.maths import f64, i32
 from isogi_core.kernels.simd.memory import gather_pair
 from isogi_core.kernels.tracing.cubic import cubic_along, first_crossing
-from isogi_core.kernels.tracing.intersect import BLUR, SLIVER, extent, less
+from isogi_core.kernels.tracing.intersect import CUBIC_ROUNDING, SLIVER, extent, less
 from isogi_core.kernels.tracing.slabs import cut_cell, longest, reciprocals
 
 
@@ -53,5 +53,5 @@ def cross_cells(flat, shape, o, d, place, span, iso, solid):
     sure = sure & (high > 0.0) & ~(low > 0.0) & ((total <= 0.0) | (total > 0.0))
     a = o[0] + near * d[0] - corner[0], o[1] + near * d[1] - corner[1], o[2] + near * d[2] - corner[2]
     q = cubic_along(c, a, (d[0] * through, d[1] * through, d[2] * through))
-    t, crosses = first_crossing(q, solid, BLUR * max(shape) * max(high, -low), sure)
+    t, crosses = first_crossing(q, solid, CUBIC_ROUNDING * max(shape) * max(high, -low), sure)
     return near + t * through, near, crosses

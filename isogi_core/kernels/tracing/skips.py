@@ -8,20 +8,20 @@ import numpy as np
 
 from isogi_core.kernels._jit import kernel
 
-BITS = 4
+SKIP_BITS = 4
 """Bits of a skip; a word holds those of the octants 0 … 7, bit a of an octant set where axis a is descended.
 
 No skip is 0, so that words of skips are those whose uppermost four bits are not.
 """
 
-LONGEST_SKIP = 2**BITS - 1
+LONGEST_SKIP = 2**SKIP_BITS - 1
 """Longest skip, in bricks."""
 
-WORD = 64
+WORD_BRICKS = 64
 """Bricks along x whose bits are in one word."""
 
-NONE, ALL = np.uint64(0), np.uint64(2**WORD - 1)
-NEXT, LAST = np.uint64(1), np.uint64(WORD - 1)
+NO_BITS, ALL_BITS = np.uint64(0), np.uint64(2**WORD_BRICKS - 1)
+NEXT_BIT, LAST_BIT = np.uint64(1), np.uint64(WORD_BRICKS - 1)
 
 
 @kernel()
@@ -31,15 +31,15 @@ def write_bits(empty, hollow, outside):
     ``hollow`` and ``outside`` (z, y, words) reach beyond the volume by one word on each side.
     """
     bz, by, bx = empty.shape
-    hollow[:], outside[:] = ALL, ALL
+    hollow[:], outside[:] = ALL_BITS, ALL_BITS
     for k in range(bz):
         for j in range(by):
-            for first in range(0, bx, WORD):
-                count, bits = min(WORD, bx - first), NONE
+            for first in range(0, bx, WORD_BRICKS):
+                count, bits = min(WORD_BRICKS, bx - first), NO_BITS
                 for i in range(count):
                     bits |= np.uint64(empty[k, j, first + i]) << np.uint64(i)
-                beyond = ALL << np.uint64(count) if count < WORD else NONE
-                w = first // WORD + 1
+                beyond = ALL_BITS << np.uint64(count) if count < WORD_BRICKS else NO_BITS
+                w = first // WORD_BRICKS + 1
                 hollow[k + 1, j + 1, w], outside[k + 1, j + 1, w] = bits | beyond, beyond
 
 
@@ -67,10 +67,10 @@ def meet_next(rows, following, descended, outside, larger):
     """
     if descended:
         for q in range(larger.size):
-            larger[q] = outside[q] | rows[q] & (rows[q] << NEXT | following[q] >> LAST)
+            larger[q] = outside[q] | rows[q] & (rows[q] << NEXT_BIT | following[q] >> LAST_BIT)
     else:
         for q in range(larger.size):
-            larger[q] = outside[q] | rows[q] & (rows[q] >> NEXT | following[q] << LAST)
+            larger[q] = outside[q] | rows[q] & (rows[q] >> NEXT_BIT | following[q] << LAST_BIT)
 
 
 @kernel()
@@ -91,14 +91,14 @@ def enlarge(cubes, octant, outside, steps, rows, larger):
 def write_octant(sides, octant, shape, tops):
     """Add the skips of an octant to ``tops`` (bricks,): ``sides`` (BITS, z, y, words) are the bits of each."""
     bz, by, bx = shape
-    one, shift = np.uint64(1), np.uint64(BITS * octant)
+    one, shift = np.uint64(1), np.uint64(SKIP_BITS * octant)
     for k in range(bz):
         for j in range(by):
-            for first in range(0, bx, WORD):
-                z, y, w = k + 1, j + 1, first // WORD + 1
+            for first in range(0, bx, WORD_BRICKS):
+                z, y, w = k + 1, j + 1, first // WORD_BRICKS + 1
                 a, b, c, d = sides[0, z, y, w], sides[1, z, y, w], sides[2, z, y, w], sides[3, z, y, w]
                 place = (k * by + j) * bx + first
-                row = tops[place : place + min(WORD, bx - first)]
+                row = tops[place : place + min(WORD_BRICKS, bx - first)]
                 for i in range(row.size):
                     s = np.uint64(i)
                     low, high = a >> s & one | (b >> s & one) << one, c >> s & one | (d >> s & one) << one
@@ -117,18 +117,22 @@ def fill_skips(empty, tops):
     for b in range(tops.size):
         if flat[b]:
             tops[b] = 0
-    shape = (bz + 2, by + 2, -(-bx // WORD) + 2)
-    hollow, outside, sides = np.empty(shape, np.uint64), np.empty(shape, np.uint64), np.empty((BITS, *shape), np.uint64)
+    shape = (bz + 2, by + 2, -(-bx // WORD_BRICKS) + 2)
+    hollow, outside, sides = (
+        np.empty(shape, np.uint64),
+        np.empty(shape, np.uint64),
+        np.empty((SKIP_BITS, *shape), np.uint64),
+    )
     write_bits(empty, hollow, outside)
     count, steps = hollow.size, (shape[2], shape[1] * shape[2])
-    first_cubes, beyond, bits = hollow.reshape(count), outside.reshape(count), sides.reshape((BITS, count))
-    cubes, rows, larger = np.empty(count, np.uint64), np.empty(count, np.uint64), np.full(count, ALL)
+    first_cubes, beyond, bits = hollow.reshape(count), outside.reshape(count), sides.reshape((SKIP_BITS, count))
+    cubes, rows, larger = np.empty(count, np.uint64), np.empty(count, np.uint64), np.full(count, ALL_BITS)
     for octant in range(2**3):
-        bits[:] = NONE
+        bits[:] = NO_BITS
         for b in range(count):
             cubes[b] = first_cubes[b]
         for side in range(1, LONGEST_SKIP + 1):
-            for p in range(BITS):
+            for p in range(SKIP_BITS):
                 if side % 2**p == 0:
                     flip(bits[p], cubes)
             enlarge(cubes, octant, beyond, steps, rows, larger)

@@ -11,32 +11,32 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.simd.voxels import cube
-from isogi_core.kernels.tracing.field import FIELD, normal
+from isogi_core.kernels.tracing.field import FIELD_RECORD, normal
 from isogi_core.kernels.tracing.plateaus import at_edge, value_span
 from isogi_core.kernels.tracing.vec import is_zero
 
-EDGE, VOID, HOLE = 1, 2, 4
+EDGE_MARK, VOID_MARK, HOLE_MARK = 1, 2, 4
 """Marks of a voxel: at the edge of a plateau, without a gradient, beside one that is no number.
 
 A texel at the edge of a plateau is not lit on its own isosurface: see ``kernels.tracing.plateaus``.
 """
 
-CELLS, STEEP, PLATEAU, NOISY, HOLED, FACES = 0, 1, 2, 3, 4, 5
+CELLS_ROW, STEEP_ROW, PLATEAU_ROW, NOISY_ROW, HOLED_ROW, FACES_ROW = 0, 1, 2, 3, 4, 5
 """Rows of counts; the six faces of the box, x = 0, x = 1, y = 0, …, come last."""
 
-COUNTED_ROWS = FACES + 6
+COUNTED_ROWS = FACES_ROW + 6
 
 STEEP_CORNERS = 4
 """Corners, half of a cell's, that make it steep where they are at an edge, or part of a plateau that they lie on."""
 
-COHERENT = 0.9
+MIN_MEAN_NORMAL = 0.9
 """Length of the mean of a cell's unit normals below which it counts as noisy: they then stray by 26° or more.
 
 On a ball that is so at a radius of two voxels: finer detail cannot be distinguished from noise.
 """
 
-LEVELS = types.float32[::1]
-COUNTS = types.int64[:, ::1]
+LEVEL_ARRAY = types.float32[::1]
+COUNT_ROWS = types.int64[:, ::1]
 
 
 @kernel()
@@ -64,7 +64,7 @@ def look_at(field, levels, k, normals, marks):
                 continue
             n, edge = normal(field, p), at_edge(field.voxels, p, field.voxels[k, j, i], low, high)
             normals[j, i, 0], normals[j, i, 1], normals[j, i, 2] = n
-            marks[j, i] = (EDGE if edge else 0) | (VOID if is_zero(n) else 0) | (HOLE if hole else 0)
+            marks[j, i] = (EDGE_MARK if edge else 0) | (VOID_MARK if is_zero(n) else 0) | (HOLE_MARK if hole else 0)
 
 
 @kernel()
@@ -98,8 +98,8 @@ def corner_of(marks, normals, k, j, i):
     for c in range(8):
         plane, row, column = (k + (c >> 2)) & 1, j + ((c >> 1) & 1), i + (c & 1)
         mark, n = marks[plane, row, column], normals[plane, row, column]
-        edges, together = edges + (mark & EDGE), together | mark
-        if not mark & VOID:
+        edges, together = edges + (mark & EDGE_MARK), together | mark
+        if not mark & VOID_MARK:
             x, y, z, known = x + n[0], y + n[1], z + n[2], known + 1
     return edges, together, math.sqrt(x * x + y * y + z * z) / max(known, 1)
 
@@ -123,27 +123,27 @@ def count_faces(levels, corners, place, shape, counts):
         if place[axis] == (shape[2 - axis] - 2 if side else 0):
             first, last = passing(levels, corners, 1 << axis, side << axis)
             if first < last:
-                count_levels(counts[FACES + face], first, last)
+                count_levels(counts[FACES_ROW + face], first, last)
 
 
 @kernel()
 def count_cell(levels, corners, first, last, seen, counts):
     """Count a cell that isovalues ``first`` … ``last`` - 1 pass; ``seen`` is what ``corner_of`` says of it."""
     edges, together, coherence = seen
-    count_levels(counts[CELLS], first, last)
+    count_levels(counts[CELLS_ROW], first, last)
     if edges >= STEEP_CORNERS:
-        count_levels(counts[STEEP], first, last)
-    if coherence < COHERENT:
-        count_levels(counts[NOISY], first, last)
-    if together & HOLE:
-        count_levels(counts[HOLED], first, last)
-    if together & VOID:
-        count_levels(counts[PLATEAU], first, last)
+        count_levels(counts[STEEP_ROW], first, last)
+    if coherence < MIN_MEAN_NORMAL:
+        count_levels(counts[NOISY_ROW], first, last)
+    if together & HOLE_MARK:
+        count_levels(counts[HOLED_ROW], first, last)
+    if together & VOID_MARK:
+        count_levels(counts[PLATEAU_ROW], first, last)
     else:
-        count_plateaus(levels, corners, first, last, counts[PLATEAU])
+        count_plateaus(levels, corners, first, last, counts[PLATEAU_ROW])
 
 
-@kernel(types.void(FIELD, LEVELS, types.int64, types.int64, COUNTS))
+@kernel(types.void(FIELD_RECORD, LEVEL_ARRAY, types.int64, types.int64, COUNT_ROWS))
 def count_stiffness(field, levels, begin, end, counts):
     """Add to ``counts`` (ROWS, levels + 1), as differences, the cells of layers ``begin`` … ``end`` - 1 along z.
 

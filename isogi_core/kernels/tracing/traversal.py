@@ -9,13 +9,13 @@ from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.simd.maths import bits, f32, fma, i32, mask_of, popcount, rank, where
 from isogi_core.kernels.simd.memory import gather, gather_pair, take
 from isogi_core.kernels.simd.types import RAY_WIDTH
-from isogi_core.kernels.tracing.active_cells import BRICK, POSITION_ERROR
-from isogi_core.kernels.tracing.ray_stream import STRAY
+from isogi_core.kernels.tracing.active_cells import BRICK_CELLS, POSITION_ERROR
+from isogi_core.kernels.tracing.ray_stream import STRAY_BIT
 
-BUSY = RAY_WIDTH // 2
+MIN_BUSY_LANES = RAY_WIDTH // 2
 """Fewer lanes than these at work, and the others take the next rays."""
 
-WAITING = max(RAY_WIDTH // 3, 1)
+MAX_WAITING_LANES = max(RAY_WIDTH // 3, 1)
 """Lanes at a cell that may hold the surface before these cells are looked at."""
 
 MISS, UNSURE = -1, -2
@@ -24,7 +24,7 @@ MISS, UNSURE = -1, -2
 Of 2³¹ voxels none of the last two names a cell, so that no word of a cell is one of these.
 """
 
-HUGE = 1e30
+HUGE_INVERSE = 1e30
 """Stands for 1/0: times nothing it is nothing."""
 
 
@@ -83,7 +83,7 @@ def strides_of(mirror, y, z, last):
 @kernel()
 def filled(n):
     """Cells along an axis of ``n`` voxels when the last brick is filled up."""
-    return (n - 1 + BRICK - 1) // BRICK * BRICK
+    return (n - 1 + BRICK_CELLS - 1) // BRICK_CELLS * BRICK_CELLS
 
 
 @kernel()
@@ -196,7 +196,7 @@ def certain(volume, cells, ray, c, span, sign, lanes):
     """Whether the field has ``sign`` for certain in cells ``c`` of the chosen ``lanes``, on the ``span`` (in, out)."""
     flat, (_, ny, nx) = volume
     bz, by, bx = cells.shape
-    stride, base = strides_of(ray.mirror, nx, nx * ny, (BRICK * bx, BRICK * by, BRICK * bz))
+    stride, base = strides_of(ray.mirror, nx, nx * ny, (BRICK_CELLS * bx, BRICK_CELLS * by, BRICK_CELLS * bz))
     turned = stride[0] < 0
     place = linear(c, stride, base) + where(turned, -1, 0)
     sy, sz = where(lanes, stride[1], 0), where(lanes, stride[2], 0)
@@ -257,7 +257,7 @@ def take_rays(records, following, turn, fresh, ray, shape, cells):
     x, y, z = take(records[0], following, fresh), take(records[1], following, fresh), take(records[2], following, fresh)
     u, v, w = take(records[3], following, fresh), take(records[4], following, fresh), take(records[5], following, fresh)
     o, d = choose_points(fresh, (x, y, z), ray.o), choose_points(fresh, (u, v, w), ray.d)
-    inv = min(1.0 / d[0], HUGE), min(1.0 / d[1], HUGE), min(1.0 / d[2], HUGE)
+    inv = min(1.0 / d[0], HUGE_INVERSE), min(1.0 / d[1], HUGE_INVERSE), min(1.0 / d[2], HUGE_INVERSE)
     end = where(fresh, take(records[6], following, fresh), ray.end)
     iso = where(fresh, take(records[7], following, fresh), ray.iso)
     mirror = where(fresh, i32(take(records[9], following, fresh)), ray.mirror)
@@ -279,7 +279,7 @@ def enter(volume, cells, ray, given):
     z = first_cell(ray.o[2], mirror & 4, limit[2], nz)
     here = where(gather(flat, least_node((x, y, z), mirror, shape)) > ray.iso, f32(1.0), -1.0)
     active, _, _ = look_up(cells, (x, y, z), ray)
-    doubtful = (mirror >= STRAY) | (active & (given == 0.0)) | (~active & (given + here == 0.0))
+    doubtful = (mirror >= STRAY_BIT) | (active & (given == 0.0)) | (~active & (given + here == 0.0))
     return (x, y, z), where(given == 0.0, here, given), doubtful
 
 
@@ -297,7 +297,7 @@ def traverse(volume, cells, records, count, found, entries):
     following, slack = 0, POSITION_ERROR * max(shape)
     while True:
         idle = ~(walking | waiting)
-        if following < count and popcount(idle) > RAY_WIDTH - BUSY:
+        if following < count and popcount(idle) > RAY_WIDTH - MIN_BUSY_LANES:
             turn = rank(idle) + following
             fresh = idle & (turn < count)
             ray = take_rays(records, following, turn, fresh, ray, shape, cells)
@@ -312,9 +312,9 @@ def traverse(volume, cells, records, count, found, entries):
             continue
         while True:
             ahead = popcount(walking)
-            if ahead == 0 or popcount(waiting) >= WAITING:
+            if ahead == 0 or popcount(waiting) >= MAX_WAITING_LANES:
                 break
-            if following < count and ahead + popcount(waiting) < BUSY:
+            if following < count and ahead + popcount(waiting) < MIN_BUSY_LANES:
                 break
             stops, keep, size = look_up(cells, c, ray)
             waiting = waiting | (stops & walking)
@@ -323,7 +323,7 @@ def traverse(volume, cells, records, count, found, entries):
             put_word(found, ray.owner, UNSURE, walking & outside & (out < ray.end - slack))
             walking = walking & ~outside
             t, c = where(walking, out, t), choose_points(walking, after, c)
-        if popcount(waiting) >= WAITING or popcount(walking) == 0:
+        if popcount(waiting) >= MAX_WAITING_LANES or popcount(walking) == 0:
             out, after, outside = leave(ray, c, c, i32(1))
             passed = certain(volume, cells, ray, c, (t, out), sign, waiting)
             put_cells(found, entries, ray.owner, least_node(c, ray.mirror, shape), sign, t, waiting & ~passed)

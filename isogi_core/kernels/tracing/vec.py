@@ -6,7 +6,7 @@ from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.simd.memory import load, store
 from isogi_core.kernels.simd.types import PATH_WIDTH
 
-SMALLEST = 2.0**-1022
+SMALLEST_NORMAL = 2.0**-1022
 
 
 @kernel()
@@ -69,7 +69,7 @@ def normalize(a):
 
     Scaled by the largest component first, so that squares neither overflow nor vanish.
     """
-    largest = max(abs(a[0]), abs(a[1]), abs(a[2]), SMALLEST)
+    largest = max(abs(a[0]), abs(a[1]), abs(a[2]), SMALLEST_NORMAL)
     x, y, z = a[0] / largest, a[1] / largest, a[2] / largest
     size = math.sqrt(x * x + y * y + z * z)
     if not size > 0.0:

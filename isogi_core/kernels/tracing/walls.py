@@ -10,10 +10,10 @@ from isogi_core.kernels.simd.memory import load, store
 from isogi_core.kernels.simd.types import PATH_WIDTH
 from isogi_core.kernels.tracing.vec import load_columns
 
-NOWHERE = -1.0
+NO_WALL = -1.0
 """The number of no wall."""
 
-RIM = 1e-9
+WALL_RIM = 1e-9
 """Share of its edges by which a wall reaches beyond them, so that no ray slips between two that meet."""
 
 
@@ -31,8 +31,8 @@ class Walls(NamedTuple):
     backs: Any
 
 
-ROWS, NUMBERS = types.float64[:, ::1], types.float64[::1]
-WALLS = record(Walls, ROWS, ROWS, types.float64[:, :, ::1], NUMBERS)
+REAL_ROWS, REAL_ARRAY = types.float64[:, ::1], types.float64[::1]
+WALLS_RECORD = record(Walls, REAL_ROWS, REAL_ROWS, types.float64[:, :, ::1], REAL_ARRAY)
 
 
 @kernel(exact=True)
@@ -47,14 +47,14 @@ def nearest_wall(walls, o, d, own, reach):
 
     It never meets its ``own`` wall, that it starts on. Takes vectors of rays too.
     """
-    found = own * 0.0 + NOWHERE
+    found = own * 0.0 + NO_WALL
     for k in range(walls.corners.shape[0]):
         x, y, z = o[0] - walls.corners[k, 0], o[1] - walls.corners[k, 1], o[2] - walls.corners[k, 2]
         slope = inner(walls.planes, k, d)
         t = divide(-inner(walls.planes, k, (x, y, z)), slope)
         p = x + t * d[0], y + t * d[1], z + t * d[2]
         a, b = inner(walls.across[k], 0, p), inner(walls.across[k], 1, p)
-        within = (a >= -RIM) & (a <= 1.0 + RIM) & (b >= -RIM) & (b <= 1.0 + RIM)
+        within = (a >= -WALL_RIM) & (a <= 1.0 + WALL_RIM) & (b >= -WALL_RIM) & (b <= 1.0 + WALL_RIM)
         met = within & (t > 0.0) & (t < reach) & (own != float(k)) & (slope < walls.backs[k])
         reach, found = where(met, t, reach), where(met, float(k), found)
     return reach, found

@@ -7,14 +7,22 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
-from isogi_core.kernels.tracing.field import FIELD
+from isogi_core.kernels.tracing.field import FIELD_RECORD
 from isogi_core.kernels.tracing.vec import column, madd, put_column
-from isogi_core.kernels.transport.colours import COLOURS, albedo_at
+from isogi_core.kernels.transport.colours import COLOURS_RECORD, albedo_at
 from isogi_core.kernels.transport.ends import begin_branches, blocks, branch_ends
 from isogi_core.kernels.transport.integrate import advance, limits
 from isogi_core.kernels.transport.open_paths import advance_in_the_open
 from isogi_core.kernels.transport.paths import SAMPLE_RANGE, PathEnds
-from isogi_core.kernels.transport.transfer import ORDERS, PLACE, ROWS, SUMS, bake_rows, count_ends, make_carried
+from isogi_core.kernels.transport.transfer import (
+    ORDER_ARRAY,
+    PLACE,
+    ROW_ARRAY,
+    TRANSFER_SUMS,
+    bake_rows,
+    count_ends,
+    make_carried,
+)
 from isogi_core.kernels.transport.wavefront import columns
 
 
@@ -36,8 +44,8 @@ class ColouredRules(NamedTuple):
     branches: int
 
 
-NUMBERS = types.float64[::1]
-ROWS_OF_RULES = (ORDERS, NUMBERS, NUMBERS, types.float64[:, ::1], types.boolean[::1])
+REAL_ARRAY = types.float64[::1]
+ROWS_OF_RULES = (ORDER_ARRAY, REAL_ARRAY, REAL_ARRAY, types.float64[:, ::1], types.boolean[::1])
 COLOURED_RULES = record(ColouredRules, *ROWS_OF_RULES, types.int64, types.float64, types.int64)
 
 
@@ -101,7 +109,11 @@ def count_by_albedos(ends, carried, rules, c, counts):
     return 0, blocks(rules.branches)
 
 
-@kernel(types.void(FIELD, ACTIVE_CELLS, COLOURS, PLACE, ROWS, SAMPLE_RANGE, COLOURED_RULES, SUMS))
+@kernel(
+    types.void(
+        FIELD_RECORD, ACTIVE_CELLS, COLOURS_RECORD, PLACE, ROW_ARRAY, SAMPLE_RANGE, COLOURED_RULES, TRANSFER_SUMS
+    )
+)
 def bake_coloured_texels(field, cells, colours, place, rows, samples, rules, sums):
     """``bake_texels`` of the same paths on a surface with ``colours``, by ColouredRules.
 

@@ -6,13 +6,13 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.tracing.field import VOXELS, clamp_cell, smooth_gradient, value
+from isogi_core.kernels.tracing.field import VOXEL_ARRAY, clamp_cell, smooth_gradient, value
 from isogi_core.kernels.tracing.vec import length
 
 NO_VALUE = 0
 """The code of a place without a value."""
 
-LAST = 255
+LAST_CODE = 255
 """The code of the highest value; 1 is that of the lowest."""
 
 LABEL_SHARE = 1.0 / 510.0
@@ -37,7 +37,9 @@ class Colours(NamedTuple):
 
 NO_CODES, NO_LABELS = np.zeros((0, 0, 0), np.uint8), np.zeros((0, 0, 0, 3), np.uint8)
 NO_COLOURS = Colours(NO_CODES, NO_LABELS, np.ones(3), np.zeros((0, 3)))
-COLOURS = record(Colours, types.uint8[:, :, ::1], types.uint8[:, :, :, ::1], types.float64[::1], types.float64[:, ::1])
+COLOURS_RECORD = record(
+    Colours, types.uint8[:, :, ::1], types.uint8[:, :, :, ::1], types.float64[::1], types.float64[:, ::1]
+)
 
 
 def colours_of(places: np.ndarray, step: tuple[float, float, float], table: np.ndarray) -> Colours:
@@ -72,7 +74,7 @@ def next_label(labels, p, after):
     nz, ny, nx = labels.shape[:3]
     i, j, k = clamp_cell(p[0], nx), clamp_cell(p[1], ny), clamp_cell(p[2], nz)
     x, y, z = min(max(p[0] - i, 0.0), 1.0), min(max(p[1] - j, 0.0), 1.0), min(max(p[2] - k, 0.0), 1.0)
-    least, total = LAST + 1, 0.0
+    least, total = LAST_CODE + 1, 0.0
     for corner in range(8):
         a, b, c = corner & 1, corner >> 1 & 1, corner >> 2
         weight = (x if a else 1.0 - x) * (y if b else 1.0 - y) * (z if c else 1.0 - z)
@@ -93,7 +95,7 @@ def label_albedo(colours, p):
     """
     known, total, r, g, b = 0.0, 0.0, 0.0, 0.0, 0.0
     label, share = next_label(colours.labels, p, NO_VALUE)
-    while label <= LAST:
+    while label <= LAST_CODE:
         weight = share**8
         colour = colours.table[label]
         r, g, b = r + weight * colour[0], g + weight * colour[1], b + weight * colour[2]
@@ -113,7 +115,7 @@ def albedo_at(colours, p):
     if colours.labels.shape[0] > 0:
         return label_albedo(colours, place)
     code, known = known_code(colours.codes, place)
-    low = min(max(int(code), 1), LAST - 1)
+    low = min(max(int(code), 1), LAST_CODE - 1)
     share = code - low
     r = known * (table[low, 0] + share * (table[low + 1, 0] - table[low, 0])) + (1.0 - known) * table[0, 0]
     g = known * (table[low, 1] + share * (table[low + 1, 1] - table[low, 1])) + (1.0 - known) * table[0, 1]
@@ -121,7 +123,7 @@ def albedo_at(colours, p):
     return r, g, b
 
 
-@kernel(types.void(COLOURS, types.float32[:, ::1], types.float32[:, ::1]))
+@kernel(types.void(COLOURS_RECORD, types.float32[:, ::1], types.float32[:, ::1]))
 def fill_albedos(colours, points, albedos):
     """Fill ``albedos`` (m, 3), linear RGB, of surface ``points`` (m, 3) in index space."""
     for m in range(points.shape[0]):
@@ -129,7 +131,7 @@ def fill_albedos(colours, points, albedos):
         albedos[m, 0], albedos[m, 1], albedos[m, 2] = albedo_at(colours, p)
 
 
-@kernel(types.void(VOXELS, types.float64[:, ::1], types.float64, types.float64[::1], types.float32[:, ::1]))
+@kernel(types.void(VOXEL_ARRAY, types.float64[:, ::1], types.float64, types.float64[::1], types.float32[:, ::1]))
 def sample_layer(voxels, matrix, z, step, values):
     """Sample ``voxels`` at places of a layer ``z`` of another volume, ``step`` (3,) of whose voxels apart: trilinear.
 
@@ -148,7 +150,7 @@ def sample_layer(voxels, matrix, z, step, values):
             values[row, column] = value(voxels, (a, b, c)) if inside else np.nan
 
 
-@kernel(types.void(VOXELS, types.float64[::1], types.float64, types.float64[::1], types.float32[:, ::1]))
+@kernel(types.void(VOXEL_ARRAY, types.float64[::1], types.float64, types.float64[::1], types.float32[:, ::1]))
 def slope_layer(voxels, spacing, z, step, values):
     """Fill ``values`` (ny, nx) with |∇ρ|, per unit of the world, at places of layer ``z`` that lie ``step`` apart.
 
@@ -169,7 +171,7 @@ def weigh_labels(codes, mixed, bell, labels):
     second among both, in SHAREs. The outermost places go on beyond the volume.
     """
     nz, ny, nx = codes.shape
-    reach, weights = len(bell) // 2, np.zeros(LAST + 1, np.int64)
+    reach, weights = len(bell) // 2, np.zeros(LAST_CODE + 1, np.int64)
     for k, j, i in np.argwhere(mixed):
         weights[:] = 0
         for c in range(len(bell)):

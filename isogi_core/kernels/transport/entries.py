@@ -10,7 +10,7 @@ from isogi_core.kernels.transport.room_paths import InRoom, fill_seeds, light_in
 from isogi_core.kernels.transport.surface_glow import glow_among_surfaces
 from isogi_core.kernels.transport.surface_paths import Among, light_among_surfaces
 
-PATHS = {
+PATH_KERNELS = {
     (InRoom, Surroundings): light_in_room,
     (InRoom, Glows): glow_in_room,
     (Among, Surroundings): light_among_surfaces,
@@ -25,4 +25,4 @@ Paths in the Open start from texels or pixels, in kernels of these: ``bake_irrad
 
 def path_kernels(meets: type, gathers: type) -> tuple[Any, ...]:
     """The entry kernels of paths that meet and gather this; none for paths in the Open."""
-    return (PATHS[meets, gathers], fill_seeds) if (meets, gathers) in PATHS else ()
+    return (PATH_KERNELS[meets, gathers], fill_seeds) if (meets, gathers) in PATH_KERNELS else ()

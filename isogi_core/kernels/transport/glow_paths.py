@@ -8,16 +8,16 @@ from numba import types
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.glow import GLOWS, Glows, gather_on_way, way_through_ball
-from isogi_core.kernels.tracing.vec import SMALLEST, column, dot, normalize, put_column, sub
-from isogi_core.kernels.tracing.walls import ROWS
+from isogi_core.kernels.tracing.vec import SMALLEST_NORMAL, column, dot, normalize, put_column, sub
+from isogi_core.kernels.tracing.walls import REAL_ROWS
 from isogi_core.kernels.transport.integrate import add_paths, gather_met, gather_sources
 from isogi_core.kernels.transport.light_paths import NO_START, to_world
 from isogi_core.kernels.transport.open_paths import cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
-from isogi_core.kernels.transport.room_paths import IN_ROOM, STARTS, InRoom, gather_walls
+from isogi_core.kernels.transport.room_paths import IN_ROOM, STARTS_RECORD, InRoom, gather_walls
 from isogi_core.kernels.transport.sampling import about
-from isogi_core.kernels.transport.streams import PAIRS, SOURCES
+from isogi_core.kernels.transport.streams import FIRST_SOURCE_PAIR, PAIRS_PER_PURPOSE
 from isogi_core.kernels.transport.wavefront import columns, partition
 
 
@@ -25,7 +25,7 @@ from isogi_core.kernels.transport.wavefront import columns, partition
 def cap_of(glows, k, p):
     """1 - cosα of the cone from ``p`` about the ball about region ``k``; 0 where p is in that ball."""
     away = sub(column(glows.centres, k), p)
-    square = glows.radii[k] * glows.radii[k] / max(dot(away, away), SMALLEST)
+    square = glows.radii[k] * glows.radii[k] / max(dot(away, away), SMALLEST_NORMAL)
     return square / (1.0 + math.sqrt(1.0 - square)) if square < 1.0 else 0.0
 
 
@@ -56,7 +56,7 @@ def balance_cone(glows, k, p, w, cosine):
     heuristic.
     """
     by_cosine = cosine / math.pi
-    return by_cosine / max(by_cosine + density_towards(glows, k, p, w), SMALLEST)
+    return by_cosine / max(by_cosine + density_towards(glows, k, p, w), SMALLEST_NORMAL)
 
 
 @kernel()
@@ -66,7 +66,7 @@ def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
     origins, normals = columns(vertices.points, count), columns(vertices.normals, count)
     starts, ways, directions = columns(shadow.starts, count), columns(rays.ways, count), columns(rays.directions, count)
     directions[:, count:] = 1.0
-    dimension, aimed = np.uint64(SOURCES + k * PAIRS + bounce), 0
+    dimension, aimed = np.uint64(FIRST_SOURCE_PAIR + k * PAIRS_PER_PURPOSE + bounce), 0
     for i in range(count):
         low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
         u, v = point_of_words(low, high, sample, dimension)
@@ -119,7 +119,7 @@ def gather_met_glow(scene, state, vertices, bounce, glows):
     return gather_walls(state.wave, vertices, partition(rays, count), scene.room)
 
 
-@kernel(types.void(IN_ROOM, STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, ROWS))
+@kernel(types.void(IN_ROOM, STARTS_RECORD, SAMPLE_RANGE, PATH_RULES, GLOWS, REAL_ROWS))
 def glow_in_room(scene, starts, samples, rules, glows, sums):
     """Add E/π of each of k ``glows``, of radiance 1, at each of g ``RoomStarts`` to ``sums`` (g, 3 k).
 

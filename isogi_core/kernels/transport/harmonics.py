@@ -39,7 +39,7 @@ def _recurrence() -> tuple[np.ndarray, np.ndarray]:
 
 
 DIAGONAL = _diagonal()
-SLOPE, OFFSET = _recurrence()
+RECURRENCE_SLOPE, RECURRENCE_OFFSET = _recurrence()
 
 
 @kernel(exact=True)
@@ -58,7 +58,7 @@ def accumulate(order, x, y, z, weight, out):
             if m > 0:
                 add_to(out, middle - m, sine * q)
             add_to(out, middle + m, cosine * q)
-            before, q = q, SLOPE[l + 1, m] * z * q - OFFSET[l + 1, m] * before
+            before, q = q, RECURRENCE_SLOPE[l + 1, m] * z * q - RECURRENCE_OFFSET[l + 1, m] * before
         cosine, sine = x * cosine - y * sine, x * sine + y * cosine
 
 

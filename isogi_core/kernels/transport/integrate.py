@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from isogi_core.kernels._jit import Choice, kernel
-from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.wavefront import (
-    WAVE,
+    WAVE_PATHS,
     Vertices,
     generate,
     make_vertices,
@@ -122,7 +122,7 @@ def make_paths(n, rules, total, gathered):
     carried = np.empty((3, total))
     for c in range(3):
         carried[c] = rules.weights[0, c]
-    return PathWave(make_wave(n), make_shadow_rays(n), np.full(n, NOWHERE), np.full(n, NOWHERE), carried, gathered)
+    return PathWave(make_wave(n), make_shadow_rays(n), np.full(n, NO_WALL), np.full(n, NO_WALL), carried, gathered)
 
 
 @kernel()
@@ -153,7 +153,7 @@ def walk(scene, state, vertices, spare, rules, source):
 @kernel()
 def places_for(total, branches):
     """The places of a wave, at most WAVE or so, for ``total`` paths that go on in this number of ``branches``."""
-    return whole(min(WAVE // branches, total)) * branches
+    return whole(min(WAVE_PATHS // branches, total)) * branches
 
 
 @kernel()
@@ -162,7 +162,11 @@ def trace_paths(scene, starts, samples, rules, source, wave):
 
     Path s · g + i is the sample ``first + s`` of start i.
     """
-    total, n, most = starts.isovalues.shape[0] * samples.count, wave.rays.owners.shape[0], WAVE // limits(rules)[1]
+    total, n, most = (
+        starts.isovalues.shape[0] * samples.count,
+        wave.rays.owners.shape[0],
+        WAVE_PATHS // limits(rules)[1],
+    )
     origins, room, spare = launch_starts(scene, starts), make_vertices(n), make_vertices(n)
     state = make_state(scene, starts, wave)
     for first in range(0, total, most):
@@ -186,7 +190,7 @@ def add_paths(scene, starts, samples, rules, source, sums):
     Sums grow sample by sample: the company of a start changes no bit. Source: Kajiya 1986.
     """
     g, last = sums.shape[0], samples.first + samples.count
-    step = max(WAVE // max(g, 1), 1)
+    step = max(WAVE_PATHS // max(g, 1), 1)
     gathered = np.empty((sums.shape[1], g * step))
     for first in range(samples.first, last, step):
         some = SampleRange(first, min(step, last - first))

@@ -13,7 +13,7 @@ from isogi_core.kernels.transport.integrate import add_carried, gather_met, gath
 from isogi_core.kernels.transport.lights import LAMPS, NO_LAMPS, NO_LIGHT, arriving, draw_bright, illuminate
 from isogi_core.kernels.transport.open_paths import Open, cast_wave
 from isogi_core.kernels.transport.rng import point_of_words
-from isogi_core.kernels.transport.streams import PAIRS, SOURCES
+from isogi_core.kernels.transport.streams import FIRST_SOURCE_PAIR, PAIRS_PER_PURPOSE
 from isogi_core.kernels.transport.wavefront import columns, partition
 
 NO_START = (math.inf, math.inf, math.inf)
@@ -36,7 +36,7 @@ class Surroundings(NamedTuple):
     lamps: Any = NO_LAMPS
 
 
-SURROUNDINGS = record(
+SURROUNDINGS_RECORD = record(
     Surroundings,
     types.float64[::1],
     types.float32[:, :, ::1],
@@ -75,7 +75,7 @@ def aim_shadow_rays(wave, vertices, bounce, light, source, spacing):
     starts, lights = columns(shadow.starts, count), columns(shadow.light, count)
     directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
-    dimension = np.uint64(SOURCES + source * PAIRS + bounce)
+    dimension = np.uint64(FIRST_SOURCE_PAIR + source * PAIRS_PER_PURPOSE + bounce)
     for i in range(count):
         low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
         u, v = point_of_words(low, high, sample, dimension)

@@ -7,7 +7,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.tracing.vec import SMALLEST, cross, dot, length, madd, scale, sub
+from isogi_core.kernels.tracing.vec import SMALLEST_NORMAL, cross, dot, length, madd, scale, sub
 from isogi_core.kernels.transport.harmonics import accumulate, evaluate
 from isogi_core.kernels.transport.sampling import (
     cosine_hemisphere_pdf,
@@ -72,9 +72,9 @@ def balance_image(table, row, column, cosine):
     p_c is the density of cosine sampling, p_e that of ``draw_bright``. The same share of the radiance is
     what a ray of either sort adds to E/π. Source: Veach and Guibas 1995, the balance heuristic.
     """
-    drawn = piecewise_2d_pdf(table[0], table[1], row, column) / max(latlong_jacobian(row), SMALLEST)
+    drawn = piecewise_2d_pdf(table[0], table[1], row, column) / max(latlong_jacobian(row), SMALLEST_NORMAL)
     by_cosine = cosine_hemisphere_pdf(cosine)
-    return by_cosine / max(by_cosine + drawn, SMALLEST)
+    return by_cosine / max(by_cosine + drawn, SMALLEST_NORMAL)
 
 
 @kernel()
@@ -185,10 +185,10 @@ def illuminate(lamps, k, p, n, u, v):
     return w, distance, scale(colour, share)
 
 
-VECTORS = types.float64[:, ::1]
+REAL_ROWS = types.float64[:, ::1]
 
 
-@kernel(types.void(types.int64, VECTORS, VECTORS, VECTORS))
+@kernel(types.void(types.int64, REAL_ROWS, REAL_ROWS, REAL_ROWS))
 def project_lamps(order, directions, irradiances, coefficients):
     """Add Σ E Y_i(d) of lights without size in unit ``directions`` (k, 3) to ``coefficients`` (3, n²).
 

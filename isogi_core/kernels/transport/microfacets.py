@@ -13,10 +13,10 @@ from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.vec import add, cross, dot, madd, normalize, scale
 from isogi_core.kernels.transport.sampling import sample_disc
 
-NODES = 128
+ENERGY_STEPS = 128
 """Steps of the table of energy, even in √cosθ: it changes most where the view grazes."""
 
-GRAZING = 1e-3
+MIN_VIEW_COSINE = 1e-3
 """The least cosine between normal and viewer that lobes are evaluated at."""
 
 GRID = 40
@@ -39,9 +39,9 @@ class ShineLobe(NamedTuple):
     energy: Any
 
 
-COLOUR = types.UniTuple(types.float64, 3)
+REAL_TRIPLE = types.UniTuple(types.float64, 3)
 ENERGY = types.float64[:, ::1]
-SHINE_LOBE = record(ShineLobe, types.float64, COLOUR, types.float64, types.boolean, types.float64, ENERGY)
+SHINE_LOBE = record(ShineLobe, types.float64, REAL_TRIPLE, types.float64, types.boolean, types.float64, ENERGY)
 
 
 @kernel()
@@ -158,15 +158,15 @@ def fill_energy(alpha, energy):
 
     The split is Karis's, "Real Shading in Unreal Engine 4", 2013.
     """
-    for k in range(NODES + 1):
-        energy[k, 0], energy[k, 1] = mean_energy(alpha, max((k / NODES) ** 2, GRAZING))
+    for k in range(ENERGY_STEPS + 1):
+        energy[k, 0], energy[k, 1] = mean_energy(alpha, max((k / ENERGY_STEPS) ** 2, MIN_VIEW_COSINE))
 
 
 @kernel()
 def energy_at(energy, cosine):
     """(A, B) at a ``cosine``, between the table's nodes."""
-    place = NODES * math.sqrt(min(max(cosine, 0.0), 1.0))
-    k = min(int(place), NODES - 1)
+    place = ENERGY_STEPS * math.sqrt(min(max(cosine, 0.0), 1.0))
+    k = min(int(place), ENERGY_STEPS - 1)
     way = place - k
     return (
         (1.0 - way) * energy[k, 0] + way * energy[k + 1, 0],

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.tracing.vec import SMALLEST, cross, dot, length, madd, normalize, scale, sub
-from isogi_core.kernels.transport.light_paths import SURROUNDINGS
+from isogi_core.kernels.tracing.vec import SMALLEST_NORMAL, cross, dot, length, madd, normalize, scale, sub
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD
 from isogi_core.kernels.transport.lights import NO_LIGHT, draw_bright, draw_from_disc, glow, row, turn_back
 from isogi_core.kernels.transport.sampling import direction_to_latlong, latlong_jacobian, piecewise_2d_pdf
 
@@ -47,10 +47,10 @@ class ShineLights(NamedTuple):
     ways: int
 
 
-ROWS, PAIRS_OF_ROWS, NUMBERS = types.float64[:, ::1], types.float64[:, :, ::1], types.float64[::1]
-PANELS = record(Panels, ROWS, PAIRS_OF_ROWS, ROWS, NUMBERS, NUMBERS)
-DISCS = record(Discs, ROWS, PAIRS_OF_ROWS, ROWS)
-SHINE_LIGHTS = record(ShineLights, SURROUNDINGS, PANELS, DISCS, types.float64, types.int64)
+REAL_ROWS, PAIRS_OF_ROWS, REAL_ARRAY = types.float64[:, ::1], types.float64[:, :, ::1], types.float64[::1]
+PANELS = record(Panels, REAL_ROWS, PAIRS_OF_ROWS, REAL_ROWS, REAL_ARRAY, REAL_ARRAY)
+DISCS = record(Discs, REAL_ROWS, PAIRS_OF_ROWS, REAL_ROWS)
+SHINE_LIGHTS = record(ShineLights, SURROUNDINGS_RECORD, PANELS, DISCS, types.float64, types.int64)
 
 
 @kernel()
@@ -69,7 +69,7 @@ def panel_met(panels, k, p, w):
     a, b = dot(cross(q, v), across) / (area * area), dot(cross(u, q), across) / (area * area)
     if not (t > 0.0 and 0.0 <= a <= 1.0 and 0.0 <= b <= 1.0):
         return math.inf, 0.0
-    return t, t * t / max(area * abs(slope), SMALLEST)
+    return t, t * t / max(area * abs(slope), SMALLEST_NORMAL)
 
 
 @kernel()
@@ -114,7 +114,7 @@ def expect_along(lights, p, w):
     (r, g, b), total = glow(around.constant, around.image, height, width), 0.0
     if around.table[0].shape[0] > 0:
         drawn = piecewise_2d_pdf(around.table[0], around.table[1], height, width)
-        total += drawn / max(latlong_jacobian(height), SMALLEST)
+        total += drawn / max(latlong_jacobian(height), SMALLEST_NORMAL)
     for k in range(panels.corners.shape[0]):
         t, density = panel_met(panels, k, p, w)
         if t < math.inf:

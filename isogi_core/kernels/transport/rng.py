@@ -10,7 +10,7 @@ import numpy as np
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.simd.maths import fraction
 
-WORD = np.uint64(0xFFFFFFFF)
+WORD_MASK = np.uint64(0xFFFFFFFF)
 LOWEST_BIT = np.uint64(1)
 HALF_WORD = np.uint64(16)
 WORD_BITS = np.uint64(32)
@@ -45,13 +45,13 @@ def pcg4d(a, b, c, d):
     Jarzynski and Olano, "Hash Functions for GPU Rendering", JCGT 9(3), 2020. Their two rounds leave
     some bits of neighbouring counters related (seen in the tests' avalanche), three do not.
     """
-    a, b = (a * MULTIPLIER + INCREMENT) & WORD, (b * MULTIPLIER + INCREMENT) & WORD
-    c, d = (c * MULTIPLIER + INCREMENT) & WORD, (d * MULTIPLIER + INCREMENT) & WORD
+    a, b = (a * MULTIPLIER + INCREMENT) & WORD_MASK, (b * MULTIPLIER + INCREMENT) & WORD_MASK
+    c, d = (c * MULTIPLIER + INCREMENT) & WORD_MASK, (d * MULTIPLIER + INCREMENT) & WORD_MASK
     for _ in range(3):
-        a = (a + ((b * d) & WORD)) & WORD
-        b = (b + ((c * a) & WORD)) & WORD
-        c = (c + ((a * b) & WORD)) & WORD
-        d = (d + ((b * c) & WORD)) & WORD
+        a = (a + ((b * d) & WORD_MASK)) & WORD_MASK
+        b = (b + ((c * a) & WORD_MASK)) & WORD_MASK
+        c = (c + ((a * b) & WORD_MASK)) & WORD_MASK
+        d = (d + ((b * c) & WORD_MASK)) & WORD_MASK
         a, b, c, d = _fold(a), _fold(b), _fold(c), _fold(d)
     return a, b, c, d
 
@@ -60,7 +60,7 @@ def pcg4d(a, b, c, d):
 def mix(a, b):
     """Hash of two integers 0 <= a, b < 2⁶⁴ into 64 mixed bits: a seed from a texel and a replicate."""
     a, b = np.uint64(a), np.uint64(b)
-    high, low, _, _ = pcg4d(a & WORD, a >> WORD_BITS, b & WORD, b >> WORD_BITS)
+    high, low, _, _ = pcg4d(a & WORD_MASK, a >> WORD_BITS, b & WORD_MASK, b >> WORD_BITS)
     return (high << WORD_BITS) | low
 
 
@@ -94,7 +94,7 @@ def sobol_2d(index):
 
     The first is van der Corput's radical inverse, the second Sobol's with the Pascal matrix.
     """
-    index = np.uint64(index) & WORD
+    index = np.uint64(index) & WORD_MASK
     return reverse_bits(index), reverse_bits(pascal_bits(index))
 
 
@@ -104,11 +104,11 @@ def laine_karras(word, seed):
 
     Laine and Karras, "Stratified sampling for stochastic transparency", EGSR 2011; constants by Vegdahl 2021.
     """
-    word = word ^ ((word * LK_FIRST) & WORD)
-    word = (word + seed) & WORD
-    word = (word * ((seed >> HALF_WORD) | LOWEST_BIT)) & WORD
-    word = word ^ ((word * LK_SECOND) & WORD)
-    return word ^ ((word * LK_THIRD) & WORD)
+    word = word ^ ((word * LK_FIRST) & WORD_MASK)
+    word = (word + seed) & WORD_MASK
+    word = (word * ((seed >> HALF_WORD) | LOWEST_BIT)) & WORD_MASK
+    word = word ^ ((word * LK_SECOND) & WORD_MASK)
+    return word ^ ((word * LK_THIRD) & WORD_MASK)
 
 
 @kernel()
@@ -123,7 +123,7 @@ def nested_uniform_scramble(word, seed):
 @kernel()
 def point_of_words(low, high, index, dimension):
     """``point_2d`` where each argument is a word, or a vector of words; ``low`` and ``high`` make the seed."""
-    shuffle, first, second, _ = pcg4d(low, high, dimension, dimension | WORD)
+    shuffle, first, second, _ = pcg4d(low, high, dimension, dimension | WORD_MASK)
     place = nested_uniform_scramble(index, shuffle)
     u = reverse_bits(laine_karras(place, first))
     v = reverse_bits(laine_karras(pascal_bits(place), second))
@@ -139,4 +139,6 @@ def point_2d(seed, index, dimension):
     (padding, Burley 2020, section 4). Seeds have up to 64 bits and need no mixing.
     """
     seed = np.uint64(seed)
-    return point_of_words(seed & WORD, seed >> WORD_BITS, np.uint64(index) & WORD, np.uint64(dimension) & WORD)
+    return point_of_words(
+        seed & WORD_MASK, seed >> WORD_BITS, np.uint64(index) & WORD_MASK, np.uint64(dimension) & WORD_MASK
+    )

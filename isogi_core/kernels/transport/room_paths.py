@@ -8,11 +8,11 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
-from isogi_core.kernels.tracing.field import FIELD, to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN_SIDE, launch
-from isogi_core.kernels.tracing.vec import SMALLEST, column, dot, length, madd, put_column, scale, sub
-from isogi_core.kernels.tracing.walls import NUMBERS, ROWS, WALLS, meet_walls
-from isogi_core.kernels.transport.colours import COLOURS, albedo_at
+from isogi_core.kernels.tracing.field import FIELD_RECORD, to_index
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, UNKNOWN_SIDE, launch
+from isogi_core.kernels.tracing.vec import SMALLEST_NORMAL, column, dot, length, madd, put_column, scale, sub
+from isogi_core.kernels.tracing.walls import REAL_ARRAY, REAL_ROWS, WALLS_RECORD, meet_walls
+from isogi_core.kernels.transport.colours import COLOURS_RECORD, albedo_at
 from isogi_core.kernels.transport.integrate import (
     add_carried,
     add_paths,
@@ -24,7 +24,7 @@ from isogi_core.kernels.transport.integrate import (
 )
 from isogi_core.kernels.transport.light_paths import (
     NO_START,
-    SURROUNDINGS,
+    SURROUNDINGS_RECORD,
     Surroundings,
     add_sent,
     gather_ends,
@@ -35,7 +35,7 @@ from isogi_core.kernels.transport.lights import NO_LIGHT, row
 from isogi_core.kernels.transport.open_paths import cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import mix, point_of_words
-from isogi_core.kernels.transport.streams import PAIRS, SOURCES
+from isogi_core.kernels.transport.streams import FIRST_SOURCE_PAIR, PAIRS_PER_PURPOSE
 from isogi_core.kernels.transport.wavefront import columns, compact, intersect, next_vertex, whole
 
 SHADOWED_SHARE = 1.0 - 1e-9
@@ -62,7 +62,19 @@ class Room(NamedTuple):
     colours: Any
 
 
-ROOM = record(Room, WALLS, ROWS, types.float64[:, :, ::1], ROWS, NUMBERS, ROWS, ROWS, NUMBERS, NUMBERS, COLOURS)
+ROOM_RECORD = record(
+    Room,
+    WALLS_RECORD,
+    REAL_ROWS,
+    types.float64[:, :, ::1],
+    REAL_ROWS,
+    REAL_ARRAY,
+    REAL_ROWS,
+    REAL_ROWS,
+    REAL_ARRAY,
+    REAL_ARRAY,
+    COLOURS_RECORD,
+)
 
 
 class RoomStarts(NamedTuple):
@@ -78,7 +90,7 @@ class RoomStarts(NamedTuple):
     walls: Any
 
 
-STARTS = record(RoomStarts, ROWS, ROWS, NUMBERS, types.uint64[::1], NUMBERS)
+STARTS_RECORD = record(RoomStarts, REAL_ROWS, REAL_ROWS, REAL_ARRAY, types.uint64[::1], REAL_ARRAY)
 
 
 class InRoom(NamedTuple):
@@ -89,7 +101,7 @@ class InRoom(NamedTuple):
     room: Any
 
 
-IN_ROOM = record(InRoom, FIELD, ACTIVE_CELLS, ROOM)
+IN_ROOM = record(InRoom, FIELD_RECORD, ACTIVE_CELLS, ROOM_RECORD)
 
 
 @kernel()
@@ -100,8 +112,8 @@ def balance_area(room, k, cosine, slope, distance):
     share of the radiance is what a ray of either sort adds to E/π. Source: Veach and Guibas 1995, balance heuristic.
     """
     by_cosine = cosine / math.pi
-    by_area = distance * distance / max(room.areas[k] * abs(slope), SMALLEST)
-    return by_cosine / max(by_cosine + by_area, SMALLEST)
+    by_area = distance * distance / max(room.areas[k] * abs(slope), SMALLEST_NORMAL)
+    return by_cosine / max(by_cosine + by_area, SMALLEST_NORMAL)
 
 
 @kernel()
@@ -132,7 +144,7 @@ def aim_at_luminaire(wave, vertices, bounce, room, k, source, spacing):
     starts, lights = columns(shadow.starts, count), columns(shadow.light, count)
     directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
-    dimension = np.uint64(SOURCES + source * PAIRS + bounce)
+    dimension = np.uint64(FIRST_SOURCE_PAIR + source * PAIRS_PER_PURPOSE + bounce)
     for i in range(count):
         low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
         u, v = point_of_words(low, high, sample, dimension)
@@ -246,7 +258,7 @@ def launch_in_room(scene, starts):
     for i in range(starts.isovalues.shape[0]):
         if starts.walls[i] < 0.0:
             p, n = column(starts.points, i), column(starts.normals, i)
-            put_column(origins, i, launch(scene.field, starts.isovalues[i], p, n, OUTSIDE))
+            put_column(origins, i, launch(scene.field, starts.isovalues[i], p, n, OUTSIDE_SIGN))
     return origins
 
 
@@ -266,7 +278,7 @@ def begin_in_room(scene, state, vertices, starts, first):
     begin_on_walls(state.wave, starts, first, vertices.count)
 
 
-@kernel(types.void(IN_ROOM, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
+@kernel(types.void(IN_ROOM, STARTS_RECORD, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS_RECORD, REAL_ROWS))
 def light_in_room(scene, starts, samples, rules, light, sums):
     """Add E/π of a ``SampleRange`` at each of g ``RoomStarts``, with all light that is reflected, to ``sums`` (g, 3).
 

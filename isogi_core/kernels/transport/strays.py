@@ -11,14 +11,14 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
-from isogi_core.kernels.tracing.field import FIELD
+from isogi_core.kernels.tracing.field import FIELD_RECORD
 from isogi_core.kernels.tracing.vec import column, madd
 from isogi_core.kernels.transport.ends import EndWave
 from isogi_core.kernels.transport.integrate import gather_met, places_for, trace_paths
 from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import SAMPLE_RANGE, PathTree
-from isogi_core.kernels.transport.transfer import COLUMNS, PLACE, ROWS, start_halves
-from isogi_core.kernels.transport.wavefront import WAVE, columns, make_wave, partition
+from isogi_core.kernels.transport.transfer import PLACE, REAL_ROWS, ROW_ARRAY, start_halves
+from isogi_core.kernels.transport.wavefront import WAVE_PATHS, columns, make_wave, partition
 
 
 class Confines(NamedTuple):
@@ -40,7 +40,7 @@ class Strays(NamedTuple):
     marks: Any
 
 
-CONFINES = record(Confines, types.int64, types.float64, types.int64, COLUMNS)
+CONFINES_RECORD = record(Confines, types.int64, types.float64, types.int64, REAL_ROWS)
 
 
 @kernel()
@@ -73,13 +73,13 @@ def trace_strays(scene, starts, samples, confines, marks):
     trace_paths(scene, starts, samples, tree, Strays(confines.box, marks), wave)
 
 
-@kernel(types.void(FIELD, ACTIVE_CELLS, PLACE, ROWS, SAMPLE_RANGE, CONFINES, types.boolean[::1]))
+@kernel(types.void(FIELD_RECORD, ACTIVE_CELLS, PLACE, ROW_ARRAY, SAMPLE_RANGE, CONFINES_RECORD, types.boolean[::1]))
 def find_strays(field, cells, place, rows, samples, confines, strays):
     """Mark which of the ``rows`` are ``strays`` (m,), by a ``SampleRange`` of each of their two halves.
 
     ``place`` is what ``locate_texels`` took and wrote, and the paths are those of ``bake_texels``.
     """
-    together = max(WAVE // (2 * samples.count), 1)
+    together = max(WAVE_PATHS // (2 * samples.count), 1)
     for i in range(0, rows.shape[0], together):
         some = rows[i : i + together]
         marks = np.zeros(2 * some.shape[0], np.bool_)

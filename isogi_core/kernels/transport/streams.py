@@ -8,69 +8,78 @@ To add a stream, append the next free power of two, and list it in STREAMS. To a
 below those of LEAVING, and list it in PURPOSES. Numbers that are here never change: stored light was drawn by these.
 """
 
-PAIRS = 1 << 16
+PAIRS_PER_PURPOSE = 1 << 16
 """Pairs of random numbers for one purpose of a path, one for each vertex."""
 
 DIRECTIONS = 0
 """The first of the pairs that draw a path's directions, one for each vertex."""
 
-SOURCES = PAIRS
+FIRST_SOURCE_PAIR = PAIRS_PER_PURPOSE
 """The first pair that draws a point of a light source, PAIRS for each: bright sky, then lamps, then luminaires."""
 
-CROSSINGS = 64
+MAX_CROSSINGS = 64
 """Surfaces that a ray passes at most: what comes next stops it."""
 
-ROULETTE = 0x7FFF * PAIRS
+FIRST_ROULETTE_PAIR = 0x7FFF * PAIRS_PER_PURPOSE
 """The first pair that decides which paths go on, one for each bounce."""
 
-PASSING = ROULETTE - CROSSINGS * PAIRS
+PASSING = FIRST_ROULETTE_PAIR - MAX_CROSSINGS * PAIRS_PER_PURPOSE
 """The first pair that decides which rays pass a surface, one for each crossing and vertex."""
 
-LEAVING = PASSING - PAIRS
+LEAVING = PASSING - PAIRS_PER_PURPOSE
 """The first pair that decides on which side paths leave a surface, one for each vertex."""
 
-IN_MATTER = 0x8000 * PAIRS
+IN_MATTER = 0x8000 * PAIRS_PER_PURPOSE
 """The first pair on a ray's way through matter, two for each of MAX_STEPS steps and each vertex."""
 
 MAX_STEPS = 4096
 """Interfaces and scatterings of a ray in matter at most: what is left then is lost."""
 
 PURPOSES = (
-    (DIRECTIONS, PAIRS),
-    (SOURCES, LEAVING - SOURCES),
-    (LEAVING, PAIRS),
-    (PASSING, CROSSINGS * PAIRS),
-    (ROULETTE, PAIRS),
-    (IN_MATTER, 2 * MAX_STEPS * PAIRS),
+    (DIRECTIONS, PAIRS_PER_PURPOSE),
+    (FIRST_SOURCE_PAIR, LEAVING - FIRST_SOURCE_PAIR),
+    (LEAVING, PAIRS_PER_PURPOSE),
+    (PASSING, MAX_CROSSINGS * PAIRS_PER_PURPOSE),
+    (FIRST_ROULETTE_PAIR, PAIRS_PER_PURPOSE),
+    (IN_MATTER, 2 * MAX_STEPS * PAIRS_PER_PURPOSE),
 )
 """For each purpose of a path the first of its pairs, and how many are its own."""
 
 SHINE_WAY, SHINE_CHOICE, SHINE_LAMP = 0, 1, 2
 """Pairs of the sequences of shine's rays: for a way, for which way a ray takes, and one for each lamp from there on."""
 
-PICTURE = 0
+PICTURE_STREAM = 0
 """The first stream of path-traced pictures."""
 
-REFERENCE = 1 << 16
+REFERENCE_STREAM = 1 << 16
 """The first stream of a report's references."""
 
-CONTROLS = 1 << 17
+CONTROLS_STREAM = 1 << 17
 """The first stream of control pixels, two for each set of halves."""
 
-PIXEL_LIGHT = 1 << 18
+PIXEL_LIGHT_STREAM = 1 << 18
 """The first stream of pixels that get light of their own."""
 
-WALLS = 1 << 19
+WALLS_STREAM = 1 << 19
 """The first word, in place of a lattice texel's z, of seeds of walls' texels: two for each wall, its front and back."""
 
-SHINE = 1 << 20
+SHINE_STREAM = 1 << 20
 """The first stream of rays of shine, and of paths from their ends."""
 
-GLASS = 1 << 21
+GLASS_STREAM = 1 << 21
 """The first stream of trees of rays through glass."""
 
-LOBES = 1 << 24
+LOBES_STREAM = 1 << 24
 """The stream of rays towards lobes of the environment."""
 
-STREAMS = (PICTURE, REFERENCE, CONTROLS, PIXEL_LIGHT, WALLS, SHINE, GLASS, LOBES)
+STREAMS = (
+    PICTURE_STREAM,
+    REFERENCE_STREAM,
+    CONTROLS_STREAM,
+    PIXEL_LIGHT_STREAM,
+    WALLS_STREAM,
+    SHINE_STREAM,
+    GLASS_STREAM,
+    LOBES_STREAM,
+)
 """All streams. Each has the numbers up to the next one: at least 65,536 replicas."""

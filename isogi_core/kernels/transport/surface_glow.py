@@ -10,13 +10,13 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.tracing.glow import GLOWS, Glows
-from isogi_core.kernels.tracing.walls import ROWS
+from isogi_core.kernels.tracing.walls import REAL_ROWS
 from isogi_core.kernels.transport.glow_paths import add_glow, aim_at_glow
 from isogi_core.kernels.transport.integrate import add_paths, gather_sources
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
-from isogi_core.kernels.transport.room_paths import STARTS
-from isogi_core.kernels.transport.streams import CROSSINGS
-from isogi_core.kernels.transport.surface_paths import AMONG, Among, cast_at_all, cast_past, goes_on
+from isogi_core.kernels.transport.room_paths import STARTS_RECORD
+from isogi_core.kernels.transport.streams import MAX_CROSSINGS
+from isogi_core.kernels.transport.surface_paths import AMONG_RECORD, Among, cast_at_all, cast_past, goes_on
 from isogi_core.kernels.transport.wavefront import columns
 
 
@@ -51,7 +51,7 @@ def gather_aimed_among(scene, state, vertices, bounce, glows):
         for i in range(count):
             state.passed[i], shadow.reach[i], state.pending[going] = 1.0, math.inf, i
             going += origins[0, i] < math.inf
-        for crossing in range(CROSSINGS):
+        for crossing in range(MAX_CROSSINGS):
             going = gather_to_crossings(scene, state, vertices, k, glows, (bounce, crossing), going)
             if going == 0:
                 break
@@ -59,7 +59,7 @@ def gather_aimed_among(scene, state, vertices, bounce, glows):
                 cast_past(scene, state, surface, origins, count, going)
 
 
-@kernel(types.void(AMONG, STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, ROWS))
+@kernel(types.void(AMONG_RECORD, STARTS_RECORD, SAMPLE_RANGE, PATH_RULES, GLOWS, REAL_ROWS))
 def glow_among_surfaces(scene, starts, samples, rules, glows, sums):
     """Add E/π of each of k ``glows``, of radiance 1, at each of g ``RoomStarts`` to ``sums`` (g, 3 k).
 

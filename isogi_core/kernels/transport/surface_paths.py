@@ -12,18 +12,18 @@ from numba import types
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.cast import cast_batch
-from isogi_core.kernels.tracing.field import FIELD
-from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN_SIDE, launch
+from isogi_core.kernels.tracing.field import FIELD_RECORD
+from isogi_core.kernels.tracing.intersect import SOLID_SIGN, UNKNOWN_SIDE, launch
 from isogi_core.kernels.tracing.peels import MAX_SURFACES
 from isogi_core.kernels.tracing.ray_stream import Rays
-from isogi_core.kernels.tracing.vec import SMALLEST, column, madd, put_column, scale
-from isogi_core.kernels.tracing.walls import NOWHERE, meet_walls
+from isogi_core.kernels.tracing.vec import SMALLEST_NORMAL, column, madd, put_column, scale
+from isogi_core.kernels.tracing.walls import NO_WALL, meet_walls
 from isogi_core.kernels.transport.integrate import add_paths, advance, begin_wave, make_state, meet
-from isogi_core.kernels.transport.light_paths import SURROUNDINGS, add_sent
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD, add_sent
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
-from isogi_core.kernels.transport.room_paths import ROOM, STARTS, begin_on_walls, stand_on_walls
-from isogi_core.kernels.transport.streams import CROSSINGS, LEAVING, PAIRS, PASSING
+from isogi_core.kernels.transport.room_paths import ROOM_RECORD, STARTS_RECORD, begin_on_walls, stand_on_walls
+from isogi_core.kernels.transport.streams import LEAVING, MAX_CROSSINGS, PAIRS_PER_PURPOSE, PASSING
 from isogi_core.kernels.transport.wavefront import columns, compact, next_vertex, whole
 
 NO_SURFACE = -1
@@ -46,8 +46,10 @@ class Surfaces(NamedTuple):
     transmissions: Any
 
 
-NUMBERS, ROWS = types.float64[::1], types.float64[:, ::1]
-SURFACES = record(Surfaces, types.UniTuple(ACTIVE_CELLS, MAX_SURFACES), NUMBERS, ROWS, NUMBERS, ROWS)
+REAL_ARRAY, REAL_ROWS = types.float64[::1], types.float64[:, ::1]
+SURFACES_RECORD = record(
+    Surfaces, types.UniTuple(ACTIVE_CELLS, MAX_SURFACES), REAL_ARRAY, REAL_ROWS, REAL_ARRAY, REAL_ROWS
+)
 
 
 class Among(NamedTuple):
@@ -58,7 +60,7 @@ class Among(NamedTuple):
     room: Any
 
 
-AMONG = record(Among, FIELD, SURFACES, ROOM)
+AMONG_RECORD = record(Among, FIELD_RECORD, SURFACES_RECORD, ROOM_RECORD)
 
 
 class Company(NamedTuple):
@@ -144,7 +146,7 @@ def passes(rays, i, bounce, crossing, clear):
     """Whether ray ``i`` from a path's vertex passes the surface at its crossing of this number, by chance."""
     if clear <= 0.0 or clear >= 1.0:
         return clear > 0.0
-    return happens(rays, i, PASSING + crossing * PAIRS + bounce, clear)
+    return happens(rays, i, PASSING + crossing * PAIRS_PER_PURPOSE + bounce, clear)
 
 
 @kernel()
@@ -177,7 +179,7 @@ def follow_rays(scene, company, room, bounce, count, aimed):
     for i in range(count):
         company.pending[i] = i
     going = count
-    for crossing in range(CROSSINGS):
+    for crossing in range(MAX_CROSSINGS):
         staying = 0
         for j in range(going):
             i = company.pending[j]
@@ -192,7 +194,7 @@ def follow_rays(scene, company, room, bounce, count, aimed):
         company.passed[company.pending[j]] = 0.0
     for i in range(count):
         if company.met[i] != NO_SURFACE:
-            company.wave.met[i] = NOWHERE
+            company.wave.met[i] = NO_WALL
 
 
 @add_sent.case(Among)
@@ -266,12 +268,12 @@ def start_on_either_side(scene, company, vertices, starts):
         if company.on[h] == NO_SURFACE:
             continue
         for c in range(3):
-            company.wave.carried[c, m] /= max(surfaces.albedos[0, c] + through[c], SMALLEST)
+            company.wave.carried[c, m] /= max(surfaces.albedos[0, c] + through[c], SMALLEST_NORMAL)
         if choose_side(surfaces, company, h, 0, 0, 1.0):
             n, start = scale(column(normals, h), -1.0), column(starts.points, m % g)
-            rays.sides[h] = SOLID
+            rays.sides[h] = SOLID_SIGN
             put_column(normals, h, n)
-            put_column(origins, h, launch(scene.field, rays.isovalues[h], start, n, SOLID))
+            put_column(origins, h, launch(scene.field, rays.isovalues[h], start, n, SOLID_SIGN))
 
 
 @advance.case(Among)
@@ -305,7 +307,7 @@ def begin_among(scene, state, vertices, starts, first):
     start_on_either_side(scene, state, vertices, starts)
 
 
-@kernel(types.void(AMONG, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
+@kernel(types.void(AMONG_RECORD, STARTS_RECORD, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS_RECORD, REAL_ROWS))
 def light_among_surfaces(scene, starts, samples, rules, light, sums):
     """Add E/π of a ``SampleRange`` at each of g ``RoomStarts``, with all light that is reflected, to ``sums`` (g, 3).
 

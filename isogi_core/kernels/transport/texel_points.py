@@ -6,18 +6,18 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.tracing.field import FIELD, normal, smooth_gradient, value
-from isogi_core.kernels.tracing.plateaus import HALVINGS, STRIDE, crossing, downhill, point_within
+from isogi_core.kernels.tracing.field import FIELD_RECORD, normal, smooth_gradient, value
+from isogi_core.kernels.tracing.plateaus import HALVINGS, STEP_VOXELS, crossing, downhill, point_within
 from isogi_core.kernels.tracing.vec import dot, is_zero, length, put_column
-from isogi_core.kernels.transport.transfer import COLUMNS, TEXELS, VECTOR, hemmed
+from isogi_core.kernels.transport.transfer import REAL_ARRAY, REAL_ROWS, TEXEL_PLACES, hemmed
 
-PROJECTED, TOO_FAR, OTHER_SHEET, TURNED, HEMMED, NOWHERE = range(6)
+TEXEL_PROJECTED, TOO_FAR, OTHER_SHEET, NORMAL_TURNED, TEXEL_HEMMED, NO_SURFACE = range(6)
 """What became of a texel: it was projected, or the shown isosurface is not within FARTHEST, or another sheet of it is;
 the normal there is turned by more than a right angle; light has no room to arrive there; or its own point has no
 normal.
 """
 
-ASTRAY = 0.1
+MAX_BACKTRACK = 0.1
 """Share of the way between two isovalues that the field may go back on its way from one to the other."""
 
 
@@ -25,10 +25,10 @@ ASTRAY = 0.1
 def strays(voxels, p, d, level, reach):
     """How far the field goes back between ``p`` and ``reach`` along ``d``, over its distance from ``level`` at p."""
     own = value(voxels, p)
-    nearest, back, t = abs(own - level), 0.0, STRIDE
+    nearest, back, t = abs(own - level), 0.0, STEP_VOXELS
     while t < reach:
         away = abs(value(voxels, point_within(voxels.shape, p, d, t)) - level)
-        nearest, back, t = min(nearest, away), max(back, away - nearest), t + STRIDE
+        nearest, back, t = min(nearest, away), max(back, away - nearest), t + STEP_VOXELS
     return back / max(abs(own - level), 1e-300)
 
 
@@ -51,20 +51,20 @@ def project_point(field, p, level):
     """
     n = normal(field, p)
     if math.isnan(value(field.voxels, p)) or is_zero(n):
-        return NOWHERE, p, n
+        return NO_SURFACE, p, n
     d, t = way_to(field, p, n, level)
     if not t < math.inf:
         return TOO_FAR, p, n
     there = point_within(field.voxels.shape, p, d, t)
     m = normal(field, there)
-    if strays(field.voxels, p, d, level, t) > ASTRAY:
+    if strays(field.voxels, p, d, level, t) > MAX_BACKTRACK:
         return OTHER_SHEET, p, n
     if not dot(n, m) > 0.0:
-        return TURNED, p, n
-    return (HEMMED, p, n) if hemmed(field, there, m, level) else (PROJECTED, there, m)
+        return NORMAL_TURNED, p, n
+    return (TEXEL_HEMMED, p, n) if hemmed(field, there, m, level) else (TEXEL_PROJECTED, there, m)
 
 
-@kernel(types.void(FIELD, VECTOR, types.float64, TEXELS, COLUMNS, COLUMNS, types.uint8[::1]))
+@kernel(types.void(FIELD_RECORD, REAL_ARRAY, types.float64, TEXEL_PLACES, REAL_ROWS, REAL_ROWS, types.uint8[::1]))
 def project_texels(field, step, level, texels, points, normals, verdicts):
     """Move ``texels`` (m, 3; z, y, x) onto the isosurface ``level``, a voxel-space isovalue.
 
@@ -79,7 +79,7 @@ def project_texels(field, step, level, texels, points, normals, verdicts):
         put_column(normals, m, n)
 
 
-@kernel(types.void(FIELD, VECTOR, types.float64, TEXELS, VECTOR))
+@kernel(types.void(FIELD_RECORD, REAL_ARRAY, types.float64, TEXEL_PLACES, REAL_ARRAY))
 def measure_distances(field, step, level, texels, ways):
     """Estimate the ``ways`` (m,), in voxels, from ``texels`` (m, 3; z, y, x) to the isosurface ``level``.
 

@@ -9,13 +9,13 @@ from isogi_core.kernels._jit import Choice, kernel
 from isogi_core.kernels.simd.memory import load
 from isogi_core.kernels.simd.types import PATH_WIDTH
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
-from isogi_core.kernels.tracing.field import FIELD, OFFSET, normal, to_index, value
+from isogi_core.kernels.tracing.field import FIELD_RECORD, RAY_OFFSET_VOXELS, normal, to_index, value
 from isogi_core.kernels.tracing.plateaus import leave_plateau, point_within
 from isogi_core.kernels.tracing.vec import column, is_zero, length, load_columns, put_column
 from isogi_core.kernels.transport.ends import blocks, make_ends, trace_ends
 from isogi_core.kernels.transport.harmonics import accumulate
 from isogi_core.kernels.transport.integrate import add_paths, limits
-from isogi_core.kernels.transport.light_paths import SURROUNDINGS
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD
 from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import (
     NO_PATH,
@@ -28,11 +28,11 @@ from isogi_core.kernels.transport.paths import (
     TransferRules,
 )
 from isogi_core.kernels.transport.rng import mix
-from isogi_core.kernels.transport.wavefront import WAVE, whole
+from isogi_core.kernels.transport.wavefront import WAVE_PATHS, whole
 
-VECTOR = types.float64[::1]
-COLUMNS = types.float64[:, ::1]
-TEXELS = types.int32[:, ::1]
+REAL_ARRAY = types.float64[::1]
+REAL_ROWS = types.float64[:, ::1]
+TEXEL_PLACES = types.int32[:, ::1]
 
 
 @kernel()
@@ -45,10 +45,10 @@ def texel_seed(z, y, x, half):
 def hemmed(field, p, n, level):
     """Whether it is solid an OFFSET above ``p`` along the normal ``n``: light has no room to arrive there."""
     up = to_index(n, field.spacing)
-    return value(field.voxels, point_within(field.voxels.shape, p, up, OFFSET / length(up))) > level
+    return value(field.voxels, point_within(field.voxels.shape, p, up, RAY_OFFSET_VOXELS / length(up))) > level
 
 
-@kernel(types.void(FIELD, VECTOR, TEXELS, COLUMNS, COLUMNS, VECTOR, types.boolean[::1]))
+@kernel(types.void(FIELD_RECORD, REAL_ARRAY, TEXEL_PLACES, REAL_ROWS, REAL_ROWS, REAL_ARRAY, types.boolean[::1]))
 def locate_texels(field, step, texels, points, normals, isovalues, void):
     """Where ``texels`` (m, 3; z, y, x) are, ``points`` (3, m), and the surface through each of them.
 
@@ -169,7 +169,7 @@ def start_halves(place, rows):
 def bake_together(scene, place, rows, samples, rules, orders, out):
     """``bake_rows`` of a few texels whose paths go together."""
     g, last, (bounces, branches) = 2 * rows.shape[0], samples.first + samples.count, limits(rules)
-    starts, step, most = start_halves(place, rows), min(max(WAVE // g, 1), samples.count), orders.max()
+    starts, step, most = start_halves(place, rows), min(max(WAVE_PATHS // g, 1), samples.count), orders.max()
     tree, ends = PathTree(bounces, rules.survival, branches), make_ends(g, step, branches)
     carried = make_carried(scene, ends.bounces.shape[0])
     sums = np.zeros((orders.shape[0], whole(g) // PATH_WIDTH, most * most * PATH_WIDTH))
@@ -184,17 +184,19 @@ def bake_together(scene, place, rows, samples, rules, orders, out):
 @kernel()
 def bake_rows(scene, place, rows, samples, rules, orders, sums):
     """Add to ``sums`` what a ``SampleRange`` of paths brings to the ``rows``: see ``bake_texels``."""
-    together = max(WAVE // (2 * samples.count), PATH_WIDTH)
+    together = max(WAVE_PATHS // (2 * samples.count), PATH_WIDTH)
     for i in range(0, rows.shape[0], together):
         bake_together(scene, place, rows[i : i + together], samples, rules, orders, sums)
 
 
-PLACE = types.Tuple((TEXELS, COLUMNS, COLUMNS, VECTOR))
-ROWS, ORDERS = types.int64[::1], types.int64[::1]
-SUMS = types.float64[:, :, :, ::1]
+PLACE = types.Tuple((TEXEL_PLACES, REAL_ROWS, REAL_ROWS, REAL_ARRAY))
+ROW_ARRAY, ORDER_ARRAY = types.int64[::1], types.int64[::1]
+TRANSFER_SUMS = types.float64[:, :, :, ::1]
 
 
-@kernel(types.void(FIELD, ACTIVE_CELLS, PLACE, ROWS, SAMPLE_RANGE, TRANSFER_RULES, ORDERS, SUMS))
+@kernel(
+    types.void(FIELD_RECORD, ACTIVE_CELLS, PLACE, ROW_ARRAY, SAMPLE_RANGE, TRANSFER_RULES, ORDER_ARRAY, TRANSFER_SUMS)
+)
 def bake_texels(field, cells, place, rows, samples, rules, orders, sums):
     """Sums of a ``SampleRange`` for the ``rows`` and each of their two halves.
 
@@ -218,7 +220,18 @@ def light_together(field, cells, place, rows, samples, rules, light, sums):
         sums[rows[i // 2], i % 2] = some[i]
 
 
-@kernel(types.void(FIELD, ACTIVE_CELLS, PLACE, ROWS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, types.float64[:, :, ::1]))
+@kernel(
+    types.void(
+        FIELD_RECORD,
+        ACTIVE_CELLS,
+        PLACE,
+        ROW_ARRAY,
+        SAMPLE_RANGE,
+        PATH_RULES,
+        SURROUNDINGS_RECORD,
+        types.float64[:, :, ::1],
+    )
+)
 def bake_irradiance(field, cells, place, rows, samples, rules, light, sums):
     """Sums of a ``SampleRange`` of E/π for the ``rows`` and each of their two halves.
 
@@ -227,6 +240,6 @@ def bake_irradiance(field, cells, place, rows, samples, rules, light, sums):
     ``russian_roulette``); ``light`` the Surroundings. Adds linear RGB, with all bounces, to ``sums`` (m, 2, 3):
     times the albedo it is the radiance that leaves the surface.
     """
-    together = max(WAVE // (2 * samples.count), PATH_WIDTH)
+    together = max(WAVE_PATHS // (2 * samples.count), PATH_WIDTH)
     for i in range(0, rows.shape[0], together):
         light_together(field, cells, place, rows[i : i + together], samples, rules, light, sums)

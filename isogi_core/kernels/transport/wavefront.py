@@ -10,16 +10,16 @@ from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.simd.maths import u32
 from isogi_core.kernels.simd.memory import load
 from isogi_core.kernels.simd.types import PATH_WIDTH
-from isogi_core.kernels.tracing.cast import ORIGINS, SIDES, VECTOR, cast_batch
-from isogi_core.kernels.tracing.field import FIELD, gradients, to_index, to_world_normal
-from isogi_core.kernels.tracing.intersect import OUTSIDE, launch, shading_normal
+from isogi_core.kernels.tracing.cast import ORIGINS, REAL_ARRAY, SIDE_ARRAY, cast_batch
+from isogi_core.kernels.tracing.field import FIELD_RECORD, gradients, to_index, to_world_normal
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, launch, shading_normal
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, load_columns, madd, put_column, store_columns
-from isogi_core.kernels.transport.rng import WORD, WORD_BITS, point_of_words
+from isogi_core.kernels.transport.rng import WORD_BITS, WORD_MASK, point_of_words
 from isogi_core.kernels.transport.sampling import about, sample_cosine_hemisphere
-from isogi_core.kernels.transport.streams import DIRECTIONS, ROULETTE
+from isogi_core.kernels.transport.streams import DIRECTIONS, FIRST_ROULETTE_PAIR
 
-WAVE = 4096
+WAVE_PATHS = 4096
 """Paths of a wave: all that is known of them stays in the second-level cache."""
 
 
@@ -110,7 +110,11 @@ def generate(wave, vertices, starts, origins, first, begin):
     i, sample = begin % g, first + begin // g
     for m in range(count):
         wave.owners[m], wave.samples[m], wave.isovalues[m] = begin + m, sample, starts.isovalues[i]
-        wave.sides[m], wave.low[m], wave.high[m] = OUTSIDE, starts.seeds[i] & WORD, starts.seeds[i] >> WORD_BITS
+        wave.sides[m], wave.low[m], wave.high[m] = (
+            OUTSIDE_SIGN,
+            starts.seeds[i] & WORD_MASK,
+            starts.seeds[i] >> WORD_BITS,
+        )
         put_column(here, m, column(origins, i))
         put_column(normals, m, column(starts.normals, i))
         i += 1
@@ -171,7 +175,7 @@ def russian_roulette(wave, hits, bounce, survival):
     """
     if bounce == 0 or survival >= 1.0:
         return hits
-    staying, dimension = 0, np.uint64(ROULETTE + bounce)
+    staying, dimension = 0, np.uint64(FIRST_ROULETTE_PAIR + bounce)
     for h in range(hits):
         i = wave.hits[h]
         u, _ = point_of_words(np.uint64(wave.low[i]), np.uint64(wave.high[i]), np.uint64(wave.samples[i]), dimension)
@@ -227,11 +231,11 @@ def launch_all(field, starts):
     origins = np.empty(starts.points.shape)
     for i in range(starts.isovalues.shape[0]):
         p, n = column(starts.points, i), column(starts.normals, i)
-        put_column(origins, i, launch(field, starts.isovalues[i], p, n, OUTSIDE))
+        put_column(origins, i, launch(field, starts.isovalues[i], p, n, OUTSIDE_SIGN))
     return origins
 
 
-@kernel(types.void(FIELD, VECTOR, ORIGINS, ORIGINS, VECTOR, SIDES, ORIGINS))
+@kernel(types.void(FIELD_RECORD, REAL_ARRAY, ORIGINS, ORIGINS, REAL_ARRAY, SIDE_ARRAY, ORIGINS))
 def bounce_rays(field, isovalues, origins, directions, t, came, numbers):
     """Turn rays ``origins`` + t · ``directions`` (3, n) that hit, in place, into cosine rays from there.
 

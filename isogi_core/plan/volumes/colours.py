@@ -14,21 +14,21 @@ from isogi_core.files.mappings import budget
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, is_number
 from isogi_core.kernels.transport.colours import sample_layer, slope_layer
-from isogi_core.model.colours import MAPS, MAX_ALBEDO, VALUES, Colour, Scale, SurfaceColours, spread, table_of
+from isogi_core.model.colours import COLOUR_MAPS, MAX_ALBEDO, VALUES, Colour, Scale, SurfaceColours, spread, table_of
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.volumes.masks import matrix_into
-from isogi_core.plan.volumes.opening import AXES, chosen_part, open_grid, open_series, stem_of
+from isogi_core.plan.volumes.opening import AXES_CHOICES, chosen_part, open_grid, open_series, stem_of
 
 OF = ("gradient", "curvature")
 """What of the scene's own volume colours can be of."""
 
-SMOOTH = 1.5
+CURVATURE_BLUR = 1.5
 """Standard deviation in voxels of the Gaussian that curvature is smoothed by: else it would be that of stairs."""
 
 MOST_CODES = 1 << 26
 """Places of a grid of codes, at most: a larger volume has them some voxels apart."""
 
-LAYERS = 48
+SAMPLED_LAYERS = 48
 """Layers of the volume in which the usual range of values is looked up."""
 
 COLOUR_PERCENTILES = (1.0, 99.0)
@@ -37,7 +37,7 @@ COLOUR_PERCENTILES = (1.0, 99.0)
 USUAL_EVEN = 90.0
 """Percentile of the magnitudes of values that lie about 0: that of the ends of their range."""
 
-FEWEST = 64
+MIN_PERCENTILE_VALUES = 64
 """Values of which percentiles tell something."""
 
 Layer = Callable[[float, np.ndarray, np.ndarray], None]
@@ -88,7 +88,7 @@ def read_table(source: SceneSource) -> ColourTable:
         raise SceneError(
             f"Colours in the scene '{source.name}' need a file, or of = 'gradient' or 'curvature': give one."
         )
-    named, listed = table.choice("map", tuple(MAPS)), source.document.get("colours")
+    named, listed = table.choice("map", tuple(COLOUR_MAPS)), source.document.get("colours")
     own = own_colours(listed, source.name) if listed is not None else ()
     if named and own:
         raise SceneError(f"The scene '{source.name}' gives a map and colours: leave one out.")
@@ -157,7 +157,7 @@ def mean_curvature(voxels: np.ndarray, spacing: np.ndarray, z: int) -> np.ndarra
     H = (gᵀ∇²ρ g − |g|² Δρ) / 2|g|³ with g = ∇ρ, smoothed: 1/r on a ball of radius r, less than 0 in hollows; NaN where
     g is 0. (Kindlmann et al., Curvature-based transfer functions, 2003.)
     """
-    weights = gaussian_derivatives(SMOOTH).astype(np.float32)
+    weights = gaussian_derivatives(CURVATURE_BLUR).astype(np.float32)
     around = np.clip(z + np.arange(weights.shape[1]) - weights.shape[1] // 2, 0, len(voxels) - 1)
     along_z = np.tensordot(weights, voxels[around].astype(np.float32), 1)
 
@@ -196,7 +196,7 @@ def combine_rows(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 def placed_file(file: str, settings: Settings, base: Path, volume: Volume) -> tuple[np.ndarray, np.ndarray]:
     """The values (nz, ny, nx) float32 in a file of colours, and the matrix (3, 4) into its voxels' indices."""
-    raw = settings.choice("axes", AXES) == "raw"
+    raw = settings.choice("axes", AXES_CHOICES) == "raw"
     grid, _ = open_grid(base, file, {}, raw)
     whole, straight = volume_grids(settings, base, volume, raw)
     matrix = np.ascontiguousarray(matrix_into(f"volume of colour '{file}'", grid, whole, straight))
@@ -251,7 +251,7 @@ def usual_span(
     An ``even`` range has 0 in its middle. Raises SceneError where there is no value at all.
     """
     near, everywhere = [], []
-    for z in np.unique(np.linspace(0, volume.shape[0] - 1, LAYERS).round()).astype(int):
+    for z in np.unique(np.linspace(0, volume.shape[0] - 1, SAMPLED_LAYERS).round()).astype(int):
         values = np.empty(volume.shape[1:], np.float32)
         layer(float(z), np.ones(3), values)
         inside = volume.voxels[z] > isovalue
@@ -261,7 +261,7 @@ def usual_span(
         near.append(values[beside & ~np.isnan(values)])
         everywhere.append(values[~np.isnan(values)][::7])
     found = np.concatenate(near)
-    found = np.concatenate(everywhere) if len(found) < FEWEST else found
+    found = np.concatenate(everywhere) if len(found) < MIN_PERCENTILE_VALUES else found
     if not len(found):
         raise SceneError(f"The volume has no value of '{source}' anywhere: check where both lie, or give another file.")
     low, high = (factor * np.percentile(found.astype(np.float64), COLOUR_PERCENTILES)).tolist()

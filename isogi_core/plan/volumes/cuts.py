@@ -16,7 +16,7 @@ from isogi_core.errors import SceneError, ViewError
 from isogi_core.files.mappings import UNMAPPED_SHARE, budget
 from isogi_core.files.volume_copies import get_copy
 from isogi_core.files.voxel_file import Draft
-from isogi_core.model.volume import BESIDE, Volume
+from isogi_core.model.volume import UNMEASURED_FIELDS, Volume
 from isogi_core.model.window import Plane, read_window
 
 CUT_AWAY_VALUE = -8.0
@@ -26,7 +26,7 @@ A face of the isovalue c lies (f - c) / (f - CUT_AWAY_VALUE) of a voxel before t
 faces would be flatter, and edges beside them rounder: normals are smoothed over four voxels.
 """
 
-ALONG = 1e-6
+AXIS_TOLERANCE = 1e-6
 """How much a plane's normal may be off an axis of the voxels."""
 
 PLANE_TOLERANCE = 1e-6
@@ -55,7 +55,7 @@ def cut_away(volume: Volume, text: str) -> Volume:
     def write(draft: Draft) -> dict[str, Any]:
         for plane in (plane for slab in slabs_left(volume, left) for plane in slab):
             draft.write(plane)
-        facts = {name: value for name, value in vars(known).items() if name not in BESIDE}
+        facts = {name: value for name, value in vars(known).items() if name not in UNMEASURED_FIELDS}
         draft.seal(volume.shape, facts)
         return facts
 
@@ -96,7 +96,7 @@ def voxels_left(volume: Volume, text: str) -> Ranges:
 def _axis_of(plane: Plane, text: str) -> int:
     """The axis that a plane's normal is along."""
     axis = int(np.argmax(np.abs(plane[:3])))
-    if 1.0 - abs(plane[axis]) > ALONG:
+    if 1.0 - abs(plane[axis]) > AXIS_TOLERANCE:
         raise SceneError(f"cut = '{text}' lies across the voxels: cut along their axes, or look through a window=.")
     return axis
 

@@ -11,7 +11,7 @@ from isogi_core.model.glow import NO_BITS, Glow
 from isogi_core.model.volume import Volume
 from isogi_core.plan.volumes.colours import volume_grids
 from isogi_core.plan.volumes.masks import MaskTable, place
-from isogi_core.plan.volumes.opening import AXES, open_grid
+from isogi_core.plan.volumes.opening import AXES_CHOICES, open_grid
 
 
 def read_glow_masks(glows: Sequence[Glow], settings: Settings, volume: Volume) -> np.ndarray:
@@ -24,7 +24,7 @@ def read_glow_masks(glows: Sequence[Glow], settings: Settings, volume: Volume) -
     if volume.voxels.size > budget():
         need = f"Masks of glows take a byte a voxel, {volume.voxels.size / 1e6:.0f} MB of memory"
         raise VolumeError(f"{need}: leave them out, or give more by ISOGI_VOLUME_MB.")
-    base, raw = settings.source.base, settings.choice("axes", AXES) == "raw"
+    base, raw = settings.source.base, settings.choice("axes", AXES_CHOICES) == "raw"
     whole, straight = volume_grids(settings, base, volume, raw)
     bits = np.zeros(volume.shape, np.uint8)
     for number, glow in enumerate(glows):

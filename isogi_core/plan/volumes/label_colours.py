@@ -18,10 +18,10 @@ from isogi_core.plan.volumes.colours import capped, volume_grids
 from isogi_core.plan.volumes.labels import SIGMA, SMOOTHING_REACH, LabelTable, Segmentation
 from isogi_core.plan.volumes.masks import matrix_into, nearest_layer
 
-PLACES = 355**3
+MAX_LABELLED_PLACES = 355**3
 """Places with labels, at most, of three bytes each: larger volumes have labels at every second voxel, or fewer."""
 
-UNIT = 1024
+MIDDLE_WEIGHT = 1024
 """What the middle of the Gaussian weighs: weights are whole numbers, so that their sums are exact."""
 
 
@@ -41,7 +41,7 @@ def colours_of_labels(listed: tuple[LabelTable, ...], settings: Settings, volume
 def stride_of(shape: tuple[int, ...]) -> int:
     """How many voxels apart places with a label of their own lie."""
     stride = 1
-    while math.prod(places(n, stride) for n in shape) > PLACES:
+    while math.prod(places(n, stride) for n in shape) > MAX_LABELLED_PLACES:
         stride += 1
     return stride
 
@@ -66,9 +66,9 @@ def weighed(codes: np.ndarray) -> np.ndarray:
     lowest = _extreme(codes - np.uint8(1), np.minimum) + np.uint8(1)
     labels = np.zeros((*codes.shape, 3), np.uint8)
     labels[..., 0] = highest
-    bell = np.rint(UNIT * np.exp(-0.5 * (np.arange(-SMOOTHING_REACH, SMOOTHING_REACH + 1) / SIGMA) ** 2)).astype(
-        np.int64
-    )
+    bell = np.rint(
+        MIDDLE_WEIGHT * np.exp(-0.5 * (np.arange(-SMOOTHING_REACH, SMOOTHING_REACH + 1) / SIGMA) ** 2)
+    ).astype(np.int64)
     weigh_labels(codes, np.ascontiguousarray(lowest < highest), bell, labels)
     return labels
 

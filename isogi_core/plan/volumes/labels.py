@@ -17,25 +17,25 @@ from isogi_core.model.colours import Colour, Label, linear_of
 from isogi_core.model.value_survey import check
 from isogi_core.model.volume import Volume
 
-ALL = "all"
+ALL_LABELS = "all"
 """What ``labels`` is where a scene lists none: its volume is a segmentation, and all that is not zero is shown."""
 
 MAX_LABELS = 255
 """Most labels that are shown: codes of a byte, less the one of places without a label."""
 
-HALF = 0.5
+LABEL_ISOVALUE = 0.5
 """The isovalue of the labels' surfaces: half-way from voxels within to voxels without."""
 
 SIGMA, SMOOTHING_REACH = 1.0, 3
 """Width of the Gaussian that smooths labels, and how far it is summed, in voxels along each axis."""
 
-THIN = 0.8
+THIN_FIELD = 0.8
 """What the field is in parts that the Gaussian would take away: of a lone voxel 0.8 of its width stays."""
 
 MAX_LABEL_VALUE = 2**53
 """Values of labels are less: beyond, pages and scripts that read JSON cannot tell two from each other."""
 
-VALUED = (
+VALUE_SETTINGS = (
     *("isovalue", "isovalues", "presets", "solid", "inside_out", "missing", "albedo", "albedos", "material"),
     *("surfaces", "clear", "transmission"),
 )
@@ -62,7 +62,7 @@ class LabelTable:
 def find_labels(settings: Settings) -> tuple[LabelTable, ...] | None:
     """The labels that a scene lists; None where its volume is no segmentation. Raises SceneError."""
     settings.known.add("labels")
-    if settings.source.document.get("labels") == ALL:
+    if settings.source.document.get("labels") == ALL_LABELS:
         return ()
     found = tuple(
         _read_label(SceneSource(f"{settings.source.name}: [[labels]]", entry, settings.source.base))
@@ -207,9 +207,9 @@ def smooth(shown: np.ndarray) -> Iterator[np.ndarray]:
         field = part.astype(np.float32)
         for axis in range(3):
             field = _blurred(field, axis)
-        kept = part & (field >= HALF)
+        kept = part & (field >= LABEL_ISOVALUE)
         lost = part & ~kept & _widened(part & ~_widened(kept))
-        field[lost] = THIN
+        field[lost] = THIN_FIELD
         yield field[halo : halo + end - z]
 
 
@@ -240,10 +240,10 @@ def are_labels(grid: Grid, settings: Settings) -> bool:
     """Whether a volume's file says that it is a segmentation, and the scene nothing that labels do not have."""
     document = settings.source.document
     coloured = any(each.get("use") == "colour" for each in tables_in(document, "volumes"))
-    return grid.labels is not None and not coloured and not any(key in document for key in VALUED)
+    return grid.labels is not None and not coloured and not any(key in document for key in VALUE_SETTINGS)
 
 
-SAMPLED, LAYERS, ALIKE, MOST_ALIKE = 1 << 18, 16, 0.8, 4096
+SAMPLED_VOXELS, SAMPLED_LAYERS, MIN_ALIKE_SHARE, MAX_LABEL_VALUES = 1 << 18, 16, 0.8, 4096
 """Voxels, of how many layers, that are looked at for labels; the share of neighbours within objects that are equal, at
 least, and how many values there are, at most. Seventeen real volumes had 0 to 0.72, two segmentations 0.83 and 0.93."""
 
@@ -252,14 +252,14 @@ def look_like_labels(volume: Volume) -> int:
     """How many values a volume has that look like labels, of a sample of its rows; 0 where they do not."""
     if not volume.dtype.startswith(("int", "uint")):
         return 0
-    layers = volume.voxels[:: max(len(volume.voxels) // LAYERS, 1)]
-    rows = layers[:, :: max(layers.size // SAMPLED, 1)]
+    layers = volume.voxels[:: max(len(volume.voxels) // SAMPLED_LAYERS, 1)]
+    rows = layers[:, :: max(layers.size // SAMPLED_VOXELS, 1)]
     values, counts = np.unique(rows[~np.isnan(rows)], return_counts=True)
     around = values[np.argmax(counts)]
     one, other = rows[..., :-1], rows[..., 1:]
     within = (one != around) & (other != around)
-    alike = np.count_nonzero((one == other) & within) >= ALIKE * max(int(np.count_nonzero(within)), 1)
-    return len(values) if alike and 3 <= len(values) <= MOST_ALIKE else 0
+    alike = np.count_nonzero((one == other) & within) >= MIN_ALIKE_SHARE * max(int(np.count_nonzero(within)), 1)
+    return len(values) if alike and 3 <= len(values) <= MAX_LABEL_VALUES else 0
 
 
 PROPOSED = 'Its values look like labels, {count} of them: labels = "all" in the scene, or #labels=all, shows them so.'

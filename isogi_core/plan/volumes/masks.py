@@ -19,7 +19,7 @@ MAX_VOLUME_TABLES = 8
 BEYOND_ALL_VOXELS = 1 << 40
 """An index beyond any voxel."""
 
-USES = ("mask", "colour")
+MASK_USES = ("mask", "colour")
 """What a volume beside the first can be used for."""
 
 
@@ -45,7 +45,7 @@ def read_tables(settings: Settings) -> list[MaskTable]:
 
 def _read_table(source: SceneSource) -> MaskTable:
     table = Settings(source)
-    file, use, labels = table.text("file", ""), table.choice("use", USES), table.listed("labels")
+    file, use, labels = table.text("file", ""), table.choice("use", MASK_USES), table.listed("labels")
     table.refuse_unknown()
     if not file or use is None:
         raise SceneError(f"A table in the scene '{source.name}' lacks 'file' or use = 'mask' or 'colour': give both.")

@@ -26,16 +26,16 @@ from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.volumes.labels import PROPOSED, are_labels, find_labels, look_like_labels, solid_of_labels
 from isogi_core.plan.volumes.masks import cut_out, place, read_tables
 
-FORMAT = 2
+COPY_FORMAT = 2
 """Version of the copies: increased when the same file gives other voxels."""
 
 NESTED = ("level", "channel", "time", "series")
 """Settings of a scene that choose a part of a file."""
 
-ZARR = NESTED[:3]
+ZARR_SETTINGS = NESTED[:3]
 """Settings of a scene that choose in a Zarr volume."""
 
-AXES = ("world", "raw")
+AXES_CHOICES = ("world", "raw")
 """What a scene's ``axes`` may be: as the volume's file says, or voxel indices times spacing."""
 
 
@@ -48,7 +48,7 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
     """
     name = settings.text("volume", DEFAULT_DEMO)
     solid = settings.text("solid", fallback)
-    raw = settings.choice("axes", AXES) == "raw"
+    raw = settings.choice("axes", AXES_CHOICES) == "raw"
     spacing, missing = settings.numbers("spacing", 3), settings.listed("missing")
     chosen = chosen_part(settings)
     tables, labels = read_tables(settings), find_labels(settings)
@@ -128,9 +128,11 @@ def _open_any(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]
 
         wanted = {key: str(value) for key, value in {**inside, **chosen}.items()}
         place = _below(place, wanted.pop("part", ""))
-        wrong = next((key for key, value in wanted.items() if key not in ZARR or not value.isdecimal()), None)
+        wrong = next((key for key, value in wanted.items() if key not in ZARR_SETTINGS or not value.isdecimal()), None)
         if wrong is not None:
-            raise SceneError(f"{wrong} = {wanted[wrong]} chooses nothing in '{named}': give {' or '.join(ZARR)}.")
+            raise SceneError(
+                f"{wrong} = {wanted[wrong]} chooses nothing in '{named}': give {' or '.join(ZARR_SETTINGS)}."
+            )
         facts = {key: int(value) for key, value in wanted.items()}
         return open_zarr(place, region=region, **facts), name_of(Path(place))
     grid = open_file(place, {**inside, **chosen})
@@ -157,7 +159,7 @@ def volume_of(grid: Grid, solid: str, name: str, missing: Sequence[float], progr
     if size <= UNMAPPED_SHARE * budget():
         return make_volume(grid.whole(), grid.spacing, solid, name, missing)
     lying = [] if grid.affine is None else [grid.affine.array.tolist(), grid.shape]  # it may be mirrored or resampled
-    parts = [FORMAT, grid.stamp(), checked_spacing(grid.spacing), solid, missing, *lying]
+    parts = [COPY_FORMAT, grid.stamp(), checked_spacing(grid.spacing), solid, missing, *lying]
     key = hashlib.blake2b(json.dumps(parts).encode(), digest_size=16).hexdigest()
     voxels, facts = get_copy(key, size, lambda draft: make_copy(grid, draft, solid, name, missing, progress))
     return Volume(voxels, **{**facts, "name": name})

@@ -15,7 +15,7 @@ from isogi_core.files.radiance import write_hdr
 from isogi_core.frame import surface_renderer as module
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.kernels.transport.lights import DIRECTIONAL
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.lobe_choice import FEW_LOBES_SEARCHED
@@ -131,8 +131,8 @@ def test_the_suns_shadow_lacks_the_suns_light_alone(workbench: Make) -> None:
     lit = spec.unit * bench.renderer.lobes(RotatedLight(spec, view), gbuffer).lit
     normals = gbuffer.normals(bench.renderer.tiles)
     (sun,) = spec.lobes
-    open_light = 0.7 / math.pi * np.maximum(normals @ np.array(sun.towards), 0.0) * (sun.irradiance @ LUMINANCE)
-    share = (lit[:, :3] @ LUMINANCE)[open_light > 0.0] / open_light[open_light > 0.0]
+    open_light = 0.7 / math.pi * np.maximum(normals @ np.array(sun.towards), 0.0) * (sun.irradiance @ LUMINANCE_WEIGHTS)
+    share = (lit[:, :3] @ LUMINANCE_WEIGHTS)[open_light > 0.0] / open_light[open_light > 0.0]
     assert (share < 1.001).all()
     assert (share < 1e-6).mean() > 0.005 and (np.abs(share - 1.0) < 1e-4).mean() > 0.5, "in the shadow, or in the light"
 

@@ -9,7 +9,7 @@ import pytest
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.rays.pixel_rays import pooled_variance, replicas_for, variance_of_mean
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.plan.scene import Scene
 from tests.frame.conftest import CONSTANT, Workbench, ball, luminance, scene_of
 
@@ -40,7 +40,7 @@ def test_intervals_of_pooled_variances_hold_gaussian_errors(replicas: int) -> No
     on = np.ones((80, 80), np.bool_)
     means = 1.0 + np.random.default_rng(4).normal(size=(on.size, replicas, 1)) * np.ones(3)
     variance = variance_of_mean(means)
-    wrong = means.mean(axis=1) @ LUMINANCE - 1.0
+    wrong = means.mean(axis=1) @ LUMINANCE_WEIGHTS - 1.0
     assert variance.mean() == pytest.approx(1.0 / replicas, rel=0.05)
     held = np.abs(wrong) < 1.96 * np.sqrt(pooled_variance(variance, gbuffer_of(on)))
     assert 0.92 < held.mean() < 0.96

@@ -27,7 +27,7 @@ from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.picture_plan import PRESENT, SHARED_PRICES, noise_of_climbers
 from isogi_core.frame.texel_reading import Reading, grade_rows
 from isogi_core.kernels.shading.framebuffer import FINAL
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.assembly import load_scene
@@ -99,13 +99,13 @@ def test_controls_are_drawn_where_it_is_uncertain(coarse: Workbench) -> None:
 
 def true_error(frame: Frame, true: Reference) -> float:
     """Relative RMSE of a frame's luminance, by a reference of the same view."""
-    light = true.mean[true.on].astype(float) @ LUMINANCE
+    light = true.mean[true.on].astype(float) @ LUMINANCE_WEIGHTS
     return float(np.sqrt(((luminance(frame) - light) ** 2).mean()) / light.mean())
 
 
 def true_tail(frame: Frame, true: Reference) -> float:
     """The relative error that 99 % of a frame's pixels stay below, by a reference of the same view."""
-    light = true.mean[true.on].astype(float) @ LUMINANCE
+    light = true.mean[true.on].astype(float) @ LUMINANCE_WEIGHTS
     return float(np.percentile(np.abs(luminance(frame) - light), 99.0) / light.mean())
 
 
@@ -303,7 +303,7 @@ def test_each_pixel_tells_its_whole_error(coarse: Workbench) -> None:
     assert (lit.total_error >= lit.error).all() and lit.total_error.max() <= 1.0
     coarse.renderer.refine(view)
     frame = coarse.renderer.render(view)
-    light = trace_reference(coarse.renderer, view, 512).mean[frame.state > 0].astype(float) @ LUMINANCE
+    light = trace_reference(coarse.renderer, view, 512).mean[frame.state > 0].astype(float) @ LUMINANCE_WEIGHTS
     told, wrong = frame.total_error[frame.state > 0] * luminance(frame), luminance(frame) - light
     assert math.sqrt((told**2).mean()) / light.mean() == pytest.approx(frame.total.likely, rel=0.1)
     worst = told > np.quantile(told, 0.75)

@@ -8,7 +8,7 @@ import pytest
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.rays.pixel_filter import Surroundings, correct, filter_pixels
 from isogi_core.frame.tiles import Tiles
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
 SIZE, NOISE = 48, 0.1
 Bend = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -39,7 +39,7 @@ def noisy(light: np.ndarray) -> np.ndarray:
 def filtered(light: np.ndarray, gbuffer: GBuffer) -> tuple[np.ndarray, np.ndarray]:
     """The luminance of noisy light once it is filtered, and its variance."""
     found, variance = filter_pixels(noisy(light), np.full(len(light), NOISE**2), gbuffer, Tiles(1))
-    return found @ LUMINANCE, variance
+    return found @ LUMINANCE_WEIGHTS, variance
 
 
 @pytest.mark.parametrize("slope", [0.0, 1.0])
@@ -84,7 +84,7 @@ def corrected(
     even = np.ones(len(error)) if expected is None else expected
     given = even, places, noisy(np.ones(len(places))), np.full(len(places), NOISE**2)
     light, variance = correct((1.0 + error)[:, None].repeat(3, axis=1), *given, gbuffer, Tiles(1))
-    return light @ LUMINANCE, variance
+    return light @ LUMINANCE_WEIGHTS, variance
 
 
 def from_afar(texel: float) -> GBuffer:

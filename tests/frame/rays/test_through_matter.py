@@ -11,7 +11,7 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.through_matter import BREADTH, SeenThrough, Trees, dark_row
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
 from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
 from tests.loaded import load_scene
@@ -69,7 +69,7 @@ def true_light(bench: Workbench, view: View, trees: int) -> np.ndarray:
     """The luminance of each point by so many trees, of other random numbers than a picture's."""
     light, gbuffer = RotatedLight(bench.renderer.caches.spec("gi"), view), bench.renderer.gbuffer(view)
     seen = SeenThrough.of(gbuffer, light, Trees(BREADTH, range(10, 11), range(trees)), bench.renderer.tiles)
-    return np.asarray(seen.gather(dark_row(0))[0].reshape(-1, trees, 3).mean(axis=1) @ LUMINANCE)
+    return np.asarray(seen.gather(dark_row(0))[0].reshape(-1, trees, 3).mean(axis=1) @ LUMINANCE_WEIGHTS)
 
 
 @pytest.mark.slow
@@ -79,7 +79,7 @@ def test_glass_tells_its_error_and_becomes_right(casting: Workbench) -> None:
 
     def wrong() -> tuple[Frame, float]:
         frame = casting.renderer.render(view)
-        light = frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels] @ LUMINANCE
+        light = frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels] @ LUMINANCE_WEIGHTS
         return frame, float(np.sqrt(((light - true) ** 2).mean()) / true.mean())
 
     first, error = wrong()
@@ -101,7 +101,7 @@ def test_glass_tells_its_error_and_becomes_right(casting: Workbench) -> None:
 def test_trees_bring_on_the_average_what_paths_bring(casting: Workbench) -> None:
     traced = casting.renderer.render(casting.view(size=32, shading="path_traced", samples=512))
     found = true_light(casting, casting.view(size=32), 64).mean()
-    light = traced.radiance.reshape(-1, 3)[traced.gbuffer.pixels].astype(float) @ LUMINANCE
+    light = traced.radiance.reshape(-1, 3)[traced.gbuffer.pixels].astype(float) @ LUMINANCE_WEIGHTS
     assert found == pytest.approx(light.mean(), rel=0.02)
 
 

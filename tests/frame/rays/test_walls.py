@@ -23,7 +23,7 @@ from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONA
 from isogi_core.kernels.tracing.camera import trace_pixels
 from isogi_core.kernels.transport.room_paths import light_in_room
 from isogi_core.model.orientation import triple
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.storage.store import Store
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
@@ -173,7 +173,7 @@ def test_walls_between_two_isovalues_show_what_is_known_of_these(room: Workbench
     walls, true = lent.gbuffer.walls.pixels, finished(room, here)
     assert lent.quality.waiting == len(walls), "they are not final"
     assert set(lent.state.ravel()[walls]) == {CONVERGING}
-    shown, known = (frame.radiance.reshape(-1, 3)[walls] @ LUMINANCE for frame in (lent, true))
+    shown, known = (frame.radiance.reshape(-1, 3)[walls] @ LUMINANCE_WEIGHTS for frame in (lent, true))
     wrong, told = shown - known, lent.error.ravel()[walls] * shown
     assert np.sqrt((wrong**2).mean()) < 2.0 * np.sqrt((told**2).mean())
     assert np.sqrt((wrong**2).mean()) < LOOSE * known.mean()

@@ -11,7 +11,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.several.surfaces_frame import parts_of
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
 from isogi_core.model.view import View
-from isogi_core.plan.sides import WALLS
+from isogi_core.plan.sides import WALLS_SIDE
 from tests.frame.conftest import LOOSE, Workbench
 from tests.frame.several.drawing import bake
 from tests.loaded import load_scene
@@ -36,7 +36,10 @@ def beside_surface(frame: Frame) -> np.ndarray:
     """The states of pixels that show a wall and no surface."""
     alone = frame.state > 0
     parts = parts_of(frame) if parts_of(frame) else ()
-    for pixels in [frame.gbuffer.pixels, *(p for each in parts if each.side != WALLS for _, p in each.layers.each)]:
+    for pixels in [
+        frame.gbuffer.pixels,
+        *(p for each in parts if each.side != WALLS_SIDE for _, p in each.layers.each),
+    ]:
         alone.ravel()[pixels] = False
     return frame.state[alone]
 

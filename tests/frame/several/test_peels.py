@@ -5,7 +5,7 @@ import pytest
 
 from isogi_core.frame.several.peels import Hits, Peeler, first_of, layers_of
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.tracing.peels import LAYERS
+from isogi_core.kernels.tracing.peels import MAX_PEELED_LAYERS
 from isogi_core.model.view import Camera, View
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.sides import Side
@@ -68,7 +68,7 @@ def test_weights_and_what_is_left_make_a_whole(prepared: PreparedScene) -> None:
     _, hits, left = peeled(prepared, LEVELS, [0.3, 0.6, 0.5])
     total = np.bincount(hits.pixels, hits.weights, SIZE * SIZE) + left.ravel()
     np.testing.assert_allclose(total, 1.0, atol=1.0 / 512.0)
-    assert np.bincount(hits.pixels).max() <= LAYERS
+    assert np.bincount(hits.pixels).max() <= MAX_PEELED_LAYERS
 
 
 def through_sheets(clear: float) -> tuple[Hits, float]:
@@ -90,9 +90,9 @@ def test_a_ray_shows_all_layers_that_count() -> None:
 
 def test_the_last_layer_is_the_opaque_one_that_is_left() -> None:
     hits, left = through_sheets(0.99)
-    assert (hits.sides // 2).tolist() == [1] * (LAYERS - 1) + [0]
-    np.testing.assert_allclose(hits.weights[:-1], 0.01 * 0.99 ** np.arange(LAYERS - 1), rtol=1e-5)
-    assert hits.weights[-1] == pytest.approx(0.99 ** (LAYERS - 1)) and left == 0.0
+    assert (hits.sides // 2).tolist() == [1] * (MAX_PEELED_LAYERS - 1) + [0]
+    np.testing.assert_allclose(hits.weights[:-1], 0.01 * 0.99 ** np.arange(MAX_PEELED_LAYERS - 1), rtol=1e-5)
+    assert hits.weights[-1] == pytest.approx(0.99 ** (MAX_PEELED_LAYERS - 1)) and left == 0.0
 
 
 def test_a_surface_at_the_shown_isovalue_is_that_one(prepared: PreparedScene) -> None:

@@ -15,7 +15,7 @@ from isogi_core.kernels.shading.wall_light import light_walls
 from isogi_core.kernels.transport.room_paths import light_in_room
 from isogi_core.kernels.transport.surface_paths import light_among_surfaces
 from isogi_core.model.view import View
-from isogi_core.plan.sides import OUTER, WALLS, Side
+from isogi_core.plan.sides import OUTER, WALLS_SIDE, Side
 from tests.frame.conftest import LOOSE, Workbench, ball, relative_rmse, scene_of
 from tests.frame.several.drawing import bake, check, drawn
 from tests.loaded import load_scene
@@ -52,7 +52,7 @@ def test_it_becomes_final_and_is_what_paths_say(kind: str, tmp_path: Path) -> No
     bench = bench_of(kind, tmp_path)
     view = view_of(bench)
     first = drawn(bench, view)
-    (walls,) = (part for part in parts_of(first) if part.side == WALLS)
+    (walls,) = (part for part in parts_of(first) if part.side == WALLS_SIDE)
     assert first.quality.waiting == len(walls.layers.gbuffer.pixels)
     assert not first.checkable, "texels come before walls"
     frame = lit(bench, view)
@@ -71,8 +71,8 @@ def test_walls_are_seen_through_clear_surfaces_by_their_share(tmp_path: Path) ->
     """Of all surfaces and walls the shares in a pixel make a whole, where the room has a wall behind."""
     bench = bench_of("clear", tmp_path)
     frame = drawn(bench, view_of(bench))
-    assert {part.side for part in parts_of(frame)} == {OUTER, Side(0, True), WALLS}
-    total, (walls,) = np.zeros(SIZE * SIZE), [part for part in parts_of(frame) if part.side == WALLS]
+    assert {part.side for part in parts_of(frame)} == {OUTER, Side(0, True), WALLS_SIDE}
+    total, (walls,) = np.zeros(SIZE * SIZE), [part for part in parts_of(frame) if part.side == WALLS_SIDE]
     for part in parts_of(frame):
         for rows, pixels in part.layers.each:
             total[pixels] += part.layers.weights[rows]
@@ -135,7 +135,7 @@ def test_glow_behind_clear_surfaces_is_what_paths_say(room: dict[str, Any], tmp_
 def test_local_shadings_show_walls_too(shading: str, tmp_path: Path) -> None:
     bench = bench_of("clear", tmp_path)
     frame = drawn(bench, view_of(bench, shading=shading))
-    (walls,) = (part for part in parts_of(frame) if part.side == WALLS)
+    (walls,) = (part for part in parts_of(frame) if part.side == WALLS_SIDE)
     assert (walls.seen(walls.frame.radiance).sum(axis=1) > 0.0).any()
     assert (walls.seen(walls.frame.state) > PROVISIONAL).all()
 

@@ -10,7 +10,7 @@ from isogi_core.bake.bake_spec import spec_for
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.several.surfaces_frame import parts_of
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.plan.bands import evaluate_harmonics
 from isogi_core.plan.sides import OUTER, Side
 from tests.frame.conftest import SKY, Workbench, ball, relative_rmse, scene_of
@@ -29,7 +29,7 @@ def test_a_sheet_that_loses_nothing_vanishes_in_the_furnace(distance: float, sid
     frame = drawn(bench, bench.view(size=16, distance=distance, shading="path_traced", samples=128))
     assert {part.side for part in parts_of(frame)} == {side}
     shown = frame.radiance[frame.state > 0]
-    np.testing.assert_allclose(shown @ LUMINANCE, 1.0, atol=0.2)
+    np.testing.assert_allclose(shown @ LUMINANCE_WEIGHTS, 1.0, atol=0.2)
     np.testing.assert_allclose(shown.mean(axis=0), 1.0, atol=0.01)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from isogi_core.kernels.shading.chunks import find_coarse_corners, find_corners, find_places, mark_texels
-from isogi_core.kernels.shading.lattice import CHUNK, Lattice
+from isogi_core.kernels.shading.lattice import DEFAULT_CHUNK_SIDE, Lattice
 
 SHAPE = (40, 37, 34)
 """Texels along z, y, x: chunks of any size have neighbours along each axis."""
@@ -12,7 +12,7 @@ STEP = np.array([1.5, 0.5, 1.0])
 RNG = np.random.default_rng(21)
 
 
-def lattice(chunk=CHUNK):
+def lattice(chunk=DEFAULT_CHUNK_SIDE):
     """SHAPE texels, one every STEP voxels (x, y, z)."""
     return Lattice.of(SHAPE, tuple((1.0 / STEP).tolist()), chunk)
 
@@ -45,7 +45,7 @@ def corner_texels(points):
     return lower_texels(points)[0][:, None] + np.array(list(np.ndindex(2, 2, 2)))
 
 
-def view_of(points, pieces=1, chunk=CHUNK, coarse=False):
+def view_of(points, pieces=1, chunk=DEFAULT_CHUNK_SIDE, coarse=False):
     """A view's tables as `frame.view_texels` makes them: read (slots · rows,), places of texels, corners (n, 8)."""
     whole = lattice(chunk)
     slots = np.arange(np.prod(whole.chunks), dtype=np.int32).reshape(whole.chunks)

@@ -6,11 +6,11 @@ import pytest
 from isogi_core.frame.view_texels import first_texels
 from isogi_core.kernels.shading.chunks import Pages, find_rows, ones, touch_chunks, weigh_chunks
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL, Framebuffer
-from isogi_core.kernels.shading.lattice import BURIED_ROW, UNLIT, VOID_ROW
-from isogi_core.plan.scene import CHUNKS
+from isogi_core.kernels.shading.lattice import BURIED_ROW, UNLIT_ROW, VOID_ROW
+from isogi_core.plan.scene import CHUNK_SIDES
 from tests.kernels.shading.lattices import RNG, border_points, corner_texels, lattice, view_of
 
-SIDES = pytest.mark.parametrize("chunk", CHUNKS)
+SIDES = pytest.mark.parametrize("chunk", CHUNK_SIDES)
 
 
 COARSE = pytest.mark.parametrize("coarse", [False, True])
@@ -111,13 +111,13 @@ def test_ones_counts_bits():
 @SIDES
 def test_rows_are_looked_up_chunk_by_chunk(chunk):
     """Two chunks of a view, of which one is in the pool: texels get its rows, their errors and their stamps."""
-    table = np.full((3, chunk**3), UNLIT, np.int32)
+    table = np.full((3, chunk**3), UNLIT_ROW, np.int32)
     table[2, [5, 9, 11, 500]] = 4, VOID_ROW, BURIED_ROW, 1
     pool_error, pool_stamp = RNG.random((2, 6)).astype(np.float32)
     places = np.array([5, 6, 9, 11, 500, chunk**3 + 5], np.uint32)
     rows, error, stamp = np.zeros(6, np.int32), *np.zeros((2, 6), np.float32)
     pages = Pages(table, pool_error, pool_stamp)
     find_rows(lattice(chunk), places, np.array([2, -1], np.int32), pages, rows, error, stamp)
-    assert rows.tolist() == [4, UNLIT, VOID_ROW, BURIED_ROW, 1, UNLIT]
+    assert rows.tolist() == [4, UNLIT_ROW, VOID_ROW, BURIED_ROW, 1, UNLIT_ROW]
     assert error.tolist() == [pool_error[4], 0.0, 0.0, 0.0, pool_error[1], 0.0]
-    assert stamp.tolist() == [pool_stamp[4], UNLIT, VOID_ROW, BURIED_ROW, pool_stamp[1], UNLIT]
+    assert stamp.tolist() == [pool_stamp[4], UNLIT_ROW, VOID_ROW, BURIED_ROW, pool_stamp[1], UNLIT_ROW]

@@ -35,7 +35,7 @@ def greys(levels):
 
 
 def test_tone_curve_has_no_kink_and_deepens_shade() -> None:
-    s, step = film.SHOULDER, 1e-6
+    s, step = film.TONE_SHOULDER, 1e-6
     bend = next(x for x in np.linspace(0, 1, 100_001) if film.tone(x) >= s)
     slopes = [(film.tone(x + step) - film.tone(x - step)) / (2 * step) for x in (bend - 1e-4, bend, bend + 1e-4)]
     assert slopes == pytest.approx([slopes[0]] * 3, rel=1e-2)

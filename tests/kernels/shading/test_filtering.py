@@ -6,17 +6,25 @@ import pytest
 from isogi_core.kernels.shading.filtering import (
     DISTANCE_WEIGHTS,
     LENDS,
-    PATHS,
-    SHARED,
-    VARIANCE,
+    PATHS_COLUMN,
+    SHARED_VARIANCE_FACTOR,
+    VARIANCE_COLUMN,
     Numbering,
     filter_texels,
     take_filtered,
 )
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
-from isogi_core.kernels.shading.irradiance_ratio import BARE, DIRECT, GRADE, NOISE, NORMAL, RECORD, REFLECTED
-from isogi_core.kernels.shading.lattice import LIT, UNBAKED
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.kernels.shading.irradiance_ratio import (
+    DIRECT_COLUMN,
+    GRADE_COLUMN,
+    NOISE_COLUMN,
+    NORMAL_COLUMN,
+    RECORD_LENGTH,
+    REFLECTED_COLUMN,
+    UNSHADOWED_COLUMN,
+)
+from isogi_core.kernels.shading.lattice import LIGHT_NUMBERS, UNBAKED_GRADE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
 BITS, CHUNKS = 2, (2, 3, 2)
 
@@ -47,12 +55,12 @@ def scattered(count, seed):
 def random_records(count, seed):
     """Light of all kinds, with normals that look upwards more or less."""
     rng = np.random.default_rng(seed)
-    records = rng.uniform(0.2, 1.0, (count, RECORD)).astype(np.float32)
+    records = rng.uniform(0.2, 1.0, (count, RECORD_LENGTH)).astype(np.float32)
     normals = rng.normal(size=(count, 3)) * 0.3 + np.array([0.0, 0.0, 1.0])
-    records[:, NORMAL : NORMAL + 3] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    records[:, GRADE] = rng.choice([UNBAKED, CONVERGING, CONVERGING, FINAL], count)
-    records[:, PATHS] = rng.choice([16, 64], count)
-    records[:, VARIANCE] = rng.uniform(0.0, 0.1, count)
+    records[:, NORMAL_COLUMN : NORMAL_COLUMN + 3] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    records[:, GRADE_COLUMN] = rng.choice([UNBAKED_GRADE, CONVERGING, CONVERGING, FINAL], count)
+    records[:, PATHS_COLUMN] = rng.choice([16, 64], count)
+    records[:, VARIANCE_COLUMN] = rng.uniform(0.0, 0.1, count)
     return records
 
 
@@ -68,34 +76,42 @@ def filtered(numbering, positions, records, step=1):
 def one_by_one(positions, records, step):
     """The same, texel by texel, in double precision."""
     found, kept = records.astype(float), records.astype(float)
-    for t in np.flatnonzero(np.isin(records[:, GRADE], (CONVERGING, UNBAKED))):
-        unlit = records[t, GRADE] == UNBAKED
+    for t in np.flatnonzero(np.isin(records[:, GRADE_COLUMN], (CONVERGING, UNBAKED_GRADE))):
+        unlit = records[t, GRADE_COLUMN] == UNBAKED_GRADE
         apart = positions - positions[t]
         near = (np.abs(apart) <= step).all(axis=1) & (apart % step == 0).all(axis=1)
-        near &= np.isin(records[:, GRADE], (CONVERGING, FINAL))
-        cosine = kept[near, NORMAL : NORMAL + 3] @ kept[t, NORMAL : NORMAL + 3]
+        near &= np.isin(records[:, GRADE_COLUMN], (CONVERGING, FINAL))
+        cosine = kept[near, NORMAL_COLUMN : NORMAL_COLUMN + 3] @ kept[t, NORMAL_COLUMN : NORMAL_COLUMN + 3]
         weights = np.exp(((apart[near] / step) ** 2).sum(axis=1) / -2.0) * np.maximum(cosine, 0.0) ** 16
         around, weights = kept[near][weights > 0.0], weights[weights > 0.0]
         if len(weights) < 2 or (unlit and weights.sum() < LENDS):
             continue
-        counts = weights * around[:, PATHS]
-        ratio = counts @ around[:, :3] / (counts @ around[:, BARE : BARE + 3])
-        reflected = counts @ around[:, REFLECTED : REFLECTED + 3] / counts.sum()
-        variance = counts**2 @ around[:, VARIANCE] / counts.sum() ** 2
+        counts = weights * around[:, PATHS_COLUMN]
+        ratio = counts @ around[:, :3] / (counts @ around[:, UNSHADOWED_COLUMN : UNSHADOWED_COLUMN + 3])
+        reflected = counts @ around[:, REFLECTED_COLUMN : REFLECTED_COLUMN + 3] / counts.sum()
+        variance = counts**2 @ around[:, VARIANCE_COLUMN] / counts.sum() ** 2
         differences = (
-            around[:, :3] + around[:, REFLECTED : REFLECTED + 3] - ratio * around[:, BARE : BARE + 3] - reflected
+            around[:, :3]
+            + around[:, REFLECTED_COLUMN : REFLECTED_COLUMN + 3]
+            - ratio * around[:, UNSHADOWED_COLUMN : UNSHADOWED_COLUMN + 3]
+            - reflected
         )
-        noise = weights @ around[:, VARIANCE] / weights.sum()
-        signal = max(weights @ (differences @ LUMINANCE) ** 2 / weights.sum() - noise, 0.0)
+        noise = weights @ around[:, VARIANCE_COLUMN] / weights.sum()
+        signal = max(weights @ (differences @ LUMINANCE_WEIGHTS) ** 2 / weights.sum() - noise, 0.0)
         own = 0.0 if unlit else signal / (signal + noise)
-        found[t, :3] = own * kept[t, :3] + (1 - own) * ratio * kept[t, BARE : BARE + 3]
-        found[t, REFLECTED : REFLECTED + 3] = own * kept[t, REFLECTED : REFLECTED + 3] + (1 - own) * reflected
-        left, shared = signal if unlit else own * noise, (1 - own) ** 2 * variance
-        found[t, GRADE], found[t, PATHS] = (
-            CONVERGING,
-            weights @ around[:, PATHS] / weights.sum() if unlit else kept[t, PATHS],
+        found[t, :3] = own * kept[t, :3] + (1 - own) * ratio * kept[t, UNSHADOWED_COLUMN : UNSHADOWED_COLUMN + 3]
+        found[t, REFLECTED_COLUMN : REFLECTED_COLUMN + 3] = (
+            own * kept[t, REFLECTED_COLUMN : REFLECTED_COLUMN + 3] + (1 - own) * reflected
         )
-        found[t, VARIANCE], found[t, NOISE] = left + shared, np.sqrt(left + SHARED * shared)
+        left, shared = signal if unlit else own * noise, (1 - own) ** 2 * variance
+        found[t, GRADE_COLUMN], found[t, PATHS_COLUMN] = (
+            CONVERGING,
+            weights @ around[:, PATHS_COLUMN] / weights.sum() if unlit else kept[t, PATHS_COLUMN],
+        )
+        found[t, VARIANCE_COLUMN], found[t, NOISE_COLUMN] = (
+            left + shared,
+            np.sqrt(left + SHARED_VARIANCE_FACTOR * shared),
+        )
     return found
 
 
@@ -109,13 +125,13 @@ def test_a_pass_is_that_of_plain_numpy(step):
 
 def test_what_is_final_or_alone_stays_as_it_is():
     (numbering, positions), records = scattered(60, 3), random_records(60, 4)
-    records[:30, GRADE] = FINAL
+    records[:30, GRADE_COLUMN] = FINAL
     found = filtered(numbering, positions, records)
-    still = records[:, GRADE] == FINAL
+    still = records[:, GRADE_COLUMN] == FINAL
     np.testing.assert_array_equal(found[still], records[still])
     lone, place = numbered(np.array([[1, 1, 1], [3, 6, 7]]))
     alone = random_records(2, 5)
-    alone[:, GRADE] = CONVERGING, UNBAKED
+    alone[:, GRADE_COLUMN] = CONVERGING, UNBAKED_GRADE
     np.testing.assert_array_equal(filtered(lone, place, alone), alone)
 
 
@@ -123,9 +139,9 @@ def sheet(edge):
     """A flat sheet of texels whose light is 1, and 3 beyond an ``edge`` along x, with noise of 0.1; its x too."""
     positions = np.stack(np.meshgrid([3], np.arange(12), np.arange(8), indexing="ij"), axis=-1).reshape(-1, 3)
     numbering, positions = numbered(positions)
-    records = np.zeros((len(positions), RECORD), np.float32)
-    records[:, NORMAL + 2], records[:, GRADE], records[:, PATHS] = 1.0, CONVERGING, 16
-    records[:, BARE : BARE + 3], records[:, VARIANCE] = 4.0, 0.01
+    records = np.zeros((len(positions), RECORD_LENGTH), np.float32)
+    records[:, NORMAL_COLUMN + 2], records[:, GRADE_COLUMN], records[:, PATHS_COLUMN] = 1.0, CONVERGING, 16
+    records[:, UNSHADOWED_COLUMN : UNSHADOWED_COLUMN + 3], records[:, VARIANCE_COLUMN] = 4.0, 0.01
     noise = 0.1 * np.random.default_rng(6).normal(size=len(positions))
     records[:, :3] = (np.where(positions[:, 2] < edge, 1.0, 3.0) + noise)[:, None]
     return numbering, positions, records
@@ -137,7 +153,7 @@ def test_even_light_loses_its_noise_and_says_how_much():
         records = filtered(numbering, positions, records, step)
     errors = records[:, 1] - 1.0
     assert errors.std() < 0.06
-    assert 0.5 < np.sqrt((records[:, NOISE] ** 2).mean() / SHARED) / errors.std() < 1.5
+    assert 0.5 < np.sqrt((records[:, NOISE_COLUMN] ** 2).mean() / SHARED_VARIANCE_FACTOR) / errors.std() < 1.5
 
 
 def test_the_edge_of_a_shadow_stays():
@@ -153,20 +169,24 @@ def test_texels_without_light_have_that_of_their_neighbours():
     for edge, most in ((99, 0.15), (4, 1.1)):
         numbering, positions, records = sheet(edge)
         unlit = (positions % 2 == 0).any(axis=1)
-        records[unlit, :3], records[unlit, GRADE], records[unlit, PATHS] = 4.0, UNBAKED, 0
+        records[unlit, :3], records[unlit, GRADE_COLUMN], records[unlit, PATHS_COLUMN] = 4.0, UNBAKED_GRADE, 0
         for step in (1, 2):
             records = filtered(numbering, positions, records, step)
-        assert unlit.mean() > 0.7 and (records[:, GRADE] == CONVERGING).all()
+        assert unlit.mean() > 0.7 and (records[:, GRADE_COLUMN] == CONVERGING).all()
         errors = np.abs(records[unlit, 1] - np.where(positions[unlit, 2] < edge, 1.0, 3.0))
-        assert errors.max() < most and (records[unlit, NOISE] > 0.3 * errors).mean() > 0.9
+        assert errors.max() < most and (records[unlit, NOISE_COLUMN] > 0.3 * errors).mean() > 0.9
 
 
 def test_neighbours_that_face_away_lend_no_light():
     """However faint: nothing that is told is without a number."""
     numbering, positions, records = sheet(edge=99)
     unlit = (positions % 2 == 0).any(axis=1)
-    records[unlit, GRADE], records[unlit, NORMAL], records[unlit, NORMAL + 2] = UNBAKED, 1.0, 0.0
-    records[~unlit, NORMAL] = 1e-2
+    records[unlit, GRADE_COLUMN], records[unlit, NORMAL_COLUMN], records[unlit, NORMAL_COLUMN + 2] = (
+        UNBAKED_GRADE,
+        1.0,
+        0.0,
+    )
+    records[~unlit, NORMAL_COLUMN] = 1e-2
     found = filtered(numbering, positions, records)
     np.testing.assert_array_equal(found[unlit], records[unlit])
     assert np.isfinite(found).all()
@@ -178,14 +198,16 @@ def test_neighbours_count_by_a_gauss_curve():
 
 def test_filtered_light_replaces_noisy_and_missing_light():
     records, rng = random_records(200, 7), np.random.default_rng(8)
-    grade, noisy = rng.choice([UNBAKED, CONVERGING, FINAL], 200).astype(np.uint8), rng.random(200) < 0.5
-    lit, graded = rng.random((200, LIT), np.float32), np.empty(200, np.uint8)
+    grade, noisy = rng.choice([UNBAKED_GRADE, CONVERGING, FINAL], 200).astype(np.uint8), rng.random(200) < 0.5
+    lit, graded = rng.random((200, LIGHT_NUMBERS), np.float32), np.empty(200, np.uint8)
     found = np.empty_like(lit)
     take_filtered(records, noisy, grade, lit, graded, found)
-    new = (grade == UNBAKED) & (records[:, GRADE] == CONVERGING)
+    new = (grade == UNBAKED_GRADE) & (records[:, GRADE_COLUMN] == CONVERGING)
     taken = noisy | new
-    reflected = records[:, REFLECTED : REFLECTED + 3]
-    expected = np.column_stack([records[:, DIRECT : DIRECT + 3] + reflected, records[:, NOISE], reflected])
+    reflected = records[:, REFLECTED_COLUMN : REFLECTED_COLUMN + 3]
+    expected = np.column_stack(
+        [records[:, DIRECT_COLUMN : DIRECT_COLUMN + 3] + reflected, records[:, NOISE_COLUMN], reflected]
+    )
     np.testing.assert_array_equal(found, np.where(taken[:, None], expected, lit))
     np.testing.assert_array_equal(graded, np.where(new, CONVERGING, grade))
     assert new.any() and (~taken).any()

@@ -12,7 +12,7 @@ from isogi_core.kernels.shading.framebuffer import (
     put_pixel,
     tally,
 )
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
 
 def blank(pixels):
@@ -22,7 +22,7 @@ def blank(pixels):
 
 def test_luminance_is_the_models():
     for light in np.random.default_rng(1).random((20, 3)):
-        assert luminance(*light) == pytest.approx(light @ LUMINANCE, rel=1e-6)
+        assert luminance(*light) == pytest.approx(light @ LUMINANCE_WEIGHTS, rel=1e-6)
 
 
 def test_a_pixel_is_written_whole_and_alone():
@@ -40,5 +40,5 @@ def test_tallies_count_the_surface_alone():
     tally(planes, counts, sums)
     assert counts.tolist() == np.bincount(planes.state, minlength=4).tolist()
     on = planes.state > 0
-    light = planes.radiance[on].astype(float) @ LUMINANCE
+    light = planes.radiance[on].astype(float) @ LUMINANCE_WEIGHTS
     assert sums == pytest.approx([light.sum(), ((light * planes.error[on]) ** 2).sum()], rel=1e-5)

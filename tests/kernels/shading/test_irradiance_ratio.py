@@ -8,31 +8,31 @@ from scipy.special import sph_harm_y
 
 from isogi_core.frame.lighting import quadric_of
 from isogi_core.kernels.shading.framebuffer import (
-    BLUE,
+    BLUE_LUMINANCE,
     CONVERGING,
     FINAL,
-    GREEN,
+    GREEN_LUMINANCE,
     PROVISIONAL,
-    RED,
+    RED_LUMINANCE,
     Framebuffer,
     PixelPoints,
 )
 from isogi_core.kernels.shading.irradiance_ratio import (
     LEAST_COSINE,
-    RECORD,
-    TURNED,
+    NORMAL_TURN_LIMIT,
+    RECORD_LENGTH,
     Unshadowed,
     carry_ratios,
     fill_records,
 )
-from isogi_core.kernels.shading.lattice import BURIED, LIT, PARTIAL, UNBAKED, VOID
+from isogi_core.kernels.shading.lattice import BURIED_GRADE, LIGHT_NUMBERS, PARTIAL_GRADE, UNBAKED_GRADE, VOID_GRADE
 from tests.kernels.shading.lattices import border_points, lattice, lower_texels, view_of
 
 RNG = np.random.default_rng(5)
 LIGHT = RNG.normal(size=(3, 9)) * 0.3 + np.array([4.0] + [0.0] * 8)
 LEASTS = np.array([0.9, 0.7, 0.8], np.float32)
 UNSHADOWED = Unshadowed(np.ascontiguousarray(quadric_of(LIGHT), np.float32), LEASTS)
-WEIGHTS = np.array([RED, GREEN, BLUE], np.float64)
+WEIGHTS = np.array([RED_LUMINANCE, GREEN_LUMINANCE, BLUE_LUMINANCE], np.float64)
 
 
 def some_normals(count):
@@ -58,7 +58,7 @@ def unshadowed_of(normals):
 
 def records_of(grade, lit, normals, unshadowed=UNSHADOWED, whole=False):
     """`fill_records`: (m, RECORD)."""
-    records = np.full((len(grade), RECORD), np.nan, np.float32)
+    records = np.full((len(grade), RECORD_LENGTH), np.nan, np.float32)
     fill_records(grade, lit, normals, unshadowed, whole, records)
     return records
 
@@ -77,7 +77,7 @@ def carry(points, records, normals, unshadowed=UNSHADOWED, unit=1.0):
 def lit_texels(points, grades=(FINAL,)):
     """Texels of a view of the points, lit at random: grades, light (m, LIT) and normals (m, 3)."""
     count = len(view_of(points)[1])
-    lit = (RNG.random((count, LIT)) + 0.1).astype(np.float32)
+    lit = (RNG.random((count, LIGHT_NUMBERS)) + 0.1).astype(np.float32)
     lit[:, 4:] *= 0.5 * lit[:, :3]
     return RNG.choice(grades, count).astype(np.uint8), lit, some_normals(count)
 
@@ -89,10 +89,10 @@ def one_by_one(points, grade, lit, towards, normals):
     for m, (own, f) in enumerate(zip(corners, fractions, strict=True)):
         tri = np.prod(np.where(np.array(list(np.ndindex(2, 2, 2))), f, 1.0 - f), axis=1)
         cosines = towards[own].astype(float) @ normals[m]
-        agreed = (np.maximum(cosines, LEAST_COSINE) / (1.0 + (1.0 - cosines) / TURNED)) ** 2
+        agreed = (np.maximum(cosines, LEAST_COSINE) / (1.0 + (1.0 - cosines) / NORMAL_TURN_LIMIT)) ** 2
         counts, over = grade[own] <= FINAL, unshadowed_of(towards[own])
         weights, under = tri * agreed * counts, unshadowed_of(normals[m : m + 1])[0]
-        unbaked = (grade[own] == UNBAKED)[:, None]
+        unbaked = (grade[own] == UNBAKED_GRADE)[:, None]
         reflected = np.where(unbaked, 0.0, lit[own, 4:])
         direct = np.where(unbaked, over, lit[own, :3] - reflected)
         errors = np.where(unbaked[:, 0], 0.0, lit[own, 3])
@@ -104,7 +104,7 @@ def one_by_one(points, grade, lit, towards, normals):
             errors = np.where(counts, errors, 0.0)
             noise[m] = np.sqrt(((weights * errors) ** 2).sum()) * (under @ WEIGHTS) / (bare @ WEIGHTS)
         else:
-            light[m] = 0.0 if tri[grade[own] == BURIED].sum() > 0.0 else under
+            light[m] = 0.0 if tri[grade[own] == BURIED_GRADE].sum() > 0.0 else under
     return light, noise, least
 
 
@@ -119,11 +119,13 @@ def test_the_quadric_is_the_sum_of_harmonics(order):
 
 def test_a_record_holds_direct_unshadowed_and_reflected_light():
     points = border_points()
-    grade, lit, towards = lit_texels(points, (PARTIAL, CONVERGING, FINAL, UNBAKED, BURIED, VOID))
-    lit[grade == UNBAKED] = lit[grade > FINAL] = np.nan
+    grade, lit, towards = lit_texels(
+        points, (PARTIAL_GRADE, CONVERGING, FINAL, UNBAKED_GRADE, BURIED_GRADE, VOID_GRADE)
+    )
+    lit[grade == UNBAKED_GRADE] = lit[grade > FINAL] = np.nan
     records, there, over = (
         records_of(grade, lit, towards),
-        (grade >= PARTIAL) & (grade <= FINAL),
+        (grade >= PARTIAL_GRADE) & (grade <= FINAL),
         unshadowed_of(towards),
     )
     dark = over <= 1.0001 * LEASTS
@@ -131,13 +133,16 @@ def test_a_record_holds_direct_unshadowed_and_reflected_light():
     np.testing.assert_allclose(records[there, :3], (lit[:, :3] - lit[:, 4:])[there], rtol=1e-5)
     assert np.array_equal(records[there, 3], lit[there, 3]) and np.array_equal(records[there, 8:11], lit[there, 4:])
     np.testing.assert_allclose(records[:, 4:7], over, rtol=1e-5)
-    unbaked = grade == UNBAKED
+    unbaked = grade == UNBAKED_GRADE
     assert np.array_equal(records[unbaked, :3], records[unbaked, 4:7])
     assert not records[~there][:, [3, 8, 9, 10]].any() and not records[grade > FINAL, :3].any()
     assert np.array_equal(records[:, 11:14], towards) and np.array_equal(records[:, 7], grade)
 
 
-@pytest.mark.parametrize("grades", [(FINAL,), (FINAL, CONVERGING, PARTIAL, UNBAKED, BURIED, VOID), (BURIED, VOID)])
+@pytest.mark.parametrize(
+    "grades",
+    [(FINAL,), (FINAL, CONVERGING, PARTIAL_GRADE, UNBAKED_GRADE, BURIED_GRADE, VOID_GRADE), (BURIED_GRADE, VOID_GRADE)],
+)
 def test_ratios_are_carried_as_a_loop_over_texels_has_it(grades):
     points = border_points()
     grade, lit, towards = lit_texels(points, grades)
@@ -147,7 +152,7 @@ def test_ratios_are_carried_as_a_loop_over_texels_has_it(grades):
     np.testing.assert_allclose(radiance, light, rtol=2e-4, atol=1e-5)
     assert np.array_equal(state, np.clip(least, PROVISIONAL, FINAL))
     expected = np.minimum(noise / np.maximum(light @ WEIGHTS, 1e-30), 1.0)
-    np.testing.assert_allclose(error, np.where(least <= PARTIAL, 1.0, expected), rtol=2e-4, atol=1e-6)
+    np.testing.assert_allclose(error, np.where(least <= PARTIAL_GRADE, 1.0, expected), rtol=2e-4, atol=1e-6)
 
 
 def test_where_all_normals_agree_light_is_blended_as_it_is():
@@ -198,7 +203,7 @@ def test_where_all_texels_face_away_they_count_as_if_none_did():
 
 def test_a_colour_that_the_light_lacks_stays_dark():
     points = border_points()
-    grade, lit, towards = lit_texels(points, (FINAL, UNBAKED))
+    grade, lit, towards = lit_texels(points, (FINAL, UNBAKED_GRADE))
     lit[:, [1, 5]] = 0.0
     unshadowed = Unshadowed(*(each.copy() for each in UNSHADOWED))
     for each in unshadowed:
@@ -220,7 +225,7 @@ def test_no_light_at_all_is_black_and_final():
 @pytest.mark.parametrize("unit", [2.0**-100, 2.0**100])
 def test_ratios_are_carried_in_units(unit):
     points = border_points()
-    grade, lit, towards = lit_texels(points, (FINAL, UNBAKED, VOID))
+    grade, lit, towards = lit_texels(points, (FINAL, UNBAKED_GRADE, VOID_GRADE))
     records, normals = records_of(grade, lit, towards), some_normals(len(points))
     one, other = (carry(points, records, normals, unit=each) for each in (1.0, unit))
     assert np.array_equal(other[0], one[0] * np.float32(unit))
@@ -229,7 +234,7 @@ def test_ratios_are_carried_in_units(unit):
 
 def test_a_point_does_not_depend_on_its_company():
     points = border_points()
-    grade, lit, towards = lit_texels(points, (FINAL, UNBAKED, VOID, BURIED))
+    grade, lit, towards = lit_texels(points, (FINAL, UNBAKED_GRADE, VOID_GRADE, BURIED_GRADE))
     records, normals = records_of(grade, lit, towards), some_normals(len(points))
     corners = view_of(points)[2]
     whole = carry(points, records, normals)

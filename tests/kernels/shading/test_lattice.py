@@ -8,25 +8,25 @@ from scipy.ndimage import map_coordinates
 from scipy.special import sph_harm_y
 
 from isogi_core.kernels.shading.framebuffer import (
-    BLUE,
+    BLUE_LUMINANCE,
     CONVERGING,
     FINAL,
-    GREEN,
+    GREEN_LUMINANCE,
     PROVISIONAL,
-    RED,
+    RED_LUMINANCE,
     Framebuffer,
     PixelPoints,
     luminance,
 )
 from isogi_core.kernels.shading.lattice import (
-    BURIED,
+    BURIED_GRADE,
     BURIED_ROW,
     LEAST_SPREAD,
-    LIT,
-    PARTIAL,
-    UNBAKED,
-    UNLIT,
-    VOID,
+    LIGHT_NUMBERS,
+    PARTIAL_GRADE,
+    UNBAKED_GRADE,
+    UNLIT_ROW,
+    VOID_GRADE,
     VOID_ROW,
     Sky,
     base_texel,
@@ -69,8 +69,8 @@ def test_a_texels_light_is_transfer_times_light(channels, order, firsts):
     noise = RNG.random(40).astype(np.float32)
     light = RNG.normal(size=(3, order**2)).astype(np.float32)
     rows = RNG.permutation(40)[:30].astype(np.int32)
-    rows[4:7] = UNLIT, VOID_ROW, BURIED_ROW
-    lit = np.full((30, LIT), -7.0, np.float32)
+    rows[4:7] = UNLIT_ROW, VOID_ROW, BURIED_ROW
+    lit = np.full((30, LIGHT_NUMBERS), -7.0, np.float32)
     square, straight = RNG.normal(size=order**2).astype(np.float32), int(firsts[-1]) or order**2
     light_texels(rows, transfer, noise, light, square, firsts, straight, lit)
     colour = np.einsum("mcn,cn->mc", np.broadcast_to(transfer[rows], (30, 3, order**2)), light)
@@ -82,7 +82,7 @@ def test_a_texels_light_is_transfer_times_light(channels, order, firsts):
     )
     np.testing.assert_allclose(lit[there, 4:], np.clip(reflected, 0.0, np.maximum(colour, 0.0))[there], atol=1e-5)
     seen = transfer[rows, channels // 2]
-    variance = np.maximum(seen @ square - (colour @ (RED, GREEN, BLUE)) ** 2, 0.0)
+    variance = np.maximum(seen @ square - (colour @ (RED_LUMINANCE, GREEN_LUMINANCE, BLUE_LUMINANCE)) ** 2, 0.0)
     variance += LEAST_SPREAD * np.maximum(seen[:, firsts] * square[firsts], 0.0).sum(axis=1)
     np.testing.assert_allclose(lit[there, 3], (noise[rows] * np.sqrt(variance))[there], atol=1e-4)
     assert (lit[~there] == -7.0).all(), "texels without a row are left alone"
@@ -133,7 +133,7 @@ def test_carried_light_is_scipys_linear_interpolation():
 def test_light_is_carried_in_units(unit):
     points = border_points()
     grade, lit = lit_view(points)
-    grade[::3] = UNBAKED
+    grade[::3] = UNBAKED_GRADE
     up = np.tile(np.array([0.0, 0.0, 1.0], np.float32), (len(points), 1))
     one, other = (carry(points, grade, lit, up, unit=each) for each in (1.0, unit))
     assert np.array_equal(other[0], one[0] * np.float32(unit))
@@ -155,7 +155,7 @@ def test_a_point_is_as_good_as_the_least_of_its_texels():
     grade, lit = lit_view(points)
     grade[5] = CONVERGING
     assert carry(points, grade, lit)[1] == [CONVERGING]
-    for grade[2] in (PARTIAL, UNBAKED):
+    for grade[2] in (PARTIAL_GRADE, UNBAKED_GRADE):
         _, state, error = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))
         assert state == [PROVISIONAL] and error == [1.0]
 
@@ -164,11 +164,11 @@ def test_light_of_some_layers_is_shown_as_it_is():
     points = some_points(40)
     grade, lit = lit_view(points)
     whole, _, _ = carry(points, grade, lit)
-    grade[::2] = PARTIAL
+    grade[::2] = PARTIAL_GRADE
     assert np.array_equal(carry(points, grade, lit)[0], whole)
 
 
-@pytest.mark.parametrize("left_out", [[VOID], [BURIED], [VOID, BURIED, VOID]])
+@pytest.mark.parametrize("left_out", [[VOID_GRADE], [BURIED_GRADE], [VOID_GRADE, BURIED_GRADE, VOID_GRADE]])
 def test_void_and_buried_texels_are_left_out_of_the_mean(left_out):
     points = np.array([[3.4, 2.2, 5.7]], np.float32)
     grade, lit = lit_view(points)
@@ -191,8 +191,8 @@ def test_a_point_among_buried_texels_is_black_and_final():
     points = np.array([[3.4, 2.2, 5.7], [10.1, 9.9, 13.2]], np.float32)
     grade, lit = lit_view(points)
     lit[:] = np.nan
-    grade[:] = BURIED
-    grade[view_of(points)[2][1, :7]] = VOID
+    grade[:] = BURIED_GRADE
+    grade[view_of(points)[2][1, :7]] = VOID_GRADE
     radiance, state, error = carry(points, grade, lit, np.full_like(points, 3**-0.5))
     assert not radiance.any() and not error.any() and (state == FINAL).all()
 
@@ -200,8 +200,8 @@ def test_a_point_among_buried_texels_is_black_and_final():
 def test_buried_texels_do_not_darken_what_stands_in():
     points = np.array([[3.4, 2.2, 5.7]], np.float32)
     grade, lit = lit_view(points)
-    grade[:] = BURIED
-    grade[view_of(points)[2][0, 6]] = UNBAKED
+    grade[:] = BURIED_GRADE
+    grade[view_of(points)[2][0, 6]] = UNBAKED_GRADE
     radiance, state, _ = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))
     np.testing.assert_allclose(radiance[0], irradiance_over_pi((0.0, 0.0, 1.0)), rtol=1e-5)
     assert state == [PROVISIONAL]
@@ -218,7 +218,7 @@ def irradiance_over_pi(n):
     return total
 
 
-@pytest.mark.parametrize("missing", [UNBAKED, VOID])
+@pytest.mark.parametrize("missing", [UNBAKED_GRADE, VOID_GRADE])
 def test_without_any_lit_texel_unshadowed_light_stands_in(missing):
     points = some_points(20)
     normals = RNG.normal(size=points.shape)
@@ -228,7 +228,7 @@ def test_without_any_lit_texel_unshadowed_light_stands_in(missing):
     lit[:] = np.nan
     radiance, state, _ = carry(points, grade, lit, normals)
     np.testing.assert_allclose(radiance, [irradiance_over_pi(n.astype(float)) for n in normals], rtol=1e-5)
-    assert (radiance > 0.0).all() and (state == (PROVISIONAL if missing == UNBAKED else FINAL)).all()
+    assert (radiance > 0.0).all() and (state == (PROVISIONAL if missing == UNBAKED_GRADE else FINAL)).all()
 
 
 def test_what_is_missing_is_filled_in_proportion():
@@ -236,7 +236,7 @@ def test_what_is_missing_is_filled_in_proportion():
     grade, lit = lit_view(points)
     lit[:, :3] = 0.25
     corners = view_of(points)[2][0]
-    grade[corners[[1, 6]]] = UNBAKED
+    grade[corners[[1, 6]]] = UNBAKED_GRADE
     fz, fy, fx = lower_texels(points)[1][0]
     share = trilinear(1, fz, fy, fx) + trilinear(6, fz, fy, fx)
     radiance, _, _ = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))

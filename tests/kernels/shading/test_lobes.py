@@ -3,10 +3,18 @@
 import numpy as np
 import pytest
 
-from isogi_core.kernels.shading.framebuffer import BLUE, CONVERGING, FINAL, GREEN, PROVISIONAL, RED, Framebuffer
+from isogi_core.kernels.shading.framebuffer import (
+    BLUE_LUMINANCE,
+    CONVERGING,
+    FINAL,
+    GREEN_LUMINANCE,
+    PROVISIONAL,
+    RED_LUMINANCE,
+    Framebuffer,
+)
 from isogi_core.kernels.shading.lobes import add_lobes
 
-LIGHT = np.array([RED, GREEN, BLUE], float)
+LIGHT = np.array([RED_LUMINANCE, GREEN_LUMINANCE, BLUE_LUMINANCE], float)
 
 
 @pytest.mark.parametrize("unit", [1.0, 2.0**-40, 2.0**60])

@@ -16,7 +16,7 @@ from isogi_core.kernels.shading.local_models import (
     trace_points,
 )
 from isogi_core.kernels.tracing.field import to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE, cast, launch
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, cast, launch
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import fog
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
@@ -144,8 +144,8 @@ NOISY = BALL + np.random.default_rng(7).normal(size=BALL.shape) * 2.0
 def shadows_one_by_one(field, iso, points, normals, key, seen):
     for m in range(len(points)):
         p, n = point_of(points, m), point_of(normals, m)
-        o = launch(field, iso, p, n, OUTSIDE)
-        t, _ = cast(field, iso, o, to_index(key, field.spacing), OUTSIDE)
+        o = launch(field, iso, p, n, OUTSIDE_SIGN)
+        t, _ = cast(field, iso, o, to_index(key, field.spacing), OUTSIDE_SIGN)
         seen[m] = n[0] * key[0] + n[1] * key[1] + n[2] * key[2] > 0.0 and not t < np.inf
 
 

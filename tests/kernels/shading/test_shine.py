@@ -8,8 +8,8 @@ import pytest
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.picture_noise import pool_noise
 from isogi_core.kernels.shading.shine import (
-    ISOSURFACE,
-    NEVER,
+    MET_ISOSURFACE,
+    MET_NOTHING,
     ShineDraws,
     ShineEnds,
     cast_shine,
@@ -18,7 +18,7 @@ from isogi_core.kernels.shading.shine import (
 )
 from isogi_core.kernels.transport.light_paths import NO_TABLE, Surroundings
 from isogi_core.kernels.transport.lights import DIRECTIONAL, NO_LAMPS, POINT, LampArrays
-from isogi_core.kernels.transport.microfacets import NODES, ShineLobe, fill_energy
+from isogi_core.kernels.transport.microfacets import ENERGY_STEPS, ShineLobe, fill_energy
 from isogi_core.kernels.transport.ray_lights import Discs, Panels, ShineLights
 from isogi_core.model.environment import cumulative, pixel_directions, solid_angles
 from tests.kernels.fields import field_of, surface_of
@@ -41,7 +41,7 @@ def ground():
 
 def lobe_of(roughness, facing=0.04, metal=False, aside=0.4, strength=1.0):
     """A lobe with its table."""
-    energy = np.empty((NODES + 1, 2))
+    energy = np.empty((ENERGY_STEPS + 1, 2))
     fill_energy(roughness**2, energy)
     return ShineLobe(roughness**2, (facing,) * 3, strength, metal, aside, energy)
 
@@ -96,7 +96,7 @@ def test_a_white_sky_is_mirrored_as_the_table_says(ground, roughness, metal):
     lobe, points = lobe_of(roughness, 0.7 if metal else 0.04, metal), point_at()
     below, ends = np.empty((1, 3), np.float32), cast(ground, lobe, lights_of(sky(2.0), ways=1))
     fill_below(points, EYE, (1.0, 1.0, 1.0), lobe._replace(metal=False), below)
-    assert (ends.met == NEVER).all()
+    assert (ends.met == MET_NOTHING).all()
     assert ends.brought.mean(axis=0) == pytest.approx(2.0 * (1.0 - below[0]), rel=5e-3)
 
 
@@ -198,7 +198,7 @@ def test_rays_in_a_closed_room_end_on_its_walls(ground):
 def test_black_backs_of_walls_are_not_seen(ground):
     back = room_of([wall((-90.0, -90.0, 7.0), (200.0, 0.0, 0.0), (0.0, 200.0, 0.0), 0.5)])
     ends = cast(ground, lobe_of(0.2), lights_of(sky(1.0)), back, rays=256)
-    assert not ends.brought.any() and (ends.met == NEVER).all()
+    assert not ends.brought.any() and (ends.met == MET_NOTHING).all()
 
 
 def test_rays_meet_the_surface_from_outside():
@@ -211,7 +211,7 @@ def test_rays_meet_the_surface_from_outside():
     ends = cast(surface, lobe_of(0.02), lights_of(sky(1.0)), points=points, rays=64)
     v = np.array(EYE) - points.points[0]
     assert v[0] > 0.0  # so that the mirror direction goes to lower x, where the wall is
-    assert (ends.met == ISOSURFACE).all()
+    assert (ends.met == MET_ISOSURFACE).all()
     np.testing.assert_allclose(ends.points[:, 0], 4.0, atol=0.1)
     np.testing.assert_allclose(ends.normals, np.tile([1.0, 0.0, 0.0], (64, 1)), atol=0.2)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals
-from isogi_core.kernels.transport.texel_points import NOWHERE, PROJECTED, TOO_FAR, project_texels
+from isogi_core.kernels.transport.texel_points import NO_SURFACE, TEXEL_PROJECTED, TOO_FAR, project_texels
 from isogi_core.kernels.transport.transfer import locate_texels
 from tests.kernels.fields import field_of
 
@@ -49,7 +49,7 @@ def test_moved_texels_face_as_they_do_where_they_are_moved_to(step):
     points, normals, verdicts = np.empty((3, len(texels))), np.empty((3, len(texels))), np.empty(len(texels), np.uint8)
     project_texels(field, np.full(3, step), 0.4, texels, points, normals, verdicts)
     found = facing(field, np.full(3, step), 0.4, True, texels)
-    there = verdicts == PROJECTED
+    there = verdicts == TEXEL_PROJECTED
     assert there.sum() > 500 and (verdicts == TOO_FAR).sum() > 100
     np.testing.assert_allclose(found[there], normals.T[there], atol=1e-3)
     assert not found[verdicts == TOO_FAR].any()
@@ -66,4 +66,4 @@ def test_texels_without_a_gradient_face_nowhere():
         assert not found[flat].any() and np.isfinite(found).all()
     points, normals, verdicts = np.empty((3, len(texels))), np.empty((3, len(texels))), np.empty(len(texels), np.uint8)
     project_texels(field, *args, texels, points, normals, verdicts)
-    assert (verdicts[flat] == NOWHERE).all()
+    assert (verdicts[flat] == NO_SURFACE).all()

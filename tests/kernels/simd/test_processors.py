@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from isogi_core.kernels.simd.types import REGISTER
+from isogi_core.kernels.simd.types import REGISTER_LANES
 from tests.scale import COMPILED
 
 KERNELS = Path(__file__).parents[1]
 
-RAYS = ["simd/test_ray_vectors.py", "tracing/test_cast.py"] if REGISTER else []
+RAYS = ["simd/test_ray_vectors.py", "tracing/test_cast.py"] if REGISTER_LANES else []
 """Tests of rays in vectors, which not every processor has."""
 
 PROCESSORS = {

@@ -10,9 +10,9 @@ from isogi_core.kernels.simd import types
 from isogi_core.kernels.simd.maths import bits, f32, f64, fma, i32, mask_of, popcount, rank, where
 from isogi_core.kernels.simd.memory import gather, scatter, store
 from isogi_core.kernels.simd.memory import load as load_width
-from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER
+from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER_LANES
 
-needs_simd = pytest.mark.skipif(REGISTER is None, reason="this processor, or Numba switched off, has no SIMD")
+needs_simd = pytest.mark.skipif(REGISTER_LANES is None, reason="this processor, or Numba switched off, has no SIMD")
 
 
 @njit

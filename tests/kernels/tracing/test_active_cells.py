@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.tracing.active_cells import (
-    BRICK,
-    FINE,
+    BRICK_CELLS,
+    MAX_FINE_BRICKS,
     block_ranges,
     brick_shape,
     make_active_cells,
 )
-from isogi_core.kernels.tracing.macrocells import SIZE, blocks_along
+from isogi_core.kernels.tracing.macrocells import MACROCELL_SIDE, blocks_along
 
 BALL = 12.0 - np.linalg.norm(np.indices((41, 41, 41)) - 20.0, axis=0)
 
@@ -18,10 +18,10 @@ BALL = 12.0 - np.linalg.norm(np.indices((41, 41, 41)) - 20.0, axis=0)
 def marked_cells(cells):
     """Which cells are marked and which lie in a 2³ block with a marked one; (z, y, x, cells filled up) each."""
     near = (cells.tops >> 28) == 0
-    words = np.zeros((len(near), BRICK), np.int32)
-    words[near] = cells.cells.reshape(-1, BRICK)[cells.tops[near]]
-    bits = (words.reshape(*cells.shape, BRICK)[..., None, None] >> np.arange(32).reshape(2, 1, 1, 1, 1, 4, 4)) & 1
-    z, y, x = (n * BRICK for n in cells.shape)
+    words = np.zeros((len(near), BRICK_CELLS), np.int32)
+    words[near] = cells.cells.reshape(-1, BRICK_CELLS)[cells.tops[near]]
+    bits = (words.reshape(*cells.shape, BRICK_CELLS)[..., None, None] >> np.arange(32).reshape(2, 1, 1, 1, 1, 4, 4)) & 1
+    z, y, x = (n * BRICK_CELLS for n in cells.shape)
     return bits.transpose(0, 1, 4, 2, 5, 3, 6).reshape(2, z, y, x).astype(bool)
 
 
@@ -47,16 +47,16 @@ def test_active_cells_hold_the_surface_and_few_more_do(shape):
 
 @pytest.mark.parametrize("holes", [0.0, 0.002])
 @pytest.mark.parametrize("shape", [(2, 2, 2), (5, 9, 17), (21, 18, 38)])
-@pytest.mark.parametrize("fine", [0, FINE], ids=["macrocells", "bricks"])
+@pytest.mark.parametrize("fine", [0, MAX_FINE_BRICKS], ids=["macrocells", "bricks"])
 def test_ranges_are_of_the_cells_in_and_around_a_block(shape, holes, fine):
     rng = np.random.default_rng(16)
     voxels = rng.normal(size=shape).astype(np.float32)
     voxels[rng.random(shape) < holes] = np.nan
-    ranges, size = block_ranges(voxels, fine), BRICK if fine else SIZE
+    ranges, size = block_ranges(voxels, fine), BRICK_CELLS if fine else MACROCELL_SIDE
     low, high, margins = (values.reshape(blocks_along(shape, size)) for values in ranges[:3])
     of_bricks = ranges.of_bricks.reshape(brick_shape(shape))
     for brick in np.ndindex(of_bricks.shape):
-        assert of_bricks[brick] == margins[tuple(i * BRICK // size for i in brick)]
+        assert of_bricks[brick] == margins[tuple(i * BRICK_CELLS // size for i in brick)]
     for index in np.ndindex(low.shape):
         around = voxels[tuple(slice(max(size * i - 1, 0), size * i + size + 2) for i in index)]
         hole = np.isnan(around).any()
@@ -66,7 +66,7 @@ def test_ranges_are_of_the_cells_in_and_around_a_block(shape, holes, fine):
 
 def test_ranges_of_macrocells_mark_a_little_more_at_most():
     voxels = np.random.default_rng(5).normal(size=(33, 41, 70)).astype(np.float32)
-    fine, coarse = (make_active_cells(voxels, block_ranges(voxels, most), -0.2, 0.1) for most in (FINE, 0))
+    fine, coarse = (make_active_cells(voxels, block_ranges(voxels, most), -0.2, 0.1) for most in (MAX_FINE_BRICKS, 0))
     (own, _), (other, _) = map(marked_cells, (fine, coarse))
     assert (other >= own).all() and other.sum() <= own.sum() + 5
     assert (coarse.margins >= fine.margins).all()

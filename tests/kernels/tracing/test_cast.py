@@ -6,11 +6,17 @@ import numpy as np
 import pytest
 
 from isogi_core.files.nrrd import read_nrrd
-from isogi_core.kernels.simd.types import REGISTER
-from isogi_core.kernels.tracing.active_cells import BRICK, ActiveCells, block_ranges, brick_shape, make_active_cells
+from isogi_core.kernels.simd.types import REGISTER_LANES
+from isogi_core.kernels.tracing.active_cells import (
+    BRICK_CELLS,
+    ActiveCells,
+    block_ranges,
+    brick_shape,
+    make_active_cells,
+)
 from isogi_core.kernels.tracing.cast import cast_batch, cast_one_by_one
 from isogi_core.kernels.tracing.field import Field
-from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN_SIDE
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, SOLID_SIGN, UNKNOWN_SIDE
 from isogi_core.kernels.tracing.macrocells import macrocell_shape
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.model.volume import make_volume
@@ -74,7 +80,7 @@ FIELDS = {
 
 
 @pytest.mark.parametrize("name", FIELDS)
-@pytest.mark.parametrize("side", [UNKNOWN_SIDE, OUTSIDE, SOLID])
+@pytest.mark.parametrize("side", [UNKNOWN_SIDE, OUTSIDE_SIGN, SOLID_SIGN])
 def test_the_same_bits_as_the_scalar_kernel(name, side):
     voxels, iso = FIELDS[name]
     origins, directions = rays_about(voxels.shape, 5)
@@ -130,7 +136,7 @@ def test_holes_are_the_scalar_kernels(share):
 def test_rays_that_say_nothing_hit_nothing():
     directions = np.zeros((5, 3))
     directions[1:] = [[np.nan, 0, 1], [0, np.inf, 0], [np.nan] * 3, [-np.inf, np.inf, 1]]
-    (t, came), (t_one, came_one) = cast_both(BALL, 0.0, np.full((5, 3), 20.0), directions, SOLID)
+    (t, came), (t_one, came_one) = cast_both(BALL, 0.0, np.full((5, 3), 20.0), directions, SOLID_SIGN)
     assert np.array_equal(t, t_one) and np.array_equal(came, came_one)
 
 
@@ -139,7 +145,7 @@ def test_from_inside_a_closed_surface_every_ray_comes_out():
     directions = rng.normal(size=(COUNT, 3))
     origins = 20.0 + rng.uniform(-6, 6, directions.shape)
     (t, came), _ = cast_both(BALL, 0.0, origins, directions, UNKNOWN_SIDE)
-    assert np.isfinite(t).all() and (came == SOLID).all()
+    assert np.isfinite(t).all() and (came == SOLID_SIGN).all()
     away = np.linalg.norm(origins + t[:, None] * directions - 20.0, axis=1)
     assert np.abs(away - 12.0).max() < 0.1
 
@@ -171,7 +177,7 @@ def vast(shape):
     high[-4:, -4:, -4:] = 6.0
     tops, margins = np.zeros(brick_shape(shape), np.int32), np.zeros(brick_shape(shape), np.float32)
     tops[-7:, -7:, -7:], margins[-7:, -7:, -7:] = 1, 0.1
-    words = np.repeat(np.array([0, -1], np.int32), BRICK)
+    words = np.repeat(np.array([0, -1], np.int32), BRICK_CELLS)
     return Field(voxels, low, high, (1.0, 1.0, 1.0)), ActiveCells(tops.ravel(), words, margins.ravel(), tops.shape)
 
 
@@ -192,7 +198,7 @@ def test_volumes_of_up_to_two_billion_voxels_are_cast_by_simd(shape):
     (t, came), (t_one, came_one), (t_simd, _) = found
     assert np.array_equal(t, t_one) and np.array_equal(came, came_one)
     assert np.isfinite(t).mean() > 0.1
-    assert REGISTER is None or np.isfinite(t_simd).any()
+    assert REGISTER_LANES is None or np.isfinite(t_simd).any()
 
 
 @pytest.mark.data

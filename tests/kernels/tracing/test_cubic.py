@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates
 
 from isogi_core.kernels.simd.voxels import cube
 from isogi_core.kernels.tracing.cubic import cubic_along, ends_solid, first_crossing, horner, turning_points
-from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, less
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, SOLID_SIGN, less
 from tests.scale import few
 
 
@@ -21,8 +21,8 @@ def many(count):
 @njit(cache=True)
 def crossing(q, side, blur):
     """`first_crossing` as t or inf, and the side at the cubic's end."""
-    t, crosses = first_crossing(q, side == SOLID, blur, True)
-    return t if crosses else math.inf, SOLID if ends_solid(q) else OUTSIDE
+    t, crosses = first_crossing(q, side == SOLID_SIGN, blur, True)
+    return t if crosses else math.inf, SOLID_SIGN if ends_solid(q) else OUTSIDE_SIGN
 
 
 @njit(cache=True)
@@ -67,7 +67,7 @@ def test_turning_points_are_the_roots_of_the_slope():
         np.testing.assert_allclose(turning_points(tuple(q)), expected, atol=1e-10)
 
 
-@pytest.mark.parametrize("side", [OUTSIDE, SOLID])
+@pytest.mark.parametrize("side", [OUTSIDE_SIGN, SOLID_SIGN])
 def test_first_crossing_against_numpys_roots(side):
     """1e5 cubics that begin on `side`, less those whose roots nearly meet or lie on an end: both answers are right."""
     rng = np.random.default_rng(3)
@@ -86,7 +86,7 @@ def test_first_crossing_against_numpys_roots(side):
     hit = clear & (expected < math.inf)
     assert hit.mean() > 0.2
     assert np.abs(found[hit] - expected[hit]).max() < 2e-8
-    assert np.array_equal(last == SOLID, cubics.sum(axis=1) > 0)
+    assert np.array_equal(last == SOLID_SIGN, cubics.sum(axis=1) > 0)
 
 
 @pytest.mark.parametrize("where", [0.1, 0.5, 0.875])
@@ -96,17 +96,17 @@ def test_double_roots_end_and_never_come_and_go(where, lean):
     depths = np.concatenate([-(10.0 ** np.arange(-3, -19, -0.25)), [0.0], 10.0 ** np.arange(-18, -3, 0.25)])
     square = np.array([0.0, 1.0, -2 * where, where**2])
     cubic = -(square + lean * np.append(square[1:], 0.0))
-    found, last = first_crossings(cubic + np.outer(depths, [0, 0, 0, 1]), OUTSIDE)
+    found, last = first_crossings(cubic + np.outer(depths, [0, 0, 0, 1]), OUTSIDE_SIGN)
     hit = found < math.inf
     assert np.array_equal(hit, np.sort(hit)), "a deeper bump is hit where a shallower one is"
     assert not hit[depths < -1e-14].any() and hit[depths > 1e-14].all()
     assert (np.abs(found[hit] - where) <= 2 * np.sqrt(np.abs(depths[hit])) + 1e-7).all()
-    assert (last == OUTSIDE).all()
+    assert (last == OUTSIDE_SIGN).all()
 
 
 def test_a_turn_within_the_blur_only_touches():
     """f = (t - 1/2)² less and more than nothing, seen from either side."""
-    for side in (SOLID, OUTSIDE):
+    for side in (SOLID_SIGN, OUTSIDE_SIGN):
         bump = [side * c for c in (0.0, -1.0, 1.0, -0.25)]
         for depth, met in ((1e-13, True), (1e-15, False), (-1e-15, False), (-1e-13, False)):
             t, last = crossing((*bump[:3], bump[3] + side * depth), side, 1e-14)
@@ -120,14 +120,14 @@ def test_a_turn_within_the_blur_only_touches():
 )
 def test_cubics_that_are_hardly_cubic(scale, rest, root):
     for a in (0.0, scale * 1e-9, -scale * 1e-9):
-        t, _ = crossing((a, *rest), OUTSIDE, 0.0)
+        t, _ = crossing((a, *rest), OUTSIDE_SIGN, 0.0)
         assert t == pytest.approx(root, abs=3e-8)
 
 
 def test_a_cubic_of_nothing_is_outside_and_has_no_crossing():
-    assert crossing((0.0, 0.0, 0.0, 0.0), OUTSIDE, 0.0) == (math.inf, OUTSIDE)
+    assert crossing((0.0, 0.0, 0.0, 0.0), OUTSIDE_SIGN, 0.0) == (math.inf, OUTSIDE_SIGN)
 
 
 def test_a_root_lost_to_rounding_is_at_the_entry():
-    t, last = crossing((0.0, 0.0, 1.0, 1e-17), OUTSIDE, 0.0)
-    assert (t, last) == (pytest.approx(0.0, abs=1e-8), SOLID)
+    t, last = crossing((0.0, 0.0, 1.0, 1e-17), OUTSIDE_SIGN, 0.0)
+    assert (t, last) == (pytest.approx(0.0, abs=1e-8), SOLID_SIGN)

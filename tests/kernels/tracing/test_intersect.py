@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from isogi_core.kernels.tracing import intersect
-from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN_SIDE
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, SOLID_SIGN, UNKNOWN_SIDE
 from tests.kernels.fields import cast_each, field_of
 from tests.scale import few
 
@@ -26,7 +26,7 @@ def trilinear(voxels, points):
 
 
 def test_a_cell_whose_corners_agree_has_only_a_lost_surface():
-    for level, side in ((0.0, OUTSIDE), (2.0, SOLID)):
+    for level, side in ((0.0, OUTSIDE_SIGN), (2.0, SOLID_SIGN)):
         voxels = np.full((2, 2, 2), level, np.float32)
         ray = ((0.2, 0.3, 0.4), (0.1, 0.2, 0.4), (10.0, 5.0, 2.5))
         place = ((voxels, 1.0), ray, (0, 0, 0), (0.5, 1.5))
@@ -63,7 +63,7 @@ def test_cast_against_dense_marching(kind):
     assert np.abs(at - iso).max() < 2e-8
     early = seen & (t < along[first] - 1e-9)
     assert early.mean() < 0.02, "grazing pairs between two steps are rare"
-    assert np.array_equal(came[hit] == SOLID, solid[hit, 0])
+    assert np.array_equal(came[hit] == SOLID_SIGN, solid[hit, 0])
     both = seen & ~early
     assert np.abs(t - bisect(voxels, iso, origins, ends, along[first], 1 / steps))[both].max() < 1e-8
 
@@ -105,9 +105,9 @@ def test_a_block_that_a_ray_only_touches_tells_no_side():
     voxels = np.zeros((17, 17, 17), np.float32)
     voxels[:8, :8, :8] = 1.0
     start, inwards = np.full((1, 3), 8.0), np.array([[-1.0, -2.0, -1.5]])
-    into, came = cast_each(field_of(voxels), 0.0, start, inwards, OUTSIDE)
-    assert (into[0], came[0]) == (pytest.approx(0.0, abs=1e-5), OUTSIDE)
-    out, _ = cast_each(field_of(voxels), 0.0, start + into[0] * inwards, inwards, SOLID)
+    into, came = cast_each(field_of(voxels), 0.0, start, inwards, OUTSIDE_SIGN)
+    assert (into[0], came[0]) == (pytest.approx(0.0, abs=1e-5), OUTSIDE_SIGN)
+    out, _ = cast_each(field_of(voxels), 0.0, start + into[0] * inwards, inwards, SOLID_SIGN)
     assert out[0] == math.inf
 
 

@@ -5,14 +5,14 @@ import itertools
 import numpy as np
 import pytest
 
-from isogi_core.kernels.tracing.macrocells import SIZE, macrocell_shape
+from isogi_core.kernels.tracing.macrocells import MACROCELL_SIDE, macrocell_shape
 from tests.kernels.fields import field_of
 
 
 def blocks(shape):
     """Index of each macrocell and the slices of the voxels that its cells touch, both faces included."""
     for index in np.ndindex(macrocell_shape(shape)):
-        yield index, tuple(slice(i * SIZE, i * SIZE + SIZE + 1) for i in index)
+        yield index, tuple(slice(i * MACROCELL_SIDE, i * MACROCELL_SIDE + MACROCELL_SIDE + 1) for i in index)
 
 
 @pytest.mark.parametrize("shape", [(2, 2, 2), (9, 9, 9), (10, 8, 17), (2, 30, 5), (18, 25, 16)])
@@ -27,7 +27,7 @@ def test_low_and_high_are_those_of_voxels_in_and_on_the_block(shape):
 @pytest.mark.parametrize("n", [2, 8, 9, 10, 16, 17, 18, 257])
 def test_every_cell_is_in_one_macrocell(n):
     blocks_along = macrocell_shape((n, n, n))[0]
-    assert (blocks_along - 1) * SIZE < n - 1 <= blocks_along * SIZE
+    assert (blocks_along - 1) * MACROCELL_SIDE < n - 1 <= blocks_along * MACROCELL_SIDE
 
 
 def test_a_hole_opens_the_macrocells_that_touch_it_and_no_other():

@@ -6,11 +6,19 @@ import numpy as np
 import pytest
 from numba import njit
 
-from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN_SIDE, cast
-from isogi_core.kernels.tracing.peels import LAYERS, MAX_SURFACES, MIN_RAY_SHARE, WALL, Peeled, Shells, peel_rays
-from isogi_core.kernels.tracing.sight import FACE, Sight
+from isogi_core.kernels.tracing.intersect import SOLID_SIGN, UNKNOWN_SIDE, cast
+from isogi_core.kernels.tracing.peels import (
+    FIRST_WALL_SIDE,
+    MAX_PEELED_LAYERS,
+    MAX_SURFACES,
+    MIN_RAY_SHARE,
+    Peeled,
+    Shells,
+    peel_rays,
+)
+from isogi_core.kernels.tracing.sight import WINDOW_FACE, Sight
 from isogi_core.kernels.tracing.vec import column, madd
-from isogi_core.kernels.tracing.walls import NOWHERE, nearest_wall
+from isogi_core.kernels.tracing.walls import NO_WALL, nearest_wall
 from tests.kernels.fields import cells_of, field_of
 from tests.kernels.rooms import X, Y, Z, room_of, wall
 from tests.kernels.transport.lighting import NOISY
@@ -62,10 +70,10 @@ def looked_up(field, p):
 
 def expected(field, window: np.ndarray, walls, d: np.ndarray) -> Met:
     """What a ray meets, (side, way, weight) each, and what is left of it."""
-    end, number = nearest_wall(walls, EYE, tuple(d), NOWHERE, math.inf)
+    end, number = nearest_wall(walls, EYE, tuple(d), NO_WALL, math.inf)
     found, left = expected_before(field, window, d, end)
-    if number != NOWHERE and left > 0.0:
-        return [*found, (WALL + int(number), end, left)], 0.0
+    if number != NO_WALL and left > 0.0:
+        return [*found, (FIRST_WALL_SIDE + int(number), end, left)], 0.0
     return found, left
 
 
@@ -78,16 +86,18 @@ def expected_before(
         return [], 1.0
     far = min(far, end)
     if near > 0.0 and looked_up(field, np.array(EYE) + near * d) > LEVELS[0]:
-        return [(int(FACE), near, 1.0)], 0.0
+        return [(int(WINDOW_FACE), near, 1.0)], 0.0
     ways = [
-        (t, 2 * k + (came == SOLID))
+        (t, 2 * k + (came == SOLID_SIGN))
         for k, level in enumerate(LEVELS)
         for t, came in crossings(field, level, EYE, tuple(d), near, far)
     ]
     left, found = 1.0, []
     for t, side in sorted(ways):
         clear = CLEARS[side // 2]
-        if left > 0.0 and (len(found) < LAYERS - 1 or (len(found) == LAYERS - 1 and clear == 0.0)):
+        if left > 0.0 and (
+            len(found) < MAX_PEELED_LAYERS - 1 or (len(found) == MAX_PEELED_LAYERS - 1 and clear == 0.0)
+        ):
             found.append((side, t, left * (1.0 - clear)))
             left = left * clear if left * clear >= MIN_RAY_SHARE else 0.0
     return found, left
@@ -101,7 +111,11 @@ def test_rays_meet_what_one_ray_at_a_time_meets(window: np.ndarray, walls: list)
     shells = Shells(field, (*maps, *[maps[0]] * (MAX_SURFACES - 3)), np.array(LEVELS), np.array(CLEARS))
     x, z = np.meshgrid(np.linspace(-0.24, 0.24, side), np.linspace(-0.24, 0.24, side))
     directions = np.ascontiguousarray([x.ravel(), np.ones(x.size), z.ravel()])
-    room, left, sight = (LAYERS + 1) * x.size, np.empty(x.size), Sight(room_of(walls, field.spacing).walls, window)
+    room, left, sight = (
+        (MAX_PEELED_LAYERS + 1) * x.size,
+        np.empty(x.size),
+        Sight(room_of(walls, field.spacing).walls, window),
+    )
     bytes_of = np.empty((2, room), np.int8)
     peeled = Peeled(np.empty(room, np.uint32), np.empty((room, 3), np.float32), *bytes_of, np.empty(room, np.float32))
     count = peel_rays(shells, sight, EYE, directions, peeled, left)

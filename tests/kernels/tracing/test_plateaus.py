@@ -5,8 +5,8 @@ import collections
 import numpy as np
 import pytest
 
-from isogi_core.kernels.tracing.field import OFFSET
-from isogi_core.kernels.tracing.plateaus import BEHIND, EDGE, FLAT
+from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
+from isogi_core.kernels.tracing.plateaus import BEHIND_VOXELS, EDGE_SHARE, FLAT_SHARE
 from isogi_core.kernels.transport.transfer import locate_texels
 from tests.kernels.fields import field_of
 from tests.kernels.interpolation import search, smoothed, values
@@ -34,20 +34,20 @@ def about(voxels, p):
 def lifted(voxels, points, normals):
     """Values an OFFSET above points (m, 3) along their normals in index space, of any length."""
     with np.errstate(invalid="ignore"):
-        return values(voxels, points + OFFSET * normals / np.linalg.norm(normals, axis=1, keepdims=True))
+        return values(voxels, points + RAY_OFFSET_VOXELS * normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
 def expected(voxels, p):
     """What becomes of a texel at `p`: "own", "kept", "void" or "moved", its isovalue, and the stride that it is in."""
     block, own = about(voxels, p), values(voxels, p[None])[0]
     low, high = np.nanmin(block), np.nanmax(block)
-    edge, level = EDGE * (high - low), (low + high) / 2
-    if low + edge < own < high - edge or (abs(block - own) <= edge).mean() < FLAT:
+    edge, level = EDGE_SHARE * (high - low), (low + high) / 2
+    if low + edge < own < high - edge or (abs(block - own) <= edge).mean() < FLAT_SHARE:
         return "own", own, None
     uphill = smoothed(voxels, p)
     down = uphill / np.linalg.norm(uphill) * (-1.0 if own > level else 1.0)
     found = search(voxels, p, down, level)
-    behind = AROUND[AROUND @ down < BEHIND]
+    behind = AROUND[AROUND @ down < BEHIND_VOXELS]
     if own > level and (found is None or (values(voxels, p + behind) <= level).any()):
         return "void", own, None
     return ("kept", own, None) if found is None else ("moved", level, found)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.tracing.active_cells import block_ranges, brick_shape, make_active_cells, number_bricks
-from isogi_core.kernels.tracing.skips import BITS, LONGEST_SKIP
+from isogi_core.kernels.tracing.skips import LONGEST_SKIP, SKIP_BITS
 
 
 def largest_cubes(marked: np.ndarray) -> np.ndarray:
@@ -26,7 +26,7 @@ def check(tops: np.ndarray, marked: np.ndarray) -> None:
     """Each empty brick has its skip, in each octant."""
     for octant in range(8):
         turned = tuple(slice(None, None, -1 if octant >> axis & 1 else 1) for axis in (2, 1, 0))
-        skips = (tops.reshape(marked.shape) >> (BITS * octant)) & LONGEST_SKIP
+        skips = (tops.reshape(marked.shape) >> (SKIP_BITS * octant)) & LONGEST_SKIP
         assert np.array_equal(skips[~marked], largest_cubes(marked[turned])[turned][~marked])
 
 

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.tracing.field import normal
-from isogi_core.kernels.tracing.plateaus import EDGE, FLAT
+from isogi_core.kernels.tracing.plateaus import EDGE_SHARE, FLAT_SHARE
 from isogi_core.kernels.tracing.stiffness import (
-    CELLS,
-    COHERENT,
+    CELLS_ROW,
     COUNTED_ROWS,
-    FACES,
-    HOLED,
-    NOISY,
-    PLATEAU,
-    STEEP,
+    FACES_ROW,
+    HOLED_ROW,
+    MIN_MEAN_NORMAL,
+    NOISY_ROW,
+    PLATEAU_ROW,
     STEEP_CORNERS,
+    STEEP_ROW,
     count_stiffness,
 )
 from tests.kernels.fields import field_of
@@ -56,16 +56,16 @@ def told(field, level, place):
         at = tuple(np.add(place, offset))
         around = block(voxels, at, 1, 1)
         low, high = np.nanmin(around), np.nanmax(around)
-        near, own = EDGE * (np.float64(high) - np.float64(low)), np.float64(voxels[at])
-        edges += bool(not low + near < own < high - near and (np.abs(around - own) <= near).mean() >= FLAT)
+        near, own = EDGE_SHARE * (np.float64(high) - np.float64(low)), np.float64(voxels[at])
+        edges += bool(not low + near < own < high - near and (np.abs(around - own) <= near).mean() >= FLAT_SHARE)
         hole |= bool(np.isnan(around).any())
         n = normal(field, tuple(float(a) for a in at[::-1]))
         void |= n == (0.0, 0.0, 0.0)
         normals += [n] if n != (0.0, 0.0, 0.0) else []
-    straying = np.linalg.norm(np.sum(normals, axis=0)) / len(normals) < COHERENT if normals else True
-    kinds = {STEEP: edges >= STEEP_CORNERS, NOISY: straying, HOLED: hole}
-    kinds[PLATEAU] = void or np.count_nonzero(corners == level) >= STEEP_CORNERS
-    return {CELLS} | {row for row, is_so in kinds.items() if is_so} | faces(corners, level, place, voxels.shape)
+    straying = np.linalg.norm(np.sum(normals, axis=0)) / len(normals) < MIN_MEAN_NORMAL if normals else True
+    kinds = {STEEP_ROW: edges >= STEEP_CORNERS, NOISY_ROW: straying, HOLED_ROW: hole}
+    kinds[PLATEAU_ROW] = void or np.count_nonzero(corners == level) >= STEEP_CORNERS
+    return {CELLS_ROW} | {row for row, is_so in kinds.items() if is_so} | faces(corners, level, place, voxels.shape)
 
 
 def faces(corners, level, place, shape):
@@ -76,7 +76,7 @@ def faces(corners, level, place, shape):
         for side in (0, 1):
             on = corners.take(side, along)
             if place[along] == (shape[along] - 2 if side else 0) and on.min() <= level < on.max():
-                met.add(FACES + 2 * axis + side)
+                met.add(FACES_ROW + 2 * axis + side)
     return met
 
 
@@ -103,5 +103,5 @@ def test_values_that_pass_the_range_of_floats_are_counted():
     voxels = np.full((4, 4, 4), largest, np.float32)
     voxels[:2] = -largest
     counts = counted(field_of(voxels), [0.0, 0.5])
-    assert counts[CELLS].tolist() == [9, 9]
-    assert counts[FACES:].sum(axis=1).tolist() == [6, 6, 6, 6, 0, 0]
+    assert counts[CELLS_ROW].tolist() == [9, 9]
+    assert counts[FACES_ROW:].sum(axis=1).tolist() == [6, 6, 6, 6, 0, 0]

@@ -8,7 +8,7 @@ from numba import njit
 from isogi_core.kernels.tracing.camera import Pinhole
 from isogi_core.kernels.tracing.sight import Sight, trace_pixels_in_sight
 from isogi_core.kernels.tracing.vec import column
-from isogi_core.kernels.tracing.walls import NOWHERE, meet_walls, nearest_wall
+from isogi_core.kernels.tracing.walls import NO_WALL, meet_walls, nearest_wall
 from tests.kernels.fields import field_of, surface_of
 from tests.kernels.rooms import X, Y, box, room_of, wall
 from tests.scale import few
@@ -43,8 +43,8 @@ def test_lanes_meet_the_walls_that_numbers_do() -> None:
         each(walls, origins, directions, own, t, met)
         found.append((t, met))
     np.testing.assert_array_equal(found[0], found[1])
-    assert set(found[0][1]) == {NOWHERE, *range(7)}
-    assert not (found[0][1] == own)[own != NOWHERE].any()
+    assert set(found[0][1]) == {NO_WALL, *range(7)}
+    assert not (found[0][1] == own)[own != NO_WALL].any()
 
 
 def test_the_camera_looks_through_backs_that_are_dark() -> None:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, NO_LAMPS, POINT, LampArrays
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
@@ -66,7 +66,7 @@ def halves_of(place):
     texels, *others = place
     seeds = [texel_seed(*texel, half) for texel in texels.tolist() for half in range(2)]
     both = (np.repeat(each, 2, axis=-1) for each in others)
-    return RoomStarts(*both, np.array(seeds, np.uint64), np.full(len(seeds), NOWHERE))
+    return RoomStarts(*both, np.array(seeds, np.uint64), np.full(len(seeds), NO_WALL))
 
 
 def on_ball(count, seed=3):

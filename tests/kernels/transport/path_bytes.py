@@ -13,11 +13,11 @@ import numpy as np
 
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.local_models import trace_points
-from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.coloured_transfer import ColouredRules, bake_coloured_texels
 from isogi_core.kernels.transport.colours import colours_of
 from isogi_core.kernels.transport.glow_paths import glow_in_room
-from isogi_core.kernels.transport.matter.matter_paths import ALONG, INWARD, Through, light_through_matter
+from isogi_core.kernels.transport.matter.matter_paths import ALONG_RAY, INWARD, Through, light_through_matter
 from isogi_core.kernels.transport.paths import PathRules, SampleRange, TransferRules
 from isogi_core.kernels.transport.room_paths import InRoom, RoomStarts, light_in_room
 from isogi_core.kernels.transport.strays import Confines, find_strays
@@ -123,10 +123,10 @@ def in_rooms() -> Sums:
         ones = PathRules(np.full((given[0] + 1, 3), 0.8), given[1])
         for light, around in LIGHTS.items():
             sums = np.zeros((9, 3))
-            light_in_room(InRoom(FIELD, CELLS, room), starts_on(NOWHERE), SAMPLES, ones, around, sums)
+            light_in_room(InRoom(FIELD, CELLS, room), starts_on(NO_WALL), SAMPLES, ones, around, sums)
             yield f"room {name} {rules} {light}", sums
         dark, sums = room._replace(radiances=np.zeros_like(room.radiances)), np.zeros((9, 6))
-        glow_in_room(InRoom(FIELD, CELLS, dark), starts_on(NOWHERE), SAMPLES, ones, GLOWS, sums)
+        glow_in_room(InRoom(FIELD, CELLS, dark), starts_on(NO_WALL), SAMPLES, ones, GLOWS, sums)
         yield f"glow {name} {rules}", sums
 
 
@@ -138,11 +138,11 @@ def among_surfaces() -> Sums:
         several = among(FIELD, 0.0, [3.0, -4.0], [0.5, (0.6, 0.4, 0.2), 0.7], [0.25, 0.0, 0.5], through, walls)
         for light, around in LIGHTS.items():
             sums = np.zeros((9, 3))
-            light_among_surfaces(several, starts_on(NOWHERE), SAMPLES, ones, around, sums)
+            light_among_surfaces(several, starts_on(NO_WALL), SAMPLES, ones, around, sums)
             yield f"several {len(walls)} {name} {light}", sums
         dark = several.room._replace(radiances=np.zeros_like(several.room.radiances))
         sums = np.zeros((9, 6))
-        glow_among_surfaces(several._replace(room=dark), starts_on(NOWHERE), SAMPLES, ones, GLOWS, sums)
+        glow_among_surfaces(several._replace(room=dark), starts_on(NO_WALL), SAMPLES, ones, GLOWS, sums)
         yield f"glow among {len(walls)} {name}", sums
 
 
@@ -153,7 +153,7 @@ def through_matter() -> Sums:
         ones = PathRules(np.full((given[0] + 1, 3), 0.8), given[1])
         for light, around in LIGHTS.items():
             sums = np.zeros((9, 3))
-            starts = starts_on(INWARD, ALONG, NOWHERE)
+            starts = starts_on(INWARD, ALONG_RAY, NO_WALL)
             light_through_matter(Through(FIELD, CELLS, *each), starts, FEW, ones, around, sums)
             yield f"matter {name} {rules} {light}", sums
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.tracing.vec import column
-from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport import colours as module
 from isogi_core.kernels.transport.coloured_transfer import ColouredRules, bake_coloured_texels
 from isogi_core.kernels.transport.colours import fill_albedos, sample_layer, slope_layer
@@ -170,7 +170,7 @@ def test_a_path_takes_the_colours_of_what_it_hits(texels: np.ndarray, survival: 
     tree, expected = PathTree(BOUNCES, survival, branches), np.zeros((len(starts.isovalues), 3))
     for i, sample, branch in np.ndindex(len(expected), COUNT, branches):
         p, n = column(starts.points, i), column(starts.normals, i)
-        start = Start(p, n, starts.isovalues[i], NOWHERE, starts.seeds[i], 3 + sample)
+        start = Start(p, n, starts.isovalues[i], NO_WALL, starts.seeds[i], 3 + sample)
         path = trace(world, (DARK, NO_GLOWS), start, tree, branch, np.ones(3), EVERYWHERE)
         expected[i] += path.carried / branches if path.bounces > 0 else 0.0
     found = bake(some, colours, survival, branches)[:, :, 1:4, 0].reshape(-1, 3)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.tracing.glow import gather_from_eye
-from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.paths import SampleRange
 from tests.kernels.fields import field_of
 from tests.kernels.glows import ball, block, brute_force, gather_glow, glows_of
@@ -23,7 +23,7 @@ def test_glow_is_that_of_one_ray_at_a_time() -> None:
     """Two regions, one of them of some values only, beside a surface on a floor that reflects."""
     (samples,) = few((64,), (8,))
     points, normals = on_ball(5)
-    starts = [*points.T, [30.0, 12.0, -4.0]], [*normals.T, Z], [*[NOWHERE] * 5, 0]
+    starts = [*points.T, [30.0, 12.0, -4.0]], [*normals.T, Z], [*[NO_WALL] * 5, 0]
     glows = glows_of(ball([34.0, 20.0, 20.0], 6.0, high=-3.0), block([6.0, 20.0, 34.0], [2.0, 4.0, 3.0]))
     field, room = field_of(NOISY), room_of([wall((-400.0, -400.0, -4.0), 900.0 * X, 900.0 * Y, 0.5)], albedo=0.6)
     found = gather_glow(field, room, starts, glows, samples, 3, 0.7)
@@ -38,7 +38,7 @@ def test_a_floor_sees_a_glowing_ball_as_a_lambert_ball() -> None:
     (samples,) = few((4096,), (64,))
     centre, radius = np.array([20.0, 20.0, 12.0]), 3.0
     points = np.array([[20.0, 20.0, 0.0], [8.0, 20.0, 0.0], [39.0, 39.0, 0.0], [20.0, 16.0, 4.5]])
-    walls = [0, 0, 0, NOWHERE]
+    walls = [0, 0, 0, NO_WALL]
     found = gather_glow(RAMP, FLOOR, (points, [Z] * 4, walls), glows_of(ball(centre, radius)), samples)[:, 0, 1]
     away = centre - points
     away[3, 2] -= 0.3 * 5.0  # rays from the isosurface start above it
@@ -106,7 +106,7 @@ def test_what_is_behind_the_surface_is_not_lit() -> None:
     (samples,) = few((256,), (16,))
     points, normals = on_ball(64)
     glows = glows_of(ball([20.0, 20.0, 38.0], 2.0), ball([20.0, 20.0, 2.0], 2.0))
-    found = gather_glow(field_of(BALL), room_of([]), (points.T, normals.T, [NOWHERE] * 64), glows, samples)[..., 0]
+    found = gather_glow(field_of(BALL), room_of([]), (points.T, normals.T, [NO_WALL] * 64), glows, samples)[..., 0]
     above, below = normals[2] > 0.9, normals[2] < -0.9
     assert (found[above, 0] > 0.0).all() and (found[below, 0] == 0.0).all()
     assert (found[below, 1] > 0.0).all() and (found[above, 1] == 0.0).all()

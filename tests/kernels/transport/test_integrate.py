@@ -9,8 +9,8 @@ import pytest
 from isogi_core.files.nrrd import read_nrrd
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.local_models import find_normals, trace_points
-from isogi_core.kernels.tracing.field import OFFSET, to_index
-from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN_SIDE, launch, shading_normal
+from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS, to_index
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, SOLID_SIGN, UNKNOWN_SIDE, launch, shading_normal
 from isogi_core.kernels.transport import transfer
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, evaluate
 from isogi_core.kernels.transport.light_paths import Surroundings
@@ -88,7 +88,7 @@ def surface_points(field, iso, count, seed=1):
     away *= np.linalg.norm(size) / np.linalg.norm(away, axis=1, keepdims=True)
     origins = rng.random((count, 3)) * size + away
     t, came = cast_each(field, iso, origins, -away, UNKNOWN_SIDE)
-    hit = np.isfinite(t) & (came == OUTSIDE)
+    hit = np.isfinite(t) & (came == OUTSIDE_SIGN)
     return (origins - t[:, None] * away)[hit].astype(np.float32)
 
 
@@ -205,7 +205,7 @@ def test_nothing_leaves_a_closed_cavity(bounces):
     inward = np.random.default_rng(3).normal(size=(few(200, 3), 3))
     middle = np.full_like(inward, 24.0)
     t, came = cast_each(shell, 0.0, middle, inward, UNKNOWN_SIDE)
-    assert (came == OUTSIDE).all()
+    assert (came == OUTSIDE_SIGN).all()
     count = few(64, 2)
     light = trace(shell, 0.0, middle + t[:, None] * inward, 1.0, np.ones((bounces + 1, 3)), count)
     assert np.array_equal(light, np.zeros_like(light))
@@ -233,7 +233,7 @@ def test_cavity_with_an_opening_is_an_integrating_sphere(a, cosine):
     origins = np.full_like(outward, middle)
     t, came = cast_each(cavity, 0.0, origins, outward, UNKNOWN_SIDE)
     closed = np.isfinite(t)
-    assert (came[closed] == OUTSIDE).all()
+    assert (came[closed] == OUTSIDE_SIGN).all()
     points, albedos = (origins + t[:, None] * outward)[closed], np.array([0.0, 0.5, 0.9])
     light = trace(cavity, 0.0, points, 1.0, albedo_powers(albedos, 300), 64).mean(axis=0)
     share = (1.0 - cosine) / 2.0
@@ -257,10 +257,10 @@ def test_about_turns_the_pole_to_the_normal_and_keeps_lengths():
 
 def test_shading_normal_looks_to_the_side_that_the_ray_came_from():
     ball, p, d = field_of(BALL), (40.0, 24.0, 24.0), (-2.0, 0.0, 0.0)
-    assert shading_normal(ball, p, OUTSIDE, d) == pytest.approx((1.0, 0.0, 0.0), abs=1e-6)
-    assert shading_normal(ball, p, SOLID, d) == pytest.approx((-1.0, 0.0, 0.0), abs=1e-6)
+    assert shading_normal(ball, p, OUTSIDE_SIGN, d) == pytest.approx((1.0, 0.0, 0.0), abs=1e-6)
+    assert shading_normal(ball, p, SOLID_SIGN, d) == pytest.approx((-1.0, 0.0, 0.0), abs=1e-6)
     flat = field_of(np.ones((5, 5, 5)))
-    assert shading_normal(flat, (2.0, 2.0, 2.0), OUTSIDE, d) == (1.0, 0.0, 0.0)
+    assert shading_normal(flat, (2.0, 2.0, 2.0), OUTSIDE_SIGN, d) == (1.0, 0.0, 0.0)
 
 
 def test_to_index_divides_by_the_spacing():
@@ -272,11 +272,11 @@ def test_every_texel_and_half_has_a_sequence_of_its_own():
     assert len(seeds) == 2 * 9**3
 
 
-@pytest.mark.parametrize("offset", [OFFSET, 0.0, 1.5])
+@pytest.mark.parametrize("offset", [RAY_OFFSET_VOXELS, 0.0, 1.5])
 def test_launch_is_as_many_voxels_whatever_the_spacing(offset):
     field = field_of(slope((0, 0, 1)), (0.1, 1.0, 25.0))._replace(offset=offset)
     for n in ((0.0, 0.0, 1.0), (0.6, 0.0, 0.8)):
-        start = np.array(launch(field, 0.0, (24.0, 24.0, 24.0), n, OUTSIDE))
+        start = np.array(launch(field, 0.0, (24.0, 24.0, 24.0), n, OUTSIDE_SIGN))
         assert np.linalg.norm(start - 24.0) == pytest.approx(offset)
 
 
@@ -375,10 +375,10 @@ def test_texels_on_a_plateaus_edge_agree_between_voxels(level):
     assert sums.min() * FACTOR == pytest.approx(8.0)
 
 
-@pytest.mark.parametrize("side", [OUTSIDE, SOLID])
+@pytest.mark.parametrize("side", [OUTSIDE_SIGN, SOLID_SIGN])
 def test_launch_lifts_off_and_stays_where_there_is_no_room(side):
     ball = field_of(SMALL_BALL)
-    inwards = -1.0 if side == SOLID else 1.0
+    inwards = -1.0 if side == SOLID_SIGN else 1.0
     start = launch(ball, 0.0, (32.0, 20.0, 20.0), (inwards, 0.0, 0.0), side)
     assert start == pytest.approx((32.0 + 0.3 * inwards, 20.0, 20.0))
     assert launch(ball, 0.0, (32.0, 20.0, 20.0), (-inwards, 0.0, 0.0), side) == (32.0, 20.0, 20.0)

@@ -7,13 +7,13 @@ import pytest
 
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.local_models import trace_points
-from isogi_core.kernels.tracing.field import OFFSET
-from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
+from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, POINT
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.rng import mix
 from isogi_core.kernels.transport.room_paths import RoomStarts
-from isogi_core.kernels.transport.wavefront import WAVE
+from isogi_core.kernels.transport.wavefront import WAVE_PATHS
 from isogi_core.model.environment import cumulative
 from isogi_core.model.latlong import pixel_directions, solid_angles
 from tests.kernels.fields import field_of, surface_of
@@ -54,7 +54,7 @@ def test_waves_gather_what_paths_one_by_one_do(name, spacing):
     assert (paths > 0.0).mean() > 0.2
 
 
-@pytest.mark.parametrize(("count", "points"), [(3, 300), (WAVE // 2 + 5, 2)])
+@pytest.mark.parametrize(("count", "points"), [(3, 300), (WAVE_PATHS // 2 + 5, 2)])
 def test_points_are_traced_by_the_paths_one_by_one(count, points):
     """To the last bit of their sums, also where one point alone has more paths than a wave."""
     if PYTHON:
@@ -67,7 +67,7 @@ def test_points_are_traced_by_the_paths_one_by_one(count, points):
     trace_points(surface_of(field, 0.0), place, light, PathRules(weights, 1.0), 0, samples, sums[0])
     seeds = np.array([mix(pixel, half) for pixel in pixels.tolist() for half in range(2)], np.uint64)
     here, around = (np.repeat(each.T.astype(float), 2, axis=1) for each in (points, normals))
-    starts = RoomStarts(here, around, np.zeros(len(seeds)), seeds, np.full(len(seeds), NOWHERE))
+    starts = RoomStarts(here, around, np.zeros(len(seeds)), seeds, np.full(len(seeds), NO_WALL))
     paths = gathered(one_surface(field, albedo=0.7), starts, samples, 3, light, weight=0.7)[:, :, 0]
     for sample in paths.reshape(len(points), 2, count, 3).transpose(2, 0, 1, 3):
         sums[1] += sample
@@ -127,7 +127,7 @@ def test_a_directional_lamp_over_a_plane(degrees, angle):
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 2.0, 3.0)])
 def test_a_point_lamp_over_a_plane_and_under_it(spacing):
     """I cosθ/(π r²), above where rays start; a lamp below the plane is behind it."""
-    start = (np.array([20.0, 20.0, 20.0 + OFFSET])) * spacing
+    start = (np.array([20.0, 20.0, 20.0 + RAY_OFFSET_VOXELS])) * spacing
     for away in np.array([(0.0, 0.0, 6.0), (4.0, -3.0, 5.0), (4.0, 3.0, -5.0)]):
         light = surroundings(lamps=lamps((POINT, start + away, None, (1.0, 2.0, 3.0))))
         found = gather(field_of(PLANE, spacing), place_at(MIDDLE, UP), light, np.ones((1, 3)), 1)[0, 0]
@@ -148,7 +148,7 @@ def test_a_lamp_is_hidden_by_what_is_nearer_only():
 @pytest.mark.parametrize(("a", "b", "h"), [(4.0, 7.0, 5.0), (12.0, 12.0, 3.0)])
 def test_a_rectangle_over_its_corner_has_its_form_factor(a, b, h):
     """E/π = L F of a parallel rectangle with a corner above the point (Howell's catalogue, C-11); its back is dark."""
-    corner = np.array([20.0, 20.0, 20.0 + OFFSET + h])
+    corner = np.array([20.0, 20.0, 20.0 + RAY_OFFSET_VOXELS + h])
     s, t = math.hypot(a, h), math.hypot(b, h)
     form = (a / s * math.atan(b / s) + b / t * math.atan(a / t)) / (2.0 * math.pi)
     edges = np.array([(0.0, b, 0.0), (a, 0.0, 0.0)])
@@ -169,7 +169,7 @@ def test_a_lamp_in_a_hollow_ball(bounces):
     weights = albedo ** np.arange(bounces + 1.0)[:, None]
     light = surroundings(lamps=lamps((POINT, (20.0, 20.0, 20.0), None, (1.0, 1.0, 1.0))))
     found = gather(field_of(SHELL), place_at(20.0 - 13.0 * inward, inward), light, weights, 32).mean(axis=(0, 1))
-    np.testing.assert_allclose(found * (13.0 - OFFSET) ** 2, weights.sum(axis=0), rtol=0.02)
+    np.testing.assert_allclose(found * (13.0 - RAY_OFFSET_VOXELS) ** 2, weights.sum(axis=0), rtol=0.02)
 
 
 # --- statistics ----------------------------------------------------------------------------------------------------

@@ -7,8 +7,8 @@ import pytest
 from numba import njit
 
 from isogi_core.kernels.transport.microfacets import (
-    GRAZING,
-    NODES,
+    ENERGY_STEPS,
+    MIN_VIEW_COSINE,
     ShineLobe,
     energy_at,
     fill_energy,
@@ -72,7 +72,7 @@ def tables():
     """The table of energy of each of ALPHAS."""
     found = {}
     for alpha in ALPHAS:
-        found[alpha] = np.empty((NODES + 1, 2))
+        found[alpha] = np.empty((ENERGY_STEPS + 1, 2))
         fill_energy(alpha, found[alpha])
     return found
 
@@ -87,7 +87,7 @@ def test_no_lobe_mirrors_more_than_arrives(tables):
     for table in tables.values():
         assert (table >= 0.0).all()
         assert table.sum(axis=1).max() <= 1.0 + 1e-9
-    assert tables[0.01][NODES].sum() > 0.995
+    assert tables[0.01][ENERGY_STEPS].sum() > 0.995
 
 
 @pytest.mark.parametrize("alpha", ALPHAS)
@@ -131,7 +131,7 @@ def test_a_smooth_lobe_is_a_mirror():
 def test_a_coat_leaves_what_it_does_not_mirror(tables):
     facing = (0.04, 0.2, 0.9)
     lobe = ShineLobe(0.09, facing, 0.8, False, 0.0, tables[0.09])
-    for cosine in (GRAZING, 0.3, 1.0):
+    for cosine in (MIN_VIEW_COSINE, 0.3, 1.0):
         a, b = energy_at(tables[0.09], cosine)
         np.testing.assert_allclose(light_below(lobe, cosine), [1.0 - 0.8 * (each * a + b) for each in facing])
     assert light_below(lobe._replace(metal=True), 0.3) == pytest.approx((0.2, 0.2, 0.2))

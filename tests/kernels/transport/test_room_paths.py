@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.colours import NO_COLOURS, colours_of
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.room_paths import InRoom, light_in_room
@@ -36,7 +36,7 @@ def test_paths_in_rooms_are_those_of_one_ray_at_a_time(light: str, coloured: boo
     walls.append(wall((-3.0, 0.0, 0.0), 40.0 * Y, 80.0 * Z, 0.9, 0.5, twofold=True))
     room = room_of(walls, field.spacing, 0.5, colours if coloured else NO_COLOURS)
     points, normals = on_ball(5)
-    starts = [*(points.T * field.spacing), (11.0, 15.0, -2.0)], [*normals.T, Z], [*[NOWHERE] * 5, 0.0]
+    starts = [*(points.T * field.spacing), (11.0, 15.0, -2.0)], [*normals.T, Z], [*[NO_WALL] * 5, 0.0]
     found = gather(field, room, starts, samples, 3, LIGHTS[light], survival=0.7)
     given = starts_in(field, *starts), SampleRange(0, samples), 3, LIGHTS[light]
     expected = gathered(one_surface(field, 0.0, 0.5, room), *given, survival=0.7)[:, :, 0].mean(axis=1)
@@ -60,7 +60,7 @@ def test_a_glowing_room_lights_a_ball_in_it_evenly() -> None:
     (samples,) = few((2048,), (16,))
     room = room_of([(corner - 30.0, *rest) for corner, *rest in box(100.0, 0.0, 3.0)])
     points, normals = on_ball(8)
-    found = gather(field_of(BALL), room, (points.T, normals.T, [NOWHERE] * 8), samples)
+    found = gather(field_of(BALL), room, (points.T, normals.T, [NO_WALL] * 8), samples)
     np.testing.assert_allclose(found, 3.0, rtol=1e-3)
 
 
@@ -89,7 +89,7 @@ def test_what_stands_before_a_lamp_shadows_it() -> None:
     lamp = wall((10.0, 10.0, 30.0), 8.0 * Y, 8.0 * X, radiance=5.0)
     screen = wall((5.0, 5.0, 20.0), 18.0 * X, 18.0 * Y)
     room = room_of([wall((0.0, 0.0, 0.0), 40.0 * X, 40.0 * Y), lamp, screen])
-    starts = [(14.0, 14.0, 0.0), (39.0, 39.0, 0.0), (14.0, 14.0, 35.0)], [Z, Z, -Z], [0, 0, NOWHERE]
+    starts = [(14.0, 14.0, 0.0), (39.0, 39.0, 0.0), (14.0, 14.0, 35.0)], [Z, Z, -Z], [0, 0, NO_WALL]
     dark, beside, behind = gather(EMPTY, room, starts, samples)[:, 0]
     assert dark == 0.0
     assert beside > 0.0

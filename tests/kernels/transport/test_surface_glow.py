@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.surface_glow import glow_among_surfaces
 from tests.kernels.fields import field_of
@@ -30,7 +30,7 @@ def test_about_one_opaque_surface_paths_are_those_of_a_room() -> None:
     """The very numbers, of two regions, with a floor that reflects."""
     (samples,) = few((64,), (8,))
     points, normals = on_ball(5)
-    starts = [*points.T, [30.0, 12.0, -4.0]], [*normals.T, Z], [*[NOWHERE] * 5, 0]
+    starts = [*points.T, [30.0, 12.0, -4.0]], [*normals.T, Z], [*[NO_WALL] * 5, 0]
     glows, field = glows_of(ball([34.0, 20.0, 20.0], 3.0), block([6.0, 20.0, 34.0], [2.0, 4.0, 3.0])), field_of(NOISY)
     found = gather(among(field, 0.0, [], [0.6], [0.0], walls=[FLOOR]), starts, glows, samples, 3, 0.7)
     expected = gather_glow(field, room_of([FLOOR], albedo=0.6), starts, glows, samples, 3, 0.7)
@@ -41,7 +41,7 @@ def test_about_one_opaque_surface_paths_are_those_of_a_room() -> None:
 def test_glow_among_surfaces_is_that_of_one_ray_at_a_time() -> None:
     (samples,) = few((64,), (8,))
     points, normals = on_ball(5)
-    starts = [*points.T, [30.0, 12.0, -4.0]], [*normals.T, Z], [*[NOWHERE] * 5, 0]
+    starts = [*points.T, [30.0, 12.0, -4.0]], [*normals.T, Z], [*[NO_WALL] * 5, 0]
     glows, thin = glows_of(ball(MIDDLE, 4.0), block([6.0, 20.0, 34.0], [2.0, 4.0, 3.0])), [(0.1, 0.2, 0.3), 0.2]
     scene = among(field_of(NOISY), 0.0, [3.5], [0.5, 0.7], [0.3, 0.6], thin, [FLOOR])
     found = gather(scene, starts, glows, samples, 3, 0.7)
@@ -68,6 +68,6 @@ def test_what_glows_in_a_closed_sheet_lights_it_from_inside() -> None:
     (samples,) = few((1024,), (64,))
     field, (points, normals) = field_of(BALL), on_ball(6)
     sheet = among(field, 0.0, [], [0.2], [0.0], [0.6])
-    found = gather(sheet, (points.T, normals.T, [NOWHERE] * 6), glows_of(ball(MIDDLE, 4.0)), samples)
+    found = gather(sheet, (points.T, normals.T, [NO_WALL] * 6), glows_of(ball(MIDDLE, 4.0)), samples)
     inside = 12.0 - 0.3  # rays start so far from the sheet
     np.testing.assert_allclose(found.mean(), 0.75 * (4.0 / inside) ** 2, rtol=0.01 if samples > 64 else 0.3)

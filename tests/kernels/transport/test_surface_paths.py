@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.lights import DIRECTIONAL
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts
@@ -22,7 +22,7 @@ def starts_at(scene, points, normals, walls=None):
     points, normals = (np.ascontiguousarray(each, np.float64) for each in (points, normals))
     g = points.shape[1]
     levels, seeds = np.full(g, scene.surfaces.isovalues[0]), np.arange(1, g + 1, dtype=np.uint64)
-    return RoomStarts(points, normals, levels, seeds, np.array(walls or [NOWHERE] * g, float))
+    return RoomStarts(points, normals, levels, seeds, np.array(walls or [NO_WALL] * g, float))
 
 
 def gather(scene, starts, samples, bounces, light, walls=None, survival=1.0):
@@ -116,7 +116,7 @@ def test_one_opaque_surface_among_walls_is_that_of_a_room(light: str) -> None:
     walls = [wall((-20.0, -20.0, -2.0), 80.0 * X, 80.0 * Y, 0.6), lamp, wall((-3.0, 0.0, 0.0), 40.0 * Y, 40.0 * Z, 0.9)]
     points, normals = inner_ball(5)
     points, normals = np.column_stack([points, [21.0, 15.0, -2.0]]), np.column_stack([normals, Z])
-    own = [*[NOWHERE] * 5, 0.0]
+    own = [*[NO_WALL] * 5, 0.0]
     inside = among(field, 0.0, [], [0.5], [0.0], walls=walls)
     found = gather(inside, (points, normals), samples, 3, LIGHTS[light], own, survival=0.7)
     starts = (points * np.array(field.spacing)[:, None]).T, normals.T, own
@@ -133,7 +133,7 @@ def test_a_shell_that_loses_nothing_is_not_seen_in_a_room(albedo: float, clear: 
     shells = among(field_of(BALL), 0.0, [], [albedo], [clear], [through], walls)
     points, normals = on_ball(3)
     starts = np.column_stack([[20.0, 20.0, -30.0], [-30.0, 20.0, 20.0], points]), np.column_stack([Z, X, normals])
-    found = gather(shells, starts, samples, 60, sky(9.0), [4.0, 0.0, *[NOWHERE] * 3])
+    found = gather(shells, starts, samples, 60, sky(9.0), [4.0, 0.0, *[NO_WALL] * 3])
     np.testing.assert_allclose(found[:2].mean(), 2.0, rtol=0.005 if samples > 64 else 0.1)
     np.testing.assert_allclose(found[2:].mean(), 2.0, rtol=0.01 if samples > 64 else 0.2)
 

@@ -5,16 +5,16 @@ import collections
 import numpy as np
 import pytest
 
-from isogi_core.kernels.tracing.field import OFFSET
-from isogi_core.kernels.tracing.plateaus import FARTHEST, STRIDE
+from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
+from isogi_core.kernels.tracing.plateaus import MAX_SHIFT_VOXELS, STEP_VOXELS
 from isogi_core.kernels.transport.texel_points import (
-    ASTRAY,
-    HEMMED,
-    NOWHERE,
+    MAX_BACKTRACK,
+    NO_SURFACE,
+    NORMAL_TURNED,
     OTHER_SHEET,
-    PROJECTED,
+    TEXEL_HEMMED,
+    TEXEL_PROJECTED,
     TOO_FAR,
-    TURNED,
     measure_distances,
     project_texels,
 )
@@ -40,7 +40,7 @@ def outward(voxels, p, spacing):
 def expected(voxels, level, p, spacing):
     """What becomes of a texel at `p`: verdict, and the stride of its way that the level is crossed in."""
     if np.abs(smoothed(voxels, p)).max() < 1e-9:
-        return NOWHERE, None
+        return NO_SURFACE, None
     own, n = values(voxels, p[None])[0], outward(voxels, p, spacing)
     down = n * spacing * (1.0 if own > level else -1.0)
     down /= np.linalg.norm(down)
@@ -48,16 +48,16 @@ def expected(voxels, level, p, spacing):
     if within is None:
         return TOO_FAR, None
     reach = np.linalg.norm(within[1] - p)
-    away = np.abs(values(voxels, p + np.arange(0.0, reach - 1e-9, STRIDE)[:, None] * down) - level)
+    away = np.abs(values(voxels, p + np.arange(0.0, reach - 1e-9, STEP_VOXELS)[:, None] * down) - level)
     there = within.mean(axis=0)
     m = outward(voxels, there, spacing)
-    if (away - np.minimum.accumulate(away)).max() > ASTRAY * abs(own - level):
+    if (away - np.minimum.accumulate(away)).max() > MAX_BACKTRACK * abs(own - level):
         return OTHER_SHEET, within
     if n @ m <= 0.0:
-        return TURNED, within
+        return NORMAL_TURNED, within
     up = m / spacing
-    above = values(voxels, there[None] + OFFSET * up / np.linalg.norm(up))[0]
-    return (HEMMED if above > level else PROJECTED), within
+    above = values(voxels, there[None] + RAY_OFFSET_VOXELS * up / np.linalg.norm(up))[0]
+    return (TEXEL_HEMMED if above > level else TEXEL_PROJECTED), within
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 1.0, 4.0)])
@@ -73,8 +73,8 @@ def test_texels_go_where_a_search_in_numpy_finds_them(step, spacing):
         kinds[kind] += 1
         if kind != verdicts[m]:  # the middle of a stride stands for the crossing there
             unlike += 1
-            assert {kind, int(verdicts[m])} <= {PROJECTED, TURNED, HEMMED, OTHER_SHEET}
-        elif kind == PROJECTED:
+            assert {kind, int(verdicts[m])} <= {TEXEL_PROJECTED, NORMAL_TURNED, TEXEL_HEMMED, OTHER_SHEET}
+        elif kind == TEXEL_PROJECTED:
             inside = np.clip(within, 0.0, 8.0)
             assert (points[m] >= inside.min(axis=0) - 1e-9).all() and (points[m] <= inside.max(axis=0) + 1e-9).all()
             assert values(voxels, points[None, m])[0] == pytest.approx(level)
@@ -82,7 +82,9 @@ def test_texels_go_where_a_search_in_numpy_finds_them(step, spacing):
         else:
             np.testing.assert_array_equal(points[m], p)
     assert unlike <= 0.05 * len(texels)
-    assert kinds.keys() >= {PROJECTED, TOO_FAR, OTHER_SHEET, TURNED} | ({HEMMED} if step == 1.0 else set()), kinds
+    assert kinds.keys() >= {TEXEL_PROJECTED, TOO_FAR, OTHER_SHEET, NORMAL_TURNED} | (
+        {TEXEL_HEMMED} if step == 1.0 else set()
+    ), kinds
 
 
 @pytest.mark.parametrize("level", [-0.7, 0.0, 0.7])
@@ -91,7 +93,7 @@ def test_texels_about_a_ball_go_to_the_isosurface_that_is_shown(level):
     depth = 10.0 - np.sqrt(x * x + y * y + z * z)
     texels = np.argwhere(np.abs(depth - level) < 1.3)
     points, normals, verdicts = projected(depth, level, texels)
-    assert (verdicts == PROJECTED).all()
+    assert (verdicts == TEXEL_PROJECTED).all()
     away = points - 15.0
     size = np.linalg.norm(away, axis=1)
     np.testing.assert_allclose(size, 10.0 - level, atol=0.05)
@@ -104,14 +106,14 @@ def test_a_surface_farther_than_texels_go_is_out_of_reach():
     height = np.broadcast_to(np.arange(12.0)[:, None, None], (12, 6, 6))
     texels = [[z, 3, 3] for z in range(12)]
     points, _, verdicts = projected(height, 5.2, texels)
-    near = np.abs(np.arange(12) - 5.2) <= FARTHEST
-    assert np.array_equal(verdicts == PROJECTED, near) and (verdicts[~near] == TOO_FAR).all()
+    near = np.abs(np.arange(12) - 5.2) <= MAX_SHIFT_VOXELS
+    assert np.array_equal(verdicts == TEXEL_PROJECTED, near) and (verdicts[~near] == TOO_FAR).all()
     np.testing.assert_allclose(points[near, 2], 5.2)
 
 
 def test_a_dip_on_the_way_tells_of_another_sheet_if_it_is_deep():
     profile = np.array([0.0, 0.0, 0.0, 4.0, 4.0, 8.0, 8.0, 8.0, 8.0])
-    for dip, wanted in ((0.04, PROJECTED), (1.5, OTHER_SHEET)):
+    for dip, wanted in ((0.04, TEXEL_PROJECTED), (1.5, OTHER_SHEET)):
         heights = profile.copy()
         heights[4] -= dip
         field = np.broadcast_to(heights[:, None, None], (9, 5, 5))
@@ -124,7 +126,7 @@ def test_flat_places_and_holes_have_no_way():
     voxels[6:] = 1.0
     voxels[4, 4, 4] = np.nan
     _, _, verdicts = projected(voxels, 0.5, [[1, 1, 1], [4, 4, 4], [5, 1, 1]])
-    assert verdicts.tolist() == [NOWHERE, NOWHERE, PROJECTED]
+    assert verdicts.tolist() == [NO_SURFACE, NO_SURFACE, TEXEL_PROJECTED]
 
 
 def test_ways_are_estimated_to_first_order():

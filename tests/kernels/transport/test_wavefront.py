@@ -7,9 +7,9 @@ from numba import njit
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import Light
-from isogi_core.kernels.tracing.field import OFFSET
+from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
 from isogi_core.kernels.tracing.vec import column
-from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.harmonics import accumulate
 from isogi_core.kernels.transport.paths import PathTree, SampleRange, TransferRules
 from isogi_core.kernels.transport.strays import Confines, find_strays
@@ -39,7 +39,7 @@ def one_by_one(world, starts, samples, tree, sums):
         p, n, level, seed = column(starts.points, i), column(starts.normals, i), starts.isovalues[i], starts.seeds[i]
         for sample in range(samples.first, samples.first + samples.count):
             for branch in range(tree.branches):
-                start = Start(p, n, level, NOWHERE, seed, sample)
+                start = Start(p, n, level, NO_WALL, seed, sample)
                 path = trace(world, (DARK, NO_GLOWS), start, tree, branch, weight, EVERYWHERE)
                 alone, (x, y, z) = path.bounces == 0, path.way
                 share = WEIGHTS[0, path.bounces + 1] / (1 if alone else tree.branches)
@@ -57,7 +57,13 @@ def plateaus(values):
 
 @pytest.mark.parametrize(
     ("survival", "branches", "smooth", "offset"),
-    [(1.0, 1, True, OFFSET), (0.6, 1, True, 0.6), (0.6, 4, True, OFFSET), (1.0, 2, False, 0.0), (0.6, 1, False, 0.0)],
+    [
+        (1.0, 1, True, RAY_OFFSET_VOXELS),
+        (0.6, 1, True, 0.6),
+        (0.6, 4, True, RAY_OFFSET_VOXELS),
+        (1.0, 2, False, 0.0),
+        (0.6, 1, False, 0.0),
+    ],
 )
 @pytest.mark.parametrize("texels, count", [(1, 1), (2, 20), (9, 3), (350, 5), (10, 600), (2500, 2)])
 @pytest.mark.parametrize(
@@ -96,7 +102,7 @@ def test_strays_are_the_starts_of_paths_that_leave_a_box(branches: int) -> None:
     world, expected = one_surface(field), np.zeros(2 * len(rows), np.bool_)
     for i, sample, branch in np.ndindex(len(expected), samples.count, branches):
         p, n = column(starts.points, i), column(starts.normals, i)
-        start = Start(p, n, 0.0, NOWHERE, starts.seeds[i], samples.first + sample)
+        start = Start(p, n, 0.0, NO_WALL, starts.seeds[i], samples.first + sample)
         expected[i] |= trace(world, (DARK, NO_GLOWS), start, tree, branch, np.ones(3), box).strayed
     assert np.array_equal(strays, expected.reshape(-1, 2).any(axis=1))
     assert strays.any() and not strays.all()

@@ -9,7 +9,7 @@ import pytest
 
 from isogi_core.cache.scene_assets import receive_assets, receive_colours, send_assets
 from isogi_core.errors import IsogiError, SceneError, ViewError, VolumeError
-from isogi_core.model.colours import MAPS, MAX_ALBEDO, SurfaceColours, table_of
+from isogi_core.model.colours import COLOUR_MAPS, MAX_ALBEDO, SurfaceColours, table_of
 from isogi_core.model.shine import Shine
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
@@ -51,7 +51,7 @@ def values_of(scene: Scene) -> np.ndarray:
     return np.where(codes == 0, np.nan, low + (codes - 1) / 254 * (high - low))
 
 
-@pytest.mark.parametrize("name", [name for name in MAPS if name != "grey"])
+@pytest.mark.parametrize("name", [name for name in COLOUR_MAPS if name != "grey"])
 def test_maps_are_those_of_matplotlib(name: str) -> None:
     """Between the places that are kept they err by a few codes of 255."""
     maps = pytest.importorskip("matplotlib").colormaps

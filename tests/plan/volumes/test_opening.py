@@ -18,7 +18,7 @@ import zarr
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.grid import Grid
 from isogi_core.model.value_survey import no_progress
-from isogi_core.model.volume import BINS, Volume, make_volume
+from isogi_core.model.volume import HISTOGRAM_BINS, Volume, make_volume
 from isogi_core.plan.variants import at_time
 from isogi_core.plan.volumes.opening import volume_of
 from tests.loaded import load_scene
@@ -69,7 +69,7 @@ def test_a_copy_is_the_volume_that_memory_would_hold(kind: str, solid: str) -> N
     array, missing = values(kind), (-99.0,) if np.dtype(kind).kind == "f" else ()
     mapped = volume_of(grid_of(array, 9), solid, "v", missing, no_progress)
     same(mapped, make_volume(array, (1.0, 2.0, 0.5), solid, "v", missing))
-    assert mapped.span == replace(mapped, span=()).core_span() and len(mapped.counts) == BINS
+    assert mapped.span == replace(mapped, span=()).core_span() and len(mapped.counts) == HISTOGRAM_BINS
     assert mapped.voxels.flags.c_contiguous and mapped.voxels.flags.writeable and mapped.voxels.flags.aligned
     assert type(mapped.voxels) is np.ndarray and not mapped.voxels.flags.owndata
 

@@ -10,9 +10,9 @@ import httpx
 import numpy as np
 import pytest
 
-from isogi_core.model.view import SHADINGS
+from isogi_core.model.view import VIEW_SHADINGS
 from isogi_core.plan.assembly import load_scene
-from isogi_core.plan.range_sampling import STOPS
+from isogi_core.plan.range_sampling import SLIDER_STOPS
 from isogi_core.plan.variants import under
 from server.answers import scene_schema
 
@@ -88,7 +88,7 @@ def test_a_volume_that_is_turned_out_is_told(tmp_path: Path) -> None:
 
 
 def test_what_the_scene_says_of_itself(scene: dict[str, object]) -> None:
-    assert scene["shadings"] == list(SHADINGS)
+    assert scene["shadings"] == list(VIEW_SHADINGS)
     assert [light["type"] for light in scene["lights"]] == ["constant", "sky"]  # type: ignore[attr-defined]
     assert (scene["albedo"], scene["bounces"], scene["solid"]) == ([0.7, 0.7, 0.7], 1, "above")
     assert (scene["target_error"], scene["rotating"], scene["turns"]) == (0.5, True, True)
@@ -108,7 +108,7 @@ def test_presets_come_from_the_scene_or_are_suggested_in_range(
 
 def test_stops_ascend_in_the_range(scene: dict[str, list[float]]) -> None:
     stops = scene["stops"]
-    assert len(stops) == STOPS
+    assert len(stops) == SLIDER_STOPS
     assert np.diff([0.2, *stops, 0.8]).min() > 0.0
 
 
@@ -122,7 +122,7 @@ def balls(tmp_path: Path) -> Path:
 
 def test_stops_are_surfaces_that_are_evenly_spaced(balls: Path) -> None:
     facts = scene_schema(load_scene(balls, isovalues=[100, 900], isovalue=400))
-    steps, even = np.diff(np.sqrt(facts.stops)), np.diff(np.sqrt(np.linspace(120, 880, STOPS)))
+    steps, even = np.diff(np.sqrt(facts.stops)), np.diff(np.sqrt(np.linspace(120, 880, SLIDER_STOPS)))
     assert steps.std() / steps.mean() < 0.25 < even.std() / even.mean()
     assert facts.stops_note == ""
 

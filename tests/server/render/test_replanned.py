@@ -10,7 +10,7 @@ import pytest
 
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
-from isogi_core.model.scene_plan import FEWEST, ScenePlan, most_samples
+from isogi_core.model.scene_plan import MIN_SAMPLES, ScenePlan, most_samples
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from server.render.engine import RenderEngine
@@ -81,7 +81,7 @@ def omitted(plan: ScenePlan) -> set[str]:
 
 
 def test_texels_take_as_many_samples_in_every_plan() -> None:
-    assert most_samples(SETTINGS["target_error"]) == FEWEST
+    assert most_samples(SETTINGS["target_error"]) == MIN_SAMPLES
 
 
 @pytest.mark.slow

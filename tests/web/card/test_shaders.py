@@ -11,7 +11,7 @@ from isogi_core.kernels.shading.irradiance_ratio import Unshadowed, agree, unsha
 from isogi_core.kernels.shading.lobes import irradiance
 from isogi_core.kernels.tracing.cubic import cubic_along, first_crossing, turning_points
 from isogi_core.kernels.tracing.field import normal, smooth_gradient, value
-from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN_SIDE, cast, launch
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, UNKNOWN_SIDE, cast, launch
 from isogi_core.plan.scene import Scene
 from tests.frame.conftest import Workbench
 from tests.loaded import load_scene
@@ -152,7 +152,7 @@ def test_shadow_rays_start_where_the_kernels_do(lab: Lab, volume: Scene, bench: 
     found = run_in(lab, volume, includes, "return vec4(launch(given(0).xyz, given(1).xyz), 0.0);", inputs)[:, :3]
     iso = volume.volume.normalise_isovalue(volume.isovalue)
     pairs = zip(points.astype(float).tolist(), normals.tolist(), strict=True)
-    expected = [launch(bench.prepared.field, iso, tuple(p), tuple(n), OUTSIDE) for p, n in pairs]
+    expected = [launch(bench.prepared.field, iso, tuple(p), tuple(n), OUTSIDE_SIGN) for p, n in pairs]
     assert (np.abs(found - expected).max(axis=1) < 1e-4).mean() > 0.99, "but where the place is at the isovalue"
 
 
@@ -164,7 +164,7 @@ def test_rays_meet_what_the_kernels_meet(lab: Lab, volume: Scene, bench: Workben
         on = near_surface(bench, 500)
         n = np.array([normal(bench.prepared.field, tuple(p)) for p in on.astype(float).tolist()])
         o, d = np.repeat(on + 0.4 * n, 4, axis=0), RNG.normal(size=(4 * len(on), 3))
-        side, given = OUTSIDE, "OUTSIDE"
+        side, given = OUTSIDE_SIGN, "OUTSIDE"
     else:
         ends = RNG.random((count, 3)) * size
         way = RNG.normal(size=(count, 3))

@@ -108,14 +108,16 @@ test("a quadric is the harmonics of order 3 as a polynomial", () => {
 test("light is turned in the box that the volume lies in", () => {
   const rotation = rotationMatrix(fromAngles({ yaw: 30, pitch: 10, roll: -50 }));
   const lobe = { towards: [0.6, 0, 0.8], edges: [[0, 0.1, 0], [0.08, 0, -0.06]], shine: [1, 1, 1] };
-  const term = (order) => ({ order, light: [0, 1, 2].map((c) => Array.from({ length: order ** 2 }, (_, i) => i + c)) });
+  const harmonics = (order, c) => Array.from({ length: order ** 2 }, (_, i) => i + c);
+  const term = (order) => ({ order, light: [0, 1, 2].map((c) => harmonics(order, c)), square: harmonics(order, 7) });
   const light = { terms: [term(3), term(2)], sky: term(3).light, lobes: [lobe], least: [0, 0, 0], unit: 1 };
   const found = turnLight({ grid: { ...GRID, rotation }, light }, TURN);
   const world = turnVector(TURN, lobe.towards), inBox = [0, 1, 2].map((i) => rotation.reduce((sum, row, j) => sum + row[i] * world[j], 0));
   close(found.towards[0], inBox);
   assert.equal(found.columns.length, 13);
   const direction = [0.36, 0.48, 0.8], there = [0, 1, 2].map((i) => rotation.reduce((sum, row, j) => sum + row[i] * turnVector(TURN, direction)[j], 0));
-  close([at(found.columns.slice(0, 9).map((column) => column[1]), there)], [at(light.terms[0].light[1], direction)]);
+  const first = (k) => at(found.columns.slice(0, 9).map((column) => column[k]), there);
+  close([first(1), first(3)], [at(light.terms[0].light[1], direction), at(light.terms[0].square, direction)]);
 });
 
 const CAMERA = { eye: [30, 30, 50], target: [10, 7.5, 10], up: [0, 0, 1], fov: 30 };

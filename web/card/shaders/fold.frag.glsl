@@ -2,30 +2,42 @@
 // Kernels: light_texels of isogi_core/kernels/shading/lattice.py, fill_records of irradiance_ratio.py.
 // Without raw transfer, light is taken to keep the irradiance ratio that it had when the server folded it.
 #include "irradiance_ratio.glsl"
-uniform highp sampler2DArray transfer;    // four numbers a layer: the columns of a channel, then of the next
-uniform highp sampler2D turned;           // the light that each number meets, in the plan's unit
+#include "noise.glsl"
+uniform highp sampler2DArray transfer;    // four numbers a layer: columns of a channel, then of the next, then logarithms of scatter and samples
+uniform highp sampler2D turned;           // the light that each number meets, in the plan's unit, and its luminance squared
+uniform int firsts[TERMS];                // numbers of the green channel that terms begin with
 uniform bool raw;                         // whether there is raw transfer of these records
 uniform vec3 quadric_then[9];             // unshadowed light of the light that the server folded them by
 layout(location = 0) out uvec4 folded;
+layout(location = 1) out uint noise;
 
-// A record of light, of which some is reflected, with the word of its normal.
-uvec4 record_of(vec3 direct, vec3 reflected, uint word) {
-  vec3 d = min(direct, vec3(65504.0)), r = min(reflected, vec3(65504.0));
-  return uvec4(packHalf2x16(d.rg), packHalf2x16(vec2(d.b, r.r)), packHalf2x16(r.gb), word);
+const float LEAST_SPREAD = 0.2;    // share of their second moment that paths differ by at least
+
+// Number k of what a texel keeps.
+float number_at(ivec2 at, int k) { return texelFetch(transfer, ivec3(at, k >> 2), 0)[k & 3]; }
+
+// The variance of one path's luminance, by the mean of all paths and of their squares.
+float spread(ivec2 at, float mean, float second) {
+  float even = 0.0;
+  for (int k = 0; k < TERMS; k++) even += max(number_at(at, firsts[k]) * texelFetch(turned, ivec2(firsts[k], 0), 0).a, 0.0);
+  return max(second - mean * mean, 0.0) + LEAST_SPREAD * even;
 }
 
-// The record of a texel by its raw transfer.
-uvec4 fold(ivec2 at, uint word) {
-  vec3 light = vec3(0.0), reflected = vec3(0.0);
+// The record of a texel by its raw transfer, and its noise.
+uvec4 fold(ivec2 at, uint word, out uint noise) {
+  vec4 sums = vec4(0.0);
+  vec3 reflected = vec3(0.0);
   for (int i = 0; i < NUMBERS; i += 4) {
     vec4 four = texelFetch(transfer, ivec3(at, i >> 2), 0);
     for (int k = 0; k < 4; k++) {
-      vec3 part = i + k < NUMBERS ? four[k] * texelFetch(turned, ivec2(i + k, 0), 0).rgb : vec3(0.0);
-      light += part;
-      if ((i + k) % COLUMNS >= STRAIGHT) reflected += part;
+      vec4 part = i + k < NUMBERS ? four[k] * texelFetch(turned, ivec2(i + k, 0), 0) : vec4(0.0);
+      sums += part;
+      if ((i + k) % COLUMNS >= STRAIGHT) reflected += part.rgb;
     }
   }
-  light = max(light, 0.0);
+  float scatter = exp2(number_at(at, NUMBERS));
+  noise = noise_of(scatter * scatter * spread(at, luminance(sums.rgb), sums.a), number_at(at, NUMBERS + 1));
+  vec3 light = max(sums.rgb, 0.0);
   reflected = clamp(reflected, vec3(0.0), light);
   if (WHOLE == 1) reflected = max(reflected, light - unshadowed_light(octahedral(word)));
   return record_of(light - reflected, reflected, word);
@@ -34,9 +46,10 @@ uvec4 fold(ivec2 at, uint word) {
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
   folded = texelFetch(records, at, 0);
+  noise = 0u;
   if (folded.w == BURIED || folded.w == VOID) return;
   if (raw) {
-    folded = fold(at, folded.w);
+    folded = fold(at, folded.w, noise);
     return;
   }
   vec3 m = octahedral(folded.w), change = unshadowed_light(m) / max(unshadowed_by(quadric_then, m), DARKEST);

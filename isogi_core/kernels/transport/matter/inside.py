@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.tracing.intersect import SOLID, shading_normal
+from isogi_core.kernels.tracing.intersect import SOLID_SIGN, shading_normal
 from isogi_core.kernels.tracing.slabs import clip_box
 from isogi_core.kernels.tracing.vec import dot, scale
 from isogi_core.kernels.transport.matter.dielectric import fresnel, mirror, refract
-from isogi_core.kernels.transport.room_paths import ROOM
+from isogi_core.kernels.transport.room_paths import ROOM_RECORD
 
-NUMBERS = types.float64[::1]
+REAL_ARRAY = types.float64[::1]
 
 
 class Matter(NamedTuple):
@@ -28,7 +28,7 @@ class Matter(NamedTuple):
     albedo: Any
 
 
-MATTER = record(Matter, types.float64, NUMBERS, types.float64, NUMBERS)
+MATTER_RECORD = record(Matter, types.float64, REAL_ARRAY, types.float64, REAL_ARRAY)
 
 
 class Passable(NamedTuple):
@@ -38,7 +38,7 @@ class Passable(NamedTuple):
     matter: Any
 
 
-PASSABLE = record(Passable, ROOM, MATTER)
+PASSABLE = record(Passable, ROOM_RECORD, MATTER_RECORD)
 
 
 @kernel()
@@ -48,7 +48,7 @@ def way_inside(shape, o, d, side, came, reach):
     ``side`` is where it starts, and ``came`` the side that it met the surface from, both UNKNOWN where that is not
     known. Faces of the volume's box, of ``shape``, let light pass as it goes.
     """
-    if side != SOLID and came != SOLID:
+    if side != SOLID_SIGN and came != SOLID_SIGN:
         return 0.0, 0.0
     near, far = clip_box(shape, o, d)
     near, far = max(near, 0.0), min(far, reach)
@@ -73,7 +73,7 @@ def meet_interface(field, matter, p, w, came):
     cosine = -dot(n, w)
     if matter.index == 1.0 or not cosine > 0.0:
         return 0.0, w, w
-    ratio = 1.0 / matter.index if came == SOLID else matter.index
+    ratio = 1.0 / matter.index if came == SOLID_SIGN else matter.index
     share, back = fresnel(cosine, ratio), mirror(w, n, cosine)
     return share, back, refract(w, n, cosine, ratio) if share < 1.0 else back
 

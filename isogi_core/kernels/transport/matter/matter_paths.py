@@ -8,10 +8,10 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
-from isogi_core.kernels.tracing.field import FIELD
-from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN_SIDE
+from isogi_core.kernels.tracing.field import FIELD_RECORD
+from isogi_core.kernels.tracing.intersect import SOLID_SIGN, UNKNOWN_SIDE
 from isogi_core.kernels.tracing.vec import column, dot, put_column, scale
-from isogi_core.kernels.tracing.walls import NOWHERE, ROWS
+from isogi_core.kernels.tracing.walls import NO_WALL, REAL_ROWS
 from isogi_core.kernels.transport.integrate import (
     add_carried,
     add_paths,
@@ -22,19 +22,19 @@ from isogi_core.kernels.transport.integrate import (
     make_state,
     meet,
 )
-from isogi_core.kernels.transport.light_paths import SURROUNDINGS, Surroundings
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD, Surroundings
 from isogi_core.kernels.transport.lights import arriving, radiance, row
-from isogi_core.kernels.transport.matter.inside import MATTER
+from isogi_core.kernels.transport.matter.inside import MATTER_RECORD
 from isogi_core.kernels.transport.matter.passage import make_passage, pass_matter
 from isogi_core.kernels.transport.open_paths import cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
-from isogi_core.kernels.transport.room_paths import ROOM, STARTS, balance_area, cast_among_walls, lit_from
+from isogi_core.kernels.transport.room_paths import ROOM_RECORD, STARTS_RECORD, balance_area, cast_among_walls, lit_from
 from isogi_core.kernels.transport.sampling import about, sample_cosine_hemisphere
 from isogi_core.kernels.transport.streams import DIRECTIONS
 from isogi_core.kernels.transport.wavefront import columns, compact, partition
 
-INWARD, ALONG = -2.0, -3.0
+INWARD, ALONG_RAY = -2.0, -3.0
 """In place of a wall's number: a start on the isosurface whose rays go in, cosine-weighted about its inner normal; and
 one from anywhere whose ray goes along its ``normal``."""
 
@@ -48,7 +48,7 @@ class Through(NamedTuple):
     matter: Any
 
 
-THROUGH = record(Through, FIELD, ACTIVE_CELLS, ROOM, MATTER)
+THROUGH_RECORD = record(Through, FIELD_RECORD, ACTIVE_CELLS, ROOM_RECORD, MATTER_RECORD)
 
 
 class Crossing(NamedTuple):
@@ -89,7 +89,7 @@ def begin_through(scene, state, vertices, starts, first):
 def first_way(rays, starts, k, i):
     """The first way of path ``i`` of a wave, which starts at ``k``, on no wall."""
     n = column(starts.normals, k)
-    if starts.walls[k] == ALONG:
+    if starts.walls[k] == ALONG_RAY:
         return n
     low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
     u, v = point_of_words(low, high, sample, np.uint64(DIRECTIONS))
@@ -108,8 +108,8 @@ def set_out(wave, vertices, passage, starts, bounce):
             put_column(ways, i, first_way(rays, starts, k, i))
         put_column(passage.origins, i, column(points, i))
         put_column(passage.ways, i, column(ways, i))
-        passage.sides[i] = SOLID if free and starts.walls[k] == INWARD else UNKNOWN_SIDE
-        passage.own[i], passage.straight[i] = NOWHERE if free else wave.own[i], 0.0 if free else 1.0
+        passage.sides[i] = SOLID_SIGN if free and starts.walls[k] == INWARD else UNKNOWN_SIDE
+        passage.own[i], passage.straight[i] = NO_WALL if free else wave.own[i], 0.0 if free else 1.0
 
 
 @kernel()
@@ -118,7 +118,7 @@ def arrive(wave, passage, count):
     rays = wave.rays
     for i in range(count):
         wave.met[i] = passage.met[i]
-        rays.t[i] = math.inf if passage.met[i] == NOWHERE else 0.0
+        rays.t[i] = math.inf if passage.met[i] == NO_WALL else 0.0
 
 
 @kernel()
@@ -204,7 +204,7 @@ def advance_through(scene, state, vertices, following, bounce, rules):
     stand_at_ends(state.wave, state.passage, following, scene.room, rules.survival if bounce > 0 else 1.0)
 
 
-@kernel(types.void(THROUGH, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
+@kernel(types.void(THROUGH_RECORD, STARTS_RECORD, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS_RECORD, REAL_ROWS))
 def light_through_matter(scene, starts, samples, rules, light, sums):
     """Add what a ``SampleRange`` of paths brings to each of g ``RoomStarts`` to ``sums`` (g, 3).
 

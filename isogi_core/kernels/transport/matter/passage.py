@@ -11,14 +11,14 @@ import numpy as np
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.tracing.cast import cast_batch
 from isogi_core.kernels.tracing.field import to_index
-from isogi_core.kernels.tracing.intersect import SOLID
+from isogi_core.kernels.tracing.intersect import SOLID_SIGN
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, madd, put_column
-from isogi_core.kernels.tracing.walls import NOWHERE, meet_walls
+from isogi_core.kernels.tracing.walls import NO_WALL, meet_walls
 from isogi_core.kernels.transport.matter.inside import brightest, meet_interface, transmitted, way_inside
 from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.sampling import sample_uniform_sphere
-from isogi_core.kernels.transport.streams import IN_MATTER, MAX_STEPS, PAIRS
+from isogi_core.kernels.transport.streams import IN_MATTER, MAX_STEPS, PAIRS_PER_PURPOSE
 from isogi_core.kernels.transport.wavefront import whole
 
 
@@ -50,7 +50,7 @@ def make_passage(n):
 def draw(wave, i, bounce, step, second):
     """A pair of random numbers in [0, 1) of ray ``i`` of a wave at a ``step`` of its way; each step has two."""
     rays = wave.rays
-    dimension = np.uint64(IN_MATTER + (2 * step + second) * PAIRS + bounce)
+    dimension = np.uint64(IN_MATTER + (2 * step + second) * PAIRS_PER_PURPOSE + bounce)
     return point_of_words(np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i]), dimension)
 
 
@@ -59,7 +59,7 @@ def gather_rays(field, wave, passage, going):
     """The first ``going`` pending rays side by side, in whole vectors: ``Rays``, and the walls that they start on."""
     n = whole(going)
     rays = Rays(np.zeros(n), np.full((3, n), math.inf), np.ones((3, n)), np.zeros(n, np.int8))
-    own = np.full(n, NOWHERE)
+    own = np.full(n, NO_WALL)
     for j in range(going):
         i = passage.pending[j]
         rays.isovalues[j], rays.sides[j], own[j] = wave.isovalues[i], passage.sides[i], passage.own[i]
@@ -97,10 +97,10 @@ def scatter(matter, wave, passage, i, bounce, step):
     u, v = draw(wave, i, bounce, step, 1)
     if not u < chance:
         dim(wave, i, (0.0, 0.0, 0.0))
-        return end_at(passage, i, column(passage.origins, i), NOWHERE)
+        return end_at(passage, i, column(passage.origins, i), NO_WALL)
     dim(wave, i, (albedo[0] / chance, albedo[1] / chance, albedo[2] / chance))
     put_column(passage.ways, i, sample_uniform_sphere(u / chance, v))
-    passage.sides[i], passage.straight[i] = SOLID, 0.0
+    passage.sides[i], passage.straight[i] = SOLID_SIGN, 0.0
     return True
 
 
@@ -112,7 +112,7 @@ def go_on(field, matter, wave, passage, ray, i, place):
     """
     (o, d, t, came, wall), (bounce, step) = ray, place
     w = column(passage.ways, i)
-    passage.own[i] = NOWHERE
+    passage.own[i] = NO_WALL
     near, far = way_inside(field.voxels.shape, o, d, passage.sides[i], came, t)
     u, v = draw(wave, i, bounce, step, 0)
     if matter.extinction > 0.0 and far > near:
@@ -122,7 +122,7 @@ def go_on(field, matter, wave, passage, ray, i, place):
             put_column(passage.origins, i, madd(o, near + flight, d))
             return scatter(matter, wave, passage, i, bounce, step)
     dim(wave, i, transmitted(matter, far - near))
-    if not t < math.inf or wall != NOWHERE:
+    if not t < math.inf or wall != NO_WALL:
         return end_at(passage, i, madd(o, t, d) if t < math.inf else o, wall)
     p = madd(o, t, d)
     share, mirrored, passed = meet_interface(field, matter, p, w, came)
@@ -160,4 +160,4 @@ def pass_matter(field, cells, walls, matter, wave, passage, bounce, count):
     for j in range(going):
         i = passage.pending[j]
         dim(wave, i, (0.0, 0.0, 0.0))
-        passage.met[i] = NOWHERE
+        passage.met[i] = NO_WALL

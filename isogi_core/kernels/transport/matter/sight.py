@@ -13,8 +13,8 @@ from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.slabs import longest
 from isogi_core.kernels.tracing.vec import column, dot, madd, normalize, put_column, scale, sub
-from isogi_core.kernels.tracing.walls import NOWHERE, nearest_wall
-from isogi_core.kernels.transport.light_paths import SURROUNDINGS, to_world
+from isogi_core.kernels.tracing.walls import NO_WALL, nearest_wall
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD, to_world
 from isogi_core.kernels.transport.lights import radiance, row
 from isogi_core.kernels.transport.matter.inside import (
     PASSABLE,
@@ -31,7 +31,7 @@ from isogi_core.kernels.transport.wavefront import whole
 PARTED_PLACES = 16
 """A ray parts where each part counts at least 1 / (PARTED_PLACES · places), of the places that its point may see."""
 
-BACK = 1e-2
+START_BACK_VOXELS = 1e-2
 """Voxels before the surface at which the eye's rays start, so that they meet it whatever the rounding of the point."""
 
 
@@ -51,8 +51,8 @@ class Leaves(NamedTuple):
     cut: Any
 
 
-POINTS, SMALL_INTEGERS, NUMBERS = types.float32[:, ::1], types.int8[::1], types.float32[::1]
-LEAVES_OF = record(Leaves, POINTS, POINTS, POINTS, SMALL_INTEGERS, SMALL_INTEGERS, NUMBERS)
+SINGLE_ROWS, SMALL_INTEGERS, SINGLE_ARRAY = types.float32[:, ::1], types.int8[::1], types.float32[::1]
+LEAVES_OF = record(Leaves, SINGLE_ROWS, SINGLE_ROWS, SINGLE_ROWS, SMALL_INTEGERS, SMALL_INTEGERS, SINGLE_ARRAY)
 
 
 class Chances(NamedTuple):
@@ -66,9 +66,9 @@ class Chances(NamedTuple):
     deep: int
 
 
-CHANCES = record(Chances, types.uint64[::1], types.int64[::1], types.int64)
+CHANCES_RECORD = record(Chances, types.uint64[::1], types.int64[::1], types.int64)
 
-NONE = -1
+NO_SAMPLE = -1
 """No sample: nothing is left to chance."""
 
 
@@ -122,7 +122,7 @@ def choice(chances, progress, m):
     """The number in [0, 1) that point ``m`` chooses by next: one half where nothing is left to chance."""
     progress.made[m] += 1
     sample = chances.samples[m]
-    if sample == NONE:
+    if sample == NO_SAMPLE:
         return 0.5
     return point_2d(chances.seeds[m], np.uint64(sample), np.uint64(progress.made[m]))[0]
 
@@ -169,7 +169,7 @@ def show_end(room, light, shown, ends, m, weight):
     """Show point ``m`` what a ray ends on, ``ends`` = (point, way, wall or NOWHERE): a wall's lit side, or outside."""
     leaves, _, progress = shown
     p, w, wall = ends
-    if wall == NOWHERE:
+    if wall == NO_WALL:
         sky = dimmed(weight, radiance(light.constant, light.image, light.matrix, w))
         for c in range(3):
             leaves.sky[m, c] += np.float32(sky[c])
@@ -193,11 +193,11 @@ def follow_trees(surface, met, light, sight, count, following, depth, shown):
     for j in range(count):
         o, w, d = column(sight.origins, j), column(sight.ways, j), column(directions, j)
         met_at = t[j] if depth < chances.deep else math.inf
-        reach, wall = nearest_wall(met.room.walls, o, d, NOWHERE, met_at)
+        reach, wall = nearest_wall(met.room.walls, o, d, NO_WALL, met_at)
         near, far = way_inside(surface.field.voxels.shape, o, d, int(sight.sides[j]), int(came[j]), reach)
         weight = dimmed(column(sight.weights, j), transmitted(met.matter, far - near))
         owner = sight.owners[j]
-        if wall == NOWHERE and reach < math.inf:
+        if wall == NO_WALL and reach < math.inf:
             ray = madd(o, reach, d), w, weight, int(came[j]), owner
             going = part(surface, met.matter, following, going, ray, shown)
         else:
@@ -208,14 +208,18 @@ def follow_trees(surface, met, light, sight, count, following, depth, shown):
     return going
 
 
-@kernel(types.void(SURFACE, PASSABLE, SURROUNDINGS, types.UniTuple(types.float64, 3), POINTS, CHANCES, LEAVES_OF))
+@kernel(
+    types.void(
+        SURFACE, PASSABLE, SURROUNDINGS_RECORD, types.UniTuple(types.float64, 3), SINGLE_ROWS, CHANCES_RECORD, LEAVES_OF
+    )
+)
 def see_through(surface, met, light, eye, points, chances, leaves):
     """Fill the ``leaves`` of n ``points`` (n, 3), where rays from the ``eye`` meet the ``surface``; in index space.
 
     Without absorption the weights of all that a point shows sum to 1. What it shows by all ``chances`` is right on the
     average. Source: Whitted 1980; Arvo and Kirk 1990 on rays that part as long as that counts.
     """
-    leaves.met[:] = np.int8(NOWHERE)
+    leaves.met[:] = np.int8(NO_WALL)
     leaves.sky[:] = np.float32(0.0)
     leaves.cut[:] = np.float32(0.0)
     spacing, n, places = surface.field.spacing, points.shape[0], leaves.met.shape[0]
@@ -225,7 +229,7 @@ def see_through(surface, met, light, eye, points, chances, leaves):
         p = float(points[m, 0]), float(points[m, 1]), float(points[m, 2])
         w = normalize(to_world(sub(p, eye), spacing))
         d = to_index(w, spacing)
-        push(sight, m, madd(p, -BACK / longest(d), d), w, (1.0, 1.0, 1.0), UNKNOWN_SIDE, m)
+        push(sight, m, madd(p, -START_BACK_VOXELS / longest(d), d), w, (1.0, 1.0, 1.0), UNKNOWN_SIDE, m)
     count = n
     for depth in range(chances.deep + 1):
         count = follow_trees(surface, met, light, sight, count, following, depth, shown)

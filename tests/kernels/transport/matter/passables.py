@@ -4,7 +4,7 @@ import numpy as np
 
 from isogi_core.kernels.transport.matter.inside import Matter, Passable
 from isogi_core.kernels.transport.matter.matter_paths import Through, light_through_matter
-from isogi_core.kernels.transport.matter.sight import NONE, Chances, Leaves, see_through
+from isogi_core.kernels.transport.matter.sight import NO_SAMPLE, Chances, Leaves, see_through
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts
 from tests.kernels.fields import cells_of, field_of, surface_of
@@ -45,7 +45,7 @@ LEAVES = 8
 """Places that a point sees."""
 
 
-def look(field, met, eye, points, light=None, breadth=LEAVES, samples=(NONE,), deep=256):
+def look(field, met, eye, points, light=None, breadth=LEAVES, samples=(NO_SAMPLE,), deep=256):
     """What is seen from an ``eye`` through ``points`` (n, 3), by a tree of each for all ``samples``: the Leaves."""
     places = np.repeat(np.ascontiguousarray(points, np.float32), len(samples), axis=0)
     n = len(places)

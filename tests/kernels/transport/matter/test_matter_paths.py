@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from isogi_core.kernels.transport.matter.matter_paths import ALONG
+from isogi_core.kernels.transport.matter.matter_paths import ALONG_RAY
 from tests.kernels.rooms import sky, wall
 from tests.kernels.transport.matter.passables import ball, gather, passable, slab
 from tests.scale import COMPILED, few
@@ -17,9 +17,9 @@ def test_clear_glass_under_an_even_sky_changes_nothing():
     """Neither what rays through it bring, nor what a floor under it has, which gives off as much light as the sky."""
     field, floor = ball(RADIUS, SIDE), wall((0, 0, 0.0), (SIDE, 0, 0), (0, SIDE, 0), 0.0, 1.0)
     starts = [(MIDDLE, MIDDLE, 0.0), (3.0, 4.0, 0.0), (MIDDLE + 7.9, MIDDLE, 60.0)], [(0, 0, 1.0)] * 2 + [(0, 0, -1.0)]
-    found = gather(field, passable([floor]), (*starts, [0, 0, ALONG]), few(256, 4), sky(1.0))
+    found = gather(field, passable([floor]), (*starts, [0, 0, ALONG_RAY]), few(256, 4), sky(1.0))
     np.testing.assert_allclose(found[:2], 1.0, rtol=1e-9)
-    passed = gather(field, passable(), (starts[0][2:], starts[1][2:], [ALONG]), few(256, 4), sky(1.0))
+    passed = gather(field, passable(), (starts[0][2:], starts[1][2:], [ALONG_RAY]), few(256, 4), sky(1.0))
     np.testing.assert_allclose(passed, 1.0, rtol=1e-9)
 
 
@@ -29,7 +29,7 @@ def test_a_slab_passes_what_fresnel_and_beer_leave():
     mirrored, left = 0.04, math.exp(-0.9)
     below = wall((-50.0, -50.0, -5.0), (100.0, 0, 0), (0, 100.0, 0), 0.0, 1.0, twofold=True)
     met = passable([below], 1.5, 0.3)
-    found = gather(slab(2.0, 5.0), met, ([(3.2, 3.4, 20.0)], [(0, 0, -1.0)], [ALONG]), 1 << 14)
+    found = gather(slab(2.0, 5.0), met, ([(3.2, 3.4, 20.0)], [(0, 0, -1.0)], [ALONG_RAY]), 1 << 14)
     true = (1.0 - mirrored) ** 2 * left / (1.0 - mirrored**2 * left**2)
     assert found[0] == pytest.approx(true, rel=0.005)
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from isogi_core.kernels.transport.matter.matter_paths import ALONG, INWARD
+from isogi_core.kernels.transport.matter.matter_paths import ALONG_RAY, INWARD
 from tests.kernels.fields import field_of
 from tests.kernels.rooms import sky, wall
 from tests.kernels.transport.matter.passables import ball, gather, passable
@@ -36,7 +36,7 @@ def test_a_half_space_sends_back_what_chandrasekhar_says():
     field = field_of(3.5 - np.mgrid[:8, :8, :8][0])
     met = passable(index=1.0, extinction=50.0, albedo=LEFT)
     points = [*(np.array([3.5, 3.5, 3.5]) - 1.0 * ways), (3.5, 3.5, 3.5)]
-    starts = points, [*ways, (0, 0, 1.0)], [ALONG] * 3 + [INWARD]
+    starts = points, [*ways, (0, 0, 1.0)], [ALONG_RAY] * 3 + [INWARD]
     found = gather(field, met, starts, 1 << 16, sky(1.0))[:, 0]
     true = [*(1.0 - at(cosines) * dark), 2.0 * (weights * x * (1.0 - h * dark)).sum()]
     np.testing.assert_allclose(found, true, rtol=0.01)
@@ -54,5 +54,5 @@ def test_nothing_is_lost_where_nothing_is_absorbed():
 def test_rays_pass_where_the_mean_free_path_is_long():
     """Then a surface is not seen: what comes from inside is what lies behind."""
     met = passable([wall((-50, -50, -5.0), (100, 0, 0), (0, 100, 0), 0.0, 3.0, twofold=True)], 1.0, 1e-9)
-    found = gather(ball(4.0, 12), met, ([(5.5, 5.5, 20.0)], [(0, 0, -1.0)], [ALONG]), 16)
+    found = gather(ball(4.0, 12), met, ([(5.5, 5.5, 20.0)], [(0, 0, -1.0)], [ALONG_RAY]), 16)
     np.testing.assert_allclose(found, 3.0)
