@@ -22,6 +22,7 @@ see ``OwnNormals``.
 import threading
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +42,7 @@ from isogi_core.frame.texel_normals import OwnNormals
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_keys import surface_key
 from isogi_core.frame.view_texels import ViewTexels
+from isogi_core.lru_cache import LruCache
 from isogi_core.model.shine import DULL
 from isogi_core.model.view import View
 
@@ -59,13 +61,16 @@ class Renderer(SurfaceRenderer):
         """Render with the light of ``caches``: see ``SurfaceRenderer``."""
         super().__init__(caches, tiles, most, filters, stand_in)
         self.blocks = KnownBlocks(int(PACKED * most))
+        self.looks: LruCache[Any] = LruCache(most // 64)
         side = partial(SurfaceRenderer, tiles=tiles, most=most // 8, filters=filters)
         self._composer = Composer(self, side, self._kept) if self.prepared.scene.surfaces.several else None
 
     @property
     def nbytes(self) -> int:
         """Bytes of memory that views, maps and light take."""
-        return super().nbytes + self.blocks.nbytes + (self._composer.nbytes if self._composer else 0)
+        return (
+            super().nbytes + self.blocks.nbytes + self.looks.nbytes + (self._composer.nbytes if self._composer else 0)
+        )
 
     def render(
         self,

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.cache.loader import Loader
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.frame.card.blocks import CODED, FOLDED, RAW, pack
 from isogi_core.frame.card.chunk_texels import ChunkTexels, hold_texels, with_neighbours
@@ -29,6 +31,9 @@ from isogi_core.prepared.prepared_scene import Index, PreparedScene
 
 CHUNKS = 64
 """Chunks that are packed together at most."""
+
+SEEN_BYTES = 256
+"""Bytes that a chunk in a list of those seen takes in memory."""
 
 LEAST_SCATTER = 2.0**-20
 """What scatter counts as at least, so that its logarithm is a number."""
@@ -112,7 +117,7 @@ def read_raw(
 def hold_filtering(
     renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles
 ) -> Iterator[tuple[ChunkTexels, PagePool]]:
-    """The texels of ``chunks``, and behind them those of all chunks that touch one, where some are grainy.
+    """The texels of ``chunks``, and behind them those near by of all chunks that touch one, where some are grainy.
 
     They are held in the pool while the block runs. Raises as ``fold_chunks``.
     """
@@ -121,7 +126,7 @@ def hold_filtering(
         if not held[0].reading.grainy.any():
             yield held
             return
-    with hold_texels(loader, more, target, tiles) as held:
+    with hold_texels(loader, more, target, tiles, around=chunks) as held:
         yield held
 
 
@@ -157,24 +162,56 @@ class SeenChunk(NamedTuple):
     final: bool
 
 
-def seen_chunks(renderer: Renderer, view: View, target: float, tiles: Tiles) -> list[SeenChunk]:
+@dataclass(frozen=True, eq=False)
+class Look:
+    """The chunks that a view reads, those first that most of its pixels do.
+
+    Where some of them are not final, a ``frame`` that is not drawn says what light it lacks.
+    """
+
+    seen: tuple[SeenChunk, ...]
+    frame: Frame | None
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes where all is final."""
+        return SEEN_BYTES * len(self.seen)
+
+    def is_current(self, loader: Loader, tiles: Tiles) -> bool:
+        """Whether nothing was baked on since. Raises what ``Loader.ensure`` does."""
+        chunks = [each.at for each in self.seen]
+        loader.ensure(chunks, tiles.check)
+        return loader.pool.versions(chunks) == tuple(each.version for each in self.seen)
+
+
+def seen_chunks(renderer: Renderer, view: View, target: float, tiles: Tiles) -> tuple[SeenChunk, ...]:
     """The chunks that a ``view`` reads, those first that most of its pixels do. Raises as ``fold_chunks``."""
-    return look_at(renderer, view, target, tiles)[0]
+    return look_at(renderer, view, target, tiles).seen
 
 
-def look_at(renderer: Renderer, view: View, target: float, tiles: Tiles) -> tuple[list[SeenChunk], Frame]:
-    """The chunks that a ``view`` reads, and a frame that is not drawn, which says what light it lacks."""
-    texels, loader = renderer.texels(view, renderer.gbuffer(view, tiles), tiles), renderer.caches.of("gi")
+def look_at(renderer: Renderer, view: View, target: float, tiles: Tiles) -> Look:
+    """What a ``view`` reads; looks at final light are kept for all that ask. Raises as ``fold_chunks``."""
+    check, loader = renderer.checks.held(view, target), renderer.caches.of("gi")
+    until = Until(target, check.known.enough if check else FIRST_LEVEL)
+    known: Look | None = renderer.looks.held((view, until))
+    if known is not None and known.is_current(loader, tiles):
+        return known
+    renderer.looks.drop((view, until))
+    look = new_look(renderer, view, until, loader, tiles)
+    return look if look.frame else renderer.looks.get((view, until), lambda: look)
+
+
+def new_look(renderer: Renderer, view: View, until: Until, loader: Loader, tiles: Tiles) -> Look:
+    """What a ``view`` reads, by its rays."""
+    texels = renderer.texels(view, renderer.gbuffer(view, tiles), tiles)
     loader.ensure(texels.chunks, tiles.check)
     with loader.pool.hold(texels.chunks) as held:
-        check = renderer.checks.held(view, target)
-        until = Until(target, check.known.enough if check else FIRST_LEVEL)
         reading = read_texels(texels, held.slots, loader.pool, until, tiles)
         versions = list(map(loader.pool.version, held.slots.tolist()))
     read = texels.places[texels.corners].ravel() >> 3 * texels.lattice.bits
     order = np.argsort(-np.bincount(read, minlength=len(versions)), kind="stable").tolist()
-    seen = [SeenChunk(texels.chunks[i], versions[i], not reading.short[i]) for i in order]
-    return seen, undrawn_frame(renderer, view, texels, reading)
+    seen = tuple(SeenChunk(texels.chunks[i], versions[i], not reading.short[i]) for i in order)
+    return Look(seen, undrawn_frame(renderer, view, texels, reading) if reading.short.any() else None)
 
 
 def normals_of(renderer: Renderer, texels: ViewTexels, tiles: Tiles) -> np.ndarray:

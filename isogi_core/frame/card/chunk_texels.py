@@ -13,6 +13,7 @@ from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.shading import FILTER_DISTANCES
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels
@@ -45,17 +46,19 @@ class Occupied(NamedTuple):
 
 @contextmanager
 def hold_texels(
-    loader: Loader, chunks: Sequence[Index], target: float, tiles: Tiles
+    loader: Loader, chunks: Sequence[Index], target: float, tiles: Tiles, around: Sequence[Index] = ()
 ) -> Iterator[tuple[ChunkTexels, PagePool]]:
     """The texels of ``chunks``, in the pool that holds them while the block runs; final at the ``target`` error.
 
-    Raises what ``Loader.ensure`` does.
+    Of those ``around`` which chunks are filtered, where any are named, only the texels that the filter reads. Raises
+    what ``Loader.ensure`` does.
     """
     loader.ensure(chunks, tiles.check)
     pool, prepared = loader.pool, loader.chunk_store.spec.prepared
     with pool.hold(chunks) as held:
         versions = tuple(map(pool.version, held.slots.tolist()))
-        occupied = find_occupied(pool, tuple(chunks), held.slots)
+        near = near_texels(chunks, around, prepared) if around else None
+        occupied = find_occupied(pool, tuple(chunks), held.slots, near)
         texels = number_texels(occupied, prepared)
         yield (
             ChunkTexels(
@@ -73,6 +76,19 @@ def find_occupied(pool: PagePool, chunks: tuple[Index, ...], slots: np.ndarray) 
     there = np.where(slots[:, None] >= 0, pool.table[slots] != UNLIT_ROW, False)
     some = np.flatnonzero(there.any(axis=1))
     return Occupied(tuple(chunks[i] for i in some.tolist()), slots[some], there[some])
+
+
+def near_texels(chunks: Sequence[Index], around: Sequence[Index], prepared: PreparedScene) -> np.ndarray:
+    """Which texels of ``chunks`` the filter reads for the chunks ``around`` which they lie; (chunks, texels) bool."""
+    side, reach = prepared.lattice.chunk, min(sum(FILTER_DISTANCES), prepared.lattice.chunk)
+    parts = {-1: slice(side - reach, side), 0: slice(0, side), 1: slice(0, reach)}
+    near = np.zeros((len(chunks), side, side, side), np.bool_)
+    numbers = {at: number for number, at in enumerate(chunks)}
+    for z, y, x in around:
+        for k, j, i in product(parts, repeat=3):
+            if (number := numbers.get((z + k, y + j, x + i))) is not None:
+                near[number, parts[k], parts[j], parts[i]] = True
+    return near.reshape(len(chunks), -1)
 
 
 def number_texels(occupied: Occupied, prepared: PreparedScene) -> ViewTexels:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
-from isogi_core.frame.card.chunk_light import SeenChunk, known_light, known_transfer, look_at
-from isogi_core.frame.frame import Frame
+from isogi_core.frame.card.chunk_light import Look, SeenChunk, known_light, known_transfer, look_at
 from isogi_core.frame.known_blocks import Packed, Part
 from isogi_core.frame.renderer import Renderer
 from isogi_core.plan.scene import Scene
@@ -84,10 +83,8 @@ async def read_voxels(
     return await service.compute(request, work)
 
 
-@router.get("/chunks", openapi_extra=documented(ViewParams), responses=PROBLEMS)
-async def read_chunks(
-    request: Request, response: Response, scene: SceneDep, params: ViewParamsDep, service: ServiceDep
-) -> CardChunks:
+@router.get("/chunks", response_model=CardChunks, openapi_extra=documented(ViewParams), responses=PROBLEMS)
+async def read_chunks(request: Request, scene: SceneDep, params: ViewParamsDep, service: ServiceDep) -> Response:
     """The chunks of texels that a view reads, most visible first; the light that it lacks is requested.
 
     Nothing is drawn: the size of the picture is how finely the view is looked at.
@@ -96,18 +93,23 @@ async def read_chunks(
         raise ParameterError("wait_ms is for pictures, a list comes at once: leave it out.", "wait_ms")
     lit = await service.variant(scene, params)
     picture, viewer = service.picture_of(lit, params), request_viewer(request)
-    response.headers["Cache-Control"] = "no-cache"
     if picture.view.shading != "gi" or not service.startup.lit.is_set():
-        return CardChunks(chunks=[], coming=0)
+        return listed((), 0)
 
-    def work() -> tuple[list[SeenChunk], Frame]:
+    def work() -> Look:
         renderer = service.engine.renderer(lit.id)
         renderer.prepared.scene.require_texels()
         return look_at(renderer, picture.view, picture.target, renderer.tiles)
 
-    seen, frame = await service.compute(request, work)
-    coming = await service.request_light(picture, frame, viewer)
-    return CardChunks(chunks=chunk_list(seen), coming=len(coming))
+    look = await service.compute(request, work)
+    coming = await service.request_light(picture, look.frame, viewer) if look.frame else ()
+    return listed(look.seen, len(coming))
+
+
+def listed(seen: Sequence[SeenChunk], coming: int) -> Response:
+    """The answer that lists the chunks ``seen``, to some of which light is ``coming``."""
+    found = CardChunks(chunks=chunk_list(seen), coming=coming)
+    return Response(found.model_dump_json(), 200, {"Cache-Control": "no-cache"}, "application/json")
 
 
 @router.get("/light/{chunks}", response_class=Response, openapi_extra=documented(FoldParams), responses=PARTS)

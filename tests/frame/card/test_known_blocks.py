@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import pytest
 
 from isogi_core.frame.card import chunk_light
-from isogi_core.frame.card.chunk_light import fold_chunks, known_light, known_transfer, seen_chunks
+from isogi_core.frame.card.chunk_light import fold_chunks, known_light, known_transfer, look_at, seen_chunks
 from isogi_core.frame.known_blocks import KnownBlocks, Packed
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.prepared.prepared_scene import Index
@@ -93,3 +93,18 @@ def test_known_blocks_take_few_bytes(bench: Workbench, folded: list[Index]) -> N
         assert known.nbytes <= 100_000
     known_light(bench.renderer, view, [at[0]], TARGET, TILES)
     assert folded.count(at[0]) == 2 and folded.count(at[-1]) == 1
+
+
+def test_a_look_at_final_light_is_kept_until_more_is_baked(bench: Workbench) -> None:
+    view = bench.view(size=40)
+    once = look_at(bench.renderer, view, 0.9, TILES)
+    assert once.frame is None and look_at(bench.renderer, view, 0.9, TILES) is once
+    bench.bake(bench.view(size=16), 0.3)
+    again = look_at(bench.renderer, view, 0.9, TILES)
+    assert again.seen != once.seen and [each.at for each in again.seen] == [each.at for each in once.seen]
+
+
+def test_a_look_at_light_to_come_is_not_kept(bench: Workbench) -> None:
+    view = bench.view(azimuth=220.0, size=40)
+    once, again = (look_at(bench.renderer, view, 0.9, TILES) for _ in range(2))
+    assert once.frame is not None and again.frame is not once.frame and again.seen == once.seen
