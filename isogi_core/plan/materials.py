@@ -49,7 +49,8 @@ def read_material(settings: Settings, volume: Volume) -> Material:
         return Material(kind, index, absorption)
     if min(settings.colour("albedo", 0.7)) < MIN_SUBSURFACE_ALBEDO:
         raise SceneError(
-            f"The albedo of a subsurface is what scattering leaves: give {MIN_SUBSURFACE_ALBEDO:g} or more of each colour."
+            "The albedo of a subsurface is what scattering leaves: "
+            f"give {MIN_SUBSURFACE_ALBEDO:g} or more of each colour."
         )
     return Material(kind, mean_free_path=path)
 

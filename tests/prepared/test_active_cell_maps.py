@@ -59,7 +59,8 @@ def test_a_map_is_that_of_the_whole_step() -> None:
 
 @pytest.mark.parametrize(
     ("lowest", "highest", "steps"),
-    [(0.0, 0.0, (0, NEAR_ZERO_LEVEL / STEP)), (NEAR_ZERO_LEVEL, NEAR_ZERO_LEVEL, (NEAR_ZERO_LEVEL / STEP, 1)), (1.0, 1.0, (64, np.inf)),
+    [(0.0, 0.0, (0, NEAR_ZERO_LEVEL / STEP)),
+     (NEAR_ZERO_LEVEL, NEAR_ZERO_LEVEL, (NEAR_ZERO_LEVEL / STEP, 1)), (1.0, 1.0, (64, np.inf)),
      (0.51, 0.51, (32, 33)), (0.5, 0.51, (32, 33)), (0.49, 0.51, (31, 33)), (-0.01, 0.0, (-np.inf, 0)),
      (0.5, 0.53125, (32, 34)), (1e30, 1e36, (64, np.inf))],
 )  # fmt: skip

@@ -71,9 +71,11 @@ def hold_texels(
         )
 
 
-def find_occupied(pool: PagePool, chunks: tuple[Index, ...], slots: np.ndarray) -> Occupied:
-    """Which ``chunks`` in ``slots`` of a pool, -1 where absent, hold any texels, and which."""
+def find_occupied(pool: PagePool, chunks: tuple[Index, ...], slots: np.ndarray, near: np.ndarray | None) -> Occupied:
+    """Which ``chunks`` in ``slots`` of a pool, -1 where absent, hold any texels, and which; of those ``near`` alone."""
     there = np.where(slots[:, None] >= 0, pool.table[slots] != UNLIT_ROW, False)
+    if near is not None:
+        there &= near
     some = np.flatnonzero(there.any(axis=1))
     return Occupied(tuple(chunks[i] for i in some.tolist()), slots[some], there[some])
 

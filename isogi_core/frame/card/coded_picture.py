@@ -65,7 +65,7 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) ->
 
 
 def fold(numbers: np.ndarray, light: RotatedLight) -> np.ndarray:
-    """The light of texels by their ``raw_numbers`` (m, n); (m, LIT)."""
+    """The light of texels by their ``raw_numbers`` (m, n); (m, LIGHT_NUMBERS)."""
     spec, lit = light.spec, np.zeros((len(numbers), LIGHT_NUMBERS), np.float32)
     kept, scatter = numbers[:, :-2].reshape(len(numbers), spec.channels, spec.columns), np.exp2(numbers[:, -2])
     transfer = np.float32(raw_scale(spec)) * kept

@@ -27,7 +27,7 @@ from isogi_core.kernels.shading.irradiance_ratio import (
     UNSHADOWED_COLUMN,
 )
 from isogi_core.kernels.shading.lattice import CORNER_ROWS, GRADE_ARRAY, LIGHT_NUMBERS, MIN_LIGHT, UNBAKED_GRADE
-from isogi_core.kernels.transport.transfer import TEXEL_RECORDS as POSITIONS
+from isogi_core.kernels.transport.transfer import TEXEL_PLACES
 
 PATHS_COLUMN, VARIANCE_COLUMN = 14, 15
 """Where a record has how many samples a texel took, and the variance of its own light's luminance, for filtering."""
@@ -188,7 +188,7 @@ def mean_paths(texels, found, weights, count):
     return paths / total
 
 
-@kernel(types.void(NUMBERING, types.int64, POSITIONS, types.int64, types.int64, TEXEL_RECORDS, TEXEL_RECORDS))
+@kernel(types.void(NUMBERING, types.int64, TEXEL_PLACES, types.int64, types.int64, TEXEL_RECORDS, TEXEL_RECORDS))
 def filter_texels(numbering, bits, positions, first, step, texels, filtered):
     """Write to ``filtered`` (texels, RECORD) the records ``texels``, from the ``first`` on one for each position.
 
