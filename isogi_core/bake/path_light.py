@@ -46,7 +46,7 @@ def add_paths(
 ) -> None:
     """Add what a ``SampleRange`` of paths gathers of a ``source`` at g ``starts`` to ``sums`` (g, channels).
 
-    The kernel of PATHS for what is ``met`` and gathered does so, and says how.
+    The kernel of PATH_KERNELS for what is ``met`` and gathered does so, and says how.
     """
     PATH_KERNELS[type(met), type(source)](met, starts, samples, rules, source, sums)
 

@@ -32,7 +32,7 @@ NO_WALLS = Walls(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2, 3)), np.emp
 @dataclass(frozen=True, eq=False)
 class PointsBeside:
     """Where rays of a camera meet what is beside the isosurface: ``pixels`` (m,) uint32, ascending, ``points`` (m, 3)
-    float32 in index space, and the ``numbers`` (m,) int8 of the walls, or FACE on the faces of a window.
+    float32 in index space, and the ``numbers`` (m,) int8 of the walls, or WINDOW_FACE on the faces of a window.
     """
 
     pixels: np.ndarray

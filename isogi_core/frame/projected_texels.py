@@ -76,8 +76,8 @@ def distances_of(positions: np.ndarray, isovalue: Isovalue, prepared: PreparedSc
 class ProjectedReading(Reading):
     """A reading of the ``base`` and of ``projected`` texels as one, the latter in a ``pool`` of their own.
 
-    ``rows`` are those of the base, UNLIT where the projected texel is read in its place: ``projected_rows`` are of the
-    other pool, and UNLIT elsewhere. ``wanted`` (texels,) are the texels that are to be projected and can be,
+    ``rows`` are those of the base, UNLIT_ROW where the projected texel is read in its place: ``projected_rows`` are of
+    the other pool, and UNLIT_ROW elsewhere. ``wanted`` (texels,) are the texels that are to be projected and can be,
     ``unreachable`` those that cannot; ``dark`` ones lie where no light arrives on the isosurface, in a closed hollow.
     ``distances`` are those of all texels.
     """

@@ -111,7 +111,7 @@ def shade_by_paths(gbuffer: GBuffer, light: RotatedLight, target: float, tiles: 
 
 
 def light_sources(sources: Sequence[tuple[np.ndarray, PagePool]], light: RotatedLight, tiles: Tiles) -> np.ndarray:
-    """Each texel's light in ``BakeSpec.unit``, (texels, LIT) as ``light_texels`` has it; 0 where unlit.
+    """Each texel's light in ``BakeSpec.unit``, (texels, LIGHT_NUMBERS) as ``light_texels`` has it; 0 where unlit.
 
     Each of the ``sources`` is rows (texels,) of a pool, of which those are read that are not negative.
     Raises Cancelled.
@@ -155,7 +155,7 @@ def texel_disagreement(texels: ViewTexels, reading: Reading, lit: np.ndarray) ->
 def fill_texel_records(
     grade: np.ndarray, lit: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
 ) -> np.ndarray:
-    """Light and unshadowed light of texels of a ``grade`` (m,) about their ``normals``, (m, RECORD).
+    """Light and unshadowed light of texels of a ``grade`` (m,) about their ``normals``, (m, RECORD_LENGTH).
 
     See ``fill_records``. Raises Cancelled.
     """
@@ -172,7 +172,7 @@ def fill_texel_records(
 def filter_texel_light(
     texels: ViewTexels, reading: Reading, lit: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
 ) -> tuple[Reading, np.ndarray]:
-    """Texels' light ``lit`` (texels, LIT), filtered where it is grainy; see ``kernels.shading.filtering``.
+    """Texels' light ``lit`` (texels, LIGHT_NUMBERS), filtered where it is grainy; see ``kernels.shading.filtering``.
 
     Light that needs no more samples is filtered too: how much a texel takes over follows from its noise.
 
@@ -199,7 +199,8 @@ def filter_texel_light(
 
 
 def filter_records(texels: ViewTexels, records: np.ndarray, tiles: Tiles) -> np.ndarray:
-    """The ``records`` (texels, RECORD) after a pass of the filter at each of FILTER_DISTANCES. Raises Cancelled."""
+    """The ``records`` (texels, RECORD_LENGTH) after a pass of the filter at each of FILTER_DISTANCES. Raises Cancelled.
+    """
     positions = texels.positions
     for step in FILTER_DISTANCES:
         before, after = records, np.empty_like(records)
@@ -214,7 +215,8 @@ def filter_records(texels: ViewTexels, records: np.ndarray, tiles: Tiles) -> np.
 
 
 def lend_light(texels: ViewTexels, reading: Reading, lit: np.ndarray) -> tuple[Reading, np.ndarray]:
-    """Texels' light ``lit`` (texels, LIT) in which those without any have the mean of the others in a cell of theirs.
+    """Texels' light ``lit`` (texels, LIGHT_NUMBERS) in which those without any have the mean of the others in a cell of
+    theirs.
 
     In the ``reading`` that is returned they are converging.
     """

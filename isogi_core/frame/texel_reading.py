@@ -37,12 +37,12 @@ TEXELS_A_PIECE = 16384
 class Reading:
     """What a view's texels hold, (texels,) each; it is good until the pool changes.
 
-    ``rows`` int32 are those of the pool, negative where there is no light; ``grade`` uint8 is
-    UNBAKED, PARTIAL, CONVERGING, FINAL, BURIED or VOID. ``version`` says how far each texel is baked: a
-    texel's light follows from its numbers of samples; ``samples`` int32 are the fewest of any part, ``error``
-    float32 is relative. Texels of chunk i are ``bounds[i]`` … ``bounds[i + 1]``; ``short`` (chunks,) says which chunks
-    have texels that lack light for a picture of the relative error ``target``, whose texels need no more samples than
-    are ``enough``.
+    ``rows`` int32 are those of the pool, negative where there is no light; ``grade`` uint8 is UNBAKED_GRADE,
+    PARTIAL_GRADE, CONVERGING, FINAL, BURIED_GRADE or VOID_GRADE. ``version`` says how far each texel is baked: a
+    texel's light follows from its numbers of samples; ``samples`` int32 are the fewest of any part, ``error`` float32
+    is relative. Texels of chunk i are ``bounds[i]`` … ``bounds[i + 1]``; ``short`` (chunks,) says which chunks have
+    texels that lack light for a picture of the relative error ``target``, whose texels need no more samples than are
+    ``enough``.
     """
 
     rows: np.ndarray

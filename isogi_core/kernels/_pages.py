@@ -84,7 +84,8 @@ def bound_pages(status, bounds, table, mutex):
     ``table`` (m, 2) holds address and bytes of each mapping, whole pages, zeros where there is none; it changes under
     the ``mutex`` alone, which is the memory of one of the C library. Pages are let go of whether they are in use or
     not: what is needed again is still in the system's cache. Other files do not count, such as libraries: the
-    ``bounds[2]`` bytes resident at first, and LIBRARIES more at most, by an eighth of what is left once all is let go.
+    ``bounds[2]`` bytes resident at first, and LIBRARY_BYTES more at most, by an eighth of what is left once all is let
+    go.
     """
     line, row, start = np.empty(STATM_BYTES, np.uint8), 0, 0
     others = bounds[2]

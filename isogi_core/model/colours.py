@@ -66,9 +66,9 @@ class Label:
 class Scale:
     """What values look like: the ``name`` of what they are, the ``span`` of values from the first colour to the last.
 
-    ``map`` is the name of the colours, one of MAPS, "own" or "labels"; ``table`` (255, 3) are their albedos, linear
-    RGB, and ``outside`` is the albedo of places without a value. ``labels`` are those of a segmentation, none of other
-    data: the shown ones have the codes from 1 on.
+    ``map`` is the name of the colours, one of COLOUR_MAPS, "own" or "labels"; ``table`` (255, 3) are their albedos,
+    linear RGB, and ``outside`` is the albedo of places without a value. ``labels`` are those of a segmentation, none of
+    other data: the shown ones have the codes from 1 on.
     """
 
     name: str

@@ -50,7 +50,7 @@ def overcast(directions: np.ndarray, solid_angles: np.ndarray) -> Image:
 
 
 def studio(directions: np.ndarray, solid_angles: np.ndarray) -> Image:
-    """A dim grey room, darker towards the floor, and BOXES that fade over SOFT degrees at their edges."""
+    """A dim grey room, darker towards the floor, and SOFT_BOXES that fade over EDGE_DEGREES degrees at their edges."""
     height = directions[..., 2]
     room = 0.16 + 0.12 * height
     image = np.repeat(room[..., None], 3, axis=-1)

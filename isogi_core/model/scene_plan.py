@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 MIN_SAMPLES, MAX_SAMPLES = 64, 1 << 20
-"""Bounds of the samples for any target error. With fewer than FEWEST a dark texel may have met no light at all."""
+"""Bounds of the samples for any target error. With fewer than MIN_SAMPLES a dark texel may have met no light at all."""
 
 REPRESENTATIONS = ("vicinity", "constant", "irradiance", "transfer")
 """Kinds of light that a texel may keep, the smallest first.

@@ -34,7 +34,9 @@ def offset_and_scale(low: float, high: float, solid: str) -> tuple[float, float]
 
 
 def normalise(values: np.ndarray, offset: float, scale: float) -> np.ndarray:
-    """``(values - offset) / scale`` in float64 without overflow on the way, never -0, and at most FURTHEST in size."""
+    """``(values - offset) / scale`` in float64 without overflow on the way, never -0, and at most MAX_NORMALISED in
+    size.
+    """
     sign, exponent = math.copysign(1.0, scale), math.frexp(scale)[1] - 1
     shift = 2 if exponent > 1000 else 0
     with np.errstate(over="ignore"):

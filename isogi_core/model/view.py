@@ -96,8 +96,8 @@ def orbit(centre: Vec3, radius: float, azimuth: float, elevation: float, distanc
 def orthographic(camera: Camera, radius: float) -> Camera:
     """A ``camera`` of a volume with that ``radius``, with parallel rays; what is at the target is as large as before.
 
-    It is the same camera AFAR radii away, with the field of view that keeps the height of the picture at the target.
-    It sees all that lies along its rays, also behind the eye of the perspective one.
+    It is the same camera ORTHOGRAPHIC_RADII radii away, with the field of view that keeps the height of the picture at
+    the target. It sees all that lies along its rays, also behind the eye of the perspective one.
     """
     away, afar = math.dist(camera.eye, camera.target), ORTHOGRAPHIC_RADII * radius
     _, _, (x, y, z) = camera.basis()

@@ -199,7 +199,7 @@ class Volume:
 
     @cached_property
     def _usual(self) -> np.ndarray:
-        """The counts that were kept with the volume, or those of BINS bins, which are counted once."""
+        """The counts that were kept with the volume, or those of HISTOGRAM_BINS bins, which are counted once."""
         return np.array(self.counts) if len(self.counts) == HISTOGRAM_BINS else self._count(HISTOGRAM_BINS)
 
     def _count(self, bins: int, progress: Progress = no_progress) -> np.ndarray:

@@ -68,6 +68,8 @@ def mixing_weights(albedo: float, nodes: tuple[float, ...], bounces: int) -> np.
 
 
 def reflected_light(albedos: np.ndarray, bounces: int) -> np.ndarray:
-    """Σ R^k f (1 - f)^k over k = 1 … ``bounces``, for each of CHANCES and each of ``albedos``; (chances, albedos)."""
+    """Σ R^k f (1 - f)^k over k = 1 … ``bounces``, for each of ESCAPE_CHANCES and each of ``albedos``; (chances,
+    albedos).
+    """
     ratio = albedos * (1.0 - ESCAPE_CHANCES)[:, None]
     return np.asarray(ESCAPE_CHANCES[:, None] * ratio * (1.0 - ratio**bounces) / (1.0 - ratio))

@@ -90,7 +90,7 @@ def rounding_error(layers: tuple[Layer, ...], inputs: PlanInputs, lobes: int = 0
 
 
 def byte_error(layer: Layer, inputs: PlanInputs, lobes: int = 0) -> float:
-    """The part of the rounding error that a layer's bytes cause: BYTE times what these bands carry."""
+    """The part of the rounding error that a layer's bytes cause: BYTE_ROUNDING times what these bands carry."""
     if layer.coarse is None:
         return 0.0
     below, above = (cut_error(replace(layer, order=n), inputs, lobes) for n in (layer.coarse, layer.order))
@@ -149,8 +149,8 @@ UNCUT_KINDS = ("irradiance", GLOW_KIND)
 def harmonics_error(layers: tuple[Layer, ...], inputs: PlanInputs, lobes: int = 0) -> float:
     """Relative error of cutting off the bands beyond the layers', a root mean square over rotations of the light.
 
-    Errors of direct and of reflected light are taken as independent. Layers that are UNCUT cut off nothing. The first
-    ``lobes`` lobes are lit apart from direct light's harmonics.
+    Errors of direct and of reflected light are taken as independent. Layers that are UNCUT_KINDS cut off nothing. The
+    first ``lobes`` lobes are lit apart from direct light's harmonics.
     """
     return math.sqrt(sum(cut_error(layer, inputs, lobes) ** 2 for layer in layers if layer.kind not in UNCUT_KINDS))
 

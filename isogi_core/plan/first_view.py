@@ -99,7 +99,8 @@ def surface_normals(volume: Volume, level: Isovalue) -> np.ndarray:
 
 
 def exposure_for(light: np.ndarray, albedo: Colour, seen: SeenNormals) -> float:
-    """The exposure at which BRIGHT of what is ``seen`` shows its ``albedo`` or less, and at most WHITEST; three digits.
+    """The exposure at which BRIGHT_SHARE of what is ``seen`` shows its ``albedo`` or less, and at most
+    MAX_SHOWN_ALBEDO; three digits.
 
     ``light`` is all that shines on it, as harmonics, linear RGB (3, n²). The exposure is 1 where that is nothing.
     """

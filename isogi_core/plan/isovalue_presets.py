@@ -55,7 +55,8 @@ def _own_value(volume: Volume, share: float) -> float:
 
 
 def surface_integrals(volume: Volume) -> tuple[np.ndarray, np.ndarray]:
-    """For BINS isovalues in the core: the gradient's integral over the isosurface, and the surface's area; (BINS,).
+    """For TRIED_ISOVALUES isovalues in the core: the gradient's integral over the isosurface, and the surface's area;
+    (TRIED_ISOVALUES,).
 
     Both up to a factor that all share, and the area along the axes, 1 to √3 of the true one. An edge along an axis
     stands for the area between it and its neighbours.
@@ -72,7 +73,7 @@ def surface_integrals(volume: Volume) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _count_edges(a: np.ndarray, b: np.ndarray, density: float, span: tuple[float, float], sums: np.ndarray) -> None:
-    """Add to ``sums`` (2, BINS + 1) where the isovalues begin and end that edges from ``a`` to ``b`` pass.
+    """Add to ``sums`` (2, TRIED_ISOVALUES + 1) where the isovalues begin and end that edges from ``a`` to ``b`` pass.
 
     ``density`` is the inverse length of an edge: the area that it stands for, but for a factor that all axes share.
     """
@@ -87,14 +88,16 @@ def _count_edges(a: np.ndarray, b: np.ndarray, density: float, span: tuple[float
 
 
 def smooth(curve: np.ndarray) -> np.ndarray:
-    """The curve under a Gaussian of SMOOTHING, its ends carried on."""
+    """The curve under a Gaussian of SMOOTHING_BINS, its ends carried on."""
     reach = math.ceil(3 * SMOOTHING_BINS)
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / SMOOTHING_BINS) ** 2)
     return np.convolve(np.pad(curve, reach, "edge"), weights / weights.sum(), "valid")
 
 
 def peaks(curve: np.ndarray) -> list[float]:
-    """The middles of the MAX_SUGGESTED_PRESETS most prominent peaks, or fewer: see LEAST_FALL, TOP and RANGE_MARGIN."""
+    """The middles of the MAX_SUGGESTED_PRESETS most prominent peaks, or fewer: see LEAST_FALL, PEAK_SHARE and
+    RANGE_MARGIN.
+    """
     falls = np.array([prominence(curve, at) for at in range(len(curve))])
     found: list[tuple[int, int]] = []
     for at in np.argsort(-falls, kind="stable").tolist():
@@ -119,7 +122,7 @@ def _saddle(side: np.ndarray, height: float) -> float:
 
 
 def _top(curve: np.ndarray, at: int) -> tuple[int, int]:
-    """The first and the last place around a peak that are no lower than TOP of it."""
+    """The first and the last place around a peak that are no lower than PEAK_SHARE of it."""
     low = np.flatnonzero(curve < PEAK_SHARE * curve[at])
     return int(low[low < at].max(initial=-1)) + 1, int(low[low > at].min(initial=len(curve))) - 1
 

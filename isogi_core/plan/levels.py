@@ -1,8 +1,8 @@
 """Levels of a range: isovalues between which light is mixed on surfaces that are pinned beside the one that slides.
 
-Between two levels the surface that slides moves by a VOXEL on the average: what it shades then changes no faster than
-the lattice holds. As the isovalue grows by dc the surface moves by dc / |∇f|: summed over the range, that says how many
-levels there are. Source: Beason et al. 2006 (S3) mix light of walls between levels; the measure is ours.
+Between two levels the surface that slides moves by LEVEL_VOXELS on the average: what it shades then changes no faster
+than the lattice holds. As the isovalue grows by dc the surface moves by dc / |∇f|: summed over the range, that says how
+many levels there are. Source: Beason et al. 2006 (S3) mix light of walls between levels; the measure is ours.
 """
 
 from bisect import bisect_left
@@ -46,10 +46,10 @@ def find_levels(volume: Volume, isovalues: tuple[float, float], named: Iterable[
 
 
 def mean_ways(volume: Volume, span: tuple[float, float]) -> np.ndarray:
-    """How far the surface moves through each of BINS even parts of a ``span`` of normalised isovalues, in voxels.
+    """How far the surface moves through each of RANGE_BINS even parts of a ``span`` of normalised isovalues, in voxels.
 
-    (BINS,) float64. A cell is passed at an even speed from its least corner to its greatest one: in 1 / (high - low)
-    voxels for each step of the isovalue, over CELLS, as large as the way is along its normal.
+    (RANGE_BINS,) float64. A cell is passed at an even speed from its least corner to its greatest one: in 1 / (high -
+    low) voxels for each step of the isovalue, over CELLS_PER_VOXEL, as large as the way is along its normal.
     """
     sums = np.zeros((2, RANGE_BINS + 1))
     for z in range(0, len(volume.voxels) - 1, -(-volume.voxels.size // MAX_READ_VOXELS)):

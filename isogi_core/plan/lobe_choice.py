@@ -45,8 +45,8 @@ def find_lobes(environment: Environment, light: np.ndarray, target: float) -> tu
 def search(environment: Environment, light: np.ndarray, most: int, patience: int) -> tuple[Lobe, ...]:
     """Take up to ``most`` lobes out of an environment.
 
-    It ends when the error of ORDER is small, or when the last lobes, so many as the ``patience``, hardly reduced it;
-    these are then left in.
+    It ends when the error of JUDGED_ORDER is small, or when the last lobes, so many as the ``patience``, hardly reduced
+    it; these are then left in.
     """
     lobes: list[Lobe] = []
     radiance, errors = environment.image.astype(np.float64), [error_beside(light, ())]
@@ -122,7 +122,8 @@ class Outline:
 
 
 def outlines(radiance: np.ndarray) -> Iterator[Outline]:
-    """Outlines around the brightest texel of a lat-long ``radiance`` (h, w, 3) float64, one for each edge of SHARES.
+    """Outlines around the brightest texel of a lat-long ``radiance`` (h, w, 3) float64, one for each edge of
+    EDGE_SHARES.
 
     Edges that give the same region give one outline. There is none where the peak does not stand out.
     """
@@ -140,7 +141,7 @@ def outlines(radiance: np.ndarray) -> Iterator[Outline]:
 
 
 def grow(mask: np.ndarray, seed: int, angles: np.ndarray) -> np.ndarray:
-    """Flat indices of the marked texels connected with ``seed``; none where they fill more than WIDEST.
+    """Flat indices of the marked texels connected with ``seed``; none where they fill more than MAX_SOLID_ANGLE.
 
     ``mask`` (h, w) bool is a lat-long image, whose columns close to a ring and whose rows go on beyond the poles;
     ``angles`` (h,) are the solid angles of a texel by row.

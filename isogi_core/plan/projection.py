@@ -74,7 +74,7 @@ class Stiffness:
         return np.asarray(some / np.maximum(self.cells, 1))
 
     def expectation(self, place: int) -> Expectation:
-        """Expected error of light on the surface at ``levels[place]``, from its STEEP and NOISY shares."""
+        """Expected error of light on the surface at ``levels[place]``, from its STEEP_ROW and NOISY_ROW shares."""
         steep, noisy = (float(self.share(each)[place]) for each in (self.steep, self.noisy))
         likely = SMOOTH_ERROR + STEEP_ERROR * steep + NOISY_ERROR * noisy
         return Expectation(MIN_ERROR_FACTOR * likely, likely, MAX_ERROR_FACTOR * likely)

@@ -55,7 +55,7 @@ class SampledRange:
 def sample_range(
     volume: Volume, isovalues: tuple[float, float], count: int, way: str, most: float = math.inf
 ) -> SampledRange:
-    """Choose ``count`` levels in a range by one of the WAYS: each is in the middle of an equal part of it.
+    """Choose ``count`` levels in a range by one of the SPACING_KINDS: each is in the middle of an equal part of it.
 
     Adaptive ones are ``shortened``. For them about so many cells are looked at, at ``most``: see ``least_gradients``.
     """
@@ -111,7 +111,8 @@ def adaptive_shares(
 
 
 def least_gradients(volume: Volume, span: tuple[float, float], most: float = math.inf) -> np.ndarray:
-    """gMin in the middle of BINS even parts of a ``span``, both in the voxels' units over the world's; (BINS,) float64.
+    """gMin in the middle of RANGE_BINS even parts of a ``span``, both in the voxels' units over the world's;
+    (RANGE_BINS,) float64.
 
     The gradient of a cell is that in its middle, and counts at all isovalues between its least and its greatest corner;
     inf where no cell has a surface. One pass over the voxels, two layers at a time. Of a volume of more cells than

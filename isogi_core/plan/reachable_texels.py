@@ -26,7 +26,7 @@ class TexelCount:
     """Texels of a lattice: ``total``; ``shown``, which some view can read; ``void``, shown ones that are never lit.
 
     ``chunks`` and ``shown_chunks`` count chunks likewise; a chunk has ``chunk`` texels along each side. ``void`` is
-    estimated from at most SAMPLE of the shown ones.
+    estimated from at most SAMPLED_TEXELS of the shown ones.
     """
 
     total: int

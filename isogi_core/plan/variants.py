@@ -141,8 +141,8 @@ FURTHER = 2
 
 
 def has_finer(scene: Scene) -> bool:
-    """Whether there is finer light of a ``scene``: not beyond FINEST, and not among walls, which have light of their
-    own, nor of several surfaces.
+    """Whether there is finer light of a ``scene``: not beyond MAX_FINENESS, and not among walls, which have light of
+    their own, nor of several surfaces.
     """
     return (
         FINER_FACTOR * scene.settings.lattice <= MAX_FINENESS

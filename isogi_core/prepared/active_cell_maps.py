@@ -42,7 +42,7 @@ def find_levels(voxels: np.ndarray) -> np.ndarray:
     """The levels of a volume, ascending from -inf to inf, float64: parts of the core, and of a crowded group.
 
     Where one bright voxel stretches the range, or values fall off by powers of ten, all surfaces lie in one part of
-    it: a map of that would hold every cell. Such a part has PARTS quantiles of its own values between its ends.
+    it: a map of that would hold every cell. Such a part has CORE_GROUPS quantiles of its own values between its ends.
     """
     values = sample_values(voxels).astype(np.float64)
     levels = [-np.inf, *(np.arange(CORE_GROUPS + 1) / CORE_GROUPS), np.inf]

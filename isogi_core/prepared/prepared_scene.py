@@ -98,7 +98,7 @@ class PreparedScene:
     def around(self) -> np.ndarray:
         """ℓ of the unturned lights as a surface without shadows has them, linear RGB, (3, n²) float64.
 
-        Of order AROUND, and 1 for constant light.
+        Of order UNSHADOWED_ORDER, and 1 for constant light.
         """
         environment, lamps, volume = self.scene.lighting.environment, self.scene.lighting.lamps, self.scene.volume
         order = UNSHADOWED_ORDER if lamps.any or environment.image.any() else 1

@@ -26,7 +26,7 @@ HALF_STEP_PLACES = np.array([[x, y, z] for z in (0, 0.5, 1) for y in (0, 0.5, 1)
 """Places of a cell's corners and of those half-way between them."""
 
 EIGHTHS = (CELL_CORNERS[:, None] + CELL_CORNERS) @ np.array([1, 3, 9])
-"""Numbers in HALVES of the corners of each eighth of a cell (8, 8)."""
+"""Numbers in HALF_STEP_PLACES of the corners of each eighth of a cell (8, 8)."""
 
 
 @dataclass(frozen=True)

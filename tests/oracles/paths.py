@@ -47,7 +47,7 @@ class World(NamedTuple):
 
 
 class Start(NamedTuple):
-    """Where a path starts, on the first isosurface or on a wall (its number, or NOWHERE), and what it draws from."""
+    """Where a path starts, on the first isosurface or on a wall (its number, or NO_WALL), and what it draws from."""
 
     point: Any
     normal: Any

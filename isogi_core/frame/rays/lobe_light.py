@@ -68,7 +68,8 @@ class LobeLight:
 class ShadowStarts:
     """What shadow rays of one view have in common, however the light turns.
 
-    ``picture`` has its surface points, and ``ends`` (TURNS + 1,) int64 where turns begin and end in their order.
+    ``picture`` has its surface points, and ``ends`` (SAMPLING_TURNS + 1,) int64 where turns begin and end in their
+    order.
     """
 
     picture: ShadowPoints
@@ -139,7 +140,8 @@ class Shadows:
     def edges(self, seen: np.ndarray) -> np.ndarray:
         """Put into ``seen`` what points at the edges of shadows see of lobes' rims; the pairs in half-shadow, int64.
 
-        Those that are wide are followed by points STRIDE apart, and filled turn by turn; their ends are sought as far.
+        Those that are wide are followed by points FIRST_TURN_STRIDE apart, and filled turn by turn; their ends are
+        sought as far.
         """
         asked = np.empty_like(seen)
 

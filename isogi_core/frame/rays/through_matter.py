@@ -57,7 +57,7 @@ SEEN_NOISE_SHARE = 0.5
 class Trees:
     """Trees of rays from each point of a picture, one of each of the ``replicas`` and ``samples``, in this order.
 
-    They see so many places at most, their ``breadth``. Sample NONE leaves nothing to chance.
+    They see so many places at most, their ``breadth``. Sample NO_SAMPLE leaves nothing to chance.
     """
 
     breadth: int

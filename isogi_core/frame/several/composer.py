@@ -112,7 +112,7 @@ class Composer:
         return any(each.refine_frame(part.frame, target, tiles, at) for each, part in zip(own, waiting, strict=True))
 
     def renderer(self, side: Side, shown: float) -> SurfaceRenderer:
-        """The renderer of a ``side``, or of WALLS, where the surface that slides shows the isovalue ``shown``."""
+        """The renderer of a ``side``, or of WALLS_SIDE, where the surface that slides shows the isovalue ``shown``."""
         if side in (OUTER, WALLS_SIDE):
             return self._own
         key = side, shown if side.number else None

@@ -10,7 +10,7 @@ from isogi_core.frame.texel_reading import Lacking, Reading, Stage
 from isogi_core.kernels.shading.lattice import BURIED_GRADE, PARTIAL_GRADE, UNBAKED_GRADE, UNLIT_ROW
 
 NOISE = 3
-"""The number of a texel's light, of LIT, that is its standard error."""
+"""The number of a texel's light, of LIGHT_NUMBERS, that is its standard error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class MixedReading(Reading):
 
 
 def mixed(levels: Sequence[Level], found: Sequence[tuple[Reading, np.ndarray]]) -> tuple[Reading, np.ndarray]:
-    """The reading of texels and their light (texels, LIT), mixed of those ``found`` at some levels.
+    """The reading of texels and their light (texels, LIGHT_NUMBERS), mixed of those ``found`` at some levels.
 
     A texel is as good as at the level where it is worst. Where one holds nothing the others stand in, with a part of
     the light while it is to be baked, with all of it while it is buried there.

@@ -27,8 +27,8 @@ DARK = 1e-30
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What a picture shows of a ``side``, or of WALLS: its ``layers``, their tall ``frame``, and the ``caches`` of its
-    light.
+    """What a picture shows of a ``side``, or of WALLS_SIDE: its ``layers``, their tall ``frame``, and the ``caches`` of
+    its light.
     """
 
     side: Side

@@ -240,7 +240,7 @@ def find_rows(lattice, places, slots, pages, rows, error, stamp):
     """Where the light of the texels at ``places`` is kept, and how far it is baked; all outputs (texels,).
 
     ``slots`` (chunks of the view,) leads to the pages' table, -1 where a chunk is absent; texels without light get
-    UNLIT, VOID_ROW or BURIED_ROW for their ``rows`` and their ``stamp``.
+    UNLIT_ROW, VOID_ROW or BURIED_ROW for their ``rows`` and their ``stamp``.
     """
     bits = 3 * lattice.bits
     for t in range(places.shape[0]):

@@ -190,11 +190,12 @@ def mean_paths(texels, found, weights, count):
 
 @kernel(types.void(NUMBERING, types.int64, TEXEL_PLACES, types.int64, types.int64, TEXEL_RECORDS, TEXEL_RECORDS))
 def filter_texels(numbering, bits, positions, first, step, texels, filtered):
-    """Write to ``filtered`` (texels, RECORD) the records ``texels``, from the ``first`` on one for each position.
+    """Write to ``filtered`` (texels, RECORD_LENGTH) the records ``texels``, from the ``first`` on one for each
+    position.
 
-    ``positions`` (m, 3; z, y, x) are those texels' own, ``step`` is the distance between neighbours. Their VARIANCE is
-    what is left of it, and NOISE the part of it that pixels report. Those without light are CONVERGING once they have
-    that of two neighbours, which count LENDS at least.
+    ``positions`` (m, 3; z, y, x) are those texels' own, ``step`` is the distance between neighbours. Their
+    VARIANCE_COLUMN is what is left of it, and NOISE_COLUMN the part of it that pixels report. Those without light are
+    CONVERGING once they have that of two neighbours, which count LENDS at least.
     """
     found, weights = np.empty(27, np.uint32), np.empty(27, np.float32)
     for m in range(positions.shape[0]):
@@ -228,8 +229,9 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
 
 @kernel(types.void(TEXEL_RECORDS, types.boolean[::1], GRADE_ARRAY, TEXEL_RECORDS, GRADE_ARRAY, TEXEL_RECORDS))
 def take_filtered(records, noisy, grade, lit, graded, filtered):
-    """Fill ``filtered`` (texels, LIT) with the light of the ``records`` where it is ``noisy`` (texels,), or where there
-    was none and now is; with ``lit`` elsewhere. ``graded`` (texels,) is ``grade``, in which the latter are CONVERGING.
+    """Fill ``filtered`` (texels, LIGHT_NUMBERS) with the light of the ``records`` where it is ``noisy`` (texels,), or
+    where there was none and now is; with ``lit`` elsewhere. ``graded`` (texels,) is ``grade``, in which the latter are
+    CONVERGING.
     """
     for t in range(lit.shape[0]):
         new = grade[t] == UNBAKED_GRADE and records[t, GRADE_COLUMN] == CONVERGING

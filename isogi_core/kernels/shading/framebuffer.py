@@ -53,7 +53,8 @@ def tally(framebuffer, counts, sums):
 
 
 TONE_GAIN, TONE_TOE, TONE_SHOULDER = 1.7, 0.16, 0.6
-"""The tone curve: light below TOE is deepened, the rest has GAIN, and from SHOULDER on it is bent towards 1.
+"""The tone curve: light below TONE_TOE is deepened, the rest has TONE_GAIN, and from TONE_SHOULDER on it is bent
+towards 1.
 
 Chosen by eye on ten volumes under sky, probes and studio: daylight leaves their shade near 0.15 and their sunlit sides
 near 0.65, which are shown as 0.12 and 0.81.
@@ -62,7 +63,8 @@ near 0.65, which are shown as 0.12 and 0.81.
 
 @kernel()
 def tone(x):
-    """The tone curve: y = GAIN x²/(x + TOE) up to s = SHOULDER, then s + (1 - s)(1 - exp(-(y - s)/(1 - s))).
+    """The tone curve: y = TONE_GAIN x²/(x + TONE_TOE) up to s = TONE_SHOULDER, then s + (1 - s)(1 - exp(-(y - s)/(1 -
+    s))).
 
     It is 0 at 0, rises everywhere, has a continuous slope, and is never above 1.
     """

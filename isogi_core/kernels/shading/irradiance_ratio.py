@@ -88,7 +88,8 @@ TEXEL_RECORDS = types.float32[:, ::1]
 
 @kernel(types.void(types.uint8[::1], types.float32[:, ::1], POINT_ROWS, UNSHADOWED, types.boolean, TEXEL_RECORDS))
 def fill_records(grade, lit, normals, unshadowed, whole, texels):
-    """Fill the records ``texels`` (m, RECORD) by the ``grade`` (m,) and the light ``lit`` (m, LIT) of ``light_texels``.
+    """Fill the records ``texels`` (m, RECORD_LENGTH) by the ``grade`` (m,) and the light ``lit`` (m, LIGHT_NUMBERS) of
+    ``light_texels``.
 
     ``normals`` (m, 3) are those that they are lit about. Of what is not baked unshadowed light stands in; void and
     buried texels have none. Of light that is kept as a ``whole`` no more is direct than the unshadowed light: were all
@@ -109,7 +110,7 @@ def fill_records(grade, lit, normals, unshadowed, whole, texels):
 
 @kernel()
 def agree(texels, t, n):
-    """What texel ``t`` counts by the cosine c between its normal and ``n``: (c / (1 + (1 - c) / TURNED))².
+    """What texel ``t`` counts by the cosine c between its normal and ``n``: (c / (1 + (1 - c) / NORMAL_TURN_LIMIT))².
 
     It falls off slowly, so that where all texels are turned away from a pixel no single one decides: with the 16th
     power of the cosine the error at rims of thin walls is a sixth higher, at its 99th percentile. What faces away
@@ -175,7 +176,8 @@ def shade_ratio(blended, under):
 
 @kernel(types.void(LATTICE, SURFACE_POINTS, CORNER_ROWS, TEXEL_RECORDS, UNSHADOWED, types.float32, FRAMEBUFFER))
 def carry_ratios(lattice, points, corners, texels, unshadowed, unit, framebuffer):
-    """Carry the light of records ``texels`` (m, RECORD) to the ``framebuffer`` at the pixels of ``SurfacePoints``.
+    """Carry the light of records ``texels`` (m, RECORD_LENGTH) to the ``framebuffer`` at the pixels of
+    ``SurfacePoints``.
 
     Weights are trilinear (S1, section 4.2), times what ``agree`` makes of a texel's normal and the point's;
     ``corners`` (m, 8) are the numbers of the points' texels. Void and buried texels are left out, and of what is not

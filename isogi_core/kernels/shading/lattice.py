@@ -128,7 +128,8 @@ def base_texel(lattice, points, m):
     any_order=True,
 )
 def light_texels(rows, transfer, scatter, light, square, firsts, straight, lit):
-    """Fill ``lit`` (m, LIT): linear RGB radiance, standard error of its luminance, and what of it is reflected light.
+    """Fill ``lit`` (m, LIGHT_NUMBERS): linear RGB radiance, standard error of its luminance, and what of it is
+    reflected light.
 
     All are in ``BakeSpec.unit``. ``transfer`` (row, channels, n) holds τ, ``scatter`` (row,) the standard error over
     the standard deviation of one path's luminance; ``light`` (3, n) is the turned environment times the albedo over
@@ -256,12 +257,13 @@ def span_of(grade, corners, m):
     )
 )
 def carry_light(lattice, points, corners, grade, lit, sky, unit, framebuffer):
-    """Carry the texels' light ``lit`` (texels, LIT) to the ``framebuffer`` at the pixels of ``SurfacePoints``.
+    """Carry the texels' light ``lit`` (texels, LIGHT_NUMBERS) to the ``framebuffer`` at the pixels of
+    ``SurfacePoints``.
 
     Trilinear (S1, section 4.2) over the texels that hold light, whose numbers are ``corners`` (m, 8); void and buried
-    ones are left out, and what is not baked yet stands in as unshadowed light about the point's normal (read
-    only where a texel is missing). Both are counted in ``unit``, the radiance of 1. ``grade`` (texels,) is UNBAKED,
-    PARTIAL, CONVERGING, FINAL, BURIED or VOID; a point is as good as the least of its texels.
+    ones are left out, and what is not baked yet stands in as unshadowed light about the point's normal (read only where
+    a texel is missing). Both are counted in ``unit``, the radiance of 1. ``grade`` (texels,) is UNBAKED_GRADE,
+    PARTIAL_GRADE, CONVERGING, FINAL, BURIED_GRADE or VOID_GRADE; a point is as good as the least of its texels.
     """
     basis = np.empty(sky.order * sky.order)
     for m in range(points.pixels.shape[0]):

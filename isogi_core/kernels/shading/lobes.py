@@ -78,8 +78,9 @@ NO_LOBE, LOBE_HIDDEN, LOBE_SEEN, LOBE_HALF_SEEN, LOBE_UNASKED = range(5)
 
 SEEN_ROWS = types.uint8[:, ::1]
 PAIR_ARRAY, SIDE_CODES, SHARE_ROWS = types.int64[::1], types.uint8[::1], types.float64[:, ::1]
-"""Lobes and points that go together: number of the lobe times the points, plus that of the point. Of which AXES
-neighbours share their rays with each, a bit for each; and how much of the lobe the point sees, with its variance.
+"""Lobes and points that go together: number of the lobe times the points, plus that of the point. Of which
+NEIGHBOUR_AXES neighbours share their rays with each, a bit for each; and how much of the lobe the point sees, with its
+variance.
 """
 
 
@@ -112,7 +113,9 @@ def irradiance(cosine, s):
 
 @kernel()
 def agreed(around, m, seen):
-    """What the neighbours ``around`` point ``m`` all have ``seen`` (m,) of a lobe, DARK or LIT; else UNKNOWN."""
+    """What the neighbours ``around`` point ``m`` all have ``seen`` (m,) of a lobe, LOBE_HIDDEN or LOBE_SEEN; else
+    UNKNOWN.
+    """
     if around[m, 0] < 0:
         return LOBE_UNASKED
     found = seen[around[m, 0]]
@@ -122,7 +125,7 @@ def agreed(around, m, seen):
 
 @kernel(types.void(SURFACE, SHADOW_POINTS, LAMPS, PART, SEEN_ROWS))
 def see_middles(surface, picture, lamps, part, seen):
-    """Fill what points have ``seen`` (lobes, m) of lobes' middles: AWAY by their normals, DARK or LIT.
+    """Fill what points have ``seen`` (lobes, m) of lobes' middles: NO_LOBE by their normals, LOBE_HIDDEN or LOBE_SEEN.
 
     The points are a ``part`` of the ``order``, all of one turn. They see what all ``around`` them do; from the others
     rays go to the middle of what is above their horizon.
@@ -188,7 +191,7 @@ def halves_around(picture, m, seen):
 def spread_edges(picture, lamps, halves, turn, seen, asked, more):
     """Find pairs about those in the half-shadow, ``halves``, that are not ``asked`` yet, and mark them.
 
-    They are of a ``turn``, or of ANY, and nearest to a pixel at its step; after the first turn amid two in the
+    They are of a ``turn``, or of ANY_TURN, and nearest to a pixel at its step; after the first turn amid two in the
     half-shadow at least. Those amid four are in it, too, and need no rays: they are written to the end of ``more``, the
     others to its beginning. It has room for 8 times the ``halves``. Returns how many are to be asked, and where the
     others begin.
@@ -227,9 +230,10 @@ def rim_way(lamps, k, turn):
 
 @kernel(types.void(SURFACE, SHADOW_POINTS, LAMPS, PAIR_ARRAY, SIDE_CODES))
 def see_rims(surface, picture, lamps, pairs, sees):
-    """Fill what points and lobes of ``pairs`` see of each other by their rims, ``sees`` (pairs,): DARK, LIT or HALF.
+    """Fill what points and lobes of ``pairs`` see of each other by their rims, ``sees`` (pairs,): LOBE_HIDDEN,
+    LOBE_SEEN or LOBE_HALF_SEEN.
 
-    Of RIM rays none is cast from below a point's own surface: it would end there.
+    Of RIM_RAYS rays none is cast from below a point's own surface: it would end there.
     """
     points, most, count = picture.points, RIM_RAYS * pairs.shape[0], 0
     owners, asking, ways = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((3, most))
@@ -253,7 +257,7 @@ def see_rims(surface, picture, lamps, pairs, sees):
 
 @kernel()
 def opposite(picture, m, axis):
-    """The numbers of the two points beside point ``m`` along one of the AXES."""
+    """The numbers of the two points beside point ``m`` along one of the NEIGHBOUR_AXES."""
     y, x = divmod(np.int64(picture.points.pixels[m]), picture.rows.shape[1])
     dy, dx, _ = NEIGHBOUR_AXES[axis]
     return number_at(picture.rows, y - dy, x - dx), number_at(picture.rows, y + dy, x + dx)

@@ -75,7 +75,7 @@ def turn_of(x, y):
 
 @kernel()
 def step_of(turn):
-    """How far apart the pixels of a turn and of those before it are, along x and y; 1 of ANY."""
+    """How far apart the pixels of a turn and of those before it are, along x and y; 1 of ANY_TURN."""
     return FIRST_TURN_STRIDE if turn == 0 else 2 if 0 < turn < 3 else 1
 
 
@@ -159,7 +159,8 @@ def prepare_points(surface, picture, part):
 
 @kernel(types.void(PIXEL_ARRAY, types.int64, ORDER_ARRAY, types.int64[::1]))
 def sort_by_turn(pixels, width, order, ends):
-    """Fill the ``order`` (m,) of points at ``pixels`` of a picture so wide, and the ``ends`` (TURNS + 1,) of turns.
+    """Fill the ``order`` (m,) of points at ``pixels`` of a picture so wide, and the ``ends`` (SAMPLING_TURNS + 1,) of
+    turns.
 
     Points of turn t are those from ``ends[t]`` to ``ends[t + 1]``.
     """

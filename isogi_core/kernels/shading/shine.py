@@ -76,7 +76,7 @@ class ShineDraws(NamedTuple):
 class ShineEnds(NamedTuple):
     """What n rays bring and meet: light ``brought``, and what light that leaves where they end counts, ``weights``,
     both float32 (n, 3); the ``points`` there, whose ``pixels`` are the rays' numbers; ``met`` int8 (n,) is a wall,
-    ISOSURFACE or NEVER.
+    MET_ISOSURFACE or MET_NOTHING.
     """
 
     brought: Any

@@ -126,7 +126,7 @@ class Rows(NamedTuple):
 
 class Sums(NamedTuple):
     """What is summed over the parts of m texels: ``variance`` and ``luminance``, float64; ``rungs``, those of the
-    parts side by side, and the bits of what is ``shown`` without samples, int64; ``marks``, LIT, …, uint8.
+    parts side by side, and the bits of what is ``shown`` without samples, int64; ``marks``, TEXEL_LIT, …, uint8.
     """
 
     variance: np.ndarray
@@ -315,7 +315,7 @@ def mean_square(transfer, row, judge):
 def judge_rows(rows, into, sums, judge, places):
     """Fill scatter, error and stamp of the ``rows`` (m,) in ``into``, whose parts were all added, from their ``sums``.
 
-    ``places`` (m,) are set to the rows, or to UNLIT, VOID_ROW or BURIED_ROW of texels that have nothing to show.
+    ``places`` (m,) are set to the rows, or to UNLIT_ROW, VOID_ROW or BURIED_ROW of texels that have nothing to show.
     """
     for m in range(len(rows)):
         row = np.uint32(rows[m])

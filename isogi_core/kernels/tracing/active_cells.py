@@ -27,7 +27,7 @@ EMPTY = types.boolean[::1]
 class ActiveCells(NamedTuple):
     """The bricks of one volume for one range of isovalues; arrays are flat, x fastest.
 
-    ``tops`` int32 (bricks): where cells are marked the brick's place in ``cells`` / BRICK, less than
+    ``tops`` int32 (bricks): where cells are marked the brick's place in ``cells`` / BRICK_CELLS, less than
     2²⁸; else its skips (see ``fill_skips``). ``cells`` int32, one for each layer of a marked brick along z:
     bit i = y % 4 * 4 + x % 4 for a marked cell, and bit 16 + i where any cell of its aligned 2³ block is
     marked. ``margins`` float32 (bricks): values nearer to zero than this have no certain sign there;
@@ -103,7 +103,7 @@ def at(flat, place):
 
 @kernel()
 def mark_layer(flat, place, row, plane, levels, marks):
-    """Write the ``marks`` (ROW,) of a layer of cells; their first voxel is ``flat[place]``.
+    """Write the ``marks`` (GROUP_CELLS,) of a layer of cells; their first voxel is ``flat[place]``.
 
     ``row`` and ``plane`` are the steps to the next voxel along y and z. A mark has bit 4 y + x % 4 of a
     cell that has not all corners above ``levels[0]`` or all below ``levels[1]``.

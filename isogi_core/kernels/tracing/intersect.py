@@ -119,7 +119,7 @@ def cross_macrocell(volume, ray, block, box, part, side):
 def cast(field, iso, o, d, side):
     """First crossing of the isosurface by the ray o + t·d, t ≥ 0: (t, side it came from), or (inf, UNKNOWN).
 
-    ``o`` and ``d`` are in index space, ``d`` of any length; ``side`` is OUTSIDE or SOLID where the
+    ``o`` and ``d`` are in index space, ``d`` of any length; ``side`` is OUTSIDE_SIGN or SOLID_SIGN where the
     start is known (a ray that leaves a surface), UNKNOWN where the value at the start decides.
     Macrocells whose voxels all lie on one side are passed at once (empty-space skipping).
     """

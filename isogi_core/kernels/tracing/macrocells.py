@@ -84,7 +84,8 @@ def find_ranges(voxels, size, apron, low, high):
 
 @kernel(types.void(RANGES, RANGES, RANGES))
 def fill_macrocells(voxels, low, high):
-    """Fill ``low`` and ``high`` (mz, my, mx) from ``voxels`` (nz, ny, nx), mz = ceil((nz - 1) / SIZE) and so on.
+    """Fill ``low`` and ``high`` (mz, my, mx) from ``voxels`` (nz, ny, nx), mz = ceil((nz - 1) / MACROCELL_SIDE) and so
+    on.
 
     A macrocell takes in the voxels on all its faces, shared ones too. One with a NaN in it gets
     (-inf, +inf), so that it is never skipped: its cells decide one by one.

@@ -33,7 +33,7 @@ MIN_RAY_SHARE = 1.0 / 512.0
 """Share of a ray's light below which what lies behind is left out."""
 
 NO_SIDE = -3
-"""The side that a ray meets where it meets nothing; FACE is that of a window, and others are from 0 on."""
+"""The side that a ray meets where it meets nothing; WINDOW_FACE is that of a window, and others are from 0 on."""
 
 FIRST_WALL_SIDE = 2 * MAX_SURFACES
 """The side that a ray meets on the first wall; one more on the next."""
@@ -54,8 +54,8 @@ class Peeled(NamedTuple):
     """What rays meet, ray by ray and front to back, (m,) each.
 
     ``rays`` uint32 are their numbers, and ``points`` (m, 3) float32 in index space. ``sides`` int8 are 2 k on the outer
-    side of surface k, one more on its inner one, WALL + k on wall k, or FACE. ``ranks`` int8 tell how many of that side
-    the ray has met before, and ``weights`` float32 the share of its light that comes from there.
+    side of surface k, one more on its inner one, FIRST_WALL_SIDE + k on wall k, or WINDOW_FACE. ``ranks`` int8 tell how
+    many of that side the ray has met before, and ``weights`` float32 the share of its light that comes from there.
     """
 
     rays: Any
@@ -79,7 +79,8 @@ class Crossings(NamedTuple):
 
 
 class Layers(NamedTuple):
-    """What n rays show, layer behind layer: ``sides``, as of ``Peeled``, ways ``t`` and ``weights``, (LAYERS + 1, n).
+    """What n rays show, layer behind layer: ``sides``, as of ``Peeled``, ways ``t`` and ``weights``, (MAX_PEELED_LAYERS
+    + 1, n).
 
     The last of them has walls alone.
     """
@@ -261,9 +262,9 @@ def rank_of(peeled, first, row):
 def peel_rays(shells, sight, eye, directions, peeled, left):
     """All that rays from the ``eye`` in ``directions`` (3, n) meet, in index space: how much that is.
 
-    It is written to ``peeled``, which has room for (LAYERS + 1) · n, and ``left`` (n,) is filled with the share of each
-    ray's light that comes from behind all of it. The window of a ``sight`` has faces in what is opaque, and takes no
-    walls away.
+    It is written to ``peeled``, which has room for (MAX_PEELED_LAYERS + 1) · n, and ``left`` (n,) is filled with the
+    share of each ray's light that comes from behind all of it. The window of a ``sight`` has faces in what is opaque,
+    and takes no walls away.
     """
     n = directions.shape[1]
     ways = np.empty((2, MAX_PEELED_LAYERS + 1, n))

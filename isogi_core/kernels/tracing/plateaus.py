@@ -59,7 +59,7 @@ def value_span(voxels, p):
 
 @kernel(exact=True)
 def flat(voxels, p, own, edge):
-    """Whether a share FLAT of the voxels about ``p`` is within ``edge`` of its value ``own``."""
+    """Whether a share FLAT_SHARE of the voxels about ``p`` is within ``edge`` of its value ``own``."""
     nz, ny, nx = voxels.shape
     xs, ys, zs = reach(p[0], nx), reach(p[1], ny), reach(p[2], nz)
     alike, count = 0, 0
@@ -91,9 +91,9 @@ def point_within(shape, p, d, t):
 
 @kernel(exact=True)
 def crossing(voxels, p, d, level, halvings=HALVINGS):
-    """How far along ``d`` the isosurface ``level`` is first crossed, FARTHEST at most; inf where it is not.
+    """How far along ``d`` the isosurface ``level`` is first crossed, MAX_SHIFT_VOXELS at most; inf where it is not.
 
-    Known to a STRIDE over 2 to the power of the ``halvings``.
+    Known to STEP_VOXELS over 2 to the power of the ``halvings``.
     """
     t, v = 0.0, value(voxels, p)
     solid = v > level
@@ -122,7 +122,9 @@ def downhill(n, spacing, sign):
 
 @kernel(exact=True)
 def thin(voxels, p, d, level):
-    """Whether one of the 26 places a voxel away from ``p`` is open and BEHIND it: the wall's other side is as near."""
+    """Whether one of the 26 places a voxel away from ``p`` is open and BEHIND_VOXELS behind it: the wall's other side
+    is as near.
+    """
     for place in range(27):
         o = (place % 3 - 1.0, place // 3 % 3 - 1.0, place // 9 - 1.0)
         behind = o[0] * d[0] + o[1] * d[1] + o[2] * d[2] < BEHIND_VOXELS

@@ -26,7 +26,7 @@ STRAY_BIT = 8
 class Rays(NamedTuple):
     """n rays ``origins`` + t · ``directions`` (3, n), float64, in index space, each against a surface of its own.
 
-    ``isovalues`` (n,) float64; ``sides`` (n,) int8, OUTSIDE, SOLID or UNKNOWN, that they start on.
+    ``isovalues`` (n,) float64; ``sides`` (n,) int8, OUTSIDE_SIGN, SOLID_SIGN or UNKNOWN, that they start on.
     """
 
     isovalues: Any

@@ -59,7 +59,7 @@ def is_solid(surface, p):
 
 @kernel()
 def cast_through(surface, window, eye, directions, t, met):
-    """``camera.cast_from_eye`` through a ``window``: what is ``met`` (n,) is one of its faces, FACE, or NOWHERE."""
+    """``camera.cast_from_eye`` through a ``window``: ``met`` (n,) is WINDOW_FACE, on one of its faces, or NO_WALL."""
     count = t.shape[0]
     origins, came, near, far = np.empty((3, count)), np.empty(count, np.int8), np.empty(count), np.empty(count)
     for i in range(count):
@@ -100,7 +100,7 @@ def trace_pixels_in_sight(surface, sight, camera, first, width, pixels, points, 
     """``trace_pixels`` where there are walls or a window: how many pixels show the surface, and how many these.
 
     The first row of ``pixels`` (2, n) and ``points`` (2, n, 3) is of the surface, the second one of walls and faces,
-    of which ``numbers`` (n,) are the walls' or FACE.
+    of which ``numbers`` (n,) are the walls' or WINDOW_FACE.
     """
     count = pixels.shape[1]
     directions, t, met = np.empty((3, count)), np.empty(count), np.empty(count)

@@ -89,7 +89,7 @@ def enlarge(cubes, octant, outside, steps, rows, larger):
 
 @kernel()
 def write_octant(sides, octant, shape, tops):
-    """Add the skips of an octant to ``tops`` (bricks,): ``sides`` (BITS, z, y, words) are the bits of each."""
+    """Add the skips of an octant to ``tops`` (bricks,): ``sides`` (SKIP_BITS, z, y, words) are the bits of each."""
     bz, by, bx = shape
     one, shift = np.uint64(1), np.uint64(SKIP_BITS * octant)
     for k in range(bz):

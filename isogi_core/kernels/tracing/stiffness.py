@@ -147,10 +147,10 @@ def count_cell(levels, corners, first, last, seen, counts):
 def count_stiffness(field, levels, begin, end, counts):
     """Add to ``counts`` (ROWS, levels + 1), as differences, the cells of layers ``begin`` … ``end`` - 1 along z.
 
-    ``levels`` are isovalues, ascending, in voxel units. CELLS are those that the surface passes; STEEP, NOISY, HOLED
-    and PLATEAU those of them with half of their corners at the edge of a plateau, with normals that stray,
-    beside a hole, and with a corner that has no gradient or half of the corners at the isovalue itself; a row for each
-    face of the box those whose corners on it are parted.
+    ``levels`` are isovalues, ascending, in voxel units. CELLS_ROW are those that the surface passes; STEEP_ROW,
+    NOISY_ROW, HOLED_ROW and PLATEAU_ROW those of them with half of their corners at the edge of a plateau, with normals
+    that stray, beside a hole, and with a corner that has no gradient or half of the corners at the isovalue itself; a
+    row for each face of the box those whose corners on it are parted.
     """
     _, ny, nx = field.voxels.shape
     normals, marks = np.zeros((2, ny, nx, 3)), np.zeros((2, ny, nx), np.uint8)

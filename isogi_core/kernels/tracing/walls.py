@@ -43,7 +43,7 @@ def inner(rows, k, v):
 
 @kernel(exact=True)
 def nearest_wall(walls, o, d, own, reach):
-    """The first wall that the ray o + t·d meets, 0 < t < ``reach``: (t, its number), or (reach, NOWHERE).
+    """The first wall that the ray o + t·d meets, 0 < t < ``reach``: (t, its number), or (reach, NO_WALL).
 
     It never meets its ``own`` wall, that it starts on. Takes vectors of rays too.
     """
@@ -64,7 +64,7 @@ def nearest_wall(walls, o, d, own, reach):
 def meet_walls(walls, origins, directions, own, t, met):
     """Shorten the ways ``t`` (n,) of rays ``origins`` + t · ``directions`` (3, n) to the walls that they meet first.
 
-    ``own`` (n,) are the walls that they start on; ``met`` (n,) those that they meet, or NOWHERE. n is whole vectors.
+    ``own`` (n,) are the walls that they start on; ``met`` (n,) those that they meet, or NO_WALL. n is whole vectors.
     """
     for i in range(0, t.shape[0], PATH_WIDTH):
         o, d = load_columns(origins, i), load_columns(directions, i)

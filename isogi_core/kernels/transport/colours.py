@@ -67,7 +67,8 @@ def known_code(codes, p):
 
 @kernel()
 def next_label(labels, p, after):
-    """The least label above ``after`` at the corners of the cell at ``p``, and its trilinear share; LAST + 1 if none.
+    """The least label above ``after`` at the corners of the cell at ``p``, and its trilinear share; LAST_CODE + 1 if
+    none.
 
     ``p`` is in steps of the grid.
     """

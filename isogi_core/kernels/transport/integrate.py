@@ -152,7 +152,7 @@ def walk(scene, state, vertices, spare, rules, source):
 
 @kernel()
 def places_for(total, branches):
-    """The places of a wave, at most WAVE or so, for ``total`` paths that go on in this number of ``branches``."""
+    """The places of a wave, at most WAVE_PATHS or so, for ``total`` paths that go on in this number of ``branches``."""
     return whole(min(WAVE_PATHS // branches, total)) * branches
 
 

@@ -27,8 +27,8 @@ class ShineLobe(NamedTuple):
     """A microfacet lobe: ``alpha``, the roughness squared, and what it reflects head on, ``facing``, linear RGB.
 
     It counts ``strength`` times. Of a ``metal`` light below falls to 1 - strength, else to what the lobe leaves of it:
-    see ``light_below``. ``energy`` (NODES + 1, 2) is that of ``fill_energy``. Of its rays the share ``aside`` is drawn
-    towards lights.
+    see ``light_below``. ``energy`` (ENERGY_STEPS + 1, 2) is that of ``fill_energy``. Of its rays the share ``aside`` is
+    drawn towards lights.
     """
 
     alpha: float
@@ -154,7 +154,7 @@ def mean_energy(alpha, cosine):
 
 @kernel(types.void(types.float64, ENERGY))
 def fill_energy(alpha, energy):
-    """Fill ``energy`` (NODES + 1, 2) with ``mean_energy`` at the cosines (k/NODES)²: single scattering.
+    """Fill ``energy`` (ENERGY_STEPS + 1, 2) with ``mean_energy`` at the cosines (k/NODES)²: single scattering.
 
     The split is Karis's, "Real Shading in Unreal Engine 4", 2013.
     """

@@ -13,7 +13,7 @@ class PathStarts(NamedTuple):
 
     They are columns, as vectors of a wave are. ``isovalues`` (g,) float64, normalised, are those of the surface that
     paths meet; ``seeds`` (g,) uint64 of the sequences that they draw from. ``walls`` (g,) float64 are numbers of walls,
-    or NOWHERE on the isosurface, where rays start outside.
+    or NO_WALL on the isosurface, where rays start outside.
     """
 
     points: Any

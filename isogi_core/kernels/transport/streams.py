@@ -15,7 +15,9 @@ DIRECTIONS = 0
 """The first of the pairs that draw a path's directions, one for each vertex."""
 
 FIRST_SOURCE_PAIR = PAIRS_PER_PURPOSE
-"""The first pair that draws a point of a light source, PAIRS for each: bright sky, then lamps, then luminaires."""
+"""The first pair that draws a point of a light source, PAIRS_PER_PURPOSE for each: bright sky, then lamps, then
+luminaires.
+"""
 
 MAX_CROSSINGS = 64
 """Surfaces that a ray passes at most: what comes next stops it."""

@@ -12,8 +12,8 @@ from isogi_core.kernels.tracing.vec import dot, is_zero, length, put_column
 from isogi_core.kernels.transport.transfer import REAL_ARRAY, REAL_ROWS, TEXEL_PLACES, hemmed
 
 TEXEL_PROJECTED, TOO_FAR, OTHER_SHEET, NORMAL_TURNED, TEXEL_HEMMED, NO_SURFACE = range(6)
-"""What became of a texel: it was projected, or the shown isosurface is not within FARTHEST, or another sheet of it is;
-the normal there is turned by more than a right angle; light has no room to arrive there; or its own point has no
+"""What became of a texel: it was projected, or the shown isosurface is not within MAX_SHIFT_VOXELS, or another sheet of
+it is; the normal there is turned by more than a right angle; light has no room to arrive there; or its own point has no
 normal.
 """
 
@@ -37,7 +37,7 @@ def way_to(field, p, n, level, halvings=HALVINGS):
     """The way from ``p`` to the isosurface ``level`` along the normal ``n``, that is not zero: (direction, voxels).
 
     Out of the solid or into it, to where the trilinear field first crosses the level; the direction is of index space,
-    a voxel long, and the way, found by ``halvings`` (see ``crossing``), inf where it does not within FARTHEST.
+    a voxel long, and the way, found by ``halvings`` (see ``crossing``), inf where it does not within MAX_SHIFT_VOXELS.
     """
     d = downhill(n, field.spacing, 1.0 if value(field.voxels, p) > level else -1.0)
     return d, crossing(field.voxels, p, d, level, halvings)
@@ -47,7 +47,8 @@ def way_to(field, p, n, level, halvings=HALVINGS):
 def project_point(field, p, level):
     """Move ``p`` along the normal onto the isosurface ``level``: (verdict, point, normal there).
 
-    The straight way of ``way_to``; both are those of ``p`` itself where that fails. Verdicts are PROJECTED … NOWHERE.
+    The straight way of ``way_to``; both are those of ``p`` itself where that fails. Verdicts are TEXEL_PROJECTED …
+    NO_SURFACE.
     """
     n = normal(field, p)
     if math.isnan(value(field.voxels, p)) or is_zero(n):
@@ -69,7 +70,7 @@ def project_texels(field, step, level, texels, points, normals, verdicts):
     """Move ``texels`` (m, 3; z, y, x) onto the isosurface ``level``, a voxel-space isovalue.
 
     ``step`` (3,) voxels per texel along x, y, z. Writes ``points`` and ``normals`` (3, m), and the ``verdicts`` (m,):
-    PROJECTED, or why a texel stays where it is.
+    TEXEL_PROJECTED, or why a texel stays where it is.
     """
     for m in range(texels.shape[0]):
         p = (texels[m, 2] * step[0], texels[m, 1] * step[1], texels[m, 0] * step[2])

@@ -44,7 +44,7 @@ def texel_seed(z, y, x, half):
 
 @kernel(exact=True)
 def hemmed(field, p, n, level):
-    """Whether it is solid an OFFSET above ``p`` along the normal ``n``: light has no room to arrive there."""
+    """Whether it is solid RAY_OFFSET_VOXELS above ``p`` along the normal ``n``: light has no room to arrive there."""
     up = to_index(n, field.spacing)
     return value(field.voxels, point_within(field.voxels.shape, p, up, RAY_OFFSET_VOXELS / length(up))) > level
 

@@ -169,7 +169,7 @@ class Segmentation:
         return codes
 
     def field(self) -> Iterator[np.ndarray]:
-        """The slabs of the field whose surface at HALF is that of the shown labels."""
+        """The slabs of the field whose surface at LABEL_ISOVALUE is that of the shown labels."""
         return smooth(self.codes > 0)
 
     def stamp(self) -> str:
@@ -196,8 +196,8 @@ def _label(place: int, listed: LabelTable, named: LabelName) -> Label:
 def smooth(shown: np.ndarray) -> Iterator[np.ndarray]:
     """The field of voxels that are ``shown`` (nz, ny, nx): from 0 to 1 by a Gaussian, float32, slab by slab.
 
-    Parts so thin that nothing of them or beside them would be above HALF are THIN instead, up to what is. The volume's
-    outermost voxels go on beyond it.
+    Parts so thin that nothing of them or beside them would be above LABEL_ISOVALUE are THIN_FIELD instead, up to what
+    is. The volume's outermost voxels go on beyond it.
     """
     nz, halo = len(shown), SMOOTHING_REACH + 2
     layers = layers_of(4 * shown[0].size)

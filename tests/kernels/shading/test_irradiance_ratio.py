@@ -57,7 +57,7 @@ def unshadowed_of(normals):
 
 
 def records_of(grade, lit, normals, unshadowed=UNSHADOWED, whole=False):
-    """`fill_records`: (m, RECORD)."""
+    """`fill_records`: (m, RECORD_LENGTH)."""
     records = np.full((len(grade), RECORD_LENGTH), np.nan, np.float32)
     fill_records(grade, lit, normals, unshadowed, whole, records)
     return records
@@ -75,7 +75,7 @@ def carry(points, records, normals, unshadowed=UNSHADOWED, unit=1.0):
 
 
 def lit_texels(points, grades=(FINAL,)):
-    """Texels of a view of the points, lit at random: grades, light (m, LIT) and normals (m, 3)."""
+    """Texels of a view of the points, lit at random: grades, light (m, LIGHT_NUMBERS) and normals (m, 3)."""
     count = len(view_of(points)[1])
     lit = (RNG.random((count, LIGHT_NUMBERS)) + 0.1).astype(np.float32)
     lit[:, 4:] *= 0.5 * lit[:, :3]

@@ -32,7 +32,7 @@ def about(voxels, p):
 
 
 def lifted(voxels, points, normals):
-    """Values an OFFSET above points (m, 3) along their normals in index space, of any length."""
+    """Values RAY_OFFSET_VOXELS above points (m, 3) along their normals in index space, of any length."""
     with np.errstate(invalid="ignore"):
         return values(voxels, points + RAY_OFFSET_VOXELS * normals / np.linalg.norm(normals, axis=1, keepdims=True))
 

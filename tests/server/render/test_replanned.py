@@ -19,7 +19,7 @@ from tests.server.inline import chunks_in, view_of
 
 SKY = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
 SETTINGS: dict[str, Any] = {"lattice": 0.5, "bounces": 1, "target_error": 0.5, "lights": [SKY], "precision": "half"}
-"""Each texel takes FEWEST samples, whatever its noise."""
+"""Each texel takes MIN_SAMPLES samples, whatever its noise."""
 
 Turn = Callable[..., "Shown"]
 

@@ -209,10 +209,10 @@ def light_through_matter(scene, starts, samples, rules, light, sums):
     """Add what a ``SampleRange`` of paths brings to each of g ``PathStarts`` to ``sums`` (g, 3).
 
     The ``scene`` is Through. Of a start on a wall that is E/π, with all light that is reflected by walls. Of one that
-    goes INWARD it is the radiance of the solid side over π and cosines there, B/π, of one ALONG a way the radiance that
-    arrives from there. Rays meet the isosurface as ``Matter`` does: refracted and mirrored by Fresnel's share, absorbed
-    and scattered. So what arrives through it of luminaires and of what lies outside, caustics, comes by chance alone,
-    and lamps that no ray can meet cast shadows. Bounces, weights and sums are as in ``light_in_room``. Source: Kajiya
-    1986; Beason et al. 2006 (S3).
+    goes INWARD it is the radiance of the solid side over π and cosines there, B/π, of one ALONG_RAY a way the radiance
+    that arrives from there. Rays meet the isosurface as ``Matter`` does: refracted and mirrored by Fresnel's share,
+    absorbed and scattered. So what arrives through it of luminaires and of what lies outside, caustics, comes by chance
+    alone, and lamps that no ray can meet cast shadows. Bounces, weights and sums are as in ``light_in_room``. Source:
+    Kajiya 1986; Beason et al. 2006 (S3).
     """
     add_paths(scene, starts, samples, rules, light, sums)

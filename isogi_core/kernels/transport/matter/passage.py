@@ -26,7 +26,7 @@ class Passage(NamedTuple):
     """Rays of a wave on their way, (n,) or (3, n) each: ``origins`` in index space, unit world ``ways``, ``sides``.
 
     ``own`` are the walls that they start on, ``straight`` is 1 as long as nothing turned them. ``pending`` (n,) int64
-    are those that go on. At the end ``met`` are the walls that they meet at ``origins``, or NOWHERE.
+    are those that go on. At the end ``met`` are the walls that they meet at ``origins``, or NO_WALL.
     """
 
     origins: Any
@@ -80,7 +80,7 @@ def dim(wave, i, shares):
 
 @kernel(inline=True)
 def end_at(passage, i, p, wall):
-    """End ray ``i`` at ``p``, on a ``wall`` or NOWHERE."""
+    """End ray ``i`` at ``p``, on a ``wall`` or NO_WALL."""
     put_column(passage.origins, i, p)
     passage.met[i] = wall
     return False

@@ -57,8 +57,8 @@ LEAVES_OF = record(Leaves, SINGLE_ROWS, SINGLE_ROWS, SINGLE_ROWS, SMALL_INTEGERS
 
 class Chances(NamedTuple):
     """How rays choose their way where they do not part: by random numbers of a point's ``seeds`` (n,) uint64 and of its
-    ``samples`` (n,) int64; where that is NONE, the way of the greater part. Their light passes ``deep`` interfaces at
-    most: then it goes on as it would without the matter.
+    ``samples`` (n,) int64; where that is NO_SAMPLE, the way of the greater part. Their light passes ``deep`` interfaces
+    at most: then it goes on as it would without the matter.
     """
 
     seeds: Any
@@ -166,7 +166,7 @@ def meet_surface(surface, sight, count):
 
 @kernel()
 def show_end(room, light, shown, ends, m, weight):
-    """Show point ``m`` what a ray ends on, ``ends`` = (point, way, wall or NOWHERE): a wall's lit side, or outside."""
+    """Show point ``m`` what a ray ends on, ``ends`` = (point, way, wall or NO_WALL): a wall's lit side, or outside."""
     leaves, _, progress = shown
     p, w, wall = ends
     if wall == NO_WALL:
