@@ -17,8 +17,8 @@ from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.colours import hex_of
 from isogi_core.model.environment import Lobe
 from isogi_core.model.lights import ENVIRONMENTS, Light
+from isogi_core.model.material import SHINE_KINDS, SHINE_KNOBS
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.shine import SHINE_KINDS, SHINE_KNOBS
 from isogi_core.model.view import VIEW_SHADINGS, Vec3, View
 from isogi_core.plan.first_view import front_of
 from isogi_core.plan.left_out import S1_BYTES

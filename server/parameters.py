@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSche
 from isogi_core.errors import advice
 from isogi_core.model.glow import MAX_GLOW_STRENGTH
 from isogi_core.model.lights import ENVIRONMENTS
-from isogi_core.model.shine import SHINE_KINDS, SHINE_RANGES
+from isogi_core.model.material import SHINE_KINDS, SHINE_RANGES
 from isogi_core.model.view import (
     OVERLAYS,
     PROJECTIONS,

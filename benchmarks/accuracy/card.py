@@ -25,8 +25,7 @@ from benchmarks.common.scenes import LIGHTS, shared_data
 from benchmarks.common.suite import part
 from benchmarks.service.browser import CHROMIUM
 from isogi_core.files.scene_file import SceneSource
-from isogi_core.frame.antialiasing import smooth_edges
-from isogi_core.frame.film import develop, ground_of
+from isogi_core.frame.film import develop, ground_of, smooth_edges
 from isogi_core.frame.known_blocks import LEVEL
 from isogi_core.model.view import IDENTITY, View, orthographic, quaternion_from_angles
 from isogi_core.model.window import read_window

@@ -17,7 +17,7 @@ from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
-from isogi_core.frame import antialiasing
+from isogi_core.frame import film
 from isogi_core.frame.film import BACKGROUND, averaged, develop, linear_table
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
@@ -63,11 +63,11 @@ def errors_of(plain: Frame, smooth: Frame, renderer: Renderer) -> dict[str, floa
     """The errors of both along silhouettes, and their ratio."""
     exposure, found = renderer.prepared.scene.default_exposure, np.empty(plain.state.shape, np.uint8)
     find_contrasts(develop(plain, exposure), plain.state, found)
-    silhouettes = np.flatnonzero(found == antialiasing.SILHOUETTE).astype(np.uint32)
+    silhouettes = np.flatnonzero(found == film.SILHOUETTE).astype(np.uint32)
     partly, true = [], []
     for some in np.split(silhouettes, range(PIECE, len(silhouettes), PIECE)):
-        with patch.object(antialiasing, "find_edges", lambda *_, some=some: (some, TRUE)):
-            samples = antialiasing.sample_edges(plain, exposure, renderer.tiles)
+        with patch.object(film, "find_edges", lambda *_, some=some: (some, TRUE)):
+            samples = film.sample_edges(plain, exposure, renderer.tiles)
         if samples is not None:
             cut = (samples.covered[:, 3] > 0.0) & (samples.covered[:, 3] < 1.0)
             partly.append(some[cut])

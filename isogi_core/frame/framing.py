@@ -1,9 +1,10 @@
-"""The frame of a view, put together from what its steps have made."""
+"""Frames put together from what their steps have made, and the panorama, a picture of the light around a scene."""
 
 from functools import cache
 
 import numpy as np
 
+from isogi_core.frame.film import LEVELS, tone_table
 from isogi_core.frame.frame import Frame, PictureState, Quality
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight, version_of
@@ -15,7 +16,10 @@ from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
 from isogi_core.kernels.tracing.sight import read_values
 from isogi_core.kernels.transport.colours import Colours, fill_albedos
+from isogi_core.kernels.transport.lights import DIRECTIONAL
 from isogi_core.model.colours import linear_of
+from isogi_core.model.environment import Environment, Lamps, pixel_directions, resample, solid_angles
+from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.volume import Volume
 from isogi_core.plan.scene import Scene
 
@@ -90,3 +94,64 @@ def paint_faces(gbuffer: GBuffer, scene: Scene, framebuffer: Framebuffer, labels
     framebuffer.radiance[faces.pixels] = painted
     framebuffer.state[faces.pixels] = FINAL
     framebuffer.error[faces.pixels] = 0.0
+
+
+FORMAT = 1
+"""Counts up when the same light makes another picture."""
+
+KEY = 0.36
+"""How bright the middle of the light is shown, before the tone curve: twice Reinhard's, for a picture this small."""
+
+DARKEST = 1e-4
+"""Light darker than this share of the mean counts as this much where the middle is sought: black has no logarithm."""
+
+GLARE, GLARE_REACH = 0.02, 16
+"""The share of light that strays around what is bright, as in an eye, and the part of the picture's width, one in
+GLARE_REACH, over which it does, in steps of a pixel: a sun is smaller than a pixel, and would hardly be seen."""
+
+MARK = 0.05
+"""Radius of the mark of a directional light, radians."""
+
+
+def paint_panorama(environment: Environment, lamps: Lamps, width: int, turn: np.ndarray | None = None) -> np.ndarray:
+    """The picture (width // 2, width, 3) uint8 sRGB of what comes from infinitely far, unturned.
+
+    Its grid is that of a probe: the top row is +z, column 0 starts at azimuth 0. Directional lights are discs in
+    their own colour. Lamps that stand in the scene are in no direction, and are not shown. Where the light is that of
+    a volume's box, ``turn`` (3, 3) is the box's rotation in the world, which is shown.
+    """
+    overview = environment if turn is None else environment.turned(turn.T)
+    picture = tone(glare(resample(overview.overview, width // 2, width)))
+    directions = pixel_directions(*picture.shape[:2]) @ (np.eye(3) if turn is None else turn)
+    far = lamps.arrays.kinds == DIRECTIONAL
+    for towards, colour in zip(lamps.arrays.places[far], lamps.arrays.colours[far], strict=True):
+        if colour.any():
+            away = np.arccos(np.clip(directions @ towards, -1.0, 1.0))
+            picture[away <= max(MARK, away.min())] = colour / colour.max()
+    return np.asarray(tone_table()[np.rint(picture * (LEVELS - 1)).astype(np.int64)])
+
+
+def glare(radiance: np.ndarray) -> np.ndarray:
+    """A lat-long image (h, w, 3) of radiance with some of its light spread by binomial steps; see GLARE."""
+    stray = radiance
+    for _ in range(radiance.shape[1] // GLARE_REACH):
+        across = (np.roll(stray, 1, axis=1) + 2.0 * stray + np.roll(stray, -1, axis=1)) / 4.0
+        padded = np.pad(across, ((1, 1), (0, 0), (0, 0)), "edge")
+        stray = (padded[:-2] + 2.0 * across + padded[2:]) / 4.0
+    return np.asarray(radiance + GLARE * stray)
+
+
+def tone(radiance: np.ndarray) -> np.ndarray:
+    """A lat-long image (h, w, 3) of radiance brought into [0, 1], float64: its middle to KEY, and nothing burns out.
+
+    Source: Reinhard et al., "Photographic Tone Reproduction for Digital Images", SIGGRAPH 2002, eqs. 1 to 3, with
+    the mean logarithm over the sphere.
+    """
+    luminance = radiance @ LUMINANCE_WEIGHTS
+    shares = solid_angles(*luminance.shape) / (4.0 * np.pi)
+    mean = float((shares * luminance).sum())
+    if mean <= 0.0:
+        return np.zeros_like(radiance)
+    middle = np.exp((shares * np.log(np.maximum(luminance, DARKEST * mean))).sum())
+    factor = KEY / (middle + KEY * luminance)
+    return np.asarray(np.minimum(radiance * factor[..., None], 1.0))

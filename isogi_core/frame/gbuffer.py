@@ -3,6 +3,7 @@
 import math
 import threading
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.kernels.transport.colours import Colours, fill_albedos
 from isogi_core.model.view import Camera, View
 from isogi_core.model.volume import Isovalue
-from isogi_core.prepared.surface import Surface
+from isogi_core.prepared.prepared_scene import Surface
 
 RAYS = 4096
 """Primary rays of a tile: as many as are cast together."""
@@ -216,3 +217,8 @@ def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None
         return GBuffer(*shown, walls=seen)
     on_face = seen.numbers == WINDOW_FACE
     return GBuffer(*shown, walls=seen.part(~on_face), faces=seen.part(on_face))
+
+
+def surface_key(view: View) -> tuple[Any, ...]:
+    """What the surface in a picture depends on."""
+    return view.isovalue, view.camera, view.width, view.height, view.strip, view.window

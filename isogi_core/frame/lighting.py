@@ -17,8 +17,8 @@ from isogi_core.kernels.simd.types import REGISTER_LANES
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, rotate
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import DIRECTIONAL, LampArrays
+from isogi_core.model.material import Shine
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.shine import Shine
 from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import Camera, View, rotation_matrix
 from isogi_core.plan.albedos import mixing_weights

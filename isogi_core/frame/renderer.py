@@ -29,21 +29,19 @@ import numpy as np
 from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.frame.antialiasing import smooth_edges
 from isogi_core.frame.eye_glow import with_glow
+from isogi_core.frame.film import smooth_edges
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.gbuffer import GBuffer, to_index, trace
+from isogi_core.frame.gbuffer import GBuffer, surface_key, to_index, trace
 from isogi_core.frame.known_blocks import KnownBlocks
 from isogi_core.frame.rays.picture_plan import PRESENT, Prices
 from isogi_core.frame.several.composer import Composer
 from isogi_core.frame.stand_in import StandIn
 from isogi_core.frame.surface_renderer import PACKED, VIEW_BYTES, SurfaceRenderer
-from isogi_core.frame.texel_normals import OwnNormals
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_keys import surface_key
-from isogi_core.frame.view_texels import ViewTexels
+from isogi_core.frame.view_texels import OwnNormals, ViewTexels
 from isogi_core.lru_cache import LruCache
-from isogi_core.model.shine import DULL
+from isogi_core.model.material import DULL
 from isogi_core.model.view import View
 
 

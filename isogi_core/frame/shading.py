@@ -199,8 +199,7 @@ def filter_texel_light(
 
 
 def filter_records(texels: ViewTexels, records: np.ndarray, tiles: Tiles) -> np.ndarray:
-    """The ``records`` (texels, RECORD_LENGTH) after a pass of the filter at each of FILTER_DISTANCES. Raises Cancelled.
-    """
+    """The ``records`` (texels, RECORD_LENGTH) filtered at each of FILTER_DISTANCES. Raises Cancelled."""
     positions = texels.positions
     for step in FILTER_DISTANCES:
         before, after = records, np.empty_like(records)

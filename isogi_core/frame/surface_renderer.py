@@ -1,7 +1,7 @@
 """The light of the surface in a picture, and of walls: by local models, by paths, or by texels, and refined."""
 
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 from isogi_core.bake.bake_spec import spec_name
 from isogi_core.bake.noise import Until
@@ -9,14 +9,13 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.wall_store import WallStore
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
-from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.lobe_light import LobeLight, ShadowStarts, find_lobes, find_starts
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.rays.shine_light import ShineLight, ViewShine
 from isogi_core.frame.rays.through_matter import ViewThrough
-from isogi_core.frame.rays.view_walls import ViewWalls
-from isogi_core.frame.refinement import Refinement
+from isogi_core.frame.rays.wall_light import ViewWalls
 from isogi_core.frame.several.mixing import Level
 from isogi_core.frame.shading import (
     colour_surface,
@@ -27,13 +26,23 @@ from isogi_core.frame.stand_in import StandIn
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.texel_shading import FilteredLight, TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_checks import ViewChecks, texels_until
-from isogi_core.frame.view_keys import is_checked, surface_key
+from isogi_core.frame.view_checks import ViewChecks, is_checked, texels_until
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
+
+
+class Refinement(Protocol):
+    """A kind of light that pictures take more paths for, step by step, and show as far as it has come."""
+
+    def step(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, prices: Prices) -> bool:
+        """Bring a ``frame`` in a ``light`` a step nearer to the ``target``; whether there was a step to take.
+
+        Ways to the target are weighed at these ``prices``. Raises Cancelled.
+        """
+
 
 VIEW_BYTES = 256 << 20
 """Bytes that are kept of views, for turning light and for asking again."""

@@ -14,7 +14,7 @@ from isogi_core.bake.bake_spec import spec_name
 from isogi_core.bake.noise import Until
 from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.projected_texels import Distances, find_distances, held_chunks, join_readings
 from isogi_core.frame.several.mixing import Level, mixed
@@ -26,17 +26,19 @@ from isogi_core.frame.shading import (
     light_sources,
 )
 from isogi_core.frame.stand_in import StandIn
-from isogi_core.frame.texel_normals import (
+from isogi_core.frame.texel_reading import Reading, read_texels
+from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.view_texels import (
     ENTRY,
     OwnNormals,
     TexelNormals,
+    ViewTexels,
+    carries_irradiance_ratios,
     find_texel_normals,
+    find_texels,
     nearby_normals,
+    reads_coarsely,
 )
-from isogi_core.frame.texel_reading import Reading, read_texels
-from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_keys import surface_key
-from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels, reads_coarsely
 from isogi_core.kernels.shading.framebuffer import CONVERGING, Framebuffer
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.lru_cache import LruCache

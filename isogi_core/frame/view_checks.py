@@ -1,4 +1,4 @@
-"""The checks of views' pictures, among what a renderer keeps: what they ask for, and how much they have left to do."""
+"""The checks of views' pictures, and the keys that a renderer keeps them by: what they ask for and have left to do."""
 
 import math
 from typing import Any, NamedTuple
@@ -8,7 +8,7 @@ import numpy as np
 from isogi_core.bake.noise import RATE, Until
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.frame import Frame, PictureState
-from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import CONTROLS_IF_MISSED, paths_for
 from isogi_core.frame.rays.own_light import foreseen_paths
@@ -18,7 +18,6 @@ from isogi_core.frame.shading import texel_disagreement
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.texel_shading import TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_keys import check_key, is_checked
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
@@ -118,3 +117,13 @@ def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:
         own = foreseen_paths(points, math.hypot(noise, frame.quality.expected), target, PIXELS * effort)
         ways.append(PathsLeft(own + controls, float(rung - FIRST_LEVEL) * len(reading.samples), times))
     return min(ways, key=lambda way: way.pixels + AWAITED.path * way.texels)
+
+
+def is_checked(view: View) -> bool:
+    """Whether control pixels tell the total error of a view: of global illumination, at rest."""
+    return view.shading == "gi" and not view.moving
+
+
+def check_key(view: View, target: float) -> tuple[Any, ...]:
+    """What the check of a picture depends on."""
+    return "PictureCheck", surface_key(view), view.light, view.albedo, view.shine, view.glow, target

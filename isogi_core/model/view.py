@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from isogi_core.errors import ViewError
+from isogi_core.model.material import Shine
 from isogi_core.model.orientation import PLAIN_ORIENTATION, Orientation, triple
-from isogi_core.model.shine import Shine
 from isogi_core.model.window import Window
 
 Vec3 = tuple[float, float, float]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
-from isogi_core.model.latlong import pixel_directions
+from isogi_core.model.environment import pixel_directions
 from isogi_core.model.lights import Colour
 from isogi_core.model.view import orbit
 from isogi_core.model.volume import Isovalue, Volume

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 from isogi_core.kernels.tracing.peels import MAX_PEELED_LAYERS
 from isogi_core.model.environment import Environment, Lamps
+from isogi_core.model.material import Shine
 from isogi_core.model.scene_plan import GLOW_KIND, Layer, LeftOut, Saving, ScenePlan
-from isogi_core.model.shine import Shine
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.albedos import mixing_error
 from isogi_core.plan.bands import truncation_error

@@ -12,10 +12,9 @@ import numpy as np
 from isogi_core.errors import LightError, SceneError, ViewError
 from isogi_core.files.radiance import read_hdr
 from isogi_core.files.scene_file import Settings
-from isogi_core.model.environment import Environment, Lamps, gather_lamps
+from isogi_core.model.environment import Environment, Lamps, gather_lamps, pixel_directions, resample, solid_angles
 from isogi_core.model.environments import environment_image
 from isogi_core.model.glow import MAX_GLOW_STRENGTH, NO_GLOW, Glowing, glow_from_mapping, place_glows
-from isogi_core.model.latlong import pixel_directions, resample, solid_angles
 from isogi_core.model.lights import (
     ConstantLight,
     EnvironmentLight,

@@ -7,8 +7,7 @@ from isogi_core.errors import SceneError, ViewError
 from isogi_core.files.scene_file import Settings
 from isogi_core.model.colours import SurfaceColours
 from isogi_core.model.lights import Colour
-from isogi_core.model.material import DIFFUSE, Material
-from isogi_core.model.shine import Shine, shine_from_mapping
+from isogi_core.model.material import DIFFUSE, Material, Shine, shine_from_mapping
 from isogi_core.model.surfaces import OPAQUE, PinnedSurface, leaving, pinned_surfaces, refuse_gain
 from isogi_core.model.volume import Volume
 from isogi_core.plan.inputs import PlanOverrides

@@ -1,4 +1,4 @@
-"""A prepared scene: the field, lattice and lights as kernels take them, worked out once."""
+"""A prepared scene: the field, lattice, surfaces and lights as kernels take them, worked out once."""
 
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -9,6 +9,7 @@ from isogi_core.files.mappings import UNMAPPED_SHARE, budget
 from isogi_core.files.volume_copies import get_survey
 from isogi_core.kernels.shading.lattice import Lattice
 from isogi_core.kernels.tracing.active_cells import ActiveCells
+from isogi_core.kernels.tracing.cast import TracedSurface
 from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS, Field
 from isogi_core.kernels.tracing.glow import Glows
 from isogi_core.kernels.tracing.macrocells import fill_macrocells, macrocell_shape
@@ -23,13 +24,33 @@ from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.room_paths import InRoom, Room
 from isogi_core.kernels.transport.surface_paths import Among, Surfaces
 from isogi_core.model.lights import Colour
-from isogi_core.model.volume import Volume
+from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.bands import project_environment
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.active_cell_maps import MAP_BYTES, ActiveCellMaps, Survey, anew
-from isogi_core.prepared.surface import Surface
 from isogi_core.prepared.voxel_codes import VoxelCodes, find_codes
 from isogi_core.runs import Run, serially
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The isosurface of a ``field`` at a normalised ``isovalue``; ``maps`` are the field's active-cell maps.
+
+    ``PreparedScene.surface`` makes it from an isovalue in the units of the volume's file.
+    """
+
+    isovalue: Isovalue
+    field: Field
+    maps: ActiveCellMaps
+
+    def cells(self, run: Run = serially) -> ActiveCells:
+        """The cells that may hold the surface; made when first needed, by means of ``run``, and kept by ``maps``."""
+        return self.maps.at(self.isovalue, run)
+
+    def traced(self, run: Run = serially) -> TracedSurface:
+        """The surface as kernels that cast rays take it: the field, the cells and the isovalue."""
+        return TracedSurface(self.field, self.cells(run), float(self.isovalue))
+
 
 UNSHADOWED_ORDER = 3
 """The harmonics' order of unshadowed light: the cosine lobe keeps 99 % of any light in it (Ramamoorthi, Hanrahan)."""

@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 import click
 
-from isogi_core.model.shine import SHINE_HELP
+from isogi_core.model.material import SHINE_HELP
 
 if TYPE_CHECKING:
     from server.settings import Settings

@@ -16,7 +16,7 @@ from urllib.parse import quote
 from PIL import Image
 
 from isogi_core.errors import ViewError
-from isogi_core.model.shine import SHINE_KNOBS
+from isogi_core.model.material import SHINE_KNOBS
 from isogi_core.plan.first_view import front_of
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder, write_whole

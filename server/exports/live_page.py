@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from isogi_core.frame.card.blocks import Coding
 from isogi_core.frame.card.chunk_light import CHUNKS, coded_chunks
-from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from isogi_core.plan.reachable_texels import surface_texels

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, StrictBool, WithJsonSchema, model_validator
 
-from isogi_core.model.shine import DULL
+from isogi_core.model.material import DULL
 from isogi_core.model.view import View
 from isogi_core.plan.range_sampling import CELLS_WAITED_FOR, sample_range
 from isogi_core.plan.range_sampling import SPACING_KINDS as SAMPLINGS

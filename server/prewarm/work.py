@@ -20,8 +20,8 @@ from isogi_core.bake.noise import Effort, Until, relative_error
 from isogi_core.bake.precision import FIRST_LEVEL, next_level
 from isogi_core.cache.costs import Cost
 from isogi_core.errors import ViewError
+from isogi_core.frame.card.blocks import Coding
 from isogi_core.frame.card.coded_picture import ControlPictures
-from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.projected_texels import distances_of
 from isogi_core.frame.rays.picture_plan import AWAITED, SHARED_PRICES

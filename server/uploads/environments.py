@@ -11,7 +11,7 @@ import numpy as np
 
 from isogi_core.errors import LightError
 from isogi_core.files.radiance import encode_rgbe, parse_hdr
-from isogi_core.model.latlong import resample
+from isogi_core.model.environment import resample
 
 VOLUME, ENVIRONMENT = "volume", "environment"
 """Kinds of files that may be uploaded."""

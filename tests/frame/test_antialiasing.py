@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from isogi_core.frame import antialiasing
-from isogi_core.frame.antialiasing import BUDGET, COUNTS, find_edges, pattern
-from isogi_core.frame.film import BACKGROUND, averaged, develop, linear_table
+from isogi_core.frame import film
+from isogi_core.frame.film import BACKGROUND, BUDGET, COUNTS, averaged, develop, find_edges, linear_table, pattern
 from tests.frame.conftest import Workbench
 
 SIZE = 224
@@ -62,7 +61,7 @@ def test_smooth_edges_are_four_times_nearer_to_the_true_ones(
     frame, plain = orbital.renderer.render(view), orbital.renderer.render(replace(view, smooth=False))
     assert frame.edges is not None and plain.edges is None
     pixels = frame.edges.pixels
-    monkeypatch.setattr(antialiasing, "find_edges", lambda *_: (pixels, TRUE))
+    monkeypatch.setattr(film, "find_edges", lambda *_: (pixels, TRUE))
     true = orbital.renderer.render(view).edges
     assert true is not None
     partly = (true.covered[:, 3] > 0.0) & (true.covered[:, 3] < 1.0)

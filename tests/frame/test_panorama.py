@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.film import tone_table
-from isogi_core.frame.panorama import GLARE, KEY, glare, paint_panorama, tone
-from isogi_core.model.environment import gather_lamps
-from isogi_core.model.latlong import solid_angles
+from isogi_core.frame.framing import GLARE, KEY, glare, paint_panorama, tone
+from isogi_core.model.environment import gather_lamps, solid_angles
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, PointLight, SkyLight
 from isogi_core.plan.lighting import assemble_environment
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from isogi_core.frame import texel_normals
-from isogi_core.frame.texel_normals import ENTRY, OwnNormals, find_texel_normals
+from isogi_core.frame import view_texels
 from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.view_texels import ENTRY, OwnNormals, find_texel_normals
 from tests.frame.conftest import Workbench
 
 RNG = np.random.default_rng(4)
@@ -26,8 +26,8 @@ def test_numbers_name_texels_of_the_whole_lattice(orbital: Workbench) -> None:
 
 def test_normals_of_other_views_are_not_found_again(orbital: Workbench, monkeypatch: pytest.MonkeyPatch) -> None:
     view, tiles, asked = orbital.view(size=24), Tiles(2), []
-    fill = texel_normals.fill_texel_normals
-    monkeypatch.setattr(texel_normals, "fill_texel_normals", lambda *each: (asked.append(len(each[4])), fill(*each)))
+    fill = view_texels.fill_texel_normals
+    monkeypatch.setattr(view_texels, "fill_texel_normals", lambda *each: (asked.append(len(each[4])), fill(*each)))
     texels = orbital.renderer.texels(view, orbital.renderer.gbuffer(view))
     known = OwnNormals(1 << 20)
     first, again = (find_texel_normals(texels, known, orbital.prepared, tiles).own for _ in range(2))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import SceneError
+from isogi_core.model.environment import pixel_directions, solid_angles
 from isogi_core.model.environments import FORMULAS, GALLERY_HALF_SIZES, GROUND, SKYLIGHTS, SOFT_BOXES, environment_image
-from isogi_core.model.latlong import pixel_directions, solid_angles
 from isogi_core.model.lights import ENVIRONMENTS, EnvironmentLight, ProbeLight, light_named
 from isogi_core.model.sky import LUMINANCE_WEIGHTS
 

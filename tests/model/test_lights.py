@@ -10,8 +10,7 @@ import pytest
 
 from isogi_core.errors import LightError, SceneError
 from isogi_core.files.radiance import write_hdr
-from isogi_core.model.environment import cumulative
-from isogi_core.model.latlong import mean_radiance, pixel_directions, resample, solid_angles
+from isogi_core.model.environment import cumulative, mean_radiance, pixel_directions, resample, solid_angles
 from isogi_core.model.lights import (
     AreaLight,
     ConstantLight,

@@ -20,7 +20,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import Demand
-from isogi_core.model.latlong import pixel_directions
+from isogi_core.model.environment import pixel_directions
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View, quaternion_from_angles

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.film import develop
-from isogi_core.model.latlong import pixel_directions, solid_angles
+from isogi_core.model.environment import pixel_directions, solid_angles
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.assembly import load_scene as load
 from isogi_core.plan.bands import project_image

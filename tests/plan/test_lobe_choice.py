@@ -8,8 +8,7 @@ import pytest
 
 from isogi_core.errors import SceneError
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
-from isogi_core.model.environment import Environment, Lobe, gather_lamps
-from isogi_core.model.latlong import pixel_directions
+from isogi_core.model.environment import Environment, Lobe, gather_lamps, pixel_directions
 from isogi_core.model.scene_plan import ScenePlan
 from isogi_core.plan.bands import band_energy, project_environment, project_image, truncation_error
 from isogi_core.plan.budget import HARMONICS

@@ -11,7 +11,7 @@ import pytest
 from isogi_core.errors import LightError, SceneError
 from isogi_core.files.radiance import write_hdr
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
-from isogi_core.model.latlong import pixel_directions
+from isogi_core.model.environment import pixel_directions
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, PointLight, ProbeLight, SkyLight
 from isogi_core.model.scene_plan import Layer, ScenePlan
 from isogi_core.plan.bands import FAR_BANDS, truncation_error

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from isogi_core.kernels.transport.harmonics import MAX_ORDER, cosine_lobe_factors
-from isogi_core.model.latlong import pixel_directions
+from isogi_core.model.environment import pixel_directions
 from isogi_core.model.lights import ConstantLight, SkyLight
 from isogi_core.plan.bands import project_environment, project_image
 from isogi_core.plan.lighting import assemble_environment

@@ -11,8 +11,8 @@ import pytest
 from isogi_core.errors import IsogiError, LightError, SceneError, VolumeError
 from isogi_core.files.scene_file import FORMER
 from isogi_core.model.lights import ConstantLight, SkyLight
+from isogi_core.model.material import Shine
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.shine import Shine
 from isogi_core.plan.assembly import load_scene, otsu
 from isogi_core.plan.isovalue_presets import Preset, find_boundaries, suggested_presets
 from isogi_core.plan.scene import Scene

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_core.prepared.surface import Surface
+from isogi_core.prepared.prepared_scene import Surface
 
 
 def allowed(prepared: PreparedScene, view: View) -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from isogi_core.model.shine import DULL, Shine
+from isogi_core.model.material import DULL, Shine
 from server.answers import scene_schema
 from server.errors import ParameterError
 from server.parameters import FrameParams, NoParams, ViewParams, documented, read

@@ -12,19 +12,17 @@ from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.page_pool import PagePool
-from isogi_core.frame.card.blocks import CODED, FOLDED, RAW, pack
+from isogi_core.frame.card.blocks import CODED, FOLDED, RAW, Coding, pack
 from isogi_core.frame.card.chunk_texels import ChunkTexels, hold_texels, with_neighbours
-from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.known_blocks import Block, Packed
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.shading import fill_texel_records, filter_texel_light, light_sources
-from isogi_core.frame.texel_normals import own_normals
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.unlit_view import undrawn_frame
-from isogi_core.frame.view_texels import ViewTexels
+from isogi_core.frame.view_texels import ViewTexels, own_normals
 from isogi_core.kernels.shading.irradiance_ratio import DIRECT_COLUMN, REFLECTED_COLUMN
 from isogi_core.model.view import View
 from isogi_core.prepared.prepared_scene import Index, PreparedScene

@@ -7,8 +7,8 @@ import numpy as np
 
 from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.frame.card.blocks import Coding
 from isogi_core.frame.card.chunk_light import normals_of, raw_numbers, raw_scale
-from isogi_core.frame.card.coding import Coding
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import (

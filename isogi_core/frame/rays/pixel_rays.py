@@ -10,8 +10,7 @@ from isogi_core.bake.bake_spec import path_weights
 from isogi_core.bake.path_light import add_path_light
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.glow_light import add_glow
-from isogi_core.frame.rays.point_paths import path_starts, sight_lines
+from isogi_core.frame.rays.point_paths import add_glow, path_starts, sight_lines
 from isogi_core.frame.rays.shine import add_shine
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.transport.open_paths import Open

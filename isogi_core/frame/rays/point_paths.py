@@ -1,14 +1,15 @@
-"""Paths from points of a picture: where they start, and what they bring there by what they meet."""
+"""Paths from points of a picture: where they start, and the light of what glows that they bring there."""
 
 import numpy as np
 
-from isogi_core.bake.path_light import starts_at
+from isogi_core.bake.path_light import add_glow_paths, starts_at
 from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.lighting import RotatedLight
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.tracing.cast import TracedSurface
 from isogi_core.kernels.transport.matter.sight import START_BACK_VOXELS
-from isogi_core.kernels.transport.paths import PathStarts
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 
 
 def path_starts(traced: TracedSurface, points: SurfacePoints, replicas: range) -> PathStarts:
@@ -29,3 +30,24 @@ def sight_lines(gbuffer: GBuffer) -> SurfacePoints:
     along = ways / spacing
     before = gbuffer.points - START_BACK_VOXELS * along / np.abs(along).max(axis=1, keepdims=True)
     return SurfacePoints(before, ways, gbuffer.pixels)
+
+
+def add_glow(
+    sums: np.ndarray,
+    light: RotatedLight,
+    traced: TracedSurface,
+    starts: PathStarts,
+    rules: PathRules,
+    samples: SampleRange,
+) -> None:
+    """Add a ``SampleRange`` of E/π of what glows at ``starts`` about a surface to ``sums`` (g, 3), where there is any.
+
+    Bounces count as in ``light_in_room``, the first weight of the ``rules`` all.
+    """
+    prepared = light.spec.prepared
+    if not prepared.scene.lighting.glowing.any:
+        return
+    radiances = light.glow * prepared.scene.lighting.glowing.radiances
+    own = np.zeros((len(sums), radiances.size))
+    add_glow_paths(prepared, traced.cells, light.seen.albedo, starts, samples, rules, own)
+    sums += np.einsum("gkc,kc->gc", own.reshape(-1, *radiances.shape), radiances)

@@ -15,7 +15,7 @@ from isogi_core.bake.path_light import add_paths, starts_at, starts_between
 from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.gbuffer import NO_WALLS, GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight, triple
-from isogi_core.frame.rays.glow_light import add_glow
+from isogi_core.frame.rays.point_paths import add_glow
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.shine import (
     MET_ISOSURFACE,
@@ -35,7 +35,7 @@ from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.ray_lights import Discs, Panels, ShineLights
 from isogi_core.kernels.transport.room_paths import Room
-from isogi_core.model.shine import DULL
+from isogi_core.model.material import DULL
 from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.plan.budget import survival_for

@@ -15,27 +15,24 @@ import numpy as np
 from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
 from isogi_core.frame.rays.estimate import HALVES, Estimate, NoisyLight
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.rays.shine import RAYS, ShineRays, cast_rays, light_below, paths_from
-from isogi_core.frame.rays.view_walls import ViewWalls
-from isogi_core.frame.rays.wall_light import WallView
+from isogi_core.frame.rays.wall_light import ViewWalls, WallView
 from isogi_core.frame.shading import colour_surface
-from isogi_core.frame.texel_normals import TexelNormals
 from isogi_core.frame.texel_shading import TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_checks import ViewChecks, texels_until
-from isogi_core.frame.view_keys import check_key, surface_key
-from isogi_core.frame.view_texels import ViewTexels
+from isogi_core.frame.view_checks import ViewChecks, check_key, texels_until
+from isogi_core.frame.view_texels import TexelNormals, ViewTexels
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import MIN_LIGHT
 from isogi_core.kernels.shading.shine import light_ends
 from isogi_core.kernels.shading.shine_filter import filter_shine
 from isogi_core.lru_cache import LruCache
-from isogi_core.model.shine import DULL
+from isogi_core.model.material import DULL
 from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
 MIN_RAYS, MAX_RAYS = 8, 1 << 12

@@ -17,11 +17,10 @@ from isogi_core.frame.gbuffer import GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.estimate import HALVES, Estimate, NoisyLight
 from isogi_core.frame.rays.picture_plan import Prices
-from isogi_core.frame.rays.view_walls import ViewWalls
-from isogi_core.frame.rays.wall_light import WallView
+from isogi_core.frame.rays.wall_light import ViewWalls, WallView
 from isogi_core.frame.shading import empty_framebuffer
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_keys import check_key
+from isogi_core.frame.view_checks import check_key
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer
 from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.matter.sight import NO_SAMPLE, Chances, Leaves, see_through

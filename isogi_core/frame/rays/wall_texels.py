@@ -17,14 +17,14 @@ from isogi_core.bake.precision import round_light
 from isogi_core.bake.refine import seeds_of
 from isogi_core.cache.wall_store import Planes, Side, planes_of, wall_layer
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.glow_light import add_glow
 from isogi_core.frame.rays.pixel_rays import BINOMIAL, PATH_POINTS
+from isogi_core.frame.rays.point_paths import add_glow
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.matter.matter_paths import Through
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.model.sky import LUMINANCE_WEIGHTS
-from isogi_core.prepared.surface import Surface
+from isogi_core.prepared.prepared_scene import Surface
 
 COARSE, FINE, FINEST = 16, 64, 256
 """Texels along the longest edge of any wall: of the first picture, of all others, and at most."""

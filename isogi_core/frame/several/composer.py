@@ -1,8 +1,11 @@
-"""The composer: renders each side of several surfaces by a renderer of its own, and adds the frames and walls up."""
+"""The composer: renders each side of several surfaces by a separate renderer, adds up frames and walls, smooths edges.
+
+Samples at edges are peeled as pixels are, and each layer borrows light of the same layer near by.
+"""
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -12,16 +15,19 @@ from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import NoRoomError
-from isogi_core.frame.eye_glow import EyeGlow
-from isogi_core.frame.frame import Frame
+from isogi_core.frame.eye_glow import EyeGlow, rays_through
+from isogi_core.frame.film import find_edges, lit, places_in, shown_by
+from isogi_core.frame.frame import EdgeSamples, Frame
+from isogi_core.frame.gbuffer import RAYS, surface_key
 from isogi_core.frame.rays.picture_plan import Prices
-from isogi_core.frame.several.edges import smooth_surfaces
 from isogi_core.frame.several.mixing import Level
-from isogi_core.frame.several.peels import Peeler, Peels, first_of, layers_of, walls_of
+from isogi_core.frame.several.peels import Hits, Peeler, Peels, first_of, layers_of, walls_of
 from isogi_core.frame.several.surfaces_frame import Part, compose, parts_of, wrong_of
 from isogi_core.frame.surface_renderer import SurfaceRenderer
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_keys import surface_key
+from isogi_core.kernels.shading.edges import Shown, borrow_light
+from isogi_core.kernels.tracing.peels import FIRST_WALL_SIDE
+from isogi_core.kernels.tracing.sight import WINDOW_FACE
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
 from isogi_core.plan.levels import levels_around
@@ -188,3 +194,60 @@ def newest(kept: OrderedDict[Any, Kept], key: Any, most: int) -> Kept:
     while len(kept) > most:
         kept.popitem(last=False)
     return kept[key]
+
+
+def smooth_surfaces(frame: Frame, peeler: Peeler, exposure: float, tiles: Tiles, glow: EyeGlow | None = None) -> Frame:
+    """The ``frame`` with more samples where it has edges at its ``exposure``, and what glows. Raises Cancelled."""
+    pixels, count = find_edges(lit(frame.radiance, frame.state, exposure, marked=False), frame.state)
+    if not len(pixels):
+        return frame
+    places, pictures = places_in(pixels, count, frame.view.width), pictures_of(frame)
+    light, left = np.zeros((len(places), 3), np.float32), np.empty(len(places), np.float32)
+    on, found = np.zeros(len(places), np.bool_), dict[int, Hits]()
+
+    def _piece(a: int, b: int) -> None:
+        hits, left[a:b] = peeler.through(*places[a:b].T)
+        on[a:b][hits.pixels] = True
+        for side, picture in pictures.items():
+            add_light(hits, side, picture, frame.view.height, places[a:b], light[a:b])
+        hits.pixels[:] += np.uint32(a)
+        found[a] = hits
+
+    tiles.run(_piece, len(places), RAYS)
+    if glow is not None:
+        layers = by_layer(Hits.joined(list(found.values())))
+        light += glow.lit(glow.before_layers(*rays_through(frame, places), layers, tiles))
+        on |= light.any(axis=1)
+    each = len(pixels), count
+    edges = EdgeSamples(pixels, light.reshape(*each, 3), on.reshape(each), left=left.reshape(each))
+    return replace(frame, edges=edges)
+
+
+def pictures_of(frame: Frame) -> dict[int, Shown]:
+    """The tall picture of each side in a ``frame``, by the side's number as of ``Peeled``; and that with its faces."""
+    whole = shown_by(frame)
+    tall = {part.side.peeled: shown_by(part.frame) for part in parts_of(frame)}
+    return {int(WINDOW_FACE): whole} | {side: picture._replace(fine=whole.fine) for side, picture in tall.items()}
+
+
+def by_layer(hits: Hits) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """The ``hits`` of rays, layer behind layer: rays, each of them once, points, and weights."""
+    order = np.argsort(hits.pixels, kind="stable")
+    rays = hits.pixels[order]
+    first = np.searchsorted(rays, rays)
+    depth = np.arange(len(rays)) - first
+    for layer in range(int(depth.max(initial=-1)) + 1):
+        rows = order[depth == layer]
+        yield hits.pixels[rows], hits.points[rows], hits.weights[rows]
+
+
+def add_light(hits: Hits, side: int, picture: Shown, height: int, places: np.ndarray, light: np.ndarray) -> None:
+    """Add what rays through ``places`` (n, 2; x, y) meet of a ``side`` to their ``light`` (n, 3).
+
+    It is the light of the pixels around in the same layer of its tall ``picture``, by the weight of the hit.
+    """
+    some = np.flatnonzero(np.minimum(hits.sides, FIRST_WALL_SIDE) == side)
+    rays, down = hits.pixels[some], np.array([0.0, height], np.float32)
+    there, found = places[rays] + hits.ranks[some][:, None] * down, np.zeros((len(some), 3), np.float32)
+    borrow_light(picture, there, np.arange(len(some), dtype=np.uint32), hits.points[some], found)
+    np.add.at(light, rays, hits.weights[some][:, None] * found)

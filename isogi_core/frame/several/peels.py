@@ -14,7 +14,7 @@ from isogi_core.kernels.tracing.sight import WINDOW_FACE, Sight
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.model.view import View
 from isogi_core.plan.sides import WALLS_SIDE, Side
-from isogi_core.prepared.surface import Surface
+from isogi_core.prepared.prepared_scene import Surface
 
 
 @dataclass(frozen=True, eq=False)

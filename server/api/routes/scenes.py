@@ -7,7 +7,7 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
-from isogi_core.frame.panorama import FORMAT, paint_panorama
+from isogi_core.frame.framing import FORMAT, paint_panorama
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.scene import Scene
 from server.answers import scene_schema

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from isogi_core.frame.card.blocks import CODES, FLAT, coarse, words_of
+from isogi_core.frame.card.blocks import CODES, FLAT, Coding, coarse, coding_for, words_of
 from isogi_core.frame.card.chunk_light import coded_chunks, raw_scale, seen_chunks, transfer_chunks
 from isogi_core.frame.card.coded_picture import ControlPictures, draw_coded
-from isogi_core.frame.card.coding import Coding, coding_for
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.kernels.shading.lattice import BURIED_GRADE, VOID_GRADE

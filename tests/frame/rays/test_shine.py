@@ -14,7 +14,7 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.picture_plan import PRESENT
 from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.frame.rays.shine import cast_rays, paths_from
-from isogi_core.model.shine import DULL, Shine
+from isogi_core.model.material import DULL, Shine
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, relative_rmse

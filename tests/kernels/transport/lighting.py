@@ -11,8 +11,7 @@ from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, NO_LAMPS, POI
 from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.transfer import bake_irradiance, locate_texels, texel_seed
-from isogi_core.model.environment import cumulative
-from isogi_core.model.latlong import pixel_directions, solid_angles
+from isogi_core.model.environment import cumulative, pixel_directions, solid_angles
 from tests.kernels.fields import cells_of
 
 Z, Y, X = np.mgrid[:41, :41, :41] - 20.0

@@ -12,8 +12,7 @@ from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, POINT
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.rng import mix
 from isogi_core.kernels.transport.wavefront import WAVE_PATHS
-from isogi_core.model.environment import cumulative
-from isogi_core.model.latlong import pixel_directions, solid_angles
+from isogi_core.model.environment import cumulative, pixel_directions, solid_angles
 from tests.kernels.fields import field_of, surface_of
 from tests.kernels.transport.lighting import (
     BALL,

@@ -10,7 +10,7 @@ import pytest
 from isogi_core.cache.scene_assets import receive_assets, receive_colours, send_assets
 from isogi_core.errors import IsogiError, SceneError, ViewError, VolumeError
 from isogi_core.model.colours import COLOUR_MAPS, MAX_ALBEDO, SurfaceColours, table_of
-from isogi_core.model.shine import Shine
+from isogi_core.model.material import Shine
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import cut_open, under

@@ -8,7 +8,7 @@ import httpx
 import numpy as np
 import pytest
 
-from isogi_core.frame.panorama import paint_panorama
+from isogi_core.frame.framing import paint_panorama
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.store import Store

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from isogi_core.frame.panorama import paint_panorama
+from isogi_core.frame.framing import paint_panorama
 from isogi_core.plan.assembly import load_scene
 
 PATH = "/v1/scenes/small/sky"

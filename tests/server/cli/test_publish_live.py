@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.frame.card.coding import Coding
+from isogi_core.frame.card.blocks import Coding
 from server.cli.command import run
 from server.exports.live_page import IMPORT, page_files
 from tests.card_twin import read_coded

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import sph_harm_y
 
-from isogi_core.model.latlong import pixel_directions
+from isogi_core.model.environment import pixel_directions
 from isogi_core.plan.assembly import load_scene
 from server.cli.command import run
 from tests.server.jobs import baking, until_over

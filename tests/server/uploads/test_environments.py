@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from isogi_core.files.radiance import read_hdr, write_hdr
-from isogi_core.model.latlong import mean_radiance
+from isogi_core.model.environment import mean_radiance
 from server.uploads.environments import MAX_PROBE_SHAPE
 from server.uploads.folder import UploadFolder
 from tests.server.uploads.site import Site
