@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar
 
-OVERHEAD = 4 << 10
+OVERHEAD_BYTES = 4 << 10
 """Bytes that a result is counted with besides its own: without arrays it takes memory too."""
 
 
@@ -131,7 +131,7 @@ class LruCache(Generic[K]):
 
     def _count(self, key: K, cell: Cell[Any]) -> None:
         """Count a result with what it takes now."""
-        now = OVERHEAD + cell.value[0].nbytes
+        now = OVERHEAD_BYTES + cell.value[0].nbytes
         self._add(key, now - cell.nbytes)
         cell.nbytes = now
 

@@ -23,22 +23,22 @@ from isogi_core.model.view import View
 from isogi_core.plan.budget import BOUNCES_SHARE, bounces_for, survival_for
 from isogi_core.plan.scene import Scene
 
-REPLICAS = 8
+REFERENCE_REPLICAS = 8
 """Independent randomisations of a reference."""
 
-CUT = 0.001
+MAX_LOST_LIGHT = 0.001
 """Share of the light that the bounces which a reference leaves out may bring, at most."""
 
 FIRST_ROUND_PATHS = 16
 """Paths per pixel of the first round; each further one doubles what there is."""
 
-MAX_PIXEL_PATHS = REPLICAS << 32
+MAX_PIXEL_PATHS = REFERENCE_REPLICAS << 32
 """Paths per pixel for which there are random numbers."""
 
-DECAY = 1.75
+NOISE_DECAY = 1.75
 """Samples that a noise takes grow as its inverse to this power: the points are stratified (demos under a sky)."""
 
-FORMAT = 1
+REFERENCE_FORMAT = 1
 """Counts up when paths of a reference, or what is kept of them, change."""
 
 
@@ -56,7 +56,7 @@ class Reference:
     on: np.ndarray
     samples: int
     seconds: float
-    sums: np.ndarray = field(default_factory=lambda: np.zeros((0, REPLICAS, 3)), repr=False)
+    sums: np.ndarray = field(default_factory=lambda: np.zeros((0, REFERENCE_REPLICAS, 3)), repr=False)
     subject: str = ""
 
     @property
@@ -92,10 +92,10 @@ def trace_reference(
     refuse_several(renderer.prepared.scene)
     subject, gbuffer = subject_of(renderer.prepared.scene, view), renderer.gbuffer(view)
     if former is None:
-        former = from_sums(gbuffer, np.zeros((len(gbuffer.points), REPLICAS, 3)), 0, 0.0, subject)
+        former = from_sums(gbuffer, np.zeros((len(gbuffer.points), REFERENCE_REPLICAS, 3)), 0, 0.0, subject)
     if former.subject != subject:
         raise ReportError("The reference to go on from is of another scene or view: begin a new one.")
-    taken, wanted = former.samples // REPLICAS, -(-samples // REPLICAS)
+    taken, wanted = former.samples // REFERENCE_REPLICAS, -(-samples // REFERENCE_REPLICAS)
     if wanted <= taken:
         return former
     paths, sums = Paths(RotatedLight(renderer.caches.spec("gi"), view), gbuffer, renderer.tiles), former.sums.copy()
@@ -126,13 +126,13 @@ def from_sums(gbuffer: GBuffer, sums: np.ndarray, count: int, seconds: float, su
     variance[gbuffer.pixels] = variance_of_mean(sums / max(count, 1))
     on[gbuffer.pixels] = True
     picture = mean.reshape(height, width, 3), variance.reshape(height, width), on.reshape(height, width)
-    return Reference(*picture, count * REPLICAS, seconds, sums, subject)
+    return Reference(*picture, count * REFERENCE_REPLICAS, seconds, sums, subject)
 
 
 def with_bounces(scene: Scene, bounces: int | None = None) -> Scene:
     """The scene with paths of so many ``bounces``; by default with so many that less than CUT of its light is cut."""
     if bounces is None:
-        bounces = bounces_for(scene.inputs.reflecting, CUT / BOUNCES_SHARE)
+        bounces = bounces_for(scene.inputs.reflecting, MAX_LOST_LIGHT / BOUNCES_SHARE)
     survival = survival_for(scene.inputs.reflecting, bounces)
     return replace(scene, plan=replace(scene.plan, bounces=bounces, survival=survival))
 
@@ -150,7 +150,7 @@ def subject_of(scene: Scene, view: View) -> str:
     world = [scene.volume.digest, *lights, albedo, *scene.departures]
     camera = [view.camera.eye, view.camera.target, view.camera.up, view.camera.fov]
     picture = [view.isovalue, *camera, view.light, view.width, view.height]
-    return digest_of([FORMAT, *world, scene.bounces, scene.plan.survival, *picture])
+    return digest_of([REFERENCE_FORMAT, *world, scene.bounces, scene.plan.survival, *picture])
 
 
 def save_reference(path: Path, reference: Reference, scene: Scene, view: View) -> None:
@@ -159,7 +159,7 @@ def save_reference(path: Path, reference: Reference, scene: Scene, view: View) -
     shown = {
         name: value for name, value in asdict(view).items() if name not in ("moving", "smooth", "strip", "orientation")
     }
-    about = {"format": FORMAT, "scene": scene.name, "bounces": scene.bounces, **surface, "view": shown}
+    about = {"format": REFERENCE_FORMAT, "scene": scene.name, "bounces": scene.bounces, **surface, "view": shown}
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         with partial.open("wb") as file:
@@ -176,7 +176,7 @@ def load_reference(path: Path, scene: Scene, view: View) -> Reference:
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             about = json.loads(str(file["about"]))
-            if about["format"] != FORMAT:
+            if about["format"] != REFERENCE_FORMAT:
                 raise ReportError(f"{path} was written by another version of isogi: remove it, or name another file.")
             kept = {each.name: file[each.name] for each in REFERENCE_FIELDS}
     except (ValueError, KeyError, EOFError, BadZipFile) as error:
@@ -209,7 +209,7 @@ class Goal:
             return max(self.samples, reference.samples)
         if self.noise is None:
             return None
-        wanted = reference.samples * max(reference.noise / self.noise, 1.0) ** DECAY
+        wanted = reference.samples * max(reference.noise / self.noise, 1.0) ** NOISE_DECAY
         return int(2 ** math.ceil(math.log2(wanted)))
 
 
@@ -240,4 +240,4 @@ def grow(
 
 def fitting(seconds: float, each: float) -> int:
     """How many samples fit into ``seconds`` where ``each`` takes so long, a multiple of REPLICAS."""
-    return int(max(seconds, 0.0) / max(each, 1e-9)) // REPLICAS * REPLICAS
+    return int(max(seconds, 0.0) / max(each, 1e-9)) // REFERENCE_REPLICAS * REFERENCE_REPLICAS

@@ -20,7 +20,7 @@ from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.view import View
 
-NEVER = 1e-9
+UNREACHED_TARGET = 1e-9
 """A target error that no texel reaches: all take as many samples as they are asked for."""
 
 TEXELS_A_PIECE = 256
@@ -47,13 +47,13 @@ class Bake:
         self.light = dark(layers, len(texels))
         self.seconds = 0.0
 
-    def grow(self, until: int, target: float = NEVER) -> None:
+    def grow(self, until: int, target: float = UNREACHED_TARGET) -> None:
         """Bring all texels to ``until`` samples each, or to what is final for a ``target`` error. Raises Cancelled.
 
         What it calls is compiled before, on a texel of which nothing is kept.
         """
         first = self.texels[:1]
-        refine(dark(self.layers, len(first)), first, self.spec, FIRST_LEVEL, NEVER)
+        refine(dark(self.layers, len(first)), first, self.spec, FIRST_LEVEL, UNREACHED_TARGET)
         begun = time.process_time()
 
         def piece(a: int, b: int) -> None:
@@ -106,7 +106,7 @@ class ViewBake(Bake):
         if len(self.distant):
             projected = self._chunks(light, self.distant, own)
             caches.projected(self.shown.gbuffer.isovalue).pool.insert(projected, self.shown.chunks)
-        return self.renderer.render(self.view, NEVER)
+        return self.renderer.render(self.view, UNREACHED_TARGET)
 
     def show(self, light: Light, numbers: np.ndarray) -> None:
         """Have frames read this ``light`` of the view's texels with these ``numbers``, and none of others."""

@@ -32,13 +32,13 @@ from isogi_core.reference import (
 from isogi_report.bake import ViewBake
 from isogi_report.metrics import Score, score
 
-MEMORY = 1 << 30
+BENCH_CACHE_BYTES = 1 << 30
 """Bytes of light that frames of one scene may hold."""
 
 MIN_REFERENCE_PATHS, MAX_REFERENCE_PATHS = 64, 16384
 """Paths from each pixel of the shortest reference, and of the longest."""
 
-FINE = 0.1
+REFERENCE_NOISE_SHARE = 0.1
 """What a reference's noise may be of the error that it is to tell."""
 
 REFERENCE_SHARE = 0.1
@@ -93,7 +93,7 @@ class Bench:
         store = self.folder / "light" / scene.digest
 
         def make() -> Renderer:
-            return Renderer(Caches(PreparedScene(scene), store, MEMORY), self.tiles, filters=False)
+            return Renderer(Caches(PreparedScene(scene), store, BENCH_CACHE_BYTES), self.tiles, filters=False)
 
         return self.once(("renderer", scene.digest, scene.bounces, scene.plan.survival), make)
 
@@ -119,7 +119,7 @@ class Bench:
     @property
     def best(self) -> Reference:
         """The view's reference, grown until its noise is a tenth of the plan's error, or time is short."""
-        return self.grown(FINE * self._first_error)
+        return self.grown(REFERENCE_NOISE_SHARE * self._first_error)
 
     @cached_property
     def _first_error(self) -> float:

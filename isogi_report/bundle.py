@@ -10,7 +10,7 @@ import numpy as np
 
 from isogi_core.storage.atomic_file import write_whole
 from isogi_report.heading import heading
-from isogi_report.journal import DATA, PAGE, Entry, Report, picture_name, plot_name
+from isogi_report.journal import DATA_FILE, PAGE_FILE, Entry, Report, picture_name, plot_name
 from isogi_report.page import page
 from isogi_report.plots import print_picture, scales_of, standalone
 from isogi_report.sections import Picture, document_of, plain
@@ -23,9 +23,9 @@ def write_report(folder: Path, report: Report) -> Path:
         (folder / name).parent.mkdir(exist_ok=True)
         write_whole(folder / name, data)
     forget(folder, set(files))
-    write_whole(folder / DATA, json.dumps(data_of(report, head), indent=1, allow_nan=False).encode())
-    write_whole(folder / PAGE, page(report, head, files).encode())
-    return folder / PAGE
+    write_whole(folder / DATA_FILE, json.dumps(data_of(report, head), indent=1, allow_nan=False).encode())
+    write_whole(folder / PAGE_FILE, page(report, head, files).encode())
+    return folder / PAGE_FILE
 
 
 def drawings(report: Report) -> Iterator[tuple[str, bytes]]:

@@ -10,7 +10,7 @@ from isogi_report.sections import Cell, Column, Table
 EMPTY_CELL = "–"
 """What stands for a cell that does not apply or was not measured."""
 
-TOGETHER = "\u00a0"
+NO_BREAK_SPACE = "\u00a0"
 """A space that no line breaks at."""
 
 PREFIXES: dict[str, tuple[tuple[str, float], ...]] = {
@@ -45,7 +45,7 @@ def text_column(column: Column, cells: Sequence[Cell]) -> TextColumn:
             return cell
         return write(cell / size) if cell is not None and math.isfinite(cell) else EMPTY_CELL
 
-    head = f"{column.name},{TOGETHER}{name}" if name else column.name
+    head = f"{column.name},{NO_BREAK_SPACE}{name}" if name else column.name
     return TextColumn(head, tuple(map(text, cells)), column.unit != "text")
 
 

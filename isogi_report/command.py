@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from isogi_report.measuring import Measured, Study
     from isogi_report.sections import Section
 
-STAND = {"azimuth": 40.0, "elevation": 30.0, "distance": 2.2}
+DEFAULT_VIEWPOINT = {"azimuth": 40.0, "elevation": 30.0, "distance": 2.2}
 """Where a report looks from by default: nearer than pages do, so that few of its pixels are empty."""
 
-LIBRARIES = ("matplotlib", "jinja2")
+PAGE_LIBRARIES = ("matplotlib", "jinja2")
 """What pages are drawn with; they are not needed by anything else."""
 
 
@@ -57,12 +57,12 @@ def report(target: str, knobs: Mapping[str, str], settings: Settings, request: R
 
 def standing(knobs: Mapping[str, Any]) -> dict[str, Any]:
     """The knobs of a view, with STAND for those of its orbit that are left out."""
-    return dict(knobs) if "eye" in knobs else {**STAND, **knobs}
+    return dict(knobs) if "eye" in knobs else {**DEFAULT_VIEWPOINT, **knobs}
 
 
 def require_libraries() -> None:
     """LibraryError where a library is missing that pages are drawn with."""
-    missing = [name for name in LIBRARIES if importlib.util.find_spec(name) is None]
+    missing = [name for name in PAGE_LIBRARIES if importlib.util.find_spec(name) is None]
     if missing:
         raise LibraryError(f"A report is drawn with {' and '.join(missing)}: pip install 'isogi[report]'.")
 

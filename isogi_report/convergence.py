@@ -17,21 +17,21 @@ from isogi_report.bench import Bench, with_plan
 from isogi_report.metrics import SCORE_COLUMNS, Score, score_cells
 from isogi_report.sections import Cell, Column, Curve, Plot, Section, Table
 
-KEY, TITLE = "convergence", "Error against run time"
+CONVERGENCE_KEY, CONVERGENCE_TITLE = "convergence", "Error against run time"
 
-SIZE = 32
+CURVE_PIXELS = 32
 """Pixels of the longer side of the picture."""
 
-RUNGS = (16, 64, 256, 1024, 4096, 16384)
+CURVE_SAMPLES = (16, 64, 256, 1024, 4096, 16384)
 """Samples of a texel, or paths of a pixel, of the points of a curve."""
 
-SECONDS, POINT_SHARE = 120.0, 0.1
+MAX_POINT_SECONDS, POINT_SHARE = 120.0, 0.1
 """Seconds that the next point of a curve may take, by what the last one took, and the share of those that are left."""
 
-TRACED = "path tracing from each pixel"
+PATH_TRACING_CURVE = "path tracing from each pixel"
 """The name of the curve that has no light of texels."""
 
-ABOUT = """\
+CONVERGENCE_TEXT = """\
 Errors against the reference, of one view, as more samples are taken. Light of texels is baked once and serves all \
 cameras and, where it turns, all lights; paths from each pixel serve one picture. Where a curve levels off, \
 more samples do not help: interpolation, harmonics and bounces that are cut off. Each point of baked light grows from \
@@ -40,7 +40,7 @@ so many pictures that read the texels of this one, from cameras that see the sam
 paths from each pixel could trace to its own error in its time; frames of baked light take milliseconds, and count as \
 nothing here."""
 
-COLUMNS = (
+CURVE_COLUMNS = (
     Column("way"),
     Column("samples", "count"),
     Column("time", "seconds"),
@@ -51,7 +51,7 @@ COLUMNS = (
 END_ERROR_FACTOR = 1.1
 """How many times the error that a curve ends at its point may have that stands for the whole bake."""
 
-EVENS = (
+EQUAL_ERROR_COLUMNS = (
     Column("way"),
     Column("relative RMSE", "share"),
     Column("bake", "seconds"),
@@ -75,22 +75,22 @@ class Point:
 
 def study(bench: Bench) -> Section:
     """The curves, their points as a table, and where baked light begins to pay."""
-    small = bench.sized(SIZE)
+    small = bench.sized(CURVE_PIXELS)
     found = points_of(small)
     rows = tuple((name, p.samples, p.seconds, *score_cells(p.score)) for name, own in found.items() for p in own)
     curves = tuple(curve(name, own) for name, own in found.items())
     size = f"{small.view.width} × {small.view.height} pixels"
     plot = Plot(f"Error against run time, {size}", Column("time", "seconds"), Column("error", "share"), curves)
-    table = Table(f"Points of the curves, {size}", COLUMNS, rows)
+    table = Table(f"Points of the curves, {size}", CURVE_COLUMNS, rows)
     tables = evens(curves[:-1], curves[-1], size), table
-    return Section(KEY, TITLE, " ".join([ABOUT, *ends(found)]), tables, (plot,))
+    return Section(CONVERGENCE_KEY, CONVERGENCE_TITLE, " ".join([CONVERGENCE_TEXT, *ends(found)]), tables, (plot,))
 
 
 def points_of(bench: Bench) -> dict[str, list[Point]]:
     """The points of all curves by name, that of path tracing last."""
     best = bench.grown(0.0)
     found = {name: baked(bench, scene, best) for name, scene in ways(bench.scene).items()}
-    return {**found, TRACED: traced(bench, best)}
+    return {**found, PATH_TRACING_CURVE: traced(bench, best)}
 
 
 def ways(scene: Scene) -> dict[str, Scene]:
@@ -135,9 +135,9 @@ def ends(found: dict[str, list[Point]]) -> list[str]:
     """A sentence on each curve that ends before the last of RUNGS."""
     return [
         f"The curve of {name.split(':')[0]} ends at {own[-1].samples:,} samples: the next point would have taken too "
-        f"long, about {own[-1].foresee(RUNGS[len(own)]):.0f} seconds."
+        f"long, about {own[-1].foresee(CURVE_SAMPLES[len(own)]):.0f} seconds."
         for name, own in found.items()
-        if len(own) < len(RUNGS)
+        if len(own) < len(CURVE_SAMPLES)
     ]
 
 
@@ -171,7 +171,7 @@ def points(bench: Bench, best: Reference, frame: Callable[[int], tuple[Frame, fl
     The first one is made in any case.
     """
     found: list[Point] = []
-    for samples in RUNGS:
+    for samples in CURVE_SAMPLES:
         if found and not fits(bench, found[-1].foresee(samples)):
             break
         picture, seconds = frame(samples)
@@ -183,13 +183,13 @@ def fits(bench: Bench, seconds: float) -> bool:
     """Whether a point may take so long; the bench notes where time left forbids it."""
     if seconds > POINT_SHARE * bench.left:
         bench.hurry.set()
-    return seconds <= min(SECONDS, POINT_SHARE * bench.left)
+    return seconds <= min(MAX_POINT_SECONDS, POINT_SHARE * bench.left)
 
 
 def evens(baked: Iterable[Curve], traced: Curve, size: str) -> Table:
     """The break-even of each ``baked`` curve of seconds and errors against the ``traced`` one; ``size`` in words."""
     rows = tuple(even(curve, traced) for curve in baked)
-    return Table(f"When baked light pays, {size}", EVENS, rows)
+    return Table(f"When baked light pays, {size}", EQUAL_ERROR_COLUMNS, rows)
 
 
 def even(baked: Curve, traced: Curve) -> tuple[Cell, ...]:

@@ -18,20 +18,20 @@ from isogi_report.bake import Bake, ViewBake
 from isogi_report.bench import Bench
 from isogi_report.metrics import luminance
 
-OUTSIDE = -1
+OUTSIDE_LATTICE = -1
 """Where points stand in the lattice, for their random numbers' sake: outside it."""
 
 POINTS_A_PIECE = 64
 """Points that one thread lights in one go."""
 
-PATHS = 1024
+TRANSFER_PATHS = 1024
 """Paths from each pixel that transfer of its own is made of."""
 
 
-TIMES = 4
+CONVERGED_SAMPLE_FACTOR = 4
 """How many times the samples that a texel of the frame has make converged light of it, at most."""
 
-FEWEST, MAX_EXACT_SAMPLES = 256, 16384
+MIN_EXACT_SAMPLES, MAX_EXACT_SAMPLES = 256, 16384
 """Bounds of these samples."""
 
 
@@ -79,7 +79,7 @@ def own_light(bench: Bench) -> Lit:
     """The surface pixels lit as texels of their own would be: the light that interpolation is to come to."""
     if not cuts_harmonics(bench.scene):
         return lit_by_paths(short_paths(bench))
-    return bench.once("own light", lambda: lit_by_transfer(bench, PATHS))
+    return bench.once("own light", lambda: lit_by_transfer(bench, TRANSFER_PATHS))
 
 
 def cuts_harmonics(scene: Scene) -> bool:
@@ -119,7 +119,7 @@ def straight_light(bench: Bench) -> np.ndarray:
 
 def place_of(pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isovalue: Isovalue) -> Place:
     """Points (m, 3) of a picture's ``pixels`` as a bake takes texels."""
-    numbers = np.full((len(pixels), 3), OUTSIDE, np.int32)
+    numbers = np.full((len(pixels), 3), OUTSIDE_LATTICE, np.int32)
     numbers[:, 2] = pixels
     here, outward = (np.ascontiguousarray(each.T, np.float64) for each in (points, normals))
     return numbers, here, outward, np.full(len(pixels), isovalue)
@@ -174,7 +174,7 @@ def converge(bench: Bench) -> Converged:
     both = ViewBake(bench.renderer(bench.scene), bench.view, layers + (() if twins == layers else twins))
     taken = np.max([part.samples for part in bench.planned.light.parts], axis=0)
     for samples in np.unique(taken).tolist():
-        grow_some(both, np.flatnonzero(taken == samples), rung_below(TIMES * samples), bench)
+        grow_some(both, np.flatnonzero(taken == samples), rung_below(CONVERGED_SAMPLE_FACTOR * samples), bench)
     kept, exact = (both.frame(Light(both.light.parts[a:][: len(layers)])) for a in (0, -len(layers)))
     return Converged(kept, exact, both.samples)
 
@@ -193,7 +193,7 @@ def unrounded(layer: Layer) -> Layer:
 
 def rung_below(samples: float) -> int:
     """The last rung of the ladder of samples, of those that count as converged, that is not above ``samples``."""
-    rung = FEWEST
+    rung = MIN_EXACT_SAMPLES
     while 2 * rung <= min(samples, MAX_EXACT_SAMPLES):
         rung *= 2
     return rung

@@ -14,15 +14,15 @@ from server.answers import scene_schema
 from server.inspect.rows import amount, by, plan_rows, summary
 from server.schemas import SceneSchema
 
-PARALLEL = 1e-3
+PARALLEL_VIEW_DEGREES = 1e-3
 """Degrees of a field of view below which rays count as parallel: those of an orthographic camera are narrower."""
 
-PACKAGES = ("isogi", "numpy", "numba", "zarr", "matplotlib", "flip-evaluator")
+REPORTED_PACKAGES = ("isogi", "numpy", "numba", "zarr", "matplotlib", "flip-evaluator")
 
 Rows = tuple[tuple[str, str], ...]
 
 
-UNTOLD = {"histogram", "ranges", "presets", "stops", "stops_note", "shadings", "defaults"}
+OMITTED_SETTINGS = {"histogram", "ranges", "presets", "stops", "stops_note", "shadings", "defaults"}
 """What of a scene's document is for those that choose a view, not for a report of one."""
 
 
@@ -30,7 +30,7 @@ def heading(scene: Scene, view: View) -> dict[str, Any]:
     """The head as a document."""
     return {
         "title": f"{scene.name} at {view.isovalue:g}",
-        "scene": scene_schema(scene).model_dump(mode="json", exclude=UNTOLD),
+        "scene": scene_schema(scene).model_dump(mode="json", exclude=OMITTED_SETTINGS),
         "view": view_facts(view),
         "machine": machine(),
         "versions": versions(),
@@ -73,7 +73,7 @@ def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
 
 def versions() -> dict[str, str | None]:
     """Versions of Python and of what measures and draws; None where it is missing."""
-    return {"python": platform.python_version(), **{name: installed(name) for name in PACKAGES}}
+    return {"python": platform.python_version(), **{name: installed(name) for name in REPORTED_PACKAGES}}
 
 
 def installed(name: str) -> str | None:
@@ -106,7 +106,7 @@ def view_rows(view: View) -> Rows:
 
 def standpoint(camera: Camera) -> str:
     """Where a camera of the world stands, and what it sees; of one with parallel rays, where it looks."""
-    if camera.fov > PARALLEL:
+    if camera.fov > PARALLEL_VIEW_DEGREES:
         return f"from {listed(camera.eye)}, {camera.fov:g} degrees high"
     height = 2.0 * math.dist(camera.eye, camera.target) * math.tan(math.radians(camera.fov / 2.0))
     return f"orthographic, along {listed(camera.basis()[2])} to {listed(camera.target)}, {height:.4g} high there"

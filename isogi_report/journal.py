@@ -26,16 +26,16 @@ from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
 from isogi_report.sections import Section, document_of, section_of
 
-PAGE, DATA = "index.html", "report.json"
-FOLDER = "journal"
-SUBJECT = "report.json"
-LOCK = "lock"
+PAGE_FILE, DATA_FILE = "index.html", "report.json"
+JOURNAL_FOLDER = "journal"
+SUBJECT_FILE = "report.json"
+LOCK_FILE = "lock"
 
-WORK = "work"
+WORK_FOLDER = "work"
 """Beside the journal: references that studies share."""
 
 
-DAMAGE = (OSError, EOFError, ValueError, KeyError, TypeError, BadZipFile, zlib.error)
+ENTRY_DAMAGE = (OSError, EOFError, ValueError, KeyError, TypeError, BadZipFile, zlib.error)
 """What reading an entry raises where it is missing, cut or changed."""
 
 
@@ -77,12 +77,12 @@ class Journal:
 
     def __init__(self, folder: Path, subject: Mapping[str, Any]) -> None:
         """Go on with the journal, or begin it where it has no section; ReportError where it is of something else."""
-        self.folder, self.code = folder / FOLDER, code_digest()
-        path = self.folder / SUBJECT
+        self.folder, self.code = folder / JOURNAL_FOLDER, code_digest()
+        path = self.folder / SUBJECT_FILE
         if sections_in(self.folder):
             refuse_other(folder, read(path), subject)
         elif read(path) != subject:
-            shutil.rmtree(folder / WORK, ignore_errors=True)
+            shutil.rmtree(folder / WORK_FOLDER, ignore_errors=True)
             write_whole(path, json.dumps(subject, indent=2).encode())
         forget_others(workshop(folder))
 
@@ -95,7 +95,7 @@ class Journal:
             with np.load(io.BytesIO((self.folder / f"{key}.npz").read_bytes())) as arrays:
                 pixels = [arrays[f"arr_{i}"] for i in range(len(document["section"]["pictures"]))]
             return Entry(section_of(document["section"], pixels), document["seconds"])
-        except DAMAGE:
+        except ENTRY_DAMAGE:
             return None
 
     def keep(self, key: str, entry: Entry) -> None:
@@ -110,11 +110,11 @@ class Journal:
 @contextmanager
 def opened(folder: Path, subject: Mapping[str, Any]) -> Iterator[Journal]:
     """The journal of ``folder``, for this process alone; ReportError where the folder is another's, or in use."""
-    journal = folder / FOLDER
+    journal = folder / JOURNAL_FOLDER
     if folder.exists() and (not folder.is_dir() or (not journal.is_dir() and any(folder.iterdir()))):
         raise ReportError(f"{folder} is there and holds no report: choose a new or an empty folder.")
     journal.mkdir(parents=True, exist_ok=True)
-    with (journal / LOCK).open("w") as file:
+    with (journal / LOCK_FILE).open("w") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -124,7 +124,7 @@ def opened(folder: Path, subject: Mapping[str, Any]) -> Iterator[Journal]:
 
 def workshop(folder: Path) -> Path:
     """Where the references of a report in ``folder`` are, those of this code."""
-    return folder / WORK / code_digest()
+    return folder / WORK_FOLDER / code_digest()
 
 
 def forget_others(work: Path) -> None:
@@ -136,7 +136,7 @@ def forget_others(work: Path) -> None:
 
 def sections_in(journal: Path) -> bool:
     """Whether any section was kept in the folder of a ``journal``, whole or not."""
-    return any(path.name != SUBJECT for path in journal.glob("*.json"))
+    return any(path.name != SUBJECT_FILE for path in journal.glob("*.json"))
 
 
 def read(path: Path) -> Mapping[str, Any]:

@@ -20,7 +20,7 @@ from server.progress import WEIGHTS, ticking
 
 log = logging.getLogger("isogi.report")
 
-GRACE = 0.1
+DEADLINE_GRACE_SHARE = 0.1
 """What a study may take beyond its deadline, of the time that all of them had, before it is cancelled."""
 
 
@@ -35,9 +35,9 @@ class Study:
 
 
 STUDIES = (
-    Study(summary.KEY, summary.TITLE, summary.study, 0.25),
-    Study(split.KEY, split.TITLE, split.study, 0.25),
-    Study(convergence.KEY, convergence.TITLE, convergence.study, 0.5),
+    Study(summary.SUMMARY_KEY, summary.SUMMARY_TITLE, summary.study, 0.25),
+    Study(split.SPLIT_KEY, split.SPLIT_TITLE, split.study, 0.25),
+    Study(convergence.CONVERGENCE_KEY, convergence.CONVERGENCE_TITLE, convergence.study, 0.5),
 )
 """All of them, the most important first. What one makes, such as the reference, the next ones find on the bench."""
 
@@ -193,7 +193,7 @@ def limited(bench: Bench) -> Iterator[None]:
     if bench.left == float("inf"):
         yield
         return
-    timer = threading.Timer(max((1.0 + GRACE) * bench.left, 0.0), bench.cancelled.set)
+    timer = threading.Timer(max((1.0 + DEADLINE_GRACE_SHARE) * bench.left, 0.0), bench.cancelled.set)
     timer.daemon = True
     timer.start()
     try:

@@ -9,7 +9,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from isogi_report.cells import TOGETHER, text_column, text_columns
+from isogi_report.cells import NO_BREAK_SPACE, text_column, text_columns
 from isogi_report.heading import left_out_rows, machine_rows, plan_facts_rows, scene_rows
 from isogi_report.journal import Report, picture_name
 from isogi_report.plots import draw, gradient, keys, scales_of
@@ -17,7 +17,7 @@ from isogi_report.sections import Picture, Plot, Section, Table
 from server.inspect.picture import SCHEME
 from server.values import span
 
-HERE = Path(__file__).parent
+REPORT_FOLDER = Path(__file__).parent
 
 Part = dict[str, Any]
 
@@ -25,11 +25,11 @@ Part = dict[str, Any]
 def page(report: Report, head: Mapping[str, Any], files: Mapping[str, bytes]) -> str:
     """The page of a report; ``files`` are its pictures, by their names."""
     sheet = Environment(
-        loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=FileSystemLoader(REPORT_FOLDER), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     ).get_template("page.html")
     return sheet.render(
         title=head["title"],
-        style=Markup(SCHEME + (HERE / "page.css").read_text(encoding="utf-8")),
+        style=Markup(SCHEME + (REPORT_FOLDER / "page.css").read_text(encoding="utf-8")),
         gradient=Markup(gradient()),
         notes=report.notes,
         parts=list(parts(report, files)),
@@ -92,7 +92,7 @@ def picture_part(section: Section, i: int, scale: float | None, files: Mapping[s
     picture = section.pictures[i]
     height, width = picture.pixels.shape[:2]
     source = "data:image/png;base64," + base64.b64encode(files[picture_name(section, i)]).decode()
-    ends = None if scale is None else f"{100 * scale:g}{TOGETHER}%"
+    ends = None if scale is None else f"{100 * scale:g}{NO_BREAK_SPACE}%"
     caption = picture.caption if ends is None else f"{picture.caption} (±{ends})"
     return {"source": source, "caption": caption, "alt": alt(picture, ends), "width": width, "height": height}
 

@@ -26,23 +26,23 @@ from isogi_report.journal import Report
 from isogi_report.sections import Column, Curve, Picture, Plot
 from server.inspect.picture import DASHES, INK, LINE, SCHEME, SOFT, STYLE
 
-WIDTH, HEIGHT = 4.6, 3.1
+PLOT_WIDTH, PLOT_HEIGHT = 4.6, 3.1
 """Inches of a plot, 72 units of SVG each."""
 
 TICK_STEPS = ((100.0, (1.0,)), (10.0, (1.0, 2.0, 5.0)), (1.0, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)))
 """First digits of the ticks of a logarithmic axis, where its ends are so many times apart."""
 
-ROW = 14.0
+LEGEND_ROW_HEIGHT = 14.0
 """Height of a line of the legend."""
 
-CURVES = ("#040404", "#050505", "#060606", "#070707", "#080808", "#090909")
+CURVE_COLOURS = ("#040404", "#050505", "#060606", "#070707", "#080808", "#090909")
 """Colours that stand for a name while matplotlib draws: see NAMES."""
 
-NAMES = {
+PAGE_COLOURS = {
     INK: "var(--ink)",
     SOFT: "var(--soft)",
     LINE: "var(--line)",
-    **{colour: f"var(--curve-{i + 1})" for i, colour in enumerate(CURVES)},
+    **{colour: f"var(--curve-{i + 1})" for i, colour in enumerate(CURVE_COLOURS)},
 }
 
 
@@ -58,7 +58,7 @@ class Key:
 def keys(plot: Plot) -> tuple[Key, ...]:
     """The legend of a plot: the curves that it shows."""
     return tuple(
-        Key(curve.name, NAMES[colour_of(i)], " ".join(map(str, dashes_of(i))) or "none")
+        Key(curve.name, PAGE_COLOURS[colour_of(i)], " ".join(map(str, dashes_of(i))) or "none")
         for i, curve in enumerate(plot.curves)
         if drawable(curve)[0]
     )
@@ -66,7 +66,7 @@ def keys(plot: Plot) -> tuple[Key, ...]:
 
 def colour_of(i: int) -> str:
     """What stands for the colour of curve ``i`` while matplotlib draws."""
-    return CURVES[i % len(CURVES)]
+    return CURVE_COLOURS[i % len(CURVE_COLOURS)]
 
 
 def dashes_of(i: int) -> tuple[float, ...]:
@@ -78,7 +78,7 @@ def dashes_of(i: int) -> tuple[float, ...]:
 def draw(plot: Plot) -> str:
     """The plot as an ``svg`` element for a page that gives the names their colours; the same bytes each time."""
     with mpl.rc_context({**STYLE, "svg.hashsalt": plot.caption}):
-        figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+        figure = Figure(figsize=(PLOT_WIDTH, PLOT_HEIGHT), layout="constrained")
         fill(figure.add_subplot(), plot)
         file = io.BytesIO()
         figure.savefig(file, format="svg", metadata={"Date": None})
@@ -88,10 +88,10 @@ def draw(plot: Plot) -> str:
 def standalone(plot: Plot) -> str:
     """The plot as a file that has its own colours, light and dark, and its legend below the axes."""
     entries = keys(plot) if len(keys(plot)) > 1 else ()
-    width, height = 72 * WIDTH, 72 * HEIGHT
+    width, height = 72 * PLOT_WIDTH, 72 * PLOT_HEIGHT
     size = f'viewBox="0 0 {width:g} {height:g}"'
-    below = "".join(legend_line(key, height + ROW * (i + 0.5)) for i, key in enumerate(entries))
-    svg = draw(plot).replace(size, f'viewBox="0 0 {width:g} {height + ROW * len(entries):g}"', 1)
+    below = "".join(legend_line(key, height + LEGEND_ROW_HEIGHT * (i + 0.5)) for i, key in enumerate(entries))
+    svg = draw(plot).replace(size, f'viewBox="0 0 {width:g} {height + LEGEND_ROW_HEIGHT * len(entries):g}"', 1)
     head, _, rest = svg.removesuffix("</svg>").partition(">")
     style = f"<style>{SCHEME}svg {{ background: var(--paper); }}</style>"
     return f'<?xml version="1.0" encoding="utf-8"?>\n{head}>{style}{rest}{below}</svg>\n'
@@ -111,7 +111,7 @@ def named(svg: str) -> str:
     svg = re.sub(r'(<g) id="[^"]*"', r"\1", svg)
     svg = re.sub(r"font-family: [^;\"]*", "font-family: var(--text)", svg)
     svg = re.sub(r'(<svg [^>]*?) width="[^"]*" height="[^"]*"', r"\1", svg)
-    for colour, name in NAMES.items():
+    for colour, name in PAGE_COLOURS.items():
         svg = svg.replace(colour, name)
     return svg.strip()
 
@@ -160,7 +160,7 @@ def tick(value: float, unit: str) -> str:
     return f"{value:,.6g}"
 
 
-COLOURS = "RdBu_r"
+ERROR_COLOURS = "RdBu_r"
 """matplotlib's name of the colours of errors: blue too dark, white right, red too bright."""
 
 SCALE_STEPS = (1.0, 2.0, 5.0, 10.0)
@@ -222,7 +222,7 @@ def error_colours(errors: np.ndarray, scale: float) -> np.ndarray:
     """Signed errors as (h, w, 3) uint8 sRGB, ±``scale`` at the ends, the film's background where there are none."""
     on = np.isfinite(errors)
     places = np.where(on, 0.5 + 0.5 * np.clip(np.nan_to_num(errors) / scale, -1.0, 1.0), 0.5)
-    shown = mpl.colormaps[COLOURS](places, bytes=True)[..., :3]
+    shown = mpl.colormaps[ERROR_COLOURS](places, bytes=True)[..., :3]
     top = len(tone_table()) - 1
     shown[~on] = tone_table()[np.rint(np.array(BACKGROUND) * top).astype(int)]
     return np.ascontiguousarray(shown)
@@ -230,5 +230,5 @@ def error_colours(errors: np.ndarray, scale: float) -> np.ndarray:
 
 def gradient(steps: int = 11) -> str:
     """The colours of errors as a CSS gradient, from too dark to too bright."""
-    colours = mpl.colormaps[COLOURS](np.linspace(0.0, 1.0, steps), bytes=True)[:, :3]
+    colours = mpl.colormaps[ERROR_COLOURS](np.linspace(0.0, 1.0, steps), bytes=True)[:, :3]
     return f"linear-gradient(to right, {', '.join('#' + bytes(colour).hex() for colour in colours)})"

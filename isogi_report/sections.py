@@ -13,7 +13,7 @@ import numpy as np
 Cell = str | float | None
 """What stands in a table: words, a number in its column's unit, or nothing (it does not apply, or was not measured)."""
 
-UNITS = ("text", "count", "share", "seconds", "bytes", "number")
+COLUMN_UNITS = ("text", "count", "share", "seconds", "bytes", "number")
 """Units of columns and axes. A ``share`` is a ratio, 1 for all of it; ``seconds`` are of the processor, all threads."""
 
 

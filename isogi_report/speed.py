@@ -34,17 +34,17 @@ from isogi_core.model.view import VIEW_SHADINGS, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.runs import Run, serially
-from isogi_report.bake import NEVER
+from isogi_report.bake import UNREACHED_TARGET
 from server.parameters import FORMATS
 from server.pictures import encode
 from server.progress import open_scene
 from server.settings import cores
 from worker.pool import TOGETHER
 
-MEMORY = 1 << 30
+SPEED_CACHE_BYTES = 1 << 30
 """Bytes of light that a measured renderer may hold."""
 
-DONE = 1.0
+LOOSEST_TARGET = 1.0
 """A target error that FEWEST samples meet: what is measured are frames of light that is final, as most light is."""
 
 Candidate = Callable[[int], float]
@@ -96,16 +96,16 @@ def isovalues_near(scene: Scene, count: int) -> list[float]:
 def make_renderer(scene: Scene, store: str, threads: int | None = None) -> Renderer:
     """A renderer over a store, with nothing else around it."""
     tiles = Tiles(threads)
-    return Renderer(Caches(PreparedScene(scene), store, MEMORY), tiles)
+    return Renderer(Caches(PreparedScene(scene), store, SPEED_CACHE_BYTES), tiles)
 
 
 def bake_view(renderer: Renderer, view: View, until: int) -> Frame:
     """Bake in this process what ``view`` lacks, to ``until`` samples a texel, and render it."""
-    wanted = wanted_of(renderer.render(view, NEVER, enough=MAX_SAMPLES))
+    wanted = wanted_of(renderer.render(view, UNREACHED_TARGET, enough=MAX_SAMPLES))
     bake_offsets(
         renderer, view.shading, wanted, until, tqdm(desc="baking", unit="chunk", total=len(wanted), leave=False)
     )
-    return renderer.render(view, NEVER, enough=MAX_SAMPLES)
+    return renderer.render(view, UNREACHED_TARGET, enough=MAX_SAMPLES)
 
 
 def wanted_of(frame: Frame) -> Offsets:
@@ -144,7 +144,7 @@ def bake_chunks(renderer: Renderer, shading: str, wanted: Offsets, until: int) -
     chunks = [loader.chunk_store.load(index).with_texels(offsets) for index, offsets in wanted.items()]
     light = Light.joined([chunk.light for chunk in chunks])
     texels = np.concatenate([lattice.positions(chunk.index, chunk.offsets) for chunk in chunks])
-    refine(light, texels, loader.chunk_store.spec, until, NEVER)
+    refine(light, texels, loader.chunk_store.spec, until, UNREACHED_TARGET)
     bounds = np.cumsum([0, *(len(chunk.light) for chunk in chunks)]).tolist()
     for chunk, (a, b) in zip(chunks, pairwise(bounds), strict=True):
         loader.chunk_store.save(replace(chunk, light=light.rows(np.arange(a, b))))
@@ -154,7 +154,7 @@ def bake_chunks(renderer: Renderer, shading: str, wanted: Offsets, until: int) -
 def bake_texels(prepared: PreparedScene, texels: np.ndarray, until: int) -> Light:
     """The light of ``texels`` (m, 3; z, y, x) after ``until`` samples each."""
     light = Light.dark(prepared.scene.plan, len(texels))
-    refine(light, texels, spec_for(prepared, "gi"), until, NEVER)
+    refine(light, texels, spec_for(prepared, "gi"), until, UNREACHED_TARGET)
     return light
 
 
@@ -224,7 +224,7 @@ def medians(candidates: Mapping[str, Candidate], repeats: int) -> dict[str, floa
     return {name: statistics.median(taken) for name, taken in take_turns(candidates, repeats).items()}
 
 
-def new_camera(renderer: Renderer, view: View, target: float = DONE) -> Candidate:
+def new_camera(renderer: Renderer, view: View, target: float = LOOSEST_TARGET) -> Candidate:
     """A frame of ``view`` from a camera that is new to the renderer, whose light is final at the ``target``."""
 
     def render(_: int) -> float:
@@ -243,16 +243,16 @@ def relight(renderer: Renderer, view: View) -> Candidate:
     """A frame that differs by its light's rotation alone from the last one, whose light was turned, too."""
 
     def render(turn: int) -> float:
-        renderer.render(turned(view, turn - 0.5), DONE)
-        return seconds(lambda: renderer.render(turned(view, turn), DONE))
+        renderer.render(turned(view, turn - 0.5), LOOSEST_TARGET)
+        return seconds(lambda: renderer.render(turned(view, turn), LOOSEST_TARGET))
 
     return render
 
 
-QUICK = tuple(name for name in VIEW_SHADINGS if name != "path_traced")
+TIMED_SHADINGS = tuple(name for name in VIEW_SHADINGS if name != "path_traced")
 """Shadings whose frames are timed: all but the reference, which takes as long as it has paths."""
 
-TEXELS, SAMPLES = 8192, 64
+BAKED_TEXELS, BAKED_SAMPLES = 8192, 64
 """Texels that are baked to measure the speed of a bake, and samples of each: the fewest that make one final."""
 
 Figures = dict[str, Any]
@@ -318,7 +318,7 @@ class StepTimes:
 
     def frames(self) -> Figures:
         """``frame_ms``, by shading, of a camera that is new, light baked; ``relight_ms``: only the light is turned."""
-        views = {name: replace(self.view, shading=name) for name in QUICK}
+        views = {name: replace(self.view, shading=name) for name in TIMED_SHADINGS}
         for spec in SPECS:
             bake_view(self.renderer, views[spec], MIN_SAMPLES)
         candidates = {name: new_camera(self.renderer, view) for name, view in views.items()}
@@ -358,7 +358,7 @@ class StepTimes:
     def bakes(self) -> Figures:
         """Millions of paths a second on one core, and texels of 64 samples a second on all cores together."""
         prepared, pieces = self.renderer.prepared, list(self._texels())
-        bake = partial(bake_pieces, prepared, pieces, SAMPLES)
+        bake = partial(bake_pieces, prepared, pieces, BAKED_SAMPLES)
         paths = bake()
         taken = medians({"one": timed(bake), "all": timed(partial(bake, self.renderer.tiles.run))}, self.repeats)
         return {
@@ -371,7 +371,7 @@ class StepTimes:
         lattice, count = self.renderer.prepared.lattice, 0
         wanted = sorted(wanted_of(self.frame).items(), key=lambda pair: -len(pair[1]))
         for task in together(dict(wanted)):
-            if count < TEXELS:
+            if count < BAKED_TEXELS:
                 texels = np.concatenate([lattice.positions(index, offsets) for index, offsets in task.items()])
                 count += len(texels)
                 yield texels

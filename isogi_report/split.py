@@ -22,11 +22,11 @@ from isogi_report.exact import (
 from isogi_report.metrics import Spread, map_of, mean_of, spread_of
 from isogi_report.sections import Column, Picture, Section, Table
 
-KEY, TITLE = "split", "Where the error comes from"
+SPLIT_KEY, SPLIT_TITLE = "split", "Where the error comes from"
 
-COLUMNS = (Column("part"), Column("relative RMSE", "share"), Column("bias", "share"), Column("what is compared"))
+SPLIT_COLUMNS = (Column("part"), Column("relative RMSE", "share"), Column("bias", "share"), Column("what is compared"))
 
-ABOUT = """\
+SPLIT_TEXT = """\
 Each part is the difference that remains when one ingredient of the frame gives way to its exact counterpart, one \
 after the other, so that biases add up to the total's. Noise that is known of either side is taken off. The parts' \
 root sum of squares equals the total where they are independent. Normals and offset are the scene's own choice, and so \
@@ -83,8 +83,8 @@ def study(bench: Bench) -> Section:
     )
     shown = (*split.parts, split.whole, split.surface)
     pictures = tuple(Picture(part.name, "error", map_of(part.wrong, bench.best.on, split.mean)) for part in shown)
-    table = Table("Error of the plan's frame and its parts", COLUMNS, rows)
-    return Section(KEY, TITLE, f"{ABOUT} {missing(bench)}".strip(), (table,), (), pictures)
+    table = Table("Error of the plan's frame and its parts", SPLIT_COLUMNS, rows)
+    return Section(SPLIT_KEY, SPLIT_TITLE, f"{SPLIT_TEXT} {missing(bench)}".strip(), (table,), (), pictures)
 
 
 def split_error(bench: Bench) -> Split:

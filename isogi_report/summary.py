@@ -5,9 +5,9 @@ from isogi_report.bench import Bench
 from isogi_report.metrics import SCORE_COLUMNS, error_map, score_cells
 from isogi_report.sections import Cell, Column, Picture, Section, Table
 
-KEY, TITLE = "summary", "Summary"
+SUMMARY_KEY, SUMMARY_TITLE = "summary", "Summary"
 
-ABOUT = """\
+SUMMARY_TEXT = """\
 One view of a scene, each of its texels baked to the target error by the scene's plan, against a reference: paths from \
 each pixel to the lights themselves, with the scene's own normals and offset. Errors are of the luminance, over the \
 surface pixels, relative to the reference's mean: the root mean square (less the reference's own noise), what 99 % of \
@@ -31,7 +31,7 @@ def study(bench: Bench) -> Section:
         Picture(f"the reference, {best.samples} paths per pixel", "radiance", best.mean),
         Picture("the frame's error", "error", error_map(frame.leaving, best)),
     )
-    return Section(KEY, TITLE, ABOUT, (headline, reference, scene), (), pictures)
+    return Section(SUMMARY_KEY, SUMMARY_TITLE, SUMMARY_TEXT, (headline, reference, scene), (), pictures)
 
 
 def facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:

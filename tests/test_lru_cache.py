@@ -5,9 +5,9 @@ import threading
 import numpy as np
 import pytest
 
-from isogi_core.lru_cache import OVERHEAD, LruCache
+from isogi_core.lru_cache import OVERHEAD_BYTES, LruCache
 
-SIZE = OVERHEAD + 100
+SIZE = OVERHEAD_BYTES + 100
 """Bytes that a result of ``made`` is counted with."""
 
 
@@ -124,10 +124,10 @@ def test_a_waiting_thread_makes_what_another_failed_to_make() -> None:
 
 
 def test_results_without_arrays_make_room_too() -> None:
-    kept: LruCache[int] = LruCache(10 * OVERHEAD)
+    kept: LruCache[int] = LruCache(10 * OVERHEAD_BYTES)
     for key in range(100):
         kept.get(key, lambda: np.zeros(0))
-    assert kept.nbytes == 10 * OVERHEAD
+    assert kept.nbytes == 10 * OVERHEAD_BYTES
 
 
 def test_results_that_grew_are_counted_when_asked_for() -> None:

@@ -26,7 +26,7 @@ from isogi_core.cache.scene_assets import SceneAssets, receive_assets, receive_c
 from isogi_core.errors import SceneError, StoreAwayError
 from isogi_core.files.mappings import budget
 from isogi_core.files.scene_changes import MATERIAL_NUMBERS
-from isogi_core.files.scene_file import FOLLOWED, SceneSource
+from isogi_core.files.scene_file import VOXEL_SETTINGS, SceneSource
 from isogi_core.kernels._jit import load
 from isogi_core.kernels.transport.texel_points import project_texels
 from isogi_core.model.scene_plan import MAX_SAMPLES, ScenePlan
@@ -140,7 +140,7 @@ def opened(source: SceneSource) -> PreparedScene:
     if known is None:
         prepared = PreparedScene(build_scene(source), most_maps())
     else:
-        bare = {name: value for name, value in source.document.items() if name not in FOLLOWED}
+        bare = {name: value for name, value in source.document.items() if name not in VOXEL_SETTINGS}
         scene = known.scene
         shared = scene.volume, scene.surfaces.colours, scene.lighting.glowing.bits
         prepared = known.beside(build_scene(replace(source, document=bare), no_progress, *shared))

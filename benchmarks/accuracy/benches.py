@@ -12,7 +12,7 @@ from benchmarks.common.scenes import Subject, scene_of
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_report.bench import Bench
-from isogi_report.command import STAND
+from isogi_report.command import DEFAULT_VIEWPOINT
 from isogi_report.speed import view_of
 
 Settings = Callable[[str], Mapping[str, Any]]
@@ -21,7 +21,7 @@ Settings = Callable[[str], Mapping[str, Any]]
 
 def bench_of(scene: Scene, size: int, folder: Path) -> Bench:
     """The bench of a scene as reports see it, in a picture of ``size`` × ``size`` pixels."""
-    return Bench(scene, view_of(scene, size, camera=scene.camera(**STAND, fov=30.0)), folder)
+    return Bench(scene, view_of(scene, size, camera=scene.camera(**DEFAULT_VIEWPOINT, fov=30.0)), folder)
 
 
 def benches(

@@ -21,7 +21,7 @@ from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.view_texels import first_texels
-from isogi_report.bake import NEVER, ViewBake
+from isogi_report.bake import UNREACHED_TARGET, ViewBake
 from isogi_report.metrics import Score, score
 
 LEVELS = (16, 64, 256)
@@ -62,7 +62,7 @@ def filtering(size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...
 
 def pictures_of(bake: ViewBake, filters: Renderer) -> tuple[Frame, Frame]:
     """The frame with each texel's light as it is, and that of a renderer that ``filters``."""
-    return bake.frame(), filters.render(bake.view, NEVER)
+    return bake.frame(), filters.render(bake.view, UNREACHED_TARGET)
 
 
 def quarter(bake: ViewBake, filters: Renderer) -> Frame:
@@ -70,7 +70,7 @@ def quarter(bake: ViewBake, filters: Renderer) -> Frame:
     first = first_texels(np.concatenate(bake.shown.offsets), bake.shown.lattice.bits)
     numbers = np.flatnonzero(first)
     bake.show(bake.light.rows(numbers), numbers)
-    return filters.render(bake.view, NEVER)
+    return filters.render(bake.view, UNREACHED_TARGET)
 
 
 def texts(picture: Frame, found: Score) -> tuple[str, str]:

@@ -22,7 +22,7 @@ from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import Scene
-from isogi_report.speed import DONE, Candidate, bake_view, make_renderer, medians, relight, seconds, turned, view_of
+from isogi_report.speed import LOOSEST_TARGET, Candidate, bake_view, make_renderer, medians, relight, seconds, turned, view_of
 
 TURNS = 1000
 """A turn of the light that no other candidate comes to."""
@@ -61,7 +61,7 @@ def processor(renderer: Renderer, view: View) -> Candidate:
 
     def render(turn: int) -> float:
         begun = time.process_time()
-        renderer.render(turned(view, turn + TURNS), DONE)
+        renderer.render(turned(view, turn + TURNS), LOOSEST_TARGET)
         return time.process_time() - begun
 
     return render
@@ -71,8 +71,8 @@ def at_rest(renderer: Renderer, view: View) -> Candidate:
     """A frame that is as the one before."""
 
     def render(turn: int) -> float:
-        renderer.render(turned(view, turn), DONE)
-        return seconds(lambda: renderer.render(turned(view, turn), DONE))
+        renderer.render(turned(view, turn), LOOSEST_TARGET)
+        return seconds(lambda: renderer.render(turned(view, turn), LOOSEST_TARGET))
 
     return render
 

@@ -34,7 +34,7 @@ from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.zarr_codec import unwrap_all
-from isogi_report.command import STAND
+from isogi_report.command import DEFAULT_VIEWPOINT
 from isogi_report.speed import view_of
 from server.cli.render import awaited
 from server.render.engine import RenderEngine
@@ -153,7 +153,7 @@ def slid(name: str, scene: Scene, size: int, paths: int) -> Slide:
 
 def shown(engine: RenderEngine, scene: Scene, isovalue: int, size: int, paths: int) -> Found:
     """Bake the picture of an isovalue, and hold it against the truth."""
-    view = replace(view_of(scene, size, camera=scene.camera(**STAND, fov=30.0)), isovalue=float(isovalue))
+    view = replace(view_of(scene, size, camera=scene.camera(**DEFAULT_VIEWPOINT, fov=30.0)), isovalue=float(isovalue))
     folder, begun = engine.store.url.folder, time.monotonic()
     before, full, taken = samples_in(folder), stored(folder), engine.paths
     frame = awaited(engine, scene.id, view, scene.target_error, PATIENCE)

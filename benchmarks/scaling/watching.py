@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from isogi_core.cache.upkeep.census import census_of, samples_in, texels_in
-from isogi_core.storage.store import SENTINEL, Store
+from isogi_core.storage.store import SENTINEL_KEY, Store
 
 
 class Watcher:
@@ -48,7 +48,7 @@ class Watcher:
 
     def spec(self) -> None:
         """Read all objects once."""
-        if not (self.root / SENTINEL).is_file():
+        if not (self.root / SENTINEL_KEY).is_file():
             return
         root = Store(self.root, make=False)
         counts = census_of(root, texels=False).counts

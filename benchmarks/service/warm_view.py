@@ -30,11 +30,11 @@ from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.cache.chunk_store import ChunkStore
-from isogi_core.cache.loader import READERS, Loader
+from isogi_core.cache.loader import REMOTE_READERS, Loader
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.object_store import Bucket
-from isogi_core.storage.store import SENTINEL, Store
+from isogi_core.storage.store import SENTINEL_KEY, Store
 from isogi_core.storage.url import StoreUrl
 from isogi_core.storage.zarr_codec import CRC_BYTES
 from isogi_report.speed import bake_view, make_renderer, view_of
@@ -181,7 +181,7 @@ class Plain:
     def __init__(self, place: StoreUrl) -> None:
         """Connect."""
         self.bytes = 0
-        self._shelf = Bucket(place, SENTINEL) if place.remote else None
+        self._shelf = Bucket(place, SENTINEL_KEY) if place.remote else None
         self._folder = place.folder
 
     def get(self, key: str) -> bytes:
@@ -202,7 +202,7 @@ def read(place: StoreUrl, get: Callable[[str], object], keys: Sequence[str]) -> 
         for key in keys:
             get(key)
         return
-    with ThreadPoolExecutor(READERS) as readers:
+    with ThreadPoolExecutor(REMOTE_READERS) as readers:
         list(readers.map(get, keys))
 
 

@@ -21,7 +21,7 @@ from benchmarks.common.suite import part
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from isogi_report.command import STAND
+from isogi_report.command import DEFAULT_VIEWPOINT
 from isogi_report.speed import view_of
 from server.render.engine import RenderEngine
 from server.render.scene_variant import Change
@@ -53,7 +53,7 @@ class Bake:
 def cutting(size: int, workers: int) -> Measurement:
     """How long cuts take, beside the first bake of the view, and how many texels keep their light."""
     scene = benchmark_scene(None)
-    view = view_of(scene, size, camera=scene.camera(**STAND, fov=30.0))
+    view = view_of(scene, size, camera=scene.camera(**DEFAULT_VIEWPOINT, fov=30.0))
     with tempfile.TemporaryDirectory() as folder, closing(RenderEngine([scene], folder, workers=workers)) as engine:
         engine.start()
         while engine.workforce.preparing or not engine.tally().workers:

@@ -24,7 +24,7 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.shading.edges import find_contrasts
 from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.model.view import View
-from isogi_report.speed import DONE, Candidate, bake_view, make_renderer, medians, seconds, view_of
+from isogi_report.speed import LOOSEST_TARGET, Candidate, bake_view, make_renderer, medians, seconds, view_of
 
 TRUE = 256
 """Samples of a pixel that counts as true."""
@@ -44,7 +44,7 @@ def edges(target: str | None, size: int, repeats: int) -> Measurement:
         bake_view(renderer, plain, MIN_SAMPLES)
         smooth = replace(plain, smooth=True)
         took = medians({"plain": pictured(renderer, plain), "smooth": pictured(renderer, smooth)}, repeats)
-        errors = errors_of(renderer.render(plain, DONE), renderer.render(smooth, DONE), renderer)
+        errors = errors_of(renderer.render(plain, LOOSEST_TARGET), renderer.render(smooth, LOOSEST_TARGET), renderer)
     figures = {**milliseconds(took), "smooth / plain": took["smooth"] / took["plain"], **errors}
     return Measurement(f"{scene.name} at {scene.isovalue:g}, {size} × {size}", figures)
 
@@ -54,7 +54,7 @@ def pictured(renderer: Renderer, view: View) -> Candidate:
 
     def work(_: int) -> float:
         renderer.forget_views()
-        return seconds(lambda: develop(renderer.render(view, DONE), renderer.prepared.scene.default_exposure))
+        return seconds(lambda: develop(renderer.render(view, LOOSEST_TARGET), renderer.prepared.scene.default_exposure))
 
     return work
 

@@ -26,9 +26,9 @@ from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.model.window import Window
 from isogi_core.plan.scene import Scene
-from isogi_report.bake import NEVER
+from isogi_report.bake import UNREACHED_TARGET
 from isogi_report.speed import (
-    DONE,
+    LOOSEST_TARGET,
     Candidate,
     bake_view,
     make_renderer,
@@ -55,7 +55,7 @@ def frames(target: str | None, size: int, repeats: int) -> Measurement:
     """Frame times of all shadings side by side, light baked, and of turning only the light."""
     scene = benchmark_scene(target)
     with lit(scene, size) as (renderer, view):
-        texels = sum(len(demand.offsets) for demand in renderer.render(view, NEVER, enough=MAX_SAMPLES).demands)
+        texels = sum(len(demand.offsets) for demand in renderer.render(view, UNREACHED_TARGET, enough=MAX_SAMPLES).demands)
         figures = summarise(medians(candidates(renderer, view), repeats))
         figures["lattice / texels of this view"] = math.prod(renderer.prepared.shape) / texels
     data = None if target else shared_data()
@@ -97,12 +97,12 @@ def candidates(renderer: Renderer, view: View) -> dict[str, Candidate]:
     exposure = renderer.prepared.scene.default_exposure
 
     def tone(turn: int) -> float:
-        lit = renderer.render(turned(view, turn), DONE)
+        lit = renderer.render(turned(view, turn), LOOSEST_TARGET)
         return seconds(lambda: develop(lit, exposure))
 
     frames = {shading: new_camera(renderer, replace(view, shading=shading)) for shading in SHADINGS}
     frames["gi"] = next_camera(renderer, view)
-    frames["gi, converging"] = new_camera(renderer, view, NEVER)
+    frames["gi, converging"] = new_camera(renderer, view, UNREACHED_TARGET)
     frames["window"] = new_plane(renderer, view)
     return {**frames, "relight": relight(renderer, view), "develop": tone}
 
@@ -119,8 +119,8 @@ def next_camera(renderer: Renderer, view: View) -> Candidate:
         renderer.forget_views()
         before = turned(view, turn + 0.3)
         for _ in range(2):
-            renderer.render(before, DONE)
-        return seconds(lambda: renderer.render(on_from(renderer, before), DONE))
+            renderer.render(before, LOOSEST_TARGET)
+        return seconds(lambda: renderer.render(on_from(renderer, before), LOOSEST_TARGET))
 
     return render
 
@@ -133,7 +133,7 @@ def new_plane(renderer: Renderer, view: View) -> Candidate:
         renderer.forget_views()
         place = volume.centre[2] + volume.spacing[2] * (turn % 16 - 8)
         window = Window(((0.0, 0.0, -1.0, place),))
-        return seconds(lambda: renderer.render(replace(view, window=window), DONE))
+        return seconds(lambda: renderer.render(replace(view, window=window), LOOSEST_TARGET))
 
     return render
 

@@ -33,7 +33,7 @@ from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_report.speed import (
-    DONE,
+    LOOSEST_TARGET,
     Candidate,
     bake_view,
     isovalues_near,
@@ -64,7 +64,7 @@ def own(renderer: Renderer, size: int, shading: str) -> Painter:
     scene = renderer.prepared.scene
 
     def paint(isovalue: float) -> np.ndarray:
-        frame = renderer.render(view_of(scene, size, isovalue=isovalue, shading=shading), DONE)
+        frame = renderer.render(view_of(scene, size, isovalue=isovalue, shading=shading), LOOSEST_TARGET)
         return develop(frame, scene.default_exposure)
 
     return paint

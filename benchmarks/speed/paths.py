@@ -33,7 +33,7 @@ from isogi_core.model.scene_plan import MAX_SAMPLES, Layer
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_report.bake import NEVER
+from isogi_report.bake import UNREACHED_TARGET
 from isogi_report.speed import (
     Candidate,
     Rays,
@@ -68,7 +68,7 @@ def view_texels(scene: Scene, size: int) -> list[np.ndarray]:
     """About TEXELS texels that the view reads, (m, 3; z, y, x) task by task as workers bake them, from all over it."""
     with tempfile.TemporaryDirectory() as store:
         renderer = make_renderer(scene, store)
-        wanted = wanted_of(renderer.render(view_of(scene, size), NEVER, enough=MAX_SAMPLES))
+        wanted = wanted_of(renderer.render(view_of(scene, size), UNREACHED_TARGET, enough=MAX_SAMPLES))
         place = renderer.prepared.lattice.positions
     tasks = list(together(wanted))
     some = tasks[:: max(sum(map(len, wanted.values())) // TEXELS, 1)]

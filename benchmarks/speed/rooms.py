@@ -32,7 +32,7 @@ from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
-from isogi_report.speed import DONE, Candidate, bake_view, make_renderer, medians, seconds, view_of
+from isogi_report.speed import LOOSEST_TARGET, Candidate, bake_view, make_renderer, medians, seconds, view_of
 from server.cli.render import awaited
 from server.render.engine import RenderEngine
 
@@ -98,9 +98,9 @@ def lit(scene: Scene, store: str, size: int) -> Renderer:
     """A renderer of a scene, with the light that its view reads."""
     renderer, view = make_renderer(scene, store), camera_of(scene, size)
     bake_view(renderer, view, MIN_SAMPLES)
-    frame = renderer.render(view, DONE)
-    while frame.quality.waiting and renderer.refine_frame(frame, DONE, renderer.tiles, PRESENT):
-        frame = renderer.render(view, DONE)
+    frame = renderer.render(view, LOOSEST_TARGET)
+    while frame.quality.waiting and renderer.refine_frame(frame, LOOSEST_TARGET, renderer.tiles, PRESENT):
+        frame = renderer.render(view, LOOSEST_TARGET)
     return renderer
 
 
@@ -112,7 +112,7 @@ def camera_of(scene: Scene, size: int, turn: int = 0) -> View:
 
 def moved(renderer: Renderer, scene: Scene, size: int) -> Candidate:
     """A frame from another camera in each round."""
-    return lambda turn: seconds(lambda: renderer.render(camera_of(scene, size, turn), DONE))
+    return lambda turn: seconds(lambda: renderer.render(camera_of(scene, size, turn), LOOSEST_TARGET))
 
 
 def baked(name: str, data: Path, levels: int) -> dict[float, float]:

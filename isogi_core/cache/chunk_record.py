@@ -29,7 +29,7 @@ from isogi_core.prepared.prepared_scene import Index
 HIGHEST_LEVEL = 1 + (MAX_SAMPLES // FIRST_LEVEL).bit_length() - 1
 """The code of the highest sample level."""
 
-NUMBERS = Numbers(SAMPLES_OF, NOISE_OF, LIGHT_OF)
+RECORD_TABLES = Numbers(SAMPLES_OF, NOISE_OF, LIGHT_OF)
 """Tables of the numbers that the bytes of a record encode."""
 
 
@@ -97,7 +97,7 @@ def unpack_all(records: np.ndarray, layer: Layer, texels: int) -> tuple[np.ndarr
     part = Part.undefined(layer, len(places))
     planes = (found["scale"], found["rung"], found["noise"], *planes_of(found, layer))
     filled = Texels(part.samples, part.noise, part.coefficients)
-    unpack_texels(places % np.int32(texels), bounds, planes, NUMBERS, filled)
+    unpack_texels(places % np.int32(texels), bounds, planes, RECORD_TABLES, filled)
     return places, part
 
 
@@ -128,7 +128,7 @@ def find_anomaly(data: np.ndarray, layer: Layer, texels: int) -> str:
     return next((what for what, found in oddities.items() if found), "")
 
 
-CODECS = ["bytes", "zstd", "crc32c"]
+CODEC_NAMES = ["bytes", "zstd", "crc32c"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +193,7 @@ def agrees(metadata: dict[str, Any], facts: LayerFacts) -> bool:
         and metadata["data_type"] == "uint8"
         and metadata["shape"] == [*facts.chunks, facts.record_size]
         and grid == [1, 1, 1, facts.record_size]
-        and [codec["name"] for codec in metadata["codecs"]] == CODECS
+        and [codec["name"] for codec in metadata["codecs"]] == CODEC_NAMES
         and metadata["chunk_key_encoding"]["name"] == "default"
         and isinstance(facts.attributes["volume_digest"], str)
     )

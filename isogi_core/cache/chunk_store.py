@@ -15,7 +15,7 @@ from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.precision import VOID
 from isogi_core.bake.texel_light import Part
 from isogi_core.cache.chunk import Chunk, Chunks
-from isogi_core.cache.inventory import USED
+from isogi_core.cache.inventory import STAMPS_FOLDER
 from isogi_core.cache.layer import LayerStore
 from isogi_core.errors import DamagedChunkError, StoreError
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
@@ -24,7 +24,7 @@ from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.store import Store, StoreLike
 
-DIRECTED = 2
+MIN_DIRECT_ORDER = 2
 """Least order of direct light that is shown in place of a higher one: band 0 alone has no direction."""
 
 
@@ -69,7 +69,7 @@ def larger_layers(layer: Layer) -> Iterator[Layer]:
 
 def smaller_layers(layer: Layer) -> Iterator[Layer]:
     """Compatible layers that hold the first bands of ``layer``, or all of them less precisely; most bands first."""
-    least = DIRECTED if layer.kind == "direct" else 1
+    least = MIN_DIRECT_ORDER if layer.kind == "direct" else 1
     lower = range(layer.order - 1, least - 1, -1)
     other = (other for order in (layer.order, *lower) for other in precisions(layer, order))
     return (other for other in other if not (other.order == layer.order and covers(other, layer)))
@@ -115,7 +115,7 @@ class UseStamps:
     def _stamp(self) -> None:
         try:
             for digest in self._digests:
-                key = f"{USED}/{digest}"
+                key = f"{STAMPS_FOLDER}/{digest}"
                 self._store.put(key, b"", self._store.get(key))
         except StoreError as error:
             log.info("When light was used cannot be kept: %s", error)

@@ -11,14 +11,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-from isogi_core.cache.inventory import CLAIMS
+from isogi_core.cache.inventory import CLAIMS_FOLDER
 from isogi_core.errors import ChangedError, StoreError
 from isogi_core.storage.backend import StoredObject
 from isogi_core.storage.store import Store
 
 log = logging.getLogger("isogi.cache")
 
-CONTENDED = 60.0
+CONTENDED_SECONDS = 60.0
 """Seconds for which claims are made after another baker was noticed."""
 
 
@@ -40,10 +40,10 @@ class Claims:
 
         An owner takes over its own former claim, and with ``insist`` anybody's. An empty owner claims nothing.
         """
-        if not owner or self._clock() - self._contended > CONTENDED:
+        if not owner or self._clock() - self._contended > CONTENDED_SECONDS:
             yield True
             return
-        key = f"{CLAIMS}/{name}"
+        key = f"{CLAIMS_FOLDER}/{name}"
         ours = self._claim(key, owner.encode(), insist)
         try:
             yield ours

@@ -21,7 +21,7 @@ from isogi_core.storage.store import Store, StoreLike
 
 log = logging.getLogger("isogi.cache")
 
-COSTS = "costs"
+ALL_COSTS_FOLDER = "costs"
 """The folder of all costs at the top of a store."""
 
 SAVE_EVERY = 30.0
@@ -56,7 +56,7 @@ class Costs:
     def __init__(self, store: StoreLike, digest: str, clock: Callable[[], float] = time.monotonic) -> None:
         """Know nothing yet."""
         self._store = Store.of(store)
-        self._key = f"{COSTS}/{digest}/zarr.json"
+        self._key = f"{ALL_COSTS_FOLDER}/{digest}/zarr.json"
         self._clock = clock
         self._chunks: dict[Index, Cost] = {}
         self._rates: list[float] = []

@@ -7,24 +7,24 @@ from dataclasses import dataclass, field
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import Entry
 
-QUARANTINE = "quarantine"
+QUARANTINE_FOLDER = "quarantine"
 """Folder that damaged objects are moved to."""
 
-USED = "used"
+STAMPS_FOLDER = "used"
 """Folder of stamps of use: see ``cache.chunk_store``."""
 
-COSTS = "costs"
+COSTS_FOLDER = "costs"
 """Folder of costs: see ``cache.costs``."""
 
-CLAIMS = "claims"
+CLAIMS_FOLDER = "claims"
 """Folder of claims: see ``cache.claims``."""
 
-CHUNK = re.compile(r"([0-9a-f]{20})/c/(\d+)/(\d+)/(\d+)/0")
-METADATA = re.compile(r"([0-9a-f]{20})/zarr\.json")
-COST = re.compile(rf"{COSTS}/([0-9a-f]{{20}})/zarr\.json")
-STAMP = re.compile(rf"{USED}/([0-9a-f]{{20}})")
-LEFTOVER = re.compile(rf".*\.partial|{CLAIMS}/.*")
-KNOWN = re.compile(r"isogi\.json|(jobs|costs|used|volumes|files|colours|glow|walls)/.*")
+CHUNK_KEY = re.compile(r"([0-9a-f]{20})/c/(\d+)/(\d+)/(\d+)/0")
+LAYER_KEY = re.compile(r"([0-9a-f]{20})/zarr\.json")
+COST_KEY = re.compile(rf"{COSTS_FOLDER}/([0-9a-f]{{20}})/zarr\.json")
+STAMP_KEY = re.compile(rf"{STAMPS_FOLDER}/([0-9a-f]{{20}})")
+LEFTOVER_KEY = re.compile(rf".*\.partial|{CLAIMS_FOLDER}/.*")
+OTHER_KEYS = re.compile(r"isogi\.json|(jobs|costs|used|volumes|files|colours|glow|walls)/.*")
 """Other objects that isogi keeps beside the light."""
 
 
@@ -78,18 +78,18 @@ class Inventory:
 
     def add(self, found: Entry) -> None:
         """Add an object."""
-        if found.key.startswith(f"{QUARANTINE}/"):
+        if found.key.startswith(f"{QUARANTINE_FOLDER}/"):
             self.quarantined.append(found)
-        elif LEFTOVER.fullmatch(found.key):
+        elif LEFTOVER_KEY.fullmatch(found.key):
             self.leftovers.append(found)
-        elif match := CHUNK.fullmatch(found.key):
+        elif match := CHUNK_KEY.fullmatch(found.key):
             z, y, x = map(int, match.groups()[1:])
             self.layer(match[1]).chunks[z, y, x] = found
-        elif match := METADATA.fullmatch(found.key):
+        elif match := LAYER_KEY.fullmatch(found.key):
             self.layer(match[1]).metadata = found
-        elif match := COST.fullmatch(found.key):
+        elif match := COST_KEY.fullmatch(found.key):
             self.costs[match[1]] = found
-        elif not KNOWN.fullmatch(found.key):
+        elif not OTHER_KEYS.fullmatch(found.key):
             self.foreign.append(found)
 
 
@@ -98,7 +98,7 @@ def inventory_of(listed: Iterable[Entry]) -> Inventory:
     inventory, stamps = Inventory(), {}
     for found in listed:
         inventory.add(found)
-        if match := STAMP.fullmatch(found.key):
+        if match := STAMP_KEY.fullmatch(found.key):
             stamps[match[1]] = found
     for digest, layer in inventory.layers.items():
         layer.stamp = stamps.get(digest)

@@ -25,15 +25,15 @@ from isogi_core.plan.scene import BAKE_FORMAT
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.backend import StoredObject, one_line
 from isogi_core.storage.store import Store, StoreLike
-from isogi_core.storage.zarr_codec import LEVEL, described, description, unwrap_all, wrap
+from isogi_core.storage.zarr_codec import ZSTD_LEVEL, described, description, unwrap_all, wrap
 
-CODECS = (BytesCodec, ZstdCodec, Crc32cCodec)
+CHUNK_CODECS = (BytesCodec, ZstdCodec, Crc32cCodec)
 """Codecs of a chunk; the checksum is last, so that it covers the whole object."""
 
 MOST_TRIES = 20
 """Tries of a write while others write the same chunk."""
 
-CODES = {
+RECORD_CODES = {
     "first_rung": FIRST_LEVEL,
     "void": VOID_CODE,
     "noisiest": NOISIEST,
@@ -130,7 +130,7 @@ class LayerStore:
             array.shape == (*self.chunks, self.size)
             and array.chunks == (1, 1, 1, self.size)
             and array.dtype == np.uint8
-            and tuple(map(type, getattr(array.metadata, "codecs", ()))) == CODECS
+            and tuple(map(type, getattr(array.metadata, "codecs", ()))) == CHUNK_CODECS
             and isinstance(facts, dict)
             and facts.get("volume_digest") == self.prepared.scene.volume.digest
         )
@@ -150,7 +150,7 @@ class LayerStore:
             chunks=(1, 1, 1, self.size),
             dtype="uint8",
             fill_value=0,
-            compressors=[ZstdCodec(level=LEVEL), Crc32cCodec()],
+            compressors=[ZstdCodec(level=ZSTD_LEVEL), Crc32cCodec()],
             attributes={"isogi": self.facts},
         )
 
@@ -302,7 +302,7 @@ def facts_of(layer: Layer, prepared: PreparedScene, shown: Isovalue | None = Non
         "albedo": list(layer.nodes or scene.surfaces.albedo) if layer.reflected else None,
         "lights": [light.name for light in scene.lighting.lights] if layer.kind == "irradiance" else None,
         "plan": asdict(scene.plan),
-        "codes": CODES,
+        "codes": RECORD_CODES,
         "record": [[name, kind.base.str, list(kind.shape)] for name, kind in fields_of(record)],
     }
 

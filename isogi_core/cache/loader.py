@@ -18,16 +18,16 @@ from isogi_core.storage.store import Store
 ASK_AGAIN = 1.0
 """Seconds after which an absent chunk is read again: another machine may have baked it."""
 
-READERS = 16
+REMOTE_READERS = 16
 """Batches read at once from a remote store, where the network takes the time."""
 
-UNPACKERS = 4
+LOCAL_READERS = 4
 """Batches read at once from a store on this machine, where unpacking takes the time."""
 
-MAX_BATCHES_AHEAD = 2 * READERS
+MAX_BATCHES_AHEAD = 2 * REMOTE_READERS
 """Most batches of a view that are being read, or wait in memory."""
 
-BATCH = 1 << 23
+BATCH_BYTES = 1 << 23
 """Most bytes of records that are unpacked together: each call is then for thousands of texels."""
 
 CHUNKS_OF_ONE_READER = 8
@@ -47,7 +47,7 @@ class Loader:
         self._absent: dict[Index, float] = {}
         self._readers: list[set[Index]] = []
         self._lock = threading.Lock()
-        self._many = READERS if chunk_store.store.url.remote else UNPACKERS
+        self._many = REMOTE_READERS if chunk_store.store.url.remote else LOCAL_READERS
         self._hands = ThreadPoolExecutor(self._many, "loader")
 
     def ensure(self, chunks: Sequence[Index], check: Callable[[], object] = lambda: None) -> None:
@@ -103,7 +103,7 @@ class Loader:
     def _batches(self, indices: Sequence[Index]) -> list[Sequence[Index]]:
         """The chunks in batches: as many as there are threads, none of few chunks, nor of more than BATCH bytes."""
         least = 1 if self.chunk_store.store.url.remote else CHUNKS_OF_ONE_READER
-        size = max(min(BATCH // self.chunk_store.chunk_bytes, max(-(-len(indices) // self._many), least)), 1)
+        size = max(min(BATCH_BYTES // self.chunk_store.chunk_bytes, max(-(-len(indices) // self._many), least)), 1)
         return [indices[i : i + size] for i in range(0, len(indices), size)]
 
     def _brought(self, indices: Sequence[Index]) -> Chunks:

@@ -22,7 +22,7 @@ from isogi_core.kernels.shading.texel_table import Judge, Role, Rows, Sums, add_
 from isogi_core.model.scene_plan import GLOW_KIND, MIN_SAMPLES, Layer
 from isogi_core.prepared.prepared_scene import Index
 
-PAGE = 64
+PAGE_TEXELS = 64
 """Texels of a page."""
 
 FEWEST_CHUNKS = 8
@@ -90,12 +90,12 @@ class PagePool:
         """Allocate the arrays that frames of ``spec`` read; memory is taken as they fill."""
         texels = spec.prepared.lattice.texels
         beside = FEWEST_CHUNKS * 4 * texels
-        pages = max(min(budget // page_bytes(spec), (budget - beside) // (PAGE * row_bytes(spec))), 1)
+        pages = max(min(budget // page_bytes(spec), (budget - beside) // (PAGE_TEXELS * row_bytes(spec))), 1)
         slots = max(pages // pages_of_sheet(spec.prepared.lattice), FEWEST_CHUNKS)
         self.spec = spec
-        self.rows = new_rows(spec, pages * PAGE)
+        self.rows = new_rows(spec, pages * PAGE_TEXELS)
         self.transfer, self.scatter, self.error, self.stamp = self.rows
-        self.reflected = np.empty(pages * PAGE if spec.plan.nodes else 0, np.float32)
+        self.reflected = np.empty(pages * PAGE_TEXELS if spec.plan.nodes else 0, np.float32)
         self.table = np.empty((slots, texels), np.int32)
         self._free_pages = Numbers(pages)
         self._free_slots = Numbers(slots)
@@ -129,7 +129,7 @@ class PagePool:
         counts = np.diff(chunks.bounds)
         with self._lock:
             self._age += 1
-            entries = self._allocate(-(-counts // PAGE), {*keep} - {*chunks.indices})
+            entries = self._allocate(-(-counts // PAGE_TEXELS), {*keep} - {*chunks.indices})
             rows = rows_in([entry.pages for entry in entries], counts)
             slots = np.array([entry.slot for entry in entries], np.int32)
             for slot in slots.tolist():
@@ -230,13 +230,13 @@ class PagePool:
 
 def pages_of_sheet(lattice: Lattice) -> int:
     """Pages that a chunk of a surface takes at least; the table has room for as many chunks."""
-    return lattice.rows // PAGE
+    return lattice.rows // PAGE_TEXELS
 
 
 def page_bytes(spec: BakeSpec) -> int:
     """Bytes that a page of a ``spec`` takes, its part of the table among them."""
     lattice = spec.prepared.lattice
-    return PAGE * row_bytes(spec) + lattice.texels * 4 // pages_of_sheet(lattice)
+    return PAGE_TEXELS * row_bytes(spec) + lattice.texels * 4 // pages_of_sheet(lattice)
 
 
 def row_bytes(spec: BakeSpec) -> int:
@@ -246,14 +246,14 @@ def row_bytes(spec: BakeSpec) -> int:
 
 def rows_in(pages: Sequence[np.ndarray], counts: np.ndarray) -> np.ndarray:
     """Rows of chunks' texels, of which each has ``counts`` (chunks,): they fill its own ``pages``; (texels,) int32."""
-    each = [(own[:, None] * PAGE + np.arange(PAGE, dtype=np.int32)).ravel() for own in pages]
+    each = [(own[:, None] * PAGE_TEXELS + np.arange(PAGE_TEXELS, dtype=np.int32)).ravel() for own in pages]
     return np.concatenate([np.empty(0, np.int32), *(rows[:count] for rows, count in zip(each, counts, strict=True))])
 
 
-LEVELS = 32
+MAX_SAMPLE_LEVELS = 32
 """Bound of the number of sample levels."""
 
-CHECKSUMS = 509
+SHOWN_CHECKSUMS = 509
 """Checksums of light that is only shown: with the levels of three parts, all that single floats count exactly."""
 
 
@@ -303,7 +303,7 @@ def role_of(number: int, layer: Layer, at: int, spec: BakeSpec) -> Role:
         column=int(spec.firsts[at]),
         width=term.order**2,
         first=number == min(term.layers),
-        rung=LEVELS**number if last else 0,
+        rung=MAX_SAMPLE_LEVELS**number if last else 0,
         straight=layer.kind not in ("indirect", GLOW_KIND),
         telling=layer.kind != "irradiance",
         fewest=MIN_SAMPLES,
@@ -320,8 +320,8 @@ def judge_of(parts: int, spec: BakeSpec) -> Judge:
         unit=spec.unit,
         level=least_level(spec),
         darkest=DARKEST * spec.unit,
-        beyond=LEVELS**parts,
-        checksums=CHECKSUMS,
+        beyond=MAX_SAMPLE_LEVELS**parts,
+        checksums=SHOWN_CHECKSUMS,
     )
 
 
@@ -338,5 +338,5 @@ def powers_of(spec: BakeSpec) -> np.ndarray:
 def fewest_samples(stamps: np.ndarray, parts: int) -> np.ndarray:
     """The fewest samples of any part of texels with these ``stamps``, 0 where one is not baked; (texels,) int32."""
     fewest = np.empty(len(stamps), np.int32)
-    find_fewest(stamps, parts, LEVELS, SAMPLES_OF, fewest)
+    find_fewest(stamps, parts, MAX_SAMPLE_LEVELS, SAMPLES_OF, fewest)
     return fewest

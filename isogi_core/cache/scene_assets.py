@@ -13,7 +13,7 @@ import numpy as np
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from isogi_core.errors import ChangedError, DamagedChunkError, LightError, StoreError
-from isogi_core.files.scene_file import DEFAULT_DEMO, FOLLOWED, SceneSource
+from isogi_core.files.scene_file import DEFAULT_DEMO, VOXEL_SETTINGS, SceneSource
 from isogi_core.files.volume_copies import find_copy, get_copy, get_file
 from isogi_core.files.voxel_file import Draft
 from isogi_core.model.colours import Label, Scale, SurfaceColours
@@ -24,7 +24,7 @@ from isogi_core.model.volume import UNMEASURED_FIELDS, Volume
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.backend import one_line
 from isogi_core.storage.store import Store
-from isogi_core.storage.zarr_codec import KEY, LEVEL, described, description, unwrap, wrap
+from isogi_core.storage.zarr_codec import METADATA_KEY, ZSTD_LEVEL, described, description, unwrap, wrap
 
 Shape = tuple[int, ...]
 
@@ -42,19 +42,19 @@ class Asset:
 
         Two processes may write the same array at once, as they write the same bytes.
         """
-        if self.store.get(f"{self.name}/{KEY}") is not None:
+        if self.store.get(f"{self.name}/{METADATA_KEY}") is not None:
             return
         sides = tuple(min(most, n) for most, n in zip(chunk, values.shape, strict=True))
         for index in product(*(range(-(-n // side)) for n, side in zip(values.shape, sides, strict=True))):
             self._put(self._key(index), packed(values, sides, index))
-        compressors = [ZstdCodec(level=LEVEL), Crc32cCodec()]
+        compressors = [ZstdCodec(level=ZSTD_LEVEL), Crc32cCodec()]
         form: dict[str, Any] = {"shape": values.shape, "chunks": sides, "dtype": values.dtype}
         metadata = description(**form, fill_value=0, compressors=compressors, attributes={"isogi": dict(facts)})
-        self._put(f"{self.name}/{KEY}", metadata)
+        self._put(f"{self.name}/{METADATA_KEY}", metadata)
 
     def describe(self) -> tuple[Shape, Shape, np.dtype[Any], dict[str, Any]]:
         """Shape, shape of a chunk, type, and facts."""
-        found = self.store.get(f"{self.name}/{KEY}")
+        found = self.store.get(f"{self.name}/{METADATA_KEY}")
         if found is None:
             raise StoreError(f"The workers need {self.name} of {self._where}, which lacks it: restart the server.")
         try:
@@ -115,10 +115,10 @@ def packed(values: np.ndarray, chunk: Shape, index: Shape) -> bytes:
     return wrap(block.reshape(-1).view(np.uint8))
 
 
-CHUNK = (32, 256, 256)
+VOLUME_OBJECT_VOXELS = (32, 256, 256)
 """Voxels of a volume in one object: 8 MiB before they are packed."""
 
-BYTES = 1 << 23
+FILE_OBJECT_BYTES = 1 << 23
 """Bytes of a file in one object."""
 
 
@@ -146,13 +146,13 @@ def send_assets(scene: Scene, store: Store) -> SceneAssets:
     for name in files_of(source.document):
         data = read_file(source.base / name)
         files.append((name, digest_of_file(data)))
-        Asset(store, f"files/{files[-1][1]}").put(np.frombuffer(data, np.uint8), (BYTES,), {})
+        Asset(store, f"files/{files[-1][1]}").put(np.frombuffer(data, np.uint8), (FILE_OBJECT_BYTES,), {})
     colours = send_colours(scene.surfaces.colours, store) if scene.surfaces.colours else ""
     bits = send_glow_bits(scene.lighting.glowing.bits, store) if scene.lighting.glowing.bits.size else ""
     if str(source.document.get("volume", DEFAULT_DEMO)).startswith("demo:"):
         return SceneAssets("", tuple(files), colours=colours, glow_bits=bits)
     facts = {name: value for name, value in vars(volume.counted()).items() if name not in UNMEASURED_FIELDS}
-    Asset(store, f"volumes/{volume.digest}").put(volume.voxels, CHUNK, facts)
+    Asset(store, f"volumes/{volume.digest}").put(volume.voxels, VOLUME_OBJECT_VOXELS, facts)
     return SceneAssets(volume.digest, tuple(files), volume.orientation, colours, bits)
 
 
@@ -160,7 +160,7 @@ def send_colours(colours: SurfaceColours, store: Store) -> str:
     """Write the colours of a surface to the ``store``, unless they are there; their digest. Raises StoreError."""
     scale = {**asdict(colours.scale), "table": colours.scale.table.tolist()}
     places = colours.places
-    chunk = CHUNK + places.shape[len(CHUNK) :]
+    chunk = VOLUME_OBJECT_VOXELS + places.shape[len(VOLUME_OBJECT_VOXELS) :]
     Asset(store, f"colours/{colours.digest}").put(places, chunk, {"step": colours.step, "scale": scale})
     return colours.digest
 
@@ -184,7 +184,7 @@ def receive_colours(assets: SceneAssets, store: Store) -> SurfaceColours | None:
 def send_glow_bits(bits: np.ndarray, store: Store) -> str:
     """Write the masks of what glows to the ``store``, unless they are there; their digest. Raises StoreError."""
     digest = digest_of_file(bits.tobytes())
-    Asset(store, f"glow/{digest}").put(bits, CHUNK, {})
+    Asset(store, f"glow/{digest}").put(bits, VOLUME_OBJECT_VOXELS, {})
     return digest
 
 
@@ -213,7 +213,7 @@ def receive_assets(source: SceneSource, assets: SceneAssets, store: Store) -> tu
         document["environment"] = files.get(document["environment"], document["environment"])
     if not assets.volume:
         return replace(source, document=document), None
-    kept = {key: value for key, value in document.items() if key not in FOLLOWED}
+    kept = {key: value for key, value in document.items() if key not in VOXEL_SETTINGS}
     volume = fetch_volume(assets.volume, store)
     return replace(source, document=kept), replace(volume, orientation=assets.orientation)
 

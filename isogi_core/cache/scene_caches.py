@@ -12,7 +12,7 @@ from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.store import Store, StoreLike
 
-PROJECTED = 2
+PROJECTED_ISOVALUES = 2
 """Isovalues whose projected texels are held in memory at once: those that were shown last."""
 
 
@@ -76,10 +76,10 @@ class Caches:
             if shown not in self._projected:
                 spec = replace(self.spec("gi"), shown=shown)
                 self._projected[shown] = Loader(
-                    ChunkStore(self.store, spec), PagePool(spec, self._share("gi") // PROJECTED)
+                    ChunkStore(self.store, spec), PagePool(spec, self._share("gi") // PROJECTED_ISOVALUES)
                 )
             self._projected.move_to_end(shown)
-            while len(self._projected) > PROJECTED:
+            while len(self._projected) > PROJECTED_ISOVALUES:
                 self._projected.popitem(last=False)
             return self._projected[shown]
 

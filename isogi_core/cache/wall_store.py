@@ -25,10 +25,10 @@ from isogi_core.storage.store import Store
 
 log = logging.getLogger("isogi.cache")
 
-FOLDER = "walls"
+WALLS_FOLDER = "walls"
 """The folder of notes of isovalues at the top of a store, and the kind of the layers."""
 
-CHUNK = 64
+WALL_CHUNK_SIDE = 64
 """The side of a chunk in texels and planes: so all sides of sixteen walls are in one object, or in a few."""
 
 Side = tuple[int, int]
@@ -49,7 +49,7 @@ class WallState:
 
 def wall_layer(scene: Scene) -> Layer:
     """What texels of walls keep: E/π in linear RGB."""
-    return Layer(FOLDER, channels=3, half=False, scale=scene.plan.layers[0].scale)
+    return Layer(WALLS_FOLDER, channels=3, half=False, scale=scene.plan.layers[0].scale)
 
 
 def planes_of(side: Side) -> slice:
@@ -68,20 +68,20 @@ class WallLayer(LayerStore):
         """Touch nothing yet."""
         scene = prepared.scene
         digest = scene.wall_digest(state.albedo, state.glow, state.isovalue, across, wall_layer(scene).scale)
-        super().__init__(store, prepared, wall_layer(scene), None, digest, CHUNK**3)
+        super().__init__(store, prepared, wall_layer(scene), None, digest, WALL_CHUNK_SIDE**3)
         self.isovalue = state.isovalue
         self.shape = 4 * len(scene.lighting.room.walls), across, across
 
     @property
     def chunks(self) -> Index:
         """Chunks along z, y, x."""
-        z, y, x = (-(-count // CHUNK) for count in self.shape)
+        z, y, x = (-(-count // WALL_CHUNK_SIDE) for count in self.shape)
         return z, y, x
 
     @property
     def facts(self) -> dict[str, Any]:
         """The attributes of its array."""
-        return super().facts | {"texels": list(self.shape), "chunk": CHUNK, "shown": self.isovalue}
+        return super().facts | {"texels": list(self.shape), "chunk": WALL_CHUNK_SIDE, "shown": self.isovalue}
 
     def planes(self) -> Planes:
         """All light that is there; without paths elsewhere."""
@@ -90,7 +90,7 @@ class WallLayer(LayerStore):
             stored = self.read(index)
             if stored is not None:
                 offsets, part = self.decode(index, stored)
-                z, y, x = np.unravel_index(offsets, (CHUNK,) * 3) + CHUNK * np.array(index)[:, None]
+                z, y, x = np.unravel_index(offsets, (WALL_CHUNK_SIDE,) * 3) + WALL_CHUNK_SIDE * np.array(index)[:, None]
                 means[z, y, x], counts[z, y, x] = part.coefficients[:, :, 0], part.samples // 2
         return means, counts
 
@@ -98,13 +98,13 @@ class WallLayer(LayerStore):
         """Write light beside what is there: for each texel that of more paths stays."""
         means, counts = planes
         for index in np.ndindex(*self.chunks):
-            own = tuple(slice(CHUNK * i, CHUNK * (i + 1)) for i in index)
+            own = tuple(slice(WALL_CHUNK_SIDE * i, WALL_CHUNK_SIDE * (i + 1)) for i in index)
             sent = np.nonzero(counts[own])
             if len(sent[0]):
                 part = Part.dark(self.layer, len(sent[0]))
                 part.samples[:] = 2 * counts[own][sent]
                 part.coefficients[:, :, 0] = means[own][sent]
-                self.save(index, np.ravel_multi_index(sent, (CHUNK,) * 3).astype(np.int32), part)
+                self.save(index, np.ravel_multi_index(sent, (WALL_CHUNK_SIDE,) * 3).astype(np.int32), part)
 
 
 class WallStore:
@@ -116,7 +116,7 @@ class WallStore:
     def __init__(self, store: Store, prepared: PreparedScene) -> None:
         """Touch nothing yet."""
         self._store, self._prepared = store, prepared
-        self._notes = Documents(store, FOLDER)
+        self._notes = Documents(store, WALLS_FOLDER)
 
     def planes(self, state: WallState, across: int) -> Planes | None:
         """The light in a ``state``, with so many texels ``across``; None where there is none."""

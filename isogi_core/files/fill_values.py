@@ -16,24 +16,24 @@ from isogi_core.files.packing import Packing
 FILLED_SHARE = 0.02
 """Least share of the voxels that a fill value takes; the corners beside a circle take a fifth."""
 
-APART, TAIL = 1 / 16, 0.001
+MIN_FILL_GAP, TAIL_SHARE = 1 / 16, 0.001
 """Least gap above a fill value, as a share of the range of the other values without a tail at each end."""
 
 FEW_VALUES = 64
 """Distinct values that others have at least: phantoms and labels have fewer, and gaps between all of them."""
 
-ENCLOSED = 0.001
+MAX_ENCLOSED_SHARE = 0.001
 """Largest share of the filled voxels that may lie between others of their row: a field of view is convex."""
 
-BESIDE, ABOVE = 0.75, 0.4
+BESIDE_QUANTILE, MIN_SHARE_ABOVE = 0.75, 0.4
 """Beside a field of view lies air: of all voxels that are left, at least the share ABOVE is brighter than the share
 BESIDE of the voxels there. An object that stands in the fill value itself has its skin there.
 """
 
-SAMPLE = 1 << 12
+SAMPLED_VALUES = 1 << 12
 """Values that are kept of a layer."""
 
-NOTE = "Voxels of {value} lie outside the field of view: they are holes. In a scene, missing = [] keeps them."
+FILL_NOTE = "Voxels of {value} lie outside the field of view: they are holes. In a scene, missing = [] keeps them."
 
 
 def without_fill(grid: Grid) -> Grid:
@@ -52,7 +52,7 @@ def without_fill(grid: Grid) -> Grid:
         dtype=packing.dtype,
         slabs=partial(_holed, grid, packing),
         stamp=lambda: f"{grid.stamp()} without {named}",
-        notes=(*grid.notes, NOTE.format(value=named)),
+        notes=(*grid.notes, FILL_NOTE.format(value=named)),
         read_as=f"{grid.read_as}; {named} is a fill value",
     )
 
@@ -111,7 +111,7 @@ class Seen:
         self.filled += int(filled.sum())
         self.enclosed += int((filled & (_between(inside) | _between(inside.T).T)).sum())
         self.beside.append(layer[_touching(filled) & inside])
-        self.others.append(others[:: len(others) // SAMPLE + 1])
+        self.others.append(others[:: len(others) // SAMPLED_VALUES + 1])
         self.least = min(self.least, float(others.min()) if others.size else math.inf)
         return True
 
@@ -122,16 +122,16 @@ class Seen:
             self.filled < FILLED_SHARE * size
             or not len(others)
             or not len(beside)
-            or self.enclosed > ENCLOSED * self.filled
+            or self.enclosed > MAX_ENCLOSED_SHARE * self.filled
         ):
             return False
-        bright = np.mean(others > np.quantile(beside, BESIDE, method="nearest"))
-        return bool(bright >= ABOVE) and self._is_apart(others.astype(np.float64))
+        bright = np.mean(others > np.quantile(beside, BESIDE_QUANTILE, method="nearest"))
+        return bool(bright >= MIN_SHARE_ABOVE) and self._is_apart(others.astype(np.float64))
 
     def _is_apart(self, others: np.ndarray) -> bool:
         """Whether the fill value is far below all ``others``, of which there are many."""
-        low, high = np.quantile(others, (TAIL, 1.0 - TAIL))
-        return len(np.unique(others)) >= FEW_VALUES and bool(self.least - float(self.fill) >= APART * (high - low))
+        low, high = np.quantile(others, (TAIL_SHARE, 1.0 - TAIL_SHARE))
+        return len(np.unique(others)) >= FEW_VALUES and bool(self.least - float(self.fill) >= MIN_FILL_GAP * (high - low))
 
 
 def _between(inside: np.ndarray) -> np.ndarray:

@@ -17,11 +17,11 @@ Vector = tuple[float, float, float]
 MAX_VOXELS = 2**33
 """Most voxels: more mean a damaged header (32 GiB as float32)."""
 
-SLAB = 1 << 25
+SLAB_BYTES = 1 << 25
 """Approximate bytes of a slab, where the source leaves the choice."""
 
 
-PATIENT = "RAS"
+PATIENT_AXES = "RAS"
 """Letters of a world whose axes point to a patient's right, anterior and superior."""
 
 
@@ -66,7 +66,7 @@ class LabelName:
     colour: str = ""
 
 
-ALONE = (0, 1)
+SINGLE_MOMENT = (0, 1)
 """The moment of what is no series in time."""
 
 
@@ -96,7 +96,7 @@ class Grid:
     affine: Affine | None = None
     unit: str = ""
     notes: tuple[str, ...] = ()
-    moment: tuple[int, int] = ALONE
+    moment: tuple[int, int] = SINGLE_MOMENT
     unchosen: bool = False
     labels: tuple[LabelName, ...] | None = None
     read_as: str = ""
@@ -205,4 +205,4 @@ def read_as(kind: str, stored: np.dtype[Any], placed: str = "", slope: float = 1
 
 def layers_of(layer_bytes: int) -> int:
     """Number of layers of so many bytes in a slab, at least one."""
-    return max(SLAB // max(layer_bytes, 1), 1)
+    return max(SLAB_BYTES // max(layer_bytes, 1), 1)

@@ -60,8 +60,8 @@ def srgb_bytes(linear: np.ndarray) -> np.ndarray:
     return np.asarray(curve * 255.0 + 0.5, np.uint8)
 
 
-MAGIC, JSON, BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
-UPRIGHT = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
+GLB_MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
+UPRIGHT_ROTATION = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
 """The rotation x, y, z, w that brings z up to glTF's y up."""
 
 
@@ -94,7 +94,7 @@ def glb_bytes(mesh: LitMesh) -> bytes:
         "extensionsUsed": ["KHR_materials_unlit"],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "rotation": UPRIGHT, "translation": [x, z, -y]}],
+        "nodes": [{"mesh": 0, "rotation": UPRIGHT_ROTATION, "translation": [x, z, -y]}],
         "meshes": [{"primitives": [{"attributes": attributes, "indices": 3, "material": 0}]}],
         "materials": [{"doubleSided": True, "extensions": {"KHR_materials_unlit": {}}}],
         "buffers": [{"byteLength": starts[-1]}],
@@ -102,9 +102,9 @@ def glb_bytes(mesh: LitMesh) -> bytes:
         "accessors": accessors,
     }
     text = json.dumps(document, separators=(",", ":")).encode()
-    chunks = [_chunk(JSON, text, b" "), _chunk(BINARY, b"".join(part.tobytes() for part in parts), b"\0")]
+    chunks = [_chunk(JSON_CHUNK, text, b" "), _chunk(BINARY_CHUNK, b"".join(part.tobytes() for part in parts), b"\0")]
     size = 12 + sum(map(len, chunks))
-    return np.array([MAGIC, 2, size], "<u4").tobytes() + b"".join(chunks)
+    return np.array([GLB_MAGIC, 2, size], "<u4").tobytes() + b"".join(chunks)
 
 
 def _chunk(kind: int, data: bytes, filler: bytes) -> bytes:

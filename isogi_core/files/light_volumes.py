@@ -14,7 +14,7 @@ import zarr
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import library
-from isogi_core.storage.atomic_file import PARTIAL, write_whole
+from isogi_core.storage.atomic_file import PARTIAL_SUFFIX, write_whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ def write_zarr(path: Path, lit: LitVolume) -> None:
         "axes": axes,
         "datasets": [{"path": "0", "coordinateTransformations": placed}],
     }
-    half = path.with_name(f"{path.name}{PARTIAL}")
+    half = path.with_name(f"{path.name}{PARTIAL_SUFFIX}")
     shutil.rmtree(half, ignore_errors=True)
     group = zarr.open_group(half, mode="w", zarr_format=3)
     group.attrs["ome"] = {"version": "0.5", "multiscales": [image], "omero": {"channels": channels(lit)}}

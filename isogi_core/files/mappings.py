@@ -18,7 +18,7 @@ import numpy as np
 from isogi_core.errors import VolumeError
 from isogi_core.files.single_pages import SinglePages
 
-BUDGET = 2048
+DEFAULT_BUDGET_MB = 2048
 """Most megabytes of mapped voxels in memory, unless ``ISOGI_VOLUME_MB`` says otherwise."""
 
 UNMAPPED_SHARE = 1 / 8
@@ -33,7 +33,7 @@ KEPT_PAGES_SHARE = 3 / 4
 MAPPINGS = 4096
 """Most mappings that are bounded at a time."""
 
-STATUS = Path("/proc/self/statm")
+MEMORY_STATUS = Path("/proc/self/statm")
 
 NO_RESERVE = getattr(mmap, "MAP_NORESERVE", 0x4000 if sys.platform == "linux" else 0)
 """Flag against reserving memory: a private mapping takes none unless it is written to, which nothing does."""
@@ -41,7 +41,7 @@ NO_RESERVE = getattr(mmap, "MAP_NORESERVE", 0x4000 if sys.platform == "linux" el
 
 def budget() -> int:
     """Most bytes of voxels in memory; VolumeError where the environment variable is no such number."""
-    given = os.environ.get("ISOGI_VOLUME_MB") or str(BUDGET)
+    given = os.environ.get("ISOGI_VOLUME_MB") or str(DEFAULT_BUDGET_MB)
     if not given.isdecimal() or not int(given):
         raise VolumeError(f"ISOGI_VOLUME_MB is '{given}': give a whole number of megabytes, from 1 on.")
     return int(given) << 20
@@ -50,12 +50,12 @@ def budget() -> int:
 def file_bytes() -> int:
     """Bytes of files in this process's memory; 0 where the system does not report them."""
     try:
-        return int(STATUS.read_bytes().split()[2]) * mmap.PAGESIZE
+        return int(MEMORY_STATUS.read_bytes().split()[2]) * mmap.PAGESIZE
     except OSError:
         return 0
 
 
-RECURSIVE = 1
+RECURSIVE_MUTEX = 1
 """Kind of a mutex that one thread may lock twice: a mapping may be forgotten while the same thread adds another."""
 
 
@@ -64,7 +64,7 @@ def new_mutex(library: ctypes.CDLL) -> np.ndarray:
     mutex, attributes = np.zeros(8, np.int64), np.zeros(8, np.int64)
     place, kind = (ctypes.c_void_p(each.ctypes.data) for each in (mutex, attributes))
     library.pthread_mutexattr_init(kind)
-    library.pthread_mutexattr_settype(kind, RECURSIVE)
+    library.pthread_mutexattr_settype(kind, RECURSIVE_MUTEX)
     library.pthread_mutex_init(place, kind)
     return mutex
 
@@ -74,7 +74,7 @@ class Mapping(mmap.mmap):
 
     def __del__(self) -> None:
         """Have it left alone, before its addresses go to somebody else."""
-        RESIDENT.forget(self)
+        RESIDENT_MAPPINGS.forget(self)
 
 
 class Resident:
@@ -95,7 +95,7 @@ class Resident:
     def watch(self, mapping: Mapping) -> None:
         """Bound the pages of a mapping. Raises VolumeError as ``budget`` does."""
         most = budget()
-        if not STATUS.exists():
+        if not MEMORY_STATUS.exists():
             return
         size = -(-len(mapping) // mmap.PAGESIZE) * mmap.PAGESIZE
         address = int(np.frombuffer(mapping, np.uint8).ctypes.data)
@@ -135,7 +135,7 @@ class Resident:
 
     def _run(self, bound_pages: Callable[..., None]) -> None:
         ask_for_promptness(self._library)
-        with open(STATUS, "rb", buffering=0) as status:
+        with open(MEMORY_STATUS, "rb", buffering=0) as status:
             bound_pages(status.fileno(), self._bounds, self._table, self._mutex)
 
     def _end(self) -> None:
@@ -146,22 +146,22 @@ class Resident:
             self._thread.join()
 
 
-SLICES = {"x86_64": 314, "aarch64": 274}
+SCHED_SETATTR_CALLS = {"x86_64": 314, "aarch64": 274}
 """Number of Linux's call sched_setattr, by machine."""
 
-SLICE = 100_000
+TIME_SLICE_NANOSECONDS = 100_000
 """Nanoseconds that the thread works before others may: the least that Linux takes, and its turn comes the sooner."""
 
 
 def ask_for_promptness(library: ctypes.CDLL) -> None:
     """Have this thread wake at once among busy ones, where Linux is new enough (6.12)."""
-    number = SLICES.get(platform.machine())
+    number = SCHED_SETATTR_CALLS.get(platform.machine())
     if number is not None and sys.platform == "linux":
-        attributes = struct.pack("=IIQiIQQQ", 48, 0, 0, os.getpriority(os.PRIO_PROCESS, 0), 0, SLICE, 0, 0)
+        attributes = struct.pack("=IIQiIQQQ", 48, 0, 0, os.getpriority(os.PRIO_PROCESS, 0), 0, TIME_SLICE_NANOSECONDS, 0, 0)
         library.syscall(number, 0, attributes, 0)
 
 
-RESIDENT = Resident()
+RESIDENT_MAPPINGS = Resident()
 """The mappings of this process."""
 
 
@@ -169,7 +169,7 @@ def map_file(file: IO[bytes], offset: int) -> np.ndarray:
     """Map what a file holds from a byte on, float32. Writing to the array would take memory of this process."""
     flags, access = mmap.MAP_PRIVATE | NO_RESERVE, mmap.PROT_READ | mmap.PROT_WRITE
     mapping = Mapping(file.fileno(), 0, flags=flags, prot=access)
-    RESIDENT.watch(mapping)
+    RESIDENT_MAPPINGS.watch(mapping)
     return np.frombuffer(mapping, np.float32, offset=offset)
 
 
@@ -183,5 +183,5 @@ def scratch(folder: Path, count: int, dtype: Any) -> np.ndarray:
             mapping = Mapping(file.fileno(), size)
     except (OSError, ValueError, AttributeError):  # a full disk; no bytes; another system
         return np.empty(count, dtype)
-    RESIDENT.watch(mapping)
+    RESIDENT_MAPPINGS.watch(mapping)
     return np.frombuffer(mapping, dtype)

@@ -19,7 +19,7 @@ from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, luminance, skip
 from isogi_core.files.grid import Grid, Vector, layers_of, read_as
 from isogi_core.files.nrrd_header import (
-    TEXT,
+    TEXT_ENCODINGS,
     Header,
     Layout,
     affine_of,
@@ -32,7 +32,7 @@ from isogi_core.files.nrrd_header import (
     spacing_of,
     unit_of,
 )
-from isogi_core.files.packed_files import BLOCK, DAMAGE, Content, cut_notes, read_end
+from isogi_core.files.packed_files import READ_BYTES, PACKING_DAMAGE, Content, cut_notes, read_end
 from isogi_core.files.regular import open_regular
 from isogi_core.files.zarr_location import stamp_of
 
@@ -171,19 +171,19 @@ def _beside(folder: Path, name: str) -> Path:
 def _decoded_bytes(name: str, header: Header, file: IO[bytes], size: int) -> Iterator[bytes]:
     """Yield ``size`` bytes after line skip, decoding and byte skip; VolumeError where there are fewer or more."""
     encoding, passed = header["encoding"].lower(), 0
-    if encoding not in (*_RAW, *_GZIP, *_BZIP2, *TEXT):
+    if encoding not in (*_RAW, *_GZIP, *_BZIP2, *TEXT_ENCODINGS):
         raise VolumeError(f"'{name}' has encoding '{encoding}': save it as raw, gzip, bzip2 or text.")
     before = _skip_lines(name, header, file, size)
     try:
         stream = _decoded(encoding, file)
         skip(stream, before)
         dtype = number_type(name, header)
-        blocks = _written_out(name, stream, dtype) if encoding in TEXT else _blocks(stream, size)
+        blocks = _written_out(name, stream, dtype) if encoding in TEXT_ENCODINGS else _blocks(stream, size)
         for block in blocks:
             passed += len(block)
             yield block[: size - passed] if passed > size else block
         passed += read_end(stream)
-    except DAMAGE as error:
+    except PACKING_DAMAGE as error:
         raise VolumeError(f"The voxels of '{name}' are damaged or cut short ({error}): copy it again.") from error
     if passed != size:
         less = "fewer" if passed < size else "more"
@@ -200,7 +200,7 @@ def _decoded(encoding: str, file: IO[bytes]) -> Content:
 def _written_out(name: str, stream: Content, dtype: np.dtype[Any]) -> Iterator[bytes]:
     """The bytes of numbers that are written out, with blanks or commas between."""
     rest = b""
-    while block := stream.read(BLOCK >> 4):
+    while block := stream.read(READ_BYTES >> 4):
         text = (rest + block).replace(b",", b" ")
         words = text.split()
         rest = words.pop() if words and not text[-1:].isspace() else b""
@@ -250,6 +250,6 @@ def _skip_lines(name: str, header: Header, file: IO[bytes], size: int) -> int:
 
 def _blocks(stream: Content, size: int) -> Iterator[bytes]:
     """Yield the next ``size`` bytes, or as many as there are, in blocks."""
-    while size > 0 and (block := stream.read(min(size, BLOCK))):
+    while size > 0 and (block := stream.read(min(size, READ_BYTES))):
         size -= len(block)
         yield block

@@ -13,8 +13,8 @@ import nrrd
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import COLOURS, Source, pick, pick_step
-from isogi_core.files.grid import ALONE, MAX_VOXELS, PATIENT, Affine, LabelName, Vector
+from isogi_core.files.formats.source import LUMINANCE_NOTE, Source, pick, pick_step
+from isogi_core.files.grid import SINGLE_MOMENT, MAX_VOXELS, PATIENT_AXES, Affine, LabelName, Vector
 
 MAX_HEADER = 1 << 16
 """Most bytes of the header of an untrusted file."""
@@ -35,13 +35,13 @@ _TYPES = {name: code for code, names in _SPELLINGS.items() for name in names.spl
 _HEADER_END = re.compile(rb"\n[ \t\r\f\v]*\n")
 _LIST = re.compile(r"\s*data\s?file\s*:\s*LIST\b", re.IGNORECASE)
 
-TEXT = ("ascii", "text", "txt")
+TEXT_ENCODINGS = ("ascii", "text", "txt")
 """Encodings whose numbers are written out, so that they have no byte order."""
 
-NAMES = "data file names"
+NAMES_KEY = "data file names"
 """The key under which a header has the lines that follow ``data file: LIST``."""
 
-SPACE, TIME, RGB = ("domain", "space"), ("time",), {"rgb-color": 3, "rgba-color": 4, "3-color": 3, "4-color": 4}
+SPACE_KINDS, TIME_KINDS, COLOUR_KINDS = ("domain", "space"), ("time",), {"rgb-color": 3, "rgba-color": 4, "3-color": 3, "4-color": 4}
 """Kinds of axes: of space, of time, and of colours; others but UNKNOWN_VALUES are channels."""
 
 UNKNOWN_VALUES = ("none", "???", "")
@@ -50,9 +50,9 @@ TIME_KEYS = ("axis 0 index type", "multivolume.framelabels")
 """Keys by which 3D Slicer says that a list is a series in time."""
 
 _SPACES = {
-    **dict.fromkeys(("right-anterior-superior", "ras"), ((1, 1, 1), PATIENT)),
-    **dict.fromkeys(("left-anterior-superior", "las"), ((-1, 1, 1), PATIENT)),
-    **dict.fromkeys(("left-posterior-superior", "lps"), ((-1, -1, 1), PATIENT)),
+    **dict.fromkeys(("right-anterior-superior", "ras"), ((1, 1, 1), PATIENT_AXES)),
+    **dict.fromkeys(("left-anterior-superior", "las"), ((-1, 1, 1), PATIENT_AXES)),
+    **dict.fromkeys(("left-posterior-superior", "lps"), ((-1, -1, 1), PATIENT_AXES)),
 }
 """Signs that bring coordinates of a space to those of a patient's right, anterior and superior, and their letters."""
 
@@ -76,7 +76,7 @@ def read_header(source: Source, file: IO[bytes]) -> Header:
     missing = [field for field in ("dimension", "type", "encoding", "sizes") if field not in header]
     if missing:
         raise VolumeError(f"The NRRD header of '{name}' has no {missing[0]}: write the file again.")
-    return {**header, NAMES: [line.strip() for line in lines[listed:]]}
+    return {**header, NAMES_KEY: [line.strip() for line in lines[listed:]]}
 
 
 def _lines(file: IO[bytes]) -> list[str]:
@@ -93,7 +93,7 @@ def number_type(name: str, header: Header) -> np.dtype[Any]:
     if code is None:
         raise VolumeError(f"'{name}' holds type '{header['type']}': save it as an integer or float type.")
     order = {"little": "<", "big": ">"}.get(header.get("endian", ""))
-    if header["encoding"].lower() in TEXT:
+    if header["encoding"].lower() in TEXT_ENCODINGS:
         order = "="
     if order is None and code[1] != "1":
         raise VolumeError(f"'{name}' does not say its byte order: add 'endian: little' or 'big' to its header.")
@@ -114,7 +114,7 @@ class Layout:
     field: int = 0
     each: int = 1
     number: int | None = 0
-    moment: tuple[int, int] = ALONE
+    moment: tuple[int, int] = SINGLE_MOMENT
     unchosen: bool = False
     notes: tuple[str, ...] = ()
 
@@ -162,11 +162,11 @@ def _kinds(header: Header, sizes: list[int]) -> list[str]:
 def _space(name: str, header: Header, kinds: list[str], sizes: list[int]) -> tuple[int, int, int]:
     """The places of x, y, z. Axes of unknown kinds are of space where these are needed, the fastest first."""
     unknown = [n for n, kind in enumerate(kinds) if kind in UNKNOWN_VALUES]
-    spatial = [n for n, kind in enumerate(kinds) if kind in SPACE]
+    spatial = [n for n, kind in enumerate(kinds) if kind in SPACE_KINDS]
     for n in sorted(unknown, key=lambda n: (sizes[n] == 1, n)):
         spatial += [n] if len(spatial) < 3 else []
     if len(kinds) == 3 and len(spatial) == 2:  # slices in time, one upon the other
-        spatial += [n for n, kind in enumerate(kinds) if kind in TIME]
+        spatial += [n for n, kind in enumerate(kinds) if kind in TIME_KINDS]
     spatial.sort()
     given = header.get("kinds", kinds)
     other = next((given[n] for n, kind in enumerate(kinds) if n not in spatial and kind not in UNKNOWN_VALUES), "")
@@ -183,11 +183,11 @@ def _space(name: str, header: Header, kinds: list[str], sizes: list[int]) -> tup
 
 def _chosen(source: Source, header: Header, kind: str, length: int, key: str) -> Header:
     """What a layout has along an axis that is not of space: under the ``key`` the element that is chosen."""
-    if kind in TIME:
+    if kind in TIME_KINDS:
         step, unchosen = pick_step(source, length)
         return {key: step, "moment": (step, length), "unchosen": unchosen}
-    if key == "number" and RGB.get(kind) == length and "channel" not in source.chosen:
-        return {key: None, "notes": (COLOURS,)}
+    if key == "number" and COLOUR_KINDS.get(kind) == length and "channel" not in source.chosen:
+        return {key: None, "notes": (LUMINANCE_NOTE,)}
     if segments_of(header) and "channel" not in source.chosen:
         others = f"channel = 1 to {length - 1} chooses another" if length > 2 else "channel = 1 chooses the other"
         return {key: 0, "notes": (f"The segmentation has {length} layers: the first is shown, and {others}.",)}
@@ -289,7 +289,7 @@ def data_names(source: Source, header: Header) -> list[str] | None:
     if source.path is None:
         raise VolumeError(f"'{source.name}' is a header whose data is in another file: save both as one .nrrd file.")
     pattern = _PATTERN.fullmatch(given)
-    names = header[NAMES] if given.split()[:1] == ["LIST"] else _numbered(pattern) if pattern else [given]
+    names = header[NAMES_KEY] if given.split()[:1] == ["LIST"] else _numbered(pattern) if pattern else [given]
     if not names or len(names) > max(header["sizes"]):
         raise VolumeError(f"'{source.name}' names {len(names)} data files, which cannot be: mend its header.")
     return [_inside(source.name, name) for name in names]

@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.grid import PATIENT, LabelName
+from isogi_core.files.grid import PATIENT_AXES, LabelName
 
-SPACE = ("x", "y", "z")
+SPACE_AXES = ("x", "y", "z")
 
-PREFIXES = {
+SI_PREFIXES = {
     **{"yotta": 24, "zetta": 21, "exa": 18, "peta": 15, "tera": 12, "giga": 9, "mega": 6, "kilo": 3, "hecto": 2},
     **{"deca": 1, "deci": -1, "centi": -2, "milli": -3, "micro": -6, "nano": -9, "pico": -12, "femto": -15},
     **{"atto": -18, "zepto": -21, "yocto": -24},
 }
 """Powers of ten by SI prefix."""
 
-METRES = {
-    **{f"{prefix}meter": 10.0**power for prefix, power in PREFIXES.items()},
+METRES_OF_NAMES = {
+    **{f"{prefix}meter": 10.0**power for prefix, power in SI_PREFIXES.items()},
     **{"meter": 1.0, "angstrom": 1e-10, "inch": 0.0254, "foot": 0.3048, "yard": 0.9144, "mile": 1609.344},
     "parsec": 3.0856775814913673e16,
 }
@@ -40,7 +40,7 @@ UNIT_SIGNS = {
 """Signs of units; others are written out."""
 
 
-ORIENTATIONS = {
+AXIS_ORIENTATIONS = {
     **{"left-to-right": (0, 1.0), "posterior-to-anterior": (1, 1.0), "inferior-to-superior": (2, 1.0)},
     **{"right-to-left": (0, -1.0), "anterior-to-posterior": (1, -1.0), "superior-to-inferior": (2, -1.0)},
 }
@@ -129,10 +129,10 @@ def _axis(given: Mapping[str, Any]) -> Axis:
     towards = given.get("orientation") or ""
     towards = str(towards.get("value", "")) if isinstance(towards, Mapping) else str(towards)
     unit = str(given.get("unit") or "").lower().replace("metre", "meter")
-    return Axis(str(given["name"]).lower(), unit, towards if towards in ORIENTATIONS else "")
+    return Axis(str(given["name"]).lower(), unit, towards if towards in AXIS_ORIENTATIONS else "")
 
 
-NAMED = "write it with an affine one"
+AFFINE_HINT = "write it with an affine one"
 
 
 def _sequence(steps: Any, n: int) -> np.ndarray:
@@ -151,9 +151,9 @@ def _matrix(step: Mapping[str, Any], n: int) -> np.ndarray:
     if kind == "bijection":
         return _matrix(step["forward"], n)
     if kind not in ("identity", "scale", "translation", "rotation", "affine", "mapAxis"):
-        raise VolumeError(f"The image is placed by a transformation '{kind}', which is not read here: {NAMED}.")
+        raise VolumeError(f"The image is placed by a transformation '{kind}', which is not read here: {AFFINE_HINT}.")
     if kind != "identity" and kind not in step:
-        raise VolumeError(f"The image is placed by a transformation '{kind}' that is not in its metadata: {NAMED}.")
+        raise VolumeError(f"The image is placed by a transformation '{kind}' that is not in its metadata: {AFFINE_HINT}.")
     if kind == "mapAxis":
         matrix[:n] = matrix[np.array(step[kind], int)]
     elif kind in ("scale", "translation"):
@@ -179,29 +179,29 @@ def placed_in_space(resolution: Resolution) -> tuple[np.ndarray, str, str]:
     Raises VolumeError where units cannot be compared.
     """
     matrix, unit = _in_one_unit(resolution)
-    towards = [axis.towards for name in SPACE for axis in resolution.axes if axis.name == name]
-    places = [ORIENTATIONS.get(word, (-1, 0.0)) for word in towards]
+    towards = [axis.towards for name in SPACE_AXES for axis in resolution.axes if axis.name == name]
+    places = [AXIS_ORIENTATIONS.get(word, (-1, 0.0)) for word in towards]
     if sorted(place for place, _ in places) != [0, 1, 2]:
         return matrix, unit, ""
     patient = np.empty_like(matrix)
     for row, (place, sign) in zip(matrix, places, strict=True):
         patient[place] = sign * row
-    return patient, unit, PATIENT
+    return patient, unit, PATIENT_AXES
 
 
 def _in_one_unit(resolution: Resolution) -> tuple[np.ndarray, str]:
     """The matrix of ``placed_in_space`` and its unit, along the axes of the image's own world."""
     assert resolution.matrix is not None, "there are axes"
     columns, rows = ([axis.name for axis in axes] for axes in (array_axes(resolution), resolution.axes))
-    units = [axis.unit for name in SPACE for axis in resolution.axes if axis.name == name]
-    matrix = resolution.matrix[[rows.index(name) for name in SPACE]]
-    matrix = matrix[:, [*(columns.index(name) for name in SPACE), -1]]
+    units = [axis.unit for name in SPACE_AXES for axis in resolution.axes if axis.name == name]
+    matrix = resolution.matrix[[rows.index(name) for name in SPACE_AXES]]
+    matrix = matrix[:, [*(columns.index(name) for name in SPACE_AXES), -1]]
     if len(set(units)) == 1:
         return matrix, UNIT_SIGNS.get(units[0], units[0])
-    unknown = next((each for each in units if each not in METRES), None)
+    unknown = next((each for each in units if each not in METRES_OF_NAMES), None)
     if unknown is not None:
         raise VolumeError(f"The axes have different units, and '{unknown}' is no known one: set spacing in the scene.")
-    lengths = np.array([METRES[each] / METRES[units[0]] for each in units])
+    lengths = np.array([METRES_OF_NAMES[each] / METRES_OF_NAMES[units[0]] for each in units])
     return matrix * lengths[:, None], UNIT_SIGNS.get(units[0], units[0])
 
 

@@ -10,16 +10,16 @@ import zarr
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.grid import Grid
-from isogi_core.files.ome import ORIENTATIONS, UNIT_SIGNS
+from isogi_core.files.ome import AXIS_ORIENTATIONS, UNIT_SIGNS
 from isogi_core.files.right_angles import on_right_angles
 
-CHUNK = 64
+CHUNK_VOXELS = 64
 """Voxels along each side of a chunk; levels are added until one fits into a chunk."""
 
 MIN_HALVED_SIDE = 8
 """Voxels of a side, at least, that is halved in the next level."""
 
-TURNED = "OME-Zarr keeps no turned axes: voxels are written as they lie, without their place in the world."
+TURNED_AXES_NOTE = "OME-Zarr keeps no turned axes: voxels are written as they lie, without their place in the world."
 
 Progress = Callable[[int, int], object]
 """Is called with the layers that are written, of all."""
@@ -40,7 +40,7 @@ def write_image(grid: Grid, path: Path, progress: Progress) -> tuple[str, ...]:
         partial.rename(path)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return (TURNED,) if lies.turned else ()
+    return (TURNED_AXES_NOTE,) if lies.turned else ()
 
 
 class Lying:
@@ -71,21 +71,21 @@ class Lying:
 
     def _towards(self, name: str) -> dict[str, Any]:
         """Where an axis of a patient points."""
-        value = next(word for word, place in ORIENTATIONS.items() if place == ("xyz".index(name), 1.0))
+        value = next(word for word, place in AXIS_ORIENTATIONS.items() if place == ("xyz".index(name), 1.0))
         return {"orientation": {"type": "anatomical", "value": value}} if self.letters else {}
 
 
 def _write(grid: Grid, lies: Lying, path: Path, progress: Progress) -> None:
     """Write all levels and their description."""
     shapes = [np.array(grid.shape)]
-    while shapes[-1].max() > CHUNK:
+    while shapes[-1].max() > CHUNK_VOXELS:
         shapes.append(np.where(shapes[-1] >= MIN_HALVED_SIDE, -(-shapes[-1] // 2), shapes[-1]))
     total, done, datasets = sum(int(shape[0]) for shape in shapes), 0, []
     group, before = zarr.open_group(path, mode="w"), None
     factor, labelled = np.ones(3), grid.labels is not None
     for level, shape in enumerate(shapes):
         sides = tuple(int(n) for n in shape)
-        array = zarr.create_array(path / str(level), shape=sides, chunks=(CHUNK,) * 3, dtype=grid.dtype, fill_value=0)
+        array = zarr.create_array(path / str(level), shape=sides, chunks=(CHUNK_VOXELS,) * 3, dtype=grid.dtype, fill_value=0)
         if before is None:
             blocks = _flipped(_blocks(grid), sides[0], lies.flips)
         else:
@@ -118,9 +118,9 @@ def _blocks(grid: Grid) -> Iterator[tuple[int, np.ndarray]]:
     for slab in grid.slabs():
         for layer in slab:
             held.append(layer)
-            if len(held) == CHUNK:
+            if len(held) == CHUNK_VOXELS:
                 yield z, np.stack(held)
-                z, held = z + CHUNK, []
+                z, held = z + CHUNK_VOXELS, []
     if held:
         yield z, np.stack(held)
 
@@ -137,8 +137,8 @@ def _flipped(
 def _coarser(array: Any, halves: list[bool], labelled: bool) -> Iterator[tuple[int, np.ndarray]]:
     """Blocks of half as many voxels along the axes that are ``halves``: means, or, of labels, every second one."""
     deep = 2 if halves[0] else 1
-    for z in range(0, array.shape[0], deep * CHUNK):
-        block = np.asarray(array[z : z + deep * CHUNK])
+    for z in range(0, array.shape[0], deep * CHUNK_VOXELS):
+        block = np.asarray(array[z : z + deep * CHUNK_VOXELS])
         yield z // deep, halved(block, halves, labelled)
 
 

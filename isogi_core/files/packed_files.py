@@ -5,26 +5,26 @@ import gzip
 import zlib
 from typing import IO
 
-GZIP, BZIP2 = b"\x1f\x8b", b"BZh"
+GZIP_MAGIC, BZIP2_MAGIC = b"\x1f\x8b", b"BZh"
 
-BLOCK = 1 << 24
+READ_BYTES = 1 << 24
 """Most bytes that are read at once."""
 
 Content = IO[bytes] | gzip.GzipFile | bz2.BZ2File
 
-DAMAGE = (OSError, EOFError, zlib.error)
+PACKING_DAMAGE = (OSError, EOFError, zlib.error)
 """What a packed file raises where it is damaged."""
 
-CUT = "The gzip file ends before its checksum: its voxels are all there, but nothing says that they are right."
+CUT_SHORT_NOTE = "The gzip file ends before its checksum: its voxels are all there, but nothing says that they are right."
 
 
 def content_of(file: IO[bytes]) -> Content:
     """The content of a ``file`` at its beginning, unpacked while it is read, by how it begins."""
-    head = file.read(len(BZIP2))
+    head = file.read(len(BZIP2_MAGIC))
     file.seek(0)
-    if head.startswith(GZIP):
+    if head.startswith(GZIP_MAGIC):
         return gzip.GzipFile(fileobj=file)
-    return bz2.BZ2File(file) if head == BZIP2 else file
+    return bz2.BZ2File(file) if head == BZIP2_MAGIC else file
 
 
 def read_end(content: Content) -> int:
@@ -46,12 +46,12 @@ def cut_notes(file: IO[bytes], size: int) -> tuple[str, ...]:
     A gzip file ends with the size of its content. Where it does not, it is unpacked up to that size, and no further.
     """
     start = file.tell()
-    packed = file.read(2) == GZIP
+    packed = file.read(2) == GZIP_MAGIC
     try:
         file.seek(-4, 2)
         said = int.from_bytes(file.read(4), "little")
         file.seek(start)
-        return (CUT,) if packed and said != size % (1 << 32) and _is_cut(file, size) else ()
+        return (CUT_SHORT_NOTE,) if packed and said != size % (1 << 32) and _is_cut(file, size) else ()
     except OSError:  # shorter than four bytes
         return ()
     finally:
@@ -62,11 +62,11 @@ def _is_cut(file: IO[bytes], size: int) -> bool:
     """Whether a gzip file's content has ``size`` bytes, and then the file ends too early."""
     content, left = gzip.GzipFile(fileobj=file), size
     try:
-        while left > 0 and (block := content.read(min(left, BLOCK))):
+        while left > 0 and (block := content.read(min(left, READ_BYTES))):
             left -= len(block)
         content.read(1)
     except EOFError:
         return left <= 0
-    except DAMAGE:
+    except PACKING_DAMAGE:
         return False
     return False

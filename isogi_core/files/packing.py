@@ -130,13 +130,13 @@ def as_stored(value: Any, kind: np.dtype[Any]) -> Any:
     return native.type(folded - (1 << bits) if kind.kind == "i" and folded >> bits - 1 else folded)
 
 
-MARKS = ("_FillValue", "missing_value")
+HOLE_ATTRIBUTES = ("_FillValue", "missing_value")
 
-DEFAULTS = {"f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i2": -32767, "i4": -2147483647}
+NETCDF_FILL_VALUES = {"f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i2": -32767, "i4": -2147483647}
 """What NetCDF's library fills variables with that have no ``_FillValue``, by their types; of bytes all are values."""
 
 
-ATTRIBUTES = (*MARKS, "_Unsigned", "valid_range", "valid_min", "valid_max", "scale_factor", "add_offset")
+PACKING_ATTRIBUTES = (*HOLE_ATTRIBUTES, "_Unsigned", "valid_range", "valid_min", "valid_max", "scale_factor", "add_offset")
 """CF's vocabulary: the attributes of a variable that say what its numbers mean."""
 
 
@@ -146,8 +146,8 @@ def climate_packing(attributes: Mapping[str, Any], stored: np.dtype[Any], filled
     ``filled`` is what voxels hold that nobody wrote: a hole where it is what NetCDF fills variables with by default.
     """
     kind = whole_type(stored, _is_unsigned(attributes, stored))
-    given = {name: _numbers(attributes.get(name)) for name in MARKS}
-    if not given[MARKS[0]] and filled is not None and filled == as_stored(DEFAULTS.get(stored.str[1:], math.nan), kind):
+    given = {name: _numbers(attributes.get(name)) for name in HOLE_ATTRIBUTES}
+    if not given[HOLE_ATTRIBUTES[0]] and filled is not None and filled == as_stored(NETCDF_FILL_VALUES.get(stored.str[1:], math.nan), kind):
         given["NetCDF's default"] = [filled]
     marks = {name: [as_stored(each, kind) for each in values] for name, values in given.items()}
     holes = {mark: None for values in marks.values() for mark in values if mark is not None and not np.isnan(mark)}

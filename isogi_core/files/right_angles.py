@@ -14,12 +14,12 @@ import numpy as np
 from isogi_core.errors import VolumeError
 from isogi_core.files.grid import Affine, Grid
 
-SKEW = 0.1
+MAX_SKEW_VOXELS = 0.1
 """Most voxels by which a corner may be off, for axes that are not quite at right angles to be taken as if they were."""
 
 OR_RAW = "leave it out by axes = 'raw'"
 
-GROWTH = 8
+MAX_GROWTH = 8
 """Most times the voxels that a skewed grid may need once its axes are at right angles."""
 
 
@@ -71,7 +71,7 @@ def _straight(grid: Grid, steps: tuple[float, ...]) -> Grid:
     rotation, skewed = _decompose(array[:, :3])
     last = np.array(grid.shape[::-1]) - 1.0
     off = np.abs(skewed - np.diag(np.diag(skewed))) @ last / np.diag(skewed)
-    if off.max() <= SKEW:
+    if off.max() <= MAX_SKEW_VOXELS:
         affine = Affine.of(np.column_stack([rotation * np.array(steps), array[:, 3]]), grid.affine.letters)
         return replace(grid, spacing=steps, affine=affine)
     return _resampled(grid, rotation, skewed)
@@ -102,7 +102,7 @@ def _resampled(grid: Grid, rotation: np.ndarray, skewed: np.ndarray) -> Grid:
     first = np.floor([columns.min(), rows.min()])
     width = int(math.ceil(nx - 1 + columns.max()) - first[0]) + 1
     height = int(math.ceil(ny - 1 + rows.max()) - first[1]) + 1
-    if width * height > GROWTH * nx * ny:
+    if width * height > MAX_GROWTH * nx * ny:
         raise VolumeError(f"The volume's axes are too skewed: resample it first, or {OR_RAW}.")
     wide = grid.dtype.itemsize > 2 and grid.dtype != np.float32
     dtype: np.dtype[Any] = np.dtype(np.float64 if wide else np.float32)

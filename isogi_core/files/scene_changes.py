@@ -7,7 +7,7 @@ from typing import Any
 
 from isogi_core.errors import SceneError
 
-CHANGES = ("surfaces", "hide", "material")
+CHANGING_PARAMETERS = ("surfaces", "hide", "material")
 """Parameters of views that change a scene's document by more than a setting of the same name."""
 
 
@@ -29,7 +29,7 @@ def tables_in(document: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
     return [each for each in given if isinstance(each, Mapping)] if isinstance(given, list) else []
 
 
-HIDDEN = "off"
+HIDDEN_SURFACE = "off"
 """Stands for a surface that is not shown, in place of the share of rays that passes it."""
 
 Clears = tuple[float | None, ...]
@@ -42,14 +42,14 @@ def read_clears(text: str, pinned: int) -> Clears:
     Raises SceneError.
     """
     try:
-        found = tuple(None if each.strip() == HIDDEN else float(each) for each in text.split(","))
+        found = tuple(None if each.strip() == HIDDEN_SURFACE else float(each) for each in text.split(","))
     except ValueError:
         found = ()
     if not pinned:
         raise SceneError("surfaces is for scenes with [[surfaces]]: leave it out.")
     if len(found) != pinned or not all(each is None or 0.0 <= each <= 1.0 for each in found):
         asked = f"for each of the {pinned} pinned surfaces, in turn" if pinned > 1 else "for the pinned surface"
-        raise SceneError(f"surfaces = '{text[:40]}': give {asked}, a number from 0, opaque, to 1, or {HIDDEN}.")
+        raise SceneError(f"surfaces = '{text[:40]}': give {asked}, a number from 0, opaque, to 1, or {HIDDEN_SURFACE}.")
     return found
 
 
@@ -60,7 +60,7 @@ def put_clears(document: Mapping[str, Any], pinned: Sequence[Mapping[str, Any]],
     return rest | ({"surfaces": kept} if kept else {})
 
 
-NONE = "none"
+NO_LABEL = "none"
 """Stands for no label that is hidden."""
 
 Hidden = tuple[int, ...]
@@ -70,9 +70,9 @@ Hidden = tuple[int, ...]
 def read_hidden(text: str) -> Hidden:
     """The labels that are hidden, as ``3,4`` spells them by their values, or ``none``. Raises SceneError."""
     try:
-        return () if text.strip() == NONE else tuple(sorted({int(each) for each in text.split(",")}))
+        return () if text.strip() == NO_LABEL else tuple(sorted({int(each) for each in text.split(",")}))
     except ValueError:
-        asked = f"give the values of labels with , between, or {NONE}"
+        asked = f"give the values of labels with , between, or {NO_LABEL}"
         raise SceneError(f"hide = '{text[:40]}': {asked}.") from None
 
 
@@ -93,7 +93,7 @@ MaterialSettings = Mapping[str, Any]
 MATERIAL_NUMBERS = {"index": "glass", "absorption": "glass", "mean_free_path": "subsurface"}
 """Settings that are numbers of a material, and of which."""
 
-REFLECTING = {"glass": ("albedo", "albedos"), "subsurface": ("albedos",)}
+REFLECTION_SETTINGS = {"glass": ("albedo", "albedos"), "subsurface": ("albedos",)}
 """Settings of how a surface reflects; they stay behind where a view asks for one of these materials, without them."""
 
 
@@ -136,5 +136,5 @@ def put_material(document: Mapping[str, Any], settings: MaterialSettings) -> dic
     kind = settings["material"]
     if document.get("material", "diffuse") == kind:
         return {**document, **{name: value for name, value in settings.items() if name in MATERIAL_NUMBERS}}
-    left = (*MATERIAL_NUMBERS, *REFLECTING.get(kind, ()))
+    left = (*MATERIAL_NUMBERS, *REFLECTION_SETTINGS.get(kind, ()))
     return {**{name: value for name, value in document.items() if name not in left}, **settings}

@@ -10,11 +10,11 @@ from urllib.parse import unquote
 
 from isogi_core.errors import SceneError, advice
 from isogi_core.files.regular import in_short, read_small, reason_of
-from isogi_core.files.scene_changes import CHANGES, change_document, tables_in
+from isogi_core.files.scene_changes import CHANGING_PARAMETERS, change_document, tables_in
 
 DEFAULT_DEMO = "demo:casting"
 
-METADATA = ("zarr.json", ".zgroup", ".zarray", ".zattrs")
+ZARR_METADATA = ("zarr.json", ".zgroup", ".zarray", ".zattrs")
 """Metadata files of Zarr; every group and array has one of them."""
 
 
@@ -33,7 +33,7 @@ class SceneSource:
 def find_source(target: str | Path | None, overrides: Mapping[str, Any]) -> SceneSource:
     """Read a scene's document, without opening its volume."""
     text, lying = split_settings(str(target or DEFAULT_DEMO))
-    changes = {key: lying.pop(key) for key in CHANGES if key in lying}
+    changes = {key: lying.pop(key) for key in CHANGING_PARAMETERS if key in lying}
     source = source_at(text, {**overrides, **lying})
     return replace(source, document=change_document(source.document, **changes))
 
@@ -115,7 +115,7 @@ def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any
     return {"labels": "all", **rest, "volume": found[0]["file"], **({"volumes": others} if others else {})}
 
 
-LYING = ("axes", "solid", "labels", "raw", "environment", "cut", *CHANGES)
+LYING = ("axes", "solid", "labels", "raw", "environment", "cut", *CHANGING_PARAMETERS)
 """Settings that may follow the # of a target: how its volume lies, which side of the isovalue is solid, whether its
 values are labels, its light, what is cut away, and what changes it as views do.
 """
@@ -131,16 +131,16 @@ def split_settings(target: str) -> tuple[str, dict[str, str]]:
     return f"{place}#{rest}" if rest else place, told
 
 
-CHOOSING = ("level", "channel", "time", "series", "raw", "region")
+PART_SETTINGS = ("level", "channel", "time", "series", "raw", "region")
 """Settings of a scene that choose a part of its volume's file, or say what it holds."""
 
-FOLLOWED = ("cut", "solid", "inside_out", "spacing", "missing", "axes", "volumes", *CHOOSING)
+VOXEL_SETTINGS = ("cut", "solid", "inside_out", "spacing", "missing", "axes", "volumes", *PART_SETTINGS)
 """Settings of a scene that its volume's voxels already contain."""
 
 
 def is_zarr(path: Path) -> bool:
     """Whether a volume at ``path`` is read as Zarr: a folder that is one, or a path inside one that ends in .zarr."""
-    if path.is_dir() and any((path / name).is_file() for name in METADATA):
+    if path.is_dir() and any((path / name).is_file() for name in ZARR_METADATA):
         return True
     return not path.is_file() and any(each.suffix == ".zarr" for each in (path, *path.parents))
 

@@ -12,13 +12,13 @@ import numpy as np
 from isogi_core.errors import VolumeError
 from isogi_core.files.light_files import LitMesh, srgb_bytes
 
-METRES = {"m": 1.0, "mm": 1e-3, "µm": 1e-6, "nm": 1e-9, "Å": 1e-10}
+METRES_OF_UNITS = {"m": 1.0, "mm": 1e-3, "µm": 1e-6, "nm": 1e-9, "Å": 1e-10}
 """Metres of the units that volumes have; those of others are taken for USD's own, centimetres."""
 
-BLOCK = 4
+BLOCK_TEXELS = 4
 """Texels a side of each quadrilateral's own part of the texture: its four corners, and a rim that repeats them."""
 
-WIDEST = 16384
+MAX_TEXTURE_SIDE = 16384
 """Texels a side of a texture, at most: what graphics processors take."""
 
 LAYER = """\
@@ -99,7 +99,7 @@ def usd_layer(mesh: LitMesh, texture: str) -> bytes:
     x, y, z = ((low + high) / 2.0).tolist()
     half = (high - low) / 2.0
     text = LAYER.format(
-        metres=METRES.get(mesh.unit, 0.01),
+        metres=METRES_OF_UNITS.get(mesh.unit, 0.01),
         middle=(x, z, -y),
         extent=_rows(np.stack([-half, half])),
         counts=[4] * len(mesh.quads),
@@ -118,14 +118,14 @@ def light_texture(mesh: LitMesh) -> np.ndarray:
     Raises VolumeError where it would be too large.
     """
     columns, rows = _blocks(len(mesh.quads))
-    if columns * BLOCK > WIDEST:
-        most = (WIDEST // BLOCK) ** 2
+    if columns * BLOCK_TEXELS > MAX_TEXTURE_SIDE:
+        most = (MAX_TEXTURE_SIDE // BLOCK_TEXELS) ** 2
         raise VolumeError(f"The texture of {len(mesh.quads):,} faces is too large, {most:,} fit: write .glb instead.")
     corners = srgb_bytes(mesh.colours)[mesh.quads[:, [[0, 1], [3, 2]]]]
-    blocks = np.zeros((rows * columns, BLOCK, BLOCK, 3), np.uint8)
-    blocks[: len(corners)] = corners.repeat(BLOCK // 2, axis=1).repeat(BLOCK // 2, axis=2)
-    whole = blocks.reshape(rows, columns, BLOCK, BLOCK, 3).transpose(0, 2, 1, 3, 4)
-    return np.ascontiguousarray(whole.reshape(rows * BLOCK, columns * BLOCK, 3))
+    blocks = np.zeros((rows * columns, BLOCK_TEXELS, BLOCK_TEXELS, 3), np.uint8)
+    blocks[: len(corners)] = corners.repeat(BLOCK_TEXELS // 2, axis=1).repeat(BLOCK_TEXELS // 2, axis=2)
+    whole = blocks.reshape(rows, columns, BLOCK_TEXELS, BLOCK_TEXELS, 3).transpose(0, 2, 1, 3, 4)
+    return np.ascontiguousarray(whole.reshape(rows * BLOCK_TEXELS, columns * BLOCK_TEXELS, 3))
 
 
 def texture_places(quads: int) -> np.ndarray:
@@ -133,13 +133,13 @@ def texture_places(quads: int) -> np.ndarray:
     columns, rows = _blocks(quads)
     row, column = np.divmod(np.arange(quads), columns)
     right, down = np.array([0, 1, 1, 0]), np.array([0, 0, 1, 1])
-    middle = BLOCK / 2.0 - 0.5
-    u = (column[:, None] * BLOCK + middle + right) / (columns * BLOCK)
-    v = 1.0 - (row[:, None] * BLOCK + middle + down) / (rows * BLOCK)
+    middle = BLOCK_TEXELS / 2.0 - 0.5
+    u = (column[:, None] * BLOCK_TEXELS + middle + right) / (columns * BLOCK_TEXELS)
+    v = 1.0 - (row[:, None] * BLOCK_TEXELS + middle + down) / (rows * BLOCK_TEXELS)
     return np.stack([u, v], axis=-1)
 
 
-ALIGNED, PADDING, LOCAL_HEADER = 64, 0x1986, 30
+FILE_ALIGNMENT, PADDING_FIELD, LOCAL_HEADER = 64, 0x1986, 30
 """Bytes that each file of a package begins at a multiple of; the extra field that fills up; a ZIP header's bytes."""
 
 
@@ -150,7 +150,7 @@ def usdz_package(files: dict[str, bytes]) -> bytes:
         for name, data in files.items():
             entry = zipfile.ZipInfo(name)
             start = package.tell() + LOCAL_HEADER + len(name.encode()) + 4
-            entry.extra = struct.pack("<HH", PADDING, -start % ALIGNED) + bytes(-start % ALIGNED)
+            entry.extra = struct.pack("<HH", PADDING_FIELD, -start % FILE_ALIGNMENT) + bytes(-start % FILE_ALIGNMENT)
             archive.writestr(entry, data)
     return package.getvalue()
 

@@ -12,14 +12,14 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.mappings import scratch
-from isogi_core.files.voxel_file import HEADER, Draft, new_voxels, read_voxels
+from isogi_core.files.voxel_file import HEADER_BYTES, Draft, new_voxels, read_voxels
 from isogi_core.kernels._cache_folder import locked
 from isogi_core.storage.atomic_file import write_whole
 
 MAX_COPIES_MB = 65536
 """Most megabytes of copies, unless ``ISOGI_VOLUME_CACHE_MB`` says otherwise."""
 
-SUFFIX = ".voxels"
+COPY_SUFFIX = ".voxels"
 
 Copy = tuple[np.ndarray, dict[str, Any]]
 """The voxels of a copy, mapped, and the facts of their volume."""
@@ -42,7 +42,7 @@ def most_bytes() -> int:
 
 def find_copy(key: str) -> Copy | None:
     """Open a copy; None where there is none."""
-    path = copies_folder() / f"{key}{SUFFIX}"
+    path = copies_folder() / f"{key}{COPY_SUFFIX}"
     found = read_voxels(path)
     if found is not None:
         with suppress(OSError):
@@ -119,11 +119,11 @@ def _write_errors(folder: Path) -> Iterator[None]:
 
 def _write(folder: Path, key: str, make: Callable[[Draft], dict[str, Any]]) -> None:
     """Write a copy, and link it by its digest."""
-    path = folder / f"{key}{SUFFIX}"
+    path = folder / f"{key}{COPY_SUFFIX}"
     with new_voxels(path) as draft:
         facts = make(draft)
     with suppress(OSError):  # a disk without links: a second copy is made by the digest
-        os.link(path, folder / f"{facts['digest']}{SUFFIX}")
+        os.link(path, folder / f"{facts['digest']}{COPY_SUFFIX}")
 
 
 def _make_room(folder: Path, size: int) -> None:
@@ -136,7 +136,7 @@ def _make_room(folder: Path, size: int) -> None:
             if ours:
                 partial.unlink()
     kept = _copies(folder)
-    total, most = size + HEADER + sum(state.st_size for state, _ in kept), most_bytes()
+    total, most = size + HEADER_BYTES + sum(state.st_size for state, _ in kept), most_bytes()
     for state, names in kept:
         if total <= most:
             break
@@ -144,7 +144,7 @@ def _make_room(folder: Path, size: int) -> None:
         for name in names:
             name.unlink(missing_ok=True)
     free = shutil.disk_usage(folder).free
-    if free < size + HEADER:
+    if free < size + HEADER_BYTES:
         need = f"The volume takes {size / 1e9:.1f} GB in {folder}, where {free / 1e9:.1f} GB are free"
         raise VolumeError(f"{need}: make room, or name another folder by ISOGI_VOLUME_CACHE.")
 
@@ -152,7 +152,7 @@ def _make_room(folder: Path, size: int) -> None:
 def _copies(folder: Path) -> list[tuple[os.stat_result, list[Path]]]:
     """The copies with all of their names, those used longest ago first."""
     found: dict[int, tuple[os.stat_result, list[Path]]] = {}
-    for path in (*folder.glob(f"*{SUFFIX}"), *folder.glob("*/*")):
+    for path in (*folder.glob(f"*{COPY_SUFFIX}"), *folder.glob("*/*")):
         with suppress(FileNotFoundError):
             state = path.stat()
             found.setdefault(state.st_ino, (state, []))[1].append(path)

@@ -13,12 +13,12 @@ import google_crc32c
 import numpy as np
 
 from isogi_core.files.mappings import map_file
-from isogi_core.storage.atomic_file import PARTIAL, sync_folder
+from isogi_core.storage.atomic_file import PARTIAL_SUFFIX, sync_folder
 
-HEADER = 16384
+HEADER_BYTES = 16384
 """Bytes before the voxels, whole pages for their alignment."""
 
-FORMAT = f"isogi voxels 1 {sys.byteorder}"
+VOXEL_FORMAT = f"isogi voxels 1 {sys.byteorder}"
 
 Shape = tuple[int, ...]
 
@@ -29,10 +29,10 @@ def new_voxels(path: Path) -> Iterator["Draft"]:
 
     The draft's name ends in ``.partial``; it is deleted where the block fails.
     """
-    partial = path.with_suffix(PARTIAL)
+    partial = path.with_suffix(PARTIAL_SUFFIX)
     try:
         with open(partial, "wb") as file:
-            file.seek(HEADER)
+            file.seek(HEADER_BYTES)
             yield Draft(file)
             file.flush()
             os.fsync(file.fileno())
@@ -57,14 +57,14 @@ class Draft:
         """Map the voxels that were written."""
         self._file.flush()
         with open(self._file.name, "rb") as file:
-            return map_file(file, HEADER).reshape(shape)
+            return map_file(file, HEADER_BYTES).reshape(shape)
 
     def seal(self, shape: Shape, facts: dict[str, Any]) -> None:
         """Write the header: the ``shape`` (z, y, x) and the other facts of the volume."""
         body = json.dumps({"shape": shape, "facts": facts})
-        head = json.dumps({"format": FORMAT, "crc32c": google_crc32c.value(body.encode()), "body": body})
+        head = json.dumps({"format": VOXEL_FORMAT, "crc32c": google_crc32c.value(body.encode()), "body": body})
         self._file.seek(0)
-        self._file.write(head.encode().ljust(HEADER))
+        self._file.write(head.encode().ljust(HEADER_BYTES))
 
 
 def read_voxels(path: Path) -> tuple[np.ndarray, dict[str, Any]] | None:
@@ -75,10 +75,10 @@ def read_voxels(path: Path) -> tuple[np.ndarray, dict[str, Any]] | None:
     """
     try:
         with open(path, "rb") as file:
-            found = _read_header(file.read(HEADER))
-            if found is None or os.fstat(file.fileno()).st_size != HEADER + 4 * math.prod(found[0]):
+            found = _read_header(file.read(HEADER_BYTES))
+            if found is None or os.fstat(file.fileno()).st_size != HEADER_BYTES + 4 * math.prod(found[0]):
                 return None
-            return map_file(file, HEADER).reshape(found[0]), found[1]
+            return map_file(file, HEADER_BYTES).reshape(found[0]), found[1]
     except FileNotFoundError:
         return None
 
@@ -87,7 +87,7 @@ def _read_header(header: bytes) -> tuple[Shape, dict[str, Any]] | None:
     try:
         head = json.loads(header)
         body = head["body"]
-        if head["format"] != FORMAT or head["crc32c"] != google_crc32c.value(body.encode()):
+        if head["format"] != VOXEL_FORMAT or head["crc32c"] != google_crc32c.value(body.encode()):
             return None
         content = json.loads(body)
         return tuple(content["shape"]), {key: _tuples(value) for key, value in content["facts"].items()}

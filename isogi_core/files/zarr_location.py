@@ -13,9 +13,9 @@ from zarr.abc.store import Store
 from zarr.storage import LocalStore, ObjectStore
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.scene_file import METADATA
+from isogi_core.files.scene_file import ZARR_METADATA
 from isogi_core.storage.object_store import call_options, retry_options
-from isogi_core.storage.url import BUCKETS, SECRET, StoreUrl
+from isogi_core.storage.url import BUCKET_SCHEMES, SECRET_PARTS, StoreUrl
 
 
 def stamp_of(files: Iterable[Path]) -> str:
@@ -27,7 +27,7 @@ def stamp_of(files: Iterable[Path]) -> str:
     return digest.hexdigest()
 
 
-SECONDS = 30.0
+CALL_SECONDS = 30.0
 """Seconds for one call to a URL."""
 
 
@@ -69,7 +69,7 @@ def root_of(path: Path) -> Path:
 
 
 def _is_zarr(folder: Path) -> bool:
-    return any((folder / name).is_file() for name in METADATA)
+    return any((folder / name).is_file() for name in ZARR_METADATA)
 
 
 def check_links(root: Path) -> None:
@@ -85,7 +85,7 @@ def check_links(root: Path) -> None:
 def _remote(url: str) -> Hierarchy:
     """The hierarchy at a URL; the part up to ``.zarr`` is its root, where there is one."""
     scheme = url.partition("://")[0].lower()
-    if scheme not in BUCKETS or SECRET.search(url):
+    if scheme not in BUCKET_SCHEMES or SECRET_PARTS.search(url):
         known = "it must begin with s3://, gs://, az:// or https:// and hold no password or key"
         raise VolumeError(f"The volume's URL cannot be used ({known}): put credentials into the environment.")
     found = re.match(r"(.+\.zarr)(?:/(.*))?$", url.rstrip("/"))
@@ -95,7 +95,7 @@ def _remote(url: str) -> Hierarchy:
     except ImportError:
         raise VolumeError(f"'{url}' needs a library that is not installed: pip install 'isogi[s3]'.") from None
     connect: Any = getattr(stores, "from_url")  # noqa: B009 (it has a signature for each scheme)
-    store_url = StoreUrl(root, seconds=SECONDS)
+    store_url = StoreUrl(root, seconds=CALL_SECONDS)
     try:
         store = connect(root, client_options=call_options(store_url), retry_config=retry_options(store_url))
     except Exception as error:  # of many kinds, for what the environment lacks
@@ -116,7 +116,7 @@ def _stamp_of_objects(root: str, store: Any) -> str:
     try:
         found = [each for page in obstore.list(store) for each in page]
     except Exception:  # a server that lists nothing
-        found = [head for name in METADATA if (head := _head(store, name)) is not None]
+        found = [head for name in ZARR_METADATA if (head := _head(store, name)) is not None]
     facts = sorted(f"{each['path']} {each['size']} {each['e_tag']} {each['last_modified']}" for each in found)
     return hashlib.blake2b("\0".join([root, *facts]).encode(), digest_size=16).hexdigest()
 

@@ -11,10 +11,10 @@ import numpy as np
 import zarr
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.grid import ALONE, MAX_VOXELS, Affine, Grid, LabelName, Region, Shape, Vector, layers_of
+from isogi_core.files.grid import SINGLE_MOMENT, MAX_VOXELS, Affine, Grid, LabelName, Region, Shape, Vector, layers_of
 from isogi_core.files.mappings import budget
 from isogi_core.files.ome import (
-    SPACE,
+    SPACE_AXES,
     Axis,
     Resolution,
     array_axes,
@@ -35,17 +35,17 @@ MOST_CHUNKS = 1 << 22
 MAX_CHUNK = 1 << 30
 """Most bytes of one chunk, as it must be in memory as a whole."""
 
-PICTURE = 4096
+MAX_PICTURE_VOXELS = 4096
 """Voxels along an image's longest side that the largest picture of all of it shows, one a pixel."""
 
-SHIFTED = "It says no translation: where its voxels are means of finer ones, surfaces lie up to half a voxel off."
+SHIFT_NOTE = "It says no translation: where its voxels are means of finer ones, surfaces lie up to half a voxel off."
 
-ORDERS = {3: "zyx", 4: "czyx", 5: "tczyx"}
+ASSUMED_AXES = {3: "zyx", 4: "czyx", 5: "tczyx"}
 """Assumed names of axes without names, by their number."""
 
 OTHER_NAMES = {"time": "t", "channel": "c"}
 
-CHOSEN = {"t": "time", "c": "channel"}
+CHOSEN_AXES = {"t": "time", "c": "channel"}
 """Settings of a scene that choose along axes that are not spatial."""
 
 
@@ -84,7 +84,7 @@ def open_zarr(
     found = find_array(path, level)
     found = _fitting(path, found) if level is None and region is None else found
     array, chosen = found.array, {"c": channel, "t": time}
-    picks = [slice(None) if axis.name in SPACE else _pick(path, found, n, chosen) for n, axis in enumerate(found.axes)]
+    picks = [slice(None) if axis.name in SPACE_AXES else _pick(path, found, n, chosen) for n, axis in enumerate(found.axes)]
     _check(path, found, region)
     packing, order = _packing(array), _order(found.axes)
     shape = tuple(array.shape[n] for n in order)
@@ -92,7 +92,7 @@ def open_zarr(
     read = [array.path, *(pick for pick in picks if isinstance(pick, int))]
     spacing, affine, unit = _placed(found)
     times = dict(zip((axis.name for axis in found.axes), array.shape, strict=True)).get("t", 1)
-    moment, unchosen = (time or 0, times) if times > 1 else ALONE, time is None and times > 1
+    moment, unchosen = (time or 0, times) if times > 1 else SINGLE_MOMENT, time is None and times > 1
     stamp, notes = partial(_stamp, found.among, read), (*found.notes, *packing.notes)
     kind = ("OME-Zarr", "its transformations") if found.given else ("Zarr", "")
     grid = Grid(shape, packing.dtype, spacing, slabs, stamp, affine, unit, notes)
@@ -115,14 +115,14 @@ def _fitting(path: Path | str, found: FoundArray) -> FoundArray:
     it is not the finest of all; the coarsest where none fits.
     """
     level = 0
-    while level + 1 < found.levels and (_too_large(found) or max(_sides(found)) >= PICTURE):
+    while level + 1 < found.levels and (_too_large(found) or max(_sides(found)) >= MAX_PICTURE_VOXELS):
         coarser = find_array(path, level + 1)
-        if not _too_large(found) and max(_sides(coarser)) < PICTURE:
+        if not _too_large(found) and max(_sides(coarser)) < MAX_PICTURE_VOXELS:
             break
         level, found = level + 1, coarser
     if not level:
         return found
-    lies = "" if found.given is None or found.given.shifted else SHIFTED
+    lies = "" if found.given is None or found.given.shifted else SHIFT_NOTE
     more = f"level = {level - 1} in the scene shows a finer one, or region a part of it"
     note = f"Level {level} of 0 to {found.levels - 1} is shown, as fine as memory and pictures have room for: {more}."
     return replace(found, notes=(*found.notes, note, *((lies,) if lies else ())))
@@ -135,7 +135,7 @@ def _too_large(found: FoundArray) -> bool:
 
 def _sides(found: FoundArray) -> list[int]:
     """Voxels of the field along its axes in space."""
-    return [n for axis, n in zip(found.axes, found.array.shape, strict=True) if axis.name in SPACE]
+    return [n for axis, n in zip(found.axes, found.array.shape, strict=True) if axis.name in SPACE_AXES]
 
 
 def _voxels(found: FoundArray, region: Region | None) -> int:
@@ -147,16 +147,16 @@ def _voxels(found: FoundArray, region: Region | None) -> int:
 
 def _chunks(found: FoundArray, region: Region | None) -> int:
     """Chunks that hold the field in an array, or a region of it."""
-    spans = dict(zip(SPACE, region or (), strict=False))
+    spans = dict(zip(SPACE_AXES, region or (), strict=False))
     sizes = zip(found.axes, found.array.shape, found.array.chunks, strict=True)
-    spatial = [(*spans.get(axis.name, (0, n)), step) for axis, n, step in sizes if axis.name in SPACE]
+    spatial = [(*spans.get(axis.name, (0, n)), step) for axis, n, step in sizes if axis.name in SPACE_AXES]
     return math.prod((end - 1) // step - first // step + 1 for first, end, step in spatial)
 
 
 def _order(axes: tuple[Axis, ...]) -> tuple[int, ...]:
     """The places of z, y and x among the axes of an array."""
     names = [axis.name for axis in axes]
-    return tuple(names.index(name) for name in SPACE[::-1])
+    return tuple(names.index(name) for name in SPACE_AXES[::-1])
 
 
 def _placed(found: FoundArray) -> tuple[Vector, Affine | None, str]:
@@ -258,7 +258,7 @@ def _with_axes(path: Path | str, among: Hierarchy, array: "zarr.Array[Any]", giv
     axes = (
         array_axes(given)
         if given is not None and told
-        else tuple(map(Axis, _names(array) or ORDERS.get(array.ndim, "")))
+        else tuple(map(Axis, _names(array) or ASSUMED_AXES.get(array.ndim, "")))
     )
     if len(axes) != array.ndim:
         raise VolumeError(f"'{path}' has {array.ndim} dimensions and {len(axes)} axes: choose one scalar field of it.")
@@ -269,18 +269,18 @@ def _names(array: "zarr.Array[Any]") -> tuple[str, ...]:
     """Names of the dimensions, where all are known ones; empty otherwise."""
     given: Any = getattr(array.metadata, "dimension_names", None) or array.attrs.asdict().get("_ARRAY_DIMENSIONS") or ()
     names = [OTHER_NAMES.get(str(name).lower(), str(name).lower()) for name in given]
-    spatial = [n for n, name in enumerate(names) if name not in CHOSEN]
-    if len(spatial) == 3 and not any(names[n] in SPACE for n in spatial):  # such as depth, latitude and longitude
-        for n, name in zip(spatial, SPACE[::-1], strict=True):
+    spatial = [n for n, name in enumerate(names) if name not in CHOSEN_AXES]
+    if len(spatial) == 3 and not any(names[n] in SPACE_AXES for n in spatial):  # such as depth, latitude and longitude
+        for n, name in zip(spatial, SPACE_AXES[::-1], strict=True):
             names[n] = name
-    known = set(names) <= {*SPACE, *CHOSEN} and len(set(names)) == len(names)
+    known = set(names) <= {*SPACE_AXES, *CHOSEN_AXES} and len(set(names)) == len(names)
     return tuple(names) if known else ()
 
 
 def _pick(path: Path | str, found: FoundArray, place: int, chosen: dict[str, int | None]) -> int:
     """The element that is read along an axis that is not spatial."""
     name, length = found.axes[place].name, found.array.shape[place]
-    key, pick = CHOSEN.get(name), chosen.get(name)
+    key, pick = CHOSEN_AXES.get(name), chosen.get(name)
     if pick is None and length > 1 and key != "time":
         wanted = f"set {key} in the scene, from 0 to {length - 1}" if key else "save one element of it"
         raise VolumeError(f"'{path}' has {length} elements along its axis '{name}': {wanted}.")
@@ -291,8 +291,8 @@ def _pick(path: Path | str, found: FoundArray, place: int, chosen: dict[str, int
 
 def _check(path: Path | str, found: FoundArray, region: Region | None) -> None:
     """Raise VolumeError where the array is no 3-D field, or of an impossible size."""
-    array, space = found.array, [axis.name for axis in found.axes if axis.name in SPACE]
-    if sorted(space) != list(SPACE):
+    array, space = found.array, [axis.name for axis in found.axes if axis.name in SPACE_AXES]
+    if sorted(space) != list(SPACE_AXES):
         raise VolumeError(f"'{path}' has the axes {', '.join(space) or 'none'} in space: they must be z, y and x.")
     if min(array.chunks, default=0) < 1:
         raise VolumeError(f"'{path}' claims chunks of {array.chunks} voxels, which cannot be: mend its metadata.")

@@ -17,7 +17,7 @@ from isogi_core.files.scene_changes import (
     put_hidden,
     put_material,
 )
-from isogi_core.files.scene_file import FOLLOWED
+from isogi_core.files.scene_file import VOXEL_SETTINGS
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.material import MATERIALS
 from isogi_core.model.scene_plan import GLOW_KIND, Layer, ScenePlan
@@ -34,7 +34,7 @@ def remade(scene: Scene, document: dict[str, Any], volume: Volume | None, name: 
 
     It has another id where there is a ``name``. The same light is as bright in pictures of both.
     """
-    bare = {key: value for key, value in document.items() if volume is None or key not in FOLLOWED}
+    bare = {key: value for key, value in document.items() if volume is None or key not in VOXEL_SETTINGS}
     known = (scene.surfaces.colours, scene.lighting.glowing.bits) if volume else (None, None)
     made = build_scene(replace(scene.source, document=bare), no_progress, volume, *known)
     source = replace(scene.source, document=document)

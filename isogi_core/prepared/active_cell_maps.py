@@ -17,7 +17,7 @@ from isogi_core.kernels.tracing.active_cells import (
     make_active_cells,
     measure_ranges,
 )
-from isogi_core.lru_cache import OVERHEAD, LruCache
+from isogi_core.lru_cache import OVERHEAD_BYTES, LruCache
 from isogi_core.model.value_survey import sample_values
 from isogi_core.model.volume import Isovalue
 from isogi_core.runs import Run, serially
@@ -195,4 +195,4 @@ class ActiveCellMaps:
         """Bytes of the maps of all groups that were asked for, as far as their sizes are known."""
         usual, spans = USUAL_BLOCK_BYTES * self._bricks, map(tuple, self._spans().tolist())
         asked = [span for span in spans if self._asked[slice(*span)].any()]
-        return sum(self._sizes.get(span, usual) + OVERHEAD for span in asked)
+        return sum(self._sizes.get(span, usual) + OVERHEAD_BYTES for span in asked)

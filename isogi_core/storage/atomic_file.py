@@ -8,7 +8,7 @@ from uuid import uuid4
 
 from isogi_core.errors import ViewError
 
-PARTIAL = ".partial"
+PARTIAL_SUFFIX = ".partial"
 """Suffix of a file that is being written. Readers and listings pass over it."""
 
 
@@ -30,7 +30,7 @@ def partial_file(path: Path, data: bytes, sync: bool = False) -> Iterator[Path]:
 
     ``sync`` brings the data to the disk before the block begins. Raises OSError.
     """
-    written = path.with_name(f"{path.name}.{uuid4().hex}{PARTIAL}")
+    written = path.with_name(f"{path.name}.{uuid4().hex}{PARTIAL_SUFFIX}")
     try:
         with written.open("xb") as file:
             file.write(data)

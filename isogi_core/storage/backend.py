@@ -72,10 +72,10 @@ class Backend(Protocol):
         ...
 
 
-FULL = (errno.ENOSPC, errno.EDQUOT)
-CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
+FULL_ERRNOS = (errno.ENOSPC, errno.EDQUOT)
+READ_ONLY_ERRNOS = (errno.EACCES, errno.EPERM, errno.EROFS)
 
-WRITING = ("write", "make", "delete")
+WRITING_VERBS = ("write", "make", "delete")
 """First words of the actions whose refusal means that the store is read-only."""
 
 
@@ -83,9 +83,9 @@ def store_error(action: str, store_url: StoreUrl, error: Exception) -> StoreAway
     """Translate a backend's ``error`` into one of ours. ``action`` completes "Cannot …", such as "write a/b to"."""
     number = error.errno if isinstance(error, OSError) else None
     sentence = f"Cannot {action} the store at {store_url}: {one_line(error)}"
-    if number in FULL:
+    if number in FULL_ERRNOS:
         return StoreFullError(f"{sentence}; the store is full: make room, and baking goes on.")
-    if number in CLOSED and action.startswith(WRITING):
+    if number in READ_ONLY_ERRNOS and action.startswith(WRITING_VERBS):
         return StoreReadOnlyError(f"{sentence}; what is there is served, and nothing more is baked.")
     return StoreAwayError(f"{sentence}.")
 

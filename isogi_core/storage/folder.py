@@ -7,14 +7,14 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from isogi_core.errors import ChangedError
-from isogi_core.storage.atomic_file import PARTIAL, partial_file, sync_folder
+from isogi_core.storage.atomic_file import PARTIAL_SUFFIX, partial_file, sync_folder
 from isogi_core.storage.backend import Entry, StoredObject
 
-ABSENT = (FileNotFoundError, NotADirectoryError)
-TRIAL = bytes(1 << 16)
+ABSENT_ERRORS = (FileNotFoundError, NotADirectoryError)
+TRIAL_OBJECT = bytes(1 << 16)
 """Bytes that are written, and deleted, to see whether there is room."""
 
-TRIES = 9
+FOLDER_TRIES = 9
 """Times that a folder is made for an object while others delete it."""
 
 
@@ -34,7 +34,7 @@ class Folder:
         try:
             with open(f"{self.path}/{key}", "rb", buffering=0) as file:
                 return StoredObject(file.read())
-        except ABSENT:
+        except ABSENT_ERRORS:
             return None
 
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
@@ -49,7 +49,7 @@ class Folder:
     @contextmanager
     def _partial(self, path: Path, data: bytes) -> Iterator[Path]:
         """A partial file for ``path``; its folder is made, and made again where a deleter removes it meanwhile."""
-        for left in reversed(range(TRIES)):
+        for left in reversed(range(FOLDER_TRIES)):
             with ExitStack() as stack:
                 try:
                     path.parent.mkdir(parents=True, exist_ok=True)
@@ -90,14 +90,14 @@ class Folder:
         try:
             with os.scandir(self.path / folder) as entries:
                 return sorted(entry.name for entry in entries if entry.is_dir())
-        except ABSENT:
+        except ABSENT_ERRORS:
             return []
 
     def keys(self, folder: str) -> Iterator[str]:
         """List the keys of all objects under ``folder``, but for half-written ones."""
         for base, _, files in os.walk(self.path / folder):
             for name in files:
-                if not name.endswith(PARTIAL):
+                if not name.endswith(PARTIAL_SUFFIX):
                     yield Path(base, name).relative_to(self.path).as_posix()
 
     def entries(self) -> Iterator[Entry]:
@@ -116,7 +116,7 @@ class Folder:
 
     def check_writable(self, data: bytes) -> None:
         """Raise the error that a write would raise. The file that is written for this is deleted again."""
-        with partial_file(self.path / "probe", TRIAL):
+        with partial_file(self.path / "probe", TRIAL_OBJECT):
             pass
 
 

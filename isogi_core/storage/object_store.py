@@ -12,25 +12,25 @@ from isogi_core.errors import ChangedError, StoreError
 from isogi_core.storage.backend import Entry, StoredObject
 from isogi_core.storage.url import StoreUrl
 
-CONNECTING = 2.0
+CONNECT_SECONDS = 2.0
 """Seconds within which a connection must be made; less where the whole call has less."""
 
 FIRST_PAUSE, LONGEST_PAUSE = timedelta(milliseconds=100), timedelta(seconds=1)
 """Shortest and longest pause between two tries of a call."""
 
-PREFIXES = {"s3": "AWS", "s3a": "AWS", "gs": "GOOGLE", "http": "HTTP", "https": "HTTP"}
+VARIABLE_PREFIXES = {"s3": "AWS", "s3a": "AWS", "gs": "GOOGLE", "http": "HTTP", "https": "HTTP"}
 """Prefixes of environment variables by scheme; AZURE for all others."""
 
 CALL_VARIABLES = ("ALLOW_HTTP", "ALLOW_INVALID_CERTIFICATES", "PROXY_URL", "PROXY_CA_CERTIFICATE", "PROXY_EXCLUDES")
 """Environment variables, without their prefix, that say how calls are made; obstore reads the others by itself."""
 
-FULL = ("status code: 507", "QuotaExceeded", "StorageFull", "storage quota")
+FULL_ANSWERS = ("status code: 507", "QuotaExceeded", "StorageFull", "storage quota")
 """Words in the answers of object stores that have no room."""
 
 NOT_IMPLEMENTED = "status code: 501"
 """The answer to a conditional write where a store has none."""
 
-CLOSED = ("status code: 405", NOT_IMPLEMENTED)
+READ_ONLY_ANSWERS = ("status code: 405", NOT_IMPLEMENTED)
 """Answers of HTTP servers that are read-only."""
 
 
@@ -140,7 +140,7 @@ class Bucket:
             raise PermissionError(errno.EACCES, sentence(error)) from None
         except (errors.BaseError, FileNotFoundError, NotImplementedError) as error:
             message = str(error)
-            full, closed = (any(word in message for word in words) for words in (FULL, CLOSED))
+            full, closed = (any(word in message for word in words) for words in (FULL_ANSWERS, READ_ONLY_ANSWERS))
             raise OSError(errno.ENOSPC if full else errno.EROFS if closed else errno.EIO, sentence(error)) from None
 
 
@@ -149,8 +149,8 @@ def call_options(store_url: StoreUrl) -> dict[str, Any]:
 
     Plain HTTP is used for http:// URLs, and where AWS_ALLOW_HTTP is set.
     """
-    connecting = timedelta(seconds=min(CONNECTING, store_url.seconds))
-    prefix = PREFIXES.get(store_url.scheme, "AZURE")
+    connecting = timedelta(seconds=min(CONNECT_SECONDS, store_url.seconds))
+    prefix = VARIABLE_PREFIXES.get(store_url.scheme, "AZURE")
     given = {name.lower(): value for name in CALL_VARIABLES if (value := os.environ.get(f"{prefix}_{name}"))}
     plain = {"allow_http": "true"} if store_url.scheme == "http" else {}
     return {**plain, **given, "timeout": timedelta(seconds=store_url.seconds), "connect_timeout": connecting}
@@ -165,7 +165,7 @@ def retry_options(store_url: StoreUrl) -> dict[str, Any]:
     }
 
 
-BROKEN = {
+CONNECTION_FAULTS = {
     "error sending request": "the connection broke before an answer",
     "request or response body error": "the connection broke in the middle of an answer",
     "error decoding response body": "the connection broke in the middle of an answer",
@@ -176,7 +176,7 @@ BROKEN = {
 
 def sentence(error: Exception) -> str:
     """The server's answer in an error of obstore, without addresses, queries, documents and debug text."""
-    if broken := next((said for words, said in BROKEN.items() if words in str(error)), None):
+    if broken := next((said for words, said in CONNECTION_FAULTS.items() if words in str(error)), None):
         return broken
     first = re.split(r": [<{]", str(error).partition("\n")[0])[0].rpartition(" - ")[2]
     return re.sub(r"\?\S+", "?…", first).strip().rstrip(".") or type(error).__name__

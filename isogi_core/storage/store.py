@@ -16,13 +16,13 @@ from isogi_core.storage.local_copies import Copies
 from isogi_core.storage.object_store import Bucket
 from isogi_core.storage.url import StoreUrl
 
-SENTINEL = "isogi.json"
+SENTINEL_KEY = "isogi.json"
 """Key of the object that marks a folder or bucket as a store of isogi's."""
 
-FORMAT = 1
+STORE_FORMAT = 1
 """Version of the store's layout."""
 
-CONTENT = json.dumps({"kind": "isogi light", "format": FORMAT}).encode()
+SENTINEL_CONTENT = json.dumps({"kind": "isogi light", "format": STORE_FORMAT}).encode()
 """The sentinel's content."""
 
 CHECKED = 1.0
@@ -31,13 +31,13 @@ CHECKED = 1.0
 CHECK_SECONDS = 0.5
 """Seconds that one caller waits for a check of a remote store that was away."""
 
-TOLD = 600.0
+LOG_SECONDS = 600.0
 """Seconds in which news of an object is logged once."""
 
-RETRIED = 10.0
+WRITE_RETRY_SECONDS = 10.0
 """Seconds after which a read-only store is tested again for writing."""
 
-GONE = "its isogi.json is missing; bring the store back, or start isogi again to begin with an empty one"
+SENTINEL_GONE = "its isogi.json is missing; bring the store back, or start isogi again to begin with an empty one"
 
 
 def check_sentinel(sentinel: bytes, url: StoreUrl) -> None:
@@ -46,11 +46,11 @@ def check_sentinel(sentinel: bytes, url: StoreUrl) -> None:
         version = json.loads(sentinel)["format"]
     except (ValueError, KeyError, TypeError):
         raise StoreError(
-            f"{SENTINEL} in the store at {url} is damaged: delete it, and start isogi again, which makes it."
+            f"{SENTINEL_KEY} in the store at {url} is damaged: delete it, and start isogi again, which makes it."
         ) from None
-    if version != FORMAT:
+    if version != STORE_FORMAT:
         raise StoreError(
-            f"The store at {url} is of format {version}, and this isogi knows {FORMAT}: name another store, or use"
+            f"The store at {url} is of format {version}, and this isogi knows {STORE_FORMAT}: name another store, or use"
             " the isogi that made it."
         )
 
@@ -209,7 +209,7 @@ class Store:
         """Whether this was not logged of an object in the last TOLD seconds: it is logged now."""
         now = self._clock()
         with self._opening:
-            self._told = {each: at for each, at in self._told.items() if now - at < TOLD}
+            self._told = {each: at for each, at in self._told.items() if now - at < LOG_SECONDS}
             return self._told.setdefault(text, now) == now
 
     def check_writable(self) -> None:
@@ -217,7 +217,7 @@ class Store:
         self._checked_until = -1.0
         self.check_reachable()
         try:
-            self._backend.check_writable(CONTENT)
+            self._backend.check_writable(SENTINEL_CONTENT)
             self.read_only = False
         except Exception as error:
             trouble = store_error("write to", self.url, error)
@@ -226,7 +226,7 @@ class Store:
 
     def only_read(self) -> bool:
         """Whether the store is read-only. One that was is tested again every RETRIED seconds."""
-        if self.read_only and self._clock() >= self._tried + RETRIED:
+        if self.read_only and self._clock() >= self._tried + WRITE_RETRY_SECONDS:
             self._tried = self._clock()
             with suppress(StoreError):
                 self.check_writable()
@@ -284,7 +284,7 @@ class Store:
     def _check(self) -> StoreAwayError | None:
         """Read the sentinel, and make it in a new store; returns why that failed, or None."""
         try:
-            found = self._backend.get(SENTINEL)
+            found = self._backend.get(SENTINEL_KEY)
         except StoreError:
             raise
         except Exception as error:
@@ -296,13 +296,13 @@ class Store:
         if self._without_sentinel:
             return None
         if self._seen or not self.make:
-            return StoreAwayError(f"The store at {self.url} is gone: {GONE}.")
+            return StoreAwayError(f"The store at {self.url} is gone: {SENTINEL_GONE}.")
         return self._create_sentinel()
 
     def _create_sentinel(self) -> StoreAwayError | None:
         """Write the sentinel; returns why that failed, or None. A read-only place is used without one."""
         try:
-            self._backend.create_sentinel(CONTENT)
+            self._backend.create_sentinel(SENTINEL_CONTENT)
         except ChangedError:
             pass
         except Exception as error:
@@ -341,5 +341,5 @@ StoreLike = str | Path | StoreUrl | Store
 def backend_at(url: StoreUrl) -> Backend:
     """The backend of a URL, by its scheme. Raises StoreError where a library is missing."""
     if url.remote:
-        return Bucket(url, SENTINEL)
-    return Folder(url.folder, SENTINEL) if url.scheme == "file" else FileSystem(url, SENTINEL)
+        return Bucket(url, SENTINEL_KEY)
+    return Folder(url.folder, SENTINEL_KEY) if url.scheme == "file" else FileSystem(url, SENTINEL_KEY)

@@ -6,12 +6,12 @@ from pathlib import Path
 
 from isogi_core.errors import StoreUrlError
 
-BUCKETS = frozenset(
+BUCKET_SCHEMES = frozenset(
     ("s3", "s3a", "gs", "az", "adl", "azure", "abfs", "abfss", "http", "https")  # what obstore knows
 )
 """Schemes of object stores."""
 
-SECRET = re.compile(r"://[^/]*@|[?#]")
+SECRET_PARTS = re.compile(r"://[^/]*@|[?#]")
 """Parts of a URL that may hold a password, or a key that is as good as one."""
 
 
@@ -27,7 +27,7 @@ class StoreUrl:
     retries: int = 2
 
     def __post_init__(self) -> None:
-        if "://" in self.url and SECRET.search(self.url):
+        if "://" in self.url and SECRET_PARTS.search(self.url):
             scheme = self.url.partition("://")[0]
             raise StoreUrlError(
                 f"The store's {scheme}:// URL must not hold a password or a key (user:password@, or what follows ?):"
@@ -61,4 +61,4 @@ class StoreUrl:
     @property
     def remote(self) -> bool:
         """Whether it is an object store, where each call is a round trip."""
-        return self.scheme in BUCKETS
+        return self.scheme in BUCKET_SCHEMES

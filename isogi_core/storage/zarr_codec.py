@@ -13,14 +13,14 @@ from zarr.storage import MemoryStore
 
 from isogi_core.errors import DamagedChunkError
 
-KEY = "zarr.json"
+METADATA_KEY = "zarr.json"
 
 
 def description(**array: Any) -> bytes:
     """The ``zarr.json`` of an array made with these arguments of ``zarr.create_array``."""
     store = MemoryStore()
     zarr.create_array(store, zarr_format=3, **array)
-    return store._store_dict[KEY].to_bytes()
+    return store._store_dict[METADATA_KEY].to_bytes()
 
 
 @lru_cache(maxsize=64)
@@ -29,19 +29,19 @@ def described(document: bytes) -> "zarr.Array[Any]":
 
     Kept, as it is read before each new chunk, and Zarr takes as long for it as a small task for its light.
     """
-    store = MemoryStore({KEY: default_buffer_prototype().buffer.from_bytes(document)})
+    store = MemoryStore({METADATA_KEY: default_buffer_prototype().buffer.from_bytes(document)})
     return zarr.open_array(store, mode="r", zarr_format=3)
 
 
 CRC_BYTES = 4
 
-LEVEL = 1
+ZSTD_LEVEL = 1
 """Compression level of Zstandard."""
 
 
 def wrap(record: np.ndarray) -> bytes:
     """Compress a ``record``, (bytes,) uint8, into an object with a checksum."""
-    body = bytes(Zstd(level=LEVEL).encode(record))
+    body = bytes(Zstd(level=ZSTD_LEVEL).encode(record))
     return body + checksum_of(body)
 
 

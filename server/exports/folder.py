@@ -7,7 +7,7 @@ from collections.abc import Container
 from contextlib import suppress
 from pathlib import Path
 
-from isogi_core.storage.atomic_file import PARTIAL
+from isogi_core.storage.atomic_file import PARTIAL_SUFFIX
 from server.errors import FullError, UnknownResultError
 
 TOO_LARGE = (
@@ -43,7 +43,7 @@ class ExportFolder:
     def find(self, job: str) -> Path:
         """The file of a job. Raises UnknownResultError where there is none."""
         files = self._folder.glob(f"{job}/*") if self._folder else iter(())
-        found = next((path for path in files if path.suffix != PARTIAL), None)
+        found = next((path for path in files if path.suffix != PARTIAL_SUFFIX), None)
         if found is None:
             raise UnknownResultError(GONE.format(job=job))
         return found

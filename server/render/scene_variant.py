@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from isogi_core.errors import SceneError
 from isogi_core.files.scene_changes import (
-    HIDDEN,
+    HIDDEN_SURFACE,
     Clears,
     Hidden,
     MaterialSettings,
@@ -82,7 +82,7 @@ class SceneVariant:
     @property
     def id(self) -> str:
         """The id of its scene; equal changes have the same. Ids of scenes that are no variants have no @."""
-        clears = self.clears and ",".join(HIDDEN if each is None else f"{each!r}" for each in self.clears)
+        clears = self.clears and ",".join(HIDDEN_SURFACE if each is None else f"{each!r}" for each in self.clears)
         hidden = None if self.hidden is None else ",".join(map(str, self.hidden))
         parts = ("", self.environment), ("~", clears), ("=", self.material), ("!", hidden), ("+", self.time)
         lit = "".join(f"{mark}{part}" for mark, part in parts if part is not None)

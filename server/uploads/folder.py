@@ -18,7 +18,7 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 
-from isogi_core.files.grid import PATIENT, Grid, LabelName
+from isogi_core.files.grid import PATIENT_AXES, Grid, LabelName
 from isogi_core.model.orientation import Orientation
 from isogi_core.plan.volumes.labels import MAX_LABELS
 from isogi_core.storage.atomic_file import write_whole
@@ -31,7 +31,7 @@ TYPES = {
 }
 """NRRD's names of types by NumPy's."""
 
-SPACES = {PATIENT: "right-anterior-superior"}
+SPACES = {PATIENT_AXES: "right-anterior-superior"}
 """NRRD's names of spaces by their letters."""
 
 HEADER = """\

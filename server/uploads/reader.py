@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import LightError, VolumeError
-from isogi_core.files.formats.opening import HEAD, libraries_for, open_upload
+from isogi_core.files.formats.opening import HEAD_BYTES, libraries_for, open_upload
 from isogi_core.files.grid import Grid
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.model.environment import resample
@@ -47,7 +47,7 @@ LONGEST_SENTENCE = 500
 
 def main(name: str, body: int, out: int, kind: str, voxels: int, seconds: float) -> dict[str, str]:
     """Read the file ``body``, of at most so many ``voxels`` and in so many processor ``seconds``, into ``out``."""
-    rehearse(os.pread(body, HEAD, 0))
+    rehearse(os.pread(body, HEAD_BYTES, 0))
     limit(voxels, seconds)
     confine()
     os.lseek(body, 0, os.SEEK_SET)

@@ -17,10 +17,10 @@ from isogi_core.cache.chunk import Chunk
 from isogi_core.cache.chunk_record import record_type
 from isogi_core.cache.chunk_store import STAMP_EVERY, ChunkStore, UseStamps
 from isogi_core.cache.costs import Cost, Costs
-from isogi_core.cache.inventory import CLAIMS
+from isogi_core.cache.inventory import CLAIMS_FOLDER
 from isogi_core.cache.upkeep.audit import LEFT_AFTER, Audit, Auditor, Repairer
 from isogi_core.cache.upkeep.census import census_of
-from isogi_core.cache.upkeep.prune import BUSY, PruneRule, plan_prune, prune
+from isogi_core.cache.upkeep.prune import BUSY_SECONDS, PruneRule, plan_prune, prune
 from isogi_core.errors import StoreError
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.zarr_codec import unwrap, wrap
@@ -181,7 +181,7 @@ def test_an_object_outside_of_the_lattice_is_damage(chunk_store: ChunkStore) -> 
 def test_old_leftovers_go_and_foreign_objects_stay(chunk_store: ChunkStore) -> None:
     folder, store = file_of(chunk_store.layers[DIRECT], PLACES[0]).parent, chunk_store.store.url.folder
     old, fresh, probe = folder / "0.12ab.partial", folder / "0.34cd.partial", store / "probe.12ab.partial"
-    claim = store / CLAIMS / f"{chunk_store.layers[DIRECT].digest}.1.1.1"
+    claim = store / CLAIMS_FOLDER / f"{chunk_store.layers[DIRECT].digest}.1.1.1"
     claim.parent.mkdir()
     for path in (old, fresh, probe, claim, store / "notes.txt"):
         path.write_bytes(b"half")
@@ -265,7 +265,7 @@ def test_pruning_deletes_layers_with_their_costs_alone(two: ChunkStore, chunk_st
 
 def test_light_written_or_read_just_now_stays(two: ChunkStore, chunk_store: ChunkStore) -> None:
     old = two.layers[INDIRECT]
-    age(file_of(old, PLACES[0]), BUSY / 2)
+    age(file_of(old, PLACES[0]), BUSY_SECONDS / 2)
     plan = plan_prune(census_of(chunk_store.store, False), PruneRule(scene="orbital"), chunk_store.store.now())
     assert [count.files.digest for count in plan.busy] == [old.digest] and len(plan.going) == 2
     age(file_of(old, PLACES[0]), 10 * DAY)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from isogi_core.cache.claims import CONTENDED, Claims
+from isogi_core.cache.claims import CONTENDED_SECONDS, Claims
 from isogi_core.storage.backend import StoredObject
 from isogi_core.storage.folder import Folder
 from isogi_core.storage.store import Store
@@ -56,7 +56,7 @@ def test_a_claim_ends_with_work_that_fails(store: Store) -> None:
 def test_claims_end_a_while_after_the_last_contention(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = Clock()
     lonely, met = Claims(store, clock), someone(store, clock)
-    clock.now += CONTENDED + 1.0
+    clock.now += CONTENDED_SECONDS + 1.0
     for asked in ("get", "put", "delete"):
         monkeypatch.setattr(Folder, asked, lambda *_: pytest.fail("the store was asked"))
     for claims in (lonely, met):
@@ -67,10 +67,10 @@ def test_claims_end_a_while_after_the_last_contention(store: Store, monkeypatch:
 def test_a_claim_that_stands_is_company(store: Store) -> None:
     clock = Clock()
     one, other = someone(store, clock), someone(store, clock)
-    clock.now += CONTENDED - 1.0
+    clock.now += CONTENDED_SECONDS - 1.0
     with one.on(NAME, "one"), other.on(NAME, "other") as theirs:
         assert not theirs
-    clock.now += CONTENDED - 1.0
+    clock.now += CONTENDED_SECONDS - 1.0
     with other.on(NAME, "other"):
         assert left(store)
     with one.on(NAME, "one"):

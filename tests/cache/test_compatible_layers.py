@@ -13,7 +13,7 @@ import pytest
 from isogi_core.bake.bake_spec import BakeSpec, spec_for
 from isogi_core.bake.precision import VOID
 from isogi_core.bake.texel_light import Part
-from isogi_core.cache.chunk_store import DIRECTED, ChunkStore, adopt, find_fallback, larger_layers, smaller_layers
+from isogi_core.cache.chunk_store import MIN_DIRECT_ORDER, ChunkStore, adopt, find_fallback, larger_layers, smaller_layers
 from isogi_core.cache.layer import LayerStore
 from isogi_core.errors import DamagedChunkError, StoreError
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
@@ -86,7 +86,7 @@ def test_larger_layers_hold_every_coefficient_as_precisely(layer: Layer) -> None
 @pytest.mark.parametrize("layer", TURNING, ids=str)
 def test_smaller_layers_hold_fewer_bands_or_less_precise_ones(layer: Layer) -> None:
     found = list(smaller_layers(layer))
-    least = DIRECTED if layer.kind == "direct" else 1
+    least = MIN_DIRECT_ORDER if layer.kind == "direct" else 1
     fewer = {other for other in all_like(layer) if least <= other.order < layer.order}
     rounder = {other for other in all_like(layer) if other.order == layer.order and not serves(other, layer)}
     assert set(found) == fewer | rounder

@@ -264,7 +264,7 @@ def test_a_view_that_is_given_up_has_no_more_brought_for_it() -> None:
 
 def test_a_frame_that_nobody_waits_for_stops_loading(loader: Loader, monkeypatch: pytest.MonkeyPatch) -> None:
     marks = [bake(loader, index) for index in (A, B, C)]
-    monkeypatch.setattr(loading, "BATCH", 1)
+    monkeypatch.setattr(loading, "BATCH_BYTES", 1)
     cancelled, insert = threading.Event(), loader.pool.insert
 
     def insert_and_leave(*args: Any) -> None:

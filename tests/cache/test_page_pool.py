@@ -11,7 +11,7 @@ from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import deviations, path_deviation, relative_error
 from isogi_core.bake.precision import VOID
 from isogi_core.cache.chunk import Chunk, Chunks
-from isogi_core.cache.page_pool import FEWEST_CHUNKS, PAGE, PagePool, fewest_samples
+from isogi_core.cache.page_pool import FEWEST_CHUNKS, PAGE_TEXELS, PagePool, fewest_samples
 from isogi_core.errors import StoreError
 from isogi_core.kernels.shading.lattice import BURIED_ROW, UNLIT_ROW, VOID_ROW
 from isogi_core.model.scene_plan import MIN_SAMPLES
@@ -20,7 +20,7 @@ from isogi_core.prepared.prepared_scene import Index
 from tests.cache.chunks import CONSTANT, TEXELS, spec_of
 
 
-def chunk_of(spec: BakeSpec, index: Index, level: float, texels: int = 3 * PAGE) -> Chunks:
+def chunk_of(spec: BakeSpec, index: Index, level: float, texels: int = 3 * PAGE_TEXELS) -> Chunks:
     """A chunk alone whose every number is ``level``, but for the 16 samples of each texel and layer."""
     offsets = np.sort(np.random.default_rng(int(level)).choice(TEXELS, texels, replace=False))
     chunk = Chunk.empty(index, spec.plan).with_texels(offsets)
@@ -39,8 +39,8 @@ def empty(spec: BakeSpec, index: Index) -> Chunks:
 def pool_of(spec: BakeSpec, pages: int) -> PagePool:
     """A pool with room for so many pages."""
     budgets = range(0, 1 << 24, 1024)
-    pool = PagePool(spec, budgets[bisect_left(budgets, pages * PAGE, key=lambda n: len(PagePool(spec, n).stamp))])
-    assert len(pool.stamp) == pages * PAGE
+    pool = PagePool(spec, budgets[bisect_left(budgets, pages * PAGE_TEXELS, key=lambda n: len(PagePool(spec, n).stamp))])
+    assert len(pool.stamp) == pages * PAGE_TEXELS
     return pool
 
 
@@ -196,20 +196,20 @@ def test_holding_pins_the_rows_while_newer_versions_come(spec: BakeSpec) -> None
         np.testing.assert_array_equal(rows_of(pool, first[0]), rows)
         with pool.hold([(0, 0, 0)]) as (second, _):
             assert levels(pool, second[0]) == {19.0}
-    pool.insert(chunk_of(spec, (1, 1, 1), 5.0, texels=6 * PAGE))
+    pool.insert(chunk_of(spec, (1, 1, 1), 5.0, texels=6 * PAGE_TEXELS))
     assert not pool.missing([(0, 0, 0)])
 
 
 def test_held_twice_is_freed_once(spec: BakeSpec) -> None:
     pool = pool_of(spec, 4)
-    pool.insert(chunk_of(spec, (0, 0, 0), 1.0, texels=2 * PAGE))
+    pool.insert(chunk_of(spec, (0, 0, 0), 1.0, texels=2 * PAGE_TEXELS))
     with pool.hold([(0, 0, 0)]) as (outer, _):
         with pool.hold([(0, 0, 0)]):
-            pool.insert(chunk_of(spec, (0, 0, 0), 2.0, texels=2 * PAGE))
+            pool.insert(chunk_of(spec, (0, 0, 0), 2.0, texels=2 * PAGE_TEXELS))
         with pytest.raises(StoreError):
-            pool.insert(chunk_of(spec, (1, 0, 0), 3.0, texels=4 * PAGE))
+            pool.insert(chunk_of(spec, (1, 0, 0), 3.0, texels=4 * PAGE_TEXELS))
         assert levels(pool, outer[0]) == {1.0}
-    pool.insert(chunk_of(spec, (1, 0, 0), 4.0, texels=4 * PAGE))
+    pool.insert(chunk_of(spec, (1, 0, 0), 4.0, texels=4 * PAGE_TEXELS))
     assert not pool.missing([(1, 0, 0)])
 
 
@@ -231,10 +231,10 @@ def test_a_view_that_cannot_fit_is_an_error(spec: BakeSpec) -> None:
 
 def test_a_chunk_larger_than_the_pool_is_refused(spec: BakeSpec) -> None:
     pool = pool_of(spec, 4)
-    pool.insert(chunk_of(spec, (0, 0, 0), 1.0, texels=PAGE))
+    pool.insert(chunk_of(spec, (0, 0, 0), 1.0, texels=PAGE_TEXELS))
     with pool.hold([(0, 0, 0)]) as (slots, _):
         with pytest.raises(StoreError):
-            pool.insert(chunk_of(spec, (0, 0, 1), 2.0, texels=4 * PAGE))
+            pool.insert(chunk_of(spec, (0, 0, 1), 2.0, texels=4 * PAGE_TEXELS))
         assert levels(pool, slots[0]) == {1.0}
 
 
@@ -242,16 +242,16 @@ def test_a_chunk_that_cannot_fit_drops_nothing(spec: BakeSpec) -> None:
     pool = pool_of(spec, 6)
     spare: list[Index] = [(0, 0, 0), (0, 0, 1)]
     for index in spare:
-        pool.insert(chunk_of(spec, index, 1.0, texels=PAGE))
+        pool.insert(chunk_of(spec, index, 1.0, texels=PAGE_TEXELS))
     with pytest.raises(StoreError):
-        pool.insert(chunk_of(spec, (1, 1, 1), 2.0, texels=7 * PAGE))
+        pool.insert(chunk_of(spec, (1, 1, 1), 2.0, texels=7 * PAGE_TEXELS))
     assert not pool.missing(spare)
 
 
 def test_readers_among_writers_see_whole_versions(spec: BakeSpec) -> None:
     pool = pool_of(spec, 64)
     indices: list[Index] = [(0, 0, i) for i in range(6)]
-    versions = [chunk_of(spec, (0, 0, 0), level, texels=PAGE) for level in range(1, 9)]
+    versions = [chunk_of(spec, (0, 0, 0), level, texels=PAGE_TEXELS) for level in range(1, 9)]
     wrong: list[set[float]] = []
     seen: set[float] = set()
     stop = threading.Event()
@@ -268,7 +268,7 @@ def test_readers_among_writers_see_whole_versions(spec: BakeSpec) -> None:
             with pool.hold([indices[i] for i in rng.permutation(6)[:3]]) as (slots, _):
                 for slot in slots[slots >= 0]:
                     found = levels(pool, slot) | levels(pool, slot)
-                    if len(found) != 1 or len(rows_of(pool, slot)) != PAGE:
+                    if len(found) != 1 or len(rows_of(pool, slot)) != PAGE_TEXELS:
                         wrong.append(found)
                     seen.update(found)
 

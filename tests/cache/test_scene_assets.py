@@ -35,7 +35,7 @@ type = "constant"
 @pytest.fixture(autouse=True)
 def copies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path / "copies"))
-    monkeypatch.setattr(room, "CHUNK", (4, 8, 8))
+    monkeypatch.setattr(room, "VOLUME_OBJECT_VOXELS", (4, 8, 8))
     return tmp_path / "copies"
 
 

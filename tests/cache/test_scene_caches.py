@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from isogi_core.bake.bake_spec import SPECS
-from isogi_core.cache.page_pool import PAGE
+from isogi_core.cache.page_pool import PAGE_TEXELS
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import StoreError
 from tests.cache.chunks import spec_of
@@ -46,7 +46,7 @@ def test_specs_share_memory_by_equal_numbers_of_texels(tmp_path: Path) -> None:
     sizes = [sum(a.nbytes for a in (p.transfer, p.scatter, p.error, p.stamp, p.table)) for p in pools]
     assert 0.95 * BUDGET < sum(sizes) <= BUDGET
     rows = [len(pool.scatter) for pool in pools]
-    assert max(rows) - min(rows) <= PAGE
+    assert max(rows) - min(rows) <= PAGE_TEXELS
 
 
 def test_a_place_that_cannot_be_opened_is_an_error_each_time(tmp_path: Path) -> None:

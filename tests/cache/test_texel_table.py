@@ -10,7 +10,7 @@ from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import relative_error, scatter, standard_error
 from isogi_core.bake.precision import VOID, level_codes
 from isogi_core.bake.texel_light import Light, Part
-from isogi_core.cache.page_pool import CHECKSUMS, LEVELS, fewest_samples, fill_rows, new_rows
+from isogi_core.cache.page_pool import SHOWN_CHECKSUMS, MAX_SAMPLE_LEVELS, fewest_samples, fill_rows, new_rows
 from isogi_core.kernels.shading.lattice import BURIED_ROW, UNLIT_ROW, VOID_ROW
 from isogi_core.kernels.shading.texel_table import Rows
 from isogi_core.model.scene_plan import MIN_SAMPLES, Layer, ScenePlan
@@ -61,10 +61,10 @@ def filled(light: Light, spec: BakeSpec = SPEC) -> tuple[Rows, np.ndarray]:
 
 def stamps_of(light: Light) -> np.ndarray:
     """How far each texel is baked, in NumPy."""
-    weights = LEVELS ** np.arange(len(light.parts))
+    weights = MAX_SAMPLE_LEVELS ** np.arange(len(light.parts))
     rungs = weights @ [np.where(part.samples == VOID, 0, level_codes(part.samples)) for part in light.parts]
     shown = sum(shown_bits(part) for part in light.parts)
-    return np.asarray(rungs + LEVELS ** len(light.parts) * (shown % CHECKSUMS), np.float32)
+    return np.asarray(rungs + MAX_SAMPLE_LEVELS ** len(light.parts) * (shown % SHOWN_CHECKSUMS), np.float32)
 
 
 def shown_bits(part: Part) -> np.ndarray:

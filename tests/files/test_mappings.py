@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from isogi_core.files import mappings
-from isogi_core.files.mappings import RESIDENT, file_bytes, scratch
+from isogi_core.files.mappings import RESIDENT_MAPPINGS, file_bytes, scratch
 from isogi_core.files.voxel_file import new_voxels
 
 MIB = 1 << 20
@@ -86,9 +86,9 @@ def test_a_full_disk_leaves_arrays_in_memory(tmp_path: Path, monkeypatch: pytest
 
 
 def test_a_mapping_that_is_gone_is_left_alone(tmp_path: Path) -> None:
-    before = np.flatnonzero(RESIDENT._table[:, 1])
+    before = np.flatnonzero(RESIDENT_MAPPINGS._table[:, 1])
     array = scratch(tmp_path, 1 << 16, np.float32)
-    (row,) = set(np.flatnonzero(RESIDENT._table[:, 1])) - set(before)
-    assert RESIDENT._table[row].tolist() == [array.ctypes.data, 1 << 18]
+    (row,) = set(np.flatnonzero(RESIDENT_MAPPINGS._table[:, 1])) - set(before)
+    assert RESIDENT_MAPPINGS._table[row].tolist() == [array.ctypes.data, 1 << 18]
     del array
-    assert np.array_equal(np.flatnonzero(RESIDENT._table[:, 1]), before)
+    assert np.array_equal(np.flatnonzero(RESIDENT_MAPPINGS._table[:, 1]), before)

@@ -10,7 +10,7 @@ from PIL import Image
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.light_files import LitMesh
-from isogi_core.files.usd_files import BLOCK, WIDEST, light_texture, texture_places, usdz_package
+from isogi_core.files.usd_files import BLOCK_TEXELS, MAX_TEXTURE_SIDE, light_texture, texture_places, usdz_package
 from server.exports.lit_files import usdz_bytes
 
 RNG = np.random.default_rng(7)
@@ -55,7 +55,7 @@ def test_a_texture_has_the_light_of_corners_and_between(count: int) -> None:
 
 
 def test_a_texture_too_large_for_any_card_is_refused() -> None:
-    count = (WIDEST // BLOCK) ** 2 + 1
+    count = (MAX_TEXTURE_SIDE // BLOCK_TEXELS) ** 2 + 1
     mesh = LitMesh(VERTICES, VERTICES, MESH.colours, np.broadcast_to(QUADS[:1], (count, 4)))
     with pytest.raises(VolumeError, match="too large"):
         light_texture(mesh)

@@ -67,7 +67,7 @@ def test_bare_arrays_of_all_types(tmp_path: Path, kind: str, form: int) -> None:
 
 @pytest.mark.parametrize("chunks", [(1, 5, 6), (7, 1, 1), (3, 2, 5), (100, 100, 100)])
 def test_slabs_follow_the_chunks_and_hold_all(tmp_path: Path, chunks: tuple[int, ...], monkeypatch: Any) -> None:
-    monkeypatch.setattr("isogi_core.files.grid.SLAB", 1)
+    monkeypatch.setattr("isogi_core.files.grid.SLAB_BYTES", 1)
     save(tmp_path / "v.zarr", FIELD, chunks=chunks)
     grid = open_zarr(tmp_path / "v.zarr")
     check(grid, FIELD)
@@ -75,7 +75,7 @@ def test_slabs_follow_the_chunks_and_hold_all(tmp_path: Path, chunks: tuple[int,
 
 
 def test_a_layer_of_chunks_too_large_for_memory_is_read_in_parts(tmp_path: Path, monkeypatch: Any) -> None:
-    monkeypatch.setattr("isogi_core.files.grid.SLAB", 1)
+    monkeypatch.setattr("isogi_core.files.grid.SLAB_BYTES", 1)
     monkeypatch.setattr("isogi_core.files.zarr_volume.MAX_LAYER_BYTES", 1000)
     save(tmp_path / "v.zarr", FIELD, chunks=(7, 5, 6))
     grid = open_zarr(tmp_path / "v.zarr")

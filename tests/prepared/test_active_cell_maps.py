@@ -11,7 +11,7 @@ import pytest
 from isogi_core.errors import Cancelled
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.tracing.active_cells import ActiveCells, block_ranges, make_active_cells, measure_ranges
-from isogi_core.lru_cache import OVERHEAD
+from isogi_core.lru_cache import OVERHEAD_BYTES
 from isogi_core.model.volume import Isovalue, make_volume
 from isogi_core.prepared import active_cell_maps as module
 from isogi_core.prepared.active_cell_maps import CORE_GROUPS, MARKED_LAYERS, NEAR_ZERO_LEVEL, ActiveCellMaps
@@ -81,7 +81,7 @@ def test_near_isovalues_share_a_map(made: list[tuple[float, float]]) -> None:
 def test_maps_are_kept_up_to_their_bytes(made: list[tuple[float, float]]) -> None:
     size = ActiveCellMaps(VOXELS).at(HALF).nbytes
     made.clear()
-    maps = ActiveCellMaps(VOXELS, most=2 * (size + OVERHEAD))
+    maps = ActiveCellMaps(VOXELS, most=2 * (size + OVERHEAD_BYTES))
     for isovalue in (0.1, 0.5, 0.1, 0.9, 0.1, 0.5):
         maps.at(Isovalue(isovalue))
     assert [round(lowest, 1) for lowest, _ in made] == [0.1, 0.5, 0.9, 0.5]

@@ -7,7 +7,7 @@ import numpy as np
 from isogi_core.bake.refine import locate
 from isogi_core.frame.projected_texels import STEEPNESS, find_distances
 from isogi_core.frame.renderer import Renderer
-from isogi_report.bake import NEVER, ViewBake
+from isogi_report.bake import UNREACHED_TARGET, ViewBake
 from isogi_report.bench import Bench
 from isogi_report.speed import bake_view, make_renderer
 from tests.report.conftest import MakeBench
@@ -17,7 +17,7 @@ def test_frames_have_the_bits_of_those_from_a_store(under_sky: Bench, tmp_path: 
     bake = ViewBake(under_sky.renderer(under_sky.scene), under_sky.view)
     bake.grow(16)
     bake.frame()
-    frame = Renderer(bake.renderer.caches, under_sky.tiles).render(under_sky.view, NEVER)
+    frame = Renderer(bake.renderer.caches, under_sky.tiles).render(under_sky.view, UNREACHED_TARGET)
     stored = bake_view(make_renderer(under_sky.scene, str(tmp_path)), under_sky.view, 16)
     assert stored.surface > 20
     assert np.array_equal(frame.radiance, stored.radiance) and np.array_equal(frame.error, stored.error)

@@ -243,7 +243,7 @@ def test_a_folder_of_something_else_is_refused(
 def test_a_missing_library_is_told_before_any_work(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, small_scene: Path, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(command, "LIBRARIES", ("json", "no_such_library"))
+    monkeypatch.setattr(command, "PAGE_LIBRARIES", ("json", "no_such_library"))
     assert report(small_scene, tmp_path / "a") == 1
     assert capsys.readouterr().err == "isogi: A report is drawn with no_such_library: pip install 'isogi[report]'.\n"
     assert not any(tmp_path.iterdir())

@@ -4,7 +4,7 @@ import pytest
 
 from isogi_report import convergence
 from isogi_report.bench import Bench
-from isogi_report.convergence import EVENS, even, evens, seconds_at
+from isogi_report.convergence import EQUAL_ERROR_COLUMNS, even, evens, seconds_at
 from isogi_report.sections import Curve
 from tests.toil import PACE, measure_toil
 
@@ -30,15 +30,15 @@ def test_a_bake_counts_at_its_cheapest_good_point() -> None:
     assert picture == pytest.approx(6.4e-5 / 0.041**2)
     assert pictures == 79
     table = evens([baked], TRACED, "4 × 4 pixels")
-    assert len(table.rows[0]) == len(EVENS)
+    assert len(table.rows[0]) == len(EQUAL_ERROR_COLUMNS)
 
 
 @pytest.mark.slow
 def test_curves_fall_with_time(under_sky: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each point of baked light has cost all samples up to its own, each of traced paths its own alone."""
     measure_toil(monkeypatch)
-    monkeypatch.setattr(convergence, "RUNGS", (16, 64))
-    monkeypatch.setattr(convergence, "SIZE", 12)
+    monkeypatch.setattr(convergence, "CURVE_SAMPLES", (16, 64))
+    monkeypatch.setattr(convergence, "CURVE_PIXELS", 12)
     (plot,) = convergence.study(under_sky).plots
     assert [curve.x for curve in plot.curves[3:]] == [(16 * 12 * 12 / PACE, 64 * 12 * 12 / PACE)]
     for curve in plot.curves:

@@ -111,7 +111,7 @@ def test_a_file_of_another_version_is_told_as_such(
 ) -> None:
     view, path = bench.view(size=8), tmp_path / "a.npz"
     save_reference(path, trace_reference(bench.renderer, view, 8), bench.scene, view)
-    monkeypatch.setattr("isogi_core.reference.FORMAT", 2)
+    monkeypatch.setattr("isogi_core.reference.REFERENCE_FORMAT", 2)
     with pytest.raises(ReportError, match="another version of isogi"):
         load_reference(path, bench.scene, view)
 

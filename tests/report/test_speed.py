@@ -11,7 +11,7 @@ import pytest
 
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_report.speed import QUICK, bounce, cast, isovalues_near, primary_rays, table, take_turns
+from isogi_report.speed import TIMED_SHADINGS, bounce, cast, isovalues_near, primary_rays, table, take_turns
 from server.cli.command import run
 
 NUMBERS = {
@@ -36,7 +36,7 @@ def measured(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str
 
 def test_the_figures_are_there_and_make_sense(capsys: pytest.CaptureFixture[str], small_scene: Path) -> None:
     figures = measured(capsys, small_scene)
-    assert set(figures["frame_ms"]) == set(QUICK)
+    assert set(figures["frame_ms"]) == set(TIMED_SHADINGS)
     assert set(figures["encode_ms"]) == {"png", "jpeg", "webp"}
     numbers = [figures[name] for name in NUMBERS]
     every = np.array(list(chain(numbers, figures["frame_ms"].values(), figures["encode_ms"].values())))

@@ -17,23 +17,23 @@ from isogi_report import bench as benches
 from isogi_report import convergence
 from isogi_report.bake import ViewBake
 from isogi_report.bench import Bench
-from isogi_report.exact import TIMES, converged
+from isogi_report.exact import CONVERGED_SAMPLE_FACTOR, converged
 from isogi_report.journal import Entry
 from isogi_report.measuring import STUDIES, Study, run
-from isogi_report.sections import UNITS, Section
+from isogi_report.sections import COLUMN_UNITS, Section
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(convergence, "RUNGS", (16, 64))
-    monkeypatch.setattr(convergence, "SIZE", 12)
+    monkeypatch.setattr(convergence, "CURVE_SAMPLES", (16, 64))
+    monkeypatch.setattr(convergence, "CURVE_PIXELS", 12)
 
 
 def check(section: Section) -> None:
     """Tables are whole and in known units, and no number in them is NaN; pictures are of one view."""
     for table in section.tables:
         assert table.rows
-        assert all(column.unit in UNITS for column in table.columns)
+        assert all(column.unit in COLUMN_UNITS for column in table.columns)
         for row in table.rows:
             assert len(row) == len(table.columns)
             assert all(math.isfinite(cell) for cell in row if isinstance(cell, int | float))
@@ -78,7 +78,7 @@ def test_what_gives_way_to_time_is_told(make_bench: Callable[..., Bench]) -> Non
 def test_light_that_does_not_fit_is_not_shown(
     make_bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(benches, "MEMORY", 1 << 14)
+    monkeypatch.setattr(benches, "BENCH_CACHE_BYTES", 1 << 14)
     bench = make_bench()
     with pytest.raises(StoreError, match="does not fit"):
         bench.planned.frame()
@@ -86,7 +86,7 @@ def test_light_that_does_not_fit_is_not_shown(
 
 def test_each_texel_converges_by_its_own_samples(under_sky: Bench) -> None:
     planned = under_sky.planned.samples
-    assert converged(under_sky).samples >= min(TIMES * planned, 256)
+    assert converged(under_sky).samples >= min(CONVERGED_SAMPLE_FACTOR * planned, 256)
 
 
 def test_references_are_kept_in_the_folder(under_sky: Bench) -> None:

@@ -13,7 +13,7 @@ from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from isogi_core.storage.atomic_file import PARTIAL
+from isogi_core.storage.atomic_file import PARTIAL_SUFFIX
 from server.render.engine import RenderEngine
 from server.render.loaded_scene import LoadedScene
 from worker.pool import Done
@@ -97,5 +97,5 @@ def view_of(scene: Scene, azimuth: float = 30.0, isovalue: float | None = None, 
 
 def chunks_in(store: Path) -> dict[str, str]:
     """The stored chunks by name, and the digest of each; what a kill left half-written is none."""
-    files = [path for path in store.glob("*/c/**/*") if path.is_file() and path.suffix != PARTIAL]
+    files = [path for path in store.glob("*/c/**/*") if path.is_file() and path.suffix != PARTIAL_SUFFIX]
     return {str(path.relative_to(store)): sha256(path.read_bytes()).hexdigest() for path in files}

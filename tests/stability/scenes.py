@@ -28,8 +28,8 @@ from isogi_core.model.volume import Isovalue, Volume, make_volume
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene, make_field
-from isogi_report.bake import NEVER, ViewBake
-from isogi_report.bench import MEMORY
+from isogi_report.bake import UNREACHED_TARGET, ViewBake
+from isogi_report.bench import BENCH_CACHE_BYTES
 from isogi_report.metrics import luminance
 from tests.loaded import load_scene
 from tests.stability.volumes import Specimen, ball, body, grid, ramp
@@ -109,7 +109,7 @@ def view_of(scene: Scene, size: int, **settings: Any) -> View:
 def renderer_of(scene: Scene) -> Iterator[Renderer]:
     """A renderer of a scene, without light."""
     with closing(Tiles()) as tiles, TemporaryDirectory(ignore_cleanup_errors=True) as folder:  # stamps of use come late
-        yield Renderer(Caches(PreparedScene(scene), Path(folder), MEMORY), tiles)
+        yield Renderer(Caches(PreparedScene(scene), Path(folder), BENCH_CACHE_BYTES), tiles)
 
 
 @contextmanager
@@ -127,7 +127,7 @@ def frame_of(scene: Scene, view: View, samples: int | None = None) -> Frame:
     with view_bake(scene, view) as bake:
         if not len(bake.texels):
             return bake.renderer.render(view)
-        bake.grow(samples or most_samples(scene.target_error), NEVER if samples else scene.target_error)
+        bake.grow(samples or most_samples(scene.target_error), UNREACHED_TARGET if samples else scene.target_error)
         return bake.frame()
 
 

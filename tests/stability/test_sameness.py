@@ -32,7 +32,7 @@ from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.runs import Run, serially
 from isogi_core.storage.url import StoreUrl
-from isogi_report.bake import NEVER
+from isogi_report.bake import UNREACHED_TARGET
 from isogi_report.speed import bake_chunks, wanted_of
 from tests.loaded import load_scene
 from tests.stability.scenes import view_of
@@ -229,9 +229,9 @@ def test_pictures_do_not_depend_on_the_empty_space_skipped(shading: str) -> None
 
 def baked_here(renderer: Renderer, view: View, samples: int) -> Frame:
     """The frame of a view whose light is baked by the renderer's own recipe, with so many samples each texel."""
-    if wanted := wanted_of(renderer.render(view, NEVER)):
+    if wanted := wanted_of(renderer.render(view, UNREACHED_TARGET)):
         bake_chunks(renderer, view.shading, wanted, samples)
-    return renderer.render(view, NEVER)
+    return renderer.render(view, UNREACHED_TARGET)
 
 
 def test_a_bake_that_was_stopped_goes_on_to_the_same_picture() -> None:

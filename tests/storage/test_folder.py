@@ -14,9 +14,9 @@ import pytest
 
 from isogi_core.errors import StoreError, StoreFullError
 from isogi_core.storage import folder as folder_module
-from isogi_core.storage.atomic_file import PARTIAL, write_whole
+from isogi_core.storage.atomic_file import PARTIAL_SUFFIX, write_whole
 from isogi_core.storage.backend import StoredObject
-from isogi_core.storage.store import SENTINEL, Store
+from isogi_core.storage.store import SENTINEL_KEY, Store
 
 KEY, OTHER = "layer/c/0/0/0/0", "layer/c/0/0/1/0"
 OLD, NEW = b"old light", b"new light"
@@ -106,7 +106,7 @@ def test_a_write_that_fails_at_any_step_changes_nothing(
 @pytest.mark.parametrize("key", [KEY, OTHER])
 def test_a_writer_that_is_killed_leaves_objects_whole(store: Store, key: str, moment: str) -> None:
     """Before it renames the file and while it has the lock, or right after."""
-    code = [sys.executable, "-c", DIES, str(store.url), SENTINEL, key, moment]
+    code = [sys.executable, "-c", DIES, str(store.url), SENTINEL_KEY, key, moment]
     assert subprocess.run(code, check=False).returncode == -signal.SIGKILL
     again = Store(store.url, make=False)
     former = StoredObject(OLD) if key == KEY else None
@@ -114,7 +114,7 @@ def test_a_writer_that_is_killed_leaves_objects_whole(store: Store, key: str, mo
     assert found == (former if moment == "replace" else StoredObject(NEW))
     assert again.get(KEY) == (found if key == KEY else StoredObject(OLD))
     assert sorted(again.keys("layer")) == sorted({KEY} | ({key} if found else set()))
-    halves = [name for name in files(again) if name.endswith(PARTIAL)]
+    halves = [name for name in files(again) if name.endswith(PARTIAL_SUFFIX)]
     assert len(halves) == (moment == "replace"), "what is left of it is listed, to be cleaned up"
     again.put(key, b"newer light", found)
     assert again.get(key) == StoredObject(b"newer light")
@@ -137,7 +137,7 @@ def test_who_deletes_the_last_of_a_folder_hinders_no_writer(store: Store) -> Non
     finally:
         stopped.set()
         deleting.join()
-    assert files(store) == [SENTINEL, KEY]
+    assert files(store) == [SENTINEL_KEY, KEY]
 
 
 def test_a_writer_makes_the_folder_again_that_went(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,7 +24,7 @@ from isogi_core.errors import (
 )
 from isogi_core.storage.backend import StoredObject
 from isogi_core.storage.local_copies import Copies
-from isogi_core.storage.store import CHECKED, CONTENT, SENTINEL, Store
+from isogi_core.storage.store import CHECKED, SENTINEL_CONTENT, SENTINEL_KEY, Store
 from isogi_core.storage.url import StoreUrl
 from tests.s3 import ACCESS_KEY, SECRET_KEY, Fault, S3Server
 from tests.worker.clock import Clock
@@ -122,7 +122,7 @@ def test_a_moved_object_is_under_its_new_name_alone(location: str) -> None:
     store.move(KEY, "aside/0")
     store.move(OTHER, "aside/1")
     assert store.get("aside/0") == StoredObject(b"more") and store.get("aside/1") is None
-    assert {entry.key: entry.size for entry in store.entries()} == {"aside/0": 4, SENTINEL: len(CONTENT)}
+    assert {entry.key: entry.size for entry in store.entries()} == {"aside/0": 4, SENTINEL_KEY: len(SENTINEL_CONTENT)}
 
 
 # --- the sentinel -------------------------------------------------------------------------------------------------
@@ -132,8 +132,8 @@ def test_a_new_store_gets_a_sentinel(location: str) -> None:
     with pytest.raises(StoreAwayError, match="is gone"):
         Store(location, make=False).open()
     Store(location).open()
-    assert Store(location, make=False).get(SENTINEL) == StoredObject(CONTENT)
-    assert json.loads(CONTENT) == {"kind": "isogi light", "format": 1}
+    assert Store(location, make=False).get(SENTINEL_KEY) == StoredObject(SENTINEL_CONTENT)
+    assert json.loads(SENTINEL_CONTENT) == {"kind": "isogi light", "format": 1}
 
 
 def test_many_who_open_a_new_store_at_once_agree(location: str) -> None:
@@ -150,7 +150,7 @@ def test_many_who_open_a_new_store_at_once_agree(location: str) -> None:
         opener.start()
     for opener in openers:
         opener.join()
-    assert Store(location, make=False).get(SENTINEL) == StoredObject(CONTENT)
+    assert Store(location, make=False).get(SENTINEL_KEY) == StoredObject(SENTINEL_CONTENT)
     assert len(list(Store(location, make=False).keys("layer"))) == len(stores), "no light of theirs is lost"
 
 
@@ -161,7 +161,7 @@ def test_many_who_open_a_new_store_at_once_agree(location: str) -> None:
 def test_a_store_of_another_format_is_refused(location: str, sentinel: bytes, raised: str) -> None:
     first = Store(location)
     first.put(KEY, b"light", None)
-    first.put(SENTINEL, sentinel, first.get(SENTINEL))
+    first.put(SENTINEL_KEY, sentinel, first.get(SENTINEL_KEY))
     for use in (
         lambda r: r.open(),
         lambda r: r.get(KEY),
@@ -179,7 +179,7 @@ def test_missing_objects_of_a_dead_store_are_not_absent(location: str) -> None:
     assert store.get(OTHER) is None
     other = Store(location, clock=clock)
     other.delete(KEY)
-    other.delete(SENTINEL)
+    other.delete(SENTINEL_KEY)
     assert store.get(OTHER) is None, "believed for a moment"
     clock.now += CHECKED
     for use in (
@@ -201,7 +201,7 @@ def test_a_file_system_without_hard_links_is_one_too(tmp_path: Path, monkeypatch
 
     monkeypatch.setattr("os.link", refuse)
     Store(tmp_path).put(KEY, b"light", None)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [SENTINEL, "layer"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [SENTINEL_KEY, "layer"]
 
 
 def test_a_folder_that_was_unmounted_is_not_baked_into(tmp_path: Path) -> None:
@@ -223,7 +223,7 @@ def test_absent_objects_do_not_read_the_sentinel_each_time(s3: S3Server) -> None
     assert methods(s3) == [f"GET {OTHER}"] * 3
     store._clock.now += CHECKED  # type: ignore[attr-defined]
     assert store.get(OTHER) is None
-    assert methods(s3)[3:] == [f"GET {OTHER}", f"GET {SENTINEL}"]
+    assert methods(s3)[3:] == [f"GET {OTHER}", f"GET {SENTINEL_KEY}"]
 
 
 @pytest.mark.parametrize("fault", [500, 503, 403, "hang", "short", "drop", "no-bucket"])
@@ -237,7 +237,7 @@ def test_a_store_that_fails_is_away_and_is_let_alone_for_a_while(s3: S3Server, f
             store.get(OTHER)
         assert str(raised.value).endswith(".") and "\n" not in str(raised.value)
         assert not {ACCESS_KEY, SECRET_KEY} & set(str(raised.value).replace("=", " ").split())
-    assert methods(s3) == [f"GET {OTHER}", f"GET {SENTINEL}"]
+    assert methods(s3) == [f"GET {OTHER}", f"GET {SENTINEL_KEY}"]
     s3.fault = lambda call: None
     clock.now += CHECKED
     assert store.get(KEY) == StoredObject(b"light")
@@ -273,7 +273,7 @@ def test_a_call_is_tried_again_so_often_and_no_more(s3: S3Server) -> None:
     s3.fault = lambda call: 500
     with pytest.raises(StoreAwayError):
         store.get(KEY)
-    assert methods(s3)[3:] == [f"GET {KEY}"] * 3 + [f"GET {SENTINEL}"] * 3
+    assert methods(s3)[3:] == [f"GET {KEY}"] * 3 + [f"GET {SENTINEL_KEY}"] * 3
 
 
 def test_a_wrong_access_key_is_refused_and_not_repeated(s3: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -398,7 +398,7 @@ def test_objects_read_again_are_not_sent_again(s3: S3Server, copied: Store, tmp_
     assert [store.view(KEY) for store in (copied, copied)] == [b"light"] * 2
     assert s3.sent == sent, "told that it still stands"
     assert again.view(KEY) == b"light"
-    assert s3.sent == sent + len(CONTENT), "another process asks for the sentinel"
+    assert s3.sent == sent + len(SENTINEL_CONTENT), "another process asks for the sentinel"
 
 
 def test_another_machines_writes_are_seen_at_once(s3: S3Server, copied: Store) -> None:

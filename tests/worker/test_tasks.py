@@ -19,7 +19,7 @@ from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, 
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_core.storage.store import SENTINEL, Store
+from isogi_core.storage.store import SENTINEL_KEY, Store
 from isogi_core.storage.url import StoreUrl
 from worker.kernels import KINDS, bake_kernels
 from worker.tasks import (
@@ -260,7 +260,7 @@ def test_a_scene_whose_files_changed_is_refused(tmp_path: Path) -> None:
     task = BakeTask(SCENE.source, SPEC.plan, "0" * 20, made(tmp_path), INDEX, TEXELS, SEEN, 16, 0.05)
     with pytest.raises(SceneError, match=r"'orbital' have changed since the server began: restart it\.$"):
         bake(task)
-    assert [path.name for path in tmp_path.iterdir()] == [SENTINEL]
+    assert [path.name for path in tmp_path.iterdir()] == [SENTINEL_KEY]
 
 
 def test_a_store_that_no_server_has_made_is_away(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from isogi_core.bake.precision import VOID
 from isogi_core.cache.chunk_record import LayerFacts, facts_in, find_anomaly, unpack
-from isogi_core.cache.inventory import QUARANTINE, Inventory, inventory_of
+from isogi_core.cache.inventory import QUARANTINE_FOLDER, Inventory, inventory_of
 from isogi_core.errors import DamagedChunkError
 from isogi_core.model.value_survey import Progress, no_progress
 from isogi_core.prepared.prepared_scene import Index
@@ -20,7 +20,7 @@ from isogi_core.storage.backend import Entry
 from isogi_core.storage.store import Store
 from isogi_core.storage.zarr_codec import unwrap
 
-READERS = 8
+AUDIT_READERS = 8
 """Objects that are read at once, as a remote store answers many at a time."""
 
 LEFT_AFTER = 60.0
@@ -71,7 +71,7 @@ class Auditor:
         chunks, done = shared_chunks(audit), 0
         total = sum(len(each.objects) for each in chunks)
         progress(done, total)
-        with ThreadPoolExecutor(READERS) as pool:
+        with ThreadPoolExecutor(AUDIT_READERS) as pool:
             for each, damages in zip(chunks, pool.map(lambda each: self.check(each, audit), chunks), strict=True):
                 done += len(each.objects)
                 audit.damages += damages
@@ -181,5 +181,5 @@ class Repairer:
             self._moved[damage.key] = None
             self.store.delete(damage.key)
             return
-        to = self._moved[damage.key] = f"{QUARANTINE}/{damage.key}.{sha256(content).hexdigest()[:8]}"
+        to = self._moved[damage.key] = f"{QUARANTINE_FOLDER}/{damage.key}.{sha256(content).hexdigest()[:8]}"
         self.store.move(damage.key, to)

@@ -14,7 +14,7 @@ from isogi_core.bake.texel_light import Part
 from isogi_core.cache.chunk_record import LayerFacts, facts_in, unpack
 from isogi_core.cache.costs import Cost
 from isogi_core.cache.inventory import Inventory, LayerFiles, inventory_of
-from isogi_core.cache.upkeep.audit import READERS
+from isogi_core.cache.upkeep.audit import AUDIT_READERS
 from isogi_core.errors import DamagedChunkError
 from isogi_core.model.value_survey import Progress, digest_of, no_progress
 from isogi_core.storage.store import Store
@@ -82,7 +82,7 @@ def each_layer(store: Store, inventory: Inventory) -> list[tuple[str, Count]]:
 def count_texels(store: Store, counts: Sequence[Count], progress: Progress) -> None:
     """Read all chunks, and count their texels."""
     chunks = [(count, index) for count in counts for index in count.files.chunks]
-    with ThreadPoolExecutor(READERS) as pool:
+    with ThreadPoolExecutor(AUDIT_READERS) as pool:
         found = pool.map(lambda chunk: samples_in(store, *chunk), chunks)
         for number, ((count, _), samples) in enumerate(zip(chunks, found, strict=True), 1):
             count.damaged += samples is None

@@ -12,7 +12,7 @@ from isogi_core.model.value_survey import digest_of
 from isogi_core.storage.backend import Entry
 from isogi_core.storage.store import Store
 
-BUSY = 60.0
+BUSY_SECONDS = 60.0
 """Seconds since its last write for which a layer counts as being written to."""
 
 
@@ -48,7 +48,7 @@ def plan_prune(census: Census, rule: PruneRule, now: float) -> PrunePlan:
     if any(math.isnan(count.files.used) for count in counts):
         raise StoreError("This store does not know when its objects were written: name the scene whose light goes.")
     wanted = chosen([count for count in counts if named(count, rule.scene)], rule, now)
-    busy = [count for count in wanted if now - newest(count.files) <= BUSY]
+    busy = [count for count in wanted if now - newest(count.files) <= BUSY_SECONDS]
     return PrunePlan(tuple(count for count in wanted if count not in busy), tuple(busy))
 
 

@@ -12,12 +12,12 @@ from typing import Any
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.nifti import field_slabs, frame_of, image_beside, scaling_of
 from isogi_core.files.formats.source import Source, library, reading
-from isogi_core.files.grid import PATIENT, Affine, Grid, Shape, read_as
+from isogi_core.files.grid import PATIENT_AXES, Affine, Grid, Shape, read_as
 from isogi_core.files.packing import Scaling
 
 MGH, MGH_SUFFIXES = b"\0\0\0\1", (".mgh", ".mgz")
 
-ANALYZE, REGULAR = 348, slice(38, 39)
+ANALYZE_HEADER_BYTES, REGULAR_MARK = 348, slice(38, 39)
 """The size of Analyze's header, its first number, and where most of its files have an r."""
 
 NO_SIDES = "Analyze does not say where left is: x is taken to go to the patient's left, as SPM does."
@@ -30,8 +30,8 @@ def is_mgh(head: bytes, suffix: str) -> bool:
 
 def is_analyze(head: bytes, suffix: str) -> bool:
     """Whether a file begins as Analyze does, and is named so or has its r; NIfTI begins so, too, and has a mark."""
-    sized = ANALYZE in (int.from_bytes(head[:4], order) for order in ("little", "big"))
-    return sized and (head[REGULAR] == b"r" or suffix in (".hdr", ".gz"))
+    sized = ANALYZE_HEADER_BYTES in (int.from_bytes(head[:4], order) for order in ("little", "big"))
+    return sized and (head[REGULAR_MARK] == b"r" or suffix in (".hdr", ".gz"))
 
 
 def open_mgh(source: Source) -> Grid:
@@ -55,7 +55,7 @@ def open_analyze(source: Source) -> Grid:
     return replace(grid, notes=(*grid.notes, NO_SIDES, *lost))
 
 
-BRICKS = re.compile(r"\.(?:HEAD|BRIK)(\.gz|\.bz2)?$")
+AFNI_ENDINGS = re.compile(r"\.(?:HEAD|BRIK)(\.gz|\.bz2)?$")
 """How the names of AFNI's pairs end: the header's, and the voxels'."""
 
 
@@ -66,7 +66,7 @@ def is_afni(head: bytes, suffix: str) -> bool:
 
 def afni_header(path: Path) -> Path | None:
     """The header of AFNI's voxels; None where a file is none, or has no header beside it."""
-    header = path.with_name(BRICKS.sub(".HEAD", path.name))
+    header = path.with_name(AFNI_ENDINGS.sub(".HEAD", path.name))
     return header if ".BRIK" in path.name and header != path and header.is_file() else None
 
 
@@ -76,7 +76,7 @@ def open_afni(source: Source) -> Grid:
         one = "save both as one .nii file, by 3dAFNItoNIFTI"
         raise VolumeError(f"'{source.name}' is a header whose voxels are in another file: {one}.")
     kind = library("nibabel.brikhead", "AFNI").AFNIHeader
-    names = [BRICKS.sub(f".BRIK{packed}", source.path.name) for packed in ("", ".gz", ".bz2")]
+    names = [AFNI_ENDINGS.sub(f".BRIK{packed}", source.path.name) for packed in ("", ".gz", ".bz2")]
     voxels = next((found for name in names if (found := source.path.with_name(name)).is_file()), None)
     if voxels is None:
         raise VolumeError(f"'{source.name}' is a header, and '{names[0]}' with its voxels is not beside it.")
@@ -103,7 +103,7 @@ def _opened(
         first, field = int(header.get_data_offset()), time + times * channel
         start = first + field * nx * ny * nz * dtype.itemsize
         scaling = scalings[field] if scalings else scaling_of(header)
-        affine = Affine.of(header.get_affine() if kind == "AFNI" else header.get_best_affine(), PATIENT)
+        affine = Affine.of(header.get_affine() if kind == "AFNI" else header.get_best_affine(), PATIENT_AXES)
         x, y, z = (abs(float(step)) for step in header.get_zooms()[:3])
     others = [voxels.path] if voxels.path is not None and voxels.path != source.path else []
     slabs = partial(field_slabs, voxels, start, (nz, ny, nx), dtype, scaling)

@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.dicom_segments import TAGS, is_segmentation, numbered, overlaid, segment_in, segments_of
+from isogi_core.files.formats.dicom_segments import SEGMENT_TAGS, is_segmentation, numbered, overlaid, segment_in, segments_of
 from isogi_core.files.formats.dicom_stack import Slice, stack_of
-from isogi_core.files.formats.source import COLOURS, Source, library, line_of, luminance, pick, reading
-from isogi_core.files.grid import PATIENT, Affine, Grid, read_as
-from isogi_core.files.packed_files import BLOCK
+from isogi_core.files.formats.source import LUMINANCE_NOTE, Source, library, line_of, luminance, pick, reading
+from isogi_core.files.grid import PATIENT_AXES, Affine, Grid, read_as
+from isogi_core.files.packed_files import READ_BYTES
 from isogi_core.files.packing import Packing, Scaling, holed
 from isogi_core.files.regular import open_regular
 from isogi_core.files.zarr_location import stamp_of
 
-PLUGINS = {"JPEG-LS": "pyjpegls", "JPEG 2000": "pylibjpeg pylibjpeg-openjpeg", "JPEG": "python-gdcm"}
+DECODER_PACKAGES = {"JPEG-LS": "pyjpegls", "JPEG 2000": "pylibjpeg pylibjpeg-openjpeg", "JPEG": "python-gdcm"}
 """What to install for pixels packed in some way, by a part of its name; all under free licences without conditions."""
 
-LPS = np.diag([-1.0, -1.0, 1.0])
+DICOM_TO_RAS = np.diag([-1.0, -1.0, 1.0])
 """From a patient's left, posterior, superior, which DICOM means, to right, anterior, superior."""
 
 HEADER_TAGS = (
@@ -32,12 +32,12 @@ HEADER_TAGS = (
     *("BitsStored", "HighBit", "PixelRepresentation", "RescaleSlope", "RescaleIntercept"),
     *("PerFrameFunctionalGroupsSequence", "SharedFunctionalGroupsSequence", "TransferSyntaxUID"),
     *("FloatPixelData", "DoubleFloatPixelData", "GridFrameOffsetVector", "DoseGridScaling"),
-    *TAGS,
+    *SEGMENT_TAGS,
     *(f"{kind}PixelPadding{end}" for kind in ("", "Float", "DoubleFloat") for end in ("Value", "RangeLimit")),
 )
 
 
-DEFLATED, META, START = b"1.2.840.10008.1.2.1.99", 1 << 20, 144
+DEFLATED_SYNTAX, META_BYTES, META_START = b"1.2.840.10008.1.2.1.99", 1 << 20, 144
 """The transfer syntax of deflated data, bytes within which a file names it, and the byte after its length."""
 
 
@@ -88,11 +88,11 @@ def open_dicom(source: Source) -> Grid:
             raise VolumeError(f"'{source.name}' holds colours of a palette: save its values.")
         labels = segments_of(first) if segmented else None
     dtype = np.dtype(np.uint16) if segmented else _value_type(packings, coloured or stack.between)
-    affine = Affine.of(LPS @ stack.affine, PATIENT) if stack.affine is not None else None
+    affine = Affine.of(DICOM_TO_RAS @ stack.affine, PATIENT_AXES) if stack.affine is not None else None
     shape = (len(stack.layers), int(first.Rows), int(first.Columns))
     layers = partial(_layers, source, stack.layers, shape, dtype)
     files = sorted({path for path, _ in chosen if path is not None})
-    notes = (*notes, *((COLOURS,) if coloured else slices[0].packing.notes))
+    notes = (*notes, *((LUMINANCE_NOTE,) if coloured else slices[0].packing.notes))
     stamp = partial(_stamp, source, files)
     placed = "its slices' positions" if affine is not None else "its slices' numbers"
     known = slices[0].packing.read_as("DICOM segmentation" if segmented else "DICOM", placed)
@@ -111,13 +111,13 @@ def _check_inflated(source: Source) -> None:
     if source.path is not None:
         return
     with source.open() as file:
-        head = file.read(META)
-        if DEFLATED not in head:
+        head = file.read(META_BYTES)
+        if DEFLATED_SYNTAX not in head:
             return
-        file.seek(START + int.from_bytes(head[START - 4 : START], "little"))
-        inflater, left = zlib.decompressobj(-zlib.MAX_WBITS), 4 * source.voxels + META
-        while left > 0 and not inflater.eof and (data := inflater.unconsumed_tail or file.read(BLOCK)):
-            left -= len(inflater.decompress(data, BLOCK))
+        file.seek(META_START + int.from_bytes(head[META_START - 4 : META_START], "little"))
+        inflater, left = zlib.decompressobj(-zlib.MAX_WBITS), 4 * source.voxels + META_BYTES
+        while left > 0 and not inflater.eof and (data := inflater.unconsumed_tail or file.read(READ_BYTES)):
+            left -= len(inflater.decompress(data, READ_BYTES))
     if left <= 0:
         raise VolumeError(f"'{source.name}' inflates to more than {4 * source.voxels} bytes: save a smaller part.")
 
@@ -330,7 +330,7 @@ class Frames:
             syntax = data.file_meta.TransferSyntaxUID
             if syntax.is_compressed and "plugin" in str(error):
                 needed = f"The pixels of '{self._source.name}' are packed as {syntax.name}"
-                plugin = next((each for part, each in PLUGINS.items() if part in syntax.name), "python-gdcm")
+                plugin = next((each for part, each in DECODER_PACKAGES.items() if part in syntax.name), "python-gdcm")
                 raise VolumeError(f"{needed}, which needs: pip install {plugin}.") from error
             raise VolumeError(f"The pixels of '{self._source.name}' cannot be decoded ({line_of(error)}).") from error
 

@@ -12,7 +12,7 @@ import numpy as np
 from isogi_core.files.formats.dicom_stack import Slice
 from isogi_core.files.grid import LabelName
 
-TAGS = ("SegmentSequence", "SegmentationType", "MaximumFractionalValue")
+SEGMENT_TAGS = ("SegmentSequence", "SegmentationType", "MaximumFractionalValue")
 """What is read of a header besides that of other images."""
 
 TO_RED_GREEN_BLUE = np.array(
@@ -24,7 +24,7 @@ TO_RED_GREEN_BLUE = np.array(
 )
 """From XYZ under D50 to linear sRGB, adapted by Bradford's method. Source: Lindbloom, brucelindbloom.com."""
 
-WHITE = np.array([0.96422, 1.0, 0.82521])
+D50_WHITE = np.array([0.96422, 1.0, 0.82521])
 """XYZ of D50."""
 
 
@@ -50,7 +50,7 @@ def _hex(lab: Any) -> str:
     lightness, a, b = np.array(lab, float) / 65535.0 * (100.0, 255.0, 255.0) - (0.0, 128.0, 128.0)
     y = (lightness + 16.0) / 116.0
     curve = np.array([y + a / 500.0, y, y - b / 200.0])
-    xyz = WHITE * np.where(curve > 6.0 / 29.0, curve**3, 3.0 * (6.0 / 29.0) ** 2 * (curve - 4.0 / 29.0))
+    xyz = D50_WHITE * np.where(curve > 6.0 / 29.0, curve**3, 3.0 * (6.0 / 29.0) ** 2 * (curve - 4.0 / 29.0))
     linear = np.clip(TO_RED_GREEN_BLUE @ xyz, 0.0, 1.0)
     coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     return "#" + np.rint(255.0 * coded).astype(np.uint8).tobytes().hex()

@@ -22,16 +22,16 @@ from isogi_core.files.formats.source import (
     reading,
 )
 from isogi_core.files.grid import Affine, Grid, layers_of
-from isogi_core.files.packing import ATTRIBUTES, Packing, climate_packing
+from isogi_core.files.packing import PACKING_ATTRIBUTES, Packing, climate_packing
 
-MAGIC = b"\x89HDF\r\n\x1a\n"
+HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 EVEN_STEP_SHARE = 1e-3
 """Largest part of a step by which a coordinate may stray for its axis to be even."""
 
-MINC = "The file is MINC: the scaling of its slices, and where it lies, are read of files named .mnc alone."
+MINC_NOTE = "The file is MINC: the scaling of its slices, and where it lies, are read of files named .mnc alone."
 
-MICROMETRES = "element_size_um"
+MICROMETRES_ATTRIBUTE = "element_size_um"
 """The attribute by which microscopists' tools give spacing, z first."""
 
 
@@ -50,18 +50,18 @@ def open_hdf5(source: Source) -> Grid:
         source.check(shape)
         moment = moment_of(source, data.shape[:-3], picked)
         first = is_unchosen(source, data.shape, in_time)
-        minc = (MINC,) if "minc-2.0" in data.file else ()
+        minc = (MINC_NOTE,) if "minc-2.0" in data.file else ()
         packing = climate_packing(_climate(data), data.dtype, data.fillvalue)
         spacing, affine, unit, notes = _place(data, shape)
     slabs = partial(_slabs, source, picked, packing)
     notes = (*packing.notes, *minc, *layered(stacked), *notes)
     stamp = partial(source.stamp, *others)
-    placed = "the coordinates of its axes" if affine else f"'{MICROMETRES}'" if unit else ""
+    placed = "the coordinates of its axes" if affine else f"'{MICROMETRES_ATTRIBUTE}'" if unit else ""
     facts = spacing, slabs, stamp, affine, unit, notes, moment, first
     return Grid(shape, packing.dtype, *facts, read_as=packing.read_as("HDF5", placed))
 
 
-FILTERS = {
+HDF5_FILTERS = {
     **{307: "bzip2", 32001: "Blosc", 32004: "LZ4", 32008: "Bitshuffle", 32013: "ZFP", 32015: "Zstandard"},
     **{32017: "SZ", 32018: "FCIDECOMP", 32023: "Sperr", 32024: "SZ3", 32026: "Blosc2"},
 }
@@ -76,7 +76,7 @@ def _check_filters(source: Source, data: Any) -> None:
     if not all(map(h5z.filter_avail, numbers)):
         with suppress(ImportError):
             import_module("hdf5plugin")
-    lacking = [FILTERS.get(number, f"filter {number}") for number in numbers if not h5z.filter_avail(number)]
+    lacking = [HDF5_FILTERS.get(number, f"filter {number}") for number in numbers if not h5z.filter_avail(number)]
     if lacking:
         needed = f"The voxels of '{source.name}#{data.name.strip('/')}' are packed by {' and '.join(lacking)}"
         raise VolumeError(f"{needed}, which is not installed: pip install hdf5plugin.")
@@ -153,7 +153,7 @@ def unchosen(source: Source, names: Sequence[str]) -> VolumeError:
 
 def _climate(data: Any) -> dict[str, Any]:
     """The attributes of a dataset that are of CF's vocabulary; others may be of types that h5py cannot read."""
-    return {name: data.attrs[name] for name in ATTRIBUTES if name in data.attrs}
+    return {name: data.attrs[name] for name in PACKING_ATTRIBUTES if name in data.attrs}
 
 
 def _slabs(source: Source, picked: tuple[int, ...], packing: Packing) -> Iterator[np.ndarray]:
@@ -171,8 +171,8 @@ Place = tuple[tuple[float, float, float], Affine | None, str, tuple[str, ...]]
 
 def _place(data: Any, shape: tuple[int, ...]) -> Place:
     """Spacing, affine, unit and notes of a dataset: by its own attribute, or by the coordinates of its dimensions."""
-    if MICROMETRES in data.attrs and len(np.ravel(data.attrs[MICROMETRES])) == 3:
-        z, y, x = (float(step) for step in data.attrs[MICROMETRES])
+    if MICROMETRES_ATTRIBUTE in data.attrs and len(np.ravel(data.attrs[MICROMETRES_ATTRIBUTE])) == 3:
+        z, y, x = (float(step) for step in data.attrs[MICROMETRES_ATTRIBUTE])
         return (x, y, z), None, "µm", ()
     return place_by([_coordinates(data, data.ndim - 1 - axis) for axis in range(3)])
 

@@ -8,15 +8,15 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick, pick_step, reading
-from isogi_core.files.grid import ALONE, PATIENT, Affine, Grid, layers_of, read_as
+from isogi_core.files.grid import SINGLE_MOMENT, PATIENT_AXES, Affine, Grid, layers_of, read_as
 
-SUFFIXES = (".mha", ".mhd", ".vtk", ".gipl", ".hdr", ".img")
-LPS = np.diag([-1.0, -1.0, 1.0])
+ITK_SUFFIXES = (".mha", ".mhd", ".vtk", ".gipl", ".hdr", ".img")
+ITK_TO_RAS = np.diag([-1.0, -1.0, 1.0])
 """From a patient's left, posterior, superior, which ITK means, to right, anterior, superior."""
 
-KINDS = {".mha": "MetaImage", ".mhd": "MetaImage", ".vtk": "legacy VTK", ".gipl": "GIPL"}
+ITK_KINDS = {".mha": "MetaImage", ".mhd": "MetaImage", ".vtk": "legacy VTK", ".gipl": "GIPL"}
 
-ANATOMICAL = (".mha", ".mhd", ".gipl")
+ANATOMICAL_SUFFIXES = (".mha", ".mhd", ".gipl")
 
 
 def open_itk(source: Source) -> Grid:
@@ -38,14 +38,14 @@ def open_itk(source: Source) -> Grid:
         steps = np.array(reader.GetSpacing()[:3])
         direction = np.array(reader.GetDirection()).reshape(len(size), len(size))[:3, :3]
         origin = np.array(reader.GetOrigin()[:3])
-    anatomical = source.path.suffix.lower() in ANATOMICAL
+    anatomical = source.path.suffix.lower() in ANATOMICAL_SUFFIXES
     affine = np.column_stack([direction * steps, origin])
-    placed = Affine.of(LPS @ affine, PATIENT) if anatomical else Affine.of(affine)
+    placed = Affine.of(ITK_TO_RAS @ affine, PATIENT_AXES) if anatomical else Affine.of(affine)
     spacing = (float(steps[0]), float(steps[1]), float(steps[2]))
     slabs = partial(_slabs, source, (time, channel), (nz, ny, nx), dtype.itemsize)
-    unit, moment = "mm" if anatomical else "", ALONE if time is None else (time, int(size[3]))
+    unit, moment = "mm" if anatomical else "", SINGLE_MOMENT if time is None else (time, int(size[3]))
     stamp = partial(source.stamp, *_data_files(source))
-    known = read_as(f"{KINDS.get(source.path.suffix.lower(), 'an image of ITK')}", dtype, "its directions and origin")
+    known = read_as(f"{ITK_KINDS.get(source.path.suffix.lower(), 'an image of ITK')}", dtype, "its directions and origin")
     return Grid(
         (nz, ny, nx), dtype, spacing, slabs, stamp, placed, unit, moment=moment, unchosen=unchosen, read_as=known
     )

@@ -9,17 +9,17 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick_step, reading
-from isogi_core.files.grid import ALONE, PATIENT, Affine, Grid, Shape, layers_of, read_as
+from isogi_core.files.grid import SINGLE_MOMENT, PATIENT_AXES, Affine, Grid, Shape, layers_of, read_as
 
-CLASSIC, HDF5, SUFFIX = b"CDF", b"\x89HDF", ".mnc"
+MINC1_MAGIC, MINC2_MAGIC, MINC_SUFFIX = b"CDF", b"\x89HDF", ".mnc"
 """How MINC 1 and MINC 2 begin, as other files do, too, and how both are named."""
 
-SCALED = "MINC, each slice of a slope of its own,"
+SCALED_SLICES = "MINC, each slice of a slope of its own,"
 
 
 def is_minc(head: bytes, suffix: str) -> bool:
     """Whether a file begins as MINC does, and is named so."""
-    return suffix == SUFFIX and head.startswith((CLASSIC, HDF5))
+    return suffix == MINC_SUFFIX and head.startswith((MINC1_MAGIC, MINC2_MAGIC))
 
 
 def open_minc(source: Source) -> Grid:
@@ -44,11 +44,11 @@ def open_minc(source: Source) -> Grid:
         (x, y, z),
         partial(_slabs, source, picked, shape[-3:], dtype),
         source.stamp,
-        Affine.of(matrix, PATIENT),
+        Affine.of(matrix, PATIENT_AXES),
         "mm",
-        moment=(time, times) if times > 1 else ALONE,
+        moment=(time, times) if times > 1 else SINGLE_MOMENT,
         unchosen=unchosen,
-        read_as=read_as("MINC" if stored.kind == "f" else SCALED, stored, "its dimensions"),
+        read_as=read_as("MINC" if stored.kind == "f" else SCALED_SLICES, stored, "its dimensions"),
     )
 
 
@@ -56,9 +56,9 @@ def open_minc(source: Source) -> Grid:
 def _image(source: Source) -> Iterator[Any]:
     """What nibabel makes of the file."""
     with source.open() as file:
-        begins = file.read(len(CLASSIC))
+        begins = file.read(len(MINC1_MAGIC))
         file.seek(0)
-        if begins == CLASSIC:
+        if begins == MINC1_MAGIC:
             classic = library("nibabel.externals.netcdf", "MINC").netcdf_file(file, mmap=False)
             yield library("nibabel.minc1", "MINC").Minc1File(classic)
             return

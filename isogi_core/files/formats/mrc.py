@@ -11,7 +11,7 @@ from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick, raw_slabs, reading
 from isogi_core.files.grid import Affine, Grid, read_as
 
-HEADER, EXTENDED = 1024, 92
+MRC_HEADER_BYTES, EXTENDED_SIZE_BYTE = 1024, 92
 """Bytes of a header, and the byte from which on it says how long the extended header is."""
 
 
@@ -33,7 +33,7 @@ def open_mrc(source: Source) -> Grid:
         dtype, notes = _dtype(header)
         volumes = _volumes(header, shape[0])
         time = pick(source, "time", volumes, "volumes")
-        first = HEADER + extended
+        first = MRC_HEADER_BYTES + extended
         notes = (*notes, *source.cut_notes(first + math.prod(shape) * dtype.itemsize))
         shape = (shape[0] // volumes, *shape[1:])
         start = first + time * math.prod(shape) * dtype.itemsize
@@ -57,17 +57,17 @@ def _header(source: Source) -> Any:
     """The header, without the extended one: mrcfile would take as much memory for that as the header says."""
     interpreter = library("mrcfile.mrcinterpreter", "MRC").MrcInterpreter
     with source.unpacked() as file:
-        head = file.read(HEADER)
-    bare = head[:EXTENDED] + bytes(4) + head[EXTENDED + 4 :]
+        head = file.read(MRC_HEADER_BYTES)
+    bare = head[:EXTENDED_SIZE_BYTE] + bytes(4) + head[EXTENDED_SIZE_BYTE + 4 :]
     header = interpreter(iostream=BytesIO(bare), permissive=True, header_only=True).header.copy()
-    header["nsymbt"] = np.frombuffer(head, header["nsymbt"].dtype, 1, EXTENDED)[0]
+    header["nsymbt"] = np.frombuffer(head, header["nsymbt"].dtype, 1, EXTENDED_SIZE_BYTE)[0]
     return header
 
 
-STAMP, FLAGS, SIGNED = 152, 156, 1
+IMOD_MARK_BYTE, IMOD_FLAGS_BYTE, SIGNED_BYTES_FLAG = 152, 156, 1
 """Bytes of the header where IMOD writes its mark and its flags, and the flag of bytes with a sign."""
 
-IMOD = 1146047817
+IMOD_MARK = 1146047817
 """IMOD's mark. Source: IMOD's description of the MRC format, "The MRC File Header"."""
 
 BY_IMOD = "as IMOD's flag in the file says."
@@ -80,9 +80,9 @@ def _dtype(header: Any) -> tuple[np.dtype[Any], tuple[str, ...]]:
     if dtype != np.int8:
         return dtype, ()
     order = np.dtype(np.uint32).newbyteorder(header["mode"].dtype.byteorder)
-    stamp, flags = (int(np.frombuffer(header.tobytes(), order, 1, place)[0]) for place in (STAMP, FLAGS))
-    signed = stamp != IMOD or bool(flags & SIGNED)
-    why = BY_IMOD if stamp == IMOD else BY_STANDARD
+    stamp, flags = (int(np.frombuffer(header.tobytes(), order, 1, place)[0]) for place in (IMOD_MARK_BYTE, IMOD_FLAGS_BYTE))
+    signed = stamp != IMOD_MARK or bool(flags & SIGNED_BYTES_FLAG)
+    why = BY_IMOD if stamp == IMOD_MARK else BY_STANDARD
     return np.dtype(np.int8 if signed else np.uint8), (
         f"The voxels are bytes {'with' if signed else 'without'} a sign, {why}",
     )

@@ -13,12 +13,12 @@ from isogi_core.errors import VolumeError
 from isogi_core.files.formats.hdf5 import layered, place_by, says_time, text_of, unchosen
 from isogi_core.files.formats.source import Source, is_unchosen, library, moment_of, pick_axes, reading
 from isogi_core.files.grid import Grid, layers_of
-from isogi_core.files.packing import DEFAULTS, Packing, as_stored, climate_packing
+from isogi_core.files.packing import NETCDF_FILL_VALUES, Packing, as_stored, climate_packing
 
-MAGIC, READ = b"CDF", (1, 2)
+NETCDF_MAGIC, READ_VERSIONS = b"CDF", (1, 2)
 """How files begin, and the versions that are read, of the byte after that; the fifth has sizes of 64 bits."""
 
-WIDE = "is NetCDF with sizes of 64 bits (CDF-5): write it as NetCDF-4, by nccopy -k netCDF-4 IN OUT"
+CDF5_REFUSAL = "is NetCDF with sizes of 64 bits (CDF-5): write it as NetCDF-4, by nccopy -k netCDF-4 IN OUT"
 
 
 def open_netcdf(source: Source) -> Grid:
@@ -50,8 +50,8 @@ def _variables(source: Source) -> Iterator[dict[str, Any]]:
     reader = library("nibabel.externals.netcdf", "NetCDF").netcdf_file
     with source.open() as file:
         content = BytesIO(file.read())
-    if content.getbuffer()[len(MAGIC) : len(MAGIC) + 1].tobytes()[0] not in READ:
-        raise VolumeError(f"'{source.name}' {WIDE}.")
+    if content.getbuffer()[len(NETCDF_MAGIC) : len(NETCDF_MAGIC) + 1].tobytes()[0] not in READ_VERSIONS:
+        raise VolumeError(f"'{source.name}' {CDF5_REFUSAL}.")
     yield reader(content, mmap=False).variables
 
 
@@ -69,7 +69,7 @@ def _chosen(source: Source, variables: dict[str, Any]) -> Any:
 
 def _filled(field: np.ndarray) -> Any:
     """What NetCDF fills variables of a type with by default, where any voxel of a ``field`` has it; else None."""
-    mark = as_stored(DEFAULTS.get(field.dtype.str[1:], math.nan), field.dtype)
+    mark = as_stored(NETCDF_FILL_VALUES.get(field.dtype.str[1:], math.nan), field.dtype)
     return mark if (field == mark).any() else None
 
 

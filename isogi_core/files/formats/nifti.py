@@ -13,7 +13,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import (
-    COLOURS,
+    LUMINANCE_NOTE,
     Source,
     library,
     luminance,
@@ -22,16 +22,16 @@ from isogi_core.files.formats.source import (
     raw_slabs,
     reading,
 )
-from isogi_core.files.grid import PATIENT, Affine, Grid, Shape, read_as
+from isogi_core.files.grid import PATIENT_AXES, Affine, Grid, Shape, read_as
 from isogi_core.files.packing import Scaling
 
-UNITS = {"mm": "mm", "meter": "m", "micron": "µm"}
-UNPLACED = "The file does not say how it lies: its axes are taken as they are."
+NIFTI_UNITS = {"mm": "mm", "meter": "m", "micron": "µm"}
+UNPLACED_NOTE = "The file does not say how it lies: its axes are taken as they are."
 
 LABELS = 1002
 """The intent of files whose values are labels."""
 
-APART = 0.01
+MAX_TRANSFORM_GAP = 0.01
 """Voxels by which two transforms of a file must differ for this to be told."""
 
 
@@ -55,7 +55,7 @@ def open_nifti(source: Source) -> Grid:
         end = int(header.get_data_offset()) + math.prod(shape) * dtype.itemsize
         start = int(header.get_data_offset()) + (time + times * channel) * nx * ny * nz * dtype.itemsize
         voxels = _voxels_of(source, header)
-        unit = UNITS.get(header.get_xyzt_units()[0], "")
+        unit = NIFTI_UNITS.get(header.get_xyzt_units()[0], "")
         spacing = tuple(abs(float(step)) for step in header.get_zooms()[:3])
     others = [voxels.path] if voxels.path is not None and voxels.path != source.path else []
     slabs = partial(field_slabs, voxels, start, (nz, ny, nx), dtype, scaling)
@@ -63,7 +63,7 @@ def open_nifti(source: Source) -> Grid:
     grid = Grid((nz, ny, nx), values, spacing, slabs, partial(source.stamp, *others), unit=unit)
     known = read_as("NIfTI", dtype, _placed_by(header), scaling.slope, scaling.intercept)
     labels = () if int(header["intent_code"]) == LABELS else None
-    notes = (*((COLOURS,) if dtype.names else ()), *voxels.cut_notes(end))
+    notes = (*((LUMINANCE_NOTE,) if dtype.names else ()), *voxels.cut_notes(end))
     return _placed(
         replace(grid, notes=notes, moment=(time, times), unchosen=unchosen, labels=labels, read_as=known), header
     )
@@ -83,13 +83,13 @@ def _header(nib: Any, source: Source) -> Any:
     return kind.from_fileobj(BytesIO(whole + bytes(4)))  # without extensions, which may claim any size
 
 
-PAIR = re.compile(r"\.(?:hdr|img)(\.gz|\.bz2)?$", re.IGNORECASE)
+PAIR_ENDINGS = re.compile(r"\.(?:hdr|img)(\.gz|\.bz2)?$", re.IGNORECASE)
 """How the names of a pair of files end: that of the header, and that of the voxels."""
 
 
 def beside(path: Path, end: str) -> Path | None:
     """The other file of a pair, whose name ends in ``.hdr`` or ``.img``; None where there is none."""
-    stem = PAIR.sub("", path.name)
+    stem = PAIR_ENDINGS.sub("", path.name)
     names = [f"{stem}{case}{packed}" for case in (end, end.upper()) for packed in ("", ".gz", ".bz2")]
     return next((found for name in names if (found := path.with_name(name)).is_file() and found != path), None)
 
@@ -99,7 +99,7 @@ def image_beside(source: Source) -> Path:
     assert source.path is not None, "a pair has paths"
     found = beside(source.path, ".img")
     if found is None:
-        wanted = PAIR.sub("", source.path.name) + ".img"
+        wanted = PAIR_ENDINGS.sub("", source.path.name) + ".img"
         raise VolumeError(f"'{source.name}' is a header, and '{wanted}' with its voxels is not beside it.")
     return found
 
@@ -155,6 +155,6 @@ def _placed(grid: Grid, header: Any) -> Grid:
         if sform and qform:
             apart = np.linalg.solve(affine[:3, :3], (header.get_qform() - affine)[:3])
             corner = np.abs(apart) @ np.array([*(n - 1 for n in grid.shape[::-1]), 1.0])
-            if corner.max() > APART:
+            if corner.max() > MAX_TRANSFORM_GAP:
                 notes = (*notes, f"Its two transforms differ by {corner.max():.3g} voxels: the sform is taken.")
-    return replace(grid, affine=Affine.of(affine, PATIENT), notes=notes)
+    return replace(grid, affine=Affine.of(affine, PATIENT_AXES), notes=notes)

@@ -11,7 +11,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import (
-    COLOURS,
+    LUMINANCE_NOTE,
     Source,
     luminance,
     moment_of,
@@ -23,9 +23,9 @@ from isogi_core.files.formats.source import (
 from isogi_core.files.grid import Grid, Shape, layers_of, read_as
 from isogi_core.files.packed_files import read_end
 
-NPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
+NPY_MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK\x03\x04"
 
-UNPACK = "unpack it, and give what is in it, such as a folder of Zarr or of slices"
+UNPACK_HINT = "unpack it, and give what is in it, such as a folder of Zarr or of slices"
 
 
 def open_numpy(source: Source) -> Grid:
@@ -46,7 +46,7 @@ def open_numpy(source: Source) -> Grid:
     grid = Grid(field[-3:], np.dtype(np.float32) if coloured else dtype, (1.0, 1.0, 1.0), slabs, source.stamp)
     return replace(
         grid,
-        notes=(COLOURS,) if coloured else (),
+        notes=(LUMINANCE_NOTE,) if coloured else (),
         moment=moment_of(source, field[:-3], picked),
         read_as=read_as("NumPy", dtype),
     )
@@ -56,7 +56,7 @@ def open_numpy(source: Source) -> Grid:
 def _array(source: Source) -> Iterator[IO[bytes]]:
     """The file of an array, at its beginning."""
     with source.open() as file:
-        if file.read(4) != ZIP:
+        if file.read(4) != ZIP_MAGIC:
             file.seek(0)
             yield file
             return
@@ -64,7 +64,7 @@ def _array(source: Source) -> Iterator[IO[bytes]]:
             names = [name.removesuffix(".npy") for name in whole.namelist() if name.endswith(".npy")]
             chosen = source.chosen.get("part") or (names[0] if len(names) == 1 else None)
             if not names:
-                raise VolumeError(f"'{source.name}' is a ZIP file without an array of NumPy: {UNPACK}.")
+                raise VolumeError(f"'{source.name}' is a ZIP file without an array of NumPy: {UNPACK_HINT}.")
             if chosen not in names:
                 listed = ", ".join(f"'{source.name}#{name}'" for name in names[:8])
                 raise VolumeError(f"'{source.name}' holds several arrays, or none of that name: choose of {listed}.")

@@ -20,17 +20,17 @@ from isogi_core.files.formats import (
     tiff,
     vti,
 )
-from isogi_core.files.formats.source import KEYS, Source
+from isogi_core.files.formats.source import FILE_CHOICES, Source
 from isogi_core.files.formats.wrong_files import sort_of
 from isogi_core.files.grid import Grid
 from isogi_core.files.nrrd import open_nrrd, read_attached
 
-HEAD = 544
+HEAD_BYTES = 544
 """Bytes by which a kind is told."""
 
 Opener = Callable[[Source], Grid]
 
-KNOWN = "NRRD, NIfTI, DICOM, TIFF, MRC, HDF5, NetCDF, NumPy, MGH, Analyze, AFNI, MINC, MetaImage, VTI or Zarr"
+KNOWN_KINDS = "NRRD, NIfTI, DICOM, TIFF, MRC, HDF5, NetCDF, NumPy, MGH, Analyze, AFNI, MINC, MetaImage, VTI or Zarr"
 
 
 def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Opener | None:
@@ -47,14 +47,14 @@ def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Opener | None:
         (tiff.is_tiff(head), tiff.open_tiff),
         (mrc.is_mrc(unpacked), mrc.open_mrc),
         (minc.is_minc(head, suffix), minc.open_minc),
-        (head.startswith(hdf5.MAGIC), hdf5.open_hdf5),
-        (head.startswith(netcdf.MAGIC), netcdf.open_netcdf),
-        (head.startswith((numpy_file.NPY, numpy_file.ZIP)), numpy_file.open_numpy),
+        (head.startswith(hdf5.HDF5_MAGIC), hdf5.open_hdf5),
+        (head.startswith(netcdf.NETCDF_MAGIC), netcdf.open_netcdf),
+        (head.startswith((numpy_file.NPY_MAGIC, numpy_file.ZIP_MAGIC)), numpy_file.open_numpy),
         (b"<VTKFile" in head and b"ImageData" in head, vti.open_vti),
         (b"NDims" in head or b"ObjectType" in head or head.startswith(b"# vtk DataFile"), itk.open_itk),
         (suffix in (".dcm", ".ima"), dicom.open_dicom),
         (suffix == ".vti", vti.open_vti),
-        (suffix in itk.SUFFIXES, itk.open_itk),
+        (suffix in itk.ITK_SUFFIXES, itk.open_itk),
     ]
     return next((opener for fits, opener in kinds if fits), None)
 
@@ -68,7 +68,7 @@ def open_file(path: Path, chosen: dict[str, Any]) -> Grid:
     if "raw" in source.chosen:
         return raw_file.open_raw(source)
     with source.open() as file:
-        head = file.read(HEAD)
+        head = file.read(HEAD_BYTES)
     refuse_others(str(path), head)
     if head.startswith(b"NRRD") or path.suffix.lower() in (".nrrd", ".nhdr"):
         return open_nrrd(path, source.chosen)
@@ -85,7 +85,7 @@ def by_name(name: str) -> Opener | None:
 
 def _header_of(path: Path) -> Path:
     """The header of a pair of files of which the voxels are named; any other path itself."""
-    voxels = nifti.PAIR.search(path.name) is not None and ".img" in path.name.lower()
+    voxels = nifti.PAIR_ENDINGS.search(path.name) is not None and ".img" in path.name.lower()
     return (nifti.beside(path, ".hdr") if voxels else brain_files.afni_header(path)) or path
 
 
@@ -99,7 +99,7 @@ def unknown(name: str, head: bytes, suffix: str = "") -> VolumeError:
     """What is wrong with a file that is no volume, with what it seems to be where that is known."""
     sort = sort_of(head, suffix)
     return VolumeError(
-        f"'{name}' seems to be {sort}." if sort else f"'{name}' is no volume that is known here: give {KNOWN}."
+        f"'{name}' seems to be {sort}." if sort else f"'{name}' is no volume that is known here: give {KNOWN_KINDS}."
     )
 
 
@@ -107,7 +107,7 @@ def _unpacked_head(source: Source) -> bytes:
     """How a file's content begins; empty where it cannot be unpacked."""
     with source.unpacked() as file:
         try:
-            return file.read(HEAD)
+            return file.read(HEAD_BYTES)
         except (OSError, EOFError, ValueError, zlib.error):
             return b""
 
@@ -124,7 +124,7 @@ def open_upload(file: Any, name: str, most: int) -> Grid:
     Raises VolumeError, also where it has more than ``most`` voxels.
     """
     source = Source(name, file=file, voxels=most)
-    head = file.read(HEAD)
+    head = file.read(HEAD_BYTES)
     refuse_others(name, head)
     if head.startswith(b"NRRD"):
         file.seek(0)
@@ -135,40 +135,40 @@ def open_upload(file: Any, name: str, most: int) -> Grid:
     return opener(source)
 
 
-CODECS = ("imcd", "zlib", "deflate", "jpeg8", "zstd")
+TIFF_CODECS = ("imcd", "zlib", "deflate", "jpeg8", "zstd")
 """Packings of TIFF that are worth the time to load them, in a library that may be missing."""
 
-TIFF = (
+TIFF_MODULES = (
     "tifffile",
     "tifffile._imagecodecs",
     "xml.etree.ElementTree",
     "imagecodecs",
-    *(f"imagecodecs._{codec}" for codec in CODECS),
+    *(f"imagecodecs._{codec}" for codec in TIFF_CODECS),
 )
 
-DECODERS = ("rle", "pillow", "pylibjpeg", "pyjpegls", "gdcm")
-PILLOW = ("Bmp", "Gif", "Ppm", "Png", "Jpeg", "Jpeg2K")
-JPEG = ("openjpeg", *(f"PIL.{name}ImagePlugin" for name in PILLOW))
+DICOM_DECODERS = ("rle", "pillow", "pylibjpeg", "pyjpegls", "gdcm")
+PILLOW_FORMATS = ("Bmp", "Gif", "Ppm", "Png", "Jpeg", "Jpeg2K")
+JPEG_MODULES = ("openjpeg", *(f"PIL.{name}ImagePlugin" for name in PILLOW_FORMATS))
 """What DICOM's packed pixels are unpacked by, where it is installed."""
 
-VTK = ("vtk", *(f"vtkmodules.{name}" for name in ("vtkIOXML", "vtkCommonExecutionModel", "util.numpy_support")))
+VTK_MODULES = ("vtk", *(f"vtkmodules.{name}" for name in ("vtkIOXML", "vtkCommonExecutionModel", "util.numpy_support")))
 
-BRAINS = ("nibabel", "nibabel.freesurfer.mghformat")
+BRAIN_MODULES = ("nibabel", "nibabel.freesurfer.mghformat")
 
 LIBRARIES: tuple[tuple[int, bytes, tuple[str, ...]], ...] = (
-    (0, b"\0\0\0\1", BRAINS),
-    (0, b"\x1f\x8b", (*BRAINS, "mrcfile.utils", "mrcfile.mrcinterpreter")),
-    (0, b"BZh", (*BRAINS, "mrcfile.utils", "mrcfile.mrcinterpreter")),
+    (0, b"\0\0\0\1", BRAIN_MODULES),
+    (0, b"\x1f\x8b", (*BRAIN_MODULES, "mrcfile.utils", "mrcfile.mrcinterpreter")),
+    (0, b"BZh", (*BRAIN_MODULES, "mrcfile.utils", "mrcfile.mrcinterpreter")),
     (344, b"n", ("nibabel",)),
     (4, b"n", ("nibabel",)),
-    (128, b"DICM", ("pydicom.pixels", *(f"pydicom.pixels.decoders.{name}" for name in DECODERS), *JPEG)),
-    (0, b"II", TIFF),
-    (0, b"MM", TIFF),
+    (128, b"DICM", ("pydicom.pixels", *(f"pydicom.pixels.decoders.{name}" for name in DICOM_DECODERS), *JPEG_MODULES)),
+    (0, b"II", TIFF_MODULES),
+    (0, b"MM", TIFF_MODULES),
     (208, b"MAP", ("mrcfile.utils", "mrcfile.mrcinterpreter")),
     (0, b"\x89HDF", ("h5py", "h5py._hl.dims", "h5py._hl.filters", "nibabel.minc2")),
     (0, b"CDF", ("nibabel.externals.netcdf", "nibabel.minc1")),
     (0, b"PK", ("encodings.cp437",)),
-    (0, b"<", VTK),
+    (0, b"<", VTK_MODULES),
 )
 """Libraries that a file may need, by what it has at some byte."""
 
@@ -189,7 +189,7 @@ def split_part(name: str) -> tuple[str, dict[str, str]]:
     chosen: dict[str, str] = {}
     for each in text.split("&"):
         key, equals, value = each.partition("=")
-        if equals and key not in KEYS:
-            raise VolumeError(f"'{each}' of '{name}' chooses nothing: {advice(key, KEYS)}")
+        if equals and key not in FILE_CHOICES:
+            raise VolumeError(f"'{each}' of '{name}' chooses nothing: {advice(key, FILE_CHOICES)}")
         chosen[key if equals else "part"] = value if equals else each
     return place, chosen

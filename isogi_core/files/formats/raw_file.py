@@ -13,8 +13,8 @@ from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, raw_slabs
 from isogi_core.files.grid import Grid, Shape, read_as
 
-SUFFIXES = (".raw", ".bin", ".dat", ".data", ".vol")
-PACKED = (".gz", ".bz2")
+RAW_SUFFIXES = (".raw", ".bin", ".dat", ".data", ".vol")
+PACKED_SUFFIXES = (".gz", ".bz2")
 
 _TYPES = {
     **{f"{kind}{8 * size}": f"{code}{size}" for kind, code in (("int", "i"), ("uint", "u")) for size in (1, 2, 4, 8)},
@@ -24,15 +24,15 @@ _TYPES = {
 _ORDERS = {"little": "<", "le": "<", "lsb": "<", "big": ">", "be": ">", "msb": ">"}
 _SIZES = re.compile(r"(\d{1,7})x(\d{1,7})x(\d{1,7})")
 
-WANTED = "raw = '256x256x128,uint8,little'"
+RAW_EXAMPLE = "raw = '256x256x128,uint8,little'"
 """What sizes along x, y, z, a type and a byte order look like."""
 
 
 def is_raw(name: str) -> bool:
     """Whether a file seems to be bare voxels by its ``name``, which has their sizes in it."""
     path = PurePath(name.lower())
-    bare = path.with_suffix("") if path.suffix in PACKED else path
-    return bare.suffix in SUFFIXES and any(_SIZES.fullmatch(word) for word in _words(name))
+    bare = path.with_suffix("") if path.suffix in PACKED_SUFFIXES else path
+    return bare.suffix in RAW_SUFFIXES and any(_SIZES.fullmatch(word) for word in _words(name))
 
 
 def open_raw(source: Source) -> Grid:
@@ -41,7 +41,7 @@ def open_raw(source: Source) -> Grid:
     given = source.chosen.get("raw")
     shape, dtype = _read(source, given.split(",") if given else _words(source.name), "as given" if given else "")
     source.check(shape)
-    if PurePath(source.name).suffix.lower() not in PACKED:
+    if PurePath(source.name).suffix.lower() not in PACKED_SUFFIXES:
         _check_length(source, shape, dtype)
     sizes = " × ".join(map(str, shape[::-1]))
     order = "" if dtype.itemsize == 1 else f", {'big' if dtype.byteorder == '>' else 'little'}-endian"
@@ -64,7 +64,7 @@ def _read(source: Source, words: Sequence[str], given: str) -> tuple[Shape, np.d
     order = next((_ORDERS[word] for word in plain if word in _ORDERS), "<")
     unknown = [word for word in plain if not _SIZES.fullmatch(word) and word not in (*_TYPES, *_ORDERS)]
     if sizes is None or (given and (unknown or not kind)):
-        raise VolumeError(f"The voxels of '{source.name}' need their sizes, a type and a byte order: {WANTED}.")
+        raise VolumeError(f"The voxels of '{source.name}' need their sizes, a type and a byte order: {RAW_EXAMPLE}.")
     x, y, z = (int(n) for n in sizes.groups())
     return (z, y, x), np.dtype(f"{order}{kind or 'u1'}")
 
@@ -76,4 +76,4 @@ def _check_length(source: Source, shape: Shape, dtype: np.dtype[Any]) -> None:
     if length != size:
         sizes = " × ".join(map(str, shape[::-1]))
         wrong = f"'{source.name}' has {length} bytes, and {sizes} voxels of {dtype.name} take {size}"
-        raise VolumeError(f"{wrong}: say what it holds, {WANTED}.")
+        raise VolumeError(f"{wrong}: say what it holds, {RAW_EXAMPLE}.")

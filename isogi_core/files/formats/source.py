@@ -12,12 +12,12 @@ from typing import IO, Any
 import numpy as np
 
 from isogi_core.errors import IsogiError, VolumeError
-from isogi_core.files.grid import ALONE, MAX_VOXELS, Shape, layers_of
-from isogi_core.files.packed_files import BLOCK, DAMAGE, Content, content_of, cut_notes, read_end
+from isogi_core.files.grid import SINGLE_MOMENT, MAX_VOXELS, Shape, layers_of
+from isogi_core.files.packed_files import READ_BYTES, PACKING_DAMAGE, Content, content_of, cut_notes, read_end
 from isogi_core.files.regular import open_regular
 from isogi_core.files.zarr_location import stamp_of
 
-KEYS = ("level", "channel", "time", "series", "raw", "part")
+FILE_CHOICES = ("level", "channel", "time", "series", "raw", "part")
 """What may be chosen of a file; ``part`` is a path inside it, and ``raw`` says what bare voxels are."""
 
 
@@ -101,7 +101,7 @@ def library(name: str, kind: str, install: str = "'isogi[formats]'") -> Any:
         raise VolumeError(f"{needed}: pip install {install}.") from error
 
 
-LACKING = re.compile(r"requires the '([\w-]+)' package")
+MISSING_PACKAGE = re.compile(r"requires the '([\w-]+)' package")
 """How tifffile names a library that it lacks."""
 
 LAYERED = "Its planes are {what}: they are shown as layers."
@@ -118,7 +118,7 @@ def reading(name: str, kind: str) -> Iterator[None]:
     except (IsogiError, MemoryError, GeneratorExit):
         raise
     except Exception as error:  # of many kinds, from libraries on damage
-        if lacking := LACKING.search(str(error)):
+        if lacking := MISSING_PACKAGE.search(str(error)):
             needed = f"'{name}' is packed in a way that {lacking[1]} reads, which is not installed"
             raise VolumeError(f"{needed}: pip install {lacking[1]}.") from error
         raise VolumeError(f"'{name}' cannot be read as {kind} ({line_of(error)}): copy or write it again.") from error
@@ -150,33 +150,33 @@ def raw_slabs(
                 yield np.frombuffer(data, dtype).reshape(deep, *shape[1:])
             if read_end(file) and exact:
                 raise VolumeError(f"'{source.name}' goes on after its last voxel: check its sizes and its type.")
-        except DAMAGE as error:
+        except PACKING_DAMAGE as error:
             raise VolumeError(f"The voxels of '{source.name}' are damaged ({error}): copy it again.") from error
 
 
 def skip(file: Content, count: int) -> None:
     """Read over so many bytes."""
-    while count > 0 and (data := file.read(min(count, BLOCK))):
+    while count > 0 and (data := file.read(min(count, READ_BYTES))):
         count -= len(data)
 
 
 def read_up_to(file: Content, count: int) -> bytearray:
     """The next ``count`` bytes, or as many as there are."""
     data = bytearray()
-    while len(data) < count and (block := file.read(min(count - len(data), BLOCK))):
+    while len(data) < count and (block := file.read(min(count - len(data), READ_BYTES))):
         data += block
     return data
 
 
-LUMINANCE = (0.2126, 0.7152, 0.0722)
+LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)
 """Weights of red, green and blue (Rec. 709)."""
 
-COLOURS = "The voxels are colours: their luminance is shown."
+LUMINANCE_NOTE = "The voxels are colours: their luminance is shown."
 
 
 def luminance(colours: np.ndarray) -> np.ndarray:
     """The luminance of colours (..., 3 or 4), float32; opacity is left out."""
-    return np.asarray(colours[..., :3].astype(np.float32) @ np.array(LUMINANCE, np.float32))
+    return np.asarray(colours[..., :3].astype(np.float32) @ np.array(LUMINANCE_WEIGHTS, np.float32))
 
 
 def pick(source: Source, key: str, length: int, steps: str) -> int:
@@ -201,7 +201,7 @@ def pick_step(source: Source, length: int) -> tuple[int, bool]:
 
 def moment_of(source: Source, extra: Shape, picked: Sequence[int]) -> tuple[int, int]:
     """The moment of what was ``picked`` along axes of the lengths ``extra`` before the last three: ``pick_axes``."""
-    return ALONE if not extra or (len(extra) == 1 and "channel" in source.chosen) else (picked[0], int(extra[0]))
+    return SINGLE_MOMENT if not extra or (len(extra) == 1 and "channel" in source.chosen) else (picked[0], int(extra[0]))
 
 
 def is_unchosen(source: Source, shape: Shape, in_time: bool) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import (
-    COLOURS,
+    LUMINANCE_NOTE,
     TIME_STEPS,
     Source,
     library,
@@ -21,20 +21,20 @@ from isogi_core.files.formats.source import (
     pick_step,
     reading,
 )
-from isogi_core.files.grid import ALONE, Grid, Shape
+from isogi_core.files.grid import SINGLE_MOMENT, Grid, Shape
 from isogi_core.files.packing import Packing, Scaling, holed
 from isogi_core.files.zarr_location import stamp_of
 
-SUFFIXES = (".tif", ".tiff")
-UNITS = {"micron": "µm", "um": "µm", "\\u00B5m": "µm", "µm": "µm", "nm": "nm", "mm": "mm", "cm": "cm", "pixel": ""}
-PLANE, COLOUR = "YX", "S"
-COLOURED = (PLANE + COLOUR, COLOUR + PLANE)
+TIFF_SUFFIXES = (".tif", ".tiff")
+TIFF_UNITS = {"micron": "µm", "um": "µm", "\\u00B5m": "µm", "µm": "µm", "nm": "nm", "mm": "mm", "cm": "cm", "pixel": ""}
+PLANE_AXES, COLOUR_AXIS = "YX", "S"
+COLOUR_PAGES = (PLANE_AXES + COLOUR_AXIS, COLOUR_AXIS + PLANE_AXES)
 """Axes of pages of colours: each voxel's together, or plane by plane."""
 
-TIME, REPEATS, CHANNELS, DEPTH = "T", "R", "CL", "Z"
+TIME_AXIS, REPEAT_AXIS, CHANNEL_AXES, DEPTH_AXIS = "T", "R", "CL", "Z"
 """Letters of axes along which a field is chosen; other ones before y and x are z, as Z is."""
 
-FRAMES = {TIME: TIME_STEPS, **dict.fromkeys(REPEATS, TIME_STEPS), **dict.fromkeys(CHANNELS, "channels")}
+PLANE_COUNTS = {TIME_AXIS: TIME_STEPS, **dict.fromkeys(REPEAT_AXIS, TIME_STEPS), **dict.fromkeys(CHANNEL_AXES, "channels")}
 """What planes along an axis are that is no depth."""
 
 
@@ -51,7 +51,7 @@ def open_tiff(source: Source) -> Grid:
         series = _series(source, whole)
         axes, shape, dtype = series.axes, tuple(int(n) for n in series.shape), series.dtype
         pages, moment = _pages(source, axes, shape)
-        coloured, (ny, nx) = COLOUR in axes, (shape[axes.rindex(axis)] for axis in PLANE)
+        coloured, (ny, nx) = COLOUR_AXIS in axes, (shape[axes.rindex(axis)] for axis in PLANE_AXES)
         _check_page(source, series, coloured)
         source.check((len(pages), ny, nx))
         spacing, unit = _spacing(whole)
@@ -59,10 +59,10 @@ def open_tiff(source: Source) -> Grid:
         packing = _calibrated(_packing(series.keyframe, dtype, coloured), whole.imagej_metadata or {})
     slabs = partial(_slabs, source, pages, (ny, nx), packing)
     guess, doubt = _layers_of(axes, shape)
-    notes = ((COLOURS,) if coloured else packing.notes) + doubt
+    notes = ((LUMINANCE_NOTE,) if coloured else packing.notes) + doubt
     known = packing.read_as(kind, f"{kind}'s sizes of voxels" if kind != "TIFF" else "") + guess
     grid = Grid((len(pages), ny, nx), packing.dtype, spacing, slabs, source.stamp, None, unit, notes, read_as=known)
-    return replace(grid, moment=moment, unchosen=moment != ALONE and source.count("time") is None)
+    return replace(grid, moment=moment, unchosen=moment != SINGLE_MOMENT and source.count("time") is None)
 
 
 def _layers_of(axes: str, shape: Shape) -> tuple[str, tuple[str, ...]]:
@@ -70,10 +70,10 @@ def _layers_of(axes: str, shape: Shape) -> tuple[str, tuple[str, ...]]:
 
     A film of one plane is no volume: its frames are shown as layers, as no other picture of it is one.
     """
-    outer = [axis for axis, length in zip(axes, shape, strict=False) if length > 1 and axis not in PLANE + COLOUR]
-    if len(outer) != 1 or outer[0] == DEPTH:
+    outer = [axis for axis, length in zip(axes, shape, strict=False) if length > 1 and axis not in PLANE_AXES + COLOUR_AXIS]
+    if len(outer) != 1 or outer[0] == DEPTH_AXIS:
         return "", ()
-    what = FRAMES.get(outer[0])
+    what = PLANE_COUNTS.get(outer[0])
     return (
         "; its planes are taken for depth",
         () if what is None else (f"Its planes are {what}: they are shown as layers.",),
@@ -83,16 +83,16 @@ def _layers_of(axes: str, shape: Shape) -> tuple[str, tuple[str, ...]]:
 def _calibrated(packing: Packing, about: Mapping[str, Any]) -> Packing:
     """The packing with ImageJ's calibration of values, where that is a straight line; a note where it is another."""
     kind, (offset, slope) = about.get("cf"), (about.get(name) for name in ("c0", "c1"))
-    if kind is None or int(kind) in UNCALIBRATED:
+    if kind is None or int(kind) in UNCALIBRATED_FUNCTIONS:
         return packing
-    if int(kind) != STRAIGHT or offset is None or slope is None:
+    if int(kind) != STRAIGHT_LINE or offset is None or slope is None:
         return replace(packing, notes=(*packing.notes, "ImageJ's calibration of values is no straight line: left out."))
     scaling = Scaling(float(slope), float(offset))
     notes = () if scaling.trivial else (f"Values are {slope:g} · stored + {offset:g}, ImageJ's calibration.",)
     return replace(packing, scaling=scaling, notes=(*packing.notes, *notes))
 
 
-STRAIGHT, UNCALIBRATED = 0, (20, 21)
+STRAIGHT_LINE, UNCALIBRATED_FUNCTIONS = 0, (20, 21)
 """ImageJ's numbers of calibration functions. Source: ij.measure.Calibration."""
 
 NO_DATA = 42113
@@ -127,31 +127,31 @@ def _series(source: Source, whole: Any) -> Any:
 def _is_stack(series: Any) -> bool:
     """Whether all series are planes, of one size and type."""
     kinds = {(each.axes, each.shape, each.dtype) for each in series}
-    return len(kinds) == 1 and series[0].axes in (PLANE, PLANE + COLOUR)
+    return len(kinds) == 1 and series[0].axes in (PLANE_AXES, PLANE_AXES + COLOUR_AXIS)
 
 
 def _pages(source: Source, axes: str, shape: Shape) -> tuple[list[int], tuple[int, int]]:
     """Numbers of the planes that make up the field that is chosen, in its order along z, and its moment."""
-    inner = next((each for each in COLOURED if axes.endswith(each)), PLANE)
-    if not axes.endswith(inner) or (inner == PLANE and len(axes) < 3):
+    inner = next((each for each in COLOUR_PAGES if axes.endswith(each)), PLANE_AXES)
+    if not axes.endswith(inner) or (inner == PLANE_AXES and len(axes) < 3):
         raise VolumeError(f"'{source.name}' has the axes {axes}: save a stack of planes.")
     outer = list(zip(axes.removesuffix(inner), shape, strict=False))
     alone = sum(length > 1 for _, length in outer) == 1  # a stack without z: planes are one upon the other
     picks: list[Any] = [_pick(source, axis, length, alone) for axis, length in outer]
-    times = [(step, n) for (axis, n), step in zip(outer, picks, strict=True) if axis == TIME and n > 1 and not alone]
+    times = [(step, n) for (axis, n), step in zip(outer, picks, strict=True) if axis == TIME_AXIS and n > 1 and not alone]
     numbers = np.arange(int(np.prod([n for _, n in outer]))).reshape([n for _, n in outer])[tuple(picks)]
     if numbers.ndim > 1 and sum(n > 1 for n in numbers.shape) > 1:
         raise VolumeError(f"'{source.name}' has the axes {axes}: save one scalar field of it.")
-    return [int(number) for number in numbers.ravel()], (times or [ALONE])[0]
+    return [int(number) for number in numbers.ravel()], (times or [SINGLE_MOMENT])[0]
 
 
 def _pick(source: Source, axis: str, length: int, alone: bool) -> Any:
     """What is taken along an axis: all where it is z, or ``alone``, else the element that is chosen."""
     if alone and length > 1:
         return slice(None)
-    if axis == TIME:
+    if axis == TIME_AXIS:
         return pick_step(source, length)[0]
-    key = "time" if axis in REPEATS else "channel" if axis in CHANNELS else None
+    key = "time" if axis in REPEAT_AXIS else "channel" if axis in CHANNEL_AXES else None
     return slice(None) if key is None else pick(source, key, length, f"elements of {key}")
 
 
@@ -160,7 +160,7 @@ def _check_page(source: Source, series: Any, coloured: bool) -> None:
     page = series.keyframe
     if int(page.photometric) == 3:
         raise VolumeError(f"'{source.name}' holds colours of a palette: save its values.")
-    if coloured and page.axes not in COLOURED:
+    if coloured and page.axes not in COLOUR_PAGES:
         raise VolumeError(f"'{source.name}' holds pages of {page.axes}: save a plane a page.")
     planes = 3 if coloured else 2
     if len([n for n in page.shape if n > 1]) > planes:
@@ -178,7 +178,7 @@ def _slabs(source: Source, pages: list[int], plane: Shape, packing: Packing) -> 
 
 def _plane(source: Source, whole: Any, series: Any, number: int, plane: Shape) -> np.ndarray:
     """One plane of a series: of its own page, or of one whose voxels hold the planes of all."""
-    coloured = COLOUR in series.axes
+    coloured = COLOUR_AXIS in series.axes
     if len(series.pages) == 1 and series.dataoffset is not None and number >= 0:
         count = int(np.prod(plane)) * (series.shape[-1] if coloured else 1)
         order = np.dtype(series.dtype).newbyteorder(whole.byteorder)
@@ -192,7 +192,7 @@ def _plane(source: Source, whole: Any, series: Any, number: int, plane: Shape) -
         if page is None:
             raise VolumeError(f"Plane {number} of '{source.name}' is missing: write it again.")
         values = page.asarray()
-        values = np.moveaxis(values, 0, -1) if page.axes == COLOUR + PLANE else values
+        values = np.moveaxis(values, 0, -1) if page.axes == COLOUR_AXIS + PLANE_AXES else values
     return luminance(values) if coloured else values.reshape(plane)
 
 
@@ -204,7 +204,7 @@ def _spacing(whole: Any) -> tuple[tuple[float, float, float], str]:
         about = whole.imagej_metadata or {}
         y, x = (_resolution(whole.pages[0], name) for name in ("YResolution", "XResolution"))
         unit = str(about.get("unit", ""))
-        return (x, y, float(about.get("spacing", 0.0)) or x), UNITS.get(unit, unit)
+        return (x, y, float(about.get("spacing", 0.0)) or x), TIFF_UNITS.get(unit, unit)
     return (1.0, 1.0, 1.0), ""
 
 
@@ -231,7 +231,7 @@ def _ome_spacing(text: str) -> tuple[tuple[float, float, float], str]:
 
 def slices_in(folder: Path) -> list[Path]:
     """The TIFF files in a folder, in the order of the numbers in their names."""
-    return sorted((path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES), key=_numbers)
+    return sorted((path for path in folder.iterdir() if path.suffix.lower() in TIFF_SUFFIXES), key=_numbers)
 
 
 def _numbers(path: Path) -> list[tuple[int, str]]:
@@ -250,7 +250,7 @@ def open_tiff_folder(source: Source) -> Grid:
     for file in files:
         with reading(str(file), "TIFF"), tifffile.TiffFile(file) as whole:
             page = whole.pages[0]
-            coloured = page.axes.endswith(COLOUR)
+            coloured = page.axes.endswith(COLOUR_AXIS)
             kinds.append((page.shape, _packing(page, page.dtype, coloured), coloured))
             if len(whole.pages) > 1:
                 raise VolumeError(f"'{file}' is a stack among the slices of '{source.name}': move it elsewhere.")
@@ -262,7 +262,7 @@ def open_tiff_folder(source: Source) -> Grid:
     (ny, nx, *_), packing, coloured = usual
     source.check((len(files), ny, nx))
     slabs, stamp = partial(_slices, files, coloured, packing), partial(stamp_of, files)
-    notes = (COLOURS,) if coloured else packing.notes
+    notes = (LUMINANCE_NOTE,) if coloured else packing.notes
     return Grid(
         (len(files), ny, nx),
         packing.dtype,

@@ -9,9 +9,9 @@ from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick, reading
 from isogi_core.files.grid import Affine, Grid, Shape, layers_of, read_as
 
-INSTALL = "'isogi[vtk]'"
+VTK_EXTRA = "'isogi[vtk]'"
 
-END, TAIL = b"</VTKFile>", 64
+CLOSING_TAG, TAIL_BYTES = b"</VTKFile>", 64
 """How a file ends that is whole, and how many of its last bytes are looked at: VTK reads others as if they were."""
 
 
@@ -44,8 +44,8 @@ class ImageFile:
         self.name = source.name
         self._errors: list[str] = []
         self._check_end(source)
-        library("vtk", "VTI", INSTALL)
-        self._reader = library("vtkmodules.vtkIOXML", "VTI", INSTALL).vtkXMLImageDataReader()
+        library("vtk", "VTI", VTK_EXTRA)
+        self._reader = library("vtkmodules.vtkIOXML", "VTI", VTK_EXTRA).vtkXMLImageDataReader()
         self._reader.AddObserver("ErrorEvent", lambda _, event: self._errors.append(event))
         if source.path is not None:
             self._reader.SetFileName(str(source.path))
@@ -56,8 +56,8 @@ class ImageFile:
         self._reader.UpdateInformation()
         self._check()
         about = self._reader.GetOutputInformation(0)
-        keys = library("vtkmodules.vtkCommonDataModel", "VTI", INSTALL).vtkDataObject
-        steps = library("vtkmodules.vtkCommonExecutionModel", "VTI", INSTALL).vtkStreamingDemandDrivenPipeline
+        keys = library("vtkmodules.vtkCommonDataModel", "VTI", VTK_EXTRA).vtkDataObject
+        steps = library("vtkmodules.vtkCommonExecutionModel", "VTI", VTK_EXTRA).vtkStreamingDemandDrivenPipeline
         self.extent = [int(n) for n in about.Get(steps.WHOLE_EXTENT())]
         self.spacing, self.origin = np.array(about.Get(keys.SPACING())), np.array(about.Get(keys.ORIGIN()))
         turned = about.Get(keys.DIRECTION()) if about.Has(keys.DIRECTION()) else np.eye(3).ravel()
@@ -94,7 +94,7 @@ class ImageFile:
         array = (image.GetCellData() if cells else image.GetPointData()).GetArray(name)
         if array is None:
             raise VolumeError(f"'{self.name}#{name}' is no array of numbers: choose another.")
-        values = library("vtkmodules.util.numpy_support", "VTI", INSTALL).vtk_to_numpy(array)
+        values = library("vtkmodules.util.numpy_support", "VTI", VTK_EXTRA).vtk_to_numpy(array)
         nx, ny, nz = (n - cells for n in image.GetDimensions())
         start = lowest - image.GetExtent()[4]
         return np.array(values.reshape(nz, ny, nx, -1)[start : start + count])
@@ -106,8 +106,8 @@ class ImageFile:
     def _check_end(self, source: Source) -> None:
         with source.open() as file:
             size = file.seek(0, 2)
-            file.seek(max(size - TAIL, 0))
-            if END not in file.read(TAIL):
+            file.seek(max(size - TAIL_BYTES, 0))
+            if CLOSING_TAG not in file.read(TAIL_BYTES):
                 raise VolumeError(f"'{self.name}' ends too early for an image file of VTK: copy it again.")
             file.seek(0)
 

@@ -57,7 +57,7 @@ def vti(path: Path, array: np.ndarray, of_cells: bool = False) -> Path:
 def test_values_of_cells_are_voxels_at_their_middles(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int
 ) -> None:
-    monkeypatch.setattr(grid_module, "SLAB", size)
+    monkeypatch.setattr(grid_module, "SLAB_BYTES", size)
     grid = open_file(vti(tmp_path / "f.vti", F, of_cells=True), {})
     np.testing.assert_array_equal(grid.whole(), F)
     assert grid.affine is not None and grid.affine.origin == (10.5, 0.625, -2.25)

@@ -78,7 +78,7 @@ def test_a_ball_has_its_radius_without_stairs() -> None:
 def test_slabs_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
     part = (RADIUS < 5.0) | (Z == 15)
     whole = np.concatenate(list(smooth(part)))
-    monkeypatch.setattr(grids, "SLAB", 3 * 4 * part[0].size)
+    monkeypatch.setattr(grids, "SLAB_BYTES", 3 * 4 * part[0].size)
     slabs = list(smooth(part))
     assert len(slabs) == 6
     np.testing.assert_array_equal(np.concatenate(slabs), whole)

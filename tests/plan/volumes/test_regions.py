@@ -173,7 +173,7 @@ def test_what_cannot_be_shown_at_any_level_is_refused(tmp_path: Path, monkeypatc
 def test_no_level_is_finer_than_a_picture_of_it_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = pyramid(tmp_path)
     for most, shape in ((11, FIELD.shape), (10, (10, 9, 8)), (5, (5, 5, 4)), (1, (5, 5, 4))):
-        monkeypatch.setattr(zarr_volume, "PICTURE", most)
+        monkeypatch.setattr(zarr_volume, "MAX_PICTURE_VOXELS", most)
         assert open_zarr(path).shape == shape
 
 

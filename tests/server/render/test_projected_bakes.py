@@ -178,7 +178,7 @@ def test_a_store_keeps_a_bounded_part_of_them(begin: Open, scene: Scene, monkeyp
     kept = {digest for digest, count in census_of(store).counts.items() if count.facts.attributes["shown"] is not None}
     assert len(kept) == 2 * len(scene.plan.layers)
     assert trim_projected(store, 0) == 0, "it was written just now"
-    monkeypatch.setattr(pruning, "BUSY", -1.0)
+    monkeypatch.setattr(pruning, "BUSY_SECONDS", -1.0)
     assert trim_projected(store, 1 << 40) == 0
     assert trim_projected(store, 0) == len(kept)
     left = census_of(store).counts
