@@ -37,29 +37,29 @@ from PIL import Image
 LONGEST_WAIT = 10.0
 """Seconds that the server waits for baking in one request, at most."""
 
-PATIENCE = 60.0
+DEFAULT_PATIENCE_SECONDS = 60.0
 """Seconds for which a server that is busy, starting or away is asked again, by default."""
 
-PAUSE, LONGEST_PAUSE = 0.1, 5.0
+RETRY_PAUSES, LONGEST_PAUSE = 0.1, 5.0
 """Seconds between two tries, at first and at most."""
 
-AWAY = (httpx.NetworkError, httpx.RemoteProtocolError)
+CONNECTION_ERRORS = (httpx.NetworkError, httpx.RemoteProtocolError)
 """What a server that is gone makes of a request."""
 
-LOOK = 1.0
+JOB_CHECK_SECONDS = 1.0
 """Seconds between two requests for a job's state."""
 
-BLOCK = 1 << 20
+UPLOAD_BLOCK_BYTES = 1 << 20
 """Bytes that are read from a file at a time."""
 
-BAR = 20
+PROGRESS_BAR_WIDTH = 20
 """Characters of a progress bar."""
 
-PICTURE = ("f", "exposure", "overlay", "background", "version")
+PICTURE_PARAMETERS = ("f", "exposure", "overlay", "background", "version")
 """Parameters of a picture, which say nothing of its light."""
 
-SUFFIXES = {"png": (".png",), "jpeg": (".jpg", ".jpeg"), "webp": (".webp",), "npy": (".npy",)}
-KINDS = {"image/png": "png", "image/jpeg": "jpeg", "image/webp": "webp", "application/x-npy": "npy"}
+FORMAT_SUFFIXES = {"png": (".png",), "jpeg": (".jpg", ".jpeg"), "webp": (".webp",), "npy": (".npy",)}
+FORMAT_OF_MEDIA_TYPE = {"image/png": "png", "image/jpeg": "jpeg", "image/webp": "webp", "application/x-npy": "npy"}
 
 Wait = float | Literal["now", "final"]
 """How long to wait for light: not at all, until all of it is final, or so many seconds."""
@@ -237,8 +237,8 @@ class Frame:
     def save(self, path: str | Path) -> Path:
         """Write the bytes to a file. ValueError where its name is one of another format."""
         path = Path(path)
-        if path.suffix.lower() not in SUFFIXES[self.f]:
-            fitting = " or ".join(SUFFIXES[self.f])
+        if path.suffix.lower() not in FORMAT_SUFFIXES[self.f]:
+            fitting = " or ".join(FORMAT_SUFFIXES[self.f])
             raise ValueError(f"This frame is {self.f}: name the file {fitting}, or ask for another f.")
         path.write_bytes(self.content)
         return path
@@ -331,7 +331,7 @@ class Film:
         if not path.suffix:
             path.mkdir(exist_ok=True)
             for n, frame in enumerate(self.frames):
-                frame.save(path / f"frame-{n + 1:05d}{SUFFIXES[frame.f][0]}")
+                frame.save(path / f"frame-{n + 1:05d}{FORMAT_SUFFIXES[frame.f][0]}")
         elif path.suffix.lower() in (".gif", ".webp"):
             path.write_bytes(self._animation(path.suffix[1:].lower()))
         else:
@@ -380,8 +380,8 @@ class Bar:
             self._draw(news, total, f"{news} of {total} frames", news == total)
 
     def _draw(self, done: int, total: int, note: str, over: bool) -> None:
-        filled = BAR * done // max(total, 1)
-        sys.stderr.write(f"\r{'█' * filled}{'░' * (BAR - filled)} {note:<60}" + "\n" * over)
+        filled = PROGRESS_BAR_WIDTH * done // max(total, 1)
+        sys.stderr.write(f"\r{'█' * filled}{'░' * (PROGRESS_BAR_WIDTH - filled)} {note:<60}" + "\n" * over)
         sys.stderr.flush()
 
 
@@ -456,7 +456,7 @@ class Job:
         while not (now := self.progress()).over:
             if progress is not None:
                 progress(now)
-            time.sleep(LOOK)
+            time.sleep(JOB_CHECK_SECONDS)
         if progress is not None:
             progress(now)
         if now.status != "successful":
@@ -488,7 +488,7 @@ class Isogi:
         base_url: str = "http://127.0.0.1:8000",
         token: str | None = None,
         timeout: float = 60.0,
-        patience: float = PATIENCE,
+        patience: float = DEFAULT_PATIENCE_SECONDS,
     ) -> None:
         token = token or os.environ.get("ISOGI_TOKEN")
         self._server: subprocess.Popen[bytes] | None = None
@@ -499,7 +499,7 @@ class Isogi:
             total_timeout=max(patience, 1e-3),
             status_forcelist=(429, 503),
             retry_on_exceptions=(),
-            backoff_factor=PAUSE,
+            backoff_factor=RETRY_PAUSES,
             backoff_jitter=0.5,
             max_backoff_wait=LONGEST_PAUSE,
         )
@@ -551,7 +551,7 @@ class Isogi:
             with suppress(httpx.TransportError):
                 if httpx.get(self._client.base_url.join("/readyz")).is_success:
                     return
-            time.sleep(PAUSE)
+            time.sleep(RETRY_PAUSES)
         raise UnreachableError("The server ended at once: it has said above why.")
 
     def scenes(self) -> list[dict[str, Any]]:
@@ -773,7 +773,7 @@ class Isogi:
 
     def _listen(self, path: str, asked: Mapping[str, str], progress: Callable[[Facts], object]) -> None:
         """Returns when the view is final. Raises NotFinalError where it does not become so."""
-        seen = {name: text for name, text in asked.items() if name not in PICTURE}
+        seen = {name: text for name, text in asked.items() if name not in PICTURE_PARAMETERS}
         for event in self._events(path, seen):
             if event.kind == "failed":
                 raise NotFinalError(event.data["detail"], problem=event.data)
@@ -791,7 +791,7 @@ class Isogi:
                     return
             if time.monotonic() - heard > self._patience:
                 raise UnreachableError("The server ends its events too early, again and again.")
-            time.sleep(PAUSE)
+            time.sleep(RETRY_PAUSES)
 
     def _connection(self, path: str, asked: Mapping[str, str], last: str) -> Iterator[Event]:
         """The events of one connection, to its end or until it breaks; those after the ``last`` alone, if any."""
@@ -804,12 +804,14 @@ class Isogi:
                 for event in httpx_sse.EventSource(answer).iter_sse():
                     if event.data:
                         yield Event(event.event, json.loads(event.data), event.id)
-            except (*AWAY, httpx.ReadTimeout):
+            except (*CONNECTION_ERRORS, httpx.ReadTimeout):
                 return
 
     def _frame(self, path: str, asked: Mapping[str, str]) -> Frame:
         answer = self._ask("GET", f"{path}/frame", params=asked)
-        return Frame(answer.content, KINDS[answer.headers["content-type"]], Facts.of_headers(answer.headers))
+        return Frame(
+            answer.content, FORMAT_OF_MEDIA_TYPE[answer.headers["content-type"]], Facts.of_headers(answer.headers)
+        )
 
     def _json(self, method: str, path: str, **more: Any) -> Any:
         return self._ask(method, path, **more).json()
@@ -827,7 +829,7 @@ class Isogi:
 
     def _meet(self, _: httpx.Response) -> None:
         """The server has answered: from now on it is away for a while where it does not."""
-        self._retry = self._retry.copy_with(retry_on_exceptions=AWAY)
+        self._retry = self._retry.copy_with(retry_on_exceptions=CONNECTION_ERRORS)
 
 
 NRRD_TYPES = {"u1": "uint8", "i1": "int8", "u2": "uint16", "i2": "int16", "u4": "uint32", "i4": "int32", "f4": "float"}
@@ -855,7 +857,7 @@ class Blocks:
 
     def __iter__(self) -> Iterator[bytes]:
         with self.path.open("rb") as file:
-            while block := file.read(BLOCK):
+            while block := file.read(UPLOAD_BLOCK_BYTES):
                 yield block
 
 

@@ -23,22 +23,22 @@ import traitlets
 
 from isogi_client import Frame, Isogi, IsogiError, query, scene_path
 
-KNOBS = ("isovalue", "azimuth", "elevation", "distance", "yaw", "pitch", "roll")
+MOVED_PARAMETERS = ("isovalue", "azimuth", "elevation", "distance", "yaw", "pitch", "roll")
 """Parameters of the view that the notebook moves, besides the target."""
 
-REFINED = 1.0
+REFINE_SECONDS = 1.0
 """Seconds of baking between two pictures of a view at rest."""
 
-STILL = 1.0
+REST_SECONDS = 1.0
 """Seconds without a change after which a view rests, where the page does not say so: it may have been closed."""
 
-START = "notebook/notebook.js"
+NOTEBOOK_MODULE = "notebook/notebook.js"
 """The page's module that shows a view in a notebook."""
 
-IMPORT = re.compile(r'^(?:import|export) [^;]*?from "(\.[^"]+)";$', re.MULTILINE)
+IMPORT_STATEMENT = re.compile(r'^(?:import|export) [^;]*?from "(\.[^"]+)";$', re.MULTILINE)
 """What a module of the page imports."""
 
-SIDE = 512
+DEFAULT_SIDE_PIXELS = 512
 """Pixels of a picture's sides where they are not given."""
 
 ESM = r"""
@@ -103,12 +103,12 @@ class Viewer(anywidget.AnyWidget):
     given = traitlets.Dict().tag(sync=True)
     size: traitlets.List[Any] = traitlets.List().tag(sync=True)
     modules = traitlets.Dict().tag(sync=True)
-    start = traitlets.Unicode(START).tag(sync=True)
+    start = traitlets.Unicode(NOTEBOOK_MODULE).tag(sync=True)
 
     def __init__(self, isogi: Isogi, scene: str, **view: Any) -> None:
         """Show the view, which takes what is not given from the scene's defaults. Raises IsogiError."""
         facts, modules = isogi.scene(scene), modules_of(isogi)
-        knobs = {name: float(view.pop(name, facts["defaults"].get(name, 0.0))) for name in KNOBS}
+        knobs = {name: float(view.pop(name, facts["defaults"].get(name, 0.0))) for name in MOVED_PARAMETERS}
         target, given = view.pop("target", None), query(view)
         view.pop("draw", None)
         self._isogi, self._scene, self._more = isogi, scene, view
@@ -121,11 +121,11 @@ class Viewer(anywidget.AnyWidget):
             span=list(facts["ranges"]["isovalue"].values()),
             scene=facts,
             given=given,
-            size=[int(view.get(name) or SIDE) for name in ("width", "height")],
+            size=[int(view.get(name) or DEFAULT_SIDE_PIXELS) for name in ("width", "height")],
             modules=modules,
         )
         self.on_msg(lambda _, asked, __: self._answers.submit(self._answer, asked))
-        self.observe(lambda _: self._moved.set(), (*KNOBS, "target", "moving"))
+        self.observe(lambda _: self._moved.set(), (*MOVED_PARAMETERS, "target", "moving"))
         self._moved.set()
         self._thread = threading.Thread(target=self._follow, name="isogi-viewer", daemon=True)
         self._thread.start()
@@ -134,7 +134,7 @@ class Viewer(anywidget.AnyWidget):
     def view(self) -> dict[str, Any]:
         """The parameters of what is shown, such as for ``isogi.frame(scene, wait="final", **viewer.view)``."""
         target = {} if self.target is None else {"target": self.target}
-        return {**self._more, **{name: getattr(self, name) for name in KNOBS}, **target}
+        return {**self._more, **{name: getattr(self, name) for name in MOVED_PARAMETERS}, **target}
 
     def close(self) -> None:
         """Show nothing more, once the picture that is under way has come."""
@@ -152,18 +152,18 @@ class Viewer(anywidget.AnyWidget):
             self._moved.clear()
             if self._closed:
                 return
-            if self.moving and self._moved.wait(STILL):
+            if self.moving and self._moved.wait(REST_SECONDS):
                 continue
             try:
                 frame = self._show("now")
                 while frame.facts.provisional and not self._moved.is_set():
-                    frame = self._show(REFINED)
+                    frame = self._show(REFINE_SECONDS)
             except (IsogiError, RuntimeError) as error:  # a RuntimeError where the connections were closed
                 self.told = str(error)
 
     def _show(self, wait: Any) -> Frame:
         view = self.view
-        seen = [*(view[name] for name in KNOBS), view.get("target")]
+        seen = [*(view[name] for name in MOVED_PARAMETERS), view.get("target")]
         self.frame = frame = self._isogi.frame(self._scene, wait=wait, f="jpeg", **view)
         if not self._closed:
             with self.hold_sync():
@@ -183,10 +183,10 @@ class Viewer(anywidget.AnyWidget):
 
 def modules_of(isogi: Isogi) -> dict[str, str]:
     """The modules of a server's page that show a view in a notebook, by their places. Raises IsogiError."""
-    found, waiting = {}, [START]
+    found, waiting = {}, [NOTEBOOK_MODULE]
     while waiting:
         name = waiting.pop()
         found[name] = isogi.read(f"web/{name}").decode()
-        paths = {normpath(join(dirname(name), path)) for path in IMPORT.findall(found[name])}
+        paths = {normpath(join(dirname(name), path)) for path in IMPORT_STATEMENT.findall(found[name])}
         waiting += sorted(paths - found.keys() - set(waiting))
     return found

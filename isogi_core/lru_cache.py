@@ -47,7 +47,7 @@ class LruCache(Generic[K]):
     """
 
     def __init__(self, most: int, limits: Mapping[Any, int] = NONE) -> None:
-        """Keep at most ``most`` bytes, OVERHEAD for each result among them, the newest in any case.
+        """Keep at most ``most`` bytes, OVERHEAD_BYTES for each result among them, the newest in any case.
 
         ``limits`` are the bytes of results of some kinds: of keys that are tuples, the first entry is the kind.
         """
@@ -109,7 +109,7 @@ class LruCache(Generic[K]):
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all that is kept, as it was counted last, OVERHEAD for each result among them."""
+        """Bytes of all that is kept, as it was counted last, OVERHEAD_BYTES for each result among them."""
         return self._total
 
     def _leave(self, key: K, cell: Cell[Any], new: bool) -> None:

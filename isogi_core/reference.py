@@ -82,7 +82,8 @@ def trace_reference(
     former: Reference | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Reference:
-    """The reference of ``view`` with ``samples`` paths per pixel, a multiple of REPLICAS, or the next one above.
+    """The reference of ``view`` with ``samples`` paths per pixel, a multiple of REFERENCE_REPLICAS, or the next one
+    above.
 
     It continues the sequences of the ``former`` one: in as many goes as you like, its bits are the same. Bounces are
     those of the renderer's scene. ``progress`` is called with paths as they are traced. Raises ReportError where
@@ -130,7 +131,9 @@ def from_sums(gbuffer: GBuffer, sums: np.ndarray, count: int, seconds: float, su
 
 
 def with_bounces(scene: Scene, bounces: int | None = None) -> Scene:
-    """The scene with paths of so many ``bounces``; by default with so many that less than CUT of its light is cut."""
+    """The scene with paths of so many ``bounces``; by default with so many that less than MAX_LOST_LIGHT of its light
+    is cut.
+    """
     if bounces is None:
         bounces = bounces_for(scene.inputs.reflecting, MAX_LOST_LIGHT / BOUNCES_SHARE)
     survival = survival_for(scene.inputs.reflecting, bounces)
@@ -239,5 +242,5 @@ def grow(
 
 
 def fitting(seconds: float, each: float) -> int:
-    """How many samples fit into ``seconds`` where ``each`` takes so long, a multiple of REPLICAS."""
+    """How many samples fit into ``seconds`` where ``each`` takes so long, a multiple of REFERENCE_REPLICAS."""
     return int(max(seconds, 0.0) / max(each, 1e-9)) // REFERENCE_REPLICAS * REFERENCE_REPLICAS

@@ -56,7 +56,7 @@ def report(target: str, knobs: Mapping[str, str], settings: Settings, request: R
 
 
 def standing(knobs: Mapping[str, Any]) -> dict[str, Any]:
-    """The knobs of a view, with STAND for those of its orbit that are left out."""
+    """The knobs of a view, with DEFAULT_VIEWPOINT for those of its orbit that are left out."""
     return dict(knobs) if "eye" in knobs else {**DEFAULT_VIEWPOINT, **knobs}
 
 

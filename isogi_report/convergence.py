@@ -132,7 +132,7 @@ def curve(name: str, own: list[Point]) -> Curve:
 
 
 def ends(found: dict[str, list[Point]]) -> list[str]:
-    """A sentence on each curve that ends before the last of RUNGS."""
+    """A sentence on each curve that ends before the last of CURVE_SAMPLES."""
     return [
         f"The curve of {name.split(':')[0]} ends at {own[-1].samples:,} samples: the next point would have taken too "
         f"long, about {own[-1].foresee(CURVE_SAMPLES[len(own)]):.0f} seconds."
@@ -166,7 +166,7 @@ def traced(bench: Bench, best: Reference) -> list[Point]:
 
 
 def points(bench: Bench, best: Reference, frame: Callable[[int], tuple[Frame, float]]) -> list[Point]:
-    """The points of ``frame``, which returns its seconds too, over RUNGS, until the next would take too long.
+    """The points of ``frame``, which returns its seconds too, over CURVE_SAMPLES, until the next would take too long.
 
     The first one is made in any case.
     """

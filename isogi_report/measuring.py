@@ -16,7 +16,7 @@ from isogi_report import convergence, split, summary
 from isogi_report.bench import Bench
 from isogi_report.journal import Entry, Journal
 from isogi_report.sections import Section
-from server.progress import WEIGHTS, ticking
+from server.progress import WEIGHTED_BAR_FORMAT, ticking
 
 log = logging.getLogger("isogi.report")
 
@@ -93,7 +93,7 @@ class Pieces:
         """Draw the bar."""
         self.end = time.monotonic() + limit
         self.rest, self.done, self.taken, self.begun = total - before, 0.0, 0.0, time.monotonic()
-        self._bar = tqdm(desc=what, total=total, initial=before, bar_format=WEIGHTS)
+        self._bar = tqdm(desc=what, total=total, initial=before, bar_format=WEIGHTED_BAR_FORMAT)
 
     @property
     def left(self) -> float:
@@ -124,7 +124,7 @@ class Pieces:
 
     @contextmanager
     def ticking(self) -> Iterator[Self]:
-        """Draw the bar every TICK seconds while work is done, and close it in the end."""
+        """Draw the bar every REDRAW_SECONDS while work is done, and close it in the end."""
         try:
             with ticking(self.show):
                 yield self
@@ -189,7 +189,9 @@ def interruptible(bench: Bench, stop: threading.Event) -> Iterator[None]:
 
 @contextmanager
 def limited(bench: Bench) -> Iterator[None]:
-    """Cancel the work when its deadline has passed by GRACE; studies themselves look at the deadline before."""
+    """Cancel the work when its deadline has passed by DEADLINE_GRACE_SHARE; studies themselves look at the deadline
+    before.
+    """
     if bench.left == float("inf"):
         yield
         return

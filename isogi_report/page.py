@@ -25,7 +25,11 @@ Part = dict[str, Any]
 def page(report: Report, head: Mapping[str, Any], files: Mapping[str, bytes]) -> str:
     """The page of a report; ``files`` are its pictures, by their names."""
     sheet = Environment(
-        loader=FileSystemLoader(REPORT_FOLDER), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=FileSystemLoader(REPORT_FOLDER),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     ).get_template("page.html")
     return sheet.render(
         title=head["title"],

@@ -24,7 +24,7 @@ from isogi_core.kernels.shading.framebuffer import develop_rows
 from isogi_report.cells import PREFIXES
 from isogi_report.journal import Report
 from isogi_report.sections import Column, Curve, Picture, Plot
-from server.inspect.picture import DASHES, INK, LINE, SCHEME, SOFT, STYLE
+from server.inspect.picture import DASHES, INK, LINE_STAND_IN, SCHEME, SOFT_STAND_IN, STYLE
 
 PLOT_WIDTH, PLOT_HEIGHT = 4.6, 3.1
 """Inches of a plot, 72 units of SVG each."""
@@ -36,12 +36,12 @@ LEGEND_ROW_HEIGHT = 14.0
 """Height of a line of the legend."""
 
 CURVE_COLOURS = ("#040404", "#050505", "#060606", "#070707", "#080808", "#090909")
-"""Colours that stand for a name while matplotlib draws: see NAMES."""
+"""Colours that stand for a name while matplotlib draws: see PAGE_COLOURS."""
 
 PAGE_COLOURS = {
     INK: "var(--ink)",
-    SOFT: "var(--soft)",
-    LINE: "var(--line)",
+    SOFT_STAND_IN: "var(--soft)",
+    LINE_STAND_IN: "var(--line)",
     **{colour: f"var(--curve-{i + 1})" for i, colour in enumerate(CURVE_COLOURS)},
 }
 
@@ -124,7 +124,7 @@ def fill(axes: Axes, plot: Plot) -> None:
         axes.plot(x, y, color=colour_of(i), linestyle=style, linewidth=1.5, marker="o", markersize=3.2)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.grid(color=LINE, linewidth=0.7)
+    axes.grid(color=LINE_STAND_IN, linewidth=0.7)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.patch.set_visible(False)

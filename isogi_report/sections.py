@@ -19,7 +19,7 @@ COLUMN_UNITS = ("text", "count", "share", "seconds", "bytes", "number")
 
 @dataclass(frozen=True)
 class Column:
-    """The head of a column; its ``unit`` is one of UNITS."""
+    """The head of a column; its ``unit`` is one of COLUMN_UNITS."""
 
     name: str
     unit: str = "text"

@@ -39,7 +39,7 @@ from server.parameters import FORMATS
 from server.pictures import encode
 from server.progress import open_scene
 from server.settings import cores
-from worker.pool import TOGETHER
+from worker.pool import MAX_TASK_TEXELS
 
 SPEED_CACHE_BYTES = 1 << 30
 """Bytes of light that a measured renderer may hold."""
@@ -127,11 +127,11 @@ def bake_offsets(renderer: Renderer, shading: str, wanted: Offsets, until: int, 
 
 
 def together(wanted: Offsets) -> Iterator[Offsets]:
-    """The texels of chunks in tasks of TOGETHER texels or a few more, as workers bake them."""
+    """The texels of chunks in tasks of MAX_TASK_TEXELS or a few more, as workers bake them."""
     task: Offsets = {}
     for index, offsets in wanted.items():
         task[index] = offsets
-        if sum(map(len, task.values())) >= TOGETHER:
+        if sum(map(len, task.values())) >= MAX_TASK_TEXELS:
             yield task
             task = {}
     if task:

@@ -56,7 +56,7 @@ from server.schemas import (
 from server.values import Span
 from worker.progress import TimeLeft
 
-DEFAULTS = (
+SCENE_INDEPENDENT_PARAMETERS = (
     *("azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll"),
     *("width", "height", "shading"),
 )
@@ -247,7 +247,7 @@ def layer_schema(layer: Layer) -> LayerSchema:
 
 def defaults(scene: Scene) -> dict[str, float | str]:
     """What each parameter is where it is left out."""
-    fixed: dict[str, Any] = {name: FrameParams.model_fields[name].default for name in DEFAULTS}
+    fixed: dict[str, Any] = {name: FrameParams.model_fields[name].default for name in SCENE_INDEPENDENT_PARAMETERS}
     albedo = {} if scene.surfaces.albedos is None else {"albedo": albedo_text(scene)}
     own = scene.surfaces.shine
     shine = {} if own is None else {name: getattr(own, field) for name, field in SHINE_KNOBS.items()}

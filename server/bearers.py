@@ -7,11 +7,11 @@ from ipaddress import IPv6Address, ip_address, ip_network
 from pathlib import Path
 from typing import Any
 
-SCOPES = ("look", "bake", "upload", "admin")
+TOKEN_SCOPES = ("look", "bake", "upload", "admin")
 """What a token may allow: to see pictures of what is baked; to have light baked, by looking too, and to dismiss one's
 own jobs; to upload volumes, and delete one's own; and everything, /metrics and what is others' among it."""
 
-SHORTEST = 16
+MIN_TOKEN_CHARACTERS = 16
 """Characters of a token, at least."""
 
 
@@ -21,7 +21,7 @@ class Bearer:
 
     token: str = field(default="", repr=False)
     name: str = ""
-    scopes: frozenset[str] = frozenset(SCOPES)
+    scopes: frozenset[str] = frozenset(TOKEN_SCOPES)
 
     def may(self, scope: str) -> bool:
         """Whether the token allows what the scope stands for."""
@@ -30,31 +30,31 @@ class Bearer:
     @property
     def reach(self) -> int:
         """How many scopes the token allows."""
-        return sum(map(self.may, SCOPES))
+        return sum(map(self.may, TOKEN_SCOPES))
 
     def owns(self, owner: str) -> bool:
         """Whether what belongs to an ``owner``, or to nobody where that is empty, is this one's to change."""
         return owner in ("", self.name) or "admin" in self.scopes
 
 
-ANYBODY = Bearer()
+ANY_BEARER = Bearer()
 """Whoever asks a server that wants no token."""
 
-NOBODY = Bearer(scopes=frozenset())
+TOKENLESS_BEARER = Bearer(scopes=frozenset())
 """Whoever asks without a token what is open to probes, where the server wants one."""
 
-BEARER = "isogi.bearer"
+BEARER_SCOPE_KEY = "isogi.bearer"
 """Where a request's scope (ASGI) holds its bearer."""
 
 
 def bearer_of(scope: Mapping[str, Any]) -> Bearer:
     """Who sends a request or opens a socket, by its ASGI ``scope``."""
-    bearer = scope.get(BEARER, ANYBODY)
+    bearer = scope.get(BEARER_SCOPE_KEY, ANY_BEARER)
     assert isinstance(bearer, Bearer)
     return bearer
 
 
-SITE = 64
+SITE_PREFIX_BITS = 64
 """Leading bits of an IPv6 address that stand for one client: each has all addresses that begin so."""
 
 
@@ -65,14 +65,14 @@ def client_of(scope: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def site_of(host: str) -> str:
-    """The address as limits count it: a network of SITE bits for IPv6, where one client has many."""
+    """The address as limits count it: a network of SITE_PREFIX_BITS bits for IPv6, where one client has many."""
     try:
         address = ip_address(host)
     except ValueError:
         return host
     if isinstance(address, IPv6Address) and address.ipv4_mapped:
         return str(address.ipv4_mapped)
-    return host if address.version == 4 else str(ip_network((int(address), SITE), strict=False))
+    return host if address.version == 4 else str(ip_network((int(address), SITE_PREFIX_BITS), strict=False))
 
 
 def read_bearers(path: Path) -> tuple[Bearer, ...]:
@@ -89,15 +89,16 @@ def read_bearers(path: Path) -> tuple[Bearer, ...]:
 
 def read_bearer(name: str, table: Any) -> Bearer:
     """One bearer. Raises ValueError, which names no token."""
-    right = f"[{name}] must have a token of {SHORTEST} characters or more, and scopes, such as {list(SCOPES[:2])}"
+    some = list(TOKEN_SCOPES[:2])
+    right = f"[{name}] must have a token of {MIN_TOKEN_CHARACTERS} characters or more, and scopes, such as {some}"
     if not isinstance(table, dict) or set(table) != {"token", "scopes"} or not name:
         raise ValueError(right)
     token, scopes = table["token"], table["scopes"]
-    if not isinstance(token, str) or len(token) < SHORTEST or not are_scopes(scopes):
-        raise ValueError(f"{right}; scopes are {', '.join(SCOPES)}")
+    if not isinstance(token, str) or len(token) < MIN_TOKEN_CHARACTERS or not are_scopes(scopes):
+        raise ValueError(f"{right}; scopes are {', '.join(TOKEN_SCOPES)}")
     return Bearer(token, name, frozenset(scopes))
 
 
 def are_scopes(given: object) -> bool:
     """Whether these are scopes, and any at all."""
-    return isinstance(given, Collection) and bool(given) and all(each in SCOPES for each in given)
+    return isinstance(given, Collection) and bool(given) and all(each in TOKEN_SCOPES for each in given)

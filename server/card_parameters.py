@@ -10,7 +10,7 @@ from isogi_core.frame.card.chunk_texels import is_inside
 from isogi_core.model.view import Vec3
 from isogi_core.prepared.prepared_scene import Index
 from server.errors import ParameterError, UnknownPartError
-from server.parameters import VERSION, LightTurn, Pitch, Roll, VariantParams, ViewParams, Yaw, read, reader
+from server.parameters import VERSION_PATTERN, LightTurn, Pitch, Roll, VariantParams, ViewParams, Yaw, read, reader
 from server.values import Colour, Span
 
 CHUNK = re.compile(r"(\d{1,6})\.(\d{1,6})\.(\d{1,6})(?:-([0-9a-f]{16}))?", re.ASCII)
@@ -64,7 +64,9 @@ class VoxelParams(VariantParams):
     """The volume whose voxels are asked for."""
 
     version: str | None = Field(
-        None, pattern=VERSION, description="What the document says: voxels of that version may be kept for ever."
+        None,
+        pattern=VERSION_PATTERN,
+        description="What the document says: voxels of that version may be kept for ever.",
     )
 
 

@@ -21,7 +21,7 @@ from server.errors import ParameterError
 from server.values import Choice, Colour, Ground, Planes, Row, Rows, Span
 
 FORMATS = ("png", "jpeg", "webp", "npy")
-VERSION = r"^[0-9a-f]{32}$"
+VERSION_PATTERN = r"^[0-9a-f]{32}$"
 LONGEST_SIDE = 16383  # WebP's own limit
 LONGEST_WAIT = 10_000
 """Milliseconds that a request may wait for baking."""
@@ -225,9 +225,9 @@ class FrameParams(ViewParams):
     strip: Annotated[tuple[int, int] | None, Rows()] = Field(
         None, description="The rows of the picture to draw, first,last: from the first up to before the last."
     )
-    version: Annotated[str | None, WithJsonSchema({"type": "string", "pattern": VERSION})] = Field(
+    version: Annotated[str | None, WithJsonSchema({"type": "string", "pattern": VERSION_PATTERN})] = Field(
         None,
-        pattern=VERSION,
+        pattern=VERSION_PATTERN,
         description="An ETag without its quotes: the final picture that has it may be kept for ever.",
     )
 
@@ -238,7 +238,9 @@ class SkyParams(LightParams):
     width: Annotated[int, Span(16, 512, whole=True)] = Field(256, description="Pixels; the height is half of it.")
     f: Annotated[str, Choice(FORMATS[:3])] = Field("png", description="Picture format.")
     version: str | None = Field(
-        None, pattern=VERSION, description="An ETag without its quotes: the picture that has it may be kept for ever."
+        None,
+        pattern=VERSION_PATTERN,
+        description="An ETag without its quotes: the picture that has it may be kept for ever.",
     )
 
 

@@ -15,11 +15,11 @@ from server.errors import NotAcceptableError, ParameterError
 from server.parameters import FORMATS, FrameParams
 
 MEDIA_TYPES = {"png": "image/png", "jpeg": "image/jpeg", "webp": "image/webp", "npy": "application/x-npy"}
-SUFFIXES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp", ".npy": "npy"}
-DEVELOPED = {"exposure", "overlay", "background"}
+FORMAT_OF_SUFFIX = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp", ".npy": "npy"}
+DEVELOPING_PARAMETERS = {"exposure", "overlay", "background"}
 """Parameters of developing, which the linear format does not read."""
 
-PLANES = 9
+PLANES_PER_PIXEL = 9
 """Numbers of a pixel in an npy file; see ``planes``."""
 
 BAND = 4 << 20
@@ -47,7 +47,7 @@ def format_for(params: FrameParams, accept: str | None) -> str:
     NotAcceptableError where no format fits; ParameterError where the format does not read a given parameter.
     """
     chosen = params.f or negotiate(accept)
-    unread = sorted(params.model_fields_set & DEVELOPED)
+    unread = sorted(params.model_fields_set & DEVELOPING_PARAMETERS)
     if chosen == "npy" and unread:
         names = " and ".join(unread)
         raise ParameterError(f"npy holds linear radiance and does not read {names}: leave that out.", unread[0])
@@ -91,10 +91,10 @@ def quality(media_type: str, ranges: dict[str, float]) -> float:
     return 0.0
 
 
-PLAIN = FrameParams.model_validate({})
+DEFAULT_PARAMETERS = FrameParams.model_validate({})
 
 
-def encode(frame: Frame, form: str, exposure: float, params: FrameParams = PLAIN) -> bytes:
+def encode(frame: Frame, form: str, exposure: float, params: FrameParams = DEFAULT_PARAMETERS) -> bytes:
     """The frame's bytes; ``exposure`` and ``params`` are read by the 8-bit formats alone. No draft in jpeg is clear."""
 
     if form != "npy":
@@ -148,20 +148,20 @@ def npy_parts(frame: Frame) -> Iterator[bytes]:
     """The bytes of an npy file of ``planes`` in parts of some BAND bytes: the whole is never in memory."""
     height, width = frame.state.shape
     yield npy_header(height, width)
-    rows = max(BAND // (4 * PLANES * width), 1)
+    rows = max(BAND // (4 * PLANES_PER_PIXEL * width), 1)
     for first in range(0, height, rows):
         yield planes(frame, first, min(first + rows, height)).tobytes()
 
 
 def npy_bytes(frame: Frame) -> int:
     """How many these are."""
-    return len(npy_header(*frame.state.shape)) + 4 * PLANES * frame.state.size
+    return len(npy_header(*frame.state.shape)) + 4 * PLANES_PER_PIXEL * frame.state.size
 
 
 def npy_header(height: int, width: int) -> bytes:
     """What an npy file of so many rows and columns begins with."""
     header = io.BytesIO()
-    facts = {"descr": "<f4", "fortran_order": False, "shape": (height, width, PLANES)}
+    facts = {"descr": "<f4", "fortran_order": False, "shape": (height, width, PLANES_PER_PIXEL)}
     np.lib.format.write_array_header_1_0(header, facts)
     return header.getvalue()
 
@@ -179,5 +179,5 @@ def planes(frame: Frame, first: int, last: int) -> np.ndarray:
     if frame.edges:
         width, edges = whole.shape[1], frame.edges
         here = slice(*np.searchsorted(edges.pixels, (first * width, last * width)))
-        whole.reshape(-1, PLANES)[edges.pixels[here] - first * width, :4] = edges.covered[here]
+        whole.reshape(-1, PLANES_PER_PIXEL)[edges.pixels[here] - first * width, :4] = edges.covered[here]
     return whole

@@ -9,7 +9,7 @@ from server.errors import ParameterError
 from server.parameters import LONGEST_SIDE, MOST_STEPS, Isovalue, NoParams, VariantParams, ViewParams, reader
 from server.values import Choice, Span
 
-AXES, LARGEST_VALUE = ("x", "y", "z"), sys.float_info.max
+AXIS_NAMES, LARGEST_VALUE = ("x", "y", "z"), sys.float_info.max
 
 
 class PointParams(ViewParams):
@@ -35,7 +35,7 @@ class PointParams(ViewParams):
 class SliceParams(NoParams):
     """A plane of a scene's volume, as values or as a picture, and the values that are black and white in that."""
 
-    axis: Annotated[str, Choice(AXES)] = Field(description="The voxel axis that the plane is across: x, y or z.")
+    axis: Annotated[str, Choice(AXIS_NAMES)] = Field(description="The voxel axis that the plane is across: x, y or z.")
     at: Annotated[float, Span(0, 1e9)] = Field(description="Where it is, as a voxel index; linear between voxels.")
     low: Annotated[float | None, Span(-LARGEST_VALUE, LARGEST_VALUE)] = Field(
         None, description="The value, in the volume's units, that is black; default: its least one, outliers aside."

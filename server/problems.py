@@ -70,8 +70,8 @@ STATUS: Mapping[type[Exception], int] = {
     FullError: 507,
     IsogiError: 500,
 }
-RETRY = {429: "1", 503: "1"}
-METHODS = frozenset(map(str, HTTPMethod))
+RETRY_AFTER_SECONDS = {429: "1", 503: "1"}
+HTTP_METHODS = frozenset(map(str, HTTPMethod))
 SENTENCES = {
     404: "There is nothing at {path}: see /docs for what there is.",
     405: "{path} does not take {method}: see /docs for what it takes.",
@@ -112,7 +112,9 @@ def problem(status: int, detail: str, instance: str, **more: Any) -> JSONRespons
         **({"request_id": number} if number else {}),
         **more,
     }
-    headers = {"X-Content-Type-Options": "nosniff"} | ({"Retry-After": RETRY[status]} if status in RETRY else {})
+    headers = {"X-Content-Type-Options": "nosniff"} | (
+        {"Retry-After": RETRY_AFTER_SECONDS[status]} if status in RETRY_AFTER_SECONDS else {}
+    )
     headers |= {"X-Request-ID": number} if number else {}
     return JSONResponse(body, status, headers, "application/problem+json")
 
@@ -141,7 +143,7 @@ def methods_at(app: FastAPI, path: str) -> list[str]:
     """The methods that a path takes, as the API's document has it: of several routes the framework names but one."""
     operations = (each for template, each in app.openapi()["paths"].items() if compile_path(template)[0].match(path))
     found = {method.upper() for each in operations for method in each}
-    return sorted(found & METHODS | ({"HEAD"} if "GET" in found else set()))
+    return sorted(found & HTTP_METHODS | ({"HEAD"} if "GET" in found else set()))
 
 
 async def validation_problem(request: Request, error: Exception) -> JSONResponse:

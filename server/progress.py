@@ -20,9 +20,9 @@ from server.values import span
 from worker.progress import TimeLeft
 
 ITEMS = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} {unit}s, {elapsed}{postfix}"
-WEIGHTS = "{desc}: {percentage:3.0f} %|{bar}| {elapsed}{postfix}"
+WEIGHTED_BAR_FORMAT = "{desc}: {percentage:3.0f} %|{bar}| {elapsed}{postfix}"
 
-TICK = 1.0
+REDRAW_SECONDS = 1.0
 """Seconds between two drawings of a bar whose clock runs while a piece of work is done."""
 
 
@@ -31,11 +31,11 @@ CLOCK = "{desc}, {elapsed}"
 
 @contextmanager
 def ticking(draw: Callable[[], object]) -> Iterator[None]:
-    """Call ``draw`` every TICK seconds, on a thread of its own."""
+    """Call ``draw`` every REDRAW_SECONDS, on a thread of its own."""
     ended = threading.Event()
 
     def tick() -> None:
-        while not ended.wait(TICK):
+        while not ended.wait(REDRAW_SECONDS):
             draw()
 
     thread = threading.Thread(target=tick, name="progress", daemon=True)
@@ -95,7 +95,7 @@ class Progress:
 
     def _draw(self, done: int, total: int, postfix: str) -> None:
         if self._bar is None:
-            self._open(ITEMS if self._unit else WEIGHTS, total)
+            self._open(ITEMS if self._unit else WEIGHTED_BAR_FORMAT, total)
         self._bar.total, self._bar.n = total, done
         self._bar.set_postfix_str(postfix, refresh=False)
         self._bar.refresh()

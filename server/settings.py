@@ -24,12 +24,12 @@ UNKNOWN_SCHEDULER = (
 UPLOADS_MB = 2048
 """Megabytes that uploads may take by default, where no other machine reaches the server."""
 
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
+LOOPBACK_HOSTS = ("127.0.0.1", "localhost", "::1")
 Names = Annotated[tuple[str, ...], NoDecode]
 """Names in a list, or with commas between them."""
 
 
-FORMER = {"sharp_mb": "projected_mb"}
+FORMER_SETTING_NAMES = {"sharp_mb": "projected_mb"}
 """Former names of settings, each with the name that it has now."""
 
 
@@ -210,8 +210,8 @@ class Settings(BaseSettings):
     @classmethod
     def renamed(cls, given: Any) -> Any:
         """What is given, where no name in it is a former one."""
-        for former in FORMER.keys() & dict(given):
-            raise ValueError(f"{former} is called {FORMER[former]} now: rename it")
+        for former in FORMER_SETTING_NAMES.keys() & dict(given):
+            raise ValueError(f"{former} is called {FORMER_SETTING_NAMES[former]} now: rename it")
         return given
 
     @model_validator(mode="before")
@@ -290,7 +290,7 @@ class Settings(BaseSettings):
         """Host names that requests may use, in lower case; None for any."""
         if self.allowed_hosts is not None:
             return tuple(name.lower() for name in self.allowed_hosts)
-        return None if self.exposed else tuple(dict.fromkeys((*LOOPBACK, self.host.lower())))
+        return None if self.exposed else tuple(dict.fromkeys((*LOOPBACK_HOSTS, self.host.lower())))
 
 
 def read_settings(config: Path | None = None, **given: Any) -> Settings:
@@ -299,7 +299,7 @@ def read_settings(config: Path | None = None, **given: Any) -> Settings:
     Raises pydantic's ValidationError, and ValueError where the file is no TOML, or a former name is given; OSError
     where the file cannot be read.
     """
-    for former, name in FORMER.items():
+    for former, name in FORMER_SETTING_NAMES.items():
         if former in given or f"ISOGI_{former.upper()}" in os.environ:
             raise ValueError(f"{former} is called {name} now: rename it")
     if config is None:

@@ -18,9 +18,9 @@ from isogi_core.files.regular import read_small
 from isogi_core.model.window import read_window
 from server.errors import ParameterError
 
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+NUMBER_PATTERN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 WHOLE_PATTERN = re.compile(r"[+-]?\d+", re.ASCII)
-FURTHEST = 1e12
+MAX_COORDINATE = 1e12
 
 
 def shown(value: object) -> str:
@@ -32,7 +32,7 @@ def shown(value: object) -> str:
 def finite(value: object) -> float:
     """The number that ``value`` is or spells; NaN for anything else."""
     if isinstance(value, str):
-        return float(value) if len(value) <= 64 and NUMBER.fullmatch(value) else math.nan
+        return float(value) if len(value) <= 64 and NUMBER_PATTERN.fullmatch(value) else math.nan
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
         return math.nan
     return float(value)
@@ -75,9 +75,9 @@ class Row(GroupedMetadata):
         """The numbers in ``value``, a text or a sequence; ValueError where they are not these."""
         parts = value.split(",") if isinstance(value, str) else value
         numbers = tuple(map(finite, parts)) if isinstance(parts, list | tuple) else ()
-        if len(numbers) != len(self.names) or not all(abs(number) <= FURTHEST for number in numbers):
+        if len(numbers) != len(self.names) or not all(abs(number) <= MAX_COORDINATE for number in numbers):
             wanted = f"{len(self.names)} finite numbers {','.join(self.names)}"
-            raise ValueError(f"must be {wanted} (each at most {FURTHEST:g} in size), not {shown(value)}.")
+            raise ValueError(f"must be {wanted} (each at most {MAX_COORDINATE:g} in size), not {shown(value)}.")
         return numbers
 
 
@@ -134,12 +134,12 @@ class Planes(GroupedMetadata):
         return str(value)
 
 
-GROUNDS = ("dark", "light", "transparent")
+BACKGROUND_NAMES = ("dark", "light", "transparent")
 
 
 @dataclass(frozen=True)
 class Ground(GroupedMetadata):
-    """What is behind a surface: one of GROUNDS, or sRGB as ``#rrggbb``."""
+    """What is behind a surface: one of BACKGROUND_NAMES, or sRGB as ``#rrggbb``."""
 
     def __iter__(self) -> Iterator[Any]:
         yield BeforeValidator(self.read)
@@ -148,8 +148,8 @@ class Ground(GroupedMetadata):
     def read(self, value: object) -> str:
         """The background in ``value``, in small letters; ValueError where it is none."""
         text = str(value).lower()
-        if text not in GROUNDS and not re.fullmatch("#[0-9a-f]{6}", text):
-            raise ValueError(f"must be {', '.join(GROUNDS)}, or a colour such as #ffffff, not {shown(value)}.")
+        if text not in BACKGROUND_NAMES and not re.fullmatch("#[0-9a-f]{6}", text):
+            raise ValueError(f"must be {', '.join(BACKGROUND_NAMES)}, or a colour such as #ffffff, not {shown(value)}.")
         return text
 
 
@@ -170,23 +170,23 @@ class Choice(GroupedMetadata):
         return value
 
 
-NAMES = (("h", 3600.0), ("min", 60.0), ("s", 1.0), ("ms", 1e-3))
+TIME_UNITS = (("h", 3600.0), ("min", 60.0), ("s", 1.0), ("ms", 1e-3))
 
-UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
+DURATION_UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
 
-DURATION = re.compile(rf"({NUMBER.pattern})(s|m|h|)", re.ASCII)
+DURATION_PATTERN = re.compile(rf"({NUMBER_PATTERN.pattern})(s|m|h|)", re.ASCII)
 
-AGES = {"d": 86400.0, "w": 7 * 86400.0}
+AGE_UNITS = {"d": 86400.0, "w": 7 * 86400.0}
 
-AGE = re.compile(rf"({NUMBER.pattern})(d|w)", re.ASCII)
+AGE_PATTERN = re.compile(rf"({NUMBER_PATTERN.pattern})(d|w)", re.ASCII)
 
 LONGEST_SECONDS = 1e9
 
 
 def seconds_of(text: str) -> float:
     """Seconds of a span of time, none included; ValueError, which says what is allowed, where it is no span."""
-    match = DURATION.fullmatch(text) if len(text) <= 40 else None
-    seconds = float(match[1]) * UNITS[match.groups()[-1]] if match else -1.0
+    match = DURATION_PATTERN.fullmatch(text) if len(text) <= 40 else None
+    seconds = float(match[1]) * DURATION_UNITS[match.groups()[-1]] if match else -1.0
     if not 0.0 <= seconds <= LONGEST_SECONDS:
         raise ValueError(f"must be a span of time such as 90, 90s, 10m or 1h, not {shown(text)}.")
     return seconds
@@ -194,9 +194,9 @@ def seconds_of(text: str) -> float:
 
 def seconds_of_age(text: str) -> float:
     """Seconds of a span of time that may also be in days or weeks: 12h, 30d, 4w; ValueError as ``seconds_of``."""
-    match = AGE.fullmatch(text) if len(text) <= 40 else None
+    match = AGE_PATTERN.fullmatch(text) if len(text) <= 40 else None
     if match and float(match[1]) >= 0.0:
-        return float(match[1]) * AGES[match.groups()[-1]]
+        return float(match[1]) * AGE_UNITS[match.groups()[-1]]
     try:
         return seconds_of(text)
     except ValueError:
@@ -205,8 +205,8 @@ def seconds_of_age(text: str) -> float:
 
 def span(seconds: float, digits: int = 3) -> str:
     """Seconds as text to so many digits, in the largest unit that they reach; ``0 s`` for less than a millisecond."""
-    name, size = next(((name, size) for name, size in NAMES if seconds >= size), ("s", 1.0))
-    count = float(f"{seconds / size:.{digits}g}") if seconds >= NAMES[-1][1] else 0.0
+    name, size = next(((name, size) for name, size in TIME_UNITS if seconds >= size), ("s", 1.0))
+    count = float(f"{seconds / size:.{digits}g}") if seconds >= TIME_UNITS[-1][1] else 0.0
     return f"{count:,g} {name}"
 
 

@@ -31,7 +31,7 @@ class Viewer:
     bakes: bool = True
 
 
-GUEST = Viewer()
+GUEST_VIEWER = Viewer()
 """A viewer without a name."""
 
 
@@ -41,7 +41,7 @@ Key = tuple[str, Index]
 MOST_FAILURES = 3
 """Failed tries after which a chunk is given up, until its request expires."""
 
-LONG = 1 << 14
+LONG_TASK_PATHS = 1 << 14
 """Paths beyond which what is left of a chunk is not one task, but one level of samples more: about a tenth of a second,
 for which others may have to wait.
 """
@@ -190,7 +190,7 @@ class BakeRequest:
         unlit, taken, left, *_ = self.effort
         if unlit:
             return FIRST_LEVEL * (len(self.next[0]) if self.sparse else unlit)
-        return left if left <= LONG else min(left, taken)
+        return left if left <= LONG_TASK_PATHS else min(left, taken)
 
     @property
     def given_up(self) -> bool:
@@ -260,12 +260,13 @@ class BakeRequest:
 def next_until(effort: Effort) -> int:
     """The sample count beyond which a task takes no texel, of a chunk that wants this ``effort``.
 
-    It is the first while some have no light, and then all that there are, or where that is LONG, the next one.
+    It is the first while some have no light, and then all that there are, or where that is LONG_TASK_PATHS, the next
+    one.
     """
     if effort.unlit:
         return FIRST_LEVEL
     mean = max(effort.taken / max(effort.lit, 1.0), 1.0)
-    return MAX_SAMPLES if effort.left <= LONG else next_level(2 ** int(math.log2(mean)))
+    return MAX_SAMPLES if effort.left <= LONG_TASK_PATHS else next_level(2 ** int(math.log2(mean)))
 
 
 def merged(interests: Collection[Interest]) -> MergedInterest:

@@ -22,7 +22,7 @@ from isogi_core.model.scene_plan import MAX_SAMPLES, ScenePlan
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.url import StoreUrl
-from worker.bake_requests import GUEST, BakeRequest, Key, Viewer
+from worker.bake_requests import GUEST_VIEWER, BakeRequest, Key, Viewer
 from worker.errors import LostWorkerError, WorkersAwayError
 from worker.keeping import Whole
 from worker.progress import Pace, Tally, TimeEstimator, TimeLeft, Work, work_seconds
@@ -80,10 +80,10 @@ class Pause:
 
 log = logging.getLogger("isogi.worker")
 
-WAY = 0.5
+CLEAR_CORES_SECONDS = 0.5
 """Seconds for which the workers leave cores free after a view has moved."""
 
-REST, LONGEST_REST = 0.25, 5.0
+POSTPONE_SECONDS, LONGEST_REST = 0.25, 5.0
 """Seconds for which a chunk is postponed that another baker has claimed, and the most of these together: the other
 baker may have been killed."""
 
@@ -128,7 +128,7 @@ class Baker:
         self._done_tasks = self._failed_tasks = 0
         self._duplicate = self._healed = self._kept = 0
         self._paths, self._seconds = 0, 0.0
-        self._way = -WAY
+        self._way = -CLEAR_CORES_SECONDS
         self._pause = Pause(clock, self._resume)
         self._changed = threading.Condition()
         self._listeners: list[Listener] = []
@@ -169,7 +169,12 @@ class Baker:
         self._listeners.append(listener)
 
     def request(
-        self, scene: str, demands: Iterable[Demand], target: float, viewer: Viewer = GUEST, enough: int = MAX_SAMPLES
+        self,
+        scene: str,
+        demands: Iterable[Demand],
+        target: float,
+        viewer: Viewer = GUEST_VIEWER,
+        enough: int = MAX_SAMPLES,
     ) -> frozenset[Index]:
         """Request the light that a viewer's newest view lacks. Returns the chunks that will be baked.
 
@@ -184,12 +189,12 @@ class Baker:
             return frozenset(request.key[1] for request in self._queue.open(key for key, _ in wanted))
 
     def make_way(self) -> None:
-        """Leave cores to frames and a browser while a view moves: for WAY seconds half the workers rest.
+        """Leave cores to frames and a browser while a view moves: for CLEAR_CORES_SECONDS half the workers rest.
 
         The others get one task each, at lower priority. Workers on other machines go on.
         """
         pool = self._pool
-        if pool is not None and pool.step_back(WAY):
+        if pool is not None and pool.step_back(CLEAR_CORES_SECONDS):
             self._way = self._clock()
 
     def leave(self, viewer: Viewer) -> None:
@@ -203,7 +208,7 @@ class Baker:
         with self._changed:
             self._changed.wait_for(lambda: not self._queue.open(keys), seconds)
 
-    def open(self, scene: str, indices: Iterable[Index], viewer: Viewer = GUEST) -> int:
+    def open(self, scene: str, indices: Iterable[Index], viewer: Viewer = GUEST_VIEWER) -> int:
         """Count the chunks with open requests, neither done nor given up, and renew the viewer's interest in them."""
         keys: list[Key] = [(scene, index) for index in indices]
         with self._changed:
@@ -309,7 +314,9 @@ class Baker:
         """How many tasks may be in flight now: none, or one trial, in a pause; fewer while a view moves."""
         if self._pause.reason:
             return min(int(self._pause.over), pool.room)
-        return min(max(pool.workers // 2, 1) if self._clock() - self._way < WAY else pool.room, pool.room)
+        return min(
+            max(pool.workers // 2, 1) if self._clock() - self._way < CLEAR_CORES_SECONDS else pool.room, pool.room
+        )
 
     def _submit(self, pool: "WorkerPool", requests: Sequence[BakeRequest]) -> None:
         """Hand over the tasks of requests of one bake, to be done together."""
@@ -381,8 +388,8 @@ class Baker:
 
     def _postpone(self, key: Key) -> None:
         """Postpone a chunk that another baker has claimed; other chunks come first."""
-        self._queue.put_off(key, REST)
-        after(REST, self._resume)
+        self._queue.put_off(key, POSTPONE_SECONDS)
+        after(POSTPONE_SECONDS, self._resume)
 
     def _resume(self) -> None:
         """Hand out tasks again after a pause."""

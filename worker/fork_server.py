@@ -14,10 +14,10 @@ On other systems the libraries that a process has loaded may not survive a fork.
 what any user of the machine tells it (CVE-2022-42919), later ones what their own user does.
 """
 
-PRELOADED = ["worker.interrupts", "worker.preload"]
+PRELOADED_MODULES = ["worker.interrupts", "worker.preload"]
 """The modules that the fork server imports, in this order."""
 
-WORKER = "isogi worker"
+WORKER_PROCESS_NAME = "isogi worker"
 """The name of a worker process, as ``ps`` and ``top`` show it."""
 
 
@@ -27,5 +27,5 @@ def start_fork_server() -> None:
     It ends when this process does. Workers have the environment of now, and what they are given.
     """
     if START_METHOD == "forkserver":
-        forkserver.set_forkserver_preload(PRELOADED)
+        forkserver.set_forkserver_preload(PRELOADED_MODULES)
         forkserver.ensure_running()

@@ -11,23 +11,23 @@ from isogi_core.kernels.transport.entries import path_kernels
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
 from isogi_core.plan.scene import COLOURED_KIND, PATH_KINDS
 
-PATHS = {
+KERNELS_OF_LAYER = {
     **{"direct": (bake_texels,), "indirect": (bake_texels,), "whole": (bake_texels,)},
     **{"irradiance": (bake_irradiance,), COLOURED_KIND: (bake_coloured_texels,)},
     **{kind: path_kernels(*cell) for cell, kind in PATH_KINDS.items()},
 }
 """Entry kernels by the kind of layer that they bake; among walls or surfaces and on colours they are others."""
 
-KINDS = tuple(kind for kind in PATHS if kind not in (COLOURED_KIND, *PATH_KINDS.values()))
+PLAIN_LAYER_KINDS = tuple(kind for kind in KERNELS_OF_LAYER if kind not in (COLOURED_KIND, *PATH_KINDS.values()))
 """The kinds of layers of scenes with one surface, without walls, colours and glow."""
 
-OPENING = (fill_macrocells, fill_ranges, mark_bricks, pack_bricks, number_bricks)
+OPENING_KERNELS = (fill_macrocells, fill_ranges, mark_bricks, pack_bricks, number_bricks)
 """Entry kernels that open a scene and map its isosurfaces."""
 
 
 def bake_kernels(kinds: Iterable[str]) -> tuple[Any, ...]:
     """The entry kernels for baking layers of these ``kinds``, and those in ROOM, besides those that open a scene."""
-    return (*{kernel for kind in kinds for kernel in PATHS[kind]}, locate_texels)
+    return (*{kernel for kind in kinds for kernel in KERNELS_OF_LAYER[kind]}, locate_texels)
 
 
 def kernels_missing(kinds: Iterable[str]) -> bool:

@@ -13,12 +13,12 @@ from typing import Any
 
 from distributed import WorkerPlugin
 
-from worker.fork_server import WORKER
+from worker.fork_server import WORKER_PROCESS_NAME
 
-NICENESS = 10
+WORKER_NICENESS = 10
 """Niceness of the workers above the server's."""
 
-FORWARD = 3
+FORWARD_NICENESS = 3
 """Niceness of a worker's session while no view moves.
 
 Two such sessions together have as much of the cores as one of niceness 0, such as the server's.
@@ -35,18 +35,18 @@ class Nice(WorkerPlugin):
 
         Workers that are set ``apart`` lead sessions of their own, where the kernel has autogroups.
         """
-        self.niceness = min(os.getpriority(os.PRIO_PROCESS, 0) + NICENESS, 19)
+        self.niceness = min(os.getpriority(os.PRIO_PROCESS, 0) + WORKER_NICENESS, 19)
         self.apart = apart
 
     def setup(self, worker: Any) -> None:
         """Name the process, and lower its priority, unless it is as low already."""
         with suppress(OSError):  # another system
-            Path("/proc/self/comm").write_text(WORKER, encoding="ascii")
+            Path("/proc/self/comm").write_text(WORKER_PROCESS_NAME, encoding="ascii")
         os.setpriority(os.PRIO_PROCESS, 0, max(self.niceness, os.getpriority(os.PRIO_PROCESS, 0)))
         if self.apart and Path("/proc/self/autogroup").exists():
             with suppress(PermissionError):
                 os.setsid()
-                set_session_niceness(os.getpid(), FORWARD)
+                set_session_niceness(os.getpid(), FORWARD_NICENESS)
 
 
 def leads_session(pid: int) -> bool:
@@ -70,20 +70,20 @@ def set_session_niceness(pid: int, niceness: int) -> bool:
         return True
 
 
-BACK = 10
+BACK_NICENESS = 10
 """Niceness of a session while a view moves: one of niceness 0 then has nine times as much of a core."""
 
-TICK = 0.1
+CHANGE_SECONDS = 0.1
 """Seconds between two rounds of changes: the kernel grants an unprivileged process one change in this time."""
 
-CLOSING = 2.0
-"""Seconds for which closing waits until all sessions have FORWARD again."""
+CLOSING_SECONDS = 2.0
+"""Seconds for which closing waits until all sessions have FORWARD_NICENESS again."""
 
 
 class Sessions:
-    """Sessions that worker processes lead: at niceness BACK for a while, and FORWARD at all other times.
+    """Sessions that worker processes lead: at BACK_NICENESS for a while, and FORWARD_NICENESS at all other times.
 
-    A thread changes them, and ends once all are FORWARD again.
+    A thread changes them, and ends once all have FORWARD_NICENESS again.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class Sessions:
         self._lock = threading.Lock()
 
     def step_back(self, seconds: float) -> None:
-        """Set all sessions BACK for so many seconds from now. Does not wait."""
+        """Give all sessions BACK_NICENESS for some seconds from now. Does not wait."""
         with self._lock:
             self._until = self._clock() + seconds
             if self._thread is None:
@@ -112,23 +112,23 @@ class Sessions:
                 self._thread.start()
 
     def close(self) -> None:
-        """Set all sessions FORWARD, and wait for that."""
+        """Give all sessions FORWARD_NICENESS, and wait for that."""
         with self._lock:
             self._until, thread = self._clock(), self._thread
         if thread is not None:
-            thread.join(CLOSING)
+            thread.join(CLOSING_SECONDS)
 
     def _run(self) -> None:
         while not self._round():
-            self._pause(TICK)
+            self._pause(CHANGE_SECONDS)
 
     def _round(self) -> bool:
-        """Make the changes that are due and granted. Returns whether all are FORWARD and the thread may end."""
+        """Make the changes that are due and granted. Returns whether all have FORWARD_NICENESS and the thread may end."""
         leaders = frozenset(self._leaders())
         self._back &= leaders
         moving = self._clock() < self._until
         for leader in leaders - self._back if moving else self._back:
-            if not self._change(leader, BACK if moving else FORWARD):
+            if not self._change(leader, BACK_NICENESS if moving else FORWARD_NICENESS):
                 break
             self._back ^= {leader}
         with self._lock:

@@ -17,11 +17,11 @@ from isogi_core.model.scene_plan import ScenePlan
 from worker.certificates import temporary_security
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.fork_server import START_METHOD, start_fork_server
-from worker.kernels import KINDS, kernels_missing, load_kernels
+from worker.kernels import PLAIN_LAYER_KINDS, kernels_missing, load_kernels
 from worker.niceness import Nice, Sessions, leads_session
 from worker.tasks import BakeResult, BakeTask, Outcome, attempt, bake, bake_all
 
-SOON = 1.0
+CLIENT_CLOSE_SECONDS = 1.0
 """Seconds that closing a client may take that could not be made."""
 
 
@@ -38,14 +38,14 @@ class OwnClient(Client):
             super().__init__(address, timeout=timeout, set_as_default=False)  # type: ignore[no-untyped-call]
         except BaseException:
             with suppress(Exception):
-                self.close(timeout=SOON)  # type: ignore[no-untyped-call]
+                self.close(timeout=CLIENT_CLOSE_SECONDS)  # type: ignore[no-untyped-call]
             raise
 
     def __del__(self) -> None:
         """Close nothing."""
 
 
-TOGETHER = 2048
+MAX_TASK_TEXELS = 2048
 """Most texels of a task: at 1024 and more their paths fill whole waves."""
 
 TASKS_AHEAD = 2
@@ -68,21 +68,23 @@ SETTINGS: dict[str, object] = {
 By default Dask observes itself a hundred times a second: 5 % of a core with one idle worker. So set it takes 1 %.
 """
 
-FOREVER = {
+CLUSTER_SETTINGS = {
     "distributed.deploy.lost-worker-timeout": "10000 days",
     "distributed.worker.multiprocessing-method": START_METHOD,
 }
 """Set for the life of the process, as Dask reads them at each death. A cluster dismisses the nanny of a worker that is
 missing so long after a death; with the default 15 s also of one that came back and died once more."""
 
-LOOK, RETRY = 1.0, 5.0
+CHECK_SECONDS, REJOIN_SECONDS = 1.0, 5.0
 """Seconds between two checks of the scheduler, and seconds that a try to join it again may take."""
 
-COMPILING = "The workers compile their kernels."
+WORKERS_COMPILE = "The workers compile their kernels."
 
-LOST = "The worker processes are gone: restart the server."
-AWAY = "The scheduler at {scheduler} cannot be reached at the moment: baking goes on when it is there again."
-NOBODY = "No worker has joined the scheduler at {scheduler}: start one with 'dask worker', see docs/cluster.md."
+WORKERS_LOST = "The worker processes are gone: restart the server."
+SCHEDULER_AWAY = "The scheduler at {scheduler} cannot be reached at the moment: baking goes on when it is there again."
+NO_WORKER_JOINED = (
+    "No worker has joined the scheduler at {scheduler}: start one with 'dask worker', see docs/cluster.md."
+)
 
 log = logging.getLogger("isogi.worker")
 
@@ -97,7 +99,7 @@ class WorkerPool:
     ``worker.tasks.dask_setup``. They and their scheduler may come and go: a thread of the pool follows that.
     """
 
-    def __init__(self, workers: int, scheduler: str | None = None, kinds: Collection[str] = KINDS) -> None:
+    def __init__(self, workers: int, scheduler: str | None = None, kinds: Collection[str] = PLAIN_LAYER_KINDS) -> None:
         """Start ``workers`` processes of one thread each, or join the ``scheduler``.
 
         Raises WorkersError, and WorkersAwayError where the scheduler is not there.
@@ -147,7 +149,7 @@ class WorkerPool:
     @property
     def together(self) -> int:
         """Most texels of a task, of as many chunks as that takes."""
-        return TOGETHER
+        return MAX_TASK_TEXELS
 
     @property
     def connected(self) -> bool:
@@ -158,9 +160,9 @@ class WorkerPool:
     def trouble(self) -> str:
         """Why nothing is baked at the moment; empty when all is well."""
         if not self.connected:
-            return AWAY.format(scheduler=self._scheduler) if self._scheduler else LOST
+            return SCHEDULER_AWAY.format(scheduler=self._scheduler) if self._scheduler else WORKERS_LOST
         if not self._addresses:
-            return NOBODY.format(scheduler=self._scheduler) if self._scheduler else LOST
+            return NO_WORKER_JOINED.format(scheduler=self._scheduler) if self._scheduler else WORKERS_LOST
         return ""
 
     @property
@@ -170,7 +172,7 @@ class WorkerPool:
         Kernels of joined workers are not known here: those load them before they come.
         """
         lacking = self._kinds - self._baked
-        return COMPILING if self._cluster is not None and not self.trouble and kernels_missing(lacking) else ""
+        return WORKERS_COMPILE if self._cluster is not None and not self.trouble and kernels_missing(lacking) else ""
 
     def attend(self, stir: Callable[[], None]) -> None:
         """Call ``stir``, from another thread, whenever workers have come or gone."""
@@ -247,7 +249,7 @@ class WorkerPool:
             self._addresses = addresses(client)
             self._joined = str(client.scheduler_info(n_workers=0)["id"])
         except BaseException:
-            client.close(timeout=LOOK)
+            client.close(timeout=CHECK_SECONDS)
             raise
         return client
 
@@ -262,7 +264,7 @@ class WorkerPool:
         Events may be lost, so the number of workers is polled too.
         """
         while not self._closing.is_set():
-            moved = self._moved.wait(LOOK)
+            moved = self._moved.wait(CHECK_SECONDS)
             self._moved.clear()
             try:
                 self._look_after()
@@ -295,9 +297,9 @@ class WorkerPool:
         if self._cluster is not None or self._closing.is_set():
             return
         with suppress(Exception):  # one that looks for its scheduler may not close in time
-            self._client.close(timeout=LOOK)
+            self._client.close(timeout=CHECK_SECONDS)
         with dask.config.set(SETTINGS):
-            self._client = self._connect(f"{RETRY:g}s")
+            self._client = self._connect(f"{REJOIN_SECONDS:g}s")
         log.warning("the scheduler at %s is back, with %d workers", self._scheduler, len(self._addresses))
         self._stir()
 
@@ -322,7 +324,7 @@ def start_cluster(workers: int) -> LocalCluster:
 
     Dask serves a health page all the same, on a free port: two servers must not compete for one.
     """
-    dask.config.set(FOREVER)
+    dask.config.set(CLUSTER_SETTINGS)
     get_mp_context()  # where it is first called, Dask chooses what a fork server imports
     start_fork_server()
     return LocalCluster(

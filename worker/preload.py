@@ -7,13 +7,13 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS
 
 from isogi_core.allocation import keep_memory_small
 from isogi_core.kernels._jit import entries_of, load
-from worker.kernels import KINDS, OPENING, bake_kernels
+from worker.kernels import OPENING_KERNELS, PLAIN_LAYER_KINDS, bake_kernels
 from worker.tasks import attempt
 
 
 def load_what_is_stored() -> None:
     """Load the kernels of bakes that are compiled; the others are left to the workers, which say so."""
-    load([entry for entry in entries_of((*bake_kernels(KINDS), *OPENING)) if entry.stored])
+    load([entry for entry in entries_of((*bake_kernels(PLAIN_LAYER_KINDS), *OPENING_KERNELS)) if entry.stored])
 
 
 keep_memory_small()

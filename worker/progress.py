@@ -73,19 +73,19 @@ def log_normal_ratios(spread: float) -> tuple[float, ...]:
     return tuple(math.exp(spread * normal.inv_cdf(p / 100)) for p in (5, *range(10, 100, 10), 95))
 
 
-PRIOR = (0.25, 0.5, 1.0, 2.0, 4.0)
+ASSUMED_WORK_RATIOS = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Assumed ratios of true to estimated work, besides the known ones: the range is wide at first."""
 
 MAX_KNOWN_RATIOS = 50
 """Known ratios that are kept; the oldest are dropped first."""
 
-APART, MIN_JUDGING_SHARE = 0.5, 0.25
+MIN_JUDGING_SPACING, MIN_JUDGING_SHARE = 0.5, 0.25
 """Least seconds between two estimates of one subject that are judged later, and the same as a share of their work."""
 
-AWAY = 60.0
+FORGET_SECONDS = 60.0
 """Seconds without an estimate after which a subject is new: what happened meanwhile says nothing of work."""
 
-SUBJECTS = 16
+MAX_SUBJECTS = 16
 """Subjects whose estimates are kept; the one not used for the longest time is dropped first."""
 
 
@@ -111,7 +111,9 @@ class TimeEstimator:
     Call under one lock from several threads.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic, prior: tuple[float, ...] = PRIOR) -> None:
+    def __init__(
+        self, clock: Callable[[], float] = time.monotonic, prior: tuple[float, ...] = ASSUMED_WORK_RATIOS
+    ) -> None:
         """Begin without estimates; ``prior`` are assumed ratios of true to estimated times, ascending."""
         self._clock, self._prior = clock, prior
         self._ratios: deque[float] = deque(maxlen=MAX_KNOWN_RATIOS)
@@ -126,17 +128,17 @@ class TimeEstimator:
         estimate = Estimate(work, now, worked)
         self._judge(known, estimate)
         last = known.estimates[-1].made if known.estimates else -math.inf
-        if work > 0.0 and now - last >= max(APART, MIN_JUDGING_SHARE * work):
+        if work > 0.0 and now - last >= max(MIN_JUDGING_SPACING, MIN_JUDGING_SHARE * work):
             known.estimates.append(estimate)
         return TimeLeft.of(work, (*self._prior, *self._ratios))
 
     def _subject(self, name: Hashable) -> Subject:
-        """The subject of this name, marked as used now; a new one where it was not used for AWAY seconds."""
+        """The subject of this name, marked as used now; a new one where it was not used for FORGET_SECONDS seconds."""
         now, known = self._clock(), self._subjects.pop(name, None)
-        subject = known if known is not None and now - known.asked <= AWAY else Subject(now)
+        subject = known if known is not None and now - known.asked <= FORGET_SECONDS else Subject(now)
         subject.asked = now
         self._subjects[name] = subject
-        if len(self._subjects) > SUBJECTS:
+        if len(self._subjects) > MAX_SUBJECTS:
             self._subjects.popitem(last=False)
         return subject
 
@@ -153,7 +155,7 @@ class TimeEstimator:
                 subject.estimates.remove(each)
 
 
-LATELY = 20.0
+PACE_WINDOW_SECONDS = 20.0
 """Processor seconds of tasks that the pace is measured over; what was before counts half as much."""
 
 
@@ -186,7 +188,7 @@ class Pace:
         if self._begun:
             self._spent += seconds
         self._begun = True
-        if self._spent >= 2.0 * LATELY:
+        if self._spent >= 2.0 * PACE_WINDOW_SECONDS:
             self._busy, self._spent = self._busy / 2.0, self._spent / 2.0
 
 

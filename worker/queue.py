@@ -19,7 +19,7 @@ import numpy as np
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.prepared.prepared_scene import Index
-from worker.bake_requests import GUEST, SHORT_TASK_SECONDS, BakeRequest, Key, Viewer
+from worker.bake_requests import GUEST_VIEWER, SHORT_TASK_SECONDS, BakeRequest, Key, Viewer
 from worker.fair_turns import Shares
 from worker.tasks import BakeResult
 
@@ -93,10 +93,10 @@ def is_current(place: Place, client: Hashable) -> bool:
     return interest is not None and interest.ticket == ticket
 
 
-FORGET_AFTER, LOOK = 60.0, 1.0
+FORGET_AFTER, EXPIRY_CHECK_SECONDS = 60.0, 1.0
 """Seconds after which a request that was not renewed expires, and between two checks for these."""
 
-GROWN, SUNK = 1.5, 1.0 / 3.0
+RERANK_GROWTH, RERANK_LOSS = 1.5, 1.0 / 3.0
 """Growth of a request's priority, and share of its loss, from which on it is ranked again in all its clients' queues.
 
 Below these it keeps its places, as a thousand clients may see one chunk.
@@ -127,7 +127,11 @@ class BakeQueue:
     _turn: tuple[bool, Hashable] = (False, "")
 
     def request(
-        self, demands: Iterable[tuple[Key, Demand]], target: float, viewer: Viewer = GUEST, enough: int = MAX_SAMPLES
+        self,
+        demands: Iterable[tuple[Key, Demand]],
+        target: float,
+        viewer: Viewer = GUEST_VIEWER,
+        enough: int = MAX_SAMPLES,
     ) -> None:
         """Add the demands of a ``viewer``'s newest view."""
         self._forget()
@@ -215,7 +219,7 @@ class BakeQueue:
             request.advance(result, grown)
             self._rank_everywhere(request)
 
-    def renew(self, keys: Iterable[Key], viewer: Viewer = GUEST) -> None:
+    def renew(self, keys: Iterable[Key], viewer: Viewer = GUEST_VIEWER) -> None:
         """Renew a ``viewer``'s interest in ``keys``."""
         claimed = self._interesting.get(viewer.client, {})
         for request in self.open(keys):
@@ -279,7 +283,7 @@ class BakeQueue:
         self._interesting.setdefault(client, {}).pop(request.key, None)
         self._interesting[client][request.key] = request
         lacking, priority = request.ranked
-        if bool(request.effort.unlit) != lacking or request.priority >= GROWN * priority:
+        if bool(request.effort.unlit) != lacking or request.priority >= RERANK_GROWTH * priority:
             self._rank_everywhere(request)
         elif not request.in_flight:
             self._rank_for(request, client)
@@ -354,8 +358,8 @@ class BakeQueue:
             self._rank_everywhere(request)
 
     def _forget(self) -> None:
-        """Drop expired interests; checked once in LOOK seconds."""
-        if self.clock() - self.looked < LOOK:
+        """Drop expired interests; checked every EXPIRY_CHECK_SECONDS."""
+        if self.clock() - self.looked < EXPIRY_CHECK_SECONDS:
             return
         self.looked, horizon = self.clock(), self.clock() - FORGET_AFTER
         for client in tuple(self._interesting):
@@ -397,4 +401,4 @@ def alike(one: BakeRequest, other: BakeRequest) -> bool:
 
 def sunk(rank: Rank, now: Rank) -> bool:
     """Whether a request's rank has become much lower, or it has the first light that it lacked."""
-    return now[:3] > rank[:3] or now[3] - rank[3] > SUNK * abs(rank[3])
+    return now[:3] > rank[:3] or now[3] - rank[3] > RERANK_LOSS * abs(rank[3])

@@ -37,7 +37,7 @@ from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.store import Store
 from isogi_core.storage.url import StoreUrl
 from worker.keeping import Whole, WholeLight, light_of_whole
-from worker.kernels import KINDS, load_kernels
+from worker.kernels import PLAIN_LAYER_KINDS, load_kernels
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ class BakeResult:
     kept: int = 0
 
 
-ELSEWHERE = BakeResult(0, 0.0, Effort(0, 0.0, 0.0), Cost(), elsewhere=True)
+BAKED_ELSEWHERE = BakeResult(0, 0.0, Effort(0, 0.0, 0.0), Cost(), elsewhere=True)
 
 
 @lru_cache(maxsize=4)
@@ -116,25 +116,39 @@ def prepared_scene(source: SceneSource, assets: SceneAssets | None, store_url: S
     return PreparedScene(build_scene(received, no_progress, volume, *known), most_maps())
 
 
-MAPS = 3 / 8
+MAP_BYTES_SHARE = 3 / 8
 """Bytes of active-cell maps that a worker keeps of a volume, over those that it may hold of mapped voxels."""
 
 
 def most_maps() -> int:
     """Most bytes of a volume's active-cell maps."""
-    return int(MAPS * budget())
+    return int(MAP_BYTES_SHARE * budget())
 
 
 OPEN: WeakValueDictionary[str, PreparedScene] = WeakValueDictionary()
 """The scenes that this process has open, by their volumes and how rays meet these."""
 
-LIGHT = ("lights", "environment", "lattice", "albedo", "albedos", "transmission", "surfaces", "clear", "material")
+VOXEL_INDEPENDENT_SETTINGS = (
+    "lights",
+    "environment",
+    "lattice",
+    "albedo",
+    "albedos",
+    "transmission",
+    "surfaces",
+    "clear",
+    "material",
+)
 """Settings of a scene, besides a material's numbers, that nothing depends on which is worked out of its voxels."""
 
 
 def opened(source: SceneSource) -> PreparedScene:
     """A scene opened from its files; another of the same volume that is open shares what it has worked out of it."""
-    rest = {key: value for key, value in source.document.items() if key not in (*LIGHT, *MATERIAL_NUMBERS)}
+    rest = {
+        key: value
+        for key, value in source.document.items()
+        if key not in (*VOXEL_INDEPENDENT_SETTINGS, *MATERIAL_NUMBERS)
+    }
     key = json.dumps([str(source.base), rest], sort_keys=True, default=str)
     known = OPEN.get(key)
     if known is None:
@@ -233,7 +247,7 @@ def bake_together(tasks: Sequence[BakeTask]) -> list[BakeResult]:
             for name, task in zip(names, tasks, strict=True)
         ]
         done = iter(bake_chunks([*compress(tasks, ours)], spec, chunk_store, claims))
-        return [next(done) if own else ELSEWHERE for own in ours]
+        return [next(done) if own else BAKED_ELSEWHERE for own in ours]
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,4 +388,4 @@ def results_of(light: Light, spec: BakeSpec, tasks: Sequence[BakeTask]) -> list[
 
 async def dask_setup(worker: Any) -> None:
     """Load the kernels of all bakes in a ``worker`` started with ``--preload worker.tasks``, before it joins."""
-    await asyncio.to_thread(load_kernels, KINDS)
+    await asyncio.to_thread(load_kernels, PLAIN_LAYER_KINDS)

@@ -22,7 +22,17 @@ from isogi_core.model.scene_plan import MIN_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import Scene
-from isogi_report.speed import LOOSEST_TARGET, Candidate, bake_view, make_renderer, medians, relight, seconds, turned, view_of
+from isogi_report.speed import (
+    LOOSEST_TARGET,
+    Candidate,
+    bake_view,
+    make_renderer,
+    medians,
+    relight,
+    seconds,
+    turned,
+    view_of,
+)
 
 TURNS = 1000
 """A turn of the light that no other candidate comes to."""

@@ -16,7 +16,7 @@ from typing import IO
 import httpx
 import psutil
 
-from worker.fork_server import WORKER
+from worker.fork_server import WORKER_PROCESS_NAME
 
 MIB = 1 << 20
 
@@ -49,7 +49,7 @@ class Served:
     def workers(self) -> list[psutil.Process]:
         """The processes that bake."""
         children = psutil.Process(self.process.pid).children(recursive=True)
-        return [child for child in children if name(child) == WORKER]
+        return [child for child in children if name(child) == WORKER_PROCESS_NAME]
 
     def footprint(self) -> dict[str, float]:
         """What the server and its workers take now: memory in MiB, open files, processes."""

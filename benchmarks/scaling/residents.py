@@ -8,7 +8,7 @@ from pathlib import Path
 
 import psutil
 
-from worker.fork_server import WORKER
+from worker.fork_server import WORKER_PROCESS_NAME
 
 MIB = 1 << 20
 PERIOD = 0.05
@@ -43,7 +43,7 @@ class Residents:
                 self._look(self._root, "main")
                 for child in self._root.children(recursive=True):
                     with suppress(psutil.NoSuchProcess):
-                        if child.name() == WORKER:
+                        if child.name() == WORKER_PROCESS_NAME:
                             self._look(child, "worker")
 
     def _look(self, process: psutil.Process, role: str) -> None:

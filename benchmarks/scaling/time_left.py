@@ -22,7 +22,7 @@ from isogi_core.model.view import View
 from isogi_report.speed import view_of
 from server.render.engine import RenderEngine
 from worker.baker import Baker
-from worker.kernels import KINDS, load_kernels
+from worker.kernels import PLAIN_LAYER_KINDS, load_kernels
 from worker.pool import Done
 from worker.progress import TimeLeft
 from worker.tasks import BakeTask, bake
@@ -68,7 +68,7 @@ class OneByOne:
 @click.option("--every", default=0.5, show_default=True, help="Processor seconds between two predictions.")
 def time_left(target: str | None, size: int, views: int, error: float, every: float) -> Measurement:
     """Whether the time left was told rightly while views were baked."""
-    load_kernels(KINDS)
+    load_kernels(PLAIN_LAYER_KINDS)
     scene, pool, figures = benchmark_scene(target), OneByOne(), dict[str, float]()
     baker = Baker(lambda: pool.seconds)
     with tempfile.TemporaryDirectory() as folder, closing(RenderEngine([scene], folder, baker=baker)) as engine:

@@ -55,7 +55,9 @@ def frames(target: str | None, size: int, repeats: int) -> Measurement:
     """Frame times of all shadings side by side, light baked, and of turning only the light."""
     scene = benchmark_scene(target)
     with lit(scene, size) as (renderer, view):
-        texels = sum(len(demand.offsets) for demand in renderer.render(view, UNREACHED_TARGET, enough=MAX_SAMPLES).demands)
+        texels = sum(
+            len(demand.offsets) for demand in renderer.render(view, UNREACHED_TARGET, enough=MAX_SAMPLES).demands
+        )
         figures = summarise(medians(candidates(renderer, view), repeats))
         figures["lattice / texels of this view"] = math.prod(renderer.prepared.shape) / texels
     data = None if target else shared_data()

@@ -218,7 +218,7 @@ class LayerStore:
         return DamagedChunkError(f"Chunk {index} of the light at {self.path} is damaged: {why}; it is baked again.")
 
     def encode(self, index: Index, offsets: np.ndarray, part: Part) -> bytes:
-        """Encode a part's texels at ``offsets`` as an object, as Zarr would with CODECS."""
+        """Encode a part's texels at ``offsets`` as an object, as Zarr would with CHUNK_CODECS."""
         return wrap(pack(part, offsets, self.texels, self.digest, index))
 
     def save(self, index: Index, offsets: np.ndarray, part: Part) -> bool:

@@ -101,7 +101,7 @@ class Loader:
             yield indices, self._brought(indices)
 
     def _batches(self, indices: Sequence[Index]) -> list[Sequence[Index]]:
-        """The chunks in batches: as many as there are threads, none of few chunks, nor of more than BATCH bytes."""
+        """The chunks in batches: as many as there are threads, none of few chunks, nor of more than BATCH_BYTES."""
         least = 1 if self.chunk_store.store.url.remote else CHUNKS_OF_ONE_READER
         size = max(min(BATCH_BYTES // self.chunk_store.chunk_bytes, max(-(-len(indices) // self._many), least)), 1)
         return [indices[i : i + size] for i in range(0, len(indices), size)]

@@ -268,8 +268,8 @@ def fill_rows(rows: Rows, numbers: np.ndarray, light: Light, spec: BakeSpec) -> 
 
     An entry is the row; BURIED_ROW where no path of any part ever left; VOID_ROW; or UNLIT_ROW where there is no light
     to show: reflected light alone is not shown. Scatter is defined in ``bake.noise``. A stamp encodes the sample levels
-    of a texel: LEVELS^p times the level of each part p, summed, and above these a checksum of light that is shown
-    without samples, as an earlier plan's light may change too.
+    of a texel: MAX_SAMPLE_LEVELS^p times the level of each part p, summed, and above these a checksum of light that is
+    shown without samples, as an earlier plan's light may change too.
     """
     sums = Sums(*(np.zeros(len(numbers), kind) for kind in (np.float64, np.float64, np.int64, np.int64, np.uint8)))
     for at, term in enumerate(spec.terms):

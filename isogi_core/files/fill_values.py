@@ -26,8 +26,8 @@ MAX_ENCLOSED_SHARE = 0.001
 """Largest share of the filled voxels that may lie between others of their row: a field of view is convex."""
 
 BESIDE_QUANTILE, MIN_SHARE_ABOVE = 0.75, 0.4
-"""Beside a field of view lies air: of all voxels that are left, at least the share ABOVE is brighter than the share
-BESIDE of the voxels there. An object that stands in the fill value itself has its skin there.
+"""Beside a field of view lies air: of all voxels that are left, at least the share MIN_SHARE_ABOVE is brighter than the
+share BESIDE_QUANTILE of the voxels there. An object that stands in the fill value itself has its skin there.
 """
 
 SAMPLED_VALUES = 1 << 12
@@ -131,7 +131,9 @@ class Seen:
     def _is_apart(self, others: np.ndarray) -> bool:
         """Whether the fill value is far below all ``others``, of which there are many."""
         low, high = np.quantile(others, (TAIL_SHARE, 1.0 - TAIL_SHARE))
-        return len(np.unique(others)) >= FEW_VALUES and bool(self.least - float(self.fill) >= MIN_FILL_GAP * (high - low))
+        return len(np.unique(others)) >= FEW_VALUES and bool(
+            self.least - float(self.fill) >= MIN_FILL_GAP * (high - low)
+        )
 
 
 def _between(inside: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ PATIENT_AXES = "RAS"
 class Affine:
     """Where voxels lie in the world: ``world = matrix · (x, y, z) + origin`` of a voxel's indices.
 
-    ``matrix`` is three rows. ``letters`` say where the world's axes point, PATIENT in a patient, else empty.
+    ``matrix`` is three rows. ``letters`` say where the world's axes point, PATIENT_AXES in a patient, else empty.
     """
 
     matrix: tuple[Vector, Vector, Vector]

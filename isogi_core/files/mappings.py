@@ -157,7 +157,9 @@ def ask_for_promptness(library: ctypes.CDLL) -> None:
     """Have this thread wake at once among busy ones, where Linux is new enough (6.12)."""
     number = SCHED_SETATTR_CALLS.get(platform.machine())
     if number is not None and sys.platform == "linux":
-        attributes = struct.pack("=IIQiIQQQ", 48, 0, 0, os.getpriority(os.PRIO_PROCESS, 0), 0, TIME_SLICE_NANOSECONDS, 0, 0)
+        attributes = struct.pack(
+            "=IIQiIQQQ", 48, 0, 0, os.getpriority(os.PRIO_PROCESS, 0), 0, TIME_SLICE_NANOSECONDS, 0, 0
+        )
         library.syscall(number, 0, attributes, 0)
 
 

@@ -32,7 +32,7 @@ from isogi_core.files.nrrd_header import (
     spacing_of,
     unit_of,
 )
-from isogi_core.files.packed_files import READ_BYTES, PACKING_DAMAGE, Content, cut_notes, read_end
+from isogi_core.files.packed_files import PACKING_DAMAGE, READ_BYTES, Content, cut_notes, read_end
 from isogi_core.files.regular import open_regular
 from isogi_core.files.zarr_location import stamp_of
 

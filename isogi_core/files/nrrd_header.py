@@ -14,7 +14,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import LUMINANCE_NOTE, Source, pick, pick_step
-from isogi_core.files.grid import SINGLE_MOMENT, MAX_VOXELS, PATIENT_AXES, Affine, LabelName, Vector
+from isogi_core.files.grid import MAX_VOXELS, PATIENT_AXES, SINGLE_MOMENT, Affine, LabelName, Vector
 
 MAX_HEADER = 1 << 16
 """Most bytes of the header of an untrusted file."""
@@ -41,7 +41,11 @@ TEXT_ENCODINGS = ("ascii", "text", "txt")
 NAMES_KEY = "data file names"
 """The key under which a header has the lines that follow ``data file: LIST``."""
 
-SPACE_KINDS, TIME_KINDS, COLOUR_KINDS = ("domain", "space"), ("time",), {"rgb-color": 3, "rgba-color": 4, "3-color": 3, "4-color": 4}
+SPACE_KINDS, TIME_KINDS, COLOUR_KINDS = (
+    ("domain", "space"),
+    ("time",),
+    {"rgb-color": 3, "rgba-color": 4, "3-color": 3, "4-color": 4},
+)
 """Kinds of axes: of space, of time, and of colours; others but UNKNOWN_VALUES are channels."""
 
 UNKNOWN_VALUES = ("none", "???", "")
@@ -148,7 +152,7 @@ def layout_of(source: Source, header: Header) -> Layout:
 
 
 def _kinds(header: Header, sizes: list[int]) -> list[str]:
-    """What each axis is: a kind of SPACE, TIME or RGB, a channel, or one of UNKNOWN_VALUES."""
+    """What each axis is: a kind of SPACE_KINDS, TIME_KINDS or COLOUR_KINDS, a channel, or one of UNKNOWN_VALUES."""
     given = [str(kind).lower() for kind in header.get("kinds", ())]
     kinds = given if len(given) == len(sizes) else [""] * len(sizes)
     rows = header.get("space directions")

@@ -50,7 +50,7 @@ AXIS_ORIENTATIONS = {
 @dataclass(frozen=True)
 class Axis:
     """An axis of an array: its ``name``, such as z or c, its ``unit``, and where it goes ``towards`` in a patient, one
-    of ORIENTATIONS; empty where it does not say.
+    of AXIS_ORIENTATIONS; empty where it does not say.
     """
 
     name: str
@@ -153,7 +153,9 @@ def _matrix(step: Mapping[str, Any], n: int) -> np.ndarray:
     if kind not in ("identity", "scale", "translation", "rotation", "affine", "mapAxis"):
         raise VolumeError(f"The image is placed by a transformation '{kind}', which is not read here: {AFFINE_HINT}.")
     if kind != "identity" and kind not in step:
-        raise VolumeError(f"The image is placed by a transformation '{kind}' that is not in its metadata: {AFFINE_HINT}.")
+        raise VolumeError(
+            f"The image is placed by a transformation '{kind}' that is not in its metadata: {AFFINE_HINT}."
+        )
     if kind == "mapAxis":
         matrix[:n] = matrix[np.array(step[kind], int)]
     elif kind in ("scale", "translation"):

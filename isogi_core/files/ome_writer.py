@@ -85,7 +85,9 @@ def _write(grid: Grid, lies: Lying, path: Path, progress: Progress) -> None:
     factor, labelled = np.ones(3), grid.labels is not None
     for level, shape in enumerate(shapes):
         sides = tuple(int(n) for n in shape)
-        array = zarr.create_array(path / str(level), shape=sides, chunks=(CHUNK_VOXELS,) * 3, dtype=grid.dtype, fill_value=0)
+        array = zarr.create_array(
+            path / str(level), shape=sides, chunks=(CHUNK_VOXELS,) * 3, dtype=grid.dtype, fill_value=0
+        )
         if before is None:
             blocks = _flipped(_blocks(grid), sides[0], lies.flips)
         else:

@@ -15,7 +15,9 @@ Content = IO[bytes] | gzip.GzipFile | bz2.BZ2File
 PACKING_DAMAGE = (OSError, EOFError, zlib.error)
 """What a packed file raises where it is damaged."""
 
-CUT_SHORT_NOTE = "The gzip file ends before its checksum: its voxels are all there, but nothing says that they are right."
+CUT_SHORT_NOTE = (
+    "The gzip file ends before its checksum: its voxels are all there, but nothing says that they are right."
+)
 
 
 def content_of(file: IO[bytes]) -> Content:
@@ -30,7 +32,7 @@ def content_of(file: IO[bytes]) -> Content:
 def read_end(content: Content) -> int:
     """How many bytes come after those that were read: none or one. A checksum at the end is compared.
 
-    One of gzip that is not there is passed over: ``cut_notes`` tells it. Raises one of DAMAGE.
+    One of gzip that is not there is passed over: ``cut_notes`` tells it. Raises one of PACKING_DAMAGE.
     """
     try:
         return len(content.read(1))

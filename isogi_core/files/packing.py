@@ -136,7 +136,15 @@ NETCDF_FILL_VALUES = {"f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i
 """What NetCDF's library fills variables with that have no ``_FillValue``, by their types; of bytes all are values."""
 
 
-PACKING_ATTRIBUTES = (*HOLE_ATTRIBUTES, "_Unsigned", "valid_range", "valid_min", "valid_max", "scale_factor", "add_offset")
+PACKING_ATTRIBUTES = (
+    *HOLE_ATTRIBUTES,
+    "_Unsigned",
+    "valid_range",
+    "valid_min",
+    "valid_max",
+    "scale_factor",
+    "add_offset",
+)
 """CF's vocabulary: the attributes of a variable that say what its numbers mean."""
 
 
@@ -147,7 +155,11 @@ def climate_packing(attributes: Mapping[str, Any], stored: np.dtype[Any], filled
     """
     kind = whole_type(stored, _is_unsigned(attributes, stored))
     given = {name: _numbers(attributes.get(name)) for name in HOLE_ATTRIBUTES}
-    if not given[HOLE_ATTRIBUTES[0]] and filled is not None and filled == as_stored(NETCDF_FILL_VALUES.get(stored.str[1:], math.nan), kind):
+    if (
+        not given[HOLE_ATTRIBUTES[0]]
+        and filled is not None
+        and filled == as_stored(NETCDF_FILL_VALUES.get(stored.str[1:], math.nan), kind)
+    ):
         given["NetCDF's default"] = [filled]
     marks = {name: [as_stored(each, kind) for each in values] for name, values in given.items()}
     holes = {mark: None for values in marks.values() for mark in values if mark is not None and not np.isnan(mark)}

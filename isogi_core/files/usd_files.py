@@ -112,7 +112,7 @@ def usd_layer(mesh: LitMesh, texture: str) -> bytes:
 
 
 def light_texture(mesh: LitMesh) -> np.ndarray:
-    """The texture of a mesh, sRGB bytes (h, w, 3): a block of BLOCK × BLOCK texels for each quadrilateral.
+    """The texture of a mesh, sRGB bytes (h, w, 3): a block of BLOCK_TEXELS × BLOCK_TEXELS for each quadrilateral.
 
     Its middle texels are the corners' colours, so that between them a bilinear filter interpolates the light.
     Raises VolumeError where it would be too large.

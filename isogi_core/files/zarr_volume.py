@@ -11,7 +11,7 @@ import numpy as np
 import zarr
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.grid import SINGLE_MOMENT, MAX_VOXELS, Affine, Grid, LabelName, Region, Shape, Vector, layers_of
+from isogi_core.files.grid import MAX_VOXELS, SINGLE_MOMENT, Affine, Grid, LabelName, Region, Shape, Vector, layers_of
 from isogi_core.files.mappings import budget
 from isogi_core.files.ome import (
     SPACE_AXES,
@@ -84,7 +84,9 @@ def open_zarr(
     found = find_array(path, level)
     found = _fitting(path, found) if level is None and region is None else found
     array, chosen = found.array, {"c": channel, "t": time}
-    picks = [slice(None) if axis.name in SPACE_AXES else _pick(path, found, n, chosen) for n, axis in enumerate(found.axes)]
+    picks = [
+        slice(None) if axis.name in SPACE_AXES else _pick(path, found, n, chosen) for n, axis in enumerate(found.axes)
+    ]
     _check(path, found, region)
     packing, order = _packing(array), _order(found.axes)
     shape = tuple(array.shape[n] for n in order)

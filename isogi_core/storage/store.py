@@ -50,8 +50,8 @@ def check_sentinel(sentinel: bytes, url: StoreUrl) -> None:
         ) from None
     if version != STORE_FORMAT:
         raise StoreError(
-            f"The store at {url} is of format {version}, and this isogi knows {STORE_FORMAT}: name another store, or use"
-            " the isogi that made it."
+            f"The store at {url} is of format {version}, and this isogi knows {STORE_FORMAT}:"
+            " name another store, or use the isogi that made it."
         )
 
 
@@ -206,7 +206,7 @@ class Store:
         return self._away
 
     def is_news(self, text: str) -> bool:
-        """Whether this was not logged of an object in the last TOLD seconds: it is logged now."""
+        """Whether this was not logged of an object in the last LOG_SECONDS: it is logged now."""
         now = self._clock()
         with self._opening:
             self._told = {each: at for each, at in self._told.items() if now - at < LOG_SECONDS}
@@ -225,7 +225,7 @@ class Store:
             raise trouble from None
 
     def only_read(self) -> bool:
-        """Whether the store is read-only. One that was is tested again every RETRIED seconds."""
+        """Whether the store is read-only. One that was is tested again every WRITE_RETRY_SECONDS."""
         if self.read_only and self._clock() >= self._tried + WRITE_RETRY_SECONDS:
             self._tried = self._clock()
             with suppress(StoreError):

@@ -11,7 +11,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from server.bearers import BEARER, NOBODY, Bearer
+from server.bearers import BEARER_SCOPE_KEY, TOKENLESS_BEARER, Bearer
 from server.problems import problem
 
 HOST = re.compile(r"(\[(?P<six>[0-9a-f:.]*:[0-9a-f:.]*)\]|(?P<name>[^\[\]:]*))(:[0-9]*)?", re.ASCII)
@@ -150,7 +150,7 @@ class TokenBearers:
             return
         if scope["path"] in OPEN:
             token = self.known(Headers(scope=scope))
-            scope[BEARER] = token.bearer if token else NOBODY
+            scope[BEARER_SCOPE_KEY] = token.bearer if token else TOKENLESS_BEARER
             await self.app(scope, receive, send)
             return
         headers, given = Headers(scope=scope), self.given(scope)
@@ -164,7 +164,7 @@ class TokenBearers:
     def passed(self, scope: Scope, bearer: Bearer) -> ASGIApp:
         """What answers the request of a bearer: the app, where it may ask that."""
         if bearer.may(needed := needed_scope(scope)):
-            scope[BEARER] = bearer
+            scope[BEARER_SCOPE_KEY] = bearer
             return self.app
         return problem(403, FORBIDDEN.format(name=bearer.name, scope=needed), scope["path"])
 

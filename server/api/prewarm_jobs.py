@@ -27,9 +27,9 @@ from server.api.service import PictureRequest, Service
 from server.errors import BusyError
 from server.prewarm.baking import PrewarmContext, Step
 from server.prewarm.order import PrewarmOrder
-from server.prewarm.record import BEAT, OPEN, Record, RecordDocument, Summary, recorded_prewarms
+from server.prewarm.record import BEAT, OPEN_STATES, Record, RecordDocument, Summary, recorded_prewarms
 from server.prewarm.work import carry_out, carry_out_dry, wanted
-from server.render.bakes import BACKGROUND
+from server.render.bakes import BACKGROUND_VIEWER
 from server.render.jobs import Job, Result
 from worker.bake_requests import Viewer
 from worker.errors import WorkersError
@@ -173,7 +173,7 @@ class Prewarm:
 
     async def _frame(self, picture: PictureRequest) -> Frame:
         """The frame of a picture; where clients wait for frames, they have as much time as it took."""
-        begun, rank = time.monotonic(), self.service.rank(BACKGROUND, LATER)
+        begun, rank = time.monotonic(), self.service.rank(BACKGROUND_VIEWER, LATER)
         frame = await self.service.frame(picture, rank, Stopwatch())
         if self.service.attended:
             await asyncio.sleep(time.monotonic() - begun)
@@ -247,7 +247,12 @@ def ours(service: Service, document: RecordDocument) -> bool:
     """Whether a prewarm belongs to a server, has not ended, and its scene is shown here with the same light."""
     scene = service.engine.scenes.get(document.scene)
     same = scene is not None and scene.digest == document.scene_digest
-    return same and document.by == "server" and document.status in OPEN and service.jobs.running(document.id) is None
+    return (
+        same
+        and document.by == "server"
+        and document.status in OPEN_STATES
+        and service.jobs.running(document.id) is None
+    )
 
 
 def begun(service: Service, document: RecordDocument) -> bool:

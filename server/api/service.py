@@ -33,7 +33,7 @@ from server.render.admission import AdmissionLimit
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
 from server.render.scene_variant import Change
-from server.render.scheduling import ASKED, DRAFT, REFINED, REST, Rank, Renders
+from server.render.scheduling import DRAFT, REFINEMENT_PATIENCE, REQUEST_PATIENCE, REST_PATIENCE, Rank, Renders
 from server.render.updates import UpdateBus, attended, request_viewer
 from server.render.variants import Variants
 from server.settings import Settings
@@ -190,7 +190,7 @@ class Service:
 
     async def compute(self, request: Request, work: Callable[[], Result]) -> Result:
         """The result of some ``work`` for a request, off the event loop. Raises as ``render`` does."""
-        rank = self.rank(request_viewer(request), ASKED, self.settings.queue_seconds)
+        rank = self.rank(request_viewer(request), REQUEST_PATIENCE, self.settings.queue_seconds)
         with self._requests.admitted(client_of(request.scope)) as place:
             return await attended(request, place.keep(self.threads.pictures.run(work, rank)))
 
@@ -269,7 +269,7 @@ class Service:
         have the rest. The last picture of each comes at once, and so does one in which what was provisional has light.
         Where light was given up, the same picture comes once more: it is not final, and no more is coming.
         """
-        known, patience, clock = None, REST, asyncio.get_running_loop().time
+        known, patience, clock = None, REST_PATIENCE, asyncio.get_running_loop().time
         begun = clock()
         if not self.startup.lit.is_set():
             yield await self.show(picture, viewer, self.rank(viewer, patience))
@@ -279,7 +279,7 @@ class Service:
             shown = await self.show(picture, viewer, self.rank(viewer, patience))
             given_up = not (shown.frame.final or shown.coming)
             if (now := (shown.frame.version, shown.frame.total)) != known or given_up:
-                known, patience = now, REFINED
+                known, patience = now, REFINEMENT_PATIENCE
                 yield shown
             if not shown.coming:
                 return
@@ -300,7 +300,7 @@ class Service:
 
         threads = self.threads.of(picture.view)
         if viewer.bakes and not threads.crowded:
-            frame = await threads.share(("ahead", picture), work, self.rank(viewer, REST))
+            frame = await threads.share(("ahead", picture), work, self.rank(viewer, REST_PATIENCE))
             if frame is not None:
                 await self.request_light(picture, frame, viewer)
 
@@ -330,7 +330,7 @@ class Service:
         watch, loop, rank = (
             Stopwatch(),
             asyncio.get_running_loop(),
-            self.rank(viewer, ASKED, self.settings.queue_seconds),
+            self.rank(viewer, REQUEST_PATIENCE, self.settings.queue_seconds),
         )
         deadline = loop.time() + wait
         try:

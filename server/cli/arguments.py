@@ -15,7 +15,7 @@ from isogi_core.model.material import SHINE_HELP
 if TYPE_CHECKING:
     from server.settings import Settings
 
-MODULES = {
+COMMAND_MODULES = {
     "options": "server.cli.options",
     "serve": "server.cli.serve",
     "render": "server.cli.render",
@@ -36,7 +36,7 @@ MODULES = {
 
 def module_of(command: str) -> Any:
     """The module that does a command's work, loaded now: help is answered without any of them."""
-    return import_module(MODULES[command])
+    return import_module(COMMAND_MODULES[command])
 
 
 Command = Callable[..., Any]
@@ -85,7 +85,7 @@ VIEW_GROUPS = {
 """What each option of a view does, by the headings of help."""
 
 VIEW_OPTIONS = {name: text for texts in VIEW_GROUPS.values() for name, text in texts.items()}
-DEVELOPED = ("shading", "samples", "exposure", "antialias", "background", "overlay")
+DEVELOPING_OPTIONS = ("shading", "samples", "exposure", "antialias", "background", "overlay")
 """Options that a reference, which is radiance alone, does not read."""
 
 PICTURE_OPTIONS = ("window", *(name for name in VIEW_GROUPS["Picture"] if name != "exposure"))
@@ -95,12 +95,14 @@ REPORT_OPTIONS = {
     "elevation": "Degrees above the xy plane; default: 30.",
     "distance": "From the target, in radii of the volume's bounding sphere; default: 2.2.",
 }
-MOVING = ("isovalue", "azimuth", "elevation", "distance", "yaw")
+RANGE_OPTIONS = ("isovalue", "azimuth", "elevation", "distance", "yaw")
 """Options of a view that also take ranges, where there are many views."""
 
-FILM_OPTIONS = {name: f"{text[:-1]}; or first:last." if name in MOVING else text for name, text in VIEW_OPTIONS.items()}
+FILM_OPTIONS = {
+    name: f"{text[:-1]}; or first:last." if name in RANGE_OPTIONS else text for name, text in VIEW_OPTIONS.items()
+}
 GRID_OPTIONS = {
-    name: f"{text[:-1]}; or first:last:step." if name in MOVING else text for name, text in VIEW_OPTIONS.items()
+    name: f"{text[:-1]}; or first:last:step." if name in RANGE_OPTIONS else text for name, text in VIEW_OPTIONS.items()
 }
 PREWARM_OPTIONS = {
     "views": "Directions of each isovalue, spread over all sides; default: 12 where none are given.",
@@ -117,54 +119,62 @@ WORK_OPTIONS = {
     "scheduler_key": "File of that certificate's key, PEM.",
     "insecure_scheduler": "Join a scheduler without certificates.",
 }
-SWITCHES = ("insecure_scheduler",)
+SWITCH_OPTIONS = ("insecure_scheduler",)
 """Options that take no value."""
 
 
-ENVIRONMENT = "Light: overcast, studio, noon, evening or gallery, or a probe's file (.hdr); default: the scene's."
+ENVIRONMENT_HELP = "Light: overcast, studio, noon, evening or gallery, or a probe's file (.hdr); default: the scene's."
 
 
-CUT = "Planes along the volume's axes that take away what lies there, so that light comes in: x>40, with ; between."
+CUT_HELP = (
+    "Planes along the volume's axes that take away what lies there, so that light comes in: x>40, with ; between."
+)
 
 
-SURFACES = "What each pinned surface of the scene lets pass, in turn, from 0 to 1, or off to hide it, such as 0.4,off."
+SURFACES_HELP = (
+    "What each pinned surface of the scene lets pass, in turn, from 0 to 1, or off to hide it, such as 0.4,off."
+)
 
 
-HIDE = "Which labels of a segmentation are hidden, by their values, such as 3,4; or none."
+HIDE_HELP = "Which labels of a segmentation are hidden, by their values, such as 3,4; or none."
 
 
-MATERIAL = "What the surface is made of: diffuse, glass or subsurface, with numbers of it, such as glass,index=1.3."
+MATERIAL_HELP = (
+    "What the surface is made of: diffuse, glass or subsurface, with numbers of it, such as glass,index=1.3."
+)
 
 
-RAW = "What a file without a header holds: sizes along x, y, z, type and byte order, such as 256x256x128,uint8,little."
+RAW_HELP = (
+    "What a file without a header holds: sizes along x, y, z, type and byte order, such as 256x256x128,uint8,little."
+)
 
 
-PLACING = ("axes", "raw", "solid", "environment", "cut", "surfaces", "hide", "material")
+VOLUME_OPTIONS = ("axes", "raw", "solid", "environment", "cut", "surfaces", "hide", "material")
 """Options of ``volume_options``; those that are given follow the # of a target."""
 
 
 def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator: the options of PLACING, which become parts of the command's target."""
+    """Decorator: the options of VOLUME_OPTIONS, which become parts of the command's target."""
 
     @click.option(
         "--axes",
         type=click.Choice(["world", "raw"]),
         help="Where the volume lies: as its file says, or raw, its voxels' indices times spacing; default: world.",
     )
-    @click.option("--raw", help=RAW)
+    @click.option("--raw", help=RAW_HELP)
     @click.option(
         "--solid",
         type=click.Choice(["above", "below"]),
         help="Which side of the isovalue is solid; default: above; below where most of the border is above.",
     )
-    @click.option("--environment", help=ENVIRONMENT)
-    @click.option("--cut", help=CUT)
-    @click.option("--surfaces", help=SURFACES)
-    @click.option("--hide", help=HIDE)
-    @click.option("--material", help=MATERIAL)
+    @click.option("--environment", help=ENVIRONMENT_HELP)
+    @click.option("--cut", help=CUT_HELP)
+    @click.option("--surfaces", help=SURFACES_HELP)
+    @click.option("--hide", help=HIDE_HELP)
+    @click.option("--material", help=MATERIAL_HELP)
     @wraps(command)
     def placed(**given: Any) -> Any:
-        name, placing = "scene" if "scene" in given else "target", {key: given.pop(key) for key in PLACING}
+        name, placing = "scene" if "scene" in given else "target", {key: given.pop(key) for key in VOLUME_OPTIONS}
         if "." in (placing["environment"] or ""):
             placing["environment"] = str(Path(placing["environment"]).resolve())
         given[name] = placed_target(given[name], placing)
@@ -186,7 +196,7 @@ def placed_target(target: str | None, placing: Mapping[str, str | None]) -> str 
 def raw_option(command: Command) -> Command:
     """Decorator: the option of ``volume_options`` that says what bare voxels are, alone."""
 
-    @click.option("--raw", help=RAW)
+    @click.option("--raw", help=RAW_HELP)
     @wraps(command)
     def placed(raw: str | None, **given: Any) -> Any:
         return command(**{**given, "target": placed_target(given["target"], {"raw": raw})})
@@ -194,7 +204,7 @@ def raw_option(command: Command) -> Command:
     return placed
 
 
-THERE = click.Path(path_type=Path, exists=True, dir_okay=False)
+EXISTING_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 """The type of an option that names a file which must be there."""
 
 AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
@@ -206,7 +216,7 @@ def options(table: dict[str, str]) -> Callable[[Command], Command]:
     def decorate(command: Command) -> Command:
         for name, text in reversed(table.items()):
             flag = f"--{name.replace('_', '-')}"
-            command = click.option(flag, is_flag=name in SWITCHES, default=None, help=text)(command)
+            command = click.option(flag, is_flag=name in SWITCH_OPTIONS, default=None, help=text)(command)
         return command
 
     return decorate

@@ -13,12 +13,12 @@ from isogi_core.allocation import keep_memory_small
 from isogi_core.errors import IsogiError, LightError, SceneError, StoreUrlError, ViewError, VolumeError, advice
 from server.cli.arguments import (
     AS_JSON,
-    DEVELOPED,
+    DEVELOPING_OPTIONS,
+    EXISTING_FILE,
     FILM_OPTIONS,
     GRID_OPTIONS,
     PREWARM_OPTIONS,
     REPORT_OPTIONS,
-    THERE,
     VIEW_OPTIONS,
     WORK_OPTIONS,
     age,
@@ -113,7 +113,7 @@ def render(
 @click.argument("scene", metavar="TARGET")
 @volume_options
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="A file, .npz.")
-@options({name: text for name, text in VIEW_OPTIONS.items() if name not in DEVELOPED})
+@options({name: text for name, text in VIEW_OPTIONS.items() if name not in DEVELOPING_OPTIONS})
 @click.option("--samples", type=click.IntRange(1), help="Stop at this number of paths per pixel.")
 @click.option("--target-error", callback=number(1e-6, 1), help="Stop at this noise; default: 0.005.")
 @click.option("--time", "seconds", callback=duration, help="Stop after so long: 90, 90s, 10m or 1h.")
@@ -171,7 +171,7 @@ def report(
     "--isovalue", "isovalues", multiple=True, help="One, first:last:step, first:last for all between, or adaptive:20."
 )
 @click.option("--view", "directions", multiple=True, metavar="azimuth=40,elevation=30", help="One direction.")
-@click.option("--views-file", type=THERE, help="Such, .json or .toml.")
+@click.option("--views-file", type=EXISTING_FILE, help="Such, .json or .toml.")
 @click.option("--orbit", "orbits", multiple=True, metavar="36@20", help="A number of directions at an elevation.")
 @click.option("--all-directions", is_flag=True, default=None, help="Whole isosurfaces, from whatever side.")
 @options(PREWARM_OPTIONS)
@@ -268,7 +268,7 @@ def export(
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="A movie, or a folder.")
 @options(FILM_OPTIONS)
 @click.option("--view", "views", multiple=True, metavar="LINK|azimuth=40,…", help="A keyframe; give two or more.")
-@click.option("--views-file", type=THERE, help="Keyframes, in a file.")
+@click.option("--views-file", type=EXISTING_FILE, help="Keyframes, in a file.")
 @click.option("--times", help="Steps of a series in time, in turn: all, 0:9 or 0:9:3.")
 @click.option("--length", callback=duration, default="10s", show_default=True, help="Of the film.")
 @click.option("--fps", callback=number(0.1, 240), default="24", show_default=True, help="Frames of a second.")
@@ -324,7 +324,7 @@ def bench(target: str | None, isovalue: float | None, size: int, repeats: int, a
     show(work.bench(target, isovalue, size, repeats), work.table, as_json)
 
 
-STORE = click.argument("where", metavar="[STORE]", required=False)
+STORE_ARGUMENT = click.argument("where", metavar="[STORE]", required=False)
 
 
 @cli.group()
@@ -341,7 +341,7 @@ def store_at(where: str | None) -> Any:
 
 
 @store.command()
-@STORE
+@STORE_ARGUMENT
 @AS_JSON
 def verify(where: str | None, as_json: bool) -> int:
     """Check every object of a STORE, and change nothing; exit status 1 if any is damaged."""
@@ -352,7 +352,7 @@ def verify(where: str | None, as_json: bool) -> int:
 
 
 @store.command()
-@STORE
+@STORE_ARGUMENT
 @click.option("--delete", is_flag=True, help="Delete what is damaged, instead of moving it to STORE/quarantine.")
 @AS_JSON
 def repair(where: str | None, delete: bool, as_json: bool) -> None:
@@ -362,7 +362,7 @@ def repair(where: str | None, delete: bool, as_json: bool) -> None:
 
 
 @store.command()
-@STORE
+@STORE_ARGUMENT
 @click.option("--quick", is_flag=True, help="Read no chunk: count no texels.")
 @AS_JSON
 def stats(where: str | None, quick: bool, as_json: bool) -> None:
@@ -372,7 +372,7 @@ def stats(where: str | None, quick: bool, as_json: bool) -> None:
 
 
 @store.command()
-@STORE
+@STORE_ARGUMENT
 @click.option("--older-than", callback=age, help="Light that was neither baked nor read for so long: 30d, 12h.")
 @click.option("--keep-gb", type=click.FloatRange(0), help="The longest unused light beyond this number of gigabytes.")
 @click.option("--scene", help="Light of this scene or volume alone; with no other option, all of it.")

@@ -35,20 +35,20 @@ from server.views import view_of
 MOST_FRAMES = 100_000
 """Frames of a film, at most."""
 
-FRAMES = "frame-%05d.png"
+FRAME_FILE_NAME = "frame-%05d.png"
 """The names of a film's pictures, numbered from 1."""
 
 LOOPS: dict[str, dict[str, Any]] = {".gif": {"optimize": False}, ".webp": {"quality": 85, "method": 4}}
 """Movies that Pillow writes, and how."""
 
-CODECS = {
+MOVIE_CODECS = {
     ".mp4": ("-c:v", "libx264", "-crf", "16", "-preset", "slow", "-movflags", "+faststart"),
     ".webm": ("-c:v", "libvpx-vp9", "-crf", "24", "-b:v", "0", "-row-mt", "1"),
 }
 """Movies that FFmpeg writes: codec and quality."""
 
-COLOURS = ["-vf", "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p", "-colorspace", "bt709"]
-COLOURS += ["-color_primaries", "bt709", "-color_trc", "iec61966-2-1", "-color_range", "tv"]
+MOVIE_COLOUR_OPTIONS = ["-vf", "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p", "-colorspace", "bt709"]
+MOVIE_COLOUR_OPTIONS += ["-color_primaries", "bt709", "-color_trc", "iec61966-2-1", "-color_range", "tv"]
 """What players need to know of the pictures: sRGB, by the matrix of BT.709."""
 
 
@@ -90,7 +90,7 @@ def film(target: str, request: FilmRequest, knobs: Mapping[str, str], settings: 
         check_movie(request.output, shots[0].width, shots[0].height)
     for shot in shots:
         view_of(scene, shot, settings)
-    reel = Reel(request.folder, scene, {FRAMES % n: shot for n, shot in enumerate(shots, 1)})
+    reel = Reel(request.folder, scene, {FRAME_FILE_NAME % n: shot for n, shot in enumerate(shots, 1)})
     reel.shoot(request, settings)
     if request.is_movie:
         write_movie(request.output, [reel.path(name) for name in reel.shots], request.fps)
@@ -156,12 +156,12 @@ def filmed(facts: Mapping[str, Any]) -> str:
 def check_movie(output: Path, width: int, height: int) -> None:
     """Raise ViewError where the file's name is that of no movie, or its size not one's, and LibraryError."""
     suffix = output.suffix.lower()
-    if suffix in CODECS:
+    if suffix in MOVIE_CODECS:
         encoder(suffix)
         if width % 2 or height % 2:
             raise ViewError(f"A {suffix} needs even width and height, not {width} × {height}: change them.")
     elif suffix not in LOOPS:
-        known = ", ".join((*LOOPS, *CODECS))
+        known = ", ".join((*LOOPS, *MOVIE_CODECS))
         raise ViewError(f"{output} names no kind of film: end it in {known}, or name a folder for pictures.")
 
 
@@ -175,8 +175,17 @@ def write_movie(output: Path, pictures: Sequence[Path], fps: float) -> None:
         write_whole(output, data.getvalue())
         return
     half = pictures[0].with_name(f"movie{suffix}")
-    reading = ["-framerate", f"{fps:g}", "-i", str(pictures[0].with_name(FRAMES))]
-    command = [encoder(suffix), "-y", "-loglevel", "error", *reading, *CODECS[suffix], *COLOURS, str(half)]
+    reading = ["-framerate", f"{fps:g}", "-i", str(pictures[0].with_name(FRAME_FILE_NAME))]
+    command = [
+        encoder(suffix),
+        "-y",
+        "-loglevel",
+        "error",
+        *reading,
+        *MOVIE_CODECS[suffix],
+        *MOVIE_COLOUR_OPTIONS,
+        str(half),
+    ]
     done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     if done.returncode:
         raise LibraryError(f"FFmpeg wrote no {suffix}: {done.stderr.strip() or done.returncode}.")

@@ -16,16 +16,16 @@ from server.values import finite, shown
 Knobs = Mapping[str, str]
 """Parameters of a view, as text."""
 
-TURNS = ("azimuth", "yaw", "pitch", "roll")
+PERIODIC_ANGLES = ("azimuth", "yaw", "pitch", "roll")
 """Angles that are the same after a whole turn."""
 
-STILL = (
+FIXED_PARAMETERS = (
     *("width", "height", "shading", "samples", "overlay", "shine"),
     *("projection", "environment", "background", "window", "cut", "time", "hide", "material"),
 )
 """Parameters that are no quantity: all views have the same."""
 
-HEX = re.compile(r"#[0-9a-fA-F]{6}")
+HEX_COLOUR = re.compile(r"#[0-9a-fA-F]{6}")
 
 ON_THE_PAGE = ("scene", "compare", "rulers", "measure")
 """Parameters of a page's link that are none of a picture."""
@@ -90,7 +90,7 @@ def eased(rows: np.ndarray, places: np.ndarray, closed: bool) -> np.ndarray:
 
 def track(name: str, texts: Sequence[str], short: bool) -> np.ndarray:
     """The values of a parameter at the keyframes, (k, n). Raises ParameterError where it is none that can move."""
-    if name in STILL:
+    if name in FIXED_PARAMETERS:
         raise ParameterError(f"{name} cannot change in a film: give all views the same.", name)
     if "" in texts:
         raise ParameterError(f"{name} is given by some views and not by others: give it in all of them.", name)
@@ -101,18 +101,18 @@ def track(name: str, texts: Sequence[str], short: bool) -> np.ndarray:
     rows = np.array([row if len(row) == most else row * most for row in parts])
     if name == "light":
         rows[1:] *= np.cumprod(np.where(np.sum(rows[1:] * rows[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
-    return np.unwrap(rows, period=360.0, axis=0) if short and name in TURNS else rows
+    return np.unwrap(rows, period=360.0, axis=0) if short and name in PERIODIC_ANGLES else rows
 
 
 def is_closed(name: str, rows: np.ndarray) -> bool:
     """Whether a parameter ends where it began, angles after whole turns."""
     way = np.abs(rows[-1] - rows[0])
-    return bool(np.all((np.minimum(way % 360.0, -way % 360.0) if name in TURNS else way) < 1e-9))
+    return bool(np.all((np.minimum(way % 360.0, -way % 360.0) if name in PERIODIC_ANGLES else way) < 1e-9))
 
 
 def text_of(name: str, row: np.ndarray) -> str:
     """The values of a parameter as text."""
-    return ",".join(repr(math.fmod(value, 360.0) if name in TURNS else value) for value in row.tolist())
+    return ",".join(repr(math.fmod(value, 360.0) if name in PERIODIC_ANGLES else value) for value in row.tolist())
 
 
 def defaults(scene: Knobs) -> dict[str, str]:
@@ -156,7 +156,7 @@ def untinted(view: Knobs, scene: Knobs) -> dict[str, str]:
     tint = view.pop("tint", None)
     if tint is None:
         return view
-    if not HEX.fullmatch(tint):
+    if not HEX_COLOUR.fullmatch(tint):
         raise ParameterError(f"tint must be a colour such as #ff8800, not {shown(tint)}.", "tint")
     most = max(finite_number("albedo", share) for share in view.get("albedo", scene["albedo"]).split(","))
     return {**view, "albedo": ",".join(repr(most * share) for share in ground_of(tint))}

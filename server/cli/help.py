@@ -90,7 +90,7 @@ GROUPS = {
 }
 """The options of each group, by name; those of none come first, under Options."""
 
-WIDEST = 46
+MAX_EXAMPLE_COLUMNS = 46
 """Columns of the longest example that has its explanation on the same line."""
 
 
@@ -102,7 +102,7 @@ class WithExamples(click.Command):
         rows = EXAMPLES.get(ctx.command_path.partition(" ")[2], ())
         if rows:
             with formatter.section("Examples"):
-                formatter.write_dl(rows, col_max=WIDEST)
+                formatter.write_dl(rows, col_max=MAX_EXAMPLE_COLUMNS)
 
 
 class GroupedCommand(WithExamples):

@@ -9,10 +9,10 @@ import click
 from pydantic import ValidationError
 
 from isogi_core.errors import advice
-from server.settings import FORMER, Settings, read_settings
+from server.settings import FORMER_SETTING_NAMES, Settings, read_settings
 from server.values import Span, seconds_of, seconds_of_age
 
-SECRET = ("token",)
+SECRET_SETTINGS = ("token",)
 """Settings without an option: what a command is given, all users of the machine can see."""
 
 CONFIG = "A TOML file with settings, such as port = 8080; options and the environment come before it."
@@ -34,7 +34,7 @@ def settings_from(config: Path | None = None, **given: Any) -> Settings:
         name = str(first["loc"][0])
         if first["type"] == "extra_forbidden":
             raise click.UsageError(f"There is no setting '{name}': {advice(name, Settings.model_fields)}") from None
-        value = "" if name in SECRET else f", not {first['input']!r}"
+        value = "" if name in SECRET_SETTINGS else f", not {first['input']!r}"
         raise click.UsageError(f"{name}: {first['msg']}{value}.") from None
     except ValueError as error:
         raise click.UsageError(f"{config}: {error}." if config else f"{error}.") from None
@@ -66,8 +66,8 @@ def age(text: str) -> float:
 def setting_options() -> list[click.Parameter]:
     """An option for each setting that may have one, and for the file of settings."""
     file = click.Option(["--config"], type=click.Path(path_type=Path, exists=True, dir_okay=False), help=CONFIG)
-    names = [name for name in Settings.model_fields if name not in SECRET]
-    former = [click.Option([flag(name)], hidden=True) for name in FORMER]
+    names = [name for name in Settings.model_fields if name not in SECRET_SETTINGS]
+    former = [click.Option([flag(name)], hidden=True) for name in FORMER_SETTING_NAMES]
     own = [
         click.Option([flag(name)], is_flag=switched(name), default=None, help=f"{described(name)} [{variable(name)}]")
         for name in names
@@ -82,7 +82,7 @@ def switched(name: str) -> bool:
 
 def secrets() -> list[tuple[str, str]]:
     """The settings that have no option: environment variable and description."""
-    return [(variable(name), described(name)) for name in SECRET]
+    return [(variable(name), described(name)) for name in SECRET_SETTINGS]
 
 
 def described(name: str) -> str:
@@ -105,5 +105,5 @@ def variable(name: str) -> str:
 
 def rows() -> list[str]:
     """One row of a Markdown table for each setting, as docs/settings.md has them."""
-    options = {name: "–" if name in SECRET else f"`{flag(name)}`" for name in Settings.model_fields}
+    options = {name: "–" if name in SECRET_SETTINGS else f"`{flag(name)}`" for name in Settings.model_fields}
     return [f"| `{name}` | {option} | `{variable(name)}` | {described(name)} |" for name, option in options.items()]

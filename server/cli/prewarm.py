@@ -42,7 +42,7 @@ __all__ = ["detach", "fields_given", "follow", "go_on", "order_of", "prewarm", "
 
 COMMAND = Viewer("prewarm", patient=True)
 
-STOPPED = "This was stopped, and what is baked is kept: the same with --continue goes on."
+PREWARM_STOPPED = "This was stopped, and what is baked is kept: the same with --continue goes on."
 
 
 def prewarm(target: str, order: PrewarmOrder, settings: Settings, dry: bool = False) -> Summary:
@@ -102,10 +102,10 @@ def prewarm_scene(
             if dry:
                 return carry_out_dry(context, what)
             try:
-                with record.kept(context, STOPPED):
+                with record.kept(context, PREWARM_STOPPED):
                     return record.close(carry_out(context, what, lambda ahead: record.keep(ahead=ahead)))
             except KeyboardInterrupt:
-                raise Cancelled(STOPPED) from None
+                raise Cancelled(PREWARM_STOPPED) from None
 
 
 def tell(summaries: Iterable[Summary], as_json: bool) -> int:

@@ -15,7 +15,7 @@ from isogi_core.plan.first_view import front_of
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.answers import defaults
-from server.cli.film_path import TURNS
+from server.cli.film_path import PERIODIC_ANGLES
 from server.cli.reel import Reel, ReelRequest, said
 from server.errors import ParameterError
 from server.parameters import FrameParams, read
@@ -29,10 +29,10 @@ from server.views import view_of
 MOST_PICTURES = 100_000
 """Pictures of a grid, at most."""
 
-AROUND = "0:345:15"
+DEFAULT_AZIMUTHS = "0:345:15"
 """Azimuths of the grid where nothing else moves."""
 
-PAGE = Path(__file__).with_name("published.html")
+PAGE_TEMPLATE = Path(__file__).with_name("published.html")
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def sliders_of(knobs: Mapping[str, str]) -> dict[str, list[float]]:
     Raises ParameterError.
     """
     given = {name: values_in(name, text) for name, text in knobs.items() if ":" in text}
-    sliders = given or {"azimuth": values_in("azimuth", AROUND)}
+    sliders = given or {"azimuth": values_in("azimuth", DEFAULT_AZIMUTHS)}
     count = 1
     for values in sliders.values():
         count *= len(values)
@@ -114,7 +114,7 @@ def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel) -> str
         ],
         "errors": [float(f"{reel.facts[name]['error']:.3g}") for name in reel.shots],
     }
-    return PAGE.read_text(encoding="utf-8").replace("{DATA}", json.dumps(document).replace("<", "\\u003c"))
+    return PAGE_TEMPLATE.read_text(encoding="utf-8").replace("{DATA}", json.dumps(document).replace("<", "\\u003c"))
 
 
 def first_place(scene: Scene, name: str, values: Sequence[float]) -> int:
@@ -123,7 +123,7 @@ def first_place(scene: Scene, name: str, values: Sequence[float]) -> int:
     usual = {**defaults(scene), **front}.get(name)
     if not isinstance(usual, float):
         return 0
-    away, turn = np.abs(np.array(values) - usual), 360.0 if name in TURNS else math.inf
+    away, turn = np.abs(np.array(values) - usual), 360.0 if name in PERIODIC_ANGLES else math.inf
     return int(np.argmin(np.minimum(away, turn - away % turn)))
 
 

@@ -39,10 +39,10 @@ from server.progress import Progress, open_scene
 from server.settings import Settings
 from server.views import isovalue_of, view_of
 
-STRICTER = 0.5
+LIGHT_TARGET_SHARE = 0.5
 """The target that light is planned and baked for, over that of the page's pictures: no pixel has light of its own."""
 
-ROUNDING = (0.2, 0.4, 0.8, 1.6, 3.2)
+ROUNDING_SHARES = (0.2, 0.4, 0.8, 1.6, 3.2)
 """Errors by rounding that are tried, over the target: the first one whose files are small enough is taken."""
 
 TAKEN = (
@@ -51,7 +51,7 @@ TAKEN = (
 )
 """Options of a view that the page begins with."""
 
-GROUNDS = ("light", "dark")
+PAGE_BACKGROUNDS = ("light", "dark")
 """Backgrounds that the page has."""
 
 
@@ -83,7 +83,7 @@ def publish(target: str, request: PageRequest, knobs: Mapping[str, str], setting
         raise ParameterError("--time and --deadline are for pictures: leave them out with --interactive.")
     check_folder(request.output)
     goal = request.target_error or SceneSettings(find_source(target, {})).target_error
-    scene = open_scene(target, settings, target_error=max(STRICTER * goal, LEAST_TARGET))
+    scene = open_scene(target, settings, target_error=max(LIGHT_TARGET_SHARE * goal, LEAST_TARGET))
     span, params = asked(scene, knobs)
     view = view_of(scene, params, settings)
     with at_work(scene, settings, request.begun) as context:
@@ -113,7 +113,7 @@ def ground_of(params: FrameParams) -> str:
     """What is behind the surface: light, dark, or as the browser has it. Raises ParameterError."""
     if "background" not in params.model_fields_set:
         return "page"
-    if params.background not in GROUNDS:
+    if params.background not in PAGE_BACKGROUNDS:
         raise ParameterError(f"background must be light or dark with --interactive, not {params.background}.")
     return params.background
 
@@ -141,7 +141,7 @@ def offers(
     """The page with ever fewer bits of light, baked until pictures of the first one are at the ``goal``, an error."""
     renderer, target = context.renderer, context.target
     views = [replace(each, albedo=view.albedo) for each in views_of(context, span.low, span.high, settings)]
-    codings = [coding_at(renderer, share * goal) for share in ROUNDING]
+    codings = [coding_at(renderer, share * goal) for share in ROUNDING_SHARES]
     baked = bake_range(context, (span.low, span.high), codings[0], views, goal)
     page, document = page_files() | volume_files(renderer, span), document_of(renderer, params, view, span)
     for coding in codings:

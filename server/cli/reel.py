@@ -18,7 +18,7 @@ from isogi_core.storage.atomic_file import write_whole
 from server.cli.render import awaited, is_placed, seen_whole, working
 from server.cli.series import at_step
 from server.parameters import FrameParams
-from server.pictures import SUFFIXES, encode
+from server.pictures import FORMAT_OF_SUFFIX, encode
 from server.progress import Progress
 from server.render.engine import RenderEngine
 from server.render.scene_variant import Change, SceneVariant
@@ -26,7 +26,7 @@ from server.render.variants import Variants
 from server.settings import Settings
 from server.views import view_of
 
-PAUSE = 1.0
+RECORD_WRITE_SECONDS = 1.0
 """Seconds between two writings of what is known of the pictures; after a crash, the last ones are made again."""
 
 
@@ -95,7 +95,7 @@ class Reel:
         self.path(name).parent.mkdir(parents=True, exist_ok=True)
         write_whole(self.path(name), picture)
         self.facts[name] = dict(facts)
-        if time.monotonic() - self._written >= PAUSE:
+        if time.monotonic() - self._written >= RECORD_WRITE_SECONDS:
             self._write_list()
 
     def _write_list(self) -> None:
@@ -140,7 +140,7 @@ class Reel:
                 view = view_of(scene, shot, settings)
             frame = awaited(engine, scene.id, view, shot.max_error, seconds)
             exposure = self._scene.default_exposure if shot.exposure is None else shot.exposure
-            picture = encode(frame, SUFFIXES[self.path(name).suffix], exposure, shot)
+            picture = encode(frame, FORMAT_OF_SUFFIX[self.path(name).suffix], exposure, shot)
             self.keep(name, picture, {"error": frame.total.likely, "final": frame.final})
             bar.count(done + 1, len(missing))
 

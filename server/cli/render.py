@@ -25,7 +25,7 @@ from isogi_core.reference import Goal, Reference, grow, load_reference, save_ref
 from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.answers import coverage_schema, fit
 from server.parameters import FrameParams, ViewParams, read
-from server.pictures import SUFFIXES, encode, format_for, smoothed
+from server.pictures import FORMAT_OF_SUFFIX, encode, format_for, smoothed
 from server.progress import Progress, compiling, open_scene
 from server.render.bakes import Patience
 from server.render.engine import RenderEngine, engine_for
@@ -119,10 +119,10 @@ def working(scene: Scene, settings: Settings, hire: bool = True) -> Iterator[Ren
 
 def format_of(output: Path) -> str:
     """The format that the file's suffix names; ViewError for others and where the folder is missing."""
-    if output.suffix.lower() not in SUFFIXES:
-        raise ViewError(f"{output} names no picture format: end it in {', '.join(SUFFIXES)}.")
+    if output.suffix.lower() not in FORMAT_OF_SUFFIX:
+        raise ViewError(f"{output} names no picture format: end it in {', '.join(FORMAT_OF_SUFFIX)}.")
     check_folder(output)
-    return SUFFIXES[output.suffix.lower()]
+    return FORMAT_OF_SUFFIX[output.suffix.lower()]
 
 
 def is_placed(given: Iterable[str]) -> bool:

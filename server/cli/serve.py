@@ -24,7 +24,7 @@ from server.progress import compiling, open_scene, say
 from server.render.engine import engine_for
 from server.settings import Settings
 
-LAST = 3.0
+EXIT_SECONDS = 3.0
 """Seconds that a stopping process has left for itself once its requests had theirs."""
 
 HAND_OVER = 0.0005
@@ -33,9 +33,9 @@ HAND_OVER = 0.0005
 Each step of a picture asks for it again, next to threads that load light and answer requests.
 """
 
-UNLIT = " (without light until all is compiled)"
+UNLIT_NOTE = " (without light until all is compiled)"
 
-EXPOSED = (
+EXPOSED_WARNING = (
     "Others can reach {host}, so that a token is needed: put one of 16 characters or more into ISOGI_TOKEN or the"
     " configuration file, name a file of tokens by --tokens-file, or listen on 127.0.0.1."
 )
@@ -48,7 +48,7 @@ def serve(target: str | None, settings: Settings) -> None:
     engine fails.
     """
     if settings.exposed and not settings.bearers:
-        raise click.UsageError(EXPOSED.format(host=settings.host))
+        raise click.UsageError(EXPOSED_WARNING.format(host=settings.host))
     logs.configure(settings.log_format, settings.log_level)
     sys.setswitchinterval(HAND_OVER)
     scene = open_scene(target, settings)
@@ -122,7 +122,7 @@ async def run(app: FastAPI, listener: socket.socket) -> None:
         """End in time; at once where nobody was served, and no kernel need be waited for."""
         if not watching.done():
             click.echo("isogi: stopped before it was ready", err=True)
-        leave_within(LAST + (app.state.settings.shutdown_seconds if watching.done() else 0))
+        leave_within(EXIT_SECONDS + (app.state.settings.shutdown_seconds if watching.done() else 0))
 
     server = Server(app, stopping)
     stop_on_signals(server)
@@ -135,7 +135,7 @@ async def run(app: FastAPI, listener: socket.socket) -> None:
         server.should_exit = True
     elif watching.done():
         gc.freeze()  # 200,000 objects that stay: to look for garbage among them stops all threads for 0.2 s
-        say(f"isogi is ready at {address(listener)}{'' if startup.lit.is_set() else UNLIT}")
+        say(f"isogi is ready at {address(listener)}{'' if startup.lit.is_set() else UNLIT_NOTE}")
     watching.cancel()
     await serving
     if startup.failure and not stopped:

@@ -140,7 +140,7 @@ def prune_line(layer: Mapping[str, Any]) -> str:
     return f"{what}, {layer['bytes'] / 1e6:,.1f} MB, used {span(layer['used_ago'] or 0.0, 2)} ago"
 
 
-SHOWN = 20
+MAX_LISTED_OBJECTS = 20
 """Damaged objects that are listed one by one; the rest is counted."""
 
 
@@ -173,11 +173,11 @@ def facts_of(audit: Audit, root: Store) -> dict[str, Any]:
 def verified(facts: Mapping[str, Any]) -> str:
     """What was found, for a person."""
     damaged = facts["damaged"]
-    lines = [f"{each['key']}: {each['why']}" for each in damaged[:SHOWN]] + more(damaged)
+    lines = [f"{each['key']}: {each['why']}" for each in damaged[:MAX_LISTED_OBJECTS]] + more(damaged)
     if facts["unread"]:
         lines.append(f"{facts['unread']:,} chunks could not be checked, for the metadata of their layer is damaged")
-    lines += [f"{key}: left over" for key in facts["leftovers"][:SHOWN]] + more(facts["leftovers"])
-    lines += [f"{key}: not isogi's" for key in facts["foreign"][:SHOWN]] + more(facts["foreign"])
+    lines += [f"{key}: left over" for key in facts["leftovers"][:MAX_LISTED_OBJECTS]] + more(facts["leftovers"])
+    lines += [f"{key}: not isogi's" for key in facts["foreign"][:MAX_LISTED_OBJECTS]] + more(facts["foreign"])
     size = f"{facts['chunks']:,} chunks in {facts['layers']:,} layers, {facts['bytes'] / 1e6:,.1f} MB"
     state = "all whole" if facts["sound"] else f"{len(damaged):,} damaged: `isogi store repair` puts them away"
     return "\n".join([*lines, f"{facts['store']}: {size}, {state}"])
@@ -185,7 +185,7 @@ def verified(facts: Mapping[str, Any]) -> str:
 
 def more(names: Sequence[Any]) -> list[str]:
     """How many were not listed."""
-    return [f"… and {len(names) - SHOWN:,} more"] if len(names) > SHOWN else []
+    return [f"… and {len(names) - MAX_LISTED_OBJECTS:,} more"] if len(names) > MAX_LISTED_OBJECTS else []
 
 
 def repair(root: Store, delete: bool) -> dict[str, Any]:
@@ -203,9 +203,15 @@ def repair(root: Store, delete: bool) -> dict[str, Any]:
 def repaired(facts: Mapping[str, Any]) -> str:
     """What was done, for a person."""
     moved = facts["put_away"]
-    lines = [f"{each['key']}: {'deleted' if each['to'] is None else 'now ' + each['to']}" for each in moved[:SHOWN]]
+    lines = [
+        f"{each['key']}: {'deleted' if each['to'] is None else 'now ' + each['to']}"
+        for each in moved[:MAX_LISTED_OBJECTS]
+    ]
     missing = [each["key"] for each in facts["damaged"] if each["key"] not in {one["key"] for one in moved}]
-    lines += [*more(moved), *(f"{key}: made again when its scene is next served" for key in missing[:SHOWN])]
+    lines += [
+        *more(moved),
+        *(f"{key}: made again when its scene is next served" for key in missing[:MAX_LISTED_OBJECTS]),
+    ]
     done = f"{len(moved):,} damaged objects put away, {len(facts['removed']):,} leftovers removed"
     rest = f"{facts['whole']:,} chunks are whole, and what is missing is baked again when it is wanted"
     return "\n".join([*lines, f"{facts['store']}: {done}; {rest}"])

@@ -14,7 +14,7 @@ TOO_LARGE = (
     "This export takes about {needed:,} MB, and this server keeps {quota:,} MB of exports (exports_mb): ask its"
     " operator for more, or use isogi export."
 )
-GONE = "The file of the job '{job}' is not there: it is not made yet, or gave way to newer ones; export it again."
+FILE_GONE = "The file of the job '{job}' is not there: it is not made yet, or gave way to newer ones; export it again."
 MEGABYTE = 1 << 20
 
 
@@ -45,7 +45,7 @@ class ExportFolder:
         files = self._folder.glob(f"{job}/*") if self._folder else iter(())
         found = next((path for path in files if path.suffix != PARTIAL_SUFFIX), None)
         if found is None:
-            raise UnknownResultError(GONE.format(job=job))
+            raise UnknownResultError(FILE_GONE.format(job=job))
         return found
 
     def make_room(self, known: Container[str], needed: int) -> None:

@@ -79,7 +79,7 @@ def with_colour(lit: LitVolume) -> LitVolume:
     return replace(lit, arrays={**lit.arrays, "colour": colour})
 
 
-POINTS = 1 << 17
+POINTS_PER_BATCH = 1 << 17
 """Points that are lit together."""
 
 Report = Callable[[int, int], None]
@@ -188,8 +188,8 @@ def lit_pieces(
     renderer: Renderer, view: View, points: np.ndarray, report: Report
 ) -> Iterator[tuple[slice, Frame, np.ndarray]]:
     """Frames of one row, and normals, of ``points`` (m, 3), some rows at a time."""
-    for start in range(0, len(points), POINTS):
-        rows = slice(start, min(start + POINTS, len(points)))
+    for start in range(0, len(points), POINTS_PER_BATCH):
+        rows = slice(start, min(start + POINTS_PER_BATCH, len(points)))
         frame, normals = renderer.light_points(view, points[rows])
         report(rows.stop, len(points))
         yield rows, frame, normals
@@ -198,7 +198,7 @@ def lit_pieces(
 SIZES = {".ply": 53, ".glb": 60, ".usdz": 130, ".obj": 190}
 """Bytes of a mesh's file for each vertex and its face, about."""
 
-VOXEL, FLOAT = 19, 4
+FILE_BYTES_PER_VOXEL, FILE_BYTES_PER_NUMBER = 19, 4
 """Bytes of a volume's file for each voxel, at most: value, light and colour; and of each number besides."""
 
 
@@ -206,21 +206,21 @@ def expected_bytes(prepared: PreparedScene, isovalue: float, suffix: str, number
     """How large the file of an isosurface, or of the volume around it, will be; with ``numbers`` more a voxel."""
     volume = prepared.scene.volume
     if suffix in WRITERS:
-        return (VOXEL + FLOAT * numbers) * volume.voxels.size
+        return (FILE_BYTES_PER_VOXEL + FILE_BYTES_PER_NUMBER * numbers) * volume.voxels.size
     return SIZES[suffix] * vertex_count(volume.voxels, prepared.surface(isovalue).isovalue)
 
 
-WORDS = {"direct": "direct", "indirect": "reflected"}
+LIGHT_KIND_WORDS = {"direct": "direct", "indirect": "reflected"}
 """How files name light by its kind; others keep their names."""
 
-COLOURS = ("red", "green", "blue")
+COLOUR_CHANNELS = ("red", "green", "blue")
 
 
 def term_names(spec: BakeSpec) -> list[str]:
     """A name for each term of a bake spec: direct or reflected light, numbered where kept for several albedos."""
     kinds = [spec.plan.layers[term.layers[0]].kind for term in spec.terms]
     return [
-        WORDS.get(kind, kind) + ("" if term.node is None else str(term.node + 1))
+        LIGHT_KIND_WORDS.get(kind, kind) + ("" if term.node is None else str(term.node + 1))
         for kind, term in zip(kinds, spec.terms, strict=True)
     ]
 
@@ -236,7 +236,7 @@ def columns_of(spec: BakeSpec) -> dict[str, slice]:
 
 def coefficient_count(spec: BakeSpec) -> int:
     """Numbers that a voxel has besides its light: its coefficients, and what comes straight from lobes."""
-    return spec.channels * spec.columns + (len(COLOURS) if spec.lobes else 0)
+    return spec.channels * spec.columns + (len(COLOUR_CHANNELS) if spec.lobes else 0)
 
 
 def environments(renderer: Renderer, view: View, exposure: float) -> dict[str, np.ndarray]:
@@ -257,7 +257,7 @@ def coefficients_at(renderer: Renderer, view: View, voxels: np.ndarray) -> dict[
     """
     caches, shape = renderer.caches, renderer.prepared.scene.volume.shape
     spec = caches.spec(view.shading)
-    colours = [f"_{colour}" for colour in COLOURS] if spec.channels == len(COLOURS) else [""]
+    colours = [f"_{colour}" for colour in COLOUR_CHANNELS] if spec.channels == len(COLOUR_CHANNELS) else [""]
     columns = columns_of(spec)
     arrays = {
         f"{name}{colour}": np.zeros((*shape, own.stop - own.start), np.float32)

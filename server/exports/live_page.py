@@ -21,14 +21,14 @@ from server.card_schemas import CardSlab
 from server.parameters import FrameParams
 from server.schemas import Range, SceneSchema
 
-WEB = Path(__file__).resolve().parents[2] / "web"
-START = "published/published.js"
+WEB_FOLDER = Path(__file__).resolve().parents[2] / "web"
+FIRST_PAGE_MODULE = "published/published.js"
 """The page's first module."""
 
-STARTS = {"distance", "target", "fov", "yaw", "pitch", "roll", "exposure"}
+START_PARAMETERS = {"distance", "target", "fov", "yaw", "pitch", "roll", "exposure"}
 """Parameters of a view that the page starts with as they are given."""
 
-IMPORT = re.compile(r'^(?:import|export) [^;]*?from "(\.[^"]+)";$', re.MULTILINE)
+MODULE_IMPORT = re.compile(r'^(?:import|export) [^;]*?from "(\.[^"]+)";$', re.MULTILINE)
 """What a module imports, as the page's modules write it."""
 
 
@@ -42,20 +42,23 @@ class Span:
 
 def page_files() -> dict[str, bytes]:
     """The page and all its modules, by their places in the folder."""
-    names, waiting = {START}, [START]
+    names, waiting = {FIRST_PAGE_MODULE}, [FIRST_PAGE_MODULE]
     while waiting:
         name = waiting.pop()
-        found = {(WEB / name).parent.joinpath(path).resolve().relative_to(WEB).as_posix() for path in imports(name)}
+        found = {
+            (WEB_FOLDER / name).parent.joinpath(path).resolve().relative_to(WEB_FOLDER).as_posix()
+            for path in imports(name)
+        }
         waiting += found - names
         names |= found
-    names |= {f"card/shaders/{path.name}" for path in (WEB / "card" / "shaders").iterdir()}
-    page = {"index.html": (WEB / "published" / "index.html").read_bytes()}
-    return page | {f"web/{name}": (WEB / name).read_bytes() for name in sorted(names)}
+    names |= {f"card/shaders/{path.name}" for path in (WEB_FOLDER / "card" / "shaders").iterdir()}
+    page = {"index.html": (WEB_FOLDER / "published" / "index.html").read_bytes()}
+    return page | {f"web/{name}": (WEB_FOLDER / name).read_bytes() for name in sorted(names)}
 
 
 def imports(name: str) -> list[str]:
     """The modules that a module of the page imports, as it names them."""
-    return IMPORT.findall((WEB / name).read_text(encoding="utf-8"))
+    return MODULE_IMPORT.findall((WEB_FOLDER / name).read_text(encoding="utf-8"))
 
 
 def compressed(content: bytes) -> bytes:
@@ -113,7 +116,7 @@ def scene_of(renderer: Renderer, params: FrameParams, view: View, span: Span) ->
     azimuth, elevation = (getattr(params, name) if name in placed else None for name in ("azimuth", "elevation"))
     camera = camera_schema(renderer, view, azimuth, elevation, params.projection)
     schema.defaults |= {"projection": params.projection} if params.projection else {}
-    given = params.model_dump(mode="json", include=placed & STARTS, exclude_none=True)
+    given = params.model_dump(mode="json", include=placed & START_PARAMETERS, exclude_none=True)
     start = {**camera.model_dump(mode="json"), "isovalue": view.isovalue, **given}
     return {**schema.model_dump(mode="json"), "start": start}
 

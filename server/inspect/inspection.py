@@ -86,7 +86,7 @@ def span(error: ErrorSchema) -> str:
     return f"{percent(error.likely)} ({percent(error.low)} – {percent(error.high)})"
 
 
-WORTH = 0.05
+REMARKABLE_SHARE = 0.05
 """Share of a surface that is worth a remark."""
 
 MEETS = 0.0005
@@ -117,14 +117,14 @@ def error(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
     """What error is to be expected."""
     if own.error is not None:
         means = f"Expect an error of about {span(own.error)} of the light at {own.isovalue:.6g}, by interpolation."
-        none = "" if max(own.steep, own.plateau, own.noisy) >= WORTH else " Nothing is stiff there."
+        none = "" if max(own.steep, own.plateau, own.noisy) >= REMARKABLE_SHARE else " Nothing is stiff there."
         can = ["measure it for a view of yours: isogi report."]
         yield Remark(about="error", means=f"{means}{none}", can=can)
 
 
 def steep(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
     """The remark that the field leaps."""
-    if own.steep >= WORTH:
+    if own.steep >= REMARKABLE_SHARE:
         means = (
             f"{percent(own.steep)} of the surface lies on steps: within two voxels the value leaps from one plateau to"
             " another, and the texels around it have isosurfaces of their own that nobody sees."
@@ -135,7 +135,7 @@ def steep(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
 
 def plateau(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
     """The remark that the field hardly changes."""
-    if own.plateau >= WORTH:
+    if own.plateau >= REMARKABLE_SHARE:
         means = (
             f"{percent(own.plateau)} of the surface lies on a plateau: half of a cell's corners have the isovalue"
             " itself, or one has no gradient. The surface follows the voxels there, and rounding says where it lies."
@@ -147,13 +147,13 @@ def plateau(_: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
 
 def noisy(found: StiffnessSchema, own: SurfaceSchema) -> Iterator[Remark]:
     """The remark that the surface is noisy: normals stray."""
-    if own.noisy >= WORTH:
+    if own.noisy >= REMARKABLE_SHARE:
         means = (
             f"{percent(own.noisy)} of the surface is noisy, or has detail as fine as two voxels: normals stray by 26°"
             " or more within a cell, and texels side by side lie on surfaces that have little in common."
         )
         does = "takes normals from the gradient smoothed over 4 × 4 × 4 voxels; the surface stays as it is."
-        cures = () if own.steep >= WORTH else CURES  # they are given once
+        cures = () if own.steep >= REMARKABLE_SHARE else CURES  # they are given once
         yield Remark(about="noisy", means=means, does=does, can=[*cures, *calmer(found, own)])
 
 

@@ -12,15 +12,15 @@ from matplotlib.ticker import PercentFormatter
 
 from server.inspect.inspection import InspectionSchema, SurfaceSchema
 
-SIZE = (7.2, 5.2)
+FIGURE_INCHES = (7.2, 5.2)
 """Inches."""
 
 DPI = 150
 
-TOP = 1.2
+MAX_SHARE_SHOWN = 1.2
 """How far the axis of shares goes: beyond all of a surface there is room for the legend."""
 
-INK, SOFT, LINE = "#010101", "#020202", "#030303"
+INK, SOFT_STAND_IN, LINE_STAND_IN = "#010101", "#020202", "#030303"
 """Colours that stand for a name of the scheme while matplotlib draws."""
 
 DASHES: tuple[tuple[float, ...], ...] = ((), (5, 2), (1.5, 1.5), (7, 2, 1.5, 2), (3, 3), (9, 3))
@@ -32,10 +32,10 @@ STYLE: Any = {
     "font.size": 9.5,
     "axes.linewidth": 0.8,
     "text.color": INK,
-    "axes.edgecolor": SOFT,
+    "axes.edgecolor": SOFT_STAND_IN,
     "axes.labelcolor": INK,
-    "xtick.color": SOFT,
-    "ytick.color": SOFT,
+    "xtick.color": SOFT_STAND_IN,
+    "ytick.color": SOFT_STAND_IN,
     "xtick.labelcolor": INK,
     "ytick.labelcolor": INK,
 }
@@ -43,12 +43,12 @@ STYLE: Any = {
 SCHEME = (Path(__file__).parent / "scheme.css").read_text(encoding="utf-8")
 """What gives the names their colours: the rules of an element that is the root of its document."""
 
-COLOURS = dict(reversed(re.findall(r"--([\w-]+): (#\w{6})", SCHEME)))
+SCHEME_COLOURS = dict(reversed(re.findall(r"--([\w-]+): (#\w{6})", SCHEME)))
 """The reports' colours on paper, by their names: a name's first one is that of the light scheme."""
 
-INKS = {INK: COLOURS["ink"], SOFT: COLOURS["soft"], LINE: COLOURS["line"]}
+INKS = {INK: SCHEME_COLOURS["ink"], SOFT_STAND_IN: SCHEME_COLOURS["soft"], LINE_STAND_IN: SCHEME_COLOURS["line"]}
 
-CURVES = ("steep", "plateau", "noisy", "holes")
+SHARE_CURVES = ("steep", "plateau", "noisy", "holes")
 """Shares that are drawn; the last one only where there are any."""
 
 
@@ -56,7 +56,7 @@ def save_picture(path: Path, facts: InspectionSchema) -> None:
     """Draw the stiffness of a scene's volume to a PNG file. Raises OSError."""
     style: Any = {name: INKS.get(value, value) for name, value in STYLE.items()}
     with mpl.rc_context(style):
-        figure = Figure(figsize=SIZE, dpi=DPI, layout="constrained", facecolor=COLOURS["paper"])
+        figure = Figure(figsize=FIGURE_INCHES, dpi=DPI, layout="constrained", facecolor=SCHEME_COLOURS["paper"])
         upper, lower = figure.subplots(2, sharex=True, height_ratios=(5, 3))
         figure.suptitle(f"How stiff is {facts.volume.name}?", x=0.01, ha="left", fontsize=12)
         draw_histogram(upper.twinx(), facts)
@@ -64,7 +64,7 @@ def save_picture(path: Path, facts: InspectionSchema) -> None:
         draw_error(lower, facts)
         for axes in (upper, lower):
             frame(axes, facts)
-        upper.set_title(key_of(facts), fontsize=9.5, loc="left", color=COLOURS["soft"])
+        upper.set_title(key_of(facts), fontsize=9.5, loc="left", color=SCHEME_COLOURS["soft"])
         lower.set_xlabel("isovalue")
         figure.savefig(path, format="png", metadata={"Software": None})
 
@@ -84,8 +84,8 @@ def own_of(facts: InspectionSchema) -> float:
 def draw_histogram(axes: Axes, facts: InspectionSchema) -> None:
     """The volume's values, behind all else; logarithmic."""
     counts, edges = np.log1p(facts.histogram.counts), np.array(facts.histogram.edges)
-    axes.fill_between(edges, np.append(counts, counts[-1]), step="post", color=COLOURS["line"], linewidth=0)
-    axes.set_ylim(0.0, TOP * max(counts.max(), 1.0))
+    axes.fill_between(edges, np.append(counts, counts[-1]), step="post", color=SCHEME_COLOURS["line"], linewidth=0)
+    axes.set_ylim(0.0, MAX_SHARE_SHOWN * max(counts.max(), 1.0))
     axes.set_axis_off()
     axes.set_zorder(-1)
 
@@ -93,12 +93,12 @@ def draw_histogram(axes: Axes, facts: InspectionSchema) -> None:
 def draw_shares(axes: Axes, facts: InspectionSchema) -> None:
     """What share of each surface is steep, on a plateau, noisy, beside holes."""
     surfaces = facts.stiffness.surfaces
-    shown = CURVES if any(surface.holes for surface in surfaces) else CURVES[:-1]
+    shown = SHARE_CURVES if any(surface.holes for surface in surfaces) else SHARE_CURVES[:-1]
     for i, name in enumerate(shown):
         style: Any = (0, DASHES[i]) if DASHES[i] else "solid"
         shares = [getattr(surface, name) if surface.cells else np.nan for surface in surfaces]
         axes.plot(isovalues(surfaces), shares, label=name, linestyle=style, **mark_of(i))
-    axes.set_ylim(0.0, TOP)
+    axes.set_ylim(0.0, MAX_SHARE_SHOWN)
     axes.set_yticks(np.linspace(0.0, 1.0, 6))
     axes.legend(frameon=False, ncols=len(shown), loc="upper right")
 
@@ -108,7 +108,7 @@ def draw_error(axes: Axes, facts: InspectionSchema) -> None:
     seen = [surface for surface in facts.stiffness.surfaces if surface.error is not None]
     errors = [(each.error.low, each.error.likely, each.error.high) for each in seen if each.error is not None]
     low, likely, high = np.array(errors or np.empty((0, 3))).T
-    axes.fill_between(isovalues(seen), low, high, color=COLOURS["line"], linewidth=0)
+    axes.fill_between(isovalues(seen), low, high, color=SCHEME_COLOURS["line"], linewidth=0)
     axes.plot(isovalues(seen), likely, **mark_of(4))
     axes.set_ylim(0.0)
     axes.set_title("Error of interpolated light that is to be expected, and its range", fontsize=9.5, loc="left")
@@ -121,14 +121,14 @@ def isovalues(surfaces: list[SurfaceSchema]) -> list[float]:
 
 def mark_of(i: int) -> dict[str, Any]:
     """How curve ``i`` is drawn."""
-    return {"color": COLOURS[f"curve-{i + 1}"], "linewidth": 1.5, "marker": "o", "markersize": 3.2}
+    return {"color": SCHEME_COLOURS[f"curve-{i + 1}"], "linewidth": 1.5, "marker": "o", "markersize": 3.2}
 
 
 def frame(axes: Axes, facts: InspectionSchema) -> None:
     """Grid, ticks and the line of the scene's isovalue."""
-    axes.axvline(own_of(facts), ymax=1.0 / TOP, color=COLOURS["accent"], linewidth=1.0)
+    axes.axvline(own_of(facts), ymax=1.0 / MAX_SHARE_SHOWN, color=SCHEME_COLOURS["accent"], linewidth=1.0)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.grid(color=COLOURS["line"], linewidth=0.7)
+    axes.grid(color=SCHEME_COLOURS["line"], linewidth=0.7)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.patch.set_visible(False)

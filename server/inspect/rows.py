@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from server.schemas import LayerSchema, Omission, PlanSchema, SavingSchema, SceneSchema, VolumeSchema
 
 WHAT = 46
-WIDTH, LEAD = 100, 14
+LINE_COLUMNS, LEAD_COLUMNS = 100, 14
 """Columns of a line, and of the name at its beginning."""
 
 
 def wrapped(lead: str, text: str) -> list[str]:
-    """Lines of at most WIDTH, the first after its ``lead`` and the others under the text."""
-    return textwrap.wrap(text, WIDTH, initial_indent=lead, subsequent_indent=" " * len(lead))
+    """Lines of at most LINE_COLUMNS, the first after its ``lead`` and the others under the text."""
+    return textwrap.wrap(text, LINE_COLUMNS, initial_indent=lead, subsequent_indent=" " * len(lead))
 
 
 def summary(facts: SceneSchema) -> Iterator[tuple[str, str]]:

@@ -9,7 +9,7 @@ from isogi_core.plan.scene import Scene
 from server.errors import LibraryError, ParameterError
 from server.inspect.inspection import (
     MEETS,
-    WORTH,
+    REMARKABLE_SHARE,
     ErrorSchema,
     InspectionSchema,
     Remark,
@@ -19,17 +19,17 @@ from server.inspect.inspection import (
     percent,
     span,
 )
-from server.inspect.rows import LEAD, axes, by, omission, plan_rows, reflects, summary, wrapped
+from server.inspect.rows import LEAD_COLUMNS, axes, by, omission, plan_rows, reflects, summary, wrapped
 from server.progress import open_scene
 
-BINS = 24
-BAR = 48
-ROWS = 10
+HISTOGRAM_BINS = 24
+BAR_COLUMNS = 48
+MAX_TABLE_ROWS = 10
 """Isovalues in the table, besides the scene's own and the stiffest."""
 
 MORE_TO_ASK = "--plan shows the plan, the histogram, every remark, and more isovalues; prewarm --dry-run, the time."
 
-HEAD = f"  {'isovalue':>11} {'cells':>13} {'steep':>6} {'plateau':>8} {'noisy':>6} {'holes':>6}   error about"
+TABLE_HEAD = f"  {'isovalue':>11} {'cells':>13} {'steep':>6} {'plateau':>8} {'noisy':>6} {'holes':>6}   error about"
 
 
 def full_text(scene: Scene, facts: InspectionSchema) -> str:
@@ -42,35 +42,35 @@ def full_text(scene: Scene, facts: InspectionSchema) -> str:
 
 def histogram(scene: Scene) -> Iterator[str]:
     """One line per bin: its lower edge, a bar, its count."""
-    counts, edges = scene.volume.histogram(BINS)
+    counts, edges = scene.volume.histogram(HISTOGRAM_BINS)
     longest = math.log1p(counts.max())
     for count, edge in zip(counts, edges, strict=False):
-        yield f"{edge:>12.5g} {'█' * round(BAR * math.log1p(count) / longest):<{BAR}} {count}"
+        yield f"{edge:>12.5g} {'█' * round(BAR_COLUMNS * math.log1p(count) / longest):<{BAR_COLUMNS}} {count}"
 
 
 def stiffness(facts: InspectionSchema) -> Iterator[str]:
     """How stiff the volume is: a row for some of the isovalues, and what that means for the scene's own."""
     found = facts.stiffness
     yield "stiffness (shares of the cells that a surface passes; > is the scene's isovalue)"
-    yield HEAD
+    yield TABLE_HEAD
     yield from (row(found.surfaces[place], place == found.own) for place in shown_places(found))
     yield from (line for remark in found.remarks for line in lines_of(remark))
 
 
 def lines_of(remark: Remark) -> Iterator[str]:
     """A remark: what it means, what isogi does, and what a person can do, each on lines of its own."""
-    yield from wrapped(f"  {remark.about:<{LEAD - 2}}", remark.means)
+    yield from wrapped(f"  {remark.about:<{LEAD_COLUMNS - 2}}", remark.means)
     if remark.does:
-        yield from wrapped(f"{'isogi':>{LEAD - 1}} ", remark.does)
+        yield from wrapped(f"{'isogi':>{LEAD_COLUMNS - 1}} ", remark.does)
     for can in remark.can:
-        yield from wrapped(f"{'you can':>{LEAD - 1}} ", can)
+        yield from wrapped(f"{'you can':>{LEAD_COLUMNS - 1}} ", can)
 
 
 def shown_places(found: StiffnessSchema) -> list[int]:
-    """Places of ROWS surfaces, evenly taken, of the scene's own, and of the one that is expected to err most."""
-    step = (len(found.surfaces) - 1) / (ROWS - 1)
+    """Places of MAX_TABLE_ROWS surfaces, evenly taken, of the scene's own, and of the one that is expected to err most."""
+    step = (len(found.surfaces) - 1) / (MAX_TABLE_ROWS - 1)
     errors = [0.0 if surface.error is None else surface.error.likely for surface in found.surfaces]
-    return sorted({*(round(step * i) for i in range(ROWS)), found.own, errors.index(max(errors))})
+    return sorted({*(round(step * i) for i in range(MAX_TABLE_ROWS)), found.own, errors.index(max(errors))})
 
 
 def row(surface: SurfaceSchema, own: bool) -> str:
@@ -112,13 +112,13 @@ def check_picture(path: Path) -> None:
         )
 
 
-TEXELS = 2
+TEXELS_PER_CELL = 2
 """Texels of a cell that a surface passes, about, where voxels have one texel: neighbouring cells share most."""
 
-NAMED = 4
+MAX_NAMED_LABELS = 4
 """Labels that are named, at most."""
 
-VOXEL = 4
+VOXEL_BYTES = 4
 """Bytes of a voxel in memory."""
 
 URGENT = ("nothing", "missing")
@@ -128,7 +128,7 @@ URGENT = ("nothing", "missing")
 def brief(scene: Scene, facts: InspectionSchema) -> str:
     """The facts that matter, each on a line, or on a few where it is long."""
     rows = (*understood(facts), *proposed(scene, facts), *expected(scene, facts))
-    return "\n".join(line for name, text in rows for line in wrapped(f"{name:<{LEAD}}", text))
+    return "\n".join(line for name, text in rows for line in wrapped(f"{name:<{LEAD_COLUMNS}}", text))
 
 
 def understood(facts: InspectionSchema) -> Iterator[tuple[str, str]]:
@@ -179,22 +179,22 @@ def surface(own: SurfaceSchema) -> str:
 def stiffness_line(own: SurfaceSchema, error: ErrorSchema) -> str:
     """What share of the surface is stiff, and which ``error`` of light to expect for that."""
     shares = {"on steps": own.steep, "on plateaus": own.plateau, "noisy": own.noisy, "next to holes": own.holes}
-    stiff = ", ".join(f"{percent(share)} {name}" for name, share in shares.items() if share >= WORTH)
+    stiff = ", ".join(f"{percent(share)} {name}" for name, share in shares.items() if share >= REMARKABLE_SHARE)
     return f"{stiff or 'nothing is stiff'}: error of interpolated light about {span(error)}"
 
 
 def few(names: list[str]) -> str:
     """The first of many names, and how many others there are."""
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(names[:NAMED]) + more
+    more = f" and {len(names) - MAX_NAMED_LABELS} more" if len(names) > MAX_NAMED_LABELS else ""
+    return ", ".join(names[:MAX_NAMED_LABELS]) + more
 
 
 def cost(scene: Scene, facts: InspectionSchema, own: SurfaceSchema) -> str:
     """What light takes in the store, of this surface and of all, and what voxels take in memory."""
     each, texels = facts.plan.bytes_per_texel, facts.plan.texels
-    one = min(TEXELS * own.cells * scene.settings.lattice**2, texels.shown) * each
+    one = min(TEXELS_PER_CELL * own.cells * scene.settings.lattice**2, texels.shown) * each
     whole = f"about {megabytes(one)} of light for this surface, {megabytes(texels.shown * each)} for all isovalues"
-    return f"{whole}; {megabytes(VOXEL * scene.volume.voxels.size)} of voxels"
+    return f"{whole}; {megabytes(VOXEL_BYTES * scene.volume.voxels.size)} of voxels"
 
 
 def megabytes(count: float) -> str:

@@ -162,13 +162,13 @@ class PrewarmContext:
             raise Cancelled("This prewarm was stopped.")
 
 
-LOOK = 1.0
+REPORT_SECONDS = 1.0
 """Seconds between two reports of how far the baking is."""
 
-CHUNKS, OPEN = 64, 3
+CHUNKS_PER_PART, PARTS_AT_ONCE = 64, 3
 """Chunks that are asked for together, at least, and how many such parts at once."""
 
-PRIOR = (0.6, 0.8, 1.0, 1.25, 1.6)
+ASSUMED_TIME_RATIOS = (0.6, 0.8, 1.0, 1.25, 1.6)
 """Times that baking takes over those forecast, before any is known."""
 
 Wish = tuple[Batch, Demand]
@@ -200,7 +200,7 @@ class Baking:
         self.failures: dict[Index, str] = {}
         self.done = 0
         self._context, self._end, self._expected = context, end, expected
-        self._estimator, self._pace = TimeEstimator(prior=PRIOR), Pace(time.monotonic)
+        self._estimator, self._pace = TimeEstimator(prior=ASSUMED_TIME_RATIOS), Pace(time.monotonic)
         self._worked = 0.0
         self._open: list[tuple[Batch, BackgroundBake]] = []
         self._held: tuple[Batch, list[Demand]] | None = None
@@ -231,7 +231,7 @@ class Baking:
             self._context.engine.leave(self._context.viewer)
 
     def _parts(self) -> Iterator[tuple[Batch, list[Demand]]]:
-        size = max(CHUNKS, 2 * self._context.engine.workers)
+        size = max(CHUNKS_PER_PART, 2 * self._context.engine.workers)
         for batch, group in groupby(self.wishes, lambda wish: wish[0]):
             while part := [demand for _, demand in islice(group, size)]:
                 yield batch, part
@@ -243,7 +243,7 @@ class Baking:
         which wants more.
         """
         context = self._context
-        while len(self._open) < OPEN and (part := self._next(parts)):
+        while len(self._open) < PARTS_AT_ONCE and (part := self._next(parts)):
             bake, stage = context.bake_of(*part)
             self._open.append((part[0], context.engine.bake(bake, stage, context.viewer)))
         return bool(self._open)
@@ -256,7 +256,7 @@ class Baking:
         if engine.workforce.missing:
             raise WorkersError(engine.workforce.missing)
         self._patience.check(engine.paths, engine.workforce.preparing, engine.unready())
-        self._open[0][1].wait(max(min(LOOK, self._end - now), 0.0))
+        self._open[0][1].wait(max(min(REPORT_SECONDS, self._end - now), 0.0))
 
     def _next(self, parts: Iterator[tuple[Batch, list[Demand]]]) -> tuple[Batch, list[Demand]] | None:
         """The part to ask for next; None where it is of another batch than those at work, or there is none."""
@@ -301,7 +301,7 @@ class Baking:
         return total
 
 
-NEVER = 1e-9
+UNREACHED_ERROR = 1e-9
 """A target error that the first paths do not reach."""
 
 SCHEDULED = Path("/proc/thread-self/schedstat")
@@ -364,7 +364,7 @@ def climb_all(
 def first_light(spec: BakeSpec, texels: np.ndarray) -> float:
     """Seconds that the first paths of texels take; maps that they need are made, where they are not kept."""
     begun = ready_time()
-    refine(Light.dark(spec.plan, len(texels)), texels, spec, FIRST_LEVEL, NEVER)
+    refine(Light.dark(spec.plan, len(texels)), texels, spec, FIRST_LEVEL, UNREACHED_ERROR)
     return ready_time() - begun
 
 
@@ -377,13 +377,13 @@ def stored_size(store: ChunkStore, chunk: Chunk) -> int:
 MOST_TRIED, FEWEST_TRIED = 48, 8
 """Chunks that are rehearsed, at most, and before it may be called enough."""
 
-SURE = 0.04
+SUFFICIENT_RELATIVE_ERROR = 0.04
 """Standard error of the mean, over the mean, at which it is enough."""
 
 DISPATCH = 0.006
 """Processor seconds of a task that the process which hands it out takes; it needs a core too."""
 
-START = 1.5
+WORKER_START_SECONDS = 1.5
 """Seconds until workers have come, and have their kernels, beyond the time of the survey."""
 
 
@@ -434,7 +434,10 @@ class Tried:
     def _enough(self) -> bool:
         """Whether the time is over, or the mean is known well enough."""
         with self._lock:
-            known = len(self.all) >= FEWEST_TRIED and relative_standard_error(seconds_per_texel(self.all)) <= SURE
+            known = (
+                len(self.all) >= FEWEST_TRIED
+                and relative_standard_error(seconds_per_texel(self.all)) <= SUFFICIENT_RELATIVE_ERROR
+            )
         return known or (bool(self.all) and time.monotonic() > self._end) or self._cancelled.is_set()
 
 

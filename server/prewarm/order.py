@@ -46,7 +46,7 @@ def orbit(count: int, elevation: float) -> list[Direction]:
 MOST_ISOVALUES = 10_000
 """Isovalues that are given with a step or one by one, at most."""
 
-WANTED = (
+VALUES_EXPECTED = (
     f"a number such as 70, first:last:step such as 60:120:5 with at most {MOST_ISOVALUES} of them, first:last for"
     " all between, or a number of levels of the scene's range, adaptive:20 or uniform:20"
 )
@@ -104,7 +104,7 @@ def sampled_count(text: str) -> int:
     """How many isovalues a text such as adaptive:20 asks for; ParameterError where it does not say."""
     count = text.partition(":")[2]
     if not re.fullmatch(r"[1-9]\d{0,4}", count, re.ASCII) or int(count) > MOST_ISOVALUES:
-        raise ParameterError(f"isovalue must be {WANTED}, not {shown(text)}.", "isovalues")
+        raise ParameterError(f"isovalue must be {VALUES_EXPECTED}, not {shown(text)}.", "isovalues")
     return int(count)
 
 
@@ -113,7 +113,7 @@ def numbers_in(text: str) -> list[float]:
     numbers = [finite(part) for part in text.split(":")]
     if all(map(math.isfinite, numbers)) and sensible(numbers):
         return numbers
-    raise ParameterError(f"isovalue must be {WANTED}, not {shown(text)}.", "isovalues")
+    raise ParameterError(f"isovalue must be {VALUES_EXPECTED}, not {shown(text)}.", "isovalues")
 
 
 def sensible(numbers: Sequence[float]) -> bool:
@@ -143,7 +143,7 @@ MOST_GIVEN = 1000
 USUAL_DIRECTIONS = 12
 """Directions from all sides by default."""
 
-WAYS = ("views", "directions", "orbits")
+VIEW_FIELDS = ("views", "directions", "orbits")
 """Fields that say where views look from."""
 
 Level = Annotated[
@@ -210,7 +210,7 @@ class PrewarmOrder(NoParams):
     @model_validator(mode="after")
     def one_way(self) -> Self:
         """Refuses ranges of all isovalues where views are to be made of them."""
-        others = [name for name in WAYS if getattr(self, name)]
+        others = [name for name in VIEW_FIELDS if getattr(self, name)]
         if self.all_directions and others:
             raise ValueError(f"all_directions leaves nothing to {', '.join(others)}: keep one.")
         if self.levels.ranges and not self.all_directions:
@@ -287,17 +287,21 @@ class Views:
         return view if self._scene.surfaces.shine is None else replace(view, shine=DULL)  # nothing is baked for shine
 
 
-SIDES, SIDE, AMONG = 6, 192, 4
+SURFACE_VIEWS, SURFACE_VIEW_PIXELS, MAX_VIEWED_ISOVALUES = 6, 192, 4
 """Views that stand for a whole isosurface, from all sides, their pixels a side, and of how many isovalues at most."""
 
 
 def views_around(order: PrewarmOrder, levels: Levels, scene: Scene, settings: Settings) -> Views:
     """The views that stand for the whole isosurfaces of ``levels``: of the lowest, the highest and some between."""
     every = sorted(set(levels.all))
-    chosen = {every[round(n * (len(every) - 1) / (AMONG - 1))] for n in range(AMONG)}
+    chosen = {every[round(n * (len(every) - 1) / (MAX_VIEWED_ISOVALUES - 1))] for n in range(MAX_VIEWED_ISOVALUES)}
     isovalues = tuple(map(repr, sorted(chosen)))
-    around = {"all_directions": False, "views": SIDES, "directions": (), "orbits": (), "isovalues": isovalues}
-    return Views(order_of(order.model_dump() | around | {"width": SIDE, "height": SIDE}), scene, settings)
+    around = {"all_directions": False, "views": SURFACE_VIEWS, "directions": (), "orbits": (), "isovalues": isovalues}
+    return Views(
+        order_of(order.model_dump() | around | {"width": SURFACE_VIEW_PIXELS, "height": SURFACE_VIEW_PIXELS}),
+        scene,
+        settings,
+    )
 
 
 def order_of(fields: dict[str, Any]) -> PrewarmOrder:

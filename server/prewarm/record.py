@@ -111,16 +111,16 @@ def failures_of(reasons: Sequence[tuple[tuple[int, int, int], str]]) -> tuple[Fa
 
 log = logging.getLogger("isogi.server")
 
-FOLDER = "jobs"
+RECORDS_FOLDER = "jobs"
 """The folder of records beside the light."""
 
 BEAT = 5.0
 """Seconds between two updates of a record, while a process works on its prewarm."""
 
-WORKER = f"{socket.gethostname()}/{os.getpid()}/{uuid4().hex}"
+THIS_PROCESS = f"{socket.gethostname()}/{os.getpid()}/{uuid4().hex}"
 """This process: its machine, its number there, and a name that no other has had."""
 
-OPEN = (Status.ACCEPTED, Status.RUNNING)
+OPEN_STATES = (Status.ACCEPTED, Status.RUNNING)
 """States of a prewarm that a process works on, or did when it was killed."""
 
 
@@ -147,7 +147,7 @@ class RecordDocument(BaseModel):
     rung: int = FIRST_LEVEL
     created: datetime = Field(default_factory=now)
     updated: datetime = Field(default_factory=now)
-    worker: str = Field(default=WORKER, pattern=r"^[^/]*/\d+/\w+$")
+    worker: str = Field(default=THIS_PROCESS, pattern=r"^[^/]*/\d+/\w+$")
     ahead: Summary | None = None
     summary: Summary | None = None
 
@@ -166,7 +166,7 @@ class RecordDocument(BaseModel):
     @property
     def left(self) -> bool:
         """Whether its process is known to have ended before the prewarm did, without being asked to stop."""
-        return self.status in OPEN and gone(self.worker)
+        return self.status in OPEN_STATES and gone(self.worker)
 
 
 def gone(worker: str) -> bool:
@@ -175,7 +175,7 @@ def gone(worker: str) -> bool:
     if machine != socket.gethostname():
         return False
     if int(number) == os.getpid():
-        return worker != WORKER
+        return worker != THIS_PROCESS
     try:
         os.kill(int(number), 0)
     except ProcessLookupError:
@@ -201,7 +201,7 @@ class Record:
         self.document = RecordDocument(
             id=digest, scene=scene.id, scene_digest=scene.digest, by=by, owner=owner, order=order
         )
-        self._store, self._documents = store, Documents(store, FOLDER)
+        self._store, self._documents = store, Documents(store, RECORDS_FOLDER)
         self._begun, self._written = time.monotonic(), -BEAT
 
     @property
@@ -262,7 +262,7 @@ class Record:
 
     def keep(self, **facts: object) -> None:
         """Write the document with new facts. Raises StoreError."""
-        signs = {"updated": now(), "worker": WORKER, "spent": time.monotonic() - self._begun}
+        signs = {"updated": now(), "worker": THIS_PROCESS, "spent": time.monotonic() - self._begun}
         self.document = self.document.model_copy(update={**facts, **signs})
         self._documents.write(self.document.id, self.document.model_dump(mode="json"))
         self._written = time.monotonic()
@@ -270,7 +270,7 @@ class Record:
 
 def recorded_prewarms(store: StoreLike) -> Iterator[RecordDocument]:
     """The prewarms recorded in a store; records that cannot be read are logged and left out. Raises StoreError."""
-    documents = Documents(store, FOLDER)
+    documents = Documents(store, RECORDS_FOLDER)
     for name in documents.names():
         try:
             yield RecordDocument.model_validate(documents.read(name))

@@ -31,7 +31,17 @@ from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.reachable_texels import surface_texels
 from isogi_core.prepared.prepared_scene import Index
-from server.prewarm.baking import LOOK, START, Baking, Batch, Expected, PrewarmContext, Step, Wish, forecast
+from server.prewarm.baking import (
+    REPORT_SECONDS,
+    WORKER_START_SECONDS,
+    Baking,
+    Batch,
+    Expected,
+    PrewarmContext,
+    Step,
+    Wish,
+    forecast,
+)
 from server.prewarm.order import GOLDEN, Levels, PrewarmOrder, Views, order_of, views_around
 from server.prewarm.record import Errors, Summary, failures_of
 from server.schemas import TimeLeftSchema
@@ -238,13 +248,13 @@ def share_of(done: int, total: int, span: Span) -> float:
     return span[0] + (span[1] - span[0]) * done / max(total, 1)
 
 
-BEFORE, END = (0.0, 0.04), 0.98
+SURVEY_SHARES, LAST_ROUND_END_SHARE = (0.0, 0.04), 0.98
 """Where in all of the work the first look begins and ends, and where the last round does, as shares of it."""
 
-BAKED = 0.8
+BAKED_SHARE = 0.8
 """The share of a round at which its light is baked, and the pictures are checked."""
 
-TRIAL, DRY_TRIAL = 3.0, 10.0
+TRIAL_SECONDS, DRY_TRIAL = 3.0, 10.0
 """Seconds that a forecast may take, before baking and in a dry run."""
 
 CHECKING = 0.25
@@ -291,7 +301,7 @@ class Rounds:
     places: set[tuple[Batch, Index]] = field(default_factory=set)
     failures: dict[Index, str] = field(default_factory=dict)
     spent: Cost = field(default_factory=Cost)
-    done: float = BEFORE[1]
+    done: float = SURVEY_SHARES[1]
     checks: float = 0.0
 
     def __post_init__(self) -> None:
@@ -326,8 +336,8 @@ class Rounds:
         pace = ahead.seconds / max(coming, 1.0)
         while found.demands and not self.context.late(end):
             coming = max(coming - found.paths, 0.0)
-            first, last = self.done, (self.done + END) / 2.0
-            baked = first + BAKED * (last - first)
+            first, last = self.done, (self.done + LAST_ROUND_END_SHARE) / 2.0
+            baked = first + BAKED_SHARE * (last - first)
             expected = Expected(pace * found.paths, pace * coming + self.checks, (first, baked))
             baking = Baking(self.context, found.wishes, expected, end)
             baking.run()
@@ -367,11 +377,11 @@ def carry_out(context: PrewarmContext, what: Wanted, begun: Callable[[Summary], 
     Raises StoreError, Cancelled, and WorkersError where there are no workers, or these bake nothing for long.
     """
     rounds, since = Rounds(context, what), time.monotonic()
-    found = rounds.look(BEFORE, context.deadline)
+    found = rounds.look(SURVEY_SHARES, context.deadline)
     looked = time.monotonic() - since
-    while not context.engine.workforce.wait(LOOK):
+    while not context.engine.workforce.wait(REPORT_SECONDS):
         context.check()
-    summary, ahead = look_ahead(rounds, found, looked, TRIAL)
+    summary, ahead = look_ahead(rounds, found, looked, TRIAL_SECONDS)
     begun(summary)
     end = context.deadline - min(looked, context.left / 2.0)
     left = rounds.bake(found, ahead, end)
@@ -395,15 +405,15 @@ def look_ahead(rounds: Rounds, found: Survey, looked: float, budget: float) -> t
     context = rounds.context
     usual = [demand for batch, demand in found.wishes if batch.usual]
     passed, rung = context.seconds, rung_ahead(context, found)
-    context.report(Step("Trying", "chunk", 0, len(usual), BEFORE[1]))
+    context.report(Step("Trying", "chunk", 0, len(usual), SURVEY_SHARES[1]))
     workers, until = context.engine.workers, Until(context.target, rung)
     ahead = forecast(context.renderer, usual, until, workers, budget, context.cancelled)
     texels, others = (sum(len(demand.offsets) for demand in each) for each in (usual, found.demands.values()))
     ahead = ahead.times(others / max(texels, 1))
     rounds.checks = CHECKING * ahead.seconds * max(rounds.pictures.read / max(others, 1), float(rounds.what.whole))
     context.check()
-    around = passed + min(context.seconds - passed, TRIAL) + looked if found.demands else passed
-    around += START if found.demands and not context.engine.manned else 0.0
+    around = passed + min(context.seconds - passed, TRIAL_SECONDS) + looked if found.demands else passed
+    around += WORKER_START_SECONDS if found.demands and not context.engine.manned else 0.0
     return summary_of(rounds, found, ahead, around + rounds.checks / workers), ahead
 
 
@@ -435,7 +445,7 @@ def summed_up(rounds: Rounds, ahead: Summary, left: Survey, late: bool) -> Summa
     """What it came to, beside what was known ``ahead``; it is ``late`` where its time ended before what is ``left``."""
     reasons, spent, context = list(rounds.failures.items()), rounds.spent, rounds.context
     if late and rounds.what.whole:
-        rounds.pictures.look((END, 1.0), time.monotonic())
+        rounds.pictures.look((LAST_ROUND_END_SHARE, 1.0), time.monotonic())
     done = {"paths": spent.paths, "seconds": context.seconds, "processor_seconds": spent.seconds}
     stopped = "deadline" if late else "failures" if reasons else "target"
     size = stored_bytes(context, rounds.places)
@@ -461,7 +471,7 @@ def stored_bytes(context: PrewarmContext, places: Iterable[tuple[Batch, Index]])
     return sum(len(layer.read(index) or b"") for index, layer in stored)
 
 
-WORTH = 0.95
+WORTHWHILE_ERROR_RATIO = 0.95
 """The error after twice as many samples over the one before, at most, where another rung is worth it."""
 
 BETWEEN = 3
@@ -497,7 +507,7 @@ def bake_range(
     """
     levels, most = Levels((), (span,)), most_samples(context.target)
     rung, before, pictures = FIRST_LEVEL, math.inf, None
-    while not context.engine.workforce.wait(LOOK):
+    while not context.engine.workforce.wait(REPORT_SECONDS):
         context.check()
     lacked = lacking(context, levels, rung)
     while True:
@@ -506,7 +516,7 @@ def bake_range(
             rung = next_level(rung)
         pictures = pictures or measured(context, list(views))
         error = pictures.measure(coding).likely
-        if error <= goal or error > WORTH * before or rung >= most:
+        if error <= goal or error > WORTHWHILE_ERROR_RATIO * before or rung >= most:
             return RangeLight(rung, pictures)
         rung, before = next_level(rung), error
 
@@ -532,7 +542,7 @@ def bake_rung(context: PrewarmContext, found: Survey, rung: int) -> None:
         return
     demands = [demand for _, demand in found.wishes]
     until, workers = Until(context.target, rung), context.engine.workers
-    ahead = forecast(context.renderer, demands, until, workers, TRIAL, context.cancelled)
+    ahead = forecast(context.renderer, demands, until, workers, TRIAL_SECONDS, context.cancelled)
     baking = Baking(context, found.wishes, Expected(ahead.seconds, 0.0, (0.0, 1.0)), context.deadline)
     baking.run()
     if baking.failures:

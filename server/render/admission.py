@@ -11,7 +11,7 @@ from server.errors import BusyError
 
 Result = TypeVar("Result")
 
-LOST = "Another client needed this place, and you have {places} more: ask again in a while."
+PLACE_LOST = "Another client needed this place, and you have {places} more: ask again in a while."
 
 
 @dataclass(eq=False)
@@ -40,7 +40,7 @@ class Place:
     def check(self) -> None:
         """Raise BusyError where it was lost."""
         if self.lost:
-            raise BusyError(LOST.format(places=self.others))
+            raise BusyError(PLACE_LOST.format(places=self.others))
 
     async def keep(self, work: Coroutine[Any, Any, Result]) -> Result:
         """What some work comes to that needs the place. Raises BusyError once that is lost; the work has ended then."""

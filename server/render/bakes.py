@@ -71,14 +71,14 @@ def note_light(arrived: Arrived, name: str, shown: Isovalue | None, index: Index
     arrived(name, index, shown)
 
 
-BACKGROUND = Viewer("background", patient=True)
+BACKGROUND_VIEWER = Viewer("background", patient=True)
 """Background bakes yield to people who wait for a frame."""
 
 
 class BackgroundBake:
     """Light that is baked while no frame waits: what a ``stage`` demands of one ``bake``, by its name."""
 
-    def __init__(self, baker: Baker, bake: str, stage: Stage, viewer: Viewer = BACKGROUND) -> None:
+    def __init__(self, baker: Baker, bake: str, stage: Stage, viewer: Viewer = BACKGROUND_VIEWER) -> None:
         """Request it from the ``baker``, for a ``viewer``; ``coming`` are the chunks that were not given up before."""
         self._baker, self._viewer = baker, viewer
         self.bake, self.chunks = bake, [demand.index for demand in stage.demands]

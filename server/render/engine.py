@@ -27,7 +27,7 @@ from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store, StoreLike
 from isogi_core.storage.url import StoreUrl
 from server.errors import UnknownSceneError
-from server.render.bakes import BACKGROUND, BackgroundBake, SideBakes, bake_name, make_bake
+from server.render.bakes import BACKGROUND_VIEWER, BackgroundBake, SideBakes, bake_name, make_bake
 from server.render.kernels import SceneKernels
 from server.render.loaded_scene import LoadedScene, LoadedScenes, load
 from server.render.path_times import Promises, time_of_paths
@@ -36,7 +36,7 @@ from server.render.resources import root_of, shared, whereabouts
 from server.render.scene_variant import SceneVariant
 from server.render.workforce import Workforce, scheduler_of
 from server.settings import Settings
-from worker.bake_requests import GUEST, Viewer
+from worker.bake_requests import GUEST_VIEWER, Viewer
 from worker.baker import Baker, Listener
 from worker.progress import Tally, TimeLeft
 
@@ -45,10 +45,10 @@ REMEMBERED = 4096
 
 READ_ONLY = "The store at {store} can only be read: what is baked there is shown, and nothing more is baked."
 
-MEMORY = 1 << 30
+SCENES_MEMORY_BYTES = 1 << 30
 """Bytes of light, views and maps that all scenes together may keep in memory."""
 
-PROJECTED = 4 << 30
+PROJECTED_TEXEL_BYTES = 4 << 30
 """Bytes of projected texels that a store may keep."""
 
 
@@ -61,9 +61,9 @@ class RenderEngine:
         store: StoreLike | None = None,
         workers: int = 1,
         scheduler: str | None = None,
-        memory: int = MEMORY,
+        memory: int = SCENES_MEMORY_BYTES,
         baker: Baker | None = None,
-        projected: int = PROJECTED,
+        projected: int = PROJECTED_TEXEL_BYTES,
     ) -> None:
         """Take on ``scenes``; ``store`` is a folder, URL or root for light, ``scheduler`` a cluster to join.
 
@@ -310,7 +310,7 @@ class RenderEngine:
             baking = baking.plus(time_of_paths(left, spent, self._checking.threads, frame.seconds))
         return self._promises.kept((scene, frame.view, target), baking) if baking.high > 0.0 else None
 
-    def bake(self, bake: str, stage: Stage, viewer: Viewer = BACKGROUND) -> BackgroundBake:
+    def bake(self, bake: str, stage: Stage, viewer: Viewer = BACKGROUND_VIEWER) -> BackgroundBake:
         """Have what a ``stage`` demands of a ``bake`` baked for a ``viewer``; nothing where the store is only read."""
         wanted = replace(stage, demands=()) if self.store.only_read() else stage
         return BackgroundBake(self._baker, bake, wanted, viewer)
@@ -387,7 +387,9 @@ class RenderEngine:
     def _coming(self, scene: str, frame: Frame, target: float, watch: Stopwatch) -> bool:
         """Request the light that a frame lacks; whether any of it is going to be baked."""
         with watch.stage("demand"):
-            return bool(self.lacking(scene, frame)[1].demands and self.want(scene, frame, target, GUEST) - {CHECK})
+            return bool(
+                self.lacking(scene, frame)[1].demands and self.want(scene, frame, target, GUEST_VIEWER) - {CHECK}
+            )
 
     def _find(self, scene: str) -> LoadedScene:
         """A scene, loaded if need be; a variant that made way, ``again``. Raises StoreError, UnknownSceneError."""

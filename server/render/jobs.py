@@ -30,7 +30,7 @@ ENDED_JOB_TIME = timedelta(hours=1)
 MOST_KEPT = 1000
 """Jobs that have ended and are known, at most; the oldest are forgotten first."""
 
-STOPPED = "The server stopped: ask again, light that was baked is kept."
+JOB_STOPPED = "The server stopped: ask again, light that was baked is kept."
 
 
 class Status(StrEnum):
@@ -173,7 +173,7 @@ class Jobs:
         """End all of them."""
         self.closed = True
         for key in list(self._tasks):
-            self._jobs[key].end(Status.DISMISSED, STOPPED)
+            self._jobs[key].end(Status.DISMISSED, JOB_STOPPED)
         await asyncio.gather(*map(ended, self._tasks.values()))
 
     def _ended(self, job: Job, place: Place) -> None:

@@ -13,7 +13,7 @@ from server.progress import about_left
 from worker.fork_server import START_METHOD, start_fork_server
 from worker.kernels import bake_kernels
 
-COMPILING = "Compiling, once on this machine: {done} of {total}"
+COMPILATION_PROGRESS = "Compiling, once on this machine: {done} of {total}"
 
 
 class SceneKernels:
@@ -42,7 +42,7 @@ class SceneKernels:
         progress = self.progress
         if progress is None:
             return ""
-        far = COMPILING.format(done=progress.done, total=progress.total)
+        far = COMPILATION_PROGRESS.format(done=progress.done, total=progress.total)
         return ", ".join(filter(None, (far, about_left(progress.seconds)))) + "."
 
     def first(self) -> None:

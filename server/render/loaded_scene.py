@@ -290,10 +290,10 @@ def prepare(maps: ActiveCellMaps, tiles: Tiles, isovalue: float, cancelled: thre
     maps.covering(np.array([isovalue]), tiles.cancelled_by(cancelled).run)
 
 
-IDLE = 900.0
+IDLE_SCENE_SECONDS = 900.0
 """Seconds after which a scene is dropped that nobody has looked at."""
 
-TIDY = 30.0
+TIDY_SECONDS = 30.0
 """Seconds between two looks for scenes that nobody looks at any more, and for garbage: 0.07 s under 64 clients."""
 
 
@@ -344,7 +344,7 @@ class LoadedScenes:
 
     def drop_idle(self) -> None:
         """Drop those that nobody has looked at for long, and give their memory back to the system."""
-        idle = [scene for scene, looked in list(self._looked.items()) if self._clock() - looked > IDLE]
+        idle = [scene for scene, looked in list(self._looked.items()) if self._clock() - looked > IDLE_SCENE_SECONDS]
         for scene in idle:
             self.drop(scene)
         if idle:
@@ -353,7 +353,7 @@ class LoadedScenes:
     def tidy(self, stopped: threading.Event) -> None:
         """Drop those that are idle, and, after frames, what errors hold in circles, until ``stopped``."""
         looked = 0.0
-        while not stopped.wait(TIDY):
+        while not stopped.wait(TIDY_SECONDS):
             self.drop_idle()
             if looked != (looked := self.looked):
                 gc.collect()

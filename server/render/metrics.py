@@ -13,9 +13,9 @@ from starlette.datastructures import Headers
 from server.render.engine import RenderEngine
 from server.render.jobs import Jobs
 
-METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "WEBSOCKET")
+COUNTED_METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "WEBSOCKET")
 ENDLESS = "text/event-stream"
-SECONDS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+TIME_BIN_ENDS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 """Upper ends of the bins of times."""
 
 RATES = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
@@ -35,7 +35,11 @@ class Metrics:
         labels = ("method", "route", "status")
         self.requests = Counter("isogi_requests", "Requests that were answered.", labels, registry=registry)
         self.seconds = Histogram(
-            "isogi_request_seconds", "Time to the end of the answer.", ["route"], buckets=SECONDS, registry=registry
+            "isogi_request_seconds",
+            "Time to the end of the answer.",
+            ["route"],
+            buckets=TIME_BIN_ENDS,
+            registry=registry,
         )
         self.open = Gauge("isogi_requests_in_progress", "Requests that are worked on.", registry=registry)
         self.frames = Counter(
@@ -45,12 +49,16 @@ class Metrics:
             registry=registry,
         )
         self.stages = Histogram(
-            "isogi_frame_stage_seconds", "Time of a frame's stages.", ["stage"], buckets=SECONDS, registry=registry
+            "isogi_frame_stage_seconds",
+            "Time of a frame's stages.",
+            ["stage"],
+            buckets=TIME_BIN_ENDS,
+            registry=registry,
         )
         self.ages = Histogram(
             "isogi_stream_picture_age_seconds",
             "Time from when a stream's view came until the first picture of it is sent.",
-            buckets=SECONDS,
+            buckets=TIME_BIN_ENDS,
             registry=registry,
         )
         self.rates = Histogram(
@@ -66,7 +74,7 @@ class Metrics:
 
     def count(self, method: str, route: str, status: int, seconds: float, headers: Headers) -> None:
         """Count one request, and by its answer's ``headers`` the frame in it; what is endless has no time."""
-        self.requests.labels(method if method in METHODS else "other", route, f"{status:d}").inc()
+        self.requests.labels(method if method in COUNTED_METHODS else "other", route, f"{status:d}").inc()
         if status != HTTPStatus.SWITCHING_PROTOCOLS and not headers.get("content-type", "").startswith(ENDLESS):
             self.seconds.labels(route).observe(seconds)
         if "isogi-provisional" in headers:

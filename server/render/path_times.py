@@ -7,9 +7,9 @@ from collections.abc import Hashable, Mapping
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.rays.picture_plan import HEAVIER
 from isogi_core.frame.view_checks import PathsLeft
-from worker.progress import PRIOR, UNREHEARSED_SPREAD, TimeLeft, log_normal_ratios
+from worker.progress import ASSUMED_WORK_RATIOS, UNREHEARSED_SPREAD, TimeLeft, log_normal_ratios
 
-WAITS = ("queue", "bake", "check", "demand")
+WAITING_STAGES = ("queue", "bake", "check", "demand")
 """Stages of a frame in which it is not drawn."""
 
 
@@ -19,15 +19,15 @@ def time_of_paths(left: PathsLeft, spent: Cost, threads: int, drawing: Mapping[s
     Before the first path of a pixel one takes a share of a texel's, for all of which so much was ``spent``.
     """
     each = spent.seconds / max(spent.paths, 1) / threads
-    once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITS)
+    once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITING_STAGES)
     work = left.texels * each + left.pixels * (left.pace or each / HEAVIER) + left.times * once
-    return TimeLeft.of(work, PRIOR if left.pace is None else log_normal_ratios(UNREHEARSED_SPREAD))
+    return TimeLeft.of(work, ASSUMED_WORK_RATIOS if left.pace is None else log_normal_ratios(UNREHEARSED_SPREAD))
 
 
-RISE = 1.1
+MAX_TIME_LEFT_RATIO = 1.1
 """How many times as long as before the time left of a picture may become from one answer to the next."""
 
-PICTURES = 256
+MAX_KEPT_PICTURES = 256
 """Pictures whose last answers are kept."""
 
 
@@ -40,12 +40,14 @@ class Promises:
         self._lock = threading.Lock()
 
     def kept(self, picture: Hashable, left: TimeLeft) -> TimeLeft:
-        """The time to report of a ``picture`` with an estimate of what is ``left``: at most RISE times the last one."""
+        """The time to report of a ``picture`` with an estimate of what is ``left``: at most MAX_TIME_LEFT_RATIO times
+        the last one.
+        """
         with self._lock:
             before = self._told.pop(picture, None)
-            if before is not None and left.likely > RISE * before.likely > 0.0:
-                left = left.times(RISE * before.likely / left.likely)
+            if before is not None and left.likely > MAX_TIME_LEFT_RATIO * before.likely > 0.0:
+                left = left.times(MAX_TIME_LEFT_RATIO * before.likely / left.likely)
             self._told[picture] = left
-            if len(self._told) > PICTURES:
+            if len(self._told) > MAX_KEPT_PICTURES:
                 self._told.popitem(last=False)
             return left

@@ -16,7 +16,7 @@ from worker.fair_turns import Account, FairClock
 USUAL_WORK_SECONDS = 0.02
 """Seconds that a client's work is taken to need before any has ended."""
 
-FRESH = 0.3
+NEWEST_WORK_WEIGHT = 0.3
 """How much the newest work of a client counts in what its work usually takes."""
 
 DEBT = 2.0
@@ -118,7 +118,7 @@ class FairSemaphore:
             yield
         finally:
             took = usual if self._even else loop.time() - begun
-            client.usual += FRESH * (took - usual)
+            client.usual += NEWEST_WORK_WEIGHT * (took - usual)
             self._clock.charge(client, took - usual)
 
     async def _wait(self, rank: Rank) -> None:
@@ -156,7 +156,7 @@ class FairSemaphore:
 
 Result = TypeVar("Result")
 
-DRAFT, REST, ASKED, REFINED = 0.0, 0.1, 0.4, 0.8
+DRAFT, REST_PATIENCE, REQUEST_PATIENCE, REFINEMENT_PATIENCE = 0.0, 0.1, 0.4, 0.8
 """Seconds that work may wait before it goes ahead of what else its client has: drafts of a view that moves, the first
 picture of one at rest, pictures that were asked for once, and pictures that are better than the one already shown."""
 

@@ -39,7 +39,9 @@ MOST_STEPS = 2
 """Steps of those at other times than their scene's, where their voxels are more than there is room for."""
 
 VARIANTS_TAKEN = "Others asked for cuts, or other changes of scenes, before you: ask again in a while."
-COMPILING = "What draws the surface of this material is being compiled, once on this machine: ask again in a while."
+MATERIAL_COMPILING = (
+    "What draws the surface of this material is being compiled, once on this machine: ask again in a while."
+)
 
 Place = Callable[[str], str | None]
 """What gives an environment as scene files name it, by its name or id; None where there is none."""
@@ -157,7 +159,7 @@ class Variants:
         if self._compiling is None or not self._compiling.is_alive():
             self._compiling = threading.Thread(target=warm, args=[kernels], name="compiling", daemon=True)
             self._compiling.start()
-        raise BusyError(COMPILING)
+        raise BusyError(MATERIAL_COMPILING)
 
     def _outdated(self) -> list[str]:
         """The variants that are too many: they count as not asked for."""

@@ -17,11 +17,11 @@ from worker.tasks import prepared_scene
 
 log = logging.getLogger("isogi.server")
 
-UNSEEN = "A store in memory is seen by no worker process: name a folder or an object store."
+MEMORY_STORE_UNSEEN = "A store in memory is seen by no worker process: name a folder or an object store."
 
-STARTING = "The workers are starting."
+WORKERS_STARTING = "The workers are starting."
 
-AGAIN = 2.0
+SCHEDULER_RETRY_SECONDS = 2.0
 """Seconds after which a scheduler that was not there when the server began is tried again."""
 
 
@@ -76,14 +76,14 @@ class Workforce:
     def trouble(self) -> str:
         """Why nothing is baked at the moment; empty when all is well."""
         if self._pool is None:
-            return self.missing or ("" if self.late else STARTING)
+            return self.missing or ("" if self.late else WORKERS_STARTING)
         return self.missing or self._pool.trouble
 
     @property
     def preparing(self) -> str:
         """What the workers do before they can bake, where they do: they start, or compile kernels; else empty."""
         if self._pool is None:
-            return STARTING if self._hiring is not None and self._error is None else ""
+            return WORKERS_STARTING if self._hiring is not None and self._error is None else ""
         return self._pool.preparing
 
     def close(self) -> None:
@@ -109,11 +109,11 @@ class Workforce:
                 log.exception("%s", self._error)
             if not isinstance(self._error, WorkersAwayError):
                 return
-            self._stopped.wait(AGAIN)
+            self._stopped.wait(SCHEDULER_RETRY_SECONDS)
 
     def _employ(self, kinds: Collection[str], first: SceneSource | None) -> None:
         if self._store.scheme == "memory":
-            raise WorkersError(UNSEEN)
+            raise WorkersError(MEMORY_STORE_UNSEEN)
         self._pool = pool.WorkerPool(self._workers, self._scheduler, kinds)
         if first is not None:
             self._pool.prepare(partial(prepared_scene, first, None, self._store))

@@ -13,24 +13,26 @@ from isogi_core.errors import LightError
 from isogi_core.files.radiance import encode_rgbe, parse_hdr
 from isogi_core.model.environment import resample
 
-VOLUME, ENVIRONMENT = "volume", "environment"
+VOLUME_KIND, ENVIRONMENT_KIND = "volume", "environment"
 """Kinds of files that may be uploaded."""
 
 MAX_PROBE_SHAPE = (512, 1024)
 """Rows and columns that are kept of a probe: what is finer is averaged by solid angle, without change of energy."""
 
-ROWS = 256
+ROWS_PER_BLOCK = 256
 """Rows of a finer one that are averaged at once."""
 
 MOST_PIXELS = 1 << 25
 """Pixels that a probe may have: 8192 × 4096."""
 
-HEADER = "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\nNAME={name}\n\n-Y {height} +X {width}\n"
-FORM = re.compile(rb"#\?RADIANCE\nFORMAT=32-bit_rle_rgbe\nNAME=([!-~]*)\n\n-Y (\d+) \+X (\d+)\n", re.ASCII)
+PROBE_HEADER = "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\nNAME={name}\n\n-Y {height} +X {width}\n"
+PROBE_HEADER_PATTERN = re.compile(
+    rb"#\?RADIANCE\nFORMAT=32-bit_rle_rgbe\nNAME=([!-~]*)\n\n-Y (\d+) \+X (\d+)\n", re.ASCII
+)
 MAX_HEADER_BYTES = 4096
 """Bytes that no header is longer than."""
 
-PIXEL = 64
+PIXEL_BYTES = 64
 """Bytes of a pixel in the server's memory: its radiance, and tables to sample it by."""
 
 
@@ -47,7 +49,7 @@ class UploadedEnvironment:
     def held(self) -> int:
         """Bytes that the quota counts."""
         width, height = self.size
-        return self.bytes + PIXEL * width * height
+        return self.bytes + PIXEL_BYTES * width * height
 
 
 def write_environment(file: IO[bytes], data: bytes, name: str) -> str:
@@ -67,14 +69,14 @@ def write_environment(file: IO[bytes], data: bytes, name: str) -> str:
     height, width, _ = image.shape
     number = hashlib.blake2b(f"probe {width} {height}".encode() + pixels, digest_size=16).hexdigest()
     named = quote(name or f"light {number[:6]}", safe="")
-    file.write(HEADER.format(name=named, height=height, width=width).encode() + pixels)
+    file.write(PROBE_HEADER.format(name=named, height=height, width=width).encode() + pixels)
     return number
 
 
 def made_small(image: np.ndarray) -> np.ndarray:
     """The image in MAX_PROBE_SHAPE pixels: made narrow some rows at a time, so few 64-bit numbers are in memory."""
     height, width = MAX_PROBE_SHAPE
-    blocks = (image[row : row + ROWS] for row in range(0, len(image), ROWS))
+    blocks = (image[row : row + ROWS_PER_BLOCK] for row in range(0, len(image), ROWS_PER_BLOCK))
     narrow = np.concatenate([resample(block, len(block), width) for block in blocks])
     return resample(narrow, height, width).astype(np.float32)
 
@@ -82,7 +84,7 @@ def made_small(image: np.ndarray) -> np.ndarray:
 def read_environment(path: Path) -> UploadedEnvironment | None:
     """What a file whose name is its id says of itself; None where it is not as ``write_environment`` left it."""
     with path.open("rb") as file:
-        head = FORM.match(file.read(MAX_HEADER_BYTES))
+        head = PROBE_HEADER_PATTERN.match(file.read(MAX_HEADER_BYTES))
     if head is None:
         return None
     name, height, width = (part.decode() for part in head.groups())

@@ -25,16 +25,16 @@ from isogi_core.storage.atomic_file import write_whole
 from server.errors import FullError, UploadFolderError
 from server.uploads.environments import UploadedEnvironment, read_environment
 
-TYPES = {
+NRRD_TYPES = {
     **{f"{kind}{size}": f"{name}{8 * size}" for kind, name in (("i", "int"), ("u", "uint")) for size in (1, 2, 4, 8)},
     **{"f4": "float", "f8": "double"},
 }
 """NRRD's names of types by NumPy's."""
 
-SPACES = {PATIENT_AXES: "right-anterior-superior"}
+NRRD_SPACES = {PATIENT_AXES: "right-anterior-superior"}
 """NRRD's names of spaces by their letters."""
 
-HEADER = """\
+VOLUME_HEADER = """\
 NRRD0004
 type: {type}
 dimension: 3
@@ -45,7 +45,7 @@ endian: little
 name:={name}
 {labels}
 """
-FORM = re.compile(
+VOLUME_HEADER_PATTERN = re.compile(
     rb"NRRD0004\ntype: (\w+)\ndimension: 3\nsizes: (\d+) (\d+) (\d+)\nencoding: raw\nendian: little\n"
     rb"(?:spacings: [-+.e\d ]+|space[ a-z]*: [-a-z\d]+\nspace directions: [-+.e\d(), ]+\nspace origin: [-+.e\d(),]+"
     rb"(?:\nspace units: [^\n]+)?)\nname:=([!-~]*)\n"
@@ -58,10 +58,10 @@ MAX_HEADER_BYTES = 1 << 17
 LABEL_NAME = 64
 """Characters of a label's name that are kept, at most."""
 
-VOXEL = 4
+VOXEL_BYTES = 4
 """Bytes of a voxel in the server's memory, where all are float32."""
 
-SCENE = 256 << 10
+SCENE_BYTES = 256 << 10
 """Bytes that the scene of a volume takes in the server's memory besides its voxels, while nobody looks at it: 10 to 30
 kB were measured."""
 
@@ -78,7 +78,7 @@ class UploadedVolume:
     @property
     def held(self) -> int:
         """Bytes that the quota counts: those on disk or in memory, whichever are more, and those of its scene."""
-        return SCENE + max(self.bytes, VOXEL * math.prod(self.size))
+        return SCENE_BYTES + max(self.bytes, VOXEL_BYTES * math.prod(self.size))
 
 
 def write(file: IO[bytes], grid: Grid, name: str) -> str:
@@ -87,14 +87,14 @@ def write(file: IO[bytes], grid: Grid, name: str) -> str:
     The name of what has none is made of the id. Types that NRRD lacks become the next that it has.
     """
     kind = {"b1": "u1", "f2": "f4"}.get(grid.dtype.str[1:], grid.dtype.str[1:])
-    kind = kind if kind in TYPES else "f8"
-    facts = {"type": TYPES[kind], "sizes": " ".join(str(n) for n in grid.shape[::-1]), "place": place_of(grid)}
+    kind = kind if kind in NRRD_TYPES else "f8"
+    facts = {"type": NRRD_TYPES[kind], "sizes": " ".join(str(n) for n in grid.shape[::-1]), "place": place_of(grid)}
     facts["labels"] = "".join(segment(number, label) for number, label in enumerate(labels_of(grid)))
-    digest = hashlib.blake2b(HEADER.format(**facts, name="").encode(), digest_size=16)
+    digest = hashlib.blake2b(VOLUME_HEADER.format(**facts, name="").encode(), digest_size=16)
     for layer in layers_of(grid, f"<{kind}"):
         digest.update(layer)
     number = digest.hexdigest()
-    file.write(HEADER.format(**facts, name=quote(name or f"volume {number[:6]}", safe="")).encode())
+    file.write(VOLUME_HEADER.format(**facts, name=quote(name or f"volume {number[:6]}", safe="")).encode())
     for layer in layers_of(grid, f"<{kind}"):
         file.write(layer)
     return number
@@ -124,7 +124,7 @@ def place_of(grid: Grid) -> str:
     if not orientation.placed and not orientation.letters and not orientation.unit:
         return f"spacings: {' '.join(repr(float(step)) for step in grid.spacing)}"
     steps = orientation.matrix.T * np.array(grid.spacing)[:, None]
-    space = f"space: {SPACES[orientation.letters]}" if orientation.letters in SPACES else "space dimension: 3"
+    space = f"space: {NRRD_SPACES[orientation.letters]}" if orientation.letters in NRRD_SPACES else "space dimension: 3"
     lines = [space, f"space directions: {' '.join(map(vector, steps))}", f"space origin: {vector(orientation.origin)}"]
     unit = "".join(letter for letter in orientation.unit if letter.isprintable() and letter != '"')
     units = [f"space units: {' '.join(3 * (quoted,))}" for quoted in (f'"{unit}"',) if unit]
@@ -139,27 +139,27 @@ def vector(row: Sequence[float]) -> str:
 def read_facts(path: Path) -> UploadedVolume | None:
     """What a file whose name is its id says of itself; None where it is not as ``write`` left it."""
     with path.open("rb") as file:
-        head = FORM.match(file.read(MAX_HEADER_BYTES))
+        head = VOLUME_HEADER_PATTERN.match(file.read(MAX_HEADER_BYTES))
     if head is None:
         return None
     kind, *sizes, name = (part.decode() for part in head.groups())
     x, y, z = map(int, sizes)
     kept = UploadedVolume(path.stem, unquote(name), (x, y, z), path.stat().st_size)
-    widths = {name: int(code[1]) for code, name in TYPES.items()}
+    widths = {name: int(code[1]) for code, name in NRRD_TYPES.items()}
     whole = head.end() + widths.get(kind, 0) * math.prod(kept.size)
     return kept if kept.bytes == whole else None
 
 
 log = logging.getLogger("isogi.uploads")
 
-NUMBER = re.compile(r"[0-9a-f]{20}([0-9a-f]{12})?")
+UPLOAD_ID = re.compile(r"[0-9a-f]{20}([0-9a-f]{12})?")
 """What ids look like."""
 
-UNFINISHED = ".part"
-OWNERS = "owners.json"
+UNFINISHED_SUFFIX = ".part"
+OWNERS_FILE = "owners.json"
 """The file of who has sent a volume by name."""
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def read_owners(path: Path) -> dict[str, list[str]]:
@@ -202,9 +202,9 @@ class UploadFolder:
             self.path.mkdir(0o700, parents=True, exist_ok=True)
             self.path.chmod(0o700)
             self._lock = self._take()
-            for path in self.path.glob(f"*{UNFINISHED}"):
+            for path in self.path.glob(f"*{UNFINISHED_SUFFIX}"):
                 path.unlink()
-            self._owners = read_owners(self.path / OWNERS)
+            self._owners = read_owners(self.path / OWNERS_FILE)
             self.volumes = {kept.id: kept for kept in map(self._read, sorted(self.path.glob("*.nrrd"))) if kept}
             self.environments = {kept.id: kept for kept in map(self._light, sorted(self.path.glob("*.hdr"))) if kept}
 
@@ -222,7 +222,7 @@ class UploadFolder:
         """Two files: for what a client sends, which has no name, and for its canonical form. Gone afterwards."""
         with named(self.path):
             body = tempfile.TemporaryFile(dir=self.path)  # noqa: SIM115
-            draft = tempfile.NamedTemporaryFile(dir=self.path, suffix=UNFINISHED, delete=False)  # noqa: SIM115
+            draft = tempfile.NamedTemporaryFile(dir=self.path, suffix=UNFINISHED_SUFFIX, delete=False)  # noqa: SIM115
         try:
             with body, draft:
                 yield body, draft
@@ -273,7 +273,7 @@ class UploadFolder:
     def _own(self, owners: dict[str, list[str]]) -> None:
         """Keep who owns what."""
         with named(self.path):
-            write_whole(self.path / OWNERS, json.dumps(owners).encode())
+            write_whole(self.path / OWNERS_FILE, json.dumps(owners).encode())
         self._owners = owners
 
     def remove(self, number: str) -> None:
@@ -306,13 +306,13 @@ class UploadFolder:
             os.close(folder)
 
     def _read(self, path: Path) -> UploadedVolume | None:
-        kept = read_facts(path) if NUMBER.fullmatch(path.stem) and not path.is_symlink() else None
+        kept = read_facts(path) if UPLOAD_ID.fullmatch(path.stem) and not path.is_symlink() else None
         if kept is None:
             log.warning("%s is no volume that isogi has kept: it is left alone", path)
         return kept
 
     def _light(self, path: Path) -> UploadedEnvironment | None:
-        kept = read_environment(path) if NUMBER.fullmatch(path.stem) and not path.is_symlink() else None
+        kept = read_environment(path) if UPLOAD_ID.fullmatch(path.stem) and not path.is_symlink() else None
         if kept is None:
             log.warning("%s is no light that isogi has kept: it is left alone", path)
         return kept
@@ -324,6 +324,6 @@ def named(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno in FULL:
+        if error.errno in DISK_FULL_ERRORS:
             raise FullError(f"The disk of {folder} is full: delete volumes, or make room.") from error
         raise UploadFolderError(f"The folder of uploads {folder} cannot be used ({error.strerror}).") from error

@@ -29,11 +29,11 @@ from isogi_core.files.right_angles import on_right_angles
 from isogi_core.model.environment import resample
 from isogi_core.model.value_survey import survey
 from isogi_core.plan.volumes.labels import Segmentation
-from server.uploads.environments import ENVIRONMENT, write_environment
+from server.uploads.environments import ENVIRONMENT_KIND, write_environment
 from server.uploads.folder import MAX_HEADER_BYTES, write
 from server.uploads.sandbox import confine
 
-SPARE = 128 << 20
+LIBRARY_BYTES = 128 << 20
 """Bytes of memory for what libraries need, besides the voxels, once they are loaded."""
 
 PER_VOXEL = 12
@@ -53,7 +53,7 @@ def main(name: str, body: int, out: int, kind: str, voxels: int, seconds: float)
     os.lseek(body, 0, os.SEEK_SET)
     with open(body, "rb", closefd=False) as upload, open(out, "wb", closefd=False) as canonical:
         try:
-            if kind == ENVIRONMENT:
+            if kind == ENVIRONMENT_KIND:
                 return {"id": write_environment(canonical, upload.read(), name)}
             found = open_upload(upload, name or "upload", voxels)
             grid, name = on_right_angles(found), named_after(found, name)
@@ -96,7 +96,7 @@ def rehearse(head: bytes) -> None:
 def limit(voxels: int, seconds: float) -> None:
     """Limit what this process may take from now on, beyond what its start took; it opens no more files."""
     limits = {
-        resource.RLIMIT_AS: mapped_bytes() + SPARE + PER_VOXEL * voxels,
+        resource.RLIMIT_AS: mapped_bytes() + LIBRARY_BYTES + PER_VOXEL * voxels,
         resource.RLIMIT_CPU: math.ceil(time.process_time() + seconds),
         resource.RLIMIT_FSIZE: MAX_HEADER_BYTES + 8 * voxels,
         resource.RLIMIT_CORE: 0,

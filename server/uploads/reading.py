@@ -13,27 +13,32 @@ from typing import IO
 
 from isogi_core.errors import VolumeError
 from server.errors import LateError
-from server.uploads.environments import VOLUME
+from server.uploads.environments import VOLUME_KIND
 
 log = logging.getLogger("isogi.uploads")
 
-ROOT = Path(__file__).resolve().parents[2]
+PYTHON_ROOT = Path(__file__).resolve().parents[2]
 """Where Python finds the reader."""
 
-PACE = 8 << 20
+BYTES_PER_CPU_SECOND = 8 << 20
 """Bytes of an upload for which the reader has a second more of the processor."""
 
-SLOWEST, READER_SECONDS = 10.0, 60.0
+CLOCK_SECONDS_PER_CPU_SECOND, READER_SECONDS = 10.0, 60.0
 """Seconds on the clock for each of the processor, and besides, after which a reader is given up: others compute."""
 
-ALONE = {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1", "PYTHONUTF8": "1"}
+READER_ENVIRONMENT = {
+    "PYTHONPATH": str(PYTHON_ROOT),
+    "OPENBLAS_NUM_THREADS": "1",
+    "PYTHONDONTWRITEBYTECODE": "1",
+    "PYTHONUTF8": "1",
+}
 """What a reader has of an environment: nothing of the server's."""
 
-OVERTAXED = "The file takes more time or memory to read than it may: save it raw, or a smaller part."
+LIMITS_EXCEEDED = "The file takes more time or memory to read than it may: save it raw, or a smaller part."
 
 
 class Reader:
-    """A child that reads one upload, of a ``kind``, VOLUME or ENVIRONMENT: see ``server.uploads.reader``."""
+    """A child that reads one upload, of a ``kind``, VOLUME_KIND or ENVIRONMENT_KIND: see ``server.uploads.reader``."""
 
     def __init__(self, process: Process, upload: IO[bytes]) -> None:
         self._process, self._upload = process, upload
@@ -41,7 +46,7 @@ class Reader:
     @classmethod
     @asynccontextmanager
     async def started(
-        cls, upload: IO[bytes], into: IO[bytes], name: str, voxels: int, kind: str = VOLUME
+        cls, upload: IO[bytes], into: IO[bytes], name: str, voxels: int, kind: str = VOLUME_KIND
     ) -> AsyncIterator["Reader"]:
         """A reader of ``upload``, of at most so many ``voxels``, which writes a canonical file ``into`` another.
 
@@ -55,7 +60,7 @@ class Reader:
             stderr=DEVNULL,
             pass_fds=files,
             cwd="/",
-            env=ALONE,
+            env=READER_ENVIRONMENT,
         )
         try:
             yield cls(process, upload)
@@ -70,9 +75,9 @@ class Reader:
         That may take so many processor ``seconds``, besides those for its size. Raises VolumeError, with the child's
         own sentence or one about its end, and LateError.
         """
-        patience = seconds + os.fstat(self._upload.fileno()).st_size / PACE
+        patience = seconds + os.fstat(self._upload.fileno()).st_size / BYTES_PER_CPU_SECOND
         try:
-            async with asyncio.timeout(READER_SECONDS + SLOWEST * patience):
+            async with asyncio.timeout(READER_SECONDS + CLOCK_SECONDS_PER_CPU_SECOND * patience):
                 return await self._answer(patience)
         except TimeoutError:
             raise LateError("The machine is too busy to read the file: send it again in a while.") from None
@@ -85,7 +90,7 @@ class Reader:
         status = await self._process.wait()
         if not line:
             log.warning("the reader of an upload ended with status %d", status)
-            raise VolumeError(OVERTAXED)
+            raise VolumeError(LIMITS_EXCEEDED)
         answer: dict[str, str] = json.loads(line)
         if "refused" in answer:
             raise VolumeError(answer["refused"])

@@ -14,21 +14,21 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-NOBODY = 65534
+NOBODY_ID = 65534
 """The user and the group that the reader becomes where it was started as root."""
 
 
 class Machine(NamedTuple):
-    """A processor: its number in <linux/audit.h>, that of seccomp(2), and its column in CALLS."""
+    """A processor: its number in <linux/audit.h>, that of seccomp(2), and its column in ALLOWED_CALLS."""
 
     audit: int
     seccomp: int
     column: int
 
 
-MACHINES = {"x86_64": Machine(0xC000003E, 317, 0), "aarch64": Machine(0xC00000B7, 277, 1)}
+SECCOMP_MACHINES = {"x86_64": Machine(0xC000003E, 317, 0), "aarch64": Machine(0xC00000B7, 277, 1)}
 
-CALLS = {
+ALLOWED_CALLS = {
     "brk": (12, 214),
     "clock_gettime": (228, 113),
     "clock_nanosleep": (230, 115),
@@ -73,18 +73,18 @@ CALLS = {
 NO_NEW_PRIVILEGES = 38
 """PR_SET_NO_NEW_PRIVS of <linux/prctl.h>: without it only root may confine itself."""
 
-FILTER, ALL_THREADS = 1, 1
+SECCOMP_FILTER, ALL_THREADS = 1, 1
 """SECCOMP_SET_MODE_FILTER, and its flag for threads that run already."""
 
-LOAD, EQUAL, ANSWER = 0x20, 0x15, 0x06
+LOAD_WORD, JUMP_IF_EQUAL, RETURN_ANSWER = 0x20, 0x15, 0x06
 """Steps of a filter: load a word of a call, jump where it equals a number, answer."""
 
-ALLOW, REFUSE = 0x7FFF0000, 0x00050000 | errno.EPERM
+ALLOW_CALL, REFUSE_CALL = 0x7FFF0000, 0x00050000 | errno.EPERM
 
 CREATE_RULESET, RESTRICT_SELF = 444, 446
 """Landlock's system calls, which have the same numbers on all machines."""
 
-RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}
+LANDLOCK_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}
 """Rights to files that Landlock knows, by the first of its versions to know so many."""
 
 
@@ -106,8 +106,8 @@ def become_nobody() -> None:
     """Be another user from now on, where this is root. Raises OSError."""
     if os.geteuid() == 0:
         os.setgroups([])
-        os.setresgid(NOBODY, NOBODY, NOBODY)
-        os.setresuid(NOBODY, NOBODY, NOBODY)
+        os.setresgid(NOBODY_ID, NOBODY_ID, NOBODY_ID)
+        os.setresuid(NOBODY_ID, NOBODY_ID, NOBODY_ID)
 
 
 def give_up_paths() -> None:
@@ -116,7 +116,7 @@ def give_up_paths() -> None:
     Raises OSError where the kernel has none.
     """
     version = call(CREATE_RULESET, None, 0, 1)
-    files = max(count for since, count in RIGHTS.items() if since <= version)
+    files = max(count for since, count in LANDLOCK_RIGHTS.items() if since <= version)
     handled = (1 << files) - 1, 3 if version >= 4 else 0, 3 if version >= 6 else 0
     rules = call(CREATE_RULESET, struct.pack("QQQ", *handled), 24, 0)
     try:
@@ -127,24 +127,27 @@ def give_up_paths() -> None:
 
 
 def give_up_calls() -> None:
-    """Refuse all system calls but those in CALLS from now on, by seccomp.
+    """Refuse all system calls but those in ALLOWED_CALLS from now on, by seccomp.
 
     Raises OSError where the kernel has none, and KeyError on another machine.
     """
-    machine = MACHINES[platform.machine()]
+    machine = SECCOMP_MACHINES[platform.machine()]
     steps = filter_of(machine)
     code = ctypes.create_string_buffer(steps)
     refuse_privileges()
-    call(machine.seccomp, FILTER, ALL_THREADS, struct.pack("HP", len(steps) // 8, ctypes.addressof(code)))
+    call(machine.seccomp, SECCOMP_FILTER, ALL_THREADS, struct.pack("HP", len(steps) // 8, ctypes.addressof(code)))
 
 
 def filter_of(machine: Machine) -> bytes:
     """The filter: refuse another machine's calls, allow those that are needed, and refuse the rest."""
-    numbers = [row[machine.column] for row in CALLS.values()]
+    numbers = [row[machine.column] for row in ALLOWED_CALLS.values()]
     count = len(numbers)
-    steps = [(LOAD, 0, 0, 4), (EQUAL, 0, count + 1, machine.audit), (LOAD, 0, 0, 0)]
-    steps += [(EQUAL, count - index, 0, number) for index, number in enumerate(numbers)]
-    return b"".join(struct.pack("HBBI", *step) for step in [*steps, (ANSWER, 0, 0, REFUSE), (ANSWER, 0, 0, ALLOW)])
+    steps = [(LOAD_WORD, 0, 0, 4), (JUMP_IF_EQUAL, 0, count + 1, machine.audit), (LOAD_WORD, 0, 0, 0)]
+    steps += [(JUMP_IF_EQUAL, count - index, 0, number) for index, number in enumerate(numbers)]
+    return b"".join(
+        struct.pack("HBBI", *step)
+        for step in [*steps, (RETURN_ANSWER, 0, 0, REFUSE_CALL), (RETURN_ANSWER, 0, 0, ALLOW_CALL)]
+    )
 
 
 def refuse_privileges() -> None:

@@ -16,7 +16,7 @@ from isogi_core.files.scene_file import SceneSource
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
-from server.bearers import ANYBODY, Bearer, bearer_of, client_of
+from server.bearers import ANY_BEARER, Bearer, bearer_of, client_of
 from server.errors import (
     ForbiddenError,
     FullError,
@@ -30,14 +30,22 @@ from server.render.admission import AdmissionLimit
 from server.render.engine import RenderEngine
 from server.render.updates import attended
 from server.settings import Settings
-from server.uploads.environments import ENVIRONMENT, VOLUME, UploadedEnvironment, read_environment
-from server.uploads.folder import SCENE, VOXEL, UploadedVolume, UploadFolder, default_folder, named, read_facts
+from server.uploads.environments import ENVIRONMENT_KIND, VOLUME_KIND, UploadedEnvironment, read_environment
+from server.uploads.folder import (
+    SCENE_BYTES,
+    VOXEL_BYTES,
+    UploadedVolume,
+    UploadFolder,
+    default_folder,
+    named,
+    read_facts,
+)
 from server.uploads.reading import Reader
 from server.uploads.sandbox import lacking
 
 Kept = TypeVar("Kept")
 
-BLOCK = 1 << 20
+WRITE_BLOCK_BYTES = 1 << 20
 """Bytes that are written at once."""
 
 
@@ -54,11 +62,11 @@ async def receive(request: Request, file: IO[bytes], seconds: float) -> None:
 
 
 async def blocks(request: Request, seconds: float) -> AsyncGenerator[bytes, None]:
-    """The body in blocks of at least BLOCK bytes, but for the last."""
+    """The body in blocks of at least WRITE_BLOCK_BYTES, but for the last."""
     block, stream = bytearray(), aiter(request.stream())
     while (part := await next_of(stream, seconds)) is not None:
         block += part
-        if len(block) >= BLOCK:
+        if len(block) >= WRITE_BLOCK_BYTES:
             yield bytes(block)
             block.clear()
     yield bytes(block)
@@ -80,7 +88,7 @@ log = logging.getLogger("isogi.uploads")
 AT_ONCE = 2
 """Uploads that are taken at once, of which one is read at a time; others are answered with 429."""
 
-OFF = "This server takes no uploads: start it with --uploads-mb and how many megabytes they may take."
+UPLOADS_OFF = "This server takes no uploads: start it with --uploads-mb and how many megabytes they may take."
 
 
 class Uploads:
@@ -97,7 +105,7 @@ class Uploads:
         self._reading, self._changing = asyncio.Lock(), asyncio.Lock()
         self._ready = False
         self._lacking = ""
-        self._off = OFF
+        self._off = UPLOADS_OFF
 
     def open(self) -> None:
         """Show the volumes in the folder, where uploads are on, as far as the quota goes; others are logged and left.
@@ -154,11 +162,11 @@ class Uploads:
         Raises UploadsOffError, StartingError, BusyError, SlowUploadError, VolumeError, LateError, FullError,
         UploadFolderError, and Cancelled where the client has left.
         """
-        return await self._take(request, name, VOLUME, self._keep)
+        return await self._take(request, name, VOLUME_KIND, self._keep)
 
     async def take_environment(self, request: Request, name: str) -> tuple[UploadedEnvironment, bool]:
         """Take the body of a request as light, a Radiance picture; see ``take``, which this does likewise."""
-        return await self._take(request, name, ENVIRONMENT, self._keep_environment)
+        return await self._take(request, name, ENVIRONMENT_KIND, self._keep_environment)
 
     async def _take(
         self, request: Request, name: str, kind: str, keep: Callable[[IO[bytes], str], tuple[Kept, bool]]
@@ -168,8 +176,8 @@ class Uploads:
             raise UploadsOffError(self._off)
         self._check_ready()
         with self._admission.admitted(client_of(request.scope)) as place, self.folder.drafts() as (body, draft):
-            self._check_room(SCENE if kind == VOLUME else 0)  # no volume takes less
-            async with Reader.started(body, draft, name, self.limit // VOXEL, kind) as reader:
+            self._check_room(SCENE_BYTES if kind == VOLUME_KIND else 0)  # no volume takes less
+            async with Reader.started(body, draft, name, self.limit // VOXEL_BYTES, kind) as reader:
                 with named(self.folder.path):
                     await place.keep(receive(request, body, self._settings.body_seconds))
                 number = await attended(request, place.keep(self._read(reader)))
@@ -184,7 +192,7 @@ class Uploads:
         async with self._reading:
             return await reader.read(self._settings.reading_seconds)
 
-    async def remove(self, number: str, bearer: Bearer = ANYBODY) -> None:
+    async def remove(self, number: str, bearer: Bearer = ANY_BEARER) -> None:
         """Show a volume no more, and have its file gone. Its light is left in the store: it may come again.
 
         It stays where it belongs to others besides this bearer. Raises UnknownVolumeError, ForbiddenError,
@@ -194,7 +202,7 @@ class Uploads:
         if await self._remove(number, bearer) and number in self._engine.scenes:
             await asyncio.to_thread(self._engine.dismiss, number)
 
-    async def remove_environment(self, number: str, bearer: Bearer = ANYBODY) -> None:
+    async def remove_environment(self, number: str, bearer: Bearer = ANY_BEARER) -> None:
         """Have an environment gone, and what is shown in it; see ``remove``."""
         if number not in self.folder.environments:
             raise UnknownVolumeError(f"There is no environment '{number[:64]}': /v1/environments lists them all.")

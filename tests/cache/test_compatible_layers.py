@@ -13,7 +13,14 @@ import pytest
 from isogi_core.bake.bake_spec import BakeSpec, spec_for
 from isogi_core.bake.precision import VOID
 from isogi_core.bake.texel_light import Part
-from isogi_core.cache.chunk_store import MIN_DIRECT_ORDER, ChunkStore, adopt, find_fallback, larger_layers, smaller_layers
+from isogi_core.cache.chunk_store import (
+    MIN_DIRECT_ORDER,
+    ChunkStore,
+    adopt,
+    find_fallback,
+    larger_layers,
+    smaller_layers,
+)
 from isogi_core.cache.layer import LayerStore
 from isogi_core.errors import DamagedChunkError, StoreError
 from isogi_core.kernels.transport.harmonics import MAX_ORDER

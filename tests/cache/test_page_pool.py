@@ -39,7 +39,9 @@ def empty(spec: BakeSpec, index: Index) -> Chunks:
 def pool_of(spec: BakeSpec, pages: int) -> PagePool:
     """A pool with room for so many pages."""
     budgets = range(0, 1 << 24, 1024)
-    pool = PagePool(spec, budgets[bisect_left(budgets, pages * PAGE_TEXELS, key=lambda n: len(PagePool(spec, n).stamp))])
+    pool = PagePool(
+        spec, budgets[bisect_left(budgets, pages * PAGE_TEXELS, key=lambda n: len(PagePool(spec, n).stamp))]
+    )
     assert len(pool.stamp) == pages * PAGE_TEXELS
     return pool
 

@@ -42,7 +42,7 @@ def test_time_left_is_never_more_than_the_limit(clock: list[float]) -> None:
 
 
 def test_the_bar_shows_it(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(progress, "TICK", 0.01)
+    monkeypatch.setattr(progress, "REDRAW_SECONDS", 0.01)
     with Pieces("report", 2.0, 0.0, 3600.0).ticking() as bar:
         bar.begin("half of it")
         time.sleep(0.2)

@@ -29,7 +29,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 def test_a_clock_runs_where_nothing_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(progress, "TICK", 0.2)
+    monkeypatch.setattr(progress, "REDRAW_SECONDS", 0.2)
     with Progress() as bar:
         bar.begin("compiling")
         assert "compiling, 00:00" in capsys.readouterr().err, "drawn at once"

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from server.settings import LOOPBACK, Settings, read_settings
+from server.settings import LOOPBACK_HOSTS, Settings, read_settings
 
 
 def test_every_setting_is_documented() -> None:
@@ -22,8 +22,8 @@ def test_the_environment_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_hosts_are_loopback_names_on_loopback_and_any_elsewhere() -> None:
-    assert Settings(host="127.0.0.1").hosts() == LOOPBACK
-    assert Settings(host="127.0.0.2").hosts() == (*LOOPBACK, "127.0.0.2")
+    assert Settings(host="127.0.0.1").hosts() == LOOPBACK_HOSTS
+    assert Settings(host="127.0.0.2").hosts() == (*LOOPBACK_HOSTS, "127.0.0.2")
     assert Settings(host="0.0.0.0").hosts() is None
 
 

@@ -15,13 +15,22 @@ from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, ScenePlan
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.url import StoreUrl
-from worker.bake_requests import GUEST, MOST_FAILURES, Viewer
-from worker.baker import LONGEST_PAUSE, LONGEST_REST, REST, SHORTEST_PAUSE, WAY, Bake, Baker, after
+from worker.bake_requests import GUEST_VIEWER, MOST_FAILURES, Viewer
+from worker.baker import (
+    CLEAR_CORES_SECONDS,
+    LONGEST_PAUSE,
+    LONGEST_REST,
+    POSTPONE_SECONDS,
+    SHORTEST_PAUSE,
+    Bake,
+    Baker,
+    after,
+)
 from worker.errors import WorkersAwayError
 from worker.pool import AllDone, Done
 from worker.progress import TimeLeft
 from worker.queue import FORGET_AFTER
-from worker.tasks import ELSEWHERE, BakeResult, BakeTask
+from worker.tasks import BAKED_ELSEWHERE, BakeResult, BakeTask
 
 SOURCE = SceneSource("scene", {"volume": "demo:orbital"}, Path())
 PLAN = ScenePlan("transfer", (Layer("direct", 5), Layer("indirect", 3)), 5, 4, 1.0, 4096)
@@ -77,7 +86,7 @@ class Bench:
             "scene", Bake(SOURCE, PLAN, "digest", layers, StoreUrl("store"), self.arrived.append, self.costs)
         )
 
-    def request(self, *chunks: int, scene: str = "scene", viewer: Viewer = GUEST) -> frozenset[Index]:
+    def request(self, *chunks: int, scene: str = "scene", viewer: Viewer = GUEST_VIEWER) -> frozenset[Index]:
         texels, seen, effort = np.array([1, 2], np.int32), np.array([1.0, 0.5], np.float32), Effort(2, 0.0, 0.0)
         demands = [Demand((0, 0, x), texels, 10.0 - x, effort, seen) for x in chunks]
         return self.baker.request(scene, demands, 0.1, viewer)
@@ -329,7 +338,7 @@ def test_half_the_workers_rest_while_a_view_moves(bench: Bench) -> None:
         pool.end()
         in_flight.append(len(pool.tasks()))
     assert in_flight == [3, 2, 1, 1, 1]
-    bench.now += WAY
+    bench.now += CLEAR_CORES_SECONDS
     pool.end()
     assert len(pool.tasks()) == 3, "all that is left, in no time"
 
@@ -338,10 +347,10 @@ def test_workers_that_there_are_step_back_while_a_view_moves(bench: Bench) -> No
     bench.baker.make_way()
     pool = bench.employ(4)
     bench.baker.make_way()
-    assert pool.stepped_back == [WAY]
+    assert pool.stepped_back == [CLEAR_CORES_SECONDS]
     bench.baker.stop()
     bench.baker.make_way()
-    assert pool.stepped_back == [WAY]
+    assert pool.stepped_back == [CLEAR_CORES_SECONDS]
 
 
 def test_workers_that_stand_elsewhere_go_on_while_a_view_moves(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -371,7 +380,7 @@ def test_a_claimed_chunk_waits_while_others_are_baked(bench: Bench, monkeypatch:
     monkeypatch.setattr("worker.baker.after", lambda seconds, call: later.append((seconds, call)))
     pool = bench.employ(1)
     bench.request(1, 2)
-    assert pool.end(ELSEWHERE).owner
+    assert pool.end(BAKED_ELSEWHERE).owner
     assert pool.tasks() == [2]
     pool.end()
     assert pool.tasks() == []
@@ -389,12 +398,12 @@ def test_a_long_wait_for_another_baker_ends(bench: Bench, monkeypatch: pytest.Mo
     pool = bench.employ(1)
     bench.request(1)
     looks = 0
-    while not pool.end(ELSEWHERE).insists:
+    while not pool.end(BAKED_ELSEWHERE).insists:
         looks += 1
-        bench.now += REST
+        bench.now += POSTPONE_SECONDS
         bench.baker.stir()
-    assert looks == LONGEST_REST / REST
-    bench.now += REST
+    assert looks == LONGEST_REST / POSTPONE_SECONDS
+    bench.now += POSTPONE_SECONDS
     bench.baker.stir()
     assert pool.end(left(2, 0.8)).insists and not pool.end().insists
 
@@ -528,7 +537,7 @@ def test_chunks_that_are_baked_together_end_each_by_itself(bench: Bench) -> None
     bench.baker.employ(pool)  # type: ignore[arg-type]
     ((tasks, done),) = pool.all_in_flight
     assert [task.index[2] for task in tasks] == [1, 2, 3, 4]
-    done([DONE, left(1, 1.0), RuntimeError("no"), ELSEWHERE])
+    done([DONE, left(1, 1.0), RuntimeError("no"), BAKED_ELSEWHERE])
     assert bench.arrived == [(0, 0, 1), (0, 0, 2)]
     tally = bench.baker.tally()
     assert (tally.done, tally.failed, tally.in_flight) == (2, 1, 1)

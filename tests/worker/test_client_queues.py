@@ -8,7 +8,7 @@ from isogi_core.cache.costs import Cost
 from isogi_core.frame.view_texels import Demand
 from tests.worker.clock import Clock
 from worker.bake_requests import BakeRequest, Key, Viewer
-from worker.queue import MIN_PLACES, SUNK, BakeQueue
+from worker.queue import MIN_PLACES, RERANK_LOSS, BakeQueue
 from worker.tasks import BakeResult
 
 TEXELS = np.arange(4, dtype=np.int32)
@@ -135,4 +135,4 @@ def clearly_better(queue: BakeQueue, other: BakeRequest, taken: BakeRequest, cli
     (*order, priority, _), (*mine, own, _) = queue.rank(other, client), queue.rank(taken, client)
     if other.interests[client].viewer.patient != taken.interests[client].viewer.patient or order != mine:
         return other.interests[client].viewer.patient == taken.interests[client].viewer.patient and order < mine
-    return priority < 1.5 * own - SUNK * abs(own) - 1e-9
+    return priority < 1.5 * own - RERANK_LOSS * abs(own) - 1e-9

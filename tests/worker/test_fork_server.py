@@ -10,7 +10,7 @@ import pytest
 
 from isogi_core.kernels._jit import entries_of
 from tests.server.sockets import wait_for
-from worker.fork_server import START_METHOD, WORKER
+from worker.fork_server import START_METHOD, WORKER_PROCESS_NAME
 from worker.kernels import bake_kernels
 from worker.pool import WorkerPool
 
@@ -49,7 +49,7 @@ def kernels_loaded() -> list[bool]:
 def test_workers_share_what_one_process_has_loaded(pool: WorkerPool) -> None:
     (parent,) = parents(pool)
     assert psutil.Process(parent).ppid() == os.getpid()
-    assert {psutil.Process(pid).name() for pid in pool.pids()} == {WORKER}
+    assert {psutil.Process(pid).name() for pid in pool.pids()} == {WORKER_PROCESS_NAME}
     assert all(all(loaded) for loaded in pool._client.run(kernels_loaded).values())
     assert all("worker.tasks" in names for names in pool._client.run(lambda: list(sys.modules)).values())
 

@@ -27,7 +27,7 @@ from server.render.engine import RenderEngine
 from tests.baking import bake_each_texel
 from tests.server.inline import EngineWithoutWorkers, InlinePool
 from worker import pool
-from worker.fork_server import WORKER
+from worker.fork_server import WORKER_PROCESS_NAME
 
 pytestmark = pytest.mark.kill
 ROOT = Path(__file__).parent.parent.parent
@@ -60,7 +60,7 @@ def worker_pids() -> set[int]:
     found = set()
     for child in psutil.Process().children(recursive=True):
         with suppress(psutil.Error):  # it ends at this moment
-            found |= {child.pid} if child.name() == WORKER else set()
+            found |= {child.pid} if child.name() == WORKER_PROCESS_NAME else set()
     return found
 
 
@@ -179,7 +179,7 @@ def test_no_worker_outlives_its_server(tmp_path: Path) -> None:
         assert wait_for(lambda: httpx.get(f"{url}/readyz").status_code == 200, LONG)
         assert httpx.get(f"{url}/v1/scenes/orbital/frame?width=256&height=256", timeout=LONG).status_code == 200
         family = psutil.Process(process.pid).children(recursive=True)
-        assert sum(child.name() == WORKER for child in family) >= 1
+        assert sum(child.name() == WORKER_PROCESS_NAME for child in family) >= 1
         assert wait_for(lambda: len(list(tmp_path.glob("*/c/*/*/*/0"))) > 2, LONG)
         process.kill()
         assert process.wait(LONG) == -signal.SIGKILL

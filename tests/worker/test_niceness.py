@@ -5,7 +5,7 @@ import pytest
 
 from tests.worker.clock import Clock
 from worker import niceness as nice
-from worker.niceness import BACK, FORWARD, Sessions
+from worker.niceness import BACK_NICENESS, FORWARD_NICENESS, Sessions
 
 ANNA, BERT = 11, 12
 LONG = 30.0
@@ -49,19 +49,34 @@ class Bench:
 
 
 def test_each_session_steps_back_and_forward_once() -> None:
-    expected = [(0, ANNA, BACK), (0, BERT, BACK), (5, ANNA, FORWARD), (5, BERT, FORWARD)]
+    expected = [
+        (0, ANNA, BACK_NICENESS),
+        (0, BERT, BACK_NICENESS),
+        (5, ANNA, FORWARD_NICENESS),
+        (5, BERT, FORWARD_NICENESS),
+    ]
     assert Bench().run(0.5) == expected
 
 
 def test_a_view_that_moves_on_prolongs_low_priority() -> None:
     bench = Bench()
     bench.plan = {tenth: lambda: bench.sessions.step_back(0.5) for tenth in (3, 6)}
-    assert bench.run(0.5) == [(0, ANNA, BACK), (0, BERT, BACK), (11, ANNA, FORWARD), (11, BERT, FORWARD)]
+    assert bench.run(0.5) == [
+        (0, ANNA, BACK_NICENESS),
+        (0, BERT, BACK_NICENESS),
+        (11, ANNA, FORWARD_NICENESS),
+        (11, BERT, FORWARD_NICENESS),
+    ]
 
 
 def test_a_change_that_is_not_granted_is_tried_again() -> None:
     changes = Bench(every=0.19).run(0.5)
-    assert [(tenth, niceness) for tenth, _, niceness in changes] == [(0, BACK), (2, BACK), (5, FORWARD), (7, FORWARD)]
+    assert [(tenth, niceness) for tenth, _, niceness in changes] == [
+        (0, BACK_NICENESS),
+        (2, BACK_NICENESS),
+        (5, FORWARD_NICENESS),
+        (7, FORWARD_NICENESS),
+    ]
     assert {pid for _, pid, _ in changes[:2]} == {pid for _, pid, _ in changes[2:]} == {ANNA, BERT}
 
 
@@ -70,19 +85,25 @@ def test_a_session_goes_back_when_a_view_moves_again() -> None:
     bench.plan = {6: lambda: bench.sessions.step_back(0.3)}
     changes = bench.run(0.5)
     assert [(tenth, niceness) for tenth, _, niceness in changes] == [
-        (0, BACK),
-        (2, BACK),
-        (5, FORWARD),
-        (7, BACK),
-        (9, FORWARD),
-        (11, FORWARD),
+        (0, BACK_NICENESS),
+        (2, BACK_NICENESS),
+        (5, FORWARD_NICENESS),
+        (7, BACK_NICENESS),
+        (9, FORWARD_NICENESS),
+        (11, FORWARD_NICENESS),
     ]
 
 
 def test_a_worker_that_is_started_anew_steps_back_too() -> None:
     bench = Bench()
     bench.plan = {2: lambda: bench.leaders.remove(ANNA), 3: lambda: bench.leaders.append(13)}
-    assert bench.run(0.5) == [(0, ANNA, BACK), (0, BERT, BACK), (3, 13, BACK), (5, BERT, FORWARD), (5, 13, FORWARD)]
+    assert bench.run(0.5) == [
+        (0, ANNA, BACK_NICENESS),
+        (0, BERT, BACK_NICENESS),
+        (3, 13, BACK_NICENESS),
+        (5, BERT, FORWARD_NICENESS),
+        (5, 13, FORWARD_NICENESS),
+    ]
 
 
 def test_closing_has_all_come_forward() -> None:
@@ -92,7 +113,7 @@ def test_closing_has_all_come_forward() -> None:
     while len(bench.kernel.changes) < 2:
         time.sleep(0.01)
     bench.sessions.close()
-    assert sorted(bench.kernel.changes[2:]) == [(0, ANNA, FORWARD), (0, BERT, FORWARD)]
+    assert sorted(bench.kernel.changes[2:]) == [(0, ANNA, FORWARD_NICENESS), (0, BERT, FORWARD_NICENESS)]
     assert bench.sessions._thread is None
 
 
@@ -103,7 +124,7 @@ def test_nothing_steps_back_where_nobody_leads_a_session() -> None:
 
 
 def test_where_there_are_no_sessions_there_is_nothing_to_change() -> None:
-    assert nice.set_session_niceness(2**31 - 1, BACK)
+    assert nice.set_session_niceness(2**31 - 1, BACK_NICENESS)
     assert not nice.leads_session(2**31 - 1)
 
 
@@ -125,4 +146,4 @@ def test_a_kernel_that_says_later_is_asked_again(
             return answer
 
     monkeypatch.setattr("builtins.open", lambda path, mode, buffering: File())
-    assert nice.set_session_niceness(ANNA, BACK) is done
+    assert nice.set_session_niceness(ANNA, BACK_NICENESS) is done

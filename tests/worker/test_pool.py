@@ -29,15 +29,15 @@ from isogi_core.storage.store import Store
 from isogi_core.storage.url import StoreUrl
 from worker.baker import Baker
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
-from worker.kernels import KINDS, OPENING, bake_kernels
-from worker.niceness import BACK, FORWARD, NICENESS
-from worker.pool import FOREVER, TASKS_AHEAD, OwnClient, WorkerPool, report
+from worker.kernels import OPENING_KERNELS, PLAIN_LAYER_KINDS, bake_kernels
+from worker.niceness import BACK_NICENESS, FORWARD_NICENESS, WORKER_NICENESS
+from worker.pool import CLUSTER_SETTINGS, TASKS_AHEAD, OwnClient, WorkerPool, report
 from worker.tasks import BakeResult, BakeTask, open_spec
 
 pytestmark = pytest.mark.cluster
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5)
 SPEC = spec_for(PreparedScene(SCENE), "gi")
-BAKE = bake_kernels(KINDS)
+BAKE = bake_kernels(PLAIN_LAYER_KINDS)
 TEXELS = np.arange(0, 4096, 40, dtype=np.int32)
 WORKERS = 2
 LONG = 240.0
@@ -45,7 +45,7 @@ LONG = 240.0
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 IRRADIANCE = bake_kernels(["irradiance"])
-CALLED = (*bake_kernels(["direct", "indirect"]), *OPENING)
+CALLED = (*bake_kernels(["direct", "indirect"]), *OPENING_KERNELS)
 
 
 def kernel_cache() -> dict[str, tuple[int, int]]:
@@ -56,7 +56,7 @@ def kernel_cache() -> dict[str, tuple[int, int]]:
 @pytest.fixture(scope="module")
 def compiled() -> dict[str, tuple[int, int]]:
     """The kernels that were compiled before there were workers: all that baking takes."""
-    warm((*BAKE, *OPENING))
+    warm((*BAKE, *OPENING_KERNELS))
     return kernel_cache()
 
 
@@ -126,8 +126,8 @@ def test_a_task_that_fails_gives_its_own_error(pool: WorkerPool, tmp_path: Path)
 
 def test_baking_stands_behind_the_server(pool: WorkerPool) -> None:
     before = os.getpriority(os.PRIO_PROCESS, 0)
-    expected = min(before + NICENESS, 19)
-    assert NICENESS == 10
+    expected = min(before + WORKER_NICENESS, 19)
+    assert WORKER_NICENESS == 10
     assert [psutil.Process(pid).nice() for pid in pool.pids()] == [expected] * WORKERS
     where_tasks_run = pool._client.submit(lambda: os.getpriority(os.PRIO_PROCESS, 0), pure=False)
     assert where_tasks_run.result() == expected
@@ -159,13 +159,13 @@ def reach(pids: list[int], niceness: int) -> None:
 def test_worker_sessions_have_low_priority_while_a_view_moves(pool: WorkerPool) -> None:
     pids, own = pool.pids(), session_niceness(os.getpid())
     assert [os.getsid(pid) for pid in pids] == pids
-    reach(pids, FORWARD)
+    reach(pids, FORWARD_NICENESS)
     baker = Baker()
     baker.employ(pool)
     baker.make_way()
-    reach(pids, BACK)
+    reach(pids, BACK_NICENESS)
     assert session_niceness(os.getpid()) == own
-    reach(pids, FORWARD)
+    reach(pids, FORWARD_NICENESS)
 
 
 def test_all_listen_on_loopback_only(pool: WorkerPool) -> None:
@@ -220,9 +220,11 @@ def test_kernels_are_loaded_and_not_compiled_again(
 
 def test_missing_kernels_are_compiled_by_a_worker_meanwhile(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Those of the kinds that a pool is made for at once, others with the first task that needs them."""
-    missing = set(KINDS)
+    missing = set(PLAIN_LAYER_KINDS)
     monkeypatch.setattr("worker.pool.kernels_missing", lambda kinds: bool(missing & set(kinds)))
-    monkeypatch.setitem(FOREVER, "distributed.worker.multiprocessing-method", "spawn")  # none that were stored before
+    monkeypatch.setitem(
+        CLUSTER_SETTINGS, "distributed.worker.multiprocessing-method", "spawn"
+    )  # none that were stored before
     fresh = WorkerPool(1, kinds=("irradiance",))
     try:
         assert fresh.preparing == "The workers compile their kernels."
@@ -362,13 +364,13 @@ def test_a_scheduler_that_was_restarted_unnoticed_is_joined_anew(monkeypatch: py
     joined = WorkerPool(1, first.scheduler_address)
     try:
         assert "No worker has joined" in joined.trouble
-        monkeypatch.setattr("worker.pool.LOOK", LONG)
+        monkeypatch.setattr("worker.pool.CHECK_SECONDS", LONG)
         time.sleep(1.5)
         client, port = joined._client, int(first.scheduler_address.rpartition(":")[2])
         first.close()
         with lone_scheduler(port) as second:
             wait_for(lambda: client.scheduler_info().get("id") == second.scheduler.id)
-            monkeypatch.setattr("worker.pool.LOOK", 0.1)
+            monkeypatch.setattr("worker.pool.CHECK_SECONDS", 0.1)
             joined._moved.set()
             wait_for(lambda: joined._client is not client and joined.connected)
             second.scale(1)

@@ -1,7 +1,7 @@
 import pytest
 
 from tests.worker.clock import Clock
-from worker.progress import LATELY, MAX_KNOWN_RATIOS, PRIOR, Pace, TimeEstimator, TimeLeft
+from worker.progress import ASSUMED_WORK_RATIOS, MAX_KNOWN_RATIOS, PACE_WINDOW_SECONDS, Pace, TimeEstimator, TimeLeft
 
 
 @pytest.fixture
@@ -29,12 +29,12 @@ def test_nothing_left_takes_no_time(estimator: TimeEstimator) -> None:
 def test_the_range_is_wide_until_something_is_known(estimator: TimeEstimator) -> None:
     reported = estimator.estimate("view", 10.0, 0.0)
     assert (reported.low, reported.likely, reported.high) == pytest.approx((3.5, 10.0, 32.0))
-    assert min(PRIOR) * 10.0 < reported.low and reported.high < max(PRIOR) * 10.0
+    assert min(ASSUMED_WORK_RATIOS) * 10.0 < reported.low and reported.high < max(ASSUMED_WORK_RATIOS) * 10.0
 
 
 def test_predictions_are_corrected_by_what_came_of_earlier_ones(estimator: TimeEstimator, clock: Clock) -> None:
     assert watch(estimator, clock, "view", 10, 3.0).likely == 10.0
-    for turn in range(len(PRIOR)):
+    for turn in range(len(ASSUMED_WORK_RATIOS)):
         watch(estimator, clock, f"view {turn}", 10, 3.0)
     before = estimator.estimate("another", 10.0, clock.now)
     assert before.low < before.likely == pytest.approx(30.0)
@@ -103,7 +103,7 @@ def test_each_second_takes_as_long_as_workers_lately_took(clock: Clock) -> None:
     pace.spent(1.0)
     assert pace.value == 1.0, "workers opened what they need"
     for seconds in (3.0, 1.5):
-        for _ in range(int(8 * LATELY)):
+        for _ in range(int(8 * PACE_WINDOW_SECONDS)):
             clock.now += seconds / 2
             pace.working(2)
             pace.spent(1.0)

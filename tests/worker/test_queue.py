@@ -8,8 +8,8 @@ from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from tests.worker.clock import Clock
 from worker import bake_requests
-from worker.bake_requests import GUEST, LONG, MOST_FAILURES, SHORT_TASK_SECONDS, Key, Viewer
-from worker.queue import FORGET_AFTER, LOOK, BakeQueue
+from worker.bake_requests import GUEST_VIEWER, LONG_TASK_PATHS, MOST_FAILURES, SHORT_TASK_SECONDS, Key, Viewer
+from worker.queue import EXPIRY_CHECK_SECONDS, FORGET_AFTER, BakeQueue
 from worker.tasks import BakeResult
 
 UNLIT = Effort(3, 0.0, 0.0)
@@ -43,7 +43,7 @@ def request(
     texels: tuple[int, ...] = (1, 2, 3),
     target: float = 0.1,
     effort: Effort = UNLIT,
-    viewer: Viewer = GUEST,
+    viewer: Viewer = GUEST_VIEWER,
 ) -> None:
     """One view that demands chunks (x, weight)."""
     offsets, seen = np.array(texels, np.int32), np.array(texels, np.float32)
@@ -115,7 +115,7 @@ def test_converged_chunks_wait_for_noisy_ones(queue: BakeQueue) -> None:
 def test_each_task_climbs_one_level_until_the_rest_is_short(queue: BakeQueue) -> None:
     request(queue, (1, 1.0), target=0.1)
     steps = []
-    for samples, more in ((16, 2.0 * LONG), (32, LONG + 1.0), (64, LONG), (0, 0.0)):
+    for samples, more in ((16, 2.0 * LONG_TASK_PATHS), (32, LONG_TASK_PATHS + 1.0), (64, LONG_TASK_PATHS), (0, 0.0)):
         taken = queue.take()
         assert taken is not None
         steps.append(taken.until)
@@ -277,7 +277,7 @@ def test_a_given_up_chunk_is_retried_after_a_while(queue: BakeQueue, clock: Cloc
     request(queue, (1, 1.0), texels=(1, 2, 3, 4))
     assert take(queue) is None
     assert queue.trouble() == "no space"
-    clock.now += LOOK
+    clock.now += EXPIRY_CHECK_SECONDS
     assert queue.trouble() == ""
     request(queue, (1, 1.0))
     assert take(queue) == 1

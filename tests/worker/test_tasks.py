@@ -21,9 +21,9 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import SENTINEL_KEY, Store
 from isogi_core.storage.url import StoreUrl
-from worker.kernels import KINDS, bake_kernels
+from worker.kernels import PLAIN_LAYER_KINDS, bake_kernels
 from worker.tasks import (
-    ELSEWHERE,
+    BAKED_ELSEWHERE,
     OPEN,
     BakeResult,
     BakeTask,
@@ -168,7 +168,7 @@ def test_a_chunk_that_another_baker_claimed_is_left(tmp_path: Path) -> None:
     claim = tmp_path / "claims" / ".".join(map(str, (store_of(tmp_path).layers[0].digest, *INDEX)))
     claim.parent.mkdir()
     claim.write_bytes(b"other")
-    assert bake(task) == ELSEWHERE and stored(tmp_path) == [None, None]
+    assert bake(task) == BAKED_ELSEWHERE and stored(tmp_path) == [None, None]
     assert bake(replace(task, insists=True)).cost.paths == 16 * len(TEXELS)
     assert not claim.exists()
 
@@ -275,7 +275,9 @@ def test_a_store_that_no_server_has_made_is_away(tmp_path: Path) -> None:
 def test_a_worker_answers_while_it_loads_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     answered = threading.Event()
     loaded: list[bool] = []
-    monkeypatch.setattr("worker.tasks.load_kernels", lambda kinds: loaded.append(kinds == KINDS and answered.wait(5)))
+    monkeypatch.setattr(
+        "worker.tasks.load_kernels", lambda kinds: loaded.append(kinds == PLAIN_LAYER_KINDS and answered.wait(5))
+    )
 
     async def start() -> None:
         asyncio.get_running_loop().call_soon(answered.set)
@@ -289,7 +291,7 @@ def test_layers_need_the_kernels_of_their_kinds_alone() -> None:
     assert set(bake_kernels(["direct", "indirect"])) == {bake_texels, locate_texels}
     assert set(bake_kernels(["whole"])) == {bake_texels, locate_texels}
     assert set(bake_kernels(["irradiance"])) == {bake_irradiance, locate_texels}
-    assert set(bake_kernels(KINDS)) == {bake_texels, bake_irradiance, locate_texels}
+    assert set(bake_kernels(PLAIN_LAYER_KINDS)) == {bake_texels, bake_irradiance, locate_texels}
 
 
 def test_a_worker_without_the_files_leaves_the_same_bytes(

@@ -13,7 +13,7 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from tests.server.inline import EngineWithoutWorkers, InlinePool
-from worker.bake_requests import GUEST
+from worker.bake_requests import GUEST_VIEWER
 from worker.baker import Baker
 from worker.pool import Done, WorkerPool
 from worker.tasks import BakeResult, BakeTask
@@ -50,7 +50,7 @@ def record(scene: Scene, views: int, size: int, target: float) -> Recording:
         engine.start()
         asked = [engine.survey(scene.id, view, target) for view in shots]
         for shot in asked:
-            baker.request(scene.id, shot.demands, target, GUEST)
+            baker.request(scene.id, shot.demands, target, GUEST_VIEWER)
         baker.employ(cast(WorkerPool, notebook))
         for view in shots:
             bake(engine, baker, scene, view, target)
@@ -66,7 +66,7 @@ def view_of(scene: Scene, azimuth: float, size: int) -> View:
 def bake(engine: EngineWithoutWorkers, baker: Baker, scene: Scene, view: View, target: float) -> None:
     """Bring a view's light to the target."""
     while demands := engine.survey(scene.id, view, target).demands:
-        baker.request(scene.id, demands, target, GUEST)
+        baker.request(scene.id, demands, target, GUEST_VIEWER)
         baker.wait(scene.id, [demand.index for demand in demands], LONG)
 
 

@@ -10,7 +10,14 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.dicom_segments import SEGMENT_TAGS, is_segmentation, numbered, overlaid, segment_in, segments_of
+from isogi_core.files.formats.dicom_segments import (
+    SEGMENT_TAGS,
+    is_segmentation,
+    numbered,
+    overlaid,
+    segment_in,
+    segments_of,
+)
 from isogi_core.files.formats.dicom_stack import Slice, stack_of
 from isogi_core.files.formats.source import LUMINANCE_NOTE, Source, library, line_of, luminance, pick, reading
 from isogi_core.files.grid import PATIENT_AXES, Affine, Grid, read_as

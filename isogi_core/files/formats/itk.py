@@ -8,7 +8,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick, pick_step, reading
-from isogi_core.files.grid import SINGLE_MOMENT, PATIENT_AXES, Affine, Grid, layers_of, read_as
+from isogi_core.files.grid import PATIENT_AXES, SINGLE_MOMENT, Affine, Grid, layers_of, read_as
 
 ITK_SUFFIXES = (".mha", ".mhd", ".vtk", ".gipl", ".hdr", ".img")
 ITK_TO_RAS = np.diag([-1.0, -1.0, 1.0])
@@ -45,7 +45,9 @@ def open_itk(source: Source) -> Grid:
     slabs = partial(_slabs, source, (time, channel), (nz, ny, nx), dtype.itemsize)
     unit, moment = "mm" if anatomical else "", SINGLE_MOMENT if time is None else (time, int(size[3]))
     stamp = partial(source.stamp, *_data_files(source))
-    known = read_as(f"{ITK_KINDS.get(source.path.suffix.lower(), 'an image of ITK')}", dtype, "its directions and origin")
+    known = read_as(
+        f"{ITK_KINDS.get(source.path.suffix.lower(), 'an image of ITK')}", dtype, "its directions and origin"
+    )
     return Grid(
         (nz, ny, nx), dtype, spacing, slabs, stamp, placed, unit, moment=moment, unchosen=unchosen, read_as=known
     )

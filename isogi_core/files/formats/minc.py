@@ -9,7 +9,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick_step, reading
-from isogi_core.files.grid import SINGLE_MOMENT, PATIENT_AXES, Affine, Grid, Shape, layers_of, read_as
+from isogi_core.files.grid import PATIENT_AXES, SINGLE_MOMENT, Affine, Grid, Shape, layers_of, read_as
 
 MINC1_MAGIC, MINC2_MAGIC, MINC_SUFFIX = b"CDF", b"\x89HDF", ".mnc"
 """How MINC 1 and MINC 2 begin, as other files do, too, and how both are named."""

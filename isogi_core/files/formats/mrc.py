@@ -80,7 +80,9 @@ def _dtype(header: Any) -> tuple[np.dtype[Any], tuple[str, ...]]:
     if dtype != np.int8:
         return dtype, ()
     order = np.dtype(np.uint32).newbyteorder(header["mode"].dtype.byteorder)
-    stamp, flags = (int(np.frombuffer(header.tobytes(), order, 1, place)[0]) for place in (IMOD_MARK_BYTE, IMOD_FLAGS_BYTE))
+    stamp, flags = (
+        int(np.frombuffer(header.tobytes(), order, 1, place)[0]) for place in (IMOD_MARK_BYTE, IMOD_FLAGS_BYTE)
+    )
     signed = stamp != IMOD_MARK or bool(flags & SIGNED_BYTES_FLAG)
     why = BY_IMOD if stamp == IMOD_MARK else BY_STANDARD
     return np.dtype(np.int8 if signed else np.uint8), (

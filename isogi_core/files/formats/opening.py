@@ -181,7 +181,7 @@ def libraries_for(head: bytes) -> list[str]:
 def split_part(name: str) -> tuple[str, dict[str, str]]:
     """A volume's name without what follows its last #, and what that chooses: ``#time=3``, or a path in the file.
 
-    Raises VolumeError for a key that is none of KEYS.
+    Raises VolumeError for a key that is none of FILE_CHOICES.
     """
     place, mark, text = name.rpartition("#")
     if not mark or not place:

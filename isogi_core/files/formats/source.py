@@ -12,8 +12,8 @@ from typing import IO, Any
 import numpy as np
 
 from isogi_core.errors import IsogiError, VolumeError
-from isogi_core.files.grid import SINGLE_MOMENT, MAX_VOXELS, Shape, layers_of
-from isogi_core.files.packed_files import READ_BYTES, PACKING_DAMAGE, Content, content_of, cut_notes, read_end
+from isogi_core.files.grid import MAX_VOXELS, SINGLE_MOMENT, Shape, layers_of
+from isogi_core.files.packed_files import PACKING_DAMAGE, READ_BYTES, Content, content_of, cut_notes, read_end
 from isogi_core.files.regular import open_regular
 from isogi_core.files.zarr_location import stamp_of
 
@@ -25,7 +25,7 @@ FILE_CHOICES = ("level", "channel", "time", "series", "raw", "part")
 class Source:
     """A file, or a folder of slices, at a ``path``; or an open ``file`` that has none. ``name`` is for messages.
 
-    ``chosen`` says which part of it is meant, by KEYS. At most so many ``voxels`` are read.
+    ``chosen`` says which part of it is meant, by FILE_CHOICES. At most so many ``voxels`` are read.
     """
 
     name: str
@@ -201,7 +201,9 @@ def pick_step(source: Source, length: int) -> tuple[int, bool]:
 
 def moment_of(source: Source, extra: Shape, picked: Sequence[int]) -> tuple[int, int]:
     """The moment of what was ``picked`` along axes of the lengths ``extra`` before the last three: ``pick_axes``."""
-    return SINGLE_MOMENT if not extra or (len(extra) == 1 and "channel" in source.chosen) else (picked[0], int(extra[0]))
+    return (
+        SINGLE_MOMENT if not extra or (len(extra) == 1 and "channel" in source.chosen) else (picked[0], int(extra[0]))
+    )
 
 
 def is_unchosen(source: Source, shape: Shape, in_time: bool) -> bool:

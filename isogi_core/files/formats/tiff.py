@@ -34,7 +34,11 @@ COLOUR_PAGES = (PLANE_AXES + COLOUR_AXIS, COLOUR_AXIS + PLANE_AXES)
 TIME_AXIS, REPEAT_AXIS, CHANNEL_AXES, DEPTH_AXIS = "T", "R", "CL", "Z"
 """Letters of axes along which a field is chosen; other ones before y and x are z, as Z is."""
 
-PLANE_COUNTS = {TIME_AXIS: TIME_STEPS, **dict.fromkeys(REPEAT_AXIS, TIME_STEPS), **dict.fromkeys(CHANNEL_AXES, "channels")}
+PLANE_COUNTS = {
+    TIME_AXIS: TIME_STEPS,
+    **dict.fromkeys(REPEAT_AXIS, TIME_STEPS),
+    **dict.fromkeys(CHANNEL_AXES, "channels"),
+}
 """What planes along an axis are that is no depth."""
 
 
@@ -70,7 +74,9 @@ def _layers_of(axes: str, shape: Shape) -> tuple[str, tuple[str, ...]]:
 
     A film of one plane is no volume: its frames are shown as layers, as no other picture of it is one.
     """
-    outer = [axis for axis, length in zip(axes, shape, strict=False) if length > 1 and axis not in PLANE_AXES + COLOUR_AXIS]
+    outer = [
+        axis for axis, length in zip(axes, shape, strict=False) if length > 1 and axis not in PLANE_AXES + COLOUR_AXIS
+    ]
     if len(outer) != 1 or outer[0] == DEPTH_AXIS:
         return "", ()
     what = PLANE_COUNTS.get(outer[0])
@@ -138,7 +144,9 @@ def _pages(source: Source, axes: str, shape: Shape) -> tuple[list[int], tuple[in
     outer = list(zip(axes.removesuffix(inner), shape, strict=False))
     alone = sum(length > 1 for _, length in outer) == 1  # a stack without z: planes are one upon the other
     picks: list[Any] = [_pick(source, axis, length, alone) for axis, length in outer]
-    times = [(step, n) for (axis, n), step in zip(outer, picks, strict=True) if axis == TIME_AXIS and n > 1 and not alone]
+    times = [
+        (step, n) for (axis, n), step in zip(outer, picks, strict=True) if axis == TIME_AXIS and n > 1 and not alone
+    ]
     numbers = np.arange(int(np.prod([n for _, n in outer]))).reshape([n for _, n in outer])[tuple(picks)]
     if numbers.ndim > 1 and sum(n > 1 for n in numbers.shape) > 1:
         raise VolumeError(f"'{source.name}' has the axes {axes}: save one scalar field of it.")

@@ -2,7 +2,9 @@
 
 PICTURE_HINT = "a picture, and a volume is many slices: give the folder of a stack of TIFFs, or one NRRD"
 MESH_HINT = "a mesh of triangles, which has no values inside: give the volume that it was made from"
-BARE_VOXELS_HINT = "bare voxels without a header: say what they are by --raw 256x256x128,uint8,little, or in the name of the file"
+BARE_VOXELS_HINT = (
+    "bare voxels without a header: say what they are by --raw 256x256x128,uint8,little, or in the name of the file"
+)
 LIGHT_PROBE_HINT = "a light probe: give it as --environment, or name it in a scene, environment = 'file.hdr'"
 
 KINDS: tuple[tuple[bytes, str], ...] = (
@@ -21,7 +23,14 @@ KINDS: tuple[tuple[bytes, str], ...] = (
 )
 """How files begin, and what they are."""
 
-WRONG_SUFFIXES = {".stl": MESH_HINT, ".obj": MESH_HINT, ".ply": MESH_HINT, ".raw": BARE_VOXELS_HINT, ".gz": BARE_VOXELS_HINT, ".bin": BARE_VOXELS_HINT}
+WRONG_SUFFIXES = {
+    ".stl": MESH_HINT,
+    ".obj": MESH_HINT,
+    ".ply": MESH_HINT,
+    ".raw": BARE_VOXELS_HINT,
+    ".gz": BARE_VOXELS_HINT,
+    ".bin": BARE_VOXELS_HINT,
+}
 """What the endings of names say of files that begin as nothing that is known."""
 
 

@@ -32,7 +32,7 @@ from server.pictures import MEDIA_TYPES, encode, format_for, npy_bytes, npy_part
 from server.problems import documented_problems
 from server.render.bakes import BackgroundBake
 from server.render.jobs import Job, Result
-from server.render.scheduling import REFINED
+from server.render.scheduling import REFINEMENT_PATIENCE
 from server.render.updates import background_viewer, request_viewer, stream_viewer
 from server.schemas import CameraSchema, Coverage
 from worker.errors import WorkersError
@@ -191,7 +191,7 @@ async def complete(service: Service, picture: PictureRequest, job: Job) -> Frame
         while True:
             since = service.updates.newest(bake)
             try:
-                frame = await service.frame(picture, service.rank(viewer, REFINED), Stopwatch())
+                frame = await service.frame(picture, service.rank(viewer, REFINEMENT_PATIENCE), Stopwatch())
             except StoreAwayError as error:
                 job.report(0.0, str(error))
                 await asyncio.sleep(AWAY)

@@ -16,7 +16,7 @@ from server.errors import ParameterError
 from server.parameters import VariantParams, documented
 from server.pictures import MEDIA_TYPES, compress, grey, media_range, quality, values_npy
 from server.point_parameters import (
-    AXES,
+    AXIS_NAMES,
     PointParams,
     PointParamsDep,
     SizeParams,
@@ -96,7 +96,7 @@ async def read_slice(request: Request, scene: SceneDep, params: SliceParamsDep, 
 
 def sliced(request: Request, scene: Scene, params: SliceParams) -> Response:
     """The slice of a scene's volume, or that it is the one that the client has."""
-    volume, axis = scene.volume, AXES.index(params.axis)
+    volume, axis = scene.volume, AXIS_NAMES.index(params.axis)
     if params.at > volume.size[axis] - 1:
         beyond = f"at={params.at:g} is outside the volume: {params.axis} goes from 0 to {volume.size[axis] - 1}."
         raise ParameterError(beyond, "at")

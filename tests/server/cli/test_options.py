@@ -6,7 +6,7 @@ import pytest
 
 from server.cli.command import run
 from server.cli.help import FIRST_HEADING, group_of
-from server.cli.options import SECRET, flag, rows, variable
+from server.cli.options import SECRET_SETTINGS, flag, rows, variable
 from server.settings import Settings
 
 DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "settings.md"
@@ -17,13 +17,17 @@ def test_the_help_lists_every_setting(capsys: pytest.CaptureFixture[str]) -> Non
     words = capsys.readouterr().out.replace("[", " ").replace("]", " ").split()
     for name in Settings.model_fields:
         assert variable(name) in words
-        assert (flag(name) in words) is (name not in SECRET)
+        assert (flag(name) in words) is (name not in SECRET_SETTINGS)
     assert "--config" in words
 
 
 def test_only_where_to_listen_is_in_no_group() -> None:
     """Where it fails: a new setting belongs into a group of ``server.cli.help``."""
-    assert [name for name in Settings.model_fields if group_of(name) == FIRST_HEADING] == ["host", "port", *SECRET]
+    assert [name for name in Settings.model_fields if group_of(name) == FIRST_HEADING] == [
+        "host",
+        "port",
+        *SECRET_SETTINGS,
+    ]
 
 
 def test_the_document_has_a_row_for_each_setting() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from isogi_core.frame.card.blocks import Coding
 from server.cli.command import run
-from server.exports.live_page import IMPORT, page_files
+from server.exports.live_page import MODULE_IMPORT, page_files
 from tests.card_twin import read_coded
 
 Capture = pytest.CaptureFixture[str]
@@ -62,7 +62,7 @@ def test_a_range_of_isovalues_is_published(small_scene: Path, store: Path, tmp_p
 def test_the_page_brings_all_that_it_imports() -> None:
     files = page_files()
     for name, content in files.items():
-        for path in IMPORT.findall(content.decode()) if name.endswith(".js") else []:
+        for path in MODULE_IMPORT.findall(content.decode()) if name.endswith(".js") else []:
             assert (Path("/") / Path(name).parent / path).resolve().relative_to("/").as_posix() in files, (name, path)
     assert "web/card/shaders/view.glsl" in files and not any("main.js" in name for name in files)
     assert not re.search(r"https?://(?!localhost)", files["index.html"].decode()), "nothing is loaded from elsewhere"

@@ -9,7 +9,7 @@ import pytest
 from isogi_core.plan.assembly import load_scene
 from server.cli.command import run
 from server.inspect.inspection import inspection_schema
-from server.inspect.rows import LEAD
+from server.inspect.rows import LEAD_COLUMNS
 
 
 def brief_of(capsys: pytest.CaptureFixture[str], target: Path) -> dict[str, str]:
@@ -17,7 +17,7 @@ def brief_of(capsys: pytest.CaptureFixture[str], target: Path) -> dict[str, str]
     assert run(["inspect", str(target)]) == 0
     *lines, last = capsys.readouterr().out.splitlines()
     assert last.startswith("--plan shows") and len(lines) <= 12 and max(map(len, lines)) <= 100
-    return {line[:LEAD].strip(): line[LEAD:] for line in lines}
+    return {line[:LEAD_COLUMNS].strip(): line[LEAD_COLUMNS:] for line in lines}
 
 
 def test_ten_lines_say_what_matters(capsys: pytest.CaptureFixture[str], small_scene: Path) -> None:

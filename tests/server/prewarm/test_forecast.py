@@ -48,7 +48,7 @@ def test_a_rehearsal_does_the_tasks_of_a_bake_and_keeps_nothing(
 ) -> None:
     """What is long is split: here all that is left of a chunk is, or nothing."""
     monkeypatch.setattr(pool, "WorkerPool", Counting)
-    monkeypatch.setattr(bake_requests, "LONG", long)
+    monkeypatch.setattr(bake_requests, "LONG_TASK_PATHS", long)
     monkeypatch.setattr(Counting, "tasks", 0)
     scene = load_scene(blocks)
     with closing(RenderEngine([scene], str(tmp_path), workers=1)) as engine:

@@ -20,7 +20,7 @@ from tests.server.idle import Idle, idle_server
 from tests.server.inline import LONG, InlinePool, chunks_in
 from tests.server.jobs import baking, until_over
 from worker import pool
-from worker.bake_requests import GUEST
+from worker.bake_requests import GUEST_VIEWER
 
 ORDER: dict[str, Any] = {"isovalues": [0.5], "views": 3, "width": 24, "height": 20}
 PREWARM = "/v1/scenes/blocks/prewarm"
@@ -112,7 +112,7 @@ def test_a_prewarm_yields_to_people_and_is_dismissed_soon(idle: Idle, tmp_path: 
             assert "chunks" in (await client.get(f"/v1/jobs/{begun['jobID']}")).json()["message"]
             ended = await client.delete(f"/v1/jobs/{begun['jobID']}")
             assert (ended.status_code, ended.json()["status"]) == (200, "dismissed")
-            assert all(client == GUEST.client or client == ("", "127.0.0.1") for _, client in idle.wanted)
+            assert all(client == GUEST_VIEWER.client or client == ("", "127.0.0.1") for _, client in idle.wanted)
 
     asyncio.run(visit())
     (record,) = recorded_prewarms(str(tmp_path))

@@ -34,7 +34,7 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bake on a thread of this process, look often whether the store is back, and soon try again what was given up."""
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
     monkeypatch.setattr("worker.queue.FORGET_AFTER", 2.0)
-    monkeypatch.setattr("worker.queue.LOOK", 0.1)
+    monkeypatch.setattr("worker.queue.EXPIRY_CHECK_SECONDS", 0.1)
     monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.05)
     monkeypatch.setattr("isogi_core.cache.loader.ASK_AGAIN", 0.0)
     monkeypatch.setattr("worker.baker.SHORTEST_PAUSE", 0.05)

@@ -211,7 +211,7 @@ def test_a_scheduler_that_comes_later_is_joined_then(
             raise WorkersAwayError("The scheduler is late.")
         return InlinePool(*given)
 
-    monkeypatch.setattr("server.render.workforce.AGAIN", 0.01)
+    monkeypatch.setattr("server.render.workforce.SCHEDULER_RETRY_SECONDS", 0.01)
     monkeypatch.setattr(pool, "WorkerPool", join)
     engine = begin()
     assert not engine.frame(scene.id, view_of(scene), wait=LONG).provisional

@@ -19,7 +19,7 @@ from server.render.engine import RenderEngine
 from tests.server.inline import LONG, InlinePool, weigh_at
 from tests.server.inline import view_of as small_view_of
 from worker import pool
-from worker.bake_requests import GUEST
+from worker.bake_requests import GUEST_VIEWER
 
 TARGET = 0.05
 
@@ -76,7 +76,7 @@ def test_what_is_coming_is_asked_for_and_not_shown(engine: RenderEngine, scene: 
     assert bake != scene.id and demands == frame.quality.finer.stages[0].demands != ()
     assert frame.quality.fineness == 0 and not frame.final and not frame.checkable and frame.measured
     assert frame.measured.low > target
-    assert engine.want(scene.id, frame, target, GUEST) == {demand.index for demand in demands}
+    assert engine.want(scene.id, frame, target, GUEST_VIEWER) == {demand.index for demand in demands}
 
 
 def test_without_room_for_them_pixels_get_light_of_their_own(

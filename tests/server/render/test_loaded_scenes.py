@@ -16,7 +16,7 @@ from isogi_core.plan.scene import Scene
 from server.errors import UnknownSceneError
 from server.render import loaded_scene
 from server.render.engine import RenderEngine
-from server.render.loaded_scene import IDLE, LoadedScenes
+from server.render.loaded_scene import IDLE_SCENE_SECONDS, LoadedScenes
 from tests.server.inline import LONG, InlinePool, view_of
 from worker import pool
 
@@ -80,7 +80,7 @@ def test_a_server_tidies_after_frames_and_not_while_idle(
 ) -> None:
     tidied = threading.Semaphore(0)
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
-    monkeypatch.setattr(loaded_scene, "TIDY", 0.01)
+    monkeypatch.setattr(loaded_scene, "TIDY_SECONDS", 0.01)
     monkeypatch.setattr(loaded_scene, "give_memory_back", tidied.release)
     with closing(RenderEngine(scenes[:1], str(tmp_path))) as engine:
         engine.start()
@@ -100,11 +100,11 @@ def test_what_nobody_looks_at_is_dropped_and_given_back(monkeypatch: pytest.Monk
     kept = LoadedScenes(load, 1 << 20, lambda: now[0])
     first, second = (SimpleNamespace(id=name) for name in ("first", "second"))
     kept.at(first)  # type: ignore[arg-type]
-    now[0] = 0.6 * IDLE
+    now[0] = 0.6 * IDLE_SCENE_SECONDS
     kept.at(second)  # type: ignore[arg-type]
     kept.drop_idle()
     assert not closed and not trimmed
-    now[0] = 1.2 * IDLE
+    now[0] = 1.2 * IDLE_SCENE_SECONDS
     kept.drop_idle()
     assert closed == ["first"] and len(trimmed) == 1
     assert kept.held("first") is None and kept.held("second") is not None

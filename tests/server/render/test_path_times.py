@@ -12,7 +12,7 @@ from isogi_core.frame.view_checks import PathsLeft
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from server.render.engine import RenderEngine
-from server.render.path_times import PICTURES, RISE, Promises, time_of_paths
+from server.render.path_times import MAX_KEPT_PICTURES, MAX_TIME_LEFT_RATIO, Promises, time_of_paths
 from tests.server.inline import LONG, view_of
 from worker.progress import TimeLeft
 
@@ -56,9 +56,9 @@ def test_a_time_left_never_leaps_up() -> None:
     assert told.kept("one", TimeLeft(1.0, 2.0, 4.0)) == TimeLeft(1.0, 2.0, 4.0)
     assert told.kept("other", long) == long
     risen = told.kept("one", long)
-    assert risen.likely == pytest.approx(RISE * 2.0) and risen.high == pytest.approx(2.0 * risen.likely)
+    assert risen.likely == pytest.approx(MAX_TIME_LEFT_RATIO * 2.0) and risen.high == pytest.approx(2.0 * risen.likely)
     assert told.kept("one", TimeLeft(0.1, 0.2, 0.4)).likely == 0.2
-    for number in range(PICTURES):
+    for number in range(MAX_KEPT_PICTURES):
         told.kept(number, long)
     assert told.kept("one", long) == long
 

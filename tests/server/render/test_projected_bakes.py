@@ -28,7 +28,7 @@ from server.render.bakes import SideBakes
 from server.render.engine import RenderEngine
 from tests.server.inline import LONG, InlinePool, view_of
 from worker import pool
-from worker.bake_requests import GUEST
+from worker.bake_requests import GUEST_VIEWER
 
 Open = Callable[..., RenderEngine]
 
@@ -141,7 +141,7 @@ def test_projected_texels_have_a_bake_and_a_time_left(begin: Open, scene: Scene)
     view, name, target = view_of(scene), scene.id, scene.target_error
     while (frame := engine.survey(name, view, target)).stages[0].shown is None:
         assert engine.lacking(name, frame)[0] == name and frame.stages[0].target >= target
-        engine.want(name, frame, target, GUEST)
+        engine.want(name, frame, target, GUEST_VIEWER)
         time.sleep(0.01)
     bake, stage = engine.lacking(name, frame)
     assert frame.provisional and frame.quality.projection and bake != name

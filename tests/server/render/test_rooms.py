@@ -14,7 +14,7 @@ from server.cli.render import awaited
 from server.render.engine import RenderEngine
 from server.render.picture_checks import CHECK
 from tests.server.inline import LONG
-from worker.bake_requests import GUEST
+from worker.bake_requests import GUEST_VIEWER
 
 
 @pytest.fixture
@@ -42,12 +42,12 @@ def test_walls_are_lit_beside_texels(engine: RenderEngine) -> None:
     first = engine.survey("orbital", view, target)
     assert coarse(first) and first.demands
     wanted = {demand.index for demand in first.demands}
-    assert engine.want("orbital", first, target, GUEST) == wanted | {CHECK}
+    assert engine.want("orbital", first, target, GUEST_VIEWER) == wanted | {CHECK}
     while heard.get(timeout=LONG) != (CHECK, False):
         pass
     second = engine.survey("orbital", view, target)
     assert not coarse(second) and second.demands and engine.paths == 0
-    assert engine.want("orbital", second, target, GUEST) == wanted
+    assert engine.want("orbital", second, target, GUEST_VIEWER) == wanted
     engine.hire()
     frame = awaited(engine, "orbital", view, None, LONG)
     assert frame.final and not frame.quality.waiting

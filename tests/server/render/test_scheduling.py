@@ -12,7 +12,16 @@ import pytest
 from isogi_core.prepared.prepared_scene import Index
 from server.errors import BusyError
 from server.logs import REQUEST_ID
-from server.render.scheduling import ASKED, DRAFT, REFINED, REST, Client, FairSemaphore, Rank, Renders
+from server.render.scheduling import (
+    DRAFT,
+    REFINEMENT_PATIENCE,
+    REQUEST_PATIENCE,
+    REST_PATIENCE,
+    Client,
+    FairSemaphore,
+    Rank,
+    Renders,
+)
 from server.render.updates import UpdateBus
 from tests.server.loops import played
 
@@ -29,18 +38,18 @@ def test_work_comes_in_the_order_of_its_deadlines(renders: Renders) -> None:
 
     async def play() -> None:
         release = threading.Event()
-        first = asyncio.create_task(renders.run(lambda: release.wait(10), Rank.within(ASKED)))
+        first = asyncio.create_task(renders.run(lambda: release.wait(10), Rank.within(REQUEST_PATIENCE)))
         await asyncio.sleep(0.01)
         later = [
             asyncio.create_task(renders.run(lambda patience=patience: order.append(patience), Rank.within(patience)))
-            for patience in (REFINED, ASKED, REST, DRAFT)
+            for patience in (REFINEMENT_PATIENCE, REQUEST_PATIENCE, REST_PATIENCE, DRAFT)
         ]
         await asyncio.sleep(0.01)
         release.set()
         await asyncio.gather(first, *later)
 
     asyncio.run(play())
-    assert order == [DRAFT, REST, ASKED, REFINED]
+    assert order == [DRAFT, REST_PATIENCE, REQUEST_PATIENCE, REFINEMENT_PATIENCE]
 
 
 def test_one_place_alone_is_given_while_others_are_pressed() -> None:
@@ -213,8 +222,8 @@ def test_work_that_fails_is_freed_at_once(renders: Renders) -> None:
 
     async def play() -> None:
         with suppress(ValueError):
-            await renders.share("picture", fail, Rank.within(ASKED))
-        await renders.run(lambda: None, Rank.within(ASKED))
+            await renders.share("picture", fail, Rank.within(REQUEST_PATIENCE))
+        await renders.run(lambda: None, Rank.within(REQUEST_PATIENCE))
         await asyncio.sleep(0.0)
         assert left[0]() is None
 

@@ -6,8 +6,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from server.uploads.environments import VOLUME
-from server.uploads.reading import ALONE
+from server.uploads.environments import VOLUME_KIND
+from server.uploads.reading import READER_ENVIRONMENT
 
 CODE = """
 import json, sys, warnings
@@ -27,12 +27,12 @@ MOST = 64 << 20
 """Voxels that an upload may have by default."""
 
 
-def read_measured(path: Path, kind: str = VOLUME) -> tuple[dict[str, str], int]:
+def read_measured(path: Path, kind: str = VOLUME_KIND) -> tuple[dict[str, str], int]:
     """What the reader answers to a file of a kind, and the most memory that it took, in megabytes."""
     with path.open("rb") as body, tempfile.TemporaryFile(dir=path.parent) as out:
         files = body.fileno(), out.fileno()
         command = [sys.executable, "-c", CODE, *map(str, files), kind, str(MOST)]
-        done = subprocess.run(command, capture_output=True, pass_fds=files, env=ALONE, check=False)
+        done = subprocess.run(command, capture_output=True, pass_fds=files, env=READER_ENVIRONMENT, check=False)
     assert done.returncode == 0, (path, done.returncode, done.stderr)
     answer, peak = json.loads(done.stdout)
     return answer, peak

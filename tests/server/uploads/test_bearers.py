@@ -13,7 +13,7 @@ from starlette.requests import Request
 
 from server.api.access import needed_scope
 from server.api.service import Service
-from server.bearers import BEARER, Bearer, read_bearers
+from server.bearers import BEARER_SCOPE_KEY, Bearer, read_bearers
 from server.render.updates import request_viewer, stream_viewer
 from server.settings import Settings
 from tests.server.uploads.files import ball, names
@@ -78,7 +78,7 @@ def test_a_token_allows_what_its_scopes_say(ask: Ask, open_app: Any, tokens: Pat
 
 
 def test_who_may_only_look_has_nothing_baked() -> None:
-    scope = {"type": "http", "client": ("10.0.0.1", 80), BEARER: Bearer(EVE, "eve", frozenset({"look"}))}
+    scope = {"type": "http", "client": ("10.0.0.1", 80), BEARER_SCOPE_KEY: Bearer(EVE, "eve", frozenset({"look"}))}
     viewers = request_viewer(Request(scope)), stream_viewer(Request(scope))
     assert not any(viewer.bakes for viewer in viewers)
     assert request_viewer(Request({"type": "http", "client": None})).bakes

@@ -9,7 +9,7 @@ import pytest
 
 from isogi_core.files.grid import Grid, LabelName
 from isogi_core.files.nrrd import open_nrrd, read_nrrd
-from server.uploads.folder import SCENE, TYPES, read_facts, write
+from server.uploads.folder import NRRD_TYPES, SCENE_BYTES, read_facts, write
 
 RAMP = np.arange(24).reshape(2, 3, 4)
 
@@ -24,7 +24,7 @@ def kept(folder: Path, array: np.ndarray, name: str = "a") -> Path:
 
 
 @pytest.mark.parametrize("order", "<>")
-@pytest.mark.parametrize("kind", TYPES)
+@pytest.mark.parametrize("kind", NRRD_TYPES)
 def test_a_volume_is_read_as_it_was(tmp_path: Path, kind: str, order: str) -> None:
     path = kept(tmp_path, RAMP.astype(np.dtype(kind).newbyteorder(order)))
     array, spacing = read_nrrd(path)
@@ -54,8 +54,8 @@ def test_what_has_no_name_is_called_after_its_id(tmp_path: Path) -> None:
 def test_the_quota_counts_what_the_server_holds(tmp_path: Path) -> None:
     ramp = np.arange(1000).reshape(10, 10, 10)
     small, wide = (read_facts(kept(tmp_path, ramp.astype(kind))) for kind in ("u1", "f8"))
-    assert small and small.held == SCENE + 4 * 1000
-    assert wide and wide.held - SCENE == wide.bytes > 8 * 1000
+    assert small and small.held == SCENE_BYTES + 4 * 1000
+    assert wide and wide.held - SCENE_BYTES == wide.bytes > 8 * 1000
 
 
 LABELS = (

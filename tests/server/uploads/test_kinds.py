@@ -16,7 +16,7 @@ from isogi_core.files.nrrd import open_nrrd
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.model.orientation import Orientation
 from server.uploads.folder import read_facts
-from server.uploads.reading import ROOT
+from server.uploads.reading import PYTHON_ROOT
 from tests.files.formats.every_kind import F, written
 from tests.files.formats.phantom import ORIGIN, STEPS
 from tests.loaded import load_scene
@@ -36,7 +36,7 @@ def read_confined(path: Path, folder: Path) -> Path:
             input=b"60\n",
             capture_output=True,
             pass_fds=[upload.fileno(), out.fileno()],
-            env={"PYTHONPATH": os.pathsep.join([str(ROOT), *installed()]), "PATH": os.environ["PATH"]},
+            env={"PYTHONPATH": os.pathsep.join([str(PYTHON_ROOT), *installed()]), "PATH": os.environ["PATH"]},
             check=True,
         )
         answer = json.loads(done.stdout)

@@ -14,7 +14,7 @@ import pytest
 from fastapi import FastAPI
 
 from isogi_core.files.radiance import encode_rgbe
-from server.uploads.environments import ENVIRONMENT
+from server.uploads.environments import ENVIRONMENT_KIND
 from server.uploads.reading import Reader
 from tests.server.uploads import claims
 from tests.server.uploads.files import ball
@@ -44,7 +44,7 @@ def test_the_largest_probe_is_read_within_a_gigabyte(tmp_path: Path) -> None:
     row = np.random.default_rng(1).random((1, 8192, 3))
     head = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4096 +X 8192\n"
     (tmp_path / "large.hdr").write_bytes(head + encode_rgbe(row) * 4096)
-    answer, peak = read_measured(tmp_path / "large.hdr", ENVIRONMENT)
+    answer, peak = read_measured(tmp_path / "large.hdr", ENVIRONMENT_KIND)
     assert "id" in answer and peak < GIGABYTE
 
 

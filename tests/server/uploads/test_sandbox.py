@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from server.uploads import uploads
-from server.uploads.reading import ROOT
+from server.uploads.reading import PYTHON_ROOT
 from server.uploads.sandbox import lacking
 from tests.server.uploads.site import opened
 
@@ -53,7 +53,7 @@ def allowed(give_up: str, folder: Path) -> set[str]:
     script = f"{ATTEMPTS}\n{give_up}\nprint(json.dumps([name for name, each in attempts.items() if succeeds(each)]))"
     with subprocess.Popen(["sleep", "600"]) as victim, socket.create_server(("127.0.0.1", 0)) as listener:
         arguments = [str(folder), str(listener.getsockname()[1]), str(victim.pid)]
-        command, given = [sys.executable, "-c", script, *arguments], {"PYTHONPATH": str(ROOT)}
+        command, given = [sys.executable, "-c", script, *arguments], {"PYTHONPATH": str(PYTHON_ROOT)}
         done = subprocess.run(command, env=given, capture_output=True, text=True, check=False)
         victim.kill()
     assert done.returncode == 0, done.stderr

@@ -16,7 +16,7 @@ from fastapi import FastAPI
 from isogi_core.errors import StoreError
 from server.errors import UploadFolderError
 from server.settings import Settings
-from server.uploads.folder import SCENE, UploadFolder
+from server.uploads.folder import SCENE_BYTES, UploadFolder
 from tests.server.uploads.files import FIELDS, ball, headed, names
 from tests.server.uploads.site import Open, Poster
 
@@ -73,7 +73,7 @@ def test_a_volume_is_taken_shown_listed_found_again_and_deleted(ask: Ask, open_a
     assert listed["volumes"] == [facts] == [ask(app, "GET", facts["href"]).json()]
     assert listed["uploads"] == {
         **{"limit_bytes": 256 << 20, "quota_bytes": 64 << 20},
-        "free_bytes": (64 << 20) - facts["bytes"] - SCENE,
+        "free_bytes": (64 << 20) - facts["bytes"] - SCENE_BYTES,
     }
     (link,) = ask(app, "GET", "/v1/scenes").json()["scenes"]
     assert link == {key: facts[key] for key in ("id", "name")} | {"href": facts["scene"], "volume": facts["href"]}
@@ -163,7 +163,7 @@ def test_the_quota_is_held(ask: Ask, open_app: Open, folder: Path) -> None:
 def test_small_volumes_count_too_also_after_a_restart(
     ask: Ask, open_app: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("server.uploads.folder.SCENE", 6 << 20)
+    monkeypatch.setattr("server.uploads.folder.SCENE_BYTES", 6 << 20)
     app = open_app(uploads_mb=19)
     answers = [ask(app, "POST", "/v1/volumes", content=ball(side)).status_code for side in (2, 3, 4, 5)]
     assert answers == [201, 201, 201, 507]

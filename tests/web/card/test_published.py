@@ -21,7 +21,7 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
 from server.cli.command import run
-from server.cli.publish_live import STRICTER
+from server.cli.publish_live import LIGHT_TARGET_SHARE
 from server.parameters import FrameParams, read
 from server.settings import Settings
 from server.views import view_of
@@ -55,7 +55,7 @@ class Site:
     def __init__(self, folder: Path, address: str) -> None:
         self.page, self.address = folder / "page", address
         self.document = json.loads((self.page / "scene.json").read_text())
-        self.scene = load_scene(folder / "scene.toml", target_error=STRICTER * 0.1)
+        self.scene = load_scene(folder / "scene.toml", target_error=LIGHT_TARGET_SHARE * 0.1)
         self.renderer = Renderer(Caches(PreparedScene(self.scene), Store(str(folder / "store")), 1 << 28), Tiles())
 
     def picture(self, width: int, height: int, **knobs: Any) -> tuple[np.ndarray, np.ndarray]:

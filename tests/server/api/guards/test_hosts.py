@@ -9,7 +9,7 @@ from starlette.datastructures import Headers
 from starlette.responses import Response
 
 from server.api.access import KnownHosts
-from server.settings import LOOPBACK
+from server.settings import LOOPBACK_HOSTS
 from tests.server.api.guards.handshakes import handshake, status
 
 Ask = Callable[..., httpx.Response]
@@ -21,12 +21,12 @@ OTHERS = [
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.1:80", "localhost:8000", "LOCALHOST", "[::1]", "[::1]:8000"])
 def test_loopback_names_are_known(host: str) -> None:
-    assert KnownHosts(Response(), LOOPBACK).knows(Headers({"host": host}))
+    assert KnownHosts(Response(), LOOPBACK_HOSTS).knows(Headers({"host": host}))
 
 
 @pytest.mark.parametrize("host", OTHERS)
 def test_other_names_are_not(ask: Ask, guarded: Callable[..., FastAPI], host: str) -> None:
-    app = guarded(KnownHosts, hosts=LOOPBACK)
+    app = guarded(KnownHosts, hosts=LOOPBACK_HOSTS)
     answer = ask(app, "POST", "/data", headers={"Host": host})
     assert answer.status_code == 421
     assert answer.headers["content-type"] == "application/problem+json"

@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from tests.server.sockets import wait_for
-from worker.fork_server import WORKER
+from worker.fork_server import WORKER_PROCESS_NAME
 
 ROOT = Path(__file__).resolve().parents[4]
 CLIENTS = 6
@@ -52,7 +52,7 @@ def test_nobody_is_reset_or_failed(serving: tuple[subprocess.Popen[str], str]) -
         thread.start()
     assert wait_for(lambda: ends["200"] > CLIENTS, 120)
     family = psutil.Process(process.pid).children(recursive=True)
-    assert any(child.name() == WORKER for child in family)
+    assert any(child.name() == WORKER_PROCESS_NAME for child in family)
     begun = time.monotonic()
     process.send_signal(signal.SIGTERM)
     out, error = process.communicate(timeout=30)
