@@ -127,7 +127,7 @@ class LruCache(Generic[K]):
                 return
             self._count(key, cell)
             if new:
-                self._forget(kind_of(key))
+                self._forget(result_kind(key))
 
     def _count(self, key: K, cell: Cell[Any]) -> None:
         """Count a result with what it takes now."""
@@ -142,7 +142,7 @@ class LruCache(Generic[K]):
 
     def _add(self, key: K, size: int) -> None:
         self._total += size
-        if (kind := kind_of(key)) in self._kinds:
+        if (kind := result_kind(key)) in self._kinds:
             self._kinds[kind] += size
 
     def _pop(self, key: K) -> None:
@@ -155,7 +155,7 @@ class LruCache(Generic[K]):
         The last stays.
         """
         if newest in self._kinds and self._kinds[newest] > self._limits[newest]:
-            for key in [key for key in self._made if kind_of(key) == newest][:-1]:
+            for key in [key for key in self._made if result_kind(key) == newest][:-1]:
                 if self._kinds[newest] <= self._limits[newest]:
                     break
                 self._pop(key)
@@ -163,6 +163,6 @@ class LruCache(Generic[K]):
             self._pop(next(iter(self._made)))
 
 
-def kind_of(key: Hashable) -> Hashable:
+def result_kind(key: Hashable) -> Hashable:
     """The kind of result that a key is of: the first entry of a tuple."""
     return key[0] if isinstance(key, tuple) and key else None

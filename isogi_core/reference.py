@@ -216,7 +216,7 @@ class Goal:
         return int(2 ** math.ceil(math.log2(wanted)))
 
 
-def grow(
+def grow_reference(
     renderer: Renderer,
     view: View,
     goal: Goal,

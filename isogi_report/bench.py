@@ -22,7 +22,7 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.reference import (
     Goal,
     Reference,
-    grow,
+    grow_reference,
     load_reference,
     refuse_several,
     save_reference,
@@ -136,7 +136,7 @@ class Bench:
     def _grow(self, noise: float) -> Reference:
         found, scene = self.reference(MIN_REFERENCE_PATHS), self.whole
         goal = replace(goal_of(noise), seconds=REFERENCE_SHARE * self.left if math.isfinite(self.left) else None)
-        for grown in grow(self.renderer(scene), self.view, goal, found):
+        for grown in grow_reference(self.renderer(scene), self.view, goal, found):
             found = self._keep(grown, scene)
         return found
 

@@ -76,23 +76,23 @@ def report_of(scene: Scene, view: View, exposure: float, request: ReportRequest,
     from isogi_report.bundle import write_report  # noqa: PLC0415
     from isogi_report.journal import (  # noqa: PLC0415
         Report,
-        opened,
+        open_journal,
         subject_of,
         workshop,
     )
     from isogi_report.measuring import STUDIES, measure  # noqa: PLC0415
 
-    wanted = choose(STUDIES, request.only)
+    wanted = chosen_studies(STUDIES, request.only)
     deadline = math.inf if request.deadline is None else begun + request.deadline
     bench = Bench(scene, view, workshop(request.folder), deadline=deadline, exposure=exposure)
     on = bench.surface  # before the folder is touched
-    with opened(request.folder, subject_of(scene, view, exposure)) as journal:
+    with open_journal(request.folder, subject_of(scene, view, exposure)) as journal:
         measured = measure(STUDIES, wanted, bench, journal)
         drawn = Report(scene, view, exposure, on, measured.done, tuple(notes(measured, request.deadline)))
         return outcome(write_report(request.folder, drawn), drawn, measured)
 
 
-def choose(studies: Sequence[Study], only: Sequence[str]) -> tuple[Study, ...]:
+def chosen_studies(studies: Sequence[Study], only: Sequence[str]) -> tuple[Study, ...]:
     """The studies of these keys, all of them where none is given; ParameterError on a key that there is not."""
     known = {study.key for study in studies}
     for key in only:

@@ -16,7 +16,7 @@ from isogi_core.plan.scene import Scene
 from isogi_core.reference import Reference
 from isogi_report.bake import Bake, ViewBake
 from isogi_report.bench import Bench
-from isogi_report.metrics import luminance
+from isogi_report.metrics import luminance_of
 
 OUTSIDE_LATTICE = -1
 """Where points stand in the lattice, for their random numbers' sake: outside it."""
@@ -46,23 +46,23 @@ class Lit:
 def lit_by_frame(frame: Frame) -> Lit:
     """A frame's surface pixels, with the noise that their texels tell."""
     on = frame.state > 0
-    light = luminance(frame.leaving[on])
+    light = luminance_of(frame.leaving[on])
     return Lit(light, (frame.error[on] * light) ** 2)
 
 
 def lit_by_paths(best: Reference) -> Lit:
     """The surface pixels of a reference."""
-    return Lit(luminance(best.mean[best.on]), best.variance[best.on].astype(np.float64))
+    return Lit(luminance_of(best.mean[best.on]), best.variance[best.on].astype(np.float64))
 
 
-def apart(one: Reference, other: Reference) -> Lit:
+def reference_difference(one: Reference, other: Reference) -> Lit:
     """What one reference's surface pixels have more of than the other's, and the variance of that.
 
     Both are of the same random numbers, so that most of their noise may cancel: it is estimated from the differences of
     their replicas.
     """
     differences = replicas(one) - replicas(other)
-    return Lit(luminance(differences.mean(axis=1)), variance_of_mean(differences))
+    return Lit(luminance_of(differences.mean(axis=1)), variance_of_mean(differences))
 
 
 def replicas(best: Reference) -> np.ndarray:
@@ -98,7 +98,7 @@ def lit_by_transfer(bench: Bench, samples: int) -> Lit:
     turned, halves = RotatedLight(spec, view), np.zeros((len(gbuffer.points), 2, 3))
 
     def piece(a: int, b: int) -> None:
-        place = place_of(gbuffer.pixels[a:b], gbuffer.points[a:b], normals[a:b], gbuffer.isovalue)
+        place = bake_place(gbuffer.pixels[a:b], gbuffer.points[a:b], normals[a:b], gbuffer.isovalue)
         halves[a:b] = light_of_halves(turned, place, samples)
 
     bench.tiles.run(piece, len(halves), POINTS_A_PIECE)
@@ -114,10 +114,10 @@ def straight_light(bench: Bench) -> np.ndarray:
     spec, gbuffer = renderer.caches.spec(view.shading), renderer.gbuffer(view)
     light = RotatedLight(spec, view)
     lit = renderer.lobes(light, gbuffer).lit[:, :3]
-    return spec.unit * luminance(lit * light.tints(gbuffer, bench.tiles) if light.coloured else lit)
+    return spec.unit * luminance_of(lit * light.tints(gbuffer, bench.tiles) if light.coloured else lit)
 
 
-def place_of(pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isovalue: Isovalue) -> Place:
+def bake_place(pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isovalue: Isovalue) -> Place:
     """Points (m, 3) of a picture's ``pixels`` as a bake takes texels."""
     numbers = np.full((len(pixels), 3), OUTSIDE_LATTICE, np.int32)
     numbers[:, 2] = pixels

@@ -67,8 +67,8 @@ def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
         lines = listing.read_text(encoding="utf-8").splitlines()
     except OSError:
         lines = []
-    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(named, platform.processor() or "unknown")
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.processor() or "unknown")
 
 
 def versions() -> dict[str, str | None]:
@@ -87,10 +87,10 @@ def installed(name: str) -> str | None:
 def scene_rows(scene: Scene, view: View) -> Rows:
     """Name and text of each fact of the scene and its view, for a person."""
     facts = scene_schema(scene)
-    return (*named(facts, "scene", "volume", "solid", "albedo", "lights", "target error"), *view_rows(view))
+    return (*inspected_facts(facts, "scene", "volume", "solid", "albedo", "lights", "target error"), *view_rows(view))
 
 
-def named(facts: SceneSchema, *names: str) -> Rows:
+def inspected_facts(facts: SceneSchema, *names: str) -> Rows:
     """Some of the facts that ``isogi inspect`` prints."""
     rows = dict(summary(facts))
     return tuple((name, rows[name]) for name in names)

@@ -108,7 +108,7 @@ class Journal:
 
 
 @contextmanager
-def opened(folder: Path, subject: Mapping[str, Any]) -> Iterator[Journal]:
+def open_journal(folder: Path, subject: Mapping[str, Any]) -> Iterator[Journal]:
     """The journal of ``folder``, for this process alone; ReportError where the folder is another's, or in use."""
     journal = folder / JOURNAL_FOLDER
     if folder.exists() and (not folder.is_dir() or (not journal.is_dir() and any(folder.iterdir()))):

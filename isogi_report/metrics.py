@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isogi_core.frame.film import BACKGROUND, MARK, tone_table
+from isogi_core.frame.film import BACKGROUND, HATCHING_COLOUR, tone_table
 from isogi_core.kernels.shading.framebuffer import develop_rows
 from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.reference import Reference
@@ -56,8 +56,8 @@ class Score:
 
 def score(radiance: np.ndarray, best: Reference, exposure: float) -> Score:
     """The score of a picture, ``radiance`` (h, w, 3) linear RGB, that shows the same surface as the ``best``."""
-    light = luminance(best.mean[best.on])
-    wrong = luminance(radiance[best.on]) - light
+    light = luminance_of(best.mean[best.on])
+    wrong = luminance_of(radiance[best.on]) - light
     mean, noise = mean_of(light), best.variance[best.on].astype(np.float64)
     spread = spread_of(wrong, noise, mean)
     return Score(
@@ -81,7 +81,7 @@ def spread_of(wrong: np.ndarray, noise: np.ndarray | float, mean: float) -> Spre
     )
 
 
-def luminance(radiance: np.ndarray) -> np.ndarray:
+def luminance_of(radiance: np.ndarray) -> np.ndarray:
     """Luminance (…) float64 of linear RGB (…, 3)."""
     return np.asarray(radiance.astype(np.float64) @ LUMINANCE_WEIGHTS)
 
@@ -93,8 +93,8 @@ def mean_of(light: np.ndarray) -> float:
 
 def error_map(radiance: np.ndarray, best: Reference) -> np.ndarray:
     """Signed errors of the luminance over the reference's mean; (h, w) float32, NaN off the surface."""
-    light = luminance(best.mean[best.on])
-    return map_of(luminance(radiance[best.on]) - light, best.on, mean_of(light))
+    light = luminance_of(best.mean[best.on])
+    return map_of(luminance_of(radiance[best.on]) - light, best.on, mean_of(light))
 
 
 def map_of(wrong: np.ndarray, on: np.ndarray, mean: float) -> np.ndarray:
@@ -119,7 +119,7 @@ def flip(radiance: np.ndarray, best: Reference, exposure: float) -> float | None
 def shown_as(radiance: np.ndarray, on: np.ndarray, exposure: float) -> np.ndarray:
     """The picture on a screen: sRGB (h, w, 3) float32 from 0 to 1."""
     picture = np.empty(radiance.shape, np.uint8)
-    colours = np.array([BACKGROUND, MARK], np.float32)
+    colours = np.array([BACKGROUND, HATCHING_COLOUR], np.float32)
     light = np.ascontiguousarray(radiance, np.float32)
     develop_rows(light, np.ascontiguousarray(on, np.uint8), 0, exposure, colours, False, tone_table(), picture)
     return picture.astype(np.float32) / 255.0

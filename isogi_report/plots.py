@@ -82,7 +82,7 @@ def draw(plot: Plot) -> str:
         fill(figure.add_subplot(), plot)
         file = io.BytesIO()
         figure.savefig(file, format="svg", metadata={"Date": None})
-    return named(file.getvalue().decode())
+    return inline_svg(file.getvalue().decode())
 
 
 def standalone(plot: Plot) -> str:
@@ -104,7 +104,7 @@ def legend_line(key: Key, y: float) -> str:
     return f"{line}{text}"
 
 
-def named(svg: str) -> str:
+def inline_svg(svg: str) -> str:
     """matplotlib's file as an element: names for colours and fonts, nothing that a page holds once."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", svg, flags=re.DOTALL)
@@ -132,7 +132,7 @@ def fill(axes: Axes, plot: Plot) -> None:
     axes.set_xlabel(plot.x.name)
     axes.set_ylabel(plot.y.name)
     for axis, column in ((axes.xaxis, plot.x), (axes.yaxis, plot.y)):
-        mark(axis, column)
+        mark_ticks(axis, column)
 
 
 def drawable(curve: Curve) -> tuple[list[float], list[float]]:
@@ -141,7 +141,7 @@ def drawable(curve: Curve) -> tuple[list[float], list[float]]:
     return [x for x, _ in points], [y for _, y in points]
 
 
-def mark(axis: Axis, column: Column) -> None:
+def mark_ticks(axis: Axis, column: Column) -> None:
     """Ticks with the unit in them."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: tick(value, column.unit)))
     low, high = axis.get_view_interval()

@@ -11,12 +11,12 @@ from isogi_core.plan.scene import Scene
 from isogi_report.bench import Bench
 from isogi_report.exact import (
     Lit,
-    apart,
     converged,
     cuts_harmonics,
     lit_by_frame,
     lit_by_paths,
     own_light,
+    reference_difference,
     short_paths,
 )
 from isogi_report.metrics import Spread, map_of, mean_of, spread_of
@@ -93,7 +93,7 @@ def split_error(bench: Bench) -> Split:
     planned = lit_by_frame(bench.planned.frame())
     whole = Part("total, measured", "the frame and the reference", planned.light - best.light, best.noise)
     bare = bench.reference(bench.best.samples, true_surface(bench.scene))
-    true, change = lit_by_paths(bare), apart(bench.best, bare)
+    true, change = lit_by_paths(bare), reference_difference(bench.best, bare)
     what = "the scene's normals and offset, and plain gradients with rays from the surface itself"
     surface = Part("normals and offset", what, change.light, change.noise)
     beyond = Part("total with these", "the frame and such a reference", planned.light - true.light, true.noise)
@@ -120,7 +120,7 @@ def parts_of(bench: Bench, planned: Lit, best: Lit) -> Iterator[Part]:
         what, lights = f"{harmonics(plan)}, and the lights themselves", lit_by_paths(short)
         yield Part("harmonics cut off", what, own.light - lights.light, own.noise + lights.noise)
     if bench.scene.bounces:
-        cut, what = apart(short, bench.best), f"{bench.scene.bounces} bounces, and {bench.whole.bounces}"
+        cut, what = reference_difference(short, bench.best), f"{bench.scene.bounces} bounces, and {bench.whole.bounces}"
         yield Part("bounces cut off", what, cut.light, cut.noise)
 
 

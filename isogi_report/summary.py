@@ -25,7 +25,7 @@ def study(bench: Bench) -> Section:
     headline = Table("The frame", columns, ((*own, frame.noise, planned.seconds),))
     measured = (Column("reference's noise", "share"), Column("paths per pixel", "count"), Column("time", "seconds"))
     reference = Table("Its reference", measured, ((best.noise, best.samples, best.seconds),))
-    scene = Table("The scene", (Column("what"), Column("is")), facts(bench))
+    scene = Table("The scene", (Column("what"), Column("is")), measured_facts(bench))
     pictures = (
         Picture("the frame", "radiance", frame.radiance),
         Picture(f"the reference, {best.samples} paths per pixel", "radiance", best.mean),
@@ -34,11 +34,11 @@ def study(bench: Bench) -> Section:
     return Section(SUMMARY_KEY, SUMMARY_TITLE, SUMMARY_TEXT, (headline, reference, scene), (), pictures)
 
 
-def facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
+def measured_facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
     """What is measured, in words."""
     scene, view, planned = bench.scene, bench.view, bench.planned
     lights = " + ".join(light.name for light in scene.lighting.lights) or "no light"
-    layers = " + ".join(map(described, scene.plan.layers))
+    layers = " + ".join(map(layer_in_words, scene.plan.layers))
     size = " × ".join(map(str, scene.volume.size))
     texels = f"{len(planned.texels):,} texels, {planned.samples:,.0f} samples each on average"
     return (
@@ -54,7 +54,7 @@ def facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
     )
 
 
-def described(layer: Layer) -> str:
+def layer_in_words(layer: Layer) -> str:
     """A layer in words."""
     order = f" of order {layer.order}" if layer.kind != "irradiance" else ""
     return f"{layer.kind} light{order}, {layer.channels} × {layer.order**2} in {layer.precision}"

@@ -40,7 +40,7 @@ from server.card_schemas import (
     Colours,
 )
 
-FORMAT = 1
+CARD_FORMAT = 1
 """Version of what is sent: counts up when an older page cannot read it."""
 
 VOXELS_KEPT = Obstacle(
@@ -63,7 +63,7 @@ def card_schema(renderer: Renderer, view: View, query: Sequence[tuple[str, str]]
     found = card_obstacles(renderer.prepared, view, hands_out)
     scene = None if found else card_scene(renderer, view, query)
     because, reason = [each.name for each in found], " ".join(each.why for each in found)
-    return CardSchema(format=FORMAT, drawable=not found, because=because, reason=reason, scene=scene, version="")
+    return CardSchema(format=CARD_FORMAT, drawable=not found, because=because, reason=reason, scene=scene, version="")
 
 
 def card_scene(renderer: Renderer, view: View, query: Sequence[tuple[str, str]]) -> CardScene:
@@ -77,7 +77,7 @@ def card_scene(renderer: Renderer, view: View, query: Sequence[tuple[str, str]])
         volume=volume_of(prepared, query),
         lattice=CardLattice(size=prepared.shape[::-1], density=prepared.lattice.density, chunk=prepared.lattice.chunk),
         plan=plan_of(renderer),
-        light=light_of(RotatedLight(spec, replace(view, light=IDENTITY))),
+        light=card_light(RotatedLight(spec, replace(view, light=IDENTITY))),
         lambert=CardLambert(key=model.key, sun=model.sun, ambient=model.ambient),
         exposure=scene.default_exposure,
         tone=TONE,
@@ -115,7 +115,7 @@ def volume_of(prepared: PreparedScene, query: Sequence[tuple[str, str]]) -> Card
 
 def voxel_version(scene: Scene) -> str:
     """What names the codes of a scene's voxels; 32 hexadecimal digits."""
-    return scene.volume.digest[:30] + f"{FORMAT:02x}"
+    return scene.volume.digest[:30] + f"{CARD_FORMAT:02x}"
 
 
 def plan_of(renderer: Renderer) -> CardPlan:
@@ -133,7 +133,7 @@ def plan_of(renderer: Renderer) -> CardPlan:
     )
 
 
-def light_of(light: RotatedLight) -> CardLight:
+def card_light(light: RotatedLight) -> CardLight:
     """A light that is not turned, in the unit of its bake spec."""
     scale = raw_scale(light.spec)
     columns, squares = light.reflected / light.spec.unit * scale, light.square * scale
@@ -144,10 +144,10 @@ def light_of(light: RotatedLight) -> CardLight:
     return CardLight(
         unit=light.spec.unit,
         terms=[
-            CardTerm(order=order, light=colours_of(columns[:, part]), square=squares[part].tolist())
+            CardTerm(order=order, light=colour_rows(columns[:, part]), square=squares[part].tolist())
             for order, part in parts
         ],
-        sky=colours_of(light.sky.lobe * light.sky.light),
+        sky=colour_rows(light.sky.lobe * light.sky.light),
         least=triple(light.unshadowed.least),
         lobes=[
             CardLobe(towards=triple(place), edges=(triple(one), triple(other)), shine=colour)
@@ -156,7 +156,7 @@ def light_of(light: RotatedLight) -> CardLight:
     )
 
 
-def colours_of(rows: np.ndarray) -> Colours:
+def colour_rows(rows: np.ndarray) -> Colours:
     """Three rows of numbers."""
     red, green, blue = rows.tolist()
     return red, green, blue

@@ -123,7 +123,7 @@ class Sessions:
             self._pause(CHANGE_SECONDS)
 
     def _round(self) -> bool:
-        """Make the changes that are due and granted. Returns whether all have FORWARD_NICENESS and the thread may end."""
+        """Make the changes that are due and granted. Returns whether all have FORWARD_NICENESS: the thread may end."""
         leaders = frozenset(self._leaders())
         self._back &= leaders
         moving = self._clock() < self._until

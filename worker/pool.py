@@ -279,7 +279,7 @@ class WorkerPool:
     def _end(self, key: Any) -> None:
         """Report the end of a task to its submitter, once."""
         if (entry := self._open.pop(key, None)) is not None:
-            report(*entry)
+            hand_on_result(*entry)
 
     def _look_after(self) -> None:
         """Report tasks that had ended at the last check already, where Dask's own callback has not come."""
@@ -360,7 +360,7 @@ def noting(done: Done, baked: Callable[[], None]) -> Done:
     return note
 
 
-def report(ended: "Future[Any]", done: Done) -> None:
+def hand_on_result(ended: "Future[Any]", done: Done) -> None:
     """Call ``done`` with the result or the error of a future.
 
     A result stays with its worker until it is fetched here. Where that worker dies in between, Dask runs the task

@@ -14,7 +14,7 @@ from isogi_core.kernels.tracing.field import bspline
 from isogi_report.bake import Bake
 from isogi_report.bench import Bench
 from isogi_report.exact import Lit, own_light, straight_light, unrounded
-from isogi_report.metrics import Spread, luminance, mean_of, spread_of
+from isogi_report.metrics import Spread, luminance_of, mean_of, spread_of
 
 SAMPLES = 256
 """Samples of each texel."""
@@ -82,8 +82,8 @@ def light_of(bench: Bench, texels: np.ndarray, samples: int, projected: bool) ->
     _, _, normals, isovalues = locate(texels, renderer.prepared, spec.shown)[0]
     lit, held = lit_texels(bake.light, RotatedLight(spec, view))
     return {
-        "light": luminance(lit[:, :3]),
-        "reflected": luminance(lit[:, 4:]),
+        "light": luminance_of(lit[:, :3]),
+        "reflected": luminance_of(lit[:, 4:]),
         "noise": lit[:, 3].astype(np.float64) ** 2,
         "lit": held,
         "apart": np.abs(isovalues - level),

@@ -23,7 +23,7 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_report.bake import ViewBake
 from isogi_report.bench import Bench
-from isogi_report.exact import apart, lit_by_frame, lit_by_paths, own_light
+from isogi_report.exact import lit_by_frame, lit_by_paths, own_light, reference_difference
 from isogi_report.metrics import mean_of, spread_of
 
 LATTICES = (0.5, 1.0, 2.0)
@@ -90,7 +90,7 @@ def surfaces(bench: Bench, paths: int) -> Iterator[tuple[str, float]]:
     best = bench.reference(paths)
     mean = mean_of(lit_by_paths(best).light)
     for scene in variants(bench.scene):
-        change = apart(bench.reference(paths, scene), best)
+        change = reference_difference(bench.reference(paths, scene), best)
         spread = spread_of(change.light, change.noise, mean)
         name = f"{NORMALS[scene.settings.normals]}, offset {scene.settings.offset:g}"
         yield f"{name}: difference, %", 100.0 * spread.rmse

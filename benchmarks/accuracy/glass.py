@@ -36,7 +36,7 @@ from isogi_core.model.view import View
 from isogi_core.plan.assembly import build_scene, load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_report.metrics import luminance
+from isogi_report.metrics import luminance_of
 from isogi_report.speed import view_of
 
 MEMORY = 1 << 28
@@ -137,7 +137,7 @@ def measure(scene: Scene, size: int, trees: int, paths: int) -> Found:
 
 def seen(frame: Frame) -> np.ndarray:
     """The luminance of each surface point."""
-    return luminance(frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels])
+    return luminance_of(frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels])
 
 
 def true_halves(renderer: Renderer, view: View, trees: int) -> np.ndarray:
@@ -147,7 +147,7 @@ def true_halves(renderer: Renderer, view: View, trees: int) -> np.ndarray:
     for first in range(0, trees, TOGETHER):
         some = Trees(BREADTH, range(OTHERS, OTHERS + HALVES), range(first, min(first + TOGETHER, trees)))
         found, _ = SeenThrough.of(gbuffer, light, some, renderer.tiles).gather(dark_row(0))
-        sums += luminance(found).reshape(len(sums), HALVES, -1).sum(axis=2)
+        sums += luminance_of(found).reshape(len(sums), HALVES, -1).sum(axis=2)
     return np.asarray(sums / trees)
 
 

@@ -19,7 +19,7 @@ from isogi_core.kernels.transport.texel_points import measure_distances
 from isogi_core.plan.bands import evaluate_harmonics
 from isogi_report.bench import Bench
 from isogi_report.exact import Lit, own_light, straight_light
-from isogi_report.metrics import Spread, luminance
+from isogi_report.metrics import Spread, luminance_of
 
 WAYS_OFF = (0.25, 0.5)
 """Voxels from the shown isosurface beyond which texels are projected where not all are."""
@@ -79,7 +79,7 @@ def bare_light(turned: RotatedLight) -> Callable[[np.ndarray], np.ndarray]:
     def bare(normals: np.ndarray) -> np.ndarray:
         theta, phi = np.arccos(np.clip(normals[:, 2], -1.0, 1.0)), np.arctan2(normals[:, 1], normals[:, 0])
         light = (sky.lobe * sky.light) @ evaluate_harmonics(sky.order, theta, phi)
-        return luminance(np.maximum(light.T, MIN_UNSHADOWED * mean))
+        return luminance_of(np.maximum(light.T, MIN_UNSHADOWED * mean))
 
     return bare
 

@@ -52,7 +52,7 @@ from isogi_core.reference import trace_reference
 from isogi_report.bake import Bake, ViewBake
 from isogi_report.bench import Bench
 from isogi_report.exact import Lit, lit_by_paths
-from isogi_report.metrics import luminance, mean_of, spread_of
+from isogi_report.metrics import luminance_of, mean_of, spread_of
 from isogi_report.speed import view_of
 
 NEAREST = 8
@@ -270,4 +270,4 @@ def light_of_points(renderer: Renderer, view: View, points: np.ndarray, paths: i
 
 def error(light: np.ndarray, true: Lit) -> float:
     """Relative RMSE of ``light`` (m, 3), linear RGB, at surface pixels, less the truth's noise."""
-    return spread_of(luminance(light) - true.light, true.noise, mean_of(true.light)).rmse
+    return spread_of(luminance_of(light) - true.light, true.noise, mean_of(true.light)).rmse

@@ -27,7 +27,7 @@ from isogi_core.reference import Reference, trace_reference
 from isogi_report.bake import ViewBake
 from isogi_report.bench import Bench
 from isogi_report.exact import replicas
-from isogi_report.metrics import luminance, mean_of, spread_of
+from isogi_report.metrics import luminance_of, mean_of, spread_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +124,7 @@ def shots(bench: Bench, views: Iterable[View], paths: int) -> Iterator[Shot]:
         bake = ViewBake(renderer, view)
         bake.grow(most_samples(target), target)
         truth = trace_reference(bench.renderer(bench.whole), view, paths)
-        yield Shot(luminance(bake.frame().radiance), truth)
+        yield Shot(luminance_of(bake.frame().radiance), truth)
 
 
 def jumps(taken: Iterable[Shot]) -> Iterator[Jump]:
@@ -142,8 +142,8 @@ def jump(before: Shot, after: Shot, common: np.ndarray) -> Jump:
     changes of their replicas.
     """
     changes = replicas_at(after.truth, common) - replicas_at(before.truth, common)
-    truth, noise = luminance(changes.mean(axis=1)), variance_of_mean(changes).astype(np.float64)
-    mean = mean_of(luminance(np.concatenate([before.truth.mean[common], after.truth.mean[common]])))
+    truth, noise = luminance_of(changes.mean(axis=1)), variance_of_mean(changes).astype(np.float64)
+    mean = mean_of(luminance_of(np.concatenate([before.truth.mean[common], after.truth.mean[common]])))
     beyond = spread_of((after.luminance - before.luminance)[common] - truth, noise, mean)
     return Jump(spread_of(truth, noise, mean).rmse, beyond.rmse, beyond.p99)
 

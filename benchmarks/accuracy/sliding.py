@@ -35,7 +35,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import build_scene, load_scene
 from isogi_core.plan.scene import Scene
-from isogi_report.metrics import luminance, mean_of, spread_of
+from isogi_report.metrics import luminance_of, mean_of, spread_of
 from isogi_report.speed import view_of
 from server.cli.render import awaited
 from server.render.engine import RenderEngine
@@ -166,7 +166,7 @@ def opened(scene: Scene) -> Iterator[RenderEngine]:
 def errors_of(shot: Shot) -> Errors:
     """What a frame and the fresh one err by."""
     on, own = kinds(shot.truth) > 0, kinds(shot.truth) == SURFACE
-    frame, fresh, truth = (luminance(each.radiance) for each in (shot.frame, shot.fresh, shot.truth))
+    frame, fresh, truth = (luminance_of(each.radiance) for each in (shot.frame, shot.fresh, shot.truth))
     noise, mean = noise_of(shot.truth), mean_of(truth[on])
     return Errors(
         rmse=spread_of((frame - truth)[on], noise[on], mean).rmse,
@@ -185,10 +185,10 @@ def jump(before: Shot, after: Shot) -> Jump:
     """
     same = (kinds(before.truth) == kinds(after.truth)) & (kinds(after.truth) > 0)
     frames, truth, half = (
-        (luminance(new.radiance) - luminance(old.radiance))[same]
+        (luminance_of(new.radiance) - luminance_of(old.radiance))[same]
         for old, new in ((before.frame, after.frame), (before.truth, after.truth), (before.half, after.half))
     )
-    mean = mean_of(np.concatenate([luminance(each.truth.radiance)[same] for each in (before, after)]))
+    mean = mean_of(np.concatenate([luminance_of(each.truth.radiance)[same] for each in (before, after)]))
     return Jump(
         frames=spread_of(frames, 0.0, mean).rmse,
         truth=spread_of(truth, (half - truth) ** 2, mean).rmse,
@@ -206,7 +206,7 @@ def kinds(frame: Frame) -> np.ndarray:
 
 def noise_of(truth: Frame) -> np.ndarray:
     """The variance of the luminance of a path-traced frame's pixels, as it tells; (h, w) float64."""
-    return np.asarray((truth.error * luminance(truth.radiance)) ** 2)
+    return np.asarray((truth.error * luminance_of(truth.radiance)) ** 2)
 
 
 def figures_of(shots: Sequence[Shot], errors: Sequence[Errors], jumps: Sequence[Jump]) -> dict[str, float]:

@@ -39,7 +39,7 @@ scaled to band 0 where there is nothing else: see ``evenness``.
 """
 
 
-DARKEST = 1e-30
+MIN_LUMINANCE = 1e-30
 """Luminance, in the unit of a bake spec, that stands for none in a divisor."""
 
 
@@ -57,7 +57,7 @@ def deviation(part: Part, spec: BakeSpec) -> np.ndarray:
     return np.asarray(np.sqrt(np.maximum(squares @ gains, squares[:, -1] * gains.sum() / 4.0)))
 
 
-def luminance(light: Light, spec: BakeSpec) -> np.ndarray:
+def mean_luminance(light: Light, spec: BakeSpec) -> np.ndarray:
     """Mean luminance of each texel over all turns of the light, lobes among it; (texels,) float64."""
     total = np.zeros(len(light))
     for part in light.parts:
@@ -88,12 +88,12 @@ def standard_error(light: Light, spec: BakeSpec) -> np.ndarray:
 
 def level(light: Light, spec: BakeSpec) -> np.ndarray:
     """The luminance that each texel's error is held against: its own, or that of FLOOR; (texels,) float64."""
-    return np.maximum(luminance(light, spec), least_level(spec))
+    return np.maximum(mean_luminance(light, spec), least_level(spec))
 
 
 def least_level(spec: BakeSpec) -> float:
     """The luminance that errors of the darkest texels are held against."""
-    return FLOOR * max(spec.unoccluded, DARKEST * spec.unit)
+    return FLOOR * max(spec.unoccluded, MIN_LUMINANCE * spec.unit)
 
 
 def relative_error(light: Light, spec: BakeSpec) -> np.ndarray:
@@ -171,7 +171,7 @@ def scatter(wrong: np.ndarray, light: Light, spec: BakeSpec) -> np.ndarray:
 
     It is what a texel's noise keeps as the light turns: ``light_texels`` puts the present light's deviation to it.
     """
-    return np.asarray(wrong / np.maximum(path_deviation(light, spec), DARKEST * spec.unit))
+    return np.asarray(wrong / np.maximum(path_deviation(light, spec), MIN_LUMINANCE * spec.unit))
 
 
 def path_deviation(light: Light, spec: BakeSpec) -> np.ndarray:

@@ -35,7 +35,7 @@ SILENT = 255
 def round_light(light: np.ndarray, layer: Layer) -> np.ndarray:
     """``light`` (…, n²) as the layer keeps it, float32."""
     fine = light_floats(light[..., : layer.floats] / layer.scale, layer).astype(np.float32)
-    coarse = light_of(light_codes(light[..., layer.floats :] / layer.scale))
+    coarse = decoded_light(light_codes(light[..., layer.floats :] / layer.scale))
     return np.concatenate([fine, coarse], axis=-1) * np.float32(layer.scale)
 
 
@@ -53,7 +53,7 @@ def light_codes(light: np.ndarray) -> np.ndarray:
     return np.where((light < 0.0) & (codes > 0), codes | NEGATIVE, codes).astype(np.uint8)
 
 
-def light_of(codes: np.ndarray) -> np.ndarray:
+def decoded_light(codes: np.ndarray) -> np.ndarray:
     """The coefficients that bytes stand for, float32."""
     return LIGHT_OF[codes]
 

@@ -41,7 +41,7 @@ def adopted_layer(layer: Layer, prepared: PreparedScene, store: Store, there: Se
     ``there`` are the digests of layers in the ``store``.
     """
     candidates = (layer, *sorted(larger_layers(layer), key=lambda other: other.bytes_per_texel))
-    return next((found.layer for found in present(candidates, prepared, store, there)), layer)
+    return next((found.layer for found in stored_layers(candidates, prepared, store, there)), layer)
 
 
 def find_fallback(
@@ -49,10 +49,10 @@ def find_fallback(
 ) -> LayerStore | None:
     """The largest of the smaller layers that the ``store`` has light of, for the same texels; None without any."""
     store = Store.of(store)
-    return next(present(smaller_layers(layer), prepared, store, frozenset(store.layers()), shown), None)
+    return next(stored_layers(smaller_layers(layer), prepared, store, frozenset(store.layers()), shown), None)
 
 
-def present(
+def stored_layers(
     layers: Iterable[Layer], prepared: PreparedScene, store: Store, there: Set[str], shown: Isovalue | None = None
 ) -> Iterator[LayerStore]:
     """The stores of those ``layers`` that have light; only digests that are ``there`` are read."""

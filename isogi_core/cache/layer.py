@@ -25,7 +25,7 @@ from isogi_core.plan.scene import BAKE_FORMAT
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.backend import StoredObject, one_line
 from isogi_core.storage.store import Store, StoreLike
-from isogi_core.storage.zarr_codec import ZSTD_LEVEL, described, description, unwrap_all, wrap
+from isogi_core.storage.zarr_codec import ZSTD_LEVEL, described_array, description, unwrap_all, wrap
 
 CHUNK_CODECS = (BytesCodec, ZstdCodec, Crc32cCodec)
 """Codecs of a chunk; the checksum is last, so that it covers the whole object."""
@@ -82,8 +82,8 @@ class LayerStore:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """The attributes of its array: see ``facts_of``."""
-        return facts_of(self.layer, self.prepared, self.shown)
+        """The attributes of its array: see ``layer_attributes``."""
+        return layer_attributes(self.layer, self.prepared, self.shown)
 
     @property
     def path(self) -> str:
@@ -111,7 +111,7 @@ class LayerStore:
         """The Zarr array in the store, as its metadata describes it; None where there is none."""
         found = self.store.get(self._metadata_key)
         try:
-            return None if found is None else described(found.data)
+            return None if found is None else described_array(found.data)
         except Exception as error:
             raise StoreError(f"Cannot open the light at {self.path}: {one_line(error)}; {MOVE_AWAY}") from error
 
@@ -278,7 +278,7 @@ def outdone(offsets: np.ndarray, part: Part, union: np.ndarray, whole: Part) -> 
     return whole is not part and bool((whole.samples[np.searchsorted(union, offsets)] > part.samples).any())
 
 
-def facts_of(layer: Layer, prepared: PreparedScene, shown: Isovalue | None = None) -> dict[str, Any]:
+def layer_attributes(layer: Layer, prepared: PreparedScene, shown: Isovalue | None = None) -> dict[str, Any]:
     """The attributes of a layer's array: whose light it is, how it was made, and how its records are decoded.
 
     ``scene`` and ``plan`` are those that it was first baked for; others may share the layer.

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.noise import DARKEST, deviations, least_level, powers, white
+from isogi_core.bake.noise import MIN_LUMINANCE, deviations, least_level, powers, white
 from isogi_core.bake.precision import SAMPLES_OF
 from isogi_core.bake.texel_light import Light
 from isogi_core.cache.chunk import Chunks
@@ -319,7 +319,7 @@ def judge_of(parts: int, spec: BakeSpec) -> Judge:
         powers=powers_of(spec),
         unit=spec.unit,
         level=least_level(spec),
-        darkest=DARKEST * spec.unit,
+        darkest=MIN_LUMINANCE * spec.unit,
         beyond=MAX_SAMPLE_LEVELS**parts,
         checksums=SHOWN_CHECKSUMS,
     )

@@ -24,7 +24,7 @@ from isogi_core.model.volume import UNMEASURED_FIELDS, Volume
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.backend import one_line
 from isogi_core.storage.store import Store
-from isogi_core.storage.zarr_codec import METADATA_KEY, ZSTD_LEVEL, described, description, unwrap, wrap
+from isogi_core.storage.zarr_codec import METADATA_KEY, ZSTD_LEVEL, described_array, description, unwrap, wrap
 
 Shape = tuple[int, ...]
 
@@ -58,7 +58,7 @@ class Asset:
         if found is None:
             raise StoreError(f"The workers need {self.name} of {self._where}, which lacks it: restart the server.")
         try:
-            array = described(found.data)
+            array = described_array(found.data)
             facts: Any = array.attrs.asdict()["isogi"]
             return array.shape, array.chunks, array.dtype, facts
         except Exception as error:  # what Zarr makes of other documents is of many kinds

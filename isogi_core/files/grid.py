@@ -40,8 +40,8 @@ class Affine:
     def of(cls, matrix: Any, letters: str = "") -> "Affine":
         """From an array (3, 4) or (4, 4): the matrix, and the origin as its last column."""
         rows = np.asarray(matrix, np.float64)[:3]
-        x, y, z = (_vector(row) for row in rows[:, :3])
-        return cls((x, y, z), _vector(rows[:, 3]), letters)
+        x, y, z = (_axis_vector(row) for row in rows[:, :3])
+        return cls((x, y, z), _axis_vector(rows[:, 3]), letters)
 
     @property
     def array(self) -> np.ndarray:
@@ -49,7 +49,7 @@ class Affine:
         return np.column_stack([np.array(self.matrix), np.array(self.origin)])
 
 
-def _vector(row: np.ndarray) -> Vector:
+def _axis_vector(row: np.ndarray) -> Vector:
     x, y, z = (float(value) for value in row)
     return x, y, z
 
@@ -203,6 +203,6 @@ def read_as(kind: str, stored: np.dtype[Any], placed: str = "", slope: float = 1
     return f"{kind} of {stored.name}{order}{values}; {lies}"
 
 
-def layers_of(layer_bytes: int) -> int:
+def slab_layers(layer_bytes: int) -> int:
     """Number of layers of so many bytes in a slab, at least one."""
     return max(SLAB_BYTES // max(layer_bytes, 1), 1)

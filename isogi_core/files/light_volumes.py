@@ -58,9 +58,9 @@ def vti_bytes(lit: LitVolume) -> bytes:
     extent = f"0 {nx - 1} 0 {ny - 1} 0 {nz - 1}"
     place = {
         "WholeExtent": extent,
-        "Origin": _numbers(affine[:, 3]),
-        "Spacing": _numbers(steps),
-        "Direction": _numbers((affine[:, :3] / steps).ravel()),
+        "Origin": _light_numbers(affine[:, 3]),
+        "Spacing": _light_numbers(steps),
+        "Direction": _light_numbers((affine[:, :3] / steps).ravel()),
     }
     rows: dict[str, str] = {}
     blocks: list[bytes] = []
@@ -200,5 +200,5 @@ WRITERS: dict[str, Write] = {
 """What writes a volume, by the ending of its file's name."""
 
 
-def _numbers(values: np.ndarray) -> str:
+def _light_numbers(values: np.ndarray) -> str:
     return " ".join(repr(float(value)) for value in values)

@@ -16,8 +16,8 @@ from unicodedata import normalize
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import Source, luminance, skip
-from isogi_core.files.grid import Grid, Vector, layers_of, read_as
+from isogi_core.files.formats.source import Source, luminance_of_colours, skip
+from isogi_core.files.grid import Grid, Vector, read_as, slab_layers
 from isogi_core.files.nrrd_header import (
     TEXT_ENCODINGS,
     Header,
@@ -118,7 +118,7 @@ def _layers(layout: Layout, dtype: np.dtype[Any], blocks: Iterator[bytes]) -> It
     """The numbers of a file, some layers at a time; (layers, ny, nx, each)."""
     inner = (*layout.shape[1:], layout.each)
     layer = int(np.prod(inner)) * dtype.itemsize
-    slab, rest = layers_of(layer) * layer, bytearray()
+    slab, rest = slab_layers(layer) * layer, bytearray()
     for block in blocks:
         rest += block
         while len(rest) >= slab:
@@ -136,7 +136,7 @@ def _field(layout: Layout, slabs: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
         part = slab[max(first - z, 0) : max(last - z, 0)]
         z += len(slab)
         if len(part):
-            yield luminance(part) if layout.number is None else part[..., layout.number]
+            yield luminance_of_colours(part) if layout.number is None else part[..., layout.number]
 
 
 @contextmanager
@@ -204,11 +204,11 @@ def _written_out(name: str, stream: Content, dtype: np.dtype[Any]) -> Iterator[b
         text = (rest + block).replace(b",", b" ")
         words = text.split()
         rest = words.pop() if words and not text[-1:].isspace() else b""
-        yield _numbers(name, words, dtype)
-    yield _numbers(name, rest.split(), dtype)
+        yield _header_numbers(name, words, dtype)
+    yield _header_numbers(name, rest.split(), dtype)
 
 
-def _numbers(name: str, words: list[bytes], dtype: np.dtype[Any]) -> bytes:
+def _header_numbers(name: str, words: list[bytes], dtype: np.dtype[Any]) -> bytes:
     """The bytes of written numbers in a type. VolumeError where one is no number of it."""
     try:
         return np.array([int(word) if dtype.kind in "iu" else float(word) for word in words], dtype).tobytes()

@@ -221,7 +221,7 @@ def labels_of(header: Header, layer: int) -> tuple[LabelName, ...] | None:
     layers = {n: _number(each.get("Layer"), 0 if "LabelValue" in each else n) for n, each in segments.items()}
     there = [each for n, each in segments.items() if layers[n] == layer]
     return tuple(
-        LabelName(_number(each.get("LabelValue"), 1), each.get("Name", ""), _colour(each.get("Color", "")))
+        LabelName(_number(each.get("LabelValue"), 1), each.get("Name", ""), _segment_colour(each.get("Color", "")))
         for each in there
     )
 
@@ -230,7 +230,7 @@ def _number(text: str | None, fallback: int) -> int:
     return int(text) if text is not None and re.fullmatch(r"\d{1,18}", text) else fallback
 
 
-def _colour(text: str) -> str:
+def _segment_colour(text: str) -> str:
     """Slicer's red, green and blue from 0 to 1, sRGB, as ``#rrggbb``; empty where they are none."""
     parts = re.findall(r"[\d.eE+-]+", text)
     try:

@@ -117,7 +117,7 @@ def light_texture(mesh: LitMesh) -> np.ndarray:
     Its middle texels are the corners' colours, so that between them a bilinear filter interpolates the light.
     Raises VolumeError where it would be too large.
     """
-    columns, rows = _blocks(len(mesh.quads))
+    columns, rows = _texture_blocks(len(mesh.quads))
     if columns * BLOCK_TEXELS > MAX_TEXTURE_SIDE:
         most = (MAX_TEXTURE_SIDE // BLOCK_TEXELS) ** 2
         raise VolumeError(f"The texture of {len(mesh.quads):,} faces is too large, {most:,} fit: write .glb instead.")
@@ -130,7 +130,7 @@ def light_texture(mesh: LitMesh) -> np.ndarray:
 
 def texture_places(quads: int) -> np.ndarray:
     """Where the corners of each of so many quadrilaterals are in their texture: u, v from its lower left (n, 4, 2)."""
-    columns, rows = _blocks(quads)
+    columns, rows = _texture_blocks(quads)
     row, column = np.divmod(np.arange(quads), columns)
     right, down = np.array([0, 1, 1, 0]), np.array([0, 0, 1, 1])
     middle = BLOCK_TEXELS / 2.0 - 0.5
@@ -155,7 +155,7 @@ def usdz_package(files: dict[str, bytes]) -> bytes:
     return package.getvalue()
 
 
-def _blocks(quads: int) -> tuple[int, int]:
+def _texture_blocks(quads: int) -> tuple[int, int]:
     """Columns and rows of a texture's blocks, as square as may be."""
     columns = max(int(np.ceil(np.sqrt(quads))), 1)
     return columns, max(-(-quads // columns), 1)

@@ -11,7 +11,7 @@ import numpy as np
 import zarr
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.grid import MAX_VOXELS, SINGLE_MOMENT, Affine, Grid, LabelName, Region, Shape, Vector, layers_of
+from isogi_core.files.grid import MAX_VOXELS, SINGLE_MOMENT, Affine, Grid, LabelName, Region, Shape, Vector, slab_layers
 from isogi_core.files.mappings import budget
 from isogi_core.files.ome import (
     SPACE_AXES,
@@ -323,7 +323,7 @@ def _slabs(
     inside = chosen[order[0]]
     begin, end = inside.start or 0, (inside.start or 0) + shape[0]
     layer, deep = shape[1] * shape[2] * array.dtype.itemsize, array.chunks[order[0]]
-    step = deep * max(layers_of(layer) // deep, 1) if deep * layer <= MAX_LAYER_BYTES else layers_of(layer)
+    step = deep * max(slab_layers(layer) // deep, 1) if deep * layer <= MAX_LAYER_BYTES else slab_layers(layer)
     turned = np.argsort(np.argsort(order)) if sorted(order) != list(order) else None
     for z in range(begin // deep * deep, end, step):
         layers = slice(max(z, begin), min(z + step, end))

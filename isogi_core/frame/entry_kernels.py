@@ -86,7 +86,7 @@ COLOURED = (fill_albedos,)
 AMONG = (peel_rays,)
 """Kernels that only scenes with several surfaces call; not their ``trace_pixels`` and ``trace_places``."""
 
-SHINE = (cast_shine, fill_below, fill_energy, pool_noise, filter_shine)
+SHINE_KERNELS = (cast_shine, fill_below, fill_energy, pool_noise, filter_shine)
 """Kernels that only scenes with a shine call; and, where lights have lobes, ``light_ends``."""
 
 GLOW = (gather_from_eye,)
@@ -140,7 +140,7 @@ FRAME = (
 )
 """All of them but ROOM, those that take longest to compile first."""
 
-OTHERS = (
+OTHER_KERNELS = (
     mean_around,
     find_shadows,
     shade_local,
@@ -169,8 +169,8 @@ def first_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
 
 def frame_kernels(scenes: Iterable[Scene], surveyed: bool = True) -> tuple[Any, ...]:
     """Kernels that frames of any of the ``scenes`` call: ROOM where one has walls, COLOURED where one has colours,
-    MATTER where light passes one, AMONG where one has several surfaces, GLOW where something glows, SHINE where one
-    shines, then in the order of FRAME.
+    MATTER where light passes one, AMONG where one has several surfaces, GLOW where something glows, SHINE_KERNELS where
+    one shines, then in the order of FRAME.
 
     Whether a scene projects texels is asked of a survey of its volume, which calls kernels itself: those that are not
     ``surveyed`` count as if they did.
@@ -180,7 +180,7 @@ def frame_kernels(scenes: Iterable[Scene], surveyed: bool = True) -> tuple[Any, 
     rooms = ROOM if any(scene.lighting.room.any and not scene.surfaces.several for scene in shown) else ()
     rooms += (light_walls,) if any(scene.lighting.room.any and scene.surfaces.several for scene in shown) else ()
     shining = [scene for scene in shown if scene.surfaces.shine]
-    shines = SHINE if shining else ()
+    shines = SHINE_KERNELS if shining else ()
     lobes = (light_ends,) if any(scene.plan.lobes for scene in shining) else ()
     rooms += COLOURED if any(scene.surfaces.colours for scene in shown) else ()
     rooms += GLOW if any(scene.lighting.glowing.any for scene in shown) else ()
@@ -192,7 +192,7 @@ def frame_kernels(scenes: Iterable[Scene], surveyed: bool = True) -> tuple[Any, 
 
 def other_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     """OTHERS, and those of whole paths of any of the ``scenes``: see ``paths_of``."""
-    return (*OTHERS, *dict.fromkeys(kernel for scene in scenes for kernel in paths_of(scene)))
+    return (*OTHER_KERNELS, *dict.fromkeys(kernel for scene in scenes for kernel in paths_of(scene)))
 
 
 def paths_of(scene: Scene) -> tuple[Any, ...]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.gbuffer import RAYS, Vector, view_pinhole
+from isogi_core.frame.gbuffer import TILE_RAYS, Vector, view_pinhole
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.kernels.tracing.field import Field
@@ -48,7 +48,7 @@ class EyeGlow:
             ways = np.ascontiguousarray(directions[a:b].T)
             gather_from_eye(self.field, self.glows, eye, ways, reaches[a:b], gathered[a:b])
 
-        tiles.run(_piece, len(reaches), RAYS)
+        tiles.run(_piece, len(reaches), TILE_RAYS)
         return gathered
 
     def lit(self, gathered: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 
 from isogi_core.frame.eye_glow import EyeGlow
 from isogi_core.frame.frame import EdgeSamples, Frame
-from isogi_core.frame.gbuffer import RAYS, sight_of, view_pinhole
+from isogi_core.frame.gbuffer import TILE_RAYS, sight_of, view_pinhole
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.edges import Shown, borrow_light, find_contrasts
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, develop_rows, fill_curve
@@ -43,7 +43,7 @@ def colour_table() -> np.ndarray:
     return np.stack([np.interp(place, at, channel) for channel in anchors.T], axis=1).round().astype(np.uint8)
 
 
-def colours_of(error: np.ndarray) -> np.ndarray:
+def error_colours(error: np.ndarray) -> np.ndarray:
     """The colours of relative errors (n,): (n, 3) uint8 sRGB."""
     low, high = SCALE
     share = np.log(np.clip(error, low, high) / low) / np.log(high / low)
@@ -56,7 +56,7 @@ BACKGROUND = (0.0103, 0.0123, 0.0160)
 LIGHT = "e2e4e6"
 """sRGB behind the surface of pictures on a light ground: a grey as of a studio, from which what is lit stands out."""
 
-MARK = (0.95, 0.42, 0.05)
+HATCHING_COLOUR = (0.95, 0.42, 0.05)
 """Linear RGB of the overlay's hatching: amber, which no grey surface has."""
 
 LEVELS = 4096
@@ -171,7 +171,7 @@ def lit(
 ) -> np.ndarray:
     """The picture of ``radiance`` (h, w, 3), with the marks of ``state`` (h, w) over it where ``marked``."""
     picture = np.empty(radiance.shape, np.uint8)
-    colours = np.array([ground, MARK], np.float32)
+    colours = np.array([ground, HATCHING_COLOUR], np.float32)
     develop_rows(radiance, state, 0, exposure, colours, marked, tone_table(), picture)
     return picture
 
@@ -180,7 +180,7 @@ def with_errors(frame: Frame, exposure: float, ground: tuple[float, ...] = BACKG
     """The picture under the colours of its errors; what has no light, and so no estimate, is hatched."""
     known = frame.state >= CONVERGING
     picture = lit(frame.radiance, np.where(known, np.uint8(FINAL), frame.state), exposure, True, ground)
-    below, above = picture[known].astype(np.uint16), colours_of(frame.total_error[known])
+    below, above = picture[known].astype(np.uint16), error_colours(frame.total_error[known])
     picture[known] = (below * (256 - COVER) + above.astype(np.uint16) * COVER) >> 8
     return picture
 
@@ -262,7 +262,7 @@ def sample_edges(
         on[a:b][found[:hits]] = True
         borrow_light(shown, places[a:b], found[:hits], points[:hits], light[a:b])
 
-    tiles.run(_piece, len(places), RAYS)
+    tiles.run(_piece, len(places), TILE_RAYS)
     airy = np.zeros_like(on)
     if glow is not None:
         beside = np.flatnonzero(~on)

@@ -33,7 +33,7 @@ Layer = tuple[np.ndarray, np.ndarray, np.ndarray | float]
 UNREACHABLE = 4
 """The state of a final pixel that reads a texel which cannot be projected; see ``frame.projected_texels``."""
 
-STATES = {"final": FINAL, "converging": CONVERGING, "provisional": PROVISIONAL}
+STATE_CODES = {"final": FINAL, "converging": CONVERGING, "provisional": PROVISIONAL}
 
 
 TAIL = 5.0

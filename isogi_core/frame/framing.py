@@ -96,20 +96,20 @@ def paint_faces(gbuffer: GBuffer, scene: Scene, framebuffer: Framebuffer, labels
     framebuffer.error[faces.pixels] = 0.0
 
 
-FORMAT = 1
+PANORAMA_FORMAT = 1
 """Counts up when the same light makes another picture."""
 
-KEY = 0.36
+MIDDLE_BRIGHTNESS = 0.36
 """How bright the middle of the light is shown, before the tone curve: twice Reinhard's, for a picture this small."""
 
-DARKEST = 1e-4
+DARKEST_SHARE = 1e-4
 """Light darker than this share of the mean counts as this much where the middle is sought: black has no logarithm."""
 
 GLARE, GLARE_REACH = 0.02, 16
 """The share of light that strays around what is bright, as in an eye, and the part of the picture's width, one in
 GLARE_REACH, over which it does, in steps of a pixel: a sun is smaller than a pixel, and would hardly be seen."""
 
-MARK = 0.05
+MARK_RADIUS = 0.05
 """Radius of the mark of a directional light, radians."""
 
 
@@ -127,7 +127,7 @@ def paint_panorama(environment: Environment, lamps: Lamps, width: int, turn: np.
     for towards, colour in zip(lamps.arrays.places[far], lamps.arrays.colours[far], strict=True):
         if colour.any():
             away = np.arccos(np.clip(directions @ towards, -1.0, 1.0))
-            picture[away <= max(MARK, away.min())] = colour / colour.max()
+            picture[away <= max(MARK_RADIUS, away.min())] = colour / colour.max()
     return np.asarray(tone_table()[np.rint(picture * (LEVELS - 1)).astype(np.int64)])
 
 
@@ -142,7 +142,8 @@ def glare(radiance: np.ndarray) -> np.ndarray:
 
 
 def tone(radiance: np.ndarray) -> np.ndarray:
-    """A lat-long image (h, w, 3) of radiance brought into [0, 1], float64: its middle to KEY, and nothing burns out.
+    """A lat-long image (h, w, 3) of radiance brought into [0, 1], float64: its middle to MIDDLE_BRIGHTNESS, and nothing
+    burns out.
 
     Source: Reinhard et al., "Photographic Tone Reproduction for Digital Images", SIGGRAPH 2002, eqs. 1 to 3, with
     the mean logarithm over the sphere.
@@ -152,6 +153,6 @@ def tone(radiance: np.ndarray) -> np.ndarray:
     mean = float((shares * luminance).sum())
     if mean <= 0.0:
         return np.zeros_like(radiance)
-    middle = np.exp((shares * np.log(np.maximum(luminance, DARKEST * mean))).sum())
-    factor = KEY / (middle + KEY * luminance)
+    middle = np.exp((shares * np.log(np.maximum(luminance, DARKEST_SHARE * mean))).sum())
+    factor = MIDDLE_BRIGHTNESS / (middle + MIDDLE_BRIGHTNESS * luminance)
     return np.asarray(np.minimum(radiance * factor[..., None], 1.0))

@@ -18,7 +18,7 @@ from isogi_core.model.view import Camera, View
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Surface
 
-RAYS = 4096
+TILE_RAYS = 4096
 """Primary rays of a tile: as many as are cast together."""
 
 POINTS = 4096
@@ -209,7 +209,7 @@ def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None
         count, beside = trace_pixels_in_sight(traced, sight, camera, a, view.width, pixels, points, numbers)
         found[a] = pixels[0, :count], points[0, :count], pixels[1, :beside], points[1, :beside], numbers[:beside]
 
-    tiles.run(_piece if sight is None else _piece_in_sight, view.width * view.height, RAYS)
+    tiles.run(_piece if sight is None else _piece_in_sight, view.width * view.height, TILE_RAYS)
     pixels, points, *others = (np.concatenate(parts) for parts in zip(*(found[a] for a in sorted(found)), strict=True))
     seen = PointsBeside(*others) if others else PointsBeside.none()
     shown = (view.height, view.width), spacing, camera.eye, surface, pixels, points

@@ -16,7 +16,7 @@ from isogi_core.prepared.prepared_scene import Index
 LEVEL = 1
 """Compression: of voxels and light higher levels save a tenth of the bytes, and take four times as long."""
 
-DIGEST = 16
+DIGEST_BYTES = 16
 """Bytes that name the data of a part."""
 
 
@@ -35,7 +35,7 @@ class Part:
     @cached_property
     def digest(self) -> bytes:
         """What names the ``data``."""
-        return hashlib.blake2b(self.data, digest_size=DIGEST).digest()
+        return hashlib.blake2b(self.data, digest_size=DIGEST_BYTES).digest()
 
     @property
     def nbytes(self) -> int:

@@ -24,7 +24,7 @@ from isogi_core.model.view import Camera, View, rotation_matrix
 from isogi_core.plan.albedos import mixing_weights
 from isogi_core.plan.scene import Scene
 
-FORMAT = 13
+PICTURE_FORMAT = 13
 """Counts up when pictures of the same light change: those that browsers keep are then asked for again."""
 
 MAX_SQUARES_RATIO = 100.0
@@ -74,10 +74,10 @@ def all_weights(spec: BakeSpec) -> np.ndarray:
 KEY_SHARE = 0.1
 """An environment whose first band carries less than this share of its mean has no key light of its own."""
 
-KEY = 0.6
+KEY_LIGHT_SHARE = 0.6
 """Share of a light that comes from its direction, where the rest is taken to come from everywhere."""
 
-SHINE, EXPONENT = 0.3, 32.0
+PHONG_STRENGTH, PHONG_EXPONENT = 0.3, 32.0
 """Phong's highlight: strength and exponent."""
 
 
@@ -233,8 +233,8 @@ class RotatedLight:
             key=key,
             sun=triple(albedo * sun),
             ambient=triple(albedo * ambient),
-            shine=SHINE if shading.startswith("phong") else 0.0,
-            exponent=EXPONENT,
+            shine=PHONG_STRENGTH if shading.startswith("phong") else 0.0,
+            exponent=PHONG_EXPONENT,
             shadow=shading.endswith("shadow"),
             fog_near=near,
             fog_far=far,
@@ -244,10 +244,10 @@ class RotatedLight:
         """Direction towards the key light, its irradiance over π, and the ambient radiance; both (3,) linear RGB.
 
         The strongest lamp as the middle of the volume sees it, and all else as ambient light; among walls, which
-        reflect it, the share KEY of that lamp. Without one,
+        reflect it, the share KEY_LIGHT_SHARE of that lamp. Without one,
         the directional light and constant with the same bands 0 and 1 as the environment: D·Y_1 = ℓ_1,
         at most what band 0 holds. Without a direction of its own, a light over the camera's shoulder
-        carries the share KEY of the mean.
+        carries the share KEY_LIGHT_SHARE of the mean.
         """
         scene = self.spec.prepared.scene
         directions, irradiances = scene.lighting.lamps.seen_from(scene.volume.centre)
@@ -257,14 +257,14 @@ class RotatedLight:
             rest = (irradiances.sum(axis=0) - irradiances[best]) / (4.0 * math.pi) + scene.lighting.environment.mean()
             key = irradiances[best] / math.pi
             if scene.lighting.room.any:
-                return triple(directions[best]), KEY * key, (1.0 - KEY) * key + rest
+                return triple(directions[best]), KEY_LIGHT_SHARE * key, (1.0 - KEY_LIGHT_SHARE) * key + rest
             return triple(directions[best]), key, rest
         first = np.array([self.around[:, i] if i < self.around.shape[1] else np.zeros(3) for i in (3, 1, 2)])
         pull = first @ LUMINANCE_WEIGHTS
         strength = float(np.linalg.norm(pull)) * math.sqrt(4.0 * math.pi / 3.0)
         mean = float(self.mean @ LUMINANCE_WEIGHTS)
         if strength <= KEY_SHARE * 4.0 * math.pi * mean:
-            return shoulder_light(self.view.camera), KEY * self.mean, (1.0 - KEY) * self.mean
+            return shoulder_light(self.view.camera), KEY_LIGHT_SHARE * self.mean, (1.0 - KEY_LIGHT_SHARE) * self.mean
         share = min(strength / (4.0 * math.pi * mean), 0.9)
         towards = pull / np.linalg.norm(pull)
         return triple(towards), 4.0 * share * self.mean, (1.0 - share) * self.mean
@@ -329,5 +329,5 @@ def version_of(light: RotatedLight, read: bytes) -> str:
     """
     spec, scene = light.spec.digest, light.spec.prepared.scene.digest
     return hashlib.blake2b(
-        repr((FORMAT, scene, spec, light.view, read, REGISTER_LANES)).encode(), digest_size=16
+        repr((PICTURE_FORMAT, scene, spec, light.view, read, REGISTER_LANES)).encode(), digest_size=16
     ).hexdigest()

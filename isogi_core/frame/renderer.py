@@ -37,7 +37,7 @@ from isogi_core.frame.known_blocks import KnownBlocks
 from isogi_core.frame.rays.picture_plan import PRESENT, Prices
 from isogi_core.frame.several.composer import Composer
 from isogi_core.frame.stand_in import StandIn
-from isogi_core.frame.surface_renderer import PACKED, VIEW_BYTES, SurfaceRenderer
+from isogi_core.frame.surface_renderer import BLOCKS_SHARE, VIEW_BYTES, SurfaceRenderer
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import OwnNormals, ViewTexels
 from isogi_core.lru_cache import LruCache
@@ -58,7 +58,7 @@ class Renderer(SurfaceRenderer):
     ) -> None:
         """Render with the light of ``caches``: see ``SurfaceRenderer``."""
         super().__init__(caches, tiles, most, filters, stand_in)
-        self.blocks = KnownBlocks(int(PACKED * most))
+        self.blocks = KnownBlocks(int(BLOCKS_SHARE * most))
         self.looks: LruCache[Any] = LruCache(most // 64)
         side = partial(SurfaceRenderer, tiles=tiles, most=most // 8, filters=filters)
         self._composer = Composer(self, side, self._kept) if self.prepared.scene.surfaces.several else None

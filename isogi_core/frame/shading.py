@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.noise import DARKEST
+from isogi_core.bake.noise import MIN_LUMINANCE
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.frame.gbuffer import POINTS, GBuffer
 from isogi_core.frame.lighting import RotatedLight, scatter_at, weights_between
@@ -103,7 +103,7 @@ def shade_by_paths(gbuffer: GBuffer, light: RotatedLight, target: float, tiles: 
     Paths(light, gbuffer, tiles).add(sums, streams.PICTURE_STREAM, 0, count)
     means = np.minimum(sums / count, np.finfo(np.float32).max)
     radiance, deviation = means.mean(axis=1), np.sqrt(pooled_variance(variance_of_mean(means), gbuffer))
-    error = np.clip(deviation / np.maximum(radiance @ LUMINANCE_WEIGHTS, DARKEST * light.spec.unit), 0.0, 1.0)
+    error = np.clip(deviation / np.maximum(radiance @ LUMINANCE_WEIGHTS, MIN_LUMINANCE * light.spec.unit), 0.0, 1.0)
     framebuffer.radiance[pixels] = radiance
     framebuffer.state[pixels] = np.where(error <= target, FINAL, CONVERGING)
     framebuffer.error[pixels] = error

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isogi_core.frame.frame import STATES, Frame
+from isogi_core.frame.frame import STATE_CODES, Frame
 from isogi_core.frame.framing import values_at
 from isogi_core.kernels.shading.local_models import find_normals
 from isogi_core.model.orientation import triple
@@ -18,8 +18,8 @@ class SurfacePoint:
     """What one pixel shows: ``position`` and outward unit ``normal``, world, and the ``voxel`` indices there, x first.
 
     ``value`` is the volume's there, in the units of its file: the isovalue, or another where a window shows a face. On
-    a wall it is None, and ``wall`` its number. ``radiance`` is linear RGB, ``state`` one of STATES, and ``error`` the
-    relative error of the pixel, whatever its causes.
+    a wall it is None, and ``wall`` its number. ``radiance`` is linear RGB, ``state`` one of STATE_CODES, and ``error``
+    the relative error of the pixel, whatever its causes.
     """
 
     position: Vec3
@@ -54,7 +54,7 @@ def point_at(frame: Frame, column: int, row: int, scene: Scene) -> SurfacePoint 
         value=value,
         wall=wall,
         radiance=triple(frame.radiance[row, column]),
-        state=next(name for name, state in STATES.items() if state == frame.state[row, column]),
+        state=next(name for name, state in STATE_CODES.items() if state == frame.state[row, column]),
         error=float(frame.total_error[row, column]),
     )
 

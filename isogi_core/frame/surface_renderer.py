@@ -50,7 +50,7 @@ VIEW_BYTES = 256 << 20
 KIND_SHARE, COMMON = 1 / 16, 1 / 3
 """Shares of these bytes: for what changes while a view stays, and for what views have in common of texels."""
 
-PACKED = 1 / 8
+BLOCKS_SHARE = 1 / 8
 """Share of these bytes for blocks of chunks, which cards that draw the same scene have in common."""
 
 
@@ -73,7 +73,7 @@ class SurfaceRenderer:
         """
         self.prepared, self.caches, self.tiles = caches.prepared, caches, tiles
         changing = dict.fromkeys((Reading, FilteredLight, LobeLight, ShineLight), int(KIND_SHARE * most))
-        self._kept: LruCache[Any] = LruCache(most - int((COMMON + PACKED) * most), changing)
+        self._kept: LruCache[Any] = LruCache(most - int((COMMON + BLOCKS_SHARE) * most), changing)
         shown = levels or (Level(caches),)
         self._texels = TexelShading(self.prepared, shown, self._kept, int(COMMON * most), filters, stand_in)
         self.checks = ViewChecks(self._kept, self._texels)

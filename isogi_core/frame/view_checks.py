@@ -25,7 +25,7 @@ from isogi_core.model.view import View
 PIXELS = 0.25
 """Paths that a pixel takes to an error over those that a texel takes, which is to hold for all turns of its light."""
 
-FILTERED = 4.0
+FILTERED_NOISE_RATIO = 4.0
 """A texel's noise over the noise of pixels that mix it and its neighbours, filtered: 3 to 5 after 16 samples."""
 
 
@@ -113,7 +113,7 @@ def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:
     points, effort, ways = len(frame.gbuffer.pixels), reading.effort, []
     controls = 2.0 * paths_for(target) * CONTROLS_IF_MISSED
     for times, rung in enumerate([FIRST_LEVEL, *rungs_above(FIRST_LEVEL, target)], start=2):
-        noise = (effort / rung) ** (1.0 / RATE) / FILTERED
+        noise = (effort / rung) ** (1.0 / RATE) / FILTERED_NOISE_RATIO
         own = foreseen_paths(points, math.hypot(noise, frame.quality.expected), target, PIXELS * effort)
         ways.append(PathsLeft(own + controls, float(rung - FIRST_LEVEL) * len(reading.samples), times))
     return min(ways, key=lambda way: way.pixels + AWAITED.path * way.texels)

@@ -43,10 +43,10 @@ def code_of(light: float) -> float:
 def table_of(name: str) -> np.ndarray:
     """The albedos of all VALUES by the map of this ``name``, (255, 3) float64, linear RGB, at most MAX_ALBEDO."""
     anchors = np.array([list(bytes.fromhex(colour)) for colour in COLOUR_MAPS[name].split()]) / 255.0
-    return np.vectorize(linear_of)(spread(anchors)).clip(0.0, MAX_ALBEDO)
+    return np.vectorize(linear_of)(spread_colours(anchors)).clip(0.0, MAX_ALBEDO)
 
 
-def spread(colours: np.ndarray) -> np.ndarray:
+def spread_colours(colours: np.ndarray) -> np.ndarray:
     """Colours (n, 3) for all VALUES, linear between those given, which lie at equal steps; (255, 3)."""
     place, at = np.linspace(0.0, 1.0, VALUES), np.linspace(0.0, 1.0, len(colours))
     return np.stack([np.interp(place, at, channel) for channel in colours.T], axis=1)

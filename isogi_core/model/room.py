@@ -149,7 +149,7 @@ def wall_from_mapping(table: Mapping[str, Any]) -> Wall:
     return Wall(**given)
 
 
-def _vector(key: str, value: Any) -> Vector:
+def _room_vector(key: str, value: Any) -> Vector:
     """``[x, y, z]``."""
     if not isinstance(value, list) or len(value) != 3 or not all(map(is_number, value)):
         raise SceneError(f"A wall's {key} is {value!r}: give [x, y, z].")
@@ -160,10 +160,10 @@ def _edges(key: str, value: Any) -> tuple[Vector, Vector]:
     """Two vectors."""
     if not isinstance(value, list) or len(value) != 2:
         raise SceneError(f"A wall's {key} are {value!r}: give two, [[x, y, z], [x, y, z]].")
-    return _vector("edge", value[0]), _vector("edge", value[1])
+    return _room_vector("edge", value[0]), _room_vector("edge", value[1])
 
 
-def _colour(key: str, value: Any) -> Colour:
+def _wall_colour(key: str, value: Any) -> Colour:
     """A number for all three channels, or ``[r, g, b]``."""
     given = [value] * 3 if is_number(value) else value
     if not isinstance(given, list) or len(given) != 3 or not all(map(is_number, given)):
@@ -178,7 +178,13 @@ def _sides(key: str, value: Any) -> int:
     return int(value)
 
 
-WALL_READERS = {"corner": _vector, "edges": _edges, "albedo": _colour, "radiance": _colour, "sides": _sides}
+WALL_READERS = {
+    "corner": _room_vector,
+    "edges": _edges,
+    "albedo": _wall_colour,
+    "radiance": _wall_colour,
+    "sides": _sides,
+}
 """How the keys of a ``[[walls]]`` table are read."""
 
 ROOMS = ("cornell",)

@@ -104,13 +104,13 @@ def find_core(values: np.ndarray) -> tuple[float, float]:
     OUTLIER_SPANS times its span. Where the core has a smaller core itself, no value is an outlier: values may
     fall by powers of ten.
     """
-    first, last = grow(values)
-    if grow(values[first : last + 1]) != (0, last - first):
+    first, last = grow_span(values)
+    if grow_span(values[first : last + 1]) != (0, last - first):
         first, last = 0, len(values) - 1
     return values[first].item(), values[last].item()
 
 
-def grow(values: np.ndarray) -> tuple[int, int]:
+def grow_span(values: np.ndarray) -> tuple[int, int]:
     """First and last index of the closest two thirds of the ``values``, grown over values that are not far off."""
     places, count = positions(values), len(values)
     gaps, most = np.diff(places), count - count // 3
@@ -178,7 +178,7 @@ class Survey:
         """The normalised voxels of ``values``, float32, NaN for holes."""
         voxels = normalise(values, self.offset, self.scale).astype(np.float32, order="C")
         if self.holes:
-            voxels[~present(values, self.marks)] = np.nan
+            voxels[~are_measured(values, self.marks)] = np.nan
         return voxels
 
     def tallied(self) -> tuple[np.ndarray, np.ndarray] | None:
@@ -227,7 +227,7 @@ def survey(grid: Grid, solid: str, missing: Sequence[float] = (), progress: Prog
     narrow = kind.kind in "iu" and kind.itemsize <= COUNTED_BYTES and grid.size > MAX_UNSAMPLED_VOXELS
     low, high, holes, some, tally = (tallying if narrow else scan)(grid, marks, progress)
     ends = np.array([low, high], kind)
-    core = find_core(np.union1d(some[present(some, marks)], ends))
+    core = find_core(np.union1d(some[are_measured(some, marks)], ends))
     return Survey(grid, spacing, solid, marks, (low, high), holes, core, *offset_and_scale(*core, solid), tally)
 
 
@@ -284,7 +284,7 @@ def find_marks(missing: Sequence[float], dtype: np.dtype[Any]) -> np.ndarray:
     return np.array([int(mark) for mark in missing if info.min <= mark <= info.max and mark == int(mark)], dtype)
 
 
-def present(values: np.ndarray, marks: np.ndarray) -> np.ndarray:
+def are_measured(values: np.ndarray, marks: np.ndarray) -> np.ndarray:
     """Whether each value is finite and not marked as missing; bool."""
     finite = np.isfinite(values)
     for mark in marks:
@@ -323,7 +323,7 @@ def tallying(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
             tally += np.bincount(codes_of(plane).ravel(), minlength=len(tally))
             z += 1
             progress(z, COPY_STAGES * len(grid))
-    there = present(values, marks)
+    there = are_measured(values, marks)
     found = values[there & (tally > 0)]
     if not len(found):
         raise VolumeError(NO_FINITE_VALUE)
@@ -340,7 +340,7 @@ def scan(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
     for slab in map(usable, grid.slabs()):
         some.append(sample_layers(slab, step, z))
         for plane in slab:
-            there = plane[present(plane, marks)]
+            there = plane[are_measured(plane, marks)]
             count += there.size
             if there.size:
                 lows.append(there.min().item())

@@ -132,14 +132,14 @@ def outlines(radiance: np.ndarray) -> Iterator[Outline]:
     if not seen.flat[peak] > MIN_CONTRAST * float((seen * angles).sum()) / (4.0 * math.pi):
         return
     for share in EDGE_SHARES:
-        region = grow(seen > share * seen.flat[peak], peak, angles[:, 0])
+        region = grow_lobe(seen > share * seen.flat[peak], peak, angles[:, 0])
         if len(region) not in known:
             known.add(len(region))
             level = surround(radiance, region)
             yield Outline(lobe_of(radiance, region, level), region, level)
 
 
-def grow(mask: np.ndarray, seed: int, angles: np.ndarray) -> np.ndarray:
+def grow_lobe(mask: np.ndarray, seed: int, angles: np.ndarray) -> np.ndarray:
     """Flat indices of the marked texels connected with ``seed``; none where they fill more than MAX_SOLID_ANGLE.
 
     ``mask`` (h, w) bool is a lat-long image, whose columns close to a ring and whose rows go on beyond the poles;

@@ -35,7 +35,7 @@ MIN_SUBSURFACE_ALBEDO = 0.01
 def read_material(settings: Settings, volume: Volume) -> Material:
     """What the scene's surface is made of. SceneError where a value has no meaning, or the scene has what it cannot."""
     kind, given = settings.choice("material", MATERIALS) or MATERIALS[0], settings.source.document
-    index, absorption = settings.number("index", WINDOW_GLASS, *INDICES), _colour(settings, "absorption")
+    index, absorption = settings.number("index", WINDOW_GLASS, *INDICES), _material_colour(settings, "absorption")
     path = settings.number("mean_free_path", DEFAULT_FREE_PATH * volume.radius, 0.0, LARGEST_LIGHT)
     for key, of in MATERIAL_NUMBERS.items():
         if key in given and of != kind:
@@ -69,7 +69,7 @@ def refuse_lamps(material: Material, lights: tuple[Light, ...]) -> None:
         raise SceneError("Lamps do not reach inside a subsurface: make them walls with radiance, or an environment.")
 
 
-def _colour(settings: Settings, key: str) -> Colour:
+def _material_colour(settings: Settings, key: str) -> Colour:
     """A number for all three channels, or three; 0 where it is left out."""
     given = tuple(float(value) for value in settings.listed(key)) or (0.0,)
     if len(given) not in (1, 3):

@@ -143,10 +143,10 @@ def plan_scene(inputs: PlanInputs, overrides: PlanOverrides) -> ScenePlan:
     bounces = bounces_for(inputs.reflecting, inputs.target_error) if overrides.bounces is None else overrides.bounces
     if overrides.representation == "vicinity" or max(inputs.reflecting) == 0.0:
         bounces = 0
-    representation = overrides.representation or choose(inputs, overrides, bounces)
+    representation = overrides.representation or choose_representation(inputs, overrides, bounces)
     refuse_idle(representation, bounces, inputs, overrides)
     lobes = lobes_for(inputs, overrides) if representation == "transfer" else 0
-    layers = rounded(layers_of(representation, inputs, overrides, bounces, lobes), inputs, overrides, lobes)
+    layers = rounded(planned_layers(representation, inputs, overrides, bounces, lobes), inputs, overrides, lobes)
     layers += glow_layers(inputs, bounces)
     order, samples = max(layer.order for layer in layers), most_samples(inputs.target_error)
     survival, branches = survival_for(inputs.reflecting, bounces), branches_for(layers, inputs)
@@ -160,7 +160,7 @@ def complete(plan: ScenePlan, inputs: PlanInputs, overrides: PlanOverrides) -> S
     return replace(plan, notes=notes_on(plan, inputs), left_out=left_out(plan, inputs))
 
 
-def choose(inputs: PlanInputs, overrides: PlanOverrides, bounces: int) -> str:
+def choose_representation(inputs: PlanInputs, overrides: PlanOverrides, bounces: int) -> str:
     """Choose the representation that keeps the least."""
     if inputs.walls:
         return "irradiance"
@@ -182,7 +182,7 @@ def lobes_for(inputs: PlanInputs, overrides: PlanOverrides) -> int:
     return next(n for n in counts if errors[n] <= allowed)
 
 
-def layers_of(
+def planned_layers(
     representation: str, inputs: PlanInputs, overrides: PlanOverrides, bounces: int, lobes: int
 ) -> tuple[Layer, ...]:
     """The layers of a representation."""

@@ -60,7 +60,7 @@ def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
         return scene
     every = surfaces_of(scene, shown)
     own, others = every[side.number], every if side.number else scene.surfaces.pinned
-    others = apart((own, *others), scene)[1:]
+    others = distinct_surfaces((own, *others), scene)[1:]
     document: dict[str, Any] = {key: value for key, value in scene.source.document.items() if key not in SIDE_SETTINGS}
     document |= {key: value for key, value in own.table.items() if key != "name"} | lying(scene, side)
     document |= {"isovalues": [own.isovalue] * 2 if side.number else list(scene.isovalues)}
@@ -68,7 +68,7 @@ def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
     return remade(scene, document, scene.volume.inside_out if side.inner else scene.volume)
 
 
-def apart(surfaces: tuple[PinnedSurface, ...], scene: Scene) -> tuple[PinnedSurface, ...]:
+def distinct_surfaces(surfaces: tuple[PinnedSurface, ...], scene: Scene) -> tuple[PinnedSurface, ...]:
     """The ``surfaces`` without any that lies at the isovalue of one before it."""
     found: dict[Isovalue, PinnedSurface] = {}
     for each in surfaces:

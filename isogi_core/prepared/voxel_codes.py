@@ -93,13 +93,13 @@ class IdleVoxels:
         slab, (low, high), (below, above) = self._voxels[a:b], self._range, self._sides
         needed = surface_cells(slab, low, high)
         for axis in range(3):
-            needed = spread(needed, axis)
+            needed = voxels_read(needed, axis)
         own, idle = slab[first - a : last - a], ~needed[first - a : last - a]
         sided = np.where(idle & (own <= low), np.float32(below), own)
         return np.asarray(np.where(idle & (own > high), np.float32(above), sided), np.float32)
 
 
-def spread(cells: np.ndarray, axis: int) -> np.ndarray:
+def voxels_read(cells: np.ndarray, axis: int) -> np.ndarray:
     """The voxels along an ``axis`` that drawing marked ``cells`` reads; bool, one more along that axis."""
     marks = np.moveaxis(cells, axis, 0)
     wide = np.zeros((len(marks) + VOXELS_BEFORE + VOXELS_AFTER, *marks.shape[1:]), np.bool_)

@@ -40,7 +40,7 @@ class Folder:
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
         """Write an object in place of ``former``; ChangedError where another was written meanwhile."""
         path = self.path / key
-        with opened(self.path / self.sentinel, os.O_RDWR) as lock, self._partial(path, data) as written:
+        with open_descriptor(self.path / self.sentinel, os.O_RDWR) as lock, self._partial(path, data) as written:
             fcntl.flock(lock, fcntl.LOCK_EX)
             if self.get(key) != former:
                 raise ChangedError(f"Another writer has changed {key} meanwhile: read it again.")
@@ -121,7 +121,7 @@ class Folder:
 
 
 @contextmanager
-def opened(path: Path, flags: int) -> Iterator[int]:
+def open_descriptor(path: Path, flags: int) -> Iterator[int]:
     """Open a file for the block and yield its descriptor; closing it gives its lock back."""
     descriptor = os.open(path, flags)
     try:

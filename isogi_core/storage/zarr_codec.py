@@ -24,7 +24,7 @@ def description(**array: Any) -> bytes:
 
 
 @lru_cache(maxsize=64)
-def described(document: bytes) -> "zarr.Array[Any]":
+def described_array(document: bytes) -> "zarr.Array[Any]":
     """The array that a ``zarr.json`` describes, without its chunks. Raises errors of many kinds for other documents.
 
     Kept, as it is read before each new chunk, and Zarr takes as long for it as a small task for its light.

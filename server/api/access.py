@@ -91,7 +91,7 @@ def is_link(headers: Headers) -> bool:
     return headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
 
 
-OPEN = ("/livez", "/readyz")
+OPEN_PATHS = ("/livez", "/readyz")
 """What probes ask, which hold no token: they answer whoever shows none in fewer words."""
 
 REFUSAL = "This server wants its token: as 'Authorization: Bearer …', or once in the page's address as /?token=…"
@@ -148,7 +148,7 @@ class TokenBearers:
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
-        if scope["path"] in OPEN:
+        if scope["path"] in OPEN_PATHS:
             token = self.known(Headers(scope=scope))
             scope[BEARER_SCOPE_KEY] = token.bearer if token else TOKENLESS_BEARER
             await self.app(scope, receive, send)

@@ -25,7 +25,7 @@ from server.render.metrics import BakingCollector, JobsCollector, Metrics
 from server.render.resources import StoreProbe
 from server.settings import Settings
 
-DESCRIPTION = "Pictures of isosurfaces with global illumination, served at once and refined while you look."
+API_DESCRIPTION = "Pictures of isosurfaces with global illumination, served at once and refined while you look."
 GUARDED = problems.documented_problems(401, 403, 413, 421)
 """What the middleware answers for any route."""
 
@@ -42,7 +42,7 @@ ROUTERS = (
     ),
 )
 
-SHARED = ("Authorization", "If-None-Match", "Last-Event-ID", "Prefer", "X-Request-ID")
+ALLOWED_HEADERS = ("Authorization", "If-None-Match", "Last-Event-ID", "Prefer", "X-Request-ID")
 """Request headers that pages of other origins may set, where any may ask."""
 
 EXPOSED = (
@@ -62,7 +62,7 @@ def create_app(engine: RenderEngine, settings: Settings) -> FastAPI:
     app = FastAPI(
         title="isogi",
         version=version("isogi"),
-        description=DESCRIPTION,
+        description=API_DESCRIPTION,
         docs_url=None,
         redoc_url=None,
         lifespan=lifespan,
@@ -84,7 +84,7 @@ def middleware(settings: Settings, metrics: Metrics, closing: Closing) -> list[M
         CORSMiddleware,
         allow_origins=origins,
         allow_methods=("GET", "POST", "DELETE"),
-        allow_headers=SHARED,
+        allow_headers=ALLOWED_HEADERS,
         expose_headers=EXPOSED,
     )
     bearers = settings.bearers

@@ -64,7 +64,7 @@ def is_text(data: bytes) -> bool:
 
 log = logging.getLogger("isogi.connections")
 
-CHECK = 0.5
+DEADLINE_CHECK_SECONDS = 0.5
 """Seconds between two checks of a connection's deadlines."""
 
 PACE = 1024
@@ -273,7 +273,7 @@ class Connection(H11Protocol):
             self.transport.close()
 
     def _check_later(self) -> None:
-        self._next_check = self.loop.call_later(CHECK, self.check)
+        self._next_check = self.loop.call_later(DEADLINE_CHECK_SECONDS, self.check)
 
     def _stop_checking(self) -> None:
         if self._next_check is not None:

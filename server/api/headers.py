@@ -20,7 +20,7 @@ from worker.progress import TimeLeft
 FOR_EVER = "max-age=31536000, immutable"
 """Caching of a picture that is final, at an address that names its version: it can be no other."""
 
-STATES = ("final", "converging", "provisional")
+STATE_NAMES = ("final", "converging", "provisional")
 STAGES = {
     "queue": "waiting for a thread",
     "demand": "requesting the light that is lacking, and estimating how long it takes",
@@ -83,9 +83,9 @@ def cache_status(needed: int, final: int) -> str:
 
 def coverage_header(shares: Mapping[str, float]) -> str:
     """Shares to three digits; what is final is rounded down and the rest up, so that 1.000 means all."""
-    final, *others = (1000 * shares[state] for state in STATES)
+    final, *others = (1000 * shares[state] for state in STATE_NAMES)
     thousandths = (math.floor(final), *map(math.ceil, others))
-    return ", ".join(f"{state}={n / 1000:.3f}" for state, n in zip(STATES, thousandths, strict=True))
+    return ", ".join(f"{state}={n / 1000:.3f}" for state, n in zip(STATE_NAMES, thousandths, strict=True))
 
 
 def projection_header(shares: Mapping[str, float]) -> str:
@@ -148,7 +148,7 @@ def server_timing(watch: Stopwatch) -> str:
 MEMBER = re.compile(r'(?:[^,"]|"(?:[^"\\]|\\.)*"?)+')
 """One member of a list, in whose quoted parts commas are text."""
 
-DESCRIPTION = (
+PREFER_DESCRIPTION = (
     "Preferences (RFC 7240). wait=5: wait up to 5 seconds for baking, where wait_ms is left out;"
     f" {LONGEST_WAIT // 1000} at most. respond-async: where a frame is not final by then, answer with a job that bakes"
     " it. Others are ignored."
@@ -191,7 +191,7 @@ def seconds(text: str) -> int | None:
     return min(int(text), LONGEST_WAIT // 1000) if len(text) < 10 else LONGEST_WAIT // 1000
 
 
-async def preferred(prefer: Annotated[list[str] | None, Header(description=DESCRIPTION)] = None) -> Preferences:
+async def preferred(prefer: Annotated[list[str] | None, Header(description=PREFER_DESCRIPTION)] = None) -> Preferences:
     """The preferences of a request."""
     return preferences(prefer or ())
 

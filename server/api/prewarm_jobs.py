@@ -35,13 +35,13 @@ from worker.bake_requests import Viewer
 from worker.errors import WorkersError
 from worker.progress import TimeLeft
 
-LATER = 5.0
+SURVEY_WAIT_SECONDS = 5.0
 """Seconds that the frame of a survey waits for a thread before it goes first."""
 
-CHECK = 0.1
+FRAME_CHECK_SECONDS = 0.1
 """Seconds between two checks of a frame that is waited for."""
 
-AGAIN, LONGEST_AWAY = 10.0, 3600.0
+RETRY_SECONDS, LONGEST_AWAY = 10.0, 3600.0
 """Seconds until what failed for the store is tried again, and for which it is."""
 
 NICENESS = 5
@@ -148,7 +148,7 @@ class Prewarm:
                 if time.monotonic() > given_up:
                     raise
                 context.report(Step(f"Waiting for the store ({error})", "time", 0, 1, 0.0))
-                self.cancelled.wait(AGAIN)
+                self.cancelled.wait(RETRY_SECONDS)
                 context.check()
 
     def _refine(self, view: View, target: float, prices: Prices) -> bool:
@@ -165,7 +165,7 @@ class Prewarm:
         try:
             while True:
                 with suppress(TimeoutError):
-                    return coming.result(CHECK)
+                    return coming.result(FRAME_CHECK_SECONDS)
                 if self.cancelled.is_set():
                     raise Cancelled("This prewarm was stopped.")
         finally:
@@ -173,7 +173,7 @@ class Prewarm:
 
     async def _frame(self, picture: PictureRequest) -> Frame:
         """The frame of a picture; where clients wait for frames, they have as much time as it took."""
-        begun, rank = time.monotonic(), self.service.rank(BACKGROUND_VIEWER, LATER)
+        begun, rank = time.monotonic(), self.service.rank(BACKGROUND_VIEWER, SURVEY_WAIT_SECONDS)
         frame = await self.service.frame(picture, rank, Stopwatch())
         if self.service.attended:
             await asyncio.sleep(time.monotonic() - begun)

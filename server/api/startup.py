@@ -13,7 +13,7 @@ from server.render.engine import RenderEngine
 LOOK = 0.02
 """Seconds between two looks at whether the service is ready."""
 
-OPENING = "isogi is starting: its scene is not open yet."
+SCENE_NOT_OPEN = "isogi is starting: its scene is not open yet."
 COMPILING = "What draws {shading} pictures is being compiled, once on this machine: ask again in a while."
 
 
@@ -64,7 +64,7 @@ class Startup:
     def reasons(self) -> list[str]:
         """Why the service is not ready; empty when it is."""
         if not self.settled.is_set():
-            return [self._engine.kernels.compiling or OPENING]
+            return [self._engine.kernels.compiling or SCENE_NOT_OPEN]
         return [f"isogi did not start: {self.failure}"] if self.failure else self._engine.unready()
 
     @property

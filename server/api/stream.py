@@ -32,7 +32,7 @@ from server.render.updates import stream_viewer
 from server.settings import Settings
 from server.values import Span
 
-TOO_BIG, POLICY, LATER, IDLE = 1009, 1008, 1013, 4000
+CLOSE_TOO_BIG, CLOSE_POLICY, CLOSE_TRY_LATER, CLOSE_IDLE = 1009, 1008, 1013, 4000
 """Codes that a stream is closed with (RFC 6455, 7.4): a message is too long; too many, or no text; another client needs
 the place; none for long."""
 
@@ -49,16 +49,16 @@ class Inbox:
         try:
             message = await asyncio.wait_for(self._socket.receive(), self._settings.stream_idle_seconds)
         except TimeoutError:
-            raise StreamError(f"No message for {self._settings.stream_idle_seconds:g} seconds.", IDLE) from None
+            raise StreamError(f"No message for {self._settings.stream_idle_seconds:g} seconds.", CLOSE_IDLE) from None
         if message["type"] == "websocket.disconnect":
             return None
         self._count_one()
         self._place.use()
         text = message.get("text")
         if text is None:
-            raise StreamError("Messages must be text.", POLICY)
+            raise StreamError("Messages must be text.", CLOSE_POLICY)
         if len(text.encode()) > self._settings.stream_bytes:
-            raise StreamError(f"A message is longer than {self._settings.stream_bytes} bytes.", TOO_BIG)
+            raise StreamError(f"A message is longer than {self._settings.stream_bytes} bytes.", CLOSE_TOO_BIG)
         return str(text)
 
     def _count_one(self) -> None:
@@ -66,7 +66,7 @@ class Inbox:
         self._count = self._count + 1 if second == self._second else 1
         self._second = second
         if self._count > self._settings.stream_rate:
-            raise StreamError(f"More than {self._settings.stream_rate} messages in a second.", POLICY)
+            raise StreamError(f"More than {self._settings.stream_rate} messages in a second.", CLOSE_POLICY)
 
 
 Id = Annotated[int, Span(0, 2**53 - 1, whole=True)]
@@ -313,7 +313,7 @@ async def kept(socket: WebSocket, session: Session, place: Place) -> None:
         await place.keep(session.run())
     except BusyError as error:
         with suppress(WebSocketDisconnect, RuntimeError):
-            await socket.close(LATER, str(error))
+            await socket.close(CLOSE_TRY_LATER, str(error))
 
 
 router = APIRouter(prefix="/v1/scenes/{scene}")

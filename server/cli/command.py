@@ -337,7 +337,7 @@ def store() -> None:
 
 def store_at(where: str | None) -> Any:
     """The store that is named, else the one that the settings name. Raises StoreError where there is none."""
-    return module_of("store").present(settings_from(store=where))
+    return module_of("store").existing_store(settings_from(store=where))
 
 
 @store.command()

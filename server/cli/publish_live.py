@@ -146,7 +146,7 @@ def offers(
     page, document = page_files() | volume_files(renderer, span), document_of(renderer, params, view, span)
     for coding in codings:
         light = light_files(renderer, span, coding, target)
-        facts = facts_of(renderer.prepared.scene, span, baked, {**page, **light}, baked.pictures.measure(coding))
+        facts = page_facts(renderer.prepared.scene, span, baked, {**page, **light}, baked.pictures.measure(coding))
         facts["target_error"] = goal
         known = {"files": sorted(light), "steps": coding.steps.tolist(), "background": ground_of(params), **facts}
         yield Offer({**page, **light, "scene.json": json_file({**document, "light": known})}, facts)
@@ -158,7 +158,7 @@ def coding_at(renderer: Renderer, error: float) -> Coding:
     return coding_for(spec, raw_scale(spec), error)
 
 
-def facts_of(
+def page_facts(
     scene: Scene, span: Span, baked: RangeLight, files: Mapping[str, bytes], error: TotalError
 ) -> dict[str, Any]:
     """What there is to say of a page of these ``files``."""

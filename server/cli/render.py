@@ -21,7 +21,7 @@ from isogi_core.model.view import PROJECTIONS, View
 from isogi_core.plan.first_view import front_of
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_core.reference import Goal, Reference, grow, load_reference, save_reference, with_bounces
+from isogi_core.reference import Goal, Reference, grow_reference, load_reference, save_reference, with_bounces
 from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.answers import coverage_schema, fit
 from server.parameters import FrameParams, ViewParams, read
@@ -70,7 +70,7 @@ def render(
         if not is_placed(knobs):
             [params] = seen_whole(engine.renderer(scene.id), [params], settings)
         view = view_of(scene, params, settings)
-        frame = refine(engine, scene.id, view, params.max_error, seconds)
+        frame = draw_refined(engine, scene.id, view, params.max_error, seconds)
         left, paths = engine.time_left(scene.id, frame, params.max_error), engine.paths
     exposure = scene.default_exposure if params.exposure is None else params.exposure
     write_whole(output, encode(frame, form, exposure, params))
@@ -153,7 +153,7 @@ def stand_of(scene: Scene, shot: FrameParams, settings: Settings) -> Stand:
     return Stand(view, shot.azimuth, shot.elevation)
 
 
-def refine(engine: RenderEngine, scene: str, view: View, max_error: float | None, seconds: float | None) -> Frame:
+def draw_refined(engine: RenderEngine, scene: str, view: View, max_error: float | None, seconds: float | None) -> Frame:
     """Bake and draw as ``awaited`` does, with the seconds left on a bar meanwhile; the bar never runs back."""
     begun, shown = time.monotonic(), 0.0
     with Progress("lighting", "") as bar:
@@ -231,11 +231,11 @@ def grow_file(scene: Scene, view: View, output: Path, goal: Goal) -> dict[str, A
     found = former
     with tempfile.TemporaryDirectory(prefix="isogi-reference-") as store, tqdm(unit="path", unit_scale=True) as bar:
         renderer = Renderer(Caches(PreparedScene(scene), store, REFERENCE_BYTES), Tiles())
-        for found in grow(renderer, view, goal, former, progress=bar.update):
+        for found in grow_reference(renderer, view, goal, former, progress=bar.update):
             save_reference(output, found, scene, view)
             show_noise(bar, found, goal)
     assert found is not None, "one round is made in any case"
-    return {"file": str(output), "scene": scene.name, "bounces": scene.bounces, **facts(found)}
+    return {"file": str(output), "scene": scene.name, "bounces": scene.bounces, **reference_facts(found)}
 
 
 def show_noise(bar: Any, found: Reference, goal: Goal) -> None:
@@ -245,7 +245,7 @@ def show_noise(bar: Any, found: Reference, goal: Goal) -> None:
     bar.set_postfix(samples=found.samples, noise=f"{found.noise:.2%}")
 
 
-def facts(found: Reference) -> dict[str, Any]:
+def reference_facts(found: Reference) -> dict[str, Any]:
     """Size and quality of a reference, and the processor's seconds that it took."""
     height, width = found.on.shape
     size = {"width": width, "height": height, "surface": int(found.on.sum())}

@@ -6,14 +6,13 @@ from typing import Any
 
 from isogi_core.cache.upkeep.audit import Audit, Auditor, Repairer, leftovers
 from isogi_core.cache.upkeep.census import Census, Count, census_of
-from isogi_core.cache.upkeep.prune import PrunePlan, PruneRule, plan_prune
-from isogi_core.cache.upkeep.prune import prune as prune_store
+from isogi_core.cache.upkeep.prune import PrunePlan, PruneRule, delete_layers, plan_prune
 from isogi_core.storage.store import Store
 from server.progress import Progress
-from server.render.resources import present
+from server.render.resources import existing_store
 from server.values import span
 
-__all__ = ["present", "prune", "pruned", "repair", "repaired", "rule_of", "stats", "table", "verified", "verify"]
+__all__ = ["existing_store", "prune", "pruned", "repair", "repaired", "rule_of", "stats", "table", "verified", "verify"]
 
 
 def stats(root: Store, texels: bool) -> dict[str, Any]:
@@ -110,7 +109,7 @@ def prune(root: Store, rule: PruneRule, delete: bool) -> dict[str, Any]:
     census = census_of(root, texels=False)
     plan = plan_prune(census, rule, root.now())
     if delete:
-        prune_store(root, census, plan)
+        delete_layers(root, census, plan)
     return {"store": str(root.url), "deleted": delete, **plan_facts(plan, root.now())}
 
 

@@ -53,7 +53,7 @@ def stiffness(facts: InspectionSchema) -> Iterator[str]:
     found = facts.stiffness
     yield "stiffness (shares of the cells that a surface passes; > is the scene's isovalue)"
     yield TABLE_HEAD
-    yield from (row(found.surfaces[place], place == found.own) for place in shown_places(found))
+    yield from (surface_row(found.surfaces[place], place == found.own) for place in shown_places(found))
     yield from (line for remark in found.remarks for line in lines_of(remark))
 
 
@@ -67,13 +67,13 @@ def lines_of(remark: Remark) -> Iterator[str]:
 
 
 def shown_places(found: StiffnessSchema) -> list[int]:
-    """Places of MAX_TABLE_ROWS surfaces, evenly taken, of the scene's own, and of the one that is expected to err most."""
+    """Places of MAX_TABLE_ROWS surfaces, evenly taken, of the scene, and of the largest expected error."""
     step = (len(found.surfaces) - 1) / (MAX_TABLE_ROWS - 1)
     errors = [0.0 if surface.error is None else surface.error.likely for surface in found.surfaces]
     return sorted({*(round(step * i) for i in range(MAX_TABLE_ROWS)), found.own, errors.index(max(errors))})
 
 
-def row(surface: SurfaceSchema, own: bool) -> str:
+def surface_row(surface: SurfaceSchema, own: bool) -> str:
     """A row of the table."""
     name = f"{'>' if own else ' '} {surface.isovalue:>11.6g} {surface.cells:>13,}"
     if surface.error is None:

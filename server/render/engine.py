@@ -29,7 +29,7 @@ from isogi_core.storage.url import StoreUrl
 from server.errors import UnknownSceneError
 from server.render.bakes import BACKGROUND_VIEWER, BackgroundBake, SideBakes, bake_name, make_bake
 from server.render.kernels import SceneKernels
-from server.render.loaded_scene import LoadedScene, LoadedScenes, load
+from server.render.loaded_scene import LoadedScene, LoadedScenes, load_scene_parts
 from server.render.path_times import Promises, time_of_paths
 from server.render.picture_checks import CHECK, PictureChecks
 from server.render.resources import root_of, shared, whereabouts
@@ -410,7 +410,7 @@ class RenderEngine:
         lenders = [name for name in self.scenes if self.variant(name).may_lend(variant)]
         whole = self._loaded.held(variant.whole.id) if variant.cut is not None else self._loaded.latest(lenders)
         send = self.workforce.joins
-        loaded = load(scene, self.store, self._tiles, self._memory, send=send, beside=beside, whole=whole)
+        loaded = load_scene_parts(scene, self.store, self._tiles, self._memory, send=send, beside=beside, whole=whole)
         make = partial(make_bake, loaded.renderer.caches, assets=loaded.assets, whole=loaded.whole)
         arrived = partial(self._arrived, scene.id, 0)
         bakes = [(bake_name(scene.id, spec), make(spec, arrived=arrived)) for spec in SPECS]

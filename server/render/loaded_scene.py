@@ -240,7 +240,7 @@ class LoadedScene:
             self._finer.close()
 
 
-def load(
+def load_scene_parts(
     scene: Scene,
     store: Store,
     tiles: Tiles,

@@ -93,7 +93,7 @@ class StoreProbe:
         return []
 
 
-def present(settings: Settings) -> Store:
+def existing_store(settings: Settings) -> Store:
     """The store of the settings, for its upkeep. Raises StoreError where there is none."""
     place = place_of(settings)
     if place.scheme == "file" and not place.folder.is_dir():

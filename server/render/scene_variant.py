@@ -63,8 +63,11 @@ class SceneVariant:
         Raises ParameterError.
         """
         pinned = len(scene.surfaces.pinned)
-        clears = _read("surfaces", lambda text: read_clears(text, pinned), change.surfaces)
-        made, hidden = _read("material", read_material_text, change.material), _read("hide", read_hidden, change.hide)
+        clears = _read_parameter("surfaces", lambda text: read_clears(text, pinned), change.surfaces)
+        made, hidden = (
+            _read_parameter("material", read_material_text, change.material),
+            _read_parameter("hide", read_hidden, change.hide),
+        )
         material = None if made is None or made_of(scene, made) else write_material_text(made)
         time = None if change.time == scene.volume.moment[0] else change.time
         return cls(scene.id, change.environment, clears, material, hidden, time, change.cut)
@@ -114,7 +117,7 @@ class SceneVariant:
         return alike and self != other and self.cut is None
 
 
-def _read(name: str, read: Callable[[str], T], text: str | None) -> T | None:
+def _read_parameter(name: str, read: Callable[[str], T], text: str | None) -> T | None:
     """What a parameter's ``text`` says, as it is ``read``; ParameterError where that cannot be."""
     try:
         return None if text is None else read(text)

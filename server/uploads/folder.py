@@ -88,19 +88,23 @@ def write(file: IO[bytes], grid: Grid, name: str) -> str:
     """
     kind = {"b1": "u1", "f2": "f4"}.get(grid.dtype.str[1:], grid.dtype.str[1:])
     kind = kind if kind in NRRD_TYPES else "f8"
-    facts = {"type": NRRD_TYPES[kind], "sizes": " ".join(str(n) for n in grid.shape[::-1]), "place": place_of(grid)}
-    facts["labels"] = "".join(segment(number, label) for number, label in enumerate(labels_of(grid)))
+    facts = {
+        "type": NRRD_TYPES[kind],
+        "sizes": " ".join(str(n) for n in grid.shape[::-1]),
+        "place": placing_lines(grid),
+    }
+    facts["labels"] = "".join(segment(number, label) for number, label in enumerate(shown_labels(grid)))
     digest = hashlib.blake2b(VOLUME_HEADER.format(**facts, name="").encode(), digest_size=16)
-    for layer in layers_of(grid, f"<{kind}"):
+    for layer in layer_values(grid, f"<{kind}"):
         digest.update(layer)
     number = digest.hexdigest()
     file.write(VOLUME_HEADER.format(**facts, name=quote(name or f"volume {number[:6]}", safe="")).encode())
-    for layer in layers_of(grid, f"<{kind}"):
+    for layer in layer_values(grid, f"<{kind}"):
         file.write(layer)
     return number
 
 
-def labels_of(grid: Grid) -> tuple[LabelName, ...]:
+def shown_labels(grid: Grid) -> tuple[LabelName, ...]:
     """The labels that a grid names, as many as can be shown; of a segmentation without names a nameless one."""
     return () if grid.labels is None else grid.labels[:MAX_LABELS] or (LabelName(1),)
 
@@ -113,12 +117,12 @@ def segment(number: int, label: LabelName) -> str:
     return "".join(f"Segment{number}_{key}:={text}\n" for key, text in rows.items() if text)
 
 
-def layers_of(grid: Grid, kind: str) -> Iterator[memoryview]:
+def layer_values(grid: Grid, kind: str) -> Iterator[memoryview]:
     """The values of a grid, layer by layer, as a type: no copy of the whole takes memory."""
     return (np.ascontiguousarray(layer, kind).data for slab in grid.slabs() for layer in slab)
 
 
-def place_of(grid: Grid) -> str:
+def placing_lines(grid: Grid) -> str:
     """The lines of a header that say where a grid on right angles lies: spacing alone where that is all."""
     orientation = Orientation.of(grid)
     if not orientation.placed and not orientation.letters and not orientation.unit:
@@ -198,7 +202,7 @@ class UploadFolder:
 
     def open(self) -> None:
         """Take the folder, for its owner alone; throw away what was half-written, and find what is whole."""
-        with named(self.path):
+        with name_folder_in_errors(self.path):
             self.path.mkdir(0o700, parents=True, exist_ok=True)
             self.path.chmod(0o700)
             self._lock = self._take()
@@ -220,7 +224,7 @@ class UploadFolder:
     @contextmanager
     def drafts(self) -> Iterator[tuple[IO[bytes], IO[bytes]]]:
         """Two files: for what a client sends, which has no name, and for its canonical form. Gone afterwards."""
-        with named(self.path):
+        with name_folder_in_errors(self.path):
             body = tempfile.TemporaryFile(dir=self.path)  # noqa: SIM115
             draft = tempfile.NamedTemporaryFile(dir=self.path, suffix=UNFINISHED_SUFFIX, delete=False)  # noqa: SIM115
         try:
@@ -251,7 +255,7 @@ class UploadFolder:
 
     def _move(self, draft: IO[bytes], place: Path) -> None:
         """Give a draft its name, for good."""
-        with named(self.path):
+        with name_folder_in_errors(self.path):
             draft.flush()
             os.fsync(draft.fileno())
             os.replace(draft.name, place)
@@ -272,7 +276,7 @@ class UploadFolder:
 
     def _own(self, owners: dict[str, list[str]]) -> None:
         """Keep who owns what."""
-        with named(self.path):
+        with name_folder_in_errors(self.path):
             write_whole(self.path / OWNERS_FILE, json.dumps(owners).encode())
         self._owners = owners
 
@@ -280,7 +284,7 @@ class UploadFolder:
         """Delete a volume, or an environment."""
         if number in self._owners:
             self._own({key: owners for key, owners in self._owners.items() if key != number})
-        with named(self.path):
+        with name_folder_in_errors(self.path):
             self.place(number).unlink(missing_ok=True)
             self.volumes = {key: kept for key, kept in self.volumes.items() if key != number}
             self.environments = {key: kept for key, kept in self.environments.items() if key != number}
@@ -319,7 +323,7 @@ class UploadFolder:
 
 
 @contextmanager
-def named(folder: Path) -> Iterator[None]:
+def name_folder_in_errors(folder: Path) -> Iterator[None]:
     """What the system says of a ``folder`` as an error that names it."""
     try:
         yield

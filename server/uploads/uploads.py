@@ -37,7 +37,7 @@ from server.uploads.folder import (
     UploadedVolume,
     UploadFolder,
     default_folder,
-    named,
+    name_folder_in_errors,
     read_facts,
 )
 from server.uploads.reading import Reader
@@ -178,7 +178,7 @@ class Uploads:
         with self._admission.admitted(client_of(request.scope)) as place, self.folder.drafts() as (body, draft):
             self._check_room(SCENE_BYTES if kind == VOLUME_KIND else 0)  # no volume takes less
             async with Reader.started(body, draft, name, self.limit // VOXEL_BYTES, kind) as reader:
-                with named(self.folder.path):
+                with name_folder_in_errors(self.folder.path):
                     await place.keep(receive(request, body, self._settings.body_seconds))
                 number = await attended(request, place.keep(self._read(reader)))
             async with self._changing:

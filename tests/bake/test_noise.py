@@ -14,7 +14,7 @@ from isogi_core.bake.noise import (
     deviations,
     finished,
     good_enough,
-    luminance,
+    mean_luminance,
     noise_of_halves,
     relative_error,
 )
@@ -49,7 +49,7 @@ def test_luminance_is_a_mean_over_rotations_of_the_light() -> None:
     light = light_of(spec, [[64] * 20, [64] * 20])
     lights = rotations_of(spec.luminance_light, 3000)
     seen = np.einsum("mcn,tcn->m", np.broadcast_to(light.transfer, (20, 3, spec.order**2)), lights) / len(lights)
-    np.testing.assert_allclose(luminance(light, spec), seen, rtol=0.05)
+    np.testing.assert_allclose(mean_luminance(light, spec), seen, rtol=0.05)
 
 
 def test_error_is_relative_to_the_texels_own_light() -> None:
@@ -66,7 +66,7 @@ def test_errors_of_the_parts_are_independent() -> None:
     light = light_of(spec, [[64] * 8, [64] * 8])
     direct, indirect = (deviation(part, spec) for part in light.parts)
     np.testing.assert_array_equal(deviations(light, spec), [direct, indirect])
-    level = luminance(light, spec)
+    level = mean_luminance(light, spec)
     assert (level > FLOOR * spec.unoccluded).all()
     np.testing.assert_allclose(relative_error(light, spec), np.hypot(direct, indirect) / level)
 
@@ -207,7 +207,7 @@ def test_final_texels_are_within_their_error(name: str) -> None:
     light = baked(spec, texels, most_samples(target), target=target)
     parts = zip(light.parts, reference.parts, strict=True)
     wrong = sum(wrongness(part, exact, spec) for part, exact in parts)
-    level = np.maximum(luminance(reference, spec), FLOOR * spec.unoccluded)
+    level = np.maximum(mean_luminance(reference, spec), FLOOR * spec.unoccluded)
     seen = np.sqrt(((wrong / level[:, None]) ** 2).mean())
     estimated = np.sqrt((relative_error(light, spec) ** 2).mean())
     assert finished(light, spec, target).all()

@@ -16,9 +16,9 @@ from isogi_core.bake.precision import (
     SMALLEST,
     VOID,
     VOID_CODE,
+    decoded_light,
     level_codes,
     light_codes,
-    light_of,
     next_level,
     noise_codes,
     noise_of,
@@ -118,20 +118,20 @@ def test_single_floats_are_kept_as_they_are() -> None:
 
 def test_bytes_of_light_survive_the_round_trip() -> None:
     used = CODES[CODES != NEGATIVE]
-    light = light_of(used)
+    light = decoded_light(used)
     assert light.dtype == np.float32 and len(set(light.tolist())) == len(used)
     assert np.array_equal(light_codes(light), used)
-    assert light_of(light_codes(np.array([0.0, -0.0, 1.0, -1.0]))).tolist() == [0.0, 0.0, 1.0, -1.0]
+    assert decoded_light(light_codes(np.array([0.0, -0.0, 1.0, -1.0]))).tolist() == [0.0, 0.0, 1.0, -1.0]
 
 
 def test_bytes_keep_light_to_half_a_step_and_its_sign() -> None:
-    smallest = float(light_of(np.uint8(SMALLEST)))
+    smallest = float(decoded_light(np.uint8(SMALLEST)))
     size = np.random.default_rng(4).uniform(np.log2(smallest), 0.0, 5000)
     for sign in (1.0, -1.0):
-        kept = light_of(light_codes(sign * 2.0**size))
+        kept = decoded_light(light_codes(sign * 2.0**size))
         assert (sign * kept > 0.0).all()
         assert np.abs(np.log2(np.abs(kept)) - size).max() <= 0.5 / CODES_PER_HALVING + 1e-6
-    assert not light_of(light_codes(np.array([0.9, -0.9]) * smallest * 2.0 ** (-0.5 / CODES_PER_HALVING))).any()
+    assert not decoded_light(light_codes(np.array([0.9, -0.9]) * smallest * 2.0 ** (-0.5 / CODES_PER_HALVING))).any()
 
 
 @pytest.mark.parametrize("scale", SCALES)
@@ -140,5 +140,5 @@ def test_only_the_higher_bands_are_bytes(scale: float) -> None:
     light = 0.2 * scale * np.random.default_rng(5).normal(size=(30, 1, 25))
     rounded = round_light(light, layer)
     assert np.array_equal(rounded[..., :4], round_light(light[..., :4], Layer("direct", 2, scale=scale)))
-    assert np.array_equal(rounded[..., 4:], light_of(light_codes(light[..., 4:] / scale)) * np.float32(scale))
+    assert np.array_equal(rounded[..., 4:], decoded_light(light_codes(light[..., 4:] / scale)) * np.float32(scale))
     assert np.array_equal(round_light(rounded, layer), rounded)

@@ -21,7 +21,7 @@ from benchmarks.accuracy.projection import by_shares_and_normals, plain, sides_o
 from isogi_core.frame import texel_shading
 from isogi_report.bake import ViewBake
 from isogi_report.exact import straight_light, unrounded
-from isogi_report.metrics import luminance
+from isogi_report.metrics import luminance_of
 from tests.benchmarks.parts import bench_of
 
 SLOPE = np.array([1.0, -2.0, 0.5])
@@ -84,6 +84,6 @@ def test_frames_do_what_their_twins_say(shared: bool, tmp_path: Path, monkeypatc
     frame, sides = bake.frame(), sides_of(bench)
     on = frame.state > 0
     carried = (by_shares_and_normals if shared else plain)(sides, sides.own)
-    light = luminance(frame.radiance[on])
+    light = luminance_of(frame.radiance[on])
     assert np.allclose(carried.light + straight_light(bench), light, rtol=2e-2 if shared else 1e-4)
     assert np.allclose(np.sqrt(carried.noise), frame.error[on] * light, rtol=2e-2)

@@ -20,7 +20,7 @@ from benchmarks.accuracy.projection import (
     plain,
 )
 from isogi_core.frame.lighting import RotatedLight
-from isogi_report.metrics import luminance
+from isogi_report.metrics import luminance_of
 from tests.benchmarks.parts import CONSTANT, bench_of
 
 
@@ -84,7 +84,7 @@ def test_unshadowed_light_is_that_of_a_surface_which_sees_all(tmp_path: Path) ->
     constant, under_sky = (bench_of(tmp_path, lights=[light]) for light in (CONSTANT, {"type": "sky", "ground": 0.1}))
     spec = constant.renderer(constant.scene).caches.spec("gi")
     flat = bare_light(RotatedLight(spec, constant.view))(normals) * spec.unit
-    assert np.allclose(flat, luminance(np.array([constant.scene.surfaces.albedo]))), "albedo under a radiance of 1"
+    assert np.allclose(flat, luminance_of(np.array([constant.scene.surfaces.albedo]))), "albedo under a radiance of 1"
     spec = under_sky.renderer(under_sky.scene).caches.spec("gi")
     sky = bare_light(RotatedLight(spec, under_sky.view))(normals)
     assert sky[0] > sky[2] > sky[1] > 0.0, "up, level, down"

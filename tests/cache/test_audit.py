@@ -20,7 +20,7 @@ from isogi_core.cache.costs import Cost, Costs
 from isogi_core.cache.inventory import CLAIMS_FOLDER
 from isogi_core.cache.upkeep.audit import LEFT_AFTER, Audit, Auditor, Repairer
 from isogi_core.cache.upkeep.census import census_of
-from isogi_core.cache.upkeep.prune import BUSY_SECONDS, PruneRule, plan_prune, prune
+from isogi_core.cache.upkeep.prune import BUSY_SECONDS, PruneRule, delete_layers, plan_prune
 from isogi_core.errors import StoreError
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.zarr_codec import unwrap, wrap
@@ -256,7 +256,7 @@ def test_what_is_pruned_is_what_was_asked_for(two: ChunkStore, chunk_store: Chun
 
 def test_pruning_deletes_layers_with_their_costs_alone(two: ChunkStore, chunk_store: ChunkStore) -> None:
     census, before = census_of(chunk_store.store, False), contents(chunk_store)
-    prune(chunk_store.store, census, plan_prune(census, PruneRule(older_than=5 * DAY), chunk_store.store.now()))
+    delete_layers(chunk_store.store, census, plan_prune(census, PruneRule(older_than=5 * DAY), chunk_store.store.now()))
     gone = (two.layers[INDIRECT].digest, f"costs/{two.spec.digest}")
     assert contents(chunk_store) == {key: content for key, content in before.items() if not key.startswith(gone)}
     assert not Path(two.layers[INDIRECT].path).exists()

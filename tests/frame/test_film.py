@@ -82,7 +82,7 @@ def test_equal_factors_of_error_are_equal_steps_of_the_scale() -> None:
     errors = np.array([0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 7.0])
     shares = [0, 0, 0, 85, 170, 255, 255]
     table = film.colour_table()
-    assert np.array_equal(film.colours_of(errors), table[shares])
+    assert np.array_equal(film.error_colours(errors), table[shares])
     black = develop(frame_of(errors, light=0.0), 1.0, "error")
     np.testing.assert_allclose(black[:, 30], table[shares] * (COVER / 256), atol=1)
 

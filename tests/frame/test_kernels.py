@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from isogi_core.frame.entry_kernels import COLOURED, FRAME, GLOW, LOBES, OTHERS, frame_kernels, other_kernels
+from isogi_core.frame.entry_kernels import COLOURED, FRAME, GLOW, LOBES, OTHER_KERNELS, frame_kernels, other_kernels
 from isogi_core.kernels.shading.irradiance_ratio import carry_ratios
 from isogi_core.kernels.shading.lattice import carry_light
 from isogi_core.kernels.tracing.stiffness import count_stiffness
@@ -153,14 +153,14 @@ def test_colours_need_kernels_of_their_own() -> None:
     plain = load_scene("demo:orbital", **CONSTANT)
     scene = load_scene("demo:orbital", volumes=[{"use": "colour", "of": "gradient"}], **CONSTANT)
     assert {*frame_kernels([scene])} - {*frame_kernels([plain])} == {*COLOURED}
-    assert {*other_kernels([plain])} - {*OTHERS} == {light_in_the_open, fill_seeds}
+    assert {*other_kernels([plain])} - {*OTHER_KERNELS} == {light_in_the_open, fill_seeds}
     assert light_in_room in other_kernels([plain, scene])
 
 
 def test_glow_needs_kernels_of_its_own() -> None:
     plain, scene = scene_of(CONSTANT), scene_of(GLOWING)
     assert {*frame_kernels([scene])} - {*frame_kernels([plain])} == {*GLOW}
-    assert {*other_kernels([plain, scene])} - {*OTHERS} == {glow_in_room, light_in_the_open, fill_seeds}
+    assert {*other_kernels([plain, scene])} - {*OTHER_KERNELS} == {glow_in_room, light_in_the_open, fill_seeds}
     assert glow_in_room in frame_kernels([load_scene("demo:orbital", room="cornell", glow=GLOWING["glow"])])
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.film import tone_table
-from isogi_core.frame.framing import GLARE, KEY, glare, paint_panorama, tone
+from isogi_core.frame.framing import GLARE, MIDDLE_BRIGHTNESS, glare, paint_panorama, tone
 from isogi_core.model.environment import gather_lamps, solid_angles
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, PointLight, SkyLight
 from isogi_core.plan.lighting import assemble_environment
@@ -23,7 +23,7 @@ def brightest(picture: np.ndarray) -> tuple[float, float]:
 
 @pytest.mark.parametrize("radiance", [1e-20, 1.0, 1e20])
 def test_a_constant_light_is_the_same_grey_however_bright(radiance: float) -> None:
-    grey = tone_table()[round(KEY / (1 + KEY) * 4095)]
+    grey = tone_table()[round(MIDDLE_BRIGHTNESS / (1 + MIDDLE_BRIGHTNESS) * 4095)]
     assert (painted(ConstantLight((radiance,) * 3)) == grey).all()
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from isogi_core.model.environment import pixel_directions, solid_angles
 from isogi_core.model.sky import LUMINANCE_WEIGHTS
-from isogi_core.plan.lobe_choice import MAX_SOLID_ANGLE, Outline, grow, lobe_of, moments_of, neighbours, outlines
+from isogi_core.plan.lobe_choice import MAX_SOLID_ANGLE, Outline, grow_lobe, lobe_of, moments_of, neighbours, outlines
 
 SHAPE = (128, 256)
 COLOUR = np.array([3.0, 2.0, 1.0])
@@ -96,12 +96,12 @@ def test_a_region_grows_over_seam_and_poles_and_no_farther(seed: tuple[int, int]
     towards = pixel_directions(*SHAPE)[seed]
     near = pixel_directions(*SHAPE) @ towards > math.cos(math.radians(8.0))
     far = pixel_directions(*SHAPE) @ -towards > math.cos(math.radians(8.0))
-    places = grow(near | far, seed[0] * SHAPE[1] + seed[1], solid_angles(*SHAPE)[:, 0])
+    places = grow_lobe(near | far, seed[0] * SHAPE[1] + seed[1], solid_angles(*SHAPE)[:, 0])
     assert np.array_equal(places, np.flatnonzero(near))
 
 
 def test_a_region_that_fills_too_much_is_none() -> None:
-    places = grow(np.ones(SHAPE, bool), 0, solid_angles(*SHAPE)[:, 0])
+    places = grow_lobe(np.ones(SHAPE, bool), 0, solid_angles(*SHAPE)[:, 0])
     assert not len(places) and 4.0 * math.pi > MAX_SOLID_ANGLE
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from isogi_core.cache.chunk_record import record_type
-from isogi_core.cache.layer import facts_of
+from isogi_core.cache.layer import layer_attributes
 from isogi_core.frame.entry_kernels import frame_kernels
 from isogi_core.kernels.shading.lattice import DEFAULT_CHUNK_SIDE
 from isogi_core.kernels.transport.harmonics import rotate
@@ -205,7 +205,7 @@ def test_a_scene_leaves_out_by_its_plan_and_unseen_texels() -> None:
 def test_a_bake_says_what_plan_it_was_made_by() -> None:
     scene = load_scene("demo:orbital")
     for layer in scene.plan.layers:
-        plan = json.loads(json.dumps(facts_of(layer, PreparedScene(scene)), allow_nan=False))["plan"]
+        plan = json.loads(json.dumps(layer_attributes(layer, PreparedScene(scene)), allow_nan=False))["plan"]
         assert (plan["representation"], plan["bounces"]) == ("transfer", scene.bounces)
         assert [kept["kind"] for kept in plan["layers"]] == ["direct", "indirect"]
         assert [each["what"] for each in plan["left_out"]] == [each.what for each in scene.plan.left_out]

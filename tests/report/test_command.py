@@ -15,7 +15,7 @@ from isogi_core.errors import Cancelled, ReportError
 from isogi_core.plan.assembly import load_scene
 from isogi_report import command, measuring
 from isogi_report.bench import Bench
-from isogi_report.journal import Entry, opened, subject_of, workshop
+from isogi_report.journal import Entry, open_journal, subject_of, workshop
 from isogi_report.measuring import STUDIES, Study
 from isogi_report.sections import Section
 from isogi_report.speed import view_of
@@ -265,36 +265,39 @@ def subject(small_scene: Path) -> dict[str, Any]:
 
 def test_the_journal_keeps_sections_whole(subject: dict[str, Any], tmp_path: Path) -> None:
     section = sections()[0]
-    with opened(tmp_path / "a", subject) as journal:
+    with open_journal(tmp_path / "a", subject) as journal:
         journal.keep("split", Entry(section, 2.5))
-    with opened(tmp_path / "a", subject) as again:
+    with open_journal(tmp_path / "a", subject) as again:
         found = again.find("split")
         assert found is not None and again.find("none") is None
     assert (found.seconds, found.section.tables, found.section.about) == (2.5, section.tables, section.about)
     for picture, kept in zip(section.pictures, found.section.pictures, strict=True):
         assert (picture.caption, picture.kind) == (kept.caption, kept.kind)
         assert np.array_equal(picture.pixels, kept.pixels, equal_nan=True)
-    with pytest.raises(ReportError, match=r"view \(by its size\)"), opened(tmp_path / "a", {**subject, "size": [1, 1]}):
+    with (
+        pytest.raises(ReportError, match=r"view \(by its size\)"),
+        open_journal(tmp_path / "a", {**subject, "size": [1, 1]}),
+    ):
         pass
 
 
 def test_a_journal_without_sections_is_anyones(subject: dict[str, Any], tmp_path: Path) -> None:
-    with opened(tmp_path, subject):
+    with open_journal(tmp_path, subject):
         (workshop(tmp_path) / "light").mkdir(parents=True)
-    with opened(tmp_path, subject):
+    with open_journal(tmp_path, subject):
         assert (workshop(tmp_path) / "light").exists(), "the same report goes on with it"
-    with opened(tmp_path, {**subject, "size": [1, 1]}) as journal:
+    with open_journal(tmp_path, {**subject, "size": [1, 1]}) as journal:
         assert not (tmp_path / "work").exists()
         journal.keep("none", Entry(sections()[1], 1.0))
-    with pytest.raises(ReportError, match=r"view \(by its size\)"), opened(tmp_path, subject):
+    with pytest.raises(ReportError, match=r"view \(by its size\)"), open_journal(tmp_path, subject):
         pass
 
 
 def test_what_other_code_made_goes(monkeypatch: pytest.MonkeyPatch, subject: dict[str, Any], tmp_path: Path) -> None:
-    with opened(tmp_path, subject):
+    with open_journal(tmp_path, subject):
         workshop(tmp_path).mkdir(parents=True)
     monkeypatch.setattr("isogi_report.journal.code_digest", lambda: "other")
-    with opened(tmp_path, subject):
+    with open_journal(tmp_path, subject):
         assert list((tmp_path / "work").iterdir()) == []
 
 
@@ -303,7 +306,7 @@ def test_what_other_code_made_goes(monkeypatch: pytest.MonkeyPatch, subject: dic
 def test_a_damaged_entry_is_measured_again(
     subject: dict[str, Any], tmp_path: Path, name: str, damage: Callable[[bytes], bytes]
 ) -> None:
-    with opened(tmp_path, subject) as journal:
+    with open_journal(tmp_path, subject) as journal:
         journal.keep("split", Entry(sections()[0], 2.5))
         path = tmp_path / "journal" / name
         path.write_bytes(damage(path.read_bytes()))
@@ -313,7 +316,7 @@ def test_a_damaged_entry_is_measured_again(
 def test_one_report_at_a_time_writes_a_folder(
     capsys: pytest.CaptureFixture[str], ran: list[str], small_scene: Path, tmp_path: Path, subject: dict[str, Any]
 ) -> None:
-    with opened(tmp_path, subject):
+    with open_journal(tmp_path, subject):
         assert report(small_scene, tmp_path) == 1
     assert "is being written by another report: wait for its end" in capsys.readouterr().err
     assert ran == []

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from isogi_core import reference
-from isogi_core.reference import Goal, grow
+from isogi_core.reference import Goal, grow_reference
 
 
 def make(samples: int) -> Any:
@@ -29,7 +29,7 @@ def tracer(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def rounds(goal: Goal, former: Any = None) -> list[int]:
-    return [each.samples for each in grow(None, None, goal, former)]  # type: ignore[arg-type]
+    return [each.samples for each in grow_reference(None, None, goal, former)]  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isogi_report.bench import Bench
-from isogi_report.exact import apart, cuts_harmonics, lit_by_paths, own_light, short_paths
+from isogi_report.exact import cuts_harmonics, lit_by_paths, own_light, reference_difference, short_paths
 from isogi_report.metrics import mean_of, spread_of
 from isogi_report.split import Split, split_error, study, true_surface
 
@@ -70,7 +70,7 @@ def test_what_two_references_share_is_not_noise(make_bench: Callable[..., Bench]
     """Of other normals' pictures with 64 paths, against the same with many more."""
     bench = make_bench()
     few, many = ((bench.reference(n), bench.reference(n, true_surface(bench.scene))) for n in (64, 4096))
-    change, exact = apart(*few), apart(*many)
+    change, exact = reference_difference(*few), reference_difference(*many)
     met = ((change.light - exact.light) ** 2).mean()
     assert 0.5 < change.noise.mean() / met < 2.0
     assert change.noise.mean() < sum(lit_by_paths(each).noise.mean() for each in few)

@@ -30,7 +30,7 @@ from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene, make_field
 from isogi_report.bake import UNREACHED_TARGET, ViewBake
 from isogi_report.bench import BENCH_CACHE_BYTES
-from isogi_report.metrics import luminance
+from isogi_report.metrics import luminance_of
 from tests.loaded import load_scene
 from tests.stability.volumes import Specimen, ball, body, grid, ramp
 
@@ -143,7 +143,7 @@ def grey_levels(one: np.ndarray, other: np.ndarray) -> int:
 
 def surface_light(frame: Frame) -> np.ndarray:
     """Luminance (n,) of the pixels that show the surface."""
-    return luminance(frame.radiance[frame.state > 0])
+    return luminance_of(frame.radiance[frame.state > 0])
 
 
 def is_finite(frame: Frame) -> bool:

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from isogi_core.bake.noise import luminance
+from isogi_core.bake.noise import mean_luminance
 from isogi_core.bake.precision import FIRST_LEVEL, round_light
 from isogi_core.bake.refine import add_to_mean, locate, refine, sample_transfer
 from isogi_core.bake.texel_light import Light
@@ -85,7 +85,7 @@ def test_the_light_of_a_texel_is_the_mean_of_its_samples(count: int) -> None:
         layers = spec.plan.layers
         for part, (halves, _) in zip(exact.parts, sample_transfer(layers, place, void, spec, 0, count), strict=True):
             part.coefficients[:] = halves.sum(axis=1)[:, :, : part.layer.order**2] / count
-        one, other = (luminance(light, spec)[~void] for light in (kept, exact))
+        one, other = (mean_luminance(light, spec)[~void] for light in (kept, exact))
     assert other.mean() > 0.0
     assert float(np.abs(one - other).max() / other.mean()) <= 0.002
 

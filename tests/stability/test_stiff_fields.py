@@ -11,7 +11,7 @@ from isogi_core.model.view import Camera, View
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.scene import Scene
 from isogi_report.bench import Bench
-from isogi_report.metrics import luminance
+from isogi_report.metrics import luminance_of
 from tests.stability.scenes import frame_of, renderer_of, scene_of, scenes_of, surface_light, view_of
 from tests.stability.volumes import STIFF, ball, body, grid, ramp
 
@@ -49,8 +49,8 @@ def against_paths(name: str) -> tuple[float, int]:
         with TemporaryDirectory() as folder:
             bench = Bench(scene, view_of(scene, 24), Path(folder))
             radiance, best = bench.planned.frame().radiance, bench.reference(128)
-        lacks = luminance(best.mean - radiance)
-        dark += int((lacks > DARK * luminance(best.mean)).sum())
+        lacks = luminance_of(best.mean - radiance)
+        dark += int((lacks > DARK * luminance_of(best.mean)).sum())
         worst = max(worst, bench.score(radiance, best).rmse)
     return worst, dark
 
@@ -120,7 +120,7 @@ def light_by_paths(scene: Scene, view: View) -> float:
     """Mean luminance that paths give the surface of a view."""
     with TemporaryDirectory() as folder:
         reference = Bench(scene, view, Path(folder)).reference(64)
-    return float(luminance(reference.mean[reference.on]).mean())
+    return float(luminance_of(reference.mean[reference.on]).mean())
 
 
 @pytest.mark.parametrize("lit", [0, 1], ids=["from the left", "from the right"])

@@ -31,7 +31,7 @@ from worker.baker import Baker
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.kernels import OPENING_KERNELS, PLAIN_LAYER_KINDS, bake_kernels
 from worker.niceness import BACK_NICENESS, FORWARD_NICENESS, WORKER_NICENESS
-from worker.pool import CLUSTER_SETTINGS, TASKS_AHEAD, OwnClient, WorkerPool, report
+from worker.pool import CLUSTER_SETTINGS, TASKS_AHEAD, OwnClient, WorkerPool, hand_on_result
 from worker.tasks import BakeResult, BakeTask, open_spec
 
 pytestmark = pytest.mark.cluster
@@ -302,7 +302,7 @@ class Ended:
 def test_a_result_that_is_lost_on_its_way_is_an_error(status: str, error: Exception, kind: type[Exception]) -> None:
     """Its worker may die before it is fetched: the error then came out of the callback, and nobody was told."""
     reported: list[tuple[BakeResult | None, BaseException | None]] = []
-    report(cast("Future[Any]", Ended(status, error)), lambda *outcome: reported.append(outcome))
+    hand_on_result(cast("Future[Any]", Ended(status, error)), lambda *outcome: reported.append(outcome))
     ((result, why),) = reported
     assert result is None
     assert type(why) is kind

@@ -47,7 +47,7 @@ def plan_prune(census: Census, rule: PruneRule, now: float) -> PrunePlan:
     counts = sorted(census.counts.values(), key=lambda count: count.files.used)
     if any(math.isnan(count.files.used) for count in counts):
         raise StoreError("This store does not know when its objects were written: name the scene whose light goes.")
-    wanted = chosen([count for count in counts if named(count, rule.scene)], rule, now)
+    wanted = chosen([count for count in counts if is_of(count, rule.scene)], rule, now)
     busy = [count for count in wanted if now - newest(count.files) <= BUSY_SECONDS]
     return PrunePlan(tuple(count for count in wanted if count not in busy), tuple(busy))
 
@@ -64,7 +64,7 @@ def chosen(counts: Sequence[Count], rule: PruneRule, now: float) -> list[Count]:
     return going
 
 
-def named(count: Count, name: str | None) -> bool:
+def is_of(count: Count, name: str | None) -> bool:
     """Whether a layer is of the scene, or of the volume, of that name; None stands for any."""
     return name is None or name in (count.facts.attributes.get("scene"), count.facts.attributes.get("volume"))
 
@@ -74,7 +74,7 @@ def newest(files: LayerFiles) -> float:
     return max((found.written for found in files.objects if found is not files.stamp), default=-math.inf)
 
 
-def prune(store: Store, census: Census, plan: PrunePlan) -> list[Entry]:
+def delete_layers(store: Store, census: Census, plan: PrunePlan) -> list[Entry]:
     """Delete the layers of a plan, and costs of their bakes; returns the deleted objects. Raises StoreError."""
     gone = [found for count in plan.going for found in count.files.objects] + stale_costs(census, plan)
     for found in gone:
@@ -103,7 +103,7 @@ def trim_projected(store: Store, most: int) -> int:
         census = census_of(store, texels=False)
         counts = {d: count for d, count in census.counts.items() if count.facts.attributes.get("shown") is not None}
         plan = plan_prune(replace(census, counts=counts), PruneRule(keep=most), store.now())
-        prune(store, census, plan)
+        delete_layers(store, census, plan)
     except StoreError as error:
         log.info("Projected texels are not trimmed: %s", error)
         return 0

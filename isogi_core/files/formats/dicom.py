@@ -19,7 +19,15 @@ from isogi_core.files.formats.dicom_segments import (
     segments_of,
 )
 from isogi_core.files.formats.dicom_stack import Slice, stack_of
-from isogi_core.files.formats.source import LUMINANCE_NOTE, Source, library, line_of, luminance, pick, reading
+from isogi_core.files.formats.source import (
+    LUMINANCE_NOTE,
+    Source,
+    library,
+    line_of,
+    luminance_of_colours,
+    pick,
+    reading,
+)
 from isogi_core.files.grid import PATIENT_AXES, Affine, Grid, read_as
 from isogi_core.files.packed_files import READ_BYTES
 from isogi_core.files.packing import Packing, Scaling, holed
@@ -76,7 +84,7 @@ def open_dicom(source: Source) -> Grid:
     with reading(source.name, "DICOM"):
         _check_inflated(source)
         folder = source.path is not None and source.path.is_dir()
-        headers: Headers = list(_headers(source)) if folder else [(source.path, _header(source))]
+        headers: Headers = list(_headers(source)) if folder else [(source.path, _read_header(source))]
         if not headers or "Rows" not in headers[0][1]:
             raise VolumeError(f"'{source.name}' holds no DICOM image: check the volume's path.")
         chosen = _series(source, headers)
@@ -100,7 +108,7 @@ def open_dicom(source: Source) -> Grid:
     layers = partial(_layers, source, stack.layers, shape, dtype)
     files = sorted({path for path, _ in chosen if path is not None})
     notes = (*notes, *((LUMINANCE_NOTE,) if coloured else slices[0].packing.notes))
-    stamp = partial(_stamp, source, files)
+    stamp = partial(_stamp_of_files, source, files)
     placed = "its slices' positions" if affine is not None else "its slices' numbers"
     known = slices[0].packing.read_as("DICOM segmentation" if segmented else "DICOM", placed)
     if len(packings) > 1:
@@ -109,7 +117,7 @@ def open_dicom(source: Source) -> Grid:
     return Grid(shape, dtype, stack.spacing, layers, stamp, affine, unit, notes, labels=labels, read_as=known)
 
 
-def _stamp(source: Source, files: list[Path]) -> str:
+def _stamp_of_files(source: Source, files: list[Path]) -> str:
     return f"{stamp_of(files)} {sorted(source.chosen.items())}"
 
 
@@ -129,7 +137,7 @@ def _check_inflated(source: Source) -> None:
         raise VolumeError(f"'{source.name}' inflates to more than {4 * source.voxels} bytes: save a smaller part.")
 
 
-def _header(source: Source) -> Any:
+def _read_header(source: Source) -> Any:
     pydicom = library("pydicom", "DICOM")
     with source.open() as file:
         return pydicom.dcmread(file, stop_before_pixels=True, force=True, specific_tags=list(HEADER_TAGS))
@@ -141,7 +149,7 @@ def _headers(source: Source) -> Iterator[tuple[Path | None, Any]]:
     for path in sorted(source.path.iterdir()):
         if not path.is_file() or not _may_be_dicom(path):
             continue
-        header = _header(Source(str(path), path))
+        header = _read_header(Source(str(path), path))
         if "Rows" in header:
             yield path, header
 
@@ -193,7 +201,7 @@ def _slices_of(path: Path | None, header: Any) -> Iterator[Slice]:
 
 def _slice(place: Place, header: Any, groups: list[Any]) -> Slice:
     """One slice, by what its frame's groups say, else the header."""
-    read = partial(_read, header, groups)
+    read = partial(_frame_value, header, groups)
     position, pose = (
         read("PlanePositionSequence", "ImagePositionPatient"),
         _floats(read("PlaneOrientationSequence", "ImageOrientationPatient")),
@@ -212,7 +220,7 @@ def _slice(place: Place, header: Any, groups: list[Any]) -> Slice:
         pose=pose,
         pixel=(spacing[1], spacing[0]) if spacing else None,
         between=float(between) if between else None,
-        packing=_packing(header, Scaling(1.0 if slope is None else float(slope), float(intercept or 0.0))),
+        packing=_rescaling(header, Scaling(1.0 if slope is None else float(slope), float(intercept or 0.0))),
     )
 
 
@@ -229,7 +237,7 @@ def _shifted(
     return tuple((np.array(position) + normal * (float(offsets[frame]) - float(offsets[0]))).tolist())
 
 
-def _read(header: Any, groups: list[Any], sequence: str, name: str) -> Any:
+def _frame_value(header: Any, groups: list[Any], sequence: str, name: str) -> Any:
     """A value of the frame's own groups, else of the shared ones, else of the header; None where none has it."""
     for group in groups:
         inner = group.get(sequence)
@@ -256,7 +264,7 @@ def _value_type(packings: set[Packing], floating: bool) -> np.dtype[Any]:
     return np.result_type(found, np.float32) if floating else found
 
 
-def _packing(header: Any, scaling: Scaling) -> Packing:
+def _rescaling(header: Any, scaling: Scaling) -> Packing:
     """What stored pixels of an image mean; those of a value, or of a range, that says "no pixel" are holes.
 
     Source: DICOM PS3.3, C.7.5.1.1.2. Colours and labels have no such value.
@@ -326,7 +334,7 @@ class Frames:
         data = self._file[1]
         values = np.asarray(self._decode(data, place.frame))
         if int(data.get("SamplesPerPixel", 1)) > 1:
-            return luminance(values)
+            return luminance_of_colours(values)
         return numbered(used_bits(values, data) if values.dtype.kind in "iu" else values, place.segment, data)
 
     def _decode(self, data: Any, frame: int) -> Any:

@@ -37,13 +37,15 @@ def segments_of(header: Any) -> tuple[LabelName, ...]:
     """The segments of a segmentation, whose numbers are the labels; a label map may list its background as 0."""
     listed = ((int(each.SegmentNumber), each) for each in header.SegmentSequence)
     return tuple(
-        LabelName(number, str(each.get("SegmentLabel", "")), _hex(each.get("RecommendedDisplayCIELabValue")))
+        LabelName(
+            number, str(each.get("SegmentLabel", "")), _colour_of_segment(each.get("RecommendedDisplayCIELabValue"))
+        )
         for number, each in listed
         if number
     )
 
 
-def _hex(lab: Any) -> str:
+def _colour_of_segment(lab: Any) -> str:
     """The sRGB ``#rrggbb`` of CIELab in 16 bits each; empty where there is none. Source: DICOM PS3.3, C.10.7.1.1."""
     if lab is None or len(lab) != 3:
         return ""

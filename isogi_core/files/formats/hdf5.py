@@ -21,7 +21,7 @@ from isogi_core.files.formats.source import (
     pick_axes,
     reading,
 )
-from isogi_core.files.grid import Affine, Grid, layers_of
+from isogi_core.files.grid import Affine, Grid, slab_layers
 from isogi_core.files.packing import PACKING_ATTRIBUTES, Packing, climate_packing
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
@@ -53,7 +53,7 @@ def open_hdf5(source: Source) -> Grid:
         minc = (MINC_NOTE,) if "minc-2.0" in data.file else ()
         packing = climate_packing(_climate(data), data.dtype, data.fillvalue)
         spacing, affine, unit, notes = _place(data, shape)
-    slabs = partial(_slabs, source, picked, packing)
+    slabs = partial(_dataset_slabs, source, picked, packing)
     notes = (*packing.notes, *minc, *layered(stacked), *notes)
     stamp = partial(source.stamp, *others)
     placed = "the coordinates of its axes" if affine else f"'{MICROMETRES_ATTRIBUTE}'" if unit else ""
@@ -112,7 +112,9 @@ def _is_time(axis: Any) -> bool:
 
 def says_time(names: Iterable[str], units: Iterable[Any]) -> bool:
     """Whether one of a dimension's ``names`` is time, or one of its coordinates' ``units`` counts since a date."""
-    return any(name.lower() in ("time", "t") for name in names) or any(" since " in text_of(unit) for unit in units)
+    return any(name.lower() in ("time", "t") for name in names) or any(
+        " since " in attribute_text(unit) for unit in units
+    )
 
 
 def layered(film: bool) -> tuple[str, ...]:
@@ -120,7 +122,7 @@ def layered(film: bool) -> tuple[str, ...]:
     return (LAYERED.format(what=TIME_STEPS),) if film else ()
 
 
-def text_of(value: Any) -> str:
+def attribute_text(value: Any) -> str:
     """An attribute as a text."""
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
@@ -156,12 +158,12 @@ def _climate(data: Any) -> dict[str, Any]:
     return {name: data.attrs[name] for name in PACKING_ATTRIBUTES if name in data.attrs}
 
 
-def _slabs(source: Source, picked: tuple[int, ...], packing: Packing) -> Iterator[np.ndarray]:
+def _dataset_slabs(source: Source, picked: tuple[int, ...], packing: Packing) -> Iterator[np.ndarray]:
     """Some layers of chunks at a time."""
     with reading(source.name, "HDF5"), _dataset(source) as data:
         depth, ny, nx = data.shape[-3:]
         deep = data.chunks[-3] if data.chunks else 1
-        step = max(layers_of(ny * nx * data.dtype.itemsize) // deep, 1) * deep
+        step = max(slab_layers(ny * nx * data.dtype.itemsize) // deep, 1) * deep
         for z in range(0, depth, step):
             yield packing.apply(data[(*picked, slice(z, z + step))])
 
@@ -198,5 +200,5 @@ def _coordinates(data: Any, axis: int) -> tuple[np.ndarray, str] | None:
     """The coordinates along an axis, and their unit; None where the file gives none."""
     for scale in data.dims[axis].values():
         if scale.shape == (data.shape[axis],) and scale.dtype.kind in "iuf":
-            return np.asarray(scale[()], np.float64), text_of(scale.attrs.get("units", ""))
+            return np.asarray(scale[()], np.float64), attribute_text(scale.attrs.get("units", ""))
     return None

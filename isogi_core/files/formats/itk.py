@@ -8,7 +8,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick, pick_step, reading
-from isogi_core.files.grid import PATIENT_AXES, SINGLE_MOMENT, Affine, Grid, layers_of, read_as
+from isogi_core.files.grid import PATIENT_AXES, SINGLE_MOMENT, Affine, Grid, read_as, slab_layers
 
 ITK_SUFFIXES = (".mha", ".mhd", ".vtk", ".gipl", ".hdr", ".img")
 ITK_TO_RAS = np.diag([-1.0, -1.0, 1.0])
@@ -42,7 +42,7 @@ def open_itk(source: Source) -> Grid:
     affine = np.column_stack([direction * steps, origin])
     placed = Affine.of(ITK_TO_RAS @ affine, PATIENT_AXES) if anatomical else Affine.of(affine)
     spacing = (float(steps[0]), float(steps[1]), float(steps[2]))
-    slabs = partial(_slabs, source, (time, channel), (nz, ny, nx), dtype.itemsize)
+    slabs = partial(_itk_slabs, source, (time, channel), (nz, ny, nx), dtype.itemsize)
     unit, moment = "mm" if anatomical else "", SINGLE_MOMENT if time is None else (time, int(size[3]))
     stamp = partial(source.stamp, *_data_files(source))
     known = read_as(
@@ -73,8 +73,8 @@ Chosen = tuple[int | None, int]
 """The step in time, None where there is no such axis, and the number of each voxel."""
 
 
-def _slabs(source: Source, chosen: Chosen, shape: tuple[int, ...], itemsize: int) -> Iterator[np.ndarray]:
-    step = layers_of(shape[1] * shape[2] * itemsize)
+def _itk_slabs(source: Source, chosen: Chosen, shape: tuple[int, ...], itemsize: int) -> Iterator[np.ndarray]:
+    step = slab_layers(shape[1] * shape[2] * itemsize)
     for z in range(0, shape[0], step):
         with reading(source.name, "an image"):
             slab = _block(source, chosen, z, min(step, shape[0] - z))

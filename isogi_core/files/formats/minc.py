@@ -9,7 +9,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick_step, reading
-from isogi_core.files.grid import PATIENT_AXES, SINGLE_MOMENT, Affine, Grid, Shape, layers_of, read_as
+from isogi_core.files.grid import PATIENT_AXES, SINGLE_MOMENT, Affine, Grid, Shape, read_as, slab_layers
 
 MINC1_MAGIC, MINC2_MAGIC, MINC_SUFFIX = b"CDF", b"\x89HDF", ".mnc"
 """How MINC 1 and MINC 2 begin, as other files do, too, and how both are named."""
@@ -42,7 +42,7 @@ def open_minc(source: Source) -> Grid:
         shape[-3:],
         dtype,
         (x, y, z),
-        partial(_slabs, source, picked, shape[-3:], dtype),
+        partial(_image_slabs, source, picked, shape[-3:], dtype),
         source.stamp,
         Affine.of(matrix, PATIENT_AXES),
         "mm",
@@ -67,9 +67,9 @@ def _image(source: Source) -> Iterator[Any]:
             yield kind(whole)
 
 
-def _slabs(source: Source, picked: tuple[int, ...], shape: Shape, dtype: np.dtype[Any]) -> Iterator[np.ndarray]:
+def _image_slabs(source: Source, picked: tuple[int, ...], shape: Shape, dtype: np.dtype[Any]) -> Iterator[np.ndarray]:
     """Some layers at a time, scaled to the range that each slice says."""
     with reading(source.name, "MINC"), _image(source) as image:
-        step = layers_of(shape[1] * shape[2] * 8)
+        step = slab_layers(shape[1] * shape[2] * 8)
         for z in range(0, shape[0], step):
             yield image.get_scaled_data((*picked, slice(z, min(z + step, shape[0])))).astype(dtype)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.hdf5 import layered, place_by, says_time, text_of, unchosen
+from isogi_core.files.formats.hdf5 import attribute_text, layered, place_by, says_time, unchosen
 from isogi_core.files.formats.source import Source, is_unchosen, library, moment_of, pick_axes, reading
-from isogi_core.files.grid import Grid, layers_of
+from isogi_core.files.grid import Grid, slab_layers
 from isogi_core.files.packing import NETCDF_FILL_VALUES, Packing, as_stored, climate_packing
 
 NETCDF_MAGIC, READ_VERSIONS = b"CDF", (1, 2)
@@ -38,7 +38,10 @@ def open_netcdf(source: Source) -> Grid:
         first = is_unchosen(source, (*extra, *shape), in_time)
         packing = climate_packing(data._attributes, stored, _filled(data.data[picked]))
         spacing, affine, unit, notes = place_by([_coordinates(variables, name) for name in names[:-4:-1]])
-    slabs, notes = partial(_slabs, source, picked, packing), (*packing.notes, *layered(film and not extra), *notes)
+    slabs, notes = (
+        partial(_variable_slabs, source, picked, packing),
+        (*packing.notes, *layered(film and not extra), *notes),
+    )
     known = packing.read_as("classic NetCDF", "the coordinates of its axes" if affine else "")
     moment = moment_of(source, extra, picked)
     return Grid(shape, packing.dtype, spacing, slabs, source.stamp, affine, unit, notes, moment, first, read_as=known)
@@ -76,7 +79,7 @@ def _filled(field: np.ndarray) -> Any:
 def _units(variables: dict[str, Any], name: str) -> list[str]:
     """The unit of a dimension's coordinates, as a list; empty where it has none."""
     found = variables.get(name)
-    return [] if found is None else [text_of(found._attributes.get("units", ""))]
+    return [] if found is None else [attribute_text(found._attributes.get("units", ""))]
 
 
 def _coordinates(variables: dict[str, Any], name: str) -> tuple[np.ndarray, str] | None:
@@ -87,10 +90,10 @@ def _coordinates(variables: dict[str, Any], name: str) -> tuple[np.ndarray, str]
     return np.array(found.data, np.float64), _units(variables, name)[0]
 
 
-def _slabs(source: Source, picked: tuple[int, ...], packing: Packing) -> Iterator[np.ndarray]:
+def _variable_slabs(source: Source, picked: tuple[int, ...], packing: Packing) -> Iterator[np.ndarray]:
     """Some layers at a time."""
     with reading(source.name, "NetCDF"), _variables(source) as variables:
         field = _chosen(source, variables).data[picked]
-        step = layers_of(field[0].nbytes)
+        step = slab_layers(field[0].nbytes)
         for z in range(0, len(field), step):
             yield packing.apply(np.array(field[z : z + step]))

@@ -16,7 +16,7 @@ from isogi_core.files.formats.source import (
     LUMINANCE_NOTE,
     Source,
     library,
-    luminance,
+    luminance_of_colours,
     pick,
     pick_step,
     raw_slabs,
@@ -47,7 +47,7 @@ def open_nifti(source: Source) -> Grid:
     nib = library("nibabel", "NIfTI")
     source.refuse_others("time", "channel")
     with reading(source.name, "NIfTI"):
-        header = _header(nib, source)
+        header = _nifti_header(nib, source)
         shape, dtype = tuple(int(n) for n in header.get_data_shape()), header.get_data_dtype()
         scaling = scaling_of(header)
         (time, unchosen), channel, times, (nx, ny, nz) = frame_of(source, shape)
@@ -64,12 +64,12 @@ def open_nifti(source: Source) -> Grid:
     known = read_as("NIfTI", dtype, _placed_by(header), scaling.slope, scaling.intercept)
     labels = () if int(header["intent_code"]) == LABELS else None
     notes = (*((LUMINANCE_NOTE,) if dtype.names else ()), *voxels.cut_notes(end))
-    return _placed(
+    return _placed_by_header(
         replace(grid, notes=notes, moment=(time, times), unchosen=unchosen, labels=labels, read_as=known), header
     )
 
 
-def _header(nib: Any, source: Source) -> Any:
+def _nifti_header(nib: Any, source: Source) -> Any:
     """The header, of whichever version and byte order."""
     with source.unpacked() as file:
         head = file.read(348)
@@ -132,7 +132,7 @@ def field_slabs(
     """The voxels (z, y, x) from a byte on, some layers at a time, scaled; luminance of colours."""
     for slab in raw_slabs(voxels, start, shape, dtype):
         if dtype.names:
-            yield luminance(np.stack([slab[name] for name in dtype.names], axis=-1))
+            yield luminance_of_colours(np.stack([slab[name] for name in dtype.names], axis=-1))
         else:
             yield scaling.apply(slab)
 
@@ -142,7 +142,7 @@ def _placed_by(header: Any) -> str:
     return "its sform" if int(header["sform_code"]) else "its qform" if int(header["qform_code"]) else ""
 
 
-def _placed(grid: Grid, header: Any) -> Grid:
+def _placed_by_header(grid: Grid, header: Any) -> Grid:
     """The grid with the affine that the header prefers, in a patient's right, anterior, superior."""
     with reading("its header", "NIfTI"):
         sform, qform = int(header["sform_code"]), int(header["qform_code"])

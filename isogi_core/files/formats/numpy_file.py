@@ -13,14 +13,14 @@ from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import (
     LUMINANCE_NOTE,
     Source,
-    luminance,
+    luminance_of_colours,
     moment_of,
     pick_axes,
     read_up_to,
     reading,
     skip,
 )
-from isogi_core.files.grid import Grid, Shape, layers_of, read_as
+from isogi_core.files.grid import Grid, Shape, read_as, slab_layers
 from isogi_core.files.packed_files import read_end
 
 NPY_MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK\x03\x04"
@@ -34,7 +34,7 @@ def open_numpy(source: Source) -> Grid:
     Of four or five dimensions, the first choose; a last one of three or four bytes is a colour.
     """
     with reading(source.name, "NumPy"), _array(source) as file:
-        shape, _, dtype = _header(file)
+        shape, _, dtype = _array_header(file)
     if dtype.hasobject or dtype.names:
         raise VolumeError(f"'{source.name}' holds {dtype}: save an array of numbers.")
     coloured = len(shape) == 4 and dtype == np.uint8 and shape[-1] in (3, 4)
@@ -42,7 +42,7 @@ def open_numpy(source: Source) -> Grid:
     source.refuse_others("part", "time", "channel")
     picked = pick_axes(source, field)
     source.check(field[-3:])
-    slabs = partial(_slabs, source, picked, coloured)
+    slabs = partial(_array_slabs, source, picked, coloured)
     grid = Grid(field[-3:], np.dtype(np.float32) if coloured else dtype, (1.0, 1.0, 1.0), slabs, source.stamp)
     return replace(
         grid,
@@ -72,7 +72,7 @@ def _array(source: Source) -> Iterator[IO[bytes]]:
                 yield member
 
 
-def _header(file: IO[bytes]) -> tuple[Shape, bool, np.dtype[Any]]:
+def _array_header(file: IO[bytes]) -> tuple[Shape, bool, np.dtype[Any]]:
     """Shape, order and type of an array, whose values come next."""
     version = np.lib.format.read_magic(file)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
@@ -80,10 +80,10 @@ def _header(file: IO[bytes]) -> tuple[Shape, bool, np.dtype[Any]]:
     return tuple(int(n) for n in shape), bool(fortran), dtype
 
 
-def _slabs(source: Source, picked: tuple[int, ...], coloured: bool) -> Iterator[np.ndarray]:
+def _array_slabs(source: Source, picked: tuple[int, ...], coloured: bool) -> Iterator[np.ndarray]:
     """Some layers at a time; the whole at once where the first index is the fastest."""
     with reading(source.name, "NumPy"), _array(source) as file:
-        shape, fortran, dtype = _header(file)
+        shape, fortran, dtype = _array_header(file)
         if fortran:
             size = int(np.prod(shape)) * dtype.itemsize
             data = read_up_to(file, size)
@@ -94,8 +94,8 @@ def _slabs(source: Source, picked: tuple[int, ...], coloured: bool) -> Iterator[
         layer = int(np.prod(inner[1:])) * dtype.itemsize
         before = int(np.ravel_multi_index(picked, shape[: len(picked)])) if picked else 0
         skip(file, before * inner[0] * layer)
-        for z in range(0, inner[0], layers_of(layer)):
-            size = min(layers_of(layer), inner[0] - z) * layer
+        for z in range(0, inner[0], slab_layers(layer)):
+            size = min(slab_layers(layer), inner[0] - z) * layer
             data = read_up_to(file, size)
             _check_length(source, data, size)
             yield _values(np.frombuffer(data, dtype).reshape(-1, *inner[1:]), coloured)
@@ -108,4 +108,4 @@ def _check_length(source: Source, data: bytearray, size: int) -> None:
 
 
 def _values(slab: np.ndarray, coloured: bool) -> np.ndarray:
-    return luminance(slab) if coloured else slab
+    return luminance_of_colours(slab) if coloured else slab

@@ -12,7 +12,7 @@ from typing import IO, Any
 import numpy as np
 
 from isogi_core.errors import IsogiError, VolumeError
-from isogi_core.files.grid import MAX_VOXELS, SINGLE_MOMENT, Shape, layers_of
+from isogi_core.files.grid import MAX_VOXELS, SINGLE_MOMENT, Shape, slab_layers
 from isogi_core.files.packed_files import PACKING_DAMAGE, READ_BYTES, Content, content_of, cut_notes, read_end
 from isogi_core.files.regular import open_regular
 from isogi_core.files.zarr_location import stamp_of
@@ -142,8 +142,8 @@ def raw_slabs(
     with source.unpacked() as file:
         try:
             skip(file, start)
-            for z in range(0, shape[0], layers_of(layer)):
-                deep = min(layers_of(layer), shape[0] - z)
+            for z in range(0, shape[0], slab_layers(layer)):
+                deep = min(slab_layers(layer), shape[0] - z)
                 data = read_up_to(file, deep * layer)
                 if len(data) < deep * layer:
                     raise VolumeError(f"'{source.name}' ends before its last voxel: copy it again.")
@@ -174,7 +174,7 @@ LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)
 LUMINANCE_NOTE = "The voxels are colours: their luminance is shown."
 
 
-def luminance(colours: np.ndarray) -> np.ndarray:
+def luminance_of_colours(colours: np.ndarray) -> np.ndarray:
     """The luminance of colours (..., 3 or 4), float32; opacity is left out."""
     return np.asarray(colours[..., :3].astype(np.float32) @ np.array(LUMINANCE_WEIGHTS, np.float32))
 

@@ -16,7 +16,7 @@ from isogi_core.files.formats.source import (
     TIME_STEPS,
     Source,
     library,
-    luminance,
+    luminance_of_colours,
     pick,
     pick_step,
     reading,
@@ -61,7 +61,7 @@ def open_tiff(source: Source) -> Grid:
         spacing, unit = _spacing(whole)
         kind = "OME-TIFF" if whole.is_ome else "ImageJ's TIFF" if whole.is_imagej else "TIFF"
         packing = _calibrated(_packing(series.keyframe, dtype, coloured), whole.imagej_metadata or {})
-    slabs = partial(_slabs, source, pages, (ny, nx), packing)
+    slabs = partial(_page_slabs, source, pages, (ny, nx), packing)
     guess, doubt = _layers_of(axes, shape)
     notes = ((LUMINANCE_NOTE,) if coloured else packing.notes) + doubt
     known = packing.read_as(kind, f"{kind}'s sizes of voxels" if kind != "TIFF" else "") + guess
@@ -175,7 +175,7 @@ def _check_page(source: Source, series: Any, coloured: bool) -> None:
         raise VolumeError(f"'{source.name}' holds pages of {page.axes}: save a plane a page.")
 
 
-def _slabs(source: Source, pages: list[int], plane: Shape, packing: Packing) -> Iterator[np.ndarray]:
+def _page_slabs(source: Source, pages: list[int], plane: Shape, packing: Packing) -> Iterator[np.ndarray]:
     """The planes of a series, one at a time; (1, ny, nx) each."""
     tifffile = library("tifffile", "TIFF")
     with reading(source.name, "TIFF"), source.open() as file, tifffile.TiffFile(file, name=source.name) as whole:
@@ -201,7 +201,7 @@ def _plane(source: Source, whole: Any, series: Any, number: int, plane: Shape) -
             raise VolumeError(f"Plane {number} of '{source.name}' is missing: write it again.")
         values = page.asarray()
         values = np.moveaxis(values, 0, -1) if page.axes == COLOUR_AXIS + PLANE_AXES else values
-    return luminance(values) if coloured else values.reshape(plane)
+    return luminance_of_colours(values) if coloured else values.reshape(plane)
 
 
 def _spacing(whole: Any) -> tuple[tuple[float, float, float], str]:
@@ -301,4 +301,4 @@ def _slices(files: list[Path], coloured: bool, packing: Packing) -> Iterator[np.
     for file in files:
         with reading(str(file), "TIFF"):
             values = tifffile.imread(file, key=0)
-        yield packing.apply(luminance(values) if coloured else values)[None]
+        yield packing.apply(luminance_of_colours(values) if coloured else values)[None]

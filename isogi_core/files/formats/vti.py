@@ -7,7 +7,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick, reading
-from isogi_core.files.grid import Affine, Grid, Shape, layers_of, read_as
+from isogi_core.files.grid import Affine, Grid, Shape, read_as, slab_layers
 
 VTK_EXTRA = "'isogi[vtk]'"
 
@@ -29,7 +29,7 @@ def open_vti(source: Source) -> Grid:
         origin = image.origin + matrix @ (np.array(image.extent[::2]) + 0.5 * image.of_cells(name))
     steps = image.spacing
     spacing = (float(steps[0]), float(steps[1]), float(steps[2]))
-    slabs = partial(_slabs, image, (name, number), shape[0], layers_of(shape[1] * shape[2] * dtype.itemsize))
+    slabs = partial(_point_slabs, image, (name, number), shape[0], slab_layers(shape[1] * shape[2] * dtype.itemsize))
     affine = Affine.of(np.column_stack([matrix, origin]))
     return Grid(
         shape, dtype, spacing, slabs, source.stamp, affine, read_as=read_as("VTI", dtype, "its origin and spacing")
@@ -127,7 +127,7 @@ def _name(source: Source, names: list[str]) -> str:
     return str(chosen)
 
 
-def _slabs(image: ImageFile, chosen: tuple[str, int], depth: int, step: int) -> Iterator[np.ndarray]:
+def _point_slabs(image: ImageFile, chosen: tuple[str, int], depth: int, step: int) -> Iterator[np.ndarray]:
     for z in range(0, depth, step):
         with reading(image.name, "VTI"):
             slab = image.layers(chosen[0], z, min(step, depth - z))[..., chosen[1]]

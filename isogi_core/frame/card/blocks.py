@@ -15,7 +15,7 @@ from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.kernels.shading.lattice import BURIED_GRADE, PARTIAL_GRADE, VOID_GRADE
 
-MARK = b"ISOB"
+BLOCK_MARK = b"ISOB"
 """What a block begins with."""
 
 HEADER = np.dtype(
@@ -113,7 +113,7 @@ def raw_body(words: np.ndarray, numbers: np.ndarray) -> bytes:
     return padded.tobytes() + np.ascontiguousarray(quads.transpose(1, 0, 2)).tobytes()
 
 
-COARSE = 64
+NORMAL_STEPS = 64
 """Steps of normals in few bits: a tenth of a degree."""
 
 
@@ -132,9 +132,9 @@ def coded_body(words: np.ndarray, codes: np.ndarray) -> bytes:
 
 
 def coarse(parts: np.ndarray, words: np.ndarray) -> np.ndarray:
-    """Parts of normals' ``words`` (m,) as multiples of COARSE, and those of words without a normal as they are."""
-    most = 0x7FFF // COARSE
-    rounded = COARSE * np.clip(np.rint(parts.view(np.int16) / COARSE), -most, most).astype(np.int16)
+    """Parts of normals' ``words`` (m,) as multiples of NORMAL_STEPS, those of words without a normal as they are."""
+    most = 0x7FFF // NORMAL_STEPS
+    rounded = NORMAL_STEPS * np.clip(np.rint(parts.view(np.int16) / NORMAL_STEPS), -most, most).astype(np.int16)
     return np.where(np.isin(words, (*CODES.values(), FLAT)), parts, rounded.view(np.uint16))
 
 
@@ -162,7 +162,7 @@ def block_of(index: Sequence[int], version: bytes, bricks: np.ndarray, records: 
     """A block: its header, its table of ``bricks``, and its records."""
     header = np.zeros(1, HEADER)
     size = HEADER.itemsize + bricks.nbytes + len(body)
-    header["mark"], header["bytes"], header["at"], header["kind"] = MARK, size, index, kind
+    header["mark"], header["bytes"], header["at"], header["kind"] = BLOCK_MARK, size, index, kind
     header["counts"], header["version"] = (len(bricks), records), np.void(version)
     return header.tobytes() + bricks.tobytes() + body
 

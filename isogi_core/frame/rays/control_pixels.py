@@ -172,7 +172,7 @@ def bounces_of_truth(light: RotatedLight) -> int:
     return max(bounces_for(light.reflecting, CUT / BOUNCES_SHARE), plan.bounces) if chosen else plan.bounces
 
 
-QUANTILE = 2.2
+CONTROL_STANDARD_ERRORS = 2.2
 """Standard errors to either side: with 1.96 of them 256 controls of seven views held 86 to 95 %, not 95 %."""
 
 FARTHEST = 20.0
@@ -211,8 +211,8 @@ def measure_total(squares: np.ndarray, mean: float) -> TotalError:
     if mean <= 0.0:
         worst = float(squares.any())
         return TotalError(worst, worst, worst, count)
-    factor = math.exp(min(QUANTILE * spread / square, FARTHEST)) if square > 0.0 else 1.0
-    above = square * factor if square > 0.0 else QUANTILE * spread
+    factor = math.exp(min(CONTROL_STANDARD_ERRORS * spread / square, FARTHEST)) if square > 0.0 else 1.0
+    above = square * factor if square > 0.0 else CONTROL_STANDARD_ERRORS * spread
     low, likely, high = (min(math.sqrt(max(each, 0.0)) / mean, 1.0) for each in (square / factor, square, above))
     return TotalError(likely, low, high, count)
 

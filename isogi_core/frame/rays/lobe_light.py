@@ -35,7 +35,7 @@ from isogi_core.kernels.tracing.cast import TracedSurface
 from isogi_core.kernels.transport.lights import LampArrays
 from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
-LOBE_POINTS, RIMS, HALVES = 4096, 1024, 256
+LOBE_POINTS, RIM_PAIRS, HALF_SEEN_PAIRS = 4096, 1024, 256
 """Surface points, pairs of points and lobes at edges of shadows, and such pairs in half-shadow, of a tile."""
 
 
@@ -178,7 +178,7 @@ class Shadows:
         def _piece(a: int, b: int) -> None:
             see_rims(self.traced, self.picture, self.lamps, pairs[a:b], sees[a:b])
 
-        self.tiles.run(_piece, len(pairs), tile_of(len(pairs), RIMS, self.tiles))
+        self.tiles.run(_piece, len(pairs), tile_of(len(pairs), RIM_PAIRS, self.tiles))
         return sees
 
     def halves(self, pairs: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -205,7 +205,7 @@ class Shadows:
         def _piece(a: int, b: int) -> None:
             see_discs(self.traced, self.picture, self.lamps, pairs[a:b], rays, STRATIFIED_VARIANCE[rays], shares[a:b])
 
-        self.tiles.run(_piece, len(pairs), HALVES * PENUMBRA_RAYS[0] // rays)
+        self.tiles.run(_piece, len(pairs), HALF_SEEN_PAIRS * PENUMBRA_RAYS[0] // rays)
         return shares
 
 

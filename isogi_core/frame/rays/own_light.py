@@ -26,14 +26,14 @@ REPLICAS, FIRST_PATHS = 4, 16
 MOST_PATHS = 1 << 14
 """Paths of each replica, at most: 65,536 from a pixel."""
 
-FILTERED = 0.7
+FILTERED_VARIANCE_SHARE = 0.7
 """What filtering leaves of the variance of light that pixels have of their own: 0.46 to 0.9, as it is most at edges.
 
 Where it corrects the light of texels 0.3 to 1 is left of that: all where texels are much noisier, so that none is
 counted on.
 """
 
-DARK = 1e-3
+BLACK_SHARE = 1e-3
 """The share of the brightest colour below which a surface counts as black."""
 
 AIM = 0.85
@@ -124,7 +124,7 @@ def tints_of(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
     """What to divide light by, so that colours of the surface do not show in it; (m, 3), never 0. Raises Cancelled."""
     if not light.coloured:
         return np.ones((len(gbuffer.points), 3), np.float32)
-    return np.maximum(light.tints(gbuffer, tiles), DARK)
+    return np.maximum(light.tints(gbuffer, tiles), BLACK_SHARE)
 
 
 def times_as_many(found: np.ndarray | float, allowed: np.ndarray | float) -> np.ndarray:
@@ -202,7 +202,7 @@ class Growth:
             self.traced += paths
 
 
-def choose(errors: np.ndarray, variance: np.ndarray, paths: int, own: np.ndarray, allowed: float) -> Choice:
+def choose_points(errors: np.ndarray, variance: np.ndarray, paths: int, own: np.ndarray, allowed: float) -> Choice:
     """The points that are to have light of their own, so that a picture's mean squared error is ``allowed``.
 
     The points with the largest squared ``errors`` (m,) come first, after those that have their ``own``, (k,); so
@@ -215,7 +215,7 @@ def choose(errors: np.ndarray, variance: np.ndarray, paths: int, own: np.ndarray
     order = np.concatenate([own, others[np.argsort(-errors[others], kind="stable")]])
     left = np.append(errors[order][::-1].cumsum()[::-1], 0.0)[len(own) :]
     room = allowed * len(errors) - left
-    noise = FILTERED * np.append(0.0, variance[order].cumsum())[len(own) :] / REPLICAS
+    noise = FILTERED_VARIANCE_SHARE * np.append(0.0, variance[order].cumsum())[len(own) :] / REPLICAS
     many = np.arange(len(own), len(errors) + 1)
     counts = np.clip(paths * times_as_many(noise, room), FIRST_PATHS, MOST_PATHS)
     costs = np.where(room > 0.0, many * counts, np.inf)

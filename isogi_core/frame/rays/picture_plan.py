@@ -13,7 +13,7 @@ import numpy as np
 from isogi_core.bake.precision import FIRST_LEVEL, next_level
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.control_pixels import MAX_CONTROLS, TotalError
-from isogi_core.frame.rays.own_light import Choice, choose
+from isogi_core.frame.rays.own_light import Choice, choose_points
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.plan.variants import FINER_FACTOR
 
@@ -23,7 +23,7 @@ QUIETER = 0.5
 CLOSER = FINER_FACTOR**-2
 """What finer texels leave of a picture's squared error besides its noise: 0.11 to 0.44."""
 
-SHARED = 0.25
+COUNTED_TEXEL_SHARE = 0.25
 """The share of a texel's paths that counts: other views, and other lights, read the texel too."""
 
 HEAVIER = 3.0
@@ -32,7 +32,7 @@ HEAVIER = 3.0
 TASK = float(1 << 14)
 """What a chunk's rung counts beside its paths, in paths of pixels: 8 ms of a worker, see ``worker.progress``."""
 
-OPENING = float(1 << 22)
+FINER_TEXELS_COST = float(1 << 22)
 """What it counts to begin with finer texels, in paths of pixels: each worker opens them, for 1 to 2 s."""
 
 
@@ -42,9 +42,9 @@ class Prices(NamedTuple):
     By default those of a picture somebody waits for.
     """
 
-    path: float = SHARED * HEAVIER
+    path: float = COUNTED_TEXEL_SHARE * HEAVIER
     task: float = TASK
-    opening: float = OPENING
+    opening: float = FINER_TEXELS_COST
 
     @property
     def of_present(self) -> "Prices":
@@ -58,10 +58,10 @@ AWAITED = Prices()
 PRESENT = AWAITED.of_present
 """Prices of such a picture where there are no finer texels."""
 
-SHARED_PRICES = Prices(SHARED, 0.0).of_present
+SHARED_PRICES = Prices(COUNTED_TEXEL_SHARE, 0.0).of_present
 """Prices of a picture that stands for others, of any size: they all read its texels, and none its pixels' light."""
 
-AGAIN = FINER_FACTOR**2
+FINER_TEXELS_FACTOR = FINER_FACTOR**2
 """How many times as many texels of a surface there are where the lattice is twice as fine, about: 2.2 to 4."""
 
 
@@ -118,7 +118,7 @@ class OwnLight:
 
     def beside(self, errors: np.ndarray) -> Choice:
         """The pixels that are to have it where texels leave these squared ``errors`` (m,)."""
-        return choose(errors, self.variance, self.paths, self.own, self.allowed)
+        return choose_points(errors, self.variance, self.paths, self.own, self.allowed)
 
 
 def noise_of_climbers(frame: Frame) -> float:
@@ -175,11 +175,15 @@ def by_finer(
 
     Of a picture's squared ``errors`` (m,) ``noise`` (m,) becomes less with each doubling of samples, the rest at once.
     """
-    apart, paths = CLOSER * np.maximum(errors - noise, 0.0), AGAIN * texels
+    apart, paths = CLOSER * np.maximum(errors - noise, 0.0), FINER_TEXELS_FACTOR * texels
     plans = []
     for rungs, level in enumerate([FIRST_LEVEL, *rungs_above(FIRST_LEVEL, target)], start=1):
         left = apart + QUIETER ** math.log2(level / rung) * np.minimum(noise, errors)
-        plans.append(Plan(own.beside(left), rungs, paths * level, paths * FIRST_LEVEL, AGAIN * rungs * chunks, True))
+        plans.append(
+            Plan(
+                own.beside(left), rungs, paths * level, paths * FIRST_LEVEL, FINER_TEXELS_FACTOR * rungs * chunks, True
+            )
+        )
     return plans
 
 

@@ -18,7 +18,7 @@ from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.plan.budget import survival_for
 
-PATH_POINTS, PATHS = 256, 1 << 16
+PATH_POINTS, MAX_PATHS = 256, 1 << 16
 """Surface points of a tile when each of them sends paths, and paths of one, at most: some 30 ms until it can end."""
 
 BINOMIAL = np.array([1.0, 4.0, 6.0, 4.0, 1.0])
@@ -94,7 +94,7 @@ class Paths:
             if progress is not None:
                 progress((b - a) * sums.shape[1] * count)
 
-        self.tiles.run(_piece, len(sums), max(min(PATH_POINTS, PATHS // (sums.shape[1] * count)), 1))
+        self.tiles.run(_piece, len(sums), max(min(PATH_POINTS, MAX_PATHS // (sums.shape[1] * count)), 1))
         if self.light.coloured:
             own *= buffer.albedos(self.light.spec.prepared.colours, self.tiles)[: len(own), None]
         if self.light.shine is not None:

@@ -54,7 +54,7 @@ WAYS = 8
 LOW_WORD = np.uint64(0xFFFFFFFF)
 """What of a ray's sequence names the sequence of a path in the open from its end."""
 
-RAYS, PATHS, RAYS_OF_PATHS = 1 << 14, 256, 1 << 17
+RAYS_TOGETHER, PATHS_TOGETHER, RAYS_OF_PATHS = 1 << 14, 256, 1 << 17
 """Rays that are cast together, paths from their ends, and rays whose ends are kept together where all send paths."""
 
 NO_ROOM = Room(
@@ -114,7 +114,7 @@ def light_below(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarr
     def _piece(a: int, b: int) -> None:
         fill_below(shown.part(slice(a, b)), gbuffer.eye, gbuffer.spacing, lobe, below[a:b])
 
-    tiles.run(_piece, len(below), RAYS)
+    tiles.run(_piece, len(below), RAYS_TOGETHER)
     return below
 
 
@@ -188,7 +188,7 @@ def cast_rays(
         draws = ShineDraws(point, seeds, samples.start + sample)
         cast_shine(traced, room, some, gbuffer.eye, lobe, lights, draws, some_of(ends, own))
 
-    tiles.run(_piece, len(shown.pixels), max(min(RAYS // each, tiles.even(len(shown.pixels))), 1))
+    tiles.run(_piece, len(shown.pixels), max(min(RAYS_TOGETHER // each, tiles.even(len(shown.pixels))), 1))
     seen = np.flatnonzero(ends.met > MET_NOTHING)
     point, rest = np.divmod(seen, each)
     replica, sample = np.divmod(rest, len(samples))
@@ -231,7 +231,7 @@ def paths_from(rays: ShineRays, rows: np.ndarray, light: RotatedLight, bounces: 
         add_paths(met, starts_between(own, a, b), one, rules, light.surroundings, found[a:b])
         add_glow(found[a:b], light, traced, starts_between(starts, a, b), carried, one)
 
-    tiles.run(_piece, len(rows), PATHS)
+    tiles.run(_piece, len(rows), PATHS_TOGETHER)
     room = room_of(light)
     albedos, given = albedos_at(points.points, light), np.zeros((len(rows), 3))
     albedos[~on], given[~on] = room.albedos[ends.met[~on]], room.radiances[ends.met[~on]]

@@ -20,7 +20,7 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
 from isogi_core.frame.rays.estimate import HALVES, Estimate, NoisyLight
 from isogi_core.frame.rays.picture_plan import Prices
-from isogi_core.frame.rays.shine import RAYS, ShineRays, cast_rays, light_below, paths_from
+from isogi_core.frame.rays.shine import RAYS_TOGETHER, ShineRays, cast_rays, light_below, paths_from
 from isogi_core.frame.rays.wall_light import ViewWalls, WallView
 from isogi_core.frame.shading import colour_surface
 from isogi_core.frame.texel_shading import TexelShading
@@ -38,7 +38,7 @@ from isogi_core.model.sky import LUMINANCE_WEIGHTS
 MIN_RAYS, MAX_RAYS = 8, 1 << 12
 """Rays of each half from a point: so many find highlights that a few miss; and at most."""
 
-STEP_RAYS, TOGETHER = 1 << 20, 1 << 18
+STEP_RAYS, ENDS_TOGETHER = 1 << 20, 1 << 18
 """Rays of a step, about, of a point at least one of each half, and as many again as there are at most; and those whose
 ends are looked up together.
 """
@@ -181,7 +181,7 @@ class ViewShine:
         """Cast as many rays again from the points at ``places``; paths go on from where light is not final."""
         some, each = shine.gbuffer.part(places, tiles), HALVES * len(places)
         numbers, bounces = shine.sums.next(STEP_RAYS // each), bounces_of_truth(shine.light)
-        added, together = np.zeros((len(places), HALVES, 3)), max(TOGETHER // each, 1)
+        added, together = np.zeros((len(places), HALVES, 3)), max(ENDS_TOGETHER // each, 1)
         for first in range(0, len(numbers), together):
             rays = cast_rays(shine.light, some, range(HALVES), numbers[first : first + together], tiles)
             seen = self._ends(rays, shine.light, target, tiles)
@@ -234,5 +234,5 @@ def add_lobes_seen(rays: ShineRays, light: RotatedLight, framebuffer: Framebuffe
     def _piece(a: int, b: int) -> None:
         light_ends(traced, shown.part(slice(a, b)), lamps, seeds[a:b], lit[a:b])
 
-    tiles.run(_piece, len(lit), RAYS)
+    tiles.run(_piece, len(lit), RAYS_TOGETHER)
     framebuffer.radiance[hits.pixels] += light.spec.unit * light.tint.astype(np.float32) * lit

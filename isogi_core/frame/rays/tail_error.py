@@ -42,7 +42,7 @@ TRUSTED = 4.0
 INTERVAL_MARGIN = 1.1
 """Factor on either end of an interval, for noise that is not distributed normally."""
 
-QUANTILE = 1.96
+TAIL_STANDARD_ERRORS = 1.96
 """Standard errors to either side of the logarithm of an interval of 95 %."""
 
 
@@ -130,8 +130,8 @@ def bounds(above: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarra
     likely, known = counts @ above, counts**2 @ above
     variance = known**2 / np.maximum(counts**2 @ above**2, 1e-300)
     one, square = 1.0 / len(counts), float((counts**2).mean())
-    low = gamma_quantile(likely, variance, -QUANTILE)
-    high = gamma_quantile(likely + one, variance + square, QUANTILE)
+    low = gamma_quantile(likely, variance, -TAIL_STANDARD_ERRORS)
+    high = gamma_quantile(likely + one, variance + square, TAIL_STANDARD_ERRORS)
     return low, likely, np.asarray(np.maximum(high, likely))
 
 

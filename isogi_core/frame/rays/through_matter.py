@@ -35,7 +35,7 @@ take twice as long as those with 8, and have a tenth of the noise.
 DEEP = 256
 """Interfaces that a point's light passes, at most."""
 
-PLACES, TOGETHER, STEP_PLACES = 1 << 13, 1 << 18, 1 << 22
+TILE_PLACES, PLACES_TOGETHER, STEP_PLACES = 1 << 13, 1 << 18, 1 << 22
 """Places of a tile; those that are looked up together; and those of a step, about: of a point by one tree of each half
 at least, and by as many again as there are at most.
 """
@@ -117,7 +117,7 @@ class SeenThrough:
             leaves = Leaves(sky[a:b], weights[own], points[own], met[own], sides[own], cut[a:b])
             see_through(traced, passable, light.surroundings, gbuffer.eye, starts[a:b], chances, leaves)
 
-        tiles.run(_piece, count, PLACES // trees.breadth)
+        tiles.run(_piece, count, TILE_PLACES // trees.breadth)
         seen = np.flatnonzero(met >= 0)
         walls = PointsBeside(np.arange(len(seen), dtype=np.uint32), points[seen], met[seen])
         return cls(sky, weights[seen], seen // trees.breadth, walls, sides[seen].astype(np.int64), cut)
@@ -246,7 +246,7 @@ class ViewThrough:
         """
         numbers = seen.sums.next(STEP_PLACES // (HALVES * BREADTH * len(places)))
         trees, added = Trees(BREADTH, range(HALVES), numbers), np.zeros((len(places), HALVES, 3))
-        some = max(TOGETHER // (BREADTH * trees.each), 1)
+        some = max(PLACES_TOGETHER // (BREADTH * trees.each), 1)
         for a in range(0, len(places), some):
             rows = places[a : a + some]
             found = SeenThrough.of(seen.gbuffer.part(rows, tiles), seen.light, trees, tiles)

@@ -21,7 +21,13 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import pooled_variance, replicas_for, variance_of_mean
-from isogi_core.frame.rays.wall_texels import COARSE, FINE, FINEST, WallTexels, light_starts
+from isogi_core.frame.rays.wall_texels import (
+    COARSE_WALL_TEXELS,
+    FINE_WALL_TEXELS,
+    MAX_WALL_TEXELS,
+    WallTexels,
+    light_starts,
+)
 from isogi_core.frame.shading import fog_depths
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
@@ -52,7 +58,7 @@ class WallLight:
     @property
     def nbytes(self) -> int:
         """Bytes that it takes once its texels are fine, or finer if they are."""
-        own = self.texels.nbytes * (1 if self.texels.fine else (FINE // COARSE) ** 2)
+        own = self.texels.nbytes * (1 if self.texels.fine else (FINE_WALL_TEXELS // COARSE_WALL_TEXELS) ** 2)
         return own + (self.lent.nbytes if self.lent else 0)
 
     def best(self, target: float, tiles: Tiles) -> WallTexels:
@@ -123,12 +129,14 @@ class RoomLight:
             self.store.keep(self.state, (means, counts))
 
     def _begun(self, side: Side) -> WallTexels:
-        return WallTexels.begun(self.light, *side, COARSE)
+        return WallTexels.begun(self.light, *side, COARSE_WALL_TEXELS)
 
-    def _kept(self, state: WallState, finest: int = FINEST) -> dict[Side, WallTexels]:
+    def _kept(self, state: WallState, finest: int = MAX_WALL_TEXELS) -> dict[Side, WallTexels]:
         """What the store kept in a ``state``, no finer than the ``finest``."""
         kept: dict[int, Planes] = {}
-        while (across := FINE << len(kept)) <= finest and (planes := self.store.planes(state, across)) is not None:
+        while (across := FINE_WALL_TEXELS << len(kept)) <= finest and (
+            planes := self.store.planes(state, across)
+        ) is not None:
             kept[across] = planes
         sides = product(range(len(self.light.spec.prepared.scene.lighting.room.walls)), (1, -1)) if kept else ()
         found = {side: WallTexels.restored(self.light, side, kept) for side in sides}
@@ -139,7 +147,7 @@ class RoomLight:
         around = self.store.around(self.state)
         if around is None:
             return {}
-        low, high = (self._kept(each, FINE) for each in around)
+        low, high = (self._kept(each, FINE_WALL_TEXELS) for each in around)
         share = (self.state.isovalue - around[0].isovalue) / (around[1].isovalue - around[0].isovalue)
         return {
             side: low[side].mixed(high[side], share, f"-{low[side].count:x}~{high[side].count:x}")

@@ -26,7 +26,7 @@ from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRang
 from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.prepared.prepared_scene import Surface
 
-COARSE, FINE, FINEST = 16, 64, 256
+COARSE_WALL_TEXELS, FINE_WALL_TEXELS, MAX_WALL_TEXELS = 16, 64, 256
 """Texels along the longest edge of any wall: of the first picture, of all others, and at most."""
 
 EDGY = 1.0 / 12.0
@@ -115,7 +115,7 @@ class WallTexels:
     @property
     def fine(self) -> bool:
         """Whether they are fine enough to stay."""
-        return self.across >= FINE
+        return self.across >= FINE_WALL_TEXELS
 
     @property
     def nbytes(self) -> int:
@@ -127,7 +127,7 @@ class WallTexels:
         """Names the paths that were taken."""
         if self.made_of:
             return self.made_of
-        return f"-{self.count:x}" if self.across == FINE else f"-{self.count:x}a{self.across:x}"
+        return f"-{self.count:x}" if self.across == FINE_WALL_TEXELS else f"-{self.count:x}a{self.across:x}"
 
     @cached_property
     def variance(self) -> np.ndarray:
@@ -188,14 +188,14 @@ class WallTexels:
 
     def too_coarse(self, target: float) -> bool:
         """Whether what lies between them errs more than they do, and by more than half of a ``target``."""
-        if not FINE <= self.across < FINEST or self.unsharp.mean() <= self.variance.mean():
+        if not FINE_WALL_TEXELS <= self.across < MAX_WALL_TEXELS or self.unsharp.mean() <= self.variance.mean():
             return False
         return self.relative(self.unsharp) > 0.5 * target
 
     def nearer(self, light: RotatedLight, surface: Surface, target: float, tiles: Tiles) -> "WallTexels":
         """The texels a step nearer to a ``target``: fine ones, more paths, or twice as fine ones. Raises Cancelled."""
         if not self.fine:
-            return WallTexels.begun(light, self.wall, self.side, FINE).grown(light, surface, tiles)
+            return WallTexels.begun(light, self.wall, self.side, FINE_WALL_TEXELS).grown(light, surface, tiles)
         if not self.has_enough_paths(target):
             return self.grown(light, surface, tiles, self.count)
         return self.finer(light, self._unsharp_places(light, target)).grown(light, surface, tiles, self.count)

@@ -18,10 +18,10 @@ from isogi_core.errors import NoRoomError
 from isogi_core.frame.eye_glow import EyeGlow, rays_through
 from isogi_core.frame.film import find_edges, lit, places_in, shown_by
 from isogi_core.frame.frame import EdgeSamples, Frame
-from isogi_core.frame.gbuffer import RAYS, surface_key
+from isogi_core.frame.gbuffer import TILE_RAYS, surface_key
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.several.mixing import Level
-from isogi_core.frame.several.peels import Hits, Peeler, Peels, first_of, layers_of, walls_of
+from isogi_core.frame.several.peels import Hits, Peeler, Peels, first_of, side_layers, walls_of
 from isogi_core.frame.several.surfaces_frame import Part, compose, parts_of, wrong_of
 from isogi_core.frame.surface_renderer import SurfaceRenderer
 from isogi_core.frame.tiles import Stopwatch, Tiles
@@ -180,7 +180,7 @@ class Composer:
         for side in sides_of(self._scene):
             if len(hits.rows_of(side)):
                 prepared = self.renderer(side, view.isovalue).caches.prepared
-                sides[side] = layers_of(hits, side, first, prepared.surface(every[side.number].isovalue))
+                sides[side] = side_layers(hits, side, first, prepared.surface(every[side.number].isovalue))
         walls, seen = walls_of(hits, first)
         return Peels(first, sides | ({} if seen is None else {WALLS_SIDE: seen}), left, walls)
 
@@ -213,7 +213,7 @@ def smooth_surfaces(frame: Frame, peeler: Peeler, exposure: float, tiles: Tiles,
         hits.pixels[:] += np.uint32(a)
         found[a] = hits
 
-    tiles.run(_piece, len(places), RAYS)
+    tiles.run(_piece, len(places), TILE_RAYS)
     if glow is not None:
         layers = by_layer(Hits.joined(list(found.values())))
         light += glow.lit(glow.before_layers(*rays_through(frame, places), layers, tiles))

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from isogi_core.frame.gbuffer import RAYS, GBuffer, PointsBeside, sight_among, view_pinhole
+from isogi_core.frame.gbuffer import TILE_RAYS, GBuffer, PointsBeside, sight_among, view_pinhole
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.tracing.camera import Pinhole
 from isogi_core.kernels.tracing.peels import FIRST_WALL_SIDE, MAX_PEELED_LAYERS, MAX_SURFACES, Peeled, Shells, peel_rays
@@ -132,11 +132,11 @@ class Peeler:
             found[a], left[a:b] = self.through(x + 0.5, y + 0.5)
             found[a].pixels[:] += np.uint32(a)
 
-        tiles.run(_piece, count, RAYS)
+        tiles.run(_piece, count, TILE_RAYS)
         return Hits.joined([found[a] for a in sorted(found)]), left.reshape(view.height, view.width)
 
 
-def layers_of(hits: Hits, side: Side, first: GBuffer, surface: Surface) -> SideLayers:
+def side_layers(hits: Hits, side: Side, first: GBuffer, surface: Surface) -> SideLayers:
     """The ``hits`` of a ``side`` of a ``surface``, some at least, as layers of the picture that ``first`` is of."""
     (height, width), rows = first.shape, hits.rows_of(side)
     ranks = hits.ranks[rows]

@@ -21,7 +21,7 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.sides import OUTER, WALLS_SIDE, Side
 
-DARK = 1e-30
+MIN_SHOWN_LUMINANCE = 1e-30
 """Luminance below which relative errors are of nothing."""
 
 
@@ -144,7 +144,7 @@ class SurfacesQuality(Quality):
         """The relative RMSE of a ``frame`` by the ``errors`` of its parts."""
         parts = zip(errors, self.parts, strict=True)
         squares = sum((error * part.frame.true_mean) ** 2 * part.weight for error, part in parts)
-        return min(math.sqrt(squares / max(frame.surface, 1)) / max(frame.true_mean, DARK), 1.0)
+        return min(math.sqrt(squares / max(frame.surface, 1)) / max(frame.true_mean, MIN_SHOWN_LUMINANCE), 1.0)
 
 
 def parts_of(frame: Frame) -> tuple[Part, ...]:
@@ -166,7 +166,11 @@ def summed_errors(errors: Sequence[tuple[Part, np.ndarray]], radiance: np.ndarra
         for rows, pixels in part.layers.each:
             squares[pixels] += own[rows]
     light = radiance.reshape(-1, 3).astype(np.float64) @ LUMINANCE_WEIGHTS
-    return np.minimum(np.sqrt(squares) / np.maximum(light, DARK), 1.0).astype(np.float32).reshape(radiance.shape[:2])
+    return (
+        np.minimum(np.sqrt(squares) / np.maximum(light, MIN_SHOWN_LUMINANCE), 1.0)
+        .astype(np.float32)
+        .reshape(radiance.shape[:2])
+    )
 
 
 def summed(view: View, parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,16 @@ from isogi_core.files.mappings import budget
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, is_number
 from isogi_core.kernels.transport.colours import sample_layer, slope_layer
-from isogi_core.model.colours import COLOUR_MAPS, MAX_ALBEDO, VALUES, Colour, Scale, SurfaceColours, spread, table_of
+from isogi_core.model.colours import (
+    COLOUR_MAPS,
+    MAX_ALBEDO,
+    VALUES,
+    Colour,
+    Scale,
+    SurfaceColours,
+    spread_colours,
+    table_of,
+)
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.volumes.masks import matrix_into
 from isogi_core.plan.volumes.opening import AXES_CHOICES, chosen_part, open_grid, open_series, stem_of
@@ -232,7 +241,7 @@ def coloured(
     for z in range(shape[0]):
         layer(float(min(z * step, volume.shape[0] - 1)), steps, values)
         codes[z] = codes_of(factor * values.astype(np.float64), span)
-    colours = table_of(table.map) if table.map else spread(np.array(table.colours))
+    colours = table_of(table.map) if table.map else spread_colours(np.array(table.colours))
     scale = Scale(table.name or name, span, table.map or "own", colours, table.outside)
     return SurfaceColours(codes, (float(step),) * 3, scale)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
-from isogi_core.files.grid import Grid, LabelName, layers_of
+from isogi_core.files.grid import Grid, LabelName, slab_layers
 from isogi_core.files.mappings import budget
 from isogi_core.files.scene_changes import tables_in
 from isogi_core.files.scene_file import SceneSource, Settings
@@ -200,7 +200,7 @@ def smooth(shown: np.ndarray) -> Iterator[np.ndarray]:
     is. The volume's outermost voxels go on beyond it.
     """
     nz, halo = len(shown), SMOOTHING_REACH + 2
-    layers = layers_of(4 * shown[0].size)
+    layers = slab_layers(4 * shown[0].size)
     for z in range(0, nz, layers):
         end = min(z + layers, nz)
         part = shown[np.clip(np.arange(z - halo, end + halo), 0, nz - 1)]

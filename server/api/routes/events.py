@@ -23,13 +23,13 @@ from server.render.updates import stream_viewer
 from worker.bake_requests import Viewer
 
 router = APIRouter(prefix="/v1/scenes/{scene}", tags=["frames"])
-DESCRIPTION = (
+EVENTS_DESCRIPTION = (
     "Events. refined: what /coverage answers, each time that the frame has become better; progress: chunks that are"
     " still to be baked and the time left, once a second; final or failed: the end. An id names the frame's light: a"
     " client that comes back with it in Last-Event-ID gets only what is new."
 )
 ANSWERS: dict[int | str, dict[str, Any]] = {
-    200: {"description": DESCRIPTION, "content": {"text/event-stream": {}}},
+    200: {"description": EVENTS_DESCRIPTION, "content": {"text/event-stream": {}}},
     204: {"description": "The frame is final, and Last-Event-ID says that the client knows."},
 }
 
@@ -71,7 +71,7 @@ async def resumed(first: bytes, rest: AsyncGenerator[bytes, None]) -> AsyncGener
             yield event("failed", {"detail": str(error)})
 
 
-PROGRESS = 1.0
+TIME_LEFT_SECONDS = 1.0
 """Seconds without other events after which an event says how much time is left."""
 
 
@@ -105,12 +105,12 @@ async def events_of(
 async def answers(
     service: Service, picture: PictureRequest, viewer: Viewer
 ) -> AsyncGenerator[tuple[Shown, bool], None]:
-    """Each answer to a picture request, and whether it is new; the latest again after PROGRESS seconds."""
+    """Each answer to a picture request, and whether it is new; the latest again after TIME_LEFT_SECONDS seconds."""
     async with aclosing(service.refinements(picture, viewer)) as refinements:
         shown, coming = None, asyncio.ensure_future(anext(refinements, None))
         try:
             while True:
-                done, _ = await asyncio.wait({coming}, timeout=PROGRESS)
+                done, _ = await asyncio.wait({coming}, timeout=TIME_LEFT_SECONDS)
                 if done and (shown := coming.result()) is None:
                     return
                 if done:

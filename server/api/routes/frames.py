@@ -173,7 +173,7 @@ def defer(
     )
 
 
-PROGRESS = 1.0
+JOB_REPORT_SECONDS = 1.0
 """Seconds between two reports of a job's progress."""
 
 AWAY = 1.0
@@ -224,4 +224,4 @@ async def follow(service: Service, bake: str, baking: BackgroundBake, needed: in
         while not pending.all.is_set() and (waiting := await asyncio.to_thread(baking.waiting)):
             done, left = needed - waiting, await asyncio.to_thread(baking.time_left)
             job.report(done / needed, f"{done} of {needed} chunks are baked.", left)
-            await within(PROGRESS, pending.all)
+            await within(JOB_REPORT_SECONDS, pending.all)

@@ -26,13 +26,15 @@ td { border-top: 1px solid #8884; padding: .2rem .8rem .2rem 0; vertical-align: 
 td:first-child { white-space: nowrap; width: 10rem }
 p { margin: .25rem 0 .75rem }
 """
-DIGEST = base64.b64encode(hashlib.sha256(STYLE.encode()).digest()).decode()
-POLICY = f"default-src 'none'; style-src 'sha256-{DIGEST}'; base-uri 'none'; frame-ancestors 'none'"
+STYLE_DIGEST = base64.b64encode(hashlib.sha256(STYLE.encode()).digest()).decode()
+PAGE_POLICY = f"default-src 'none'; style-src 'sha256-{STYLE_DIGEST}'; base-uri 'none'; frame-ancestors 'none'"
 
-OTHERS = {"published", "notebook"}
+OTHER_FOLDERS = {"published", "notebook"}
 """Folders of modules that pages without a server, and notebooks, have beside the viewer's."""
 
-MODULES = sorted(each.relative_to(WEB).as_posix() for each in WEB.glob("**/*.js") if each.parent.name not in OTHERS)
+MODULES = sorted(
+    each.relative_to(WEB).as_posix() for each in WEB.glob("**/*.js") if each.parent.name not in OTHER_FOLDERS
+)
 PRELOADS = ", ".join(f"<web/{each}>; rel=modulepreload" for each in MODULES)
 """A header that has a browser load all modules at once, and not one after the other as they import each other."""
 
@@ -48,7 +50,7 @@ def index() -> FileResponse:
 @router.get("/docs")
 def docs(request: Request) -> HTMLResponse:
     """The OpenAPI document as a page that needs nothing else."""
-    return HTMLResponse(documentation(request.app.openapi()), headers={"Content-Security-Policy": POLICY})
+    return HTMLResponse(documentation(request.app.openapi()), headers={"Content-Security-Policy": PAGE_POLICY})
 
 
 def documentation(api: dict[str, Any]) -> str:
@@ -68,22 +70,22 @@ def documentation(api: dict[str, Any]) -> str:
 def operation(method: str, path: str, facts: dict[str, Any]) -> str:
     """One operation: what it does, its parameters, its answers."""
     parameters = "".join(
-        row(each["name"], f"{described(each['schema'])} {escape(each.get('description', ''))}")
+        table_row(each["name"], f"{parameter_in_words(each['schema'])} {escape(each.get('description', ''))}")
         for each in facts.get("parameters", [])
     )
-    answers = "".join(row(code, escape(each["description"])) for code, each in facts["responses"].items())
+    answers = "".join(table_row(code, escape(each["description"])) for code, each in facts["responses"].items())
     return (
         f"<section><h2>{method.upper()} {escape(path)}</h2><p>{escape(facts.get('description', ''))}</p>"
         f"<table>{parameters}</table><table>{answers}</table></section>"
     )
 
 
-def row(name: str, html: str) -> str:
+def table_row(name: str, html: str) -> str:
     """One row of a table: a name, and what there is to say about it."""
     return f"<tr><td><code>{escape(name)}</code></td><td>{html}</td></tr>"
 
 
-def described(schema: dict[str, Any]) -> str:
+def parameter_in_words(schema: dict[str, Any]) -> str:
     """A parameter's kind, range and default in a few words."""
     kind = next((s for s in schema.get("anyOf", [schema]) if s.get("type") != "null"), schema)
     words = " | ".join(kind["enum"]) if "enum" in kind else kind.get("type", "")

@@ -41,7 +41,7 @@ DRAWN = 1
 VALUE_TOLERANCE = 1e-6
 """How far values that are sent may be off, of their range: what is smaller is seen in no picture, and no contour."""
 
-PACKED = 1
+GZIP_LEVEL = 1
 """Level of gzip: a slice of 256 × 256 bytes takes a millisecond."""
 
 
@@ -111,7 +111,7 @@ def sliced(request: Request, scene: Scene, params: SliceParams) -> Response:
         return Response(compress(grey(plane, *window), "png"), 200, headers, MEDIA_TYPES["png"])
     values = values_npy(plane, VALUE_TOLERANCE * volume.core[1] - VALUE_TOLERANCE * volume.core[0])
     if packed:
-        values, headers = gzip.compress(values, PACKED), headers | {"Content-Encoding": "gzip"}
+        values, headers = gzip.compress(values, GZIP_LEVEL), headers | {"Content-Encoding": "gzip"}
     return Response(values, 200, headers, MEDIA_TYPES["npy"])
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
-from isogi_core.frame.framing import FORMAT, paint_panorama
+from isogi_core.frame.framing import PANORAMA_FORMAT, paint_panorama
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.scene import Scene
 from server.answers import scene_schema
@@ -98,7 +98,9 @@ def painted(request: Request, scene: Scene, params: SkyParams) -> Response:
     """The picture of a scene's light, or that it is the one that the client has."""
     orientation = scene.volume.orientation
     turn = orientation.matrix if orientation.turned and not scene.lighting.rotating else None
-    tag = tag_of(FORMAT, scene.lighting.environment.digest, scene.lighting.lamps.digest, params.width, params.f)
+    tag = tag_of(
+        PANORAMA_FORMAT, scene.lighting.environment.digest, scene.lighting.lamps.digest, params.width, params.f
+    )
     headers = {"ETag": tag, "Cache-Control": FOR_EVER if params.version == tag.strip('"') else "no-cache"}
     if matches(request.headers.get("if-none-match"), tag):
         return Response(status_code=304, headers=headers)

@@ -15,7 +15,7 @@ from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.glow import Glow, place_glows
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.scene import Scene
-from isogi_report.exact import light_of_halves, place_of
+from isogi_report.exact import bake_place, light_of_halves
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, chunks_of, relative_rmse, scene_of
 from tests.loaded import load_scene
 
@@ -129,7 +129,7 @@ def test_points_of_reports_are_lit_by_what_glows(glows: int, tmp_path: Path) -> 
     bench = Workbench(orbital_of(glow=[ball, {**ball, "radiance": [0.5, 1.0, 3.0]}][:glows], **settings), tmp_path)
     view = bench.view(60.0, 10.0, SIZE)
     gbuffer, tiles = bench.renderer.gbuffer(view), Tiles()
-    place = place_of(gbuffer.pixels, gbuffer.points, gbuffer.normals(tiles), gbuffer.isovalue)
+    place = bake_place(gbuffer.pixels, gbuffer.points, gbuffer.normals(tiles), gbuffer.isovalue)
     light = RotatedLight(bench.renderer.caches.spec("gi"), view)
     found = light_of_halves(light, place, 256).mean(axis=(0, 1))
     traced = bench.renderer.render(replace(view, shading="path_traced", samples=256))

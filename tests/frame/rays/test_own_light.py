@@ -10,13 +10,13 @@ from isogi_core.frame.rays.control_pixels import ControlPixels, spread_errors, v
 from isogi_core.frame.rays.estimate import Estimate
 from isogi_core.frame.rays.own_light import (
     AIM,
-    FILTERED,
+    FILTERED_VARIANCE_SHARE,
     FIRST_PATHS,
     REPLICAS,
     Choice,
     Growth,
     PixelLight,
-    choose,
+    choose_points,
     foreseen_paths,
 )
 from isogi_core.frame.rays.pixel_rays import variance_of_mean
@@ -41,7 +41,7 @@ def controls(wrong: np.ndarray) -> ControlPixels:
 
 def chosen(wrong: np.ndarray, controls: ControlPixels, allowed: float, own: np.ndarray = NONE) -> Choice:
     errors = spread_errors(wrong, controls, np.zeros(POINTS)) ** 2
-    return choose(errors, variance_of_halves(wrong, controls), PATHS, own, allowed)
+    return choose_points(errors, variance_of_halves(wrong, controls), PATHS, own, allowed)
 
 
 def light_of(places: np.ndarray, count: int, deviation: float) -> PixelLight:
@@ -63,7 +63,7 @@ def test_what_is_left_and_noise_make_what_is_allowed(wrong: np.ndarray, controls
     assert choice.count > FIRST_PATHS
     left = np.delete(spread_errors(wrong, controls, np.zeros(POINTS)) ** 2, choice.places).sum()
     assert left + choice.variance == pytest.approx(0.002 * POINTS)
-    each = FILTERED * NOISE**2 / REPLICAS * (PATHS / choice.count) ** (2.0 / RATE)
+    each = FILTERED_VARIANCE_SHARE * NOISE**2 / REPLICAS * (PATHS / choice.count) ** (2.0 / RATE)
     assert len(choice.places) * each == pytest.approx(choice.variance, rel=0.1)
 
 
@@ -75,7 +75,9 @@ def test_no_other_number_of_points_takes_fewer_paths(wrong: np.ndarray, controls
         variance = allowed * POINTS - squares[many:].sum()
         if variance <= 0.0:
             return np.inf
-        return many * max(PATHS * (many * FILTERED * NOISE**2 / REPLICAS / variance) ** (RATE / 2.0), FIRST_PATHS)
+        return many * max(
+            PATHS * (many * FILTERED_VARIANCE_SHARE * NOISE**2 / REPLICAS / variance) ** (RATE / 2.0), FIRST_PATHS
+        )
 
     least = min(cost(many) for many in range(1, POINTS + 1))
     assert cost(len(choice.places)) == pytest.approx(least, rel=0.02)
@@ -129,6 +131,6 @@ def test_in_the_dark_all_points_are_traced_once() -> None:
     """Nothing is allowed there, as the true light is 0, and no path brings any."""
     dark = ControlPixels(np.arange(POINTS), np.ones(POINTS), np.zeros((POINTS, 2)))
     errors = spread_errors(np.ones(POINTS), dark, np.full(POINTS, 0.3)) ** 2
-    choice = choose(errors, np.zeros(POINTS), PATHS, NONE, 0.0)
+    choice = choose_points(errors, np.zeros(POINTS), PATHS, NONE, 0.0)
     assert len(choice.places) == POINTS and choice.count == FIRST_PATHS
     assert Growth(choice, light_of(choice.places, FIRST_PATHS, 0.0)).enough

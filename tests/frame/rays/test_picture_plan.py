@@ -8,12 +8,12 @@ import pytest
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.rays.control_pixels import MAX_CONTROLS, TotalError
 from isogi_core.frame.rays.picture_plan import (
-    AGAIN,
     AWAITED,
     CLOSER,
+    COUNTED_TEXEL_SHARE,
+    FINER_TEXELS_FACTOR,
     HEAVIER,
     QUIETER,
-    SHARED,
     TASK,
     Ahead,
     OwnLight,
@@ -49,7 +49,7 @@ def test_noise_asks_for_rungs() -> None:
 
 def test_light_between_texels_asks_for_finer_ones() -> None:
     plan = cheapest(apart=0.03, noise=0.005, texels=2000)
-    assert plan.finer and plan.rungs == 1 and plan.texel_paths == AGAIN * 2000 * FIRST_LEVEL
+    assert plan.finer and plan.rungs == 1 and plan.texel_paths == FINER_TEXELS_FACTOR * 2000 * FIRST_LEVEL
 
 
 def test_many_texels_leave_pixels_to_light_of_their_own() -> None:
@@ -82,7 +82,7 @@ class OwnLightSeen(OwnLight):
 def test_what_is_ahead_leaves_out_what_begins_now() -> None:
     own = own_light(0.05**2)
     plan = by_rungs(own, np.full(PIXELS, 0.2), np.full(PIXELS, 0.1), [0.0, 10.0, 30.0], 5)[2]
-    assert plan.cost(AWAITED) == 10 * TASK + SHARED * HEAVIER * 30.0 + plan.choice.paths
+    assert plan.cost(AWAITED) == 10 * TASK + COUNTED_TEXEL_SHARE * HEAVIER * 30.0 + plan.choice.paths
     assert plan.ahead(5.0, 100.0) == Ahead(plan.choice.paths + 110.0, 20.0, 3)
     now = by_rungs(own, np.full(PIXELS, 0.2), np.full(PIXELS, 0.1), [0.0], 5)[0]
     assert now.ahead(5.0, 100.0) == Ahead(100.0, 0.0, 1)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import ViewError
-from isogi_core.frame.entry_kernels import SHINE, frame_kernels
+from isogi_core.frame.entry_kernels import SHINE_KERNELS, frame_kernels
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.picture_plan import PRESENT
@@ -126,8 +126,8 @@ def test_no_shine_is_the_diffuse_picture_to_the_bit(polished: Workbench) -> None
 
 def test_diffuse_scenes_compile_no_kernel_of_shine(polished: Workbench) -> None:
     dull = load_scene("demo:orbital", lights=[SKY])
-    assert not {*SHINE} & {*frame_kernels([dull])}
-    assert {*SHINE} <= {*frame_kernels([dull, polished.scene])}
+    assert not {*SHINE_KERNELS} & {*frame_kernels([dull])}
+    assert {*SHINE_KERNELS} <= {*frame_kernels([dull, polished.scene])}
     assert [each.what for each in dull.left_out].count("shine") == 1
     assert [each.what for each in polished.scene.left_out].count("shine") == 0
 

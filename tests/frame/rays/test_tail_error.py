@@ -11,8 +11,8 @@ from isogi_core.frame.rays.control_pixels import ControlPixels, chances
 from isogi_core.frame.rays.tail_error import (
     BORDERS,
     ODD,
-    QUANTILE,
     TAIL_SHARE,
+    TAIL_STANDARD_ERRORS,
     TailError,
     bounds,
     falls_below,
@@ -142,7 +142,7 @@ def test_equal_weights_have_the_bound_of_poisson_counts() -> None:
     above = np.zeros((500, 1))
     above[:5] = 1.0
     low, likely, high = bounds(above, np.full(500, 1.0 / 500))
-    chance = stats.norm.cdf(QUANTILE)
+    chance = stats.norm.cdf(TAIL_STANDARD_ERRORS)
     exact = stats.chi2.ppf([1.0 - chance, chance], [10, 12]) / 1000
     assert likely[0] == pytest.approx(0.01)
     assert [low[0], high[0]] == pytest.approx(exact, rel=0.03)

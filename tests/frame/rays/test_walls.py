@@ -18,7 +18,7 @@ from isogi_core.frame.entry_kernels import ROOM, frame_kernels
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.wall_light import RoomLight
-from isogi_core.frame.rays.wall_texels import FINE, FINEST, WallTexels
+from isogi_core.frame.rays.wall_texels import FINE_WALL_TEXELS, MAX_WALL_TEXELS, WallTexels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 from isogi_core.kernels.tracing.camera import trace_pixels
 from isogi_core.kernels.transport.room_paths import light_in_room
@@ -188,7 +188,9 @@ def test_damaged_light_of_walls_is_baked_again(room: Workbench, tmp_path: Path) 
     true = finished(room, view)
     copy = Workbench(room.scene, Path(shutil.copytree(room.folder, tmp_path / "copy")))
     state = WallState(float(copy.prepared.surface(view.isovalue).isovalue), copy.scene.surfaces.albedo, 1.0)
-    objects = sorted((copy.folder / WallLayer(copy.caches.store, copy.prepared, state, FINE).digest).glob("c/*/*/*/0"))
+    objects = sorted(
+        (copy.folder / WallLayer(copy.caches.store, copy.prepared, state, FINE_WALL_TEXELS).digest).glob("c/*/*/*/0")
+    )
     assert len(objects) == 1
     objects[0].write_bytes(objects[0].read_bytes()[:-9])
     found = [damage.key for damage in Auditor(copy.caches.store).audit().damages]
@@ -222,8 +224,8 @@ def test_finer_texels_are_what_they_were_when_they_are_read(room: Workbench, tmp
     view = room.view(90.0, 0.0, SIZE, distance=4.0)
     light, surface = RotatedLight(room.caches.spec("gi"), view), room.prepared.surface(view.isovalue)
     lit = RoomLight.of(light, surface, store)
-    coarse = WallTexels.begun(light, 0, 1, FINE).grown(light, surface, room.renderer.tiles)
-    asked = np.zeros((2 * FINE, 2 * FINE), bool)
+    coarse = WallTexels.begun(light, 0, 1, FINE_WALL_TEXELS).grown(light, surface, room.renderer.tiles)
+    asked = np.zeros((2 * FINE_WALL_TEXELS, 2 * FINE_WALL_TEXELS), bool)
     asked[20:50, 30:90] = True
     fine = coarse.finer(light, asked).grown(light, surface, room.renderer.tiles)
     lit.keep([coarse, fine])
@@ -261,7 +263,7 @@ def test_walls_tell_what_edges_of_shadows_between_texels_are_off(turn: float) ->
     told, true = np.sqrt(texels.unsharp.mean()), between_texels(texels, shadow)
     assert 0.7 < told / true < 1.6
     assert texels.too_coarse(0.02)
-    assert not wall_texels(FINEST, shadow).too_coarse(0.02), "and no finer ones are made then"
+    assert not wall_texels(MAX_WALL_TEXELS, shadow).too_coarse(0.02), "and no finer ones are made then"
 
 
 def test_walls_tell_what_smooth_light_between_texels_is_off() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from isogi_core.frame.several.peels import Hits, Peeler, first_of, layers_of
+from isogi_core.frame.several.peels import Hits, Peeler, first_of, side_layers
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.tracing.peels import MAX_PEELED_LAYERS
 from isogi_core.model.view import Camera, View
@@ -106,7 +106,7 @@ def test_a_side_is_a_tall_picture_of_its_layers(prepared: PreparedScene) -> None
     view, hits, _ = peeled(prepared, LEVELS, [0.5, 0.8, 0.0])
     first = first_of(view, hits, prepared.surface(4.0))
     assert len(np.unique(first.pixels)) == len(first.pixels)
-    layers, some = layers_of(hits, Side(1), first, prepared.surface(0.0)), hits.rows_of(Side(1))
+    layers, some = side_layers(hits, Side(1), first, prepared.surface(0.0)), hits.rows_of(Side(1))
     assert layers.layers == 1
     ((rows, pixels),) = layers.each
     np.testing.assert_array_equal(pixels, hits.pixels[some])

@@ -56,7 +56,7 @@ def test_events_come_until_a_view_is_final_and_resume_by_id(client: httpx.Client
 
 
 def test_progress_tells_the_time_left(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("server.api.routes.events.PROGRESS", 0.01)
+    monkeypatch.setattr("server.api.routes.events.TIME_LEFT_SECONDS", 0.01)
     told = [json.loads(each["data"]) for each in events(client, azimuth=190) if each["event"] == "progress"]
     assert told
     assert all(each["waiting"] >= 0 for each in told)

@@ -16,7 +16,7 @@ from server.api.pacing import (
     Drafts,
     Window,
 )
-from server.api.stream import IDLE, POLICY, TOO_BIG, Inbox
+from server.api.stream import CLOSE_IDLE, CLOSE_POLICY, CLOSE_TOO_BIG, Inbox
 from server.errors import StreamError
 from server.render.admission import Place
 from server.settings import Settings
@@ -142,10 +142,10 @@ def test_messages_are_read_until_the_client_leaves() -> None:
 @pytest.mark.parametrize(
     ("messages", "code"),
     [
-        ([text("é" * 129)], TOO_BIG),
-        ([{"type": "websocket.receive", "bytes": b"x"}], POLICY),
-        ([text("a")] * 11, POLICY),
-        ([text("a")], IDLE),
+        ([text("é" * 129)], CLOSE_TOO_BIG),
+        ([{"type": "websocket.receive", "bytes": b"x"}], CLOSE_POLICY),
+        ([text("a")] * 11, CLOSE_POLICY),
+        ([text("a")], CLOSE_IDLE),
     ],
 )
 def test_what_breaks_a_limit_ends_the_stream(messages: list[dict[str, Any]], code: int) -> None:

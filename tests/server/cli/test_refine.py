@@ -52,7 +52,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def refine(engine: Script, max_error: float | None = None, seconds: float | None = None) -> Any:
-    return render.refine(engine, "scene", VIEW, max_error, seconds)  # type: ignore[arg-type]
+    return render.draw_refined(engine, "scene", VIEW, max_error, seconds)  # type: ignore[arg-type]
 
 
 def test_it_asks_until_the_frame_is_final(capsys: pytest.CaptureFixture[str]) -> None:

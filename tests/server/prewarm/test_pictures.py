@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.frame.rays.picture_plan import SHARED, SHARED_PRICES, Prices
+from isogi_core.frame.rays.picture_plan import COUNTED_TEXEL_SHARE, SHARED_PRICES, Prices
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.reachable_texels import surface_texels
@@ -230,7 +230,7 @@ SEVERAL = "[[surfaces]]\nisovalue = 0.7\nclear = 0.5\n[[lights]]"
 
 @pytest.mark.slow
 def test_finer_texels_are_prewarmed_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    weigh_at(Prices(SHARED, 0.0, 0.0), monkeypatch)
+    weigh_at(Prices(COUNTED_TEXEL_SHARE, 0.0, 0.0), monkeypatch)
     scene, order = tmp_path / "coarse.toml", {"directions": [AT], "distance": 3.0, "width": 128, "height": 128}
     scene.write_text(COARSE)
     summary = warmed(scene, tmp_path / "light", order)

@@ -35,7 +35,7 @@ from isogi_core.plan.scene import Scene
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps, Run, find_levels
 from isogi_core.storage import folder
 from isogi_core.storage.url import StoreUrl
-from server.cli.render import refine
+from server.cli.render import draw_refined
 from server.render.engine import RenderEngine
 from server.render.loaded_scene import next_values
 from server.render.resources import StoreProbe, whereabouts
@@ -267,7 +267,7 @@ def test_a_path_traced_frame_lacks_no_light_whatever_its_error(begin: Open, scen
     frame = engine.frame(scene.id, view, max_error=0.001, wait=LONG)
     assert frame.provisional and frame.noise > 0.001
     assert engine.lacking(scene.id, frame)[1].demands == ()
-    assert refine(engine, scene.id, view, 0.001, None).version == frame.version
+    assert draw_refined(engine, scene.id, view, 0.001, None).version == frame.version
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 
 from isogi_core.cache.upkeep.census import census_of
 from isogi_core.errors import NoRoomError
-from isogi_core.frame.rays.picture_plan import SHARED, Prices
+from isogi_core.frame.rays.picture_plan import COUNTED_TEXEL_SHARE, Prices
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
@@ -29,7 +29,7 @@ def view_of(scene: Scene) -> View:
     return replace(small_view_of(scene), width=128, height=128)
 
 
-FREE = Prices(SHARED, 0.0, 0.0)
+FREE = Prices(COUNTED_TEXEL_SHARE, 0.0, 0.0)
 
 
 @pytest.fixture(autouse=True)
