@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -15,11 +15,12 @@ from isogi_core.cache.costs import Cost
 from isogi_core.errors import StoreFullError, StoreReadOnlyError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
-from isogi_core.frame.rays.picture_plan import AWAITED, Prices
+from isogi_core.frame.rays.picture_plan import AWAITED, HEAVIER, Prices
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.unlit_view import unlit_frame
+from isogi_core.frame.view_checks import PathsLeft
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
@@ -30,7 +31,6 @@ from server.errors import UnknownSceneError
 from server.render.bakes import BACKGROUND_VIEWER, BackgroundBake, SideBakes, bake_name, make_bake
 from server.render.kernels import SceneKernels
 from server.render.loaded_scene import LoadedScene, LoadedScenes, load_scene_parts
-from server.render.path_times import Promises, time_of_paths
 from server.render.picture_checks import CHECK, PictureChecks
 from server.render.resources import root_of, shared, whereabouts
 from server.render.scene_variant import SceneVariant
@@ -38,7 +38,51 @@ from server.render.workforce import Workforce, scheduler_of
 from server.settings import Settings
 from worker.bake_requests import GUEST_VIEWER, Viewer
 from worker.baker import Baker, Listener
-from worker.progress import Tally, TimeLeft
+from worker.progress import ASSUMED_WORK_RATIOS, UNREHEARSED_SPREAD, Tally, TimeLeft, log_normal_ratios
+
+WAITING_STAGES = ("queue", "bake", "check", "demand")
+"""Stages of a frame in which it is not drawn."""
+
+
+def time_of_paths(left: PathsLeft, spent: Cost, threads: int, drawing: Mapping[str, float]) -> TimeLeft:
+    """The time for the paths that are ``left``, on so many ``threads``, and for ``drawing`` by its stages' seconds.
+
+    Before the first path of a pixel one takes a share of a texel's, for all of which so much was ``spent``.
+    """
+    each = spent.seconds / max(spent.paths, 1) / threads
+    once = sum(seconds for stage, seconds in drawing.items() if stage not in WAITING_STAGES)
+    work = left.texels * each + left.pixels * (left.pace or each / HEAVIER) + left.times * once
+    return TimeLeft.of(work, ASSUMED_WORK_RATIOS if left.pace is None else log_normal_ratios(UNREHEARSED_SPREAD))
+
+
+MAX_TIME_LEFT_RATIO = 1.1
+"""How many times as long as before the time left of a picture may become from one answer to the next."""
+
+MAX_KEPT_PICTURES = 256
+"""Pictures whose last answers are kept."""
+
+
+class Promises:
+    """The times left that were reported of pictures: no time leaps up before those that wait. Any thread may use it."""
+
+    def __init__(self) -> None:
+        """None reported yet."""
+        self._told: OrderedDict[Hashable, TimeLeft] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def kept(self, picture: Hashable, left: TimeLeft) -> TimeLeft:
+        """The time to report of a ``picture`` with an estimate of what is ``left``: at most MAX_TIME_LEFT_RATIO times
+        the last one.
+        """
+        with self._lock:
+            before = self._told.pop(picture, None)
+            if before is not None and left.likely > MAX_TIME_LEFT_RATIO * before.likely > 0.0:
+                left = left.times(MAX_TIME_LEFT_RATIO * before.likely / left.likely)
+            self._told[picture] = left
+            if len(self._told) > MAX_KEPT_PICTURES:
+                self._told.popitem(last=False)
+            return left
+
 
 REMEMBERED = 4096
 """Variants whose change is known after they made way: those made last."""

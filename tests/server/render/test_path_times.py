@@ -11,8 +11,7 @@ from isogi_core.frame.rays.picture_plan import HEAVIER
 from isogi_core.frame.view_checks import PathsLeft
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
-from server.render.engine import RenderEngine
-from server.render.path_times import MAX_KEPT_PICTURES, MAX_TIME_LEFT_RATIO, Promises, time_of_paths
+from server.render.engine import MAX_KEPT_PICTURES, MAX_TIME_LEFT_RATIO, Promises, RenderEngine, time_of_paths
 from tests.server.inline import LONG, view_of
 from worker.progress import TimeLeft
 
