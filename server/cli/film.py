@@ -20,10 +20,9 @@ from isogi_core.model.material import SHINE_KNOBS
 from isogi_core.plan.first_view import front_of
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder, write_whole
-from server.cli.film_path import film_path, view_in, views_in
+from server.cli.film_path import film_path, steps_in, view_in, views_in
 from server.cli.reel import Reel, ReelRequest, said
 from server.cli.render import is_placed
-from server.cli.series import steps_in
 from server.errors import LibraryError, ParameterError
 from server.parameters import FrameParams, read
 from server.pictures import smoothed

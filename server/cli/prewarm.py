@@ -17,8 +17,8 @@ from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import Cancelled, IsogiError, SceneError
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import at_time
+from server.cli.film_path import at_step, steps_in
 from server.cli.render import working
-from server.cli.series import at_step, steps_in
 from server.errors import LibraryError, ParameterError, UnknownSceneError
 from server.prewarm.baking import PrewarmContext, Step
 from server.prewarm.order import PrewarmOrder, Views, order_of

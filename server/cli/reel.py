@@ -15,8 +15,8 @@ import numpy as np
 from isogi_core.errors import ViewError
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
+from server.cli.film_path import at_step
 from server.cli.render import awaited, is_placed, seen_whole, working
-from server.cli.series import at_step
 from server.parameters import FrameParams
 from server.pictures import FORMAT_OF_SUFFIX, encode
 from server.progress import Progress

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from server.cli.command import run
-from server.cli.series import steps_in
+from server.cli.film_path import steps_in
 from server.errors import ParameterError
 from tests.loaded import load_scene
 from tests.series import write_series
