@@ -15,5 +15,10 @@ def entry_kernels() -> list[Entry]:
     return list(found.values())
 
 
-if __name__ == "__main__":
+def compile_all() -> None:
+    """Have every entry kernel on this machine, and in this process."""
     warm(entry_kernels())
+
+
+if __name__ == "__main__":
+    compile_all()

@@ -44,13 +44,22 @@ ROOMS = {
 }
 """Folders, and the marker that each test in one gets."""
 
+LONGEST = (
+    *("web/card/test_published.py", "worker/test_pool.py", "docs/test_commands.py", "benchmarks/test_service.py"),
+    *("web/card/test_pictures.py", "web/test_page.py", "web/test_slices.py", "web/test_live.py", "web/test_stale.py"),
+    *("web/test_lights.py", "web/test_manners.py", "web/test_upload.py"),
+)
+"""Files whose tests take longest, which run first: processes that share the files then end at about the same time."""
+
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark tests by the fixtures they use and the folder they are in, before ``-m`` chooses among them."""
+    """Mark tests by the fixtures they use and the folder they are in, before ``-m`` chooses; begin with ``LONGEST``."""
     for item in items:
         for marker in markers_of(item):
             item.add_marker(marker)
+    places = {HERE / name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path, len(places)))
 
 
 def markers_of(item: pytest.Item) -> set[str]:

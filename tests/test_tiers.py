@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tests.conftest import FIXTURES, HERE, ROOMS, ROOT, markers_of
+from tests.conftest import FIXTURES, HERE, LONGEST, ROOMS, ROOT, markers_of, pytest_collection_modifyitems
 
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 SOON = {"data", "journey", "light", "live", "smoke"}
@@ -31,6 +31,14 @@ def test_every_marker_is_in_a_tier() -> None:
 @pytest.mark.parametrize("room", ROOMS)
 def test_folders_that_give_a_marker_hold_tests(room: str) -> None:
     assert list((HERE / room).rglob("test_*.py"))
+
+
+def test_the_longest_files_are_there_and_run_first() -> None:
+    assert [name for name in LONGEST if not (HERE / name).is_file()] == []
+    files = ("test_tiers.py", LONGEST[1], "test_run.py", LONGEST[0])
+    items = [SimpleNamespace(path=HERE / name, add_marker=lambda _: None) for name in files]
+    pytest_collection_modifyitems(items)  # type: ignore[arg-type]
+    assert [item.path.relative_to(HERE).as_posix() for item in items] == [*LONGEST[:2], "test_tiers.py", "test_run.py"]
 
 
 @pytest.mark.parametrize(
