@@ -12,7 +12,7 @@ from benchmarks.service.load import load
 from benchmarks.service.malformed import malformed
 from benchmarks.service.memory import memory
 from benchmarks.service.warm_view import warm_view
-from isogi_core.kernels._jit import FOLDER
+from isogi_core.kernels._jit import KERNEL_FOLDER
 from tests.benchmarks.parts import figures
 from tests.compile_kernels import compile_all
 
@@ -68,7 +68,7 @@ def nearly_compiled(scene: str, size: int, kernels: str) -> dict[str, float]:
     """A start from an empty folder of ``kernels``, once it has all but ``LACKING``."""
     assert not list(Path(kernels).iterdir())
     lacking = shutil.ignore_patterns(*(f"{name}-*" for name in LACKING))
-    shutil.copytree(FOLDER, Path(kernels) / FOLDER.name, ignore=lacking)
+    shutil.copytree(KERNEL_FOLDER, Path(kernels) / KERNEL_FOLDER.name, ignore=lacking)
     return started(scene, size, kernels)
 
 

@@ -272,6 +272,6 @@ def test_a_wide_half_shadow_is_found_by_few_of_its_points(monkeypatch: pytest.Mo
 def test_light_of_lobes_does_not_depend_on_tiles(monkeypatch: pytest.MonkeyPatch, moving: bool) -> None:
     lamps, points = lamps_of(((0.4, 0.3, 0.8), 12.0, (1.0, 2.0, 3.0)), ((-0.4, 0.3, 0.8), 3.0, (1.0,) * 3)), floor()
     whole = light(lamps, points, moving=moving)
-    for name in ("LOBE_POINTS", "RIMS", "HALVES"):
+    for name in ("LOBE_POINTS", "RIM_PAIRS", "HALF_SEEN_PAIRS"):
         monkeypatch.setattr(f"isogi_core.frame.rays.lobe_light.{name}", 97)
     assert np.array_equal(whole, light(lamps, points, moving=moving, threads=3))

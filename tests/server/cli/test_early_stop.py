@@ -22,7 +22,7 @@ sys.exit(run(["serve", sys.argv[1], "--port", "0", "--store", sys.argv[2]]))
 INTERRUPTED = """
 import os, signal, sys
 from importlib import import_module
-from worker.fork_server import PRELOADED
+from worker.fork_server import PRELOADED_MODULES
 
 class Interrupt:
     def find_spec(self, name, *_):
@@ -31,7 +31,7 @@ class Interrupt:
             print("interrupted")
 
 sys.meta_path.insert(0, Interrupt())
-for name in PRELOADED:
+for name in PRELOADED_MODULES:
     import_module(name)
 """
 

@@ -16,14 +16,19 @@ HEAD = "#version 300 es\nprecision highp float;\nprecision highp int;\n"
 SCREEN = f"{HEAD}void main() {{ gl_Position = vec4(float(gl_VertexID)); }}"
 
 VIEW = {"VOXELS": "highp usampler3D", "SMOOTH": 1, "RATIOS": 1, "LOBES": 3, "SHADING": 1}
-FOLD = {"RATIOS": 1, "NUMBERS": 41, "COLUMNS": 41, "STRAIGHT": 25, "WHOLE": 0}
+FOLD = {"RATIOS": 1, "NUMBERS": 41, "COLUMNS": 41, "TERMS": 3, "STRAIGHT": 25, "WHOLE": 0}
 SHADERS: dict[str, tuple[str, dict[str, Any]]] = {
     "light": ("view.frag.glsl", VIEW),
     "constant light": ("view.frag.glsl", {**VIEW, "RATIOS": 0, "LOBES": 0}),
     "plain gradient of floats": ("view.frag.glsl", {**VIEW, "VOXELS": "highp sampler3D", "SMOOTH": 0}),
     "local model": ("view.frag.glsl", {**VIEW, "LOBES": 0, "SHADING": 0}),
     "fold": ("fold.frag.glsl", FOLD),
-    "fold of irradiance": ("fold.frag.glsl", {**FOLD, "NUMBERS": 3, "COLUMNS": 1, "STRAIGHT": 1, "WHOLE": 1}),
+    "fold of irradiance": (
+        "fold.frag.glsl",
+        {**FOLD, "NUMBERS": 3, "COLUMNS": 1, "TERMS": 1, "STRAIGHT": 1, "WHOLE": 1},
+    ),
+    "filter": ("filter.frag.glsl", {**VIEW, "RATIOS": 1}),
+    "filter of light as it is": ("filter.frag.glsl", {**VIEW, "RATIOS": 0}),
     "show": ("show.frag.glsl", {}),
 }
 
