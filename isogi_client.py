@@ -40,7 +40,7 @@ LONGEST_WAIT = 10.0
 DEFAULT_PATIENCE_SECONDS = 60.0
 """Seconds for which a server that is busy, starting or away is asked again, by default."""
 
-RETRY_PAUSES, LONGEST_PAUSE = 0.1, 5.0
+FIRST_RETRY_PAUSE, LONGEST_PAUSE = 0.1, 5.0
 """Seconds between two tries, at first and at most."""
 
 CONNECTION_ERRORS = (httpx.NetworkError, httpx.RemoteProtocolError)
@@ -499,7 +499,7 @@ class Isogi:
             total_timeout=max(patience, 1e-3),
             status_forcelist=(429, 503),
             retry_on_exceptions=(),
-            backoff_factor=RETRY_PAUSES,
+            backoff_factor=FIRST_RETRY_PAUSE,
             backoff_jitter=0.5,
             max_backoff_wait=LONGEST_PAUSE,
         )
@@ -551,7 +551,7 @@ class Isogi:
             with suppress(httpx.TransportError):
                 if httpx.get(self._client.base_url.join("/readyz")).is_success:
                     return
-            time.sleep(RETRY_PAUSES)
+            time.sleep(FIRST_RETRY_PAUSE)
         raise UnreachableError("The server ended at once: it has said above why.")
 
     def scenes(self) -> list[dict[str, Any]]:
@@ -791,7 +791,7 @@ class Isogi:
                     return
             if time.monotonic() - heard > self._patience:
                 raise UnreachableError("The server ends its events too early, again and again.")
-            time.sleep(RETRY_PAUSES)
+            time.sleep(FIRST_RETRY_PAUSE)
 
     def _connection(self, path: str, asked: Mapping[str, str], last: str) -> Iterator[Event]:
         """The events of one connection, to its end or until it breaks; those after the ``last`` alone, if any."""

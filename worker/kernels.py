@@ -26,7 +26,7 @@ OPENING_KERNELS = (fill_macrocells, fill_ranges, mark_bricks, pack_bricks, numbe
 
 
 def bake_kernels(kinds: Iterable[str]) -> tuple[Any, ...]:
-    """The entry kernels for baking layers of these ``kinds``, and those in ROOM, besides those that open a scene."""
+    """The entry kernels for baking layers of these ``kinds``, and those of rooms, besides those that open a scene."""
     return (*{kernel for kind in kinds for kernel in KERNELS_OF_LAYER[kind]}, locate_texels)
 
 

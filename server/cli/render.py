@@ -179,7 +179,7 @@ def awaited(
     """The frame once it is final or the time is spent; those on the way are shown.
 
     A path-traced frame is as good as its samples: it is returned at once. Raises WorkersError where the workers fail,
-    or nothing has changed for PATIENCE seconds.
+    or nothing has changed for as long as a ``Patience`` lasts.
     """
     patience = Patience(clock=time.monotonic)
     deadline = math.inf if seconds is None else time.monotonic() + seconds
