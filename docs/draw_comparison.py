@@ -21,8 +21,8 @@ from PIL import Image, ImageDraw
 from benchmarks.common.mitsuba import PathTracer
 from benchmarks.speed.vtk import Edges, Window, image, use_threads
 from isogi_core.frame.film import LEVELS, ground_of, tone_table
+from isogi_core.model.environment import sun_direction
 from isogi_core.model.lights import SkyLight
-from isogi_core.model.sky import sun_direction
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene

@@ -17,7 +17,7 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import Paths, variance_of_mean
 from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.transport import streams
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.value_survey import digest_of
 from isogi_core.model.view import View
 from isogi_core.plan.budget import BOUNCES_SHARE, bounces_for, survival_for

@@ -9,8 +9,8 @@ from isogi_core.bake.texel_light import Light
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import variance_of_mean
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
 from isogi_core.reference import Reference

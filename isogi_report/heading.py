@@ -11,7 +11,7 @@ from typing import Any
 from isogi_core.model.view import Camera, View
 from isogi_core.plan.scene import Scene
 from server.answers import scene_schema
-from server.inspect.rows import amount, by, plan_rows, summary
+from server.inspect.text import amount, by, plan_rows, summary
 from server.schemas import SceneSchema
 
 PARALLEL_VIEW_DEGREES = 1e-3

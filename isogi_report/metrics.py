@@ -8,7 +8,7 @@ import numpy as np
 
 from isogi_core.frame.film import BACKGROUND, HATCHING_COLOUR, tone_table
 from isogi_core.kernels.shading.framebuffer import develop_rows
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.reference import Reference
 from isogi_report.sections import Cell, Column
 

@@ -1,12 +1,15 @@
 """The parameters of a view and of a frame, and the view that they make in a scene."""
 
+import re
+import sys
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, Self, TypeVar
+from typing import Annotated, Any, NamedTuple, Self, TypeVar
 
 from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator, model_validator
 
 from isogi_core.errors import advice
+from isogi_core.frame.card.blocks import CHUNKS, is_inside
 from isogi_core.model.glow import MAX_GLOW_STRENGTH
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.material import SHINE_KINDS, SHINE_RANGES
@@ -17,8 +20,9 @@ from isogi_core.model.view import (
     Quaternion,
     Vec3,
 )
-from server.errors import ParameterError
-from server.values import Choice, Colour, Ground, Planes, Row, Rows, Span
+from isogi_core.prepared.prepared_scene import Index
+from server.errors import ParameterError, UnknownPartError
+from server.values import LONGEST_SECONDS, Choice, Colour, Ground, Planes, Row, Rows, Span
 
 FORMATS = ("png", "jpeg", "webp", "npy")
 VERSION_PATTERN = r"^[0-9a-f]{32}$"
@@ -305,3 +309,205 @@ UploadParamsDep = Annotated[UploadParams, reader(UploadParams)]
 FrameParamsDep = Annotated[FrameParams, reader(FrameParams)]
 FitParamsDep = Annotated[FitParams, reader(FitParams)]
 SkyParamsDep = Annotated[SkyParams, reader(SkyParams)]
+
+
+EXPORTS = ("glb", "usdz", "ply", "obj", "vti", "nrrd")
+
+
+class ExportParams(VariantParams):
+    """A file with the light of a scene in it: of the isosurface, or of the volume around it."""
+
+    f: Annotated[str, Choice(EXPORTS)] = Field("glb", description="Kind of file: a mesh, or a volume (vti, nrrd).")
+    isovalue: Isovalue = None
+    light: LightTurn = None
+    yaw: Yaw = 0.0
+    pitch: Pitch = 0.0
+    roll: Roll = 0.0
+    albedo: Annotated[Vec3 | None, Colour()] = Field(
+        None, description="One number or r,g,b, within the scene's albedos; default: the scene's albedo."
+    )
+    exposure: Annotated[float | None, Span(1e-36, 1e36)] = Field(
+        None, description="Factor on radiance; default: the scene's."
+    )
+    max_error: Annotated[float | None, Span(0.0001, 1)] = Field(
+        None, description="Relative error at which light is final; default: the scene's target_error."
+    )
+    deadline: Annotated[float | None, Span(0, LONGEST_SECONDS)] = Field(
+        None, description="Seconds of baking after which the file is made with the light that is there; default: none."
+    )
+
+    coefficients: Annotated[str, Choice(("off", "on"))] = Field(
+        "off", description="on: harmonics of the light too, into a vti: see docs/export.md."
+    )
+
+    @property
+    def view(self) -> ViewParams:
+        """What of it is of a view. Raises ParameterError where the light's turn is given twice."""
+        names = self.model_fields_set - {"f", "exposure", "deadline", "coefficients"}
+        return read(ViewParams, self.model_dump(include=names).items())
+
+
+ExportParamsDep = Annotated[ExportParams, reader(ExportParams)]
+
+
+AXIS_NAMES, LARGEST_VALUE = ("x", "y", "z"), sys.float_info.max
+
+
+class PointParams(ViewParams):
+    """A view, and the place in its picture that is asked about."""
+
+    x: Annotated[float, Span(0, LONGEST_SIDE)] = Field(
+        description="From the left edge of the picture, in pixels; a pixel's middle is at a half."
+    )
+    y: Annotated[float, Span(0, LONGEST_SIDE)] = Field(description="From the top edge, likewise.")
+    exposure: Annotated[float | None, Span(1e-36, 1e36)] = Field(
+        None, description="Factor on radiance before the tone curve; default: the scene's."
+    )
+
+    @property
+    def pixel(self) -> tuple[int, int]:
+        """Column and row of the pixel at that place; ParameterError outside the picture."""
+        for name, place, pixels in (("x", self.x, self.width), ("y", self.y, self.height)):
+            if place >= pixels:
+                raise ParameterError(f"{name}={place:g} is outside a picture of {pixels} pixels that way.", name)
+        return int(self.x), int(self.y)
+
+
+class SliceParams(NoParams):
+    """A plane of a scene's volume, as values or as a picture, and the values that are black and white in that."""
+
+    axis: Annotated[str, Choice(AXIS_NAMES)] = Field(description="The voxel axis that the plane is across: x, y or z.")
+    at: Annotated[float, Span(0, 1e9)] = Field(description="Where it is, as a voxel index; linear between voxels.")
+    low: Annotated[float | None, Span(-LARGEST_VALUE, LARGEST_VALUE)] = Field(
+        None, description="The value, in the volume's units, that is black; default: its least one, outliers aside."
+    )
+    high: Annotated[float | None, Span(-LARGEST_VALUE, LARGEST_VALUE)] = Field(
+        None, description="The value that is white; default: its greatest one, outliers aside."
+    )
+    time: Annotated[int | None, Span(0, MOST_STEPS, whole=True)] = Field(
+        None, description="Which step of a series in time, from 0 on; default: the scene's."
+    )
+    f: Annotated[str, Choice(("png", "npy"))] = Field(
+        "png", description="A grey picture; or npy, the values themselves, in the volume's units."
+    )
+
+    @property
+    def is_picture(self) -> bool:
+        """Whether a picture is asked for; ParameterError where values are, with what black and white are in one."""
+        given = sorted({"low", "high"} & self.model_fields_set)
+        if self.f == "npy" and given:
+            names = " and ".join(given)
+            raise ParameterError(
+                f"npy holds the values themselves and does not read {names}: leave that out.", given[0]
+            )
+        return self.f == "png"
+
+    def window(self, core: tuple[float, float]) -> tuple[float, float]:
+        """What is black and white, by default the ends of the ``core``; ParameterError where low is not below high."""
+        low, high = (own if given is None else given for given, own in zip((self.low, self.high), core, strict=True))
+        if not low < high and (self.low, self.high) != (None, None):
+            raise ParameterError(f"low={low:g} is not below high={high:g}: widen the range.", "low")
+        return low, high
+
+
+class SizeParams(VariantParams):
+    """A surface that is measured."""
+
+    isovalue: Isovalue = None
+
+    @property
+    def view(self) -> ViewParams:
+        """A view of that surface."""
+        return ViewParams.model_validate({"isovalue": self.isovalue})
+
+
+PointParamsDep = Annotated[PointParams, reader(PointParams)]
+SliceParamsDep = Annotated[SliceParams, reader(SliceParams)]
+SizeParamsDep = Annotated[SizeParams, reader(SizeParams)]
+
+
+CHUNK = re.compile(r"(\d{1,6})\.(\d{1,6})\.(\d{1,6})(?:-([0-9a-f]{16}))?", re.ASCII)
+"""A chunk by its place z.y.x, and the version that is asked for."""
+
+LAYERS = re.compile(r"(\d{1,9})-(\d{1,9})", re.ASCII)
+"""The first layer of voxels, and the first after the last."""
+
+
+class ChunkName(NamedTuple):
+    """A chunk of texels, and the version of it that an address names; None where it names none."""
+
+    at: Index
+    version: bytes | None
+
+    @classmethod
+    def of(cls, text: str, shape: Index) -> "ChunkName":
+        """The chunk that a ``text`` names in a lattice of so many. Raises ParameterError and UnknownPartError."""
+        found = CHUNK.fullmatch(text)
+        if found is None:
+            raise ParameterError(f"'{text[:40]}' names no chunk: write z.y.x, or z.y.x-version, of /card/chunks.")
+        z, y, x = (int(place) for place in found.groups()[:3])
+        if not is_inside((z, y, x), shape):
+            most = " × ".join(map(str, shape))
+            raise UnknownPartError(f"There is no chunk {z}.{y}.{x}: this scene has {most} along z, y, x.")
+        return cls((z, y, x), None if found[4] is None else bytes.fromhex(found[4]))
+
+
+def chunk_names(text: str, shape: Index) -> list[ChunkName]:
+    """The chunks that a path names, with commas between. Raises ParameterError, and UnknownPartError where one is not
+    in a lattice of so many chunks.
+    """
+    parts = text.split(",")
+    if len(parts) > CHUNKS:
+        raise ParameterError(f"{len(parts)} chunks are named: ask for {CHUNKS} at most.")
+    return [ChunkName.of(part, shape) for part in parts]
+
+
+def layers_of(text: str, depth: int, most: int) -> tuple[int, int]:
+    """The layers that a path names, of so many. Raises UnknownPartError where there are none, or more than ``most``."""
+    found = LAYERS.fullmatch(text)
+    first, last = map(int, found.groups()) if found else (0, 0)
+    if not first < last <= depth or last - first > most:
+        raise UnknownPartError(
+            f"There are no layers '{text[:40]}': name up to {most} from 0 to {depth}, as first-last."
+        )
+    return first, last
+
+
+class VoxelParams(VariantParams):
+    """The volume whose voxels are asked for."""
+
+    version: str | None = Field(
+        None,
+        pattern=VERSION_PATTERN,
+        description="What the document says: voxels of that version may be kept for ever.",
+    )
+
+
+class TransferParams(VariantParams):
+    """The scene whose light is asked for."""
+
+    max_error: Annotated[float | None, Span(0.0001, 1)] = Field(
+        None, description="Relative error at which a texel is final; default: the scene's target_error."
+    )
+
+
+class FoldParams(TransferParams):
+    """The light that chunks are lit by."""
+
+    light: LightTurn = None
+    yaw: Yaw = 0.0
+    pitch: Pitch = 0.0
+    roll: Roll = 0.0
+    albedo: Annotated[Vec3 | None, Colour()] = Field(
+        None, description="What share of the light the surface reflects; default: the scene's albedo."
+    )
+
+    @property
+    def view(self) -> ViewParams:
+        """A view in that light; ParameterError where the light is turned in two ways."""
+        return read(ViewParams, self.model_dump(include=self.model_fields_set - {"max_error"}).items())
+
+
+VoxelParamsDep = Annotated[VoxelParams, reader(VoxelParams)]
+TransferParamsDep = Annotated[TransferParams, reader(TransferParams)]
+FoldParamsDep = Annotated[FoldParams, reader(FoldParams)]

@@ -14,8 +14,8 @@ from annotated_types import GroupedMetadata
 from pydantic import BeforeValidator, WithJsonSchema
 
 from isogi_core.errors import ViewError
-from isogi_core.files.regular import read_small
-from isogi_core.model.window import read_window
+from isogi_core.files.packed_files import read_small
+from isogi_core.model.view import read_window
 from server.errors import ParameterError
 
 NUMBER_PATTERN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)

@@ -13,9 +13,9 @@ from isogi_core.model.view import (
     light_in_box,
     orbit,
     quaternion_from_angles,
+    read_window,
     unit_quaternion,
 )
-from isogi_core.model.window import read_window
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.parameters import FrameParams, ViewParams

@@ -21,13 +21,12 @@ from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES, ScenePlan
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index
-from isogi_core.storage.url import StoreUrl
+from isogi_core.storage.backend import StoreUrl
 from worker.bake_requests import GUEST_VIEWER, BakeRequest, Key, Viewer
 from worker.errors import LostWorkerError, WorkersAwayError
-from worker.keeping import Whole
 from worker.progress import Pace, Tally, TimeEstimator, TimeLeft, Work, work_seconds
 from worker.queue import BakeQueue
-from worker.tasks import BakeResult, BakeTask, open_spec
+from worker.tasks import BakeResult, BakeTask, Whole, open_spec
 
 if TYPE_CHECKING:
     from worker.pool import WorkerPool

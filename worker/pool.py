@@ -5,21 +5,78 @@ import os
 import threading
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import Any, cast
 
 import dask.config
-from distributed import Client, Future, LocalCluster, fire_and_forget
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from distributed import Client, Future, LocalCluster, Security, fire_and_forget
 from distributed.scheduler import KilledWorker
 from distributed.utils import get_mp_context
 
 from isogi_core.model.scene_plan import ScenePlan
-from worker.certificates import temporary_security
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.fork_server import START_METHOD, start_fork_server
-from worker.kernels import PLAIN_LAYER_KINDS, kernels_missing, load_kernels
 from worker.niceness import Nice, Sessions, leads_session
-from worker.tasks import BakeResult, BakeTask, Outcome, attempt, bake, bake_all
+from worker.tasks import (
+    PLAIN_LAYER_KINDS,
+    BakeResult,
+    BakeTask,
+    Outcome,
+    attempt,
+    bake,
+    bake_all,
+    kernels_missing,
+    load_kernels,
+)
+
+CERTIFICATE_NAME = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "isogi")])
+
+CERTIFICATE_LIFETIME = timedelta(days=36500)
+"""How long a certificate is good: longer than any process. Dask's own temporary ones end after a year."""
+
+KEY_ENCODING = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+
+
+def temporary_security() -> Security:
+    """TLS for both sides of each connection, with a new key whose certificate is its own authority.
+
+    Only who has the key can connect, and only to who has it. Workers have it through the pipe of their start.
+    """
+    key = ec.generate_private_key(ec.SECP256R1())
+    certificate = own_certificate(key).public_bytes(serialization.Encoding.PEM).decode()
+    roles = ("client", "scheduler", "worker")
+    return Security(
+        require_encryption=True,
+        tls_ca_file=certificate,
+        **{f"tls_{role}_cert": certificate for role in roles},
+        **{f"tls_{role}_key": key.private_bytes(*KEY_ENCODING).decode() for role in roles},
+    )
+
+
+def own_certificate(key: ec.EllipticCurvePrivateKey) -> x509.Certificate:
+    """A certificate for a key, signed with that key."""
+    begun = datetime.now(UTC) - timedelta(days=1)
+    unsigned = x509.CertificateBuilder(
+        CERTIFICATE_NAME, CERTIFICATE_NAME, key.public_key(), x509.random_serial_number()
+    )
+    period = unsigned.not_valid_before(begun).not_valid_after(begun + CERTIFICATE_LIFETIME)
+    authority = x509.BasicConstraints(ca=True, path_length=0)
+    return period.add_extension(authority, critical=True).sign(key, hashes.SHA256())
+
+
+def show_certificate(authority: str, certificate: str, key: str) -> "dask.config.set":
+    """Show a certificate to each scheduler that this process joins, and trust those of an ``authority``: PEM files.
+
+    It is so from now on, or until the end of a ``with`` block of what is returned.
+    """
+    tls = "distributed.comm.tls"
+    own = {f"{tls}.client.cert": certificate, f"{tls}.client.key": key}
+    return dask.config.set({f"{tls}.ca-file": authority, **own, "distributed.comm.require-encryption": True})
+
 
 CLIENT_CLOSE_SECONDS = 1.0
 """Seconds that closing a client may take that could not be made."""

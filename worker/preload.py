@@ -7,8 +7,7 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS
 
 from isogi_core.allocation import keep_memory_small
 from isogi_core.kernels._jit import entries_of, load
-from worker.kernels import OPENING_KERNELS, PLAIN_LAYER_KINDS, bake_kernels
-from worker.tasks import attempt
+from worker.tasks import OPENING_KERNELS, PLAIN_LAYER_KINDS, attempt, bake_kernels
 
 
 def load_what_is_stored() -> None:

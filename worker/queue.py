@@ -19,8 +19,7 @@ import numpy as np
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.prepared.prepared_scene import Index
-from worker.bake_requests import GUEST_VIEWER, SHORT_TASK_SECONDS, BakeRequest, Key, Viewer
-from worker.fair_turns import Shares
+from worker.bake_requests import GUEST_VIEWER, SHORT_TASK_SECONDS, BakeRequest, Key, Shares, Viewer
 from worker.tasks import BakeResult
 
 Rank = tuple[bool, int, int, float, float]

@@ -3,7 +3,7 @@
 import asyncio
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -16,28 +16,129 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import Effort, efforts, level, standard_error
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.bake.refine import Located, locate, next_samples, refine, some_located
+from isogi_core.bake.refine import Located, Remains, find_kept, keeps, locate, next_samples, refine, some_located
 from isogi_core.bake.texel_light import Light
-from isogi_core.cache.chunk import Chunk
+from isogi_core.cache.chunk_record import Chunk
 from isogi_core.cache.chunk_store import ChunkStore
-from isogi_core.cache.claims import Claims
 from isogi_core.cache.costs import Cost
+from isogi_core.cache.inventory import Claims
 from isogi_core.cache.scene_assets import SceneAssets, receive_assets, receive_colours, receive_glow_bits
 from isogi_core.errors import SceneError, StoreAwayError
 from isogi_core.files.mappings import budget
 from isogi_core.files.scene_changes import MATERIAL_NUMBERS
 from isogi_core.files.scene_file import VOXEL_SETTINGS, SceneSource
-from isogi_core.kernels._jit import load
-from isogi_core.kernels.transport.texel_points import project_texels
+from isogi_core.kernels._jit import entries_of, load
+from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, number_bricks, pack_bricks
+from isogi_core.kernels.tracing.macrocells import fill_macrocells
+from isogi_core.kernels.transport.entries import path_kernels
+from isogi_core.kernels.transport.transfer import (
+    bake_coloured_texels,
+    bake_irradiance,
+    bake_texels,
+    find_strays,
+    locate_texels,
+    project_texels,
+)
 from isogi_core.model.scene_plan import MAX_SAMPLES, ScenePlan
 from isogi_core.model.value_survey import no_progress
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.assembly import build_scene
+from isogi_core.plan.scene import COLOURED_KIND, PATH_KINDS
+from isogi_core.plan.volumes.masks import cut_digest, voxels_left
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
+from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
-from isogi_core.storage.url import StoreUrl
-from worker.keeping import Whole, WholeLight, light_of_whole
-from worker.kernels import PLAIN_LAYER_KINDS, load_kernels
+
+
+@dataclass(frozen=True)
+class Whole:
+    """The scene that one was cut from: its ``source``, and its ``assets`` where workers lack its files."""
+
+    source: SceneSource
+    assets: SceneAssets | None = None
+
+    def planes(self, cut: SceneSource) -> str:
+        """What a ``cut`` of it takes away, as its document has that besides what the whole is cut by itself."""
+        own, both = (str(each.document.get("cut", "")) for each in (self.source, cut))
+        return both.removeprefix(f"{own};") if own else both
+
+
+@dataclass(frozen=True, eq=False)
+class WholeLight:
+    """The light of a whole volume in a store, ``chunks``, and what ``remains`` of it where it is cut."""
+
+    chunks: ChunkStore
+    remains: Remains
+
+    def lend(
+        self, light: Light, waiting: np.ndarray, places: Sequence[tuple[Index, np.ndarray]], walks: bool
+    ) -> np.ndarray:
+        """Give texels that are ``waiting`` (m,) bool the light that they keep; which have it now, (m,) bool.
+
+        Without ``walks`` those alone of which this is known without walking paths. ``places`` are chunks and offsets
+        in them, whose texels have the rows of ``light``, in place, one chunk's after the other's.
+        """
+        lattice, kept = self.chunks.spec.prepared.lattice, np.zeros(len(light), np.bool_)
+        bounds = np.cumsum([0, *(len(offsets) for _, offsets in places)]).tolist()
+        rows, texels, found = list[np.ndarray](), list[np.ndarray](), list[Light]()
+        for (index, offsets), (first, last) in zip(places, pairwise(bounds), strict=True):
+            chunk = self.chunks.read(index) if waiting[first:last].any() else None
+            if chunk is None:
+                continue
+            own = np.flatnonzero(waiting[first:last] & np.isin(offsets, chunk.offsets))
+            rows.append(first + own)
+            texels.append(lattice.positions(index, offsets[own]))
+            found.append(chunk.light.rows(chunk.rows_of(offsets[own])))
+        if not any(map(len, rows)):
+            return kept
+        whole, every = Light.joined(found), np.concatenate(rows)
+        whole.agree_on_void()
+        ahead = np.flatnonzero(whole.samples > light.samples[every])
+        own = np.concatenate(texels)[ahead]
+        stays = ahead[find_kept(whole.rows(ahead), own, self.chunks.spec, self.remains, walks)]
+        light.put(every[stays], whole.rows(stays))
+        kept[every[stays]] = True
+        return kept
+
+
+def light_of_whole(spec: BakeSpec, planes: str, cut: BakeSpec, store: Store) -> WholeLight | None:
+    """The light by a ``spec`` of a whole volume, of which a ``cut`` by some ``planes`` may keep some; None where none
+    can.
+    """
+    whole, left = spec.prepared.scene.volume, cut.prepared.scene.volume
+    if not keeps(spec) or cut_digest(whole, planes) != left.digest:
+        return None
+    load((find_strays,))
+    return WholeLight(ChunkStore(store, spec), Remains.of(whole, voxels_left(whole, planes)))
+
+
+KERNELS_OF_LAYER = {
+    **{"direct": (bake_texels,), "indirect": (bake_texels,), "whole": (bake_texels,)},
+    **{"irradiance": (bake_irradiance,), COLOURED_KIND: (bake_coloured_texels,)},
+    **{kind: path_kernels(*cell) for cell, kind in PATH_KINDS.items()},
+}
+"""Entry kernels by the kind of layer that they bake; among walls or surfaces and on colours they are others."""
+
+PLAIN_LAYER_KINDS = tuple(kind for kind in KERNELS_OF_LAYER if kind not in (COLOURED_KIND, *PATH_KINDS.values()))
+"""The kinds of layers of scenes with one surface, without walls, colours and glow."""
+
+OPENING_KERNELS = (fill_macrocells, fill_ranges, mark_bricks, pack_bricks, number_bricks)
+"""Entry kernels that open a scene and map its isosurfaces."""
+
+
+def bake_kernels(kinds: Iterable[str]) -> tuple[Any, ...]:
+    """The entry kernels for baking layers of these ``kinds``, and those of rooms, besides those that open a scene."""
+    return (*{kernel for kind in kinds for kernel in KERNELS_OF_LAYER[kind]}, locate_texels)
+
+
+def kernels_missing(kinds: Iterable[str]) -> bool:
+    """Whether kernels that bake layers of these ``kinds`` are not compiled yet on this machine."""
+    return any(not entry.stored for entry in entries_of(bake_kernels(kinds)))
+
+
+def load_kernels(kinds: Iterable[str]) -> None:
+    """Compile or load the kernels that bake layers of these ``kinds``."""
+    load(bake_kernels(kinds))
 
 
 @dataclass(frozen=True, eq=False)

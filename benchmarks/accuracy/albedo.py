@@ -22,7 +22,7 @@ from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_report.speed import Candidate, bake_view, make_renderer, medians, seconds, view_of

@@ -30,7 +30,7 @@ from isogi_core.bake.noise import finished
 from isogi_core.bake.precision import FIRST_LEVEL, next_level
 from isogi_core.bake.texel_light import Light
 from isogi_core.frame.frame import Frame
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import IDENTITY, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_report.bake import ViewBake

@@ -27,8 +27,7 @@ from benchmarks.service.browser import CHROMIUM
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.film import develop, ground_of, smooth_edges
 from isogi_core.frame.known_blocks import LEVEL
-from isogi_core.model.view import IDENTITY, View, orthographic, quaternion_from_angles
-from isogi_core.model.window import read_window
+from isogi_core.model.view import IDENTITY, View, orthographic, quaternion_from_angles, read_window
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole

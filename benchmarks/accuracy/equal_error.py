@@ -45,7 +45,7 @@ from benchmarks.common.mitsuba import SAMPLERS
 from benchmarks.common.scenes import SIX, scene_of
 from benchmarks.common.suite import part
 from benchmarks.common.timing import Seconds
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
 
 def relative_rmse(picture: np.ndarray, best: np.ndarray, on: np.ndarray) -> float:

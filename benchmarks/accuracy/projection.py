@@ -15,7 +15,7 @@ from benchmarks.accuracy import carrying
 from benchmarks.accuracy.carrying import Neighbourhood, carry, compared, neighbourhood, texels_around, trilinear
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.kernels.shading.irradiance_ratio import LEAST_COSINE, MIN_UNSHADOWED, NORMAL_TURN_LIMIT
-from isogi_core.kernels.transport.texel_points import measure_distances
+from isogi_core.kernels.transport.transfer import measure_distances
 from isogi_core.plan.bands import evaluate_harmonics
 from isogi_report.bench import Bench
 from isogi_report.exact import Lit, own_light, straight_light

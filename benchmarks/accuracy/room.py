@@ -27,7 +27,7 @@ from benchmarks.common.scenes import LIGHTS, shared_data
 from benchmarks.common.suite import part
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.frame import Frame
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene

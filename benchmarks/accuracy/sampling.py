@@ -46,7 +46,7 @@ from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
-from isogi_core.plan.range_sampling import SPACING_KINDS, sample_range
+from isogi_core.plan.projection import SPACING_KINDS, sample_range
 from isogi_core.plan.scene import Scene
 from isogi_core.reference import trace_reference
 from isogi_report.bake import Bake, ViewBake

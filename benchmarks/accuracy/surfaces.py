@@ -30,10 +30,10 @@ from benchmarks.common.suite import part
 from isogi_core.cache.chunk_record import facts_in, record_fields
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.frame import Frame
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
-from isogi_core.storage.zarr_codec import unwrap_all
+from isogi_core.storage.store import unwrap_all
 from isogi_report.command import DEFAULT_VIEWPOINT
 from isogi_report.speed import view_of
 from server.cli.render import awaited

@@ -31,8 +31,8 @@ from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
-from isogi_core.storage.url import StoreUrl
 from server.render.engine import RenderEngine
 from tests.cluster.processes import cluster as running_cluster
 from tests.cluster.processes import until

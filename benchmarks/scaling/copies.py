@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import psutil
 
-from isogi_core.cache.chunk import Chunk
+from isogi_core.cache.chunk_record import Chunk
 from worker.niceness import Nice
 from worker.tasks import BakeTask, cost_of, open_spec, sample_texels
 

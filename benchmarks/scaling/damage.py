@@ -30,7 +30,7 @@ from benchmarks.common.serving import Served, serving
 from benchmarks.common.suite import part
 from benchmarks.scaling.visiting import small_scene, view
 from benchmarks.scaling.watching import altered, light_in, texels_of
-from isogi_core.cache.upkeep.census import census_of, samples_in
+from isogi_core.cache.upkeep import census_of, samples_in
 from isogi_core.storage.store import Store
 
 WORKERS = 2

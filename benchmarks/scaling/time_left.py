@@ -22,10 +22,9 @@ from isogi_core.model.view import View
 from isogi_report.speed import view_of
 from server.render.engine import RenderEngine
 from worker.baker import Baker
-from worker.kernels import PLAIN_LAYER_KINDS, load_kernels
 from worker.pool import Done
 from worker.progress import TimeLeft
-from worker.tasks import BakeTask, bake
+from worker.tasks import PLAIN_LAYER_KINDS, BakeTask, bake, load_kernels
 
 Told = tuple[float, Frame, TimeLeft | None]
 """When, of which frame, and what."""

@@ -23,7 +23,7 @@ from benchmarks.common.serving import Served, serving
 from benchmarks.common.suite import part
 from benchmarks.scaling.visiting import Visitor, small_scene, view
 from benchmarks.scaling.watching import Watcher, light_in
-from isogi_core.cache.upkeep.census import census_of
+from isogi_core.cache.upkeep import census_of
 from isogi_core.storage.store import Store
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from isogi_core.cache.upkeep.census import census_of, samples_in, texels_in
+from isogi_core.cache.upkeep import census_of, samples_in, texels_in
 from isogi_core.storage.store import SENTINEL_KEY, Store
 
 

@@ -33,10 +33,9 @@ from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.loader import REMOTE_READERS, Loader
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.prepared.prepared_scene import Index
+from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.object_store import Bucket
-from isogi_core.storage.store import SENTINEL_KEY, Store
-from isogi_core.storage.url import StoreUrl
-from isogi_core.storage.zarr_codec import CRC_BYTES
+from isogi_core.storage.store import CRC_BYTES, SENTINEL_KEY, Store
 from isogi_report.speed import bake_view, make_renderer, view_of
 
 MEMORY = 1 << 30

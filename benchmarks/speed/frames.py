@@ -23,8 +23,7 @@ from benchmarks.common.timing import milliseconds
 from isogi_core.frame.film import develop
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES
-from isogi_core.model.view import View
-from isogi_core.model.window import Window
+from isogi_core.model.view import View, Window
 from isogi_core.plan.scene import Scene
 from isogi_report.bake import UNREACHED_TARGET
 from isogi_report.speed import (

@@ -34,7 +34,7 @@ from isogi_core.frame.rays.pixel_rays import Paths, replicas_for
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.transport import streams
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_report.speed import make_renderer, view_of
 

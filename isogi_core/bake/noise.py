@@ -11,7 +11,7 @@ from isogi_core.bake.bake_spec import BakeSpec, band_of
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.shading.lattice import LEAST_SPREAD
 from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES, GlowLayer, Layer, most_samples, texel_target
-from isogi_core.plan.albedos import mixing_weights
+from isogi_core.plan.surfaces import mixing_weights
 
 FLOOR = 0.5
 """Texels darker than this share of unoccluded light are held to its error, not to their own small light's."""

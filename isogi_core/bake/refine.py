@@ -3,28 +3,112 @@
 Sample counts climb from level to level (16, 32, 64, …). After each one all that is kept is rounded to what the store
 keeps, so that a texel with n samples has the same bits for any number of workers and goes. Which parts of a texel
 climb next follows from what is kept of it alone.
+
+Light that a cut leaves as it is: of texels no path of which met what is taken away. All their paths meet the same
+points as before, so that their sums, and all that is kept of these, have the same bits.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import DECAYS, blend_noise, evenness, finished, noise_of_halves
-from isogi_core.bake.path_light import add_glow_paths, add_path_light
 from isogi_core.bake.precision import VOID, next_level, noise_codes, noise_of, round_light
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.tracing.active_cells import ActiveCells
+from isogi_core.kernels.tracing.glow import Glows
 from isogi_core.kernels.tracing.walls import NO_WALL
-from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
-from isogi_core.kernels.transport.open_paths import Open
+from isogi_core.kernels.transport.entries import PATH_KERNELS
+from isogi_core.kernels.transport.light_paths import Open, Surroundings
+from isogi_core.kernels.transport.matter.matter_paths import ALONG_RAY, INWARD, Through
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange, TransferRules
 from isogi_core.kernels.transport.room_paths import fill_seeds
-from isogi_core.kernels.transport.texel_points import TEXEL_PROJECTED, project_texels
-from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
+from isogi_core.kernels.transport.transfer import (
+    TEXEL_PROJECTED,
+    Confines,
+    bake_coloured_texels,
+    bake_irradiance,
+    bake_texels,
+    find_strays,
+    locate_texels,
+    project_texels,
+)
+from isogi_core.model.lights import Colour
 from isogi_core.model.scene_plan import GLOW_KIND, MAX_SAMPLES, Layer, most_samples
-from isogi_core.model.volume import Isovalue
-from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.model.volume import Isovalue, Volume
+from isogi_core.plan.volumes.masks import CUT_AWAY_VALUE, Ranges, box_left, is_within, values_beyond
+from isogi_core.prepared.prepared_scene import Met, PreparedScene
+from isogi_core.runs import Run, serially
+
+
+def starts_at(
+    points: np.ndarray,
+    normals: np.ndarray,
+    isovalue: float | Isovalue,
+    seeds: np.ndarray,
+    walls: np.ndarray | float = NO_WALL,
+) -> PathStarts:
+    """Starts of paths at ``points`` with ``normals`` (g, 3), on the surface of this ``isovalue`` or about it.
+
+    ``seeds`` (g,) are of the sequences that paths draw from, ``walls`` (g,) the numbers of walls: none by default.
+    """
+    here, around = (np.ascontiguousarray(each.T, np.float64) for each in (points, normals))
+    g = len(seeds)
+    return PathStarts(here, around, np.full(g, float(isovalue)), seeds, np.broadcast_to(walls, g).astype(np.float64))
+
+
+def starts_between(starts: PathStarts, first: int, last: int) -> PathStarts:
+    """Starts number ``first`` … ``last`` of some ``starts``."""
+    return PathStarts(*(np.ascontiguousarray(each[..., first:last]) for each in starts))
+
+
+def add_paths(
+    met: Met,
+    starts: PathStarts,
+    samples: SampleRange,
+    rules: PathRules,
+    source: Surroundings | Glows,
+    sums: np.ndarray,
+) -> None:
+    """Add what a ``SampleRange`` of paths gathers of a ``source`` at g ``starts`` to ``sums`` (g, channels).
+
+    The kernel of PATH_KERNELS for what is ``met`` and gathered does so, and says how.
+    """
+    PATH_KERNELS[type(met), type(source)](met, starts, samples, rules, source, sums)
+
+
+def add_path_light(
+    met: Met, starts: PathStarts, samples: SampleRange, rules: PathRules, light: Surroundings, sums: np.ndarray
+) -> None:
+    """Add what a ``SampleRange`` of paths brings to g ``starts`` on isosurfaces to ``sums`` (g, 3).
+
+    Where matter scatters, paths start inwards; where it does not, the eye's rays do, along the normals.
+    """
+    if isinstance(met, Through):
+        wall = INWARD if met.matter.extinction > 0.0 else ALONG_RAY
+        starts = starts._replace(walls=np.full(len(starts.walls), wall))
+    add_paths(met, starts, samples, rules, light, sums)
+
+
+def add_glow_paths(
+    prepared: PreparedScene,
+    cells: ActiveCells,
+    albedo: Colour,
+    starts: PathStarts,
+    samples: SampleRange,
+    rules: PathRules,
+    sums: np.ndarray,
+    run: Run = serially,
+) -> None:
+    """Add what a ``SampleRange`` of paths gathers of what glows, of radiance 1, at g ``starts`` to ``sums`` (g, 3 k).
+
+    The surface has this ``albedo``, and is the first of several where there are others.
+    """
+    add_paths(prepared.met_by_glow(albedo, cells, run), starts, samples, rules, prepared.glows, sums)
+
 
 NOISE_ORDER = 2
 """The least order that paths are projected to, so that their noise can be estimated."""
@@ -264,3 +348,75 @@ def by_isovalue(
 def add_to_mean(mean: np.ndarray, samples: int, added: np.ndarray, total: int) -> np.ndarray:
     """The mean over ``total`` samples of an old mean over ``samples`` and the sum of the new ones, float64."""
     return (mean.astype(np.float64) * samples + added) / total
+
+
+KEEPABLE_KINDS = frozenset(("direct", "indirect", "whole"))
+"""The kinds of layers whose light a cut may leave as it is: their paths meet one surface, and nothing else."""
+
+
+def keeps(spec: BakeSpec) -> bool:
+    """Whether light of a ``spec`` of a whole volume may stay where that is cut."""
+    return spec.shown is None and spec.kinds <= KEEPABLE_KINDS and bool(spec.prepared.field.low.min() >= CUT_AWAY_VALUE)
+
+
+@dataclass(frozen=True, eq=False)
+class Remains:
+    """What a cut leaves: the ``box`` of ``box_left``, and the least and the greatest value ``beyond`` it."""
+
+    box: np.ndarray
+    beyond: tuple[float, float]
+
+    @classmethod
+    def of(cls, volume: Volume, left: Ranges) -> Self:
+        """What is left where of a ``volume`` some voxels are."""
+        box = box_left(left, volume.size)
+        return cls(box, values_beyond(volume, box))
+
+
+def find_kept(light: Light, texels: np.ndarray, whole: BakeSpec, remains: Remains, walks: bool) -> np.ndarray:
+    """Which of the ``texels`` (m, 3; z, y, x) keep their ``light`` where a cut of a ``whole`` volume ``remains``.
+
+    (m,) bool: those whose place, and all points that paths met so far, are far from what is taken away. Where nothing
+    of their isosurface is there, no path can have met it. Paths of others are walked once more, but those of a texel
+    end with the first that met something there. Without ``walks`` these are left out.
+    """
+    prepared, box = whole.prepared, remains.box
+    place, _ = locate(texels, prepared)
+    kept = is_within(texels[:, ::-1] * prepared.step, box) & is_within(place[1].T, box)
+    may_stray = (place[3] >= remains.beyond[0]) & (place[3] <= remains.beyond[1])
+    if not walks:
+        return kept & ~may_stray
+    for some, samples, bounces in walks_of(light.parts, whole.plan.bounces):
+        rows = kept & some & may_stray & ~light.void
+        confines = Confines(bounces, whole.plan.survival, whole.plan.branches, box)
+        kept &= ~strays_of(place, rows, whole, samples, confines)
+    return kept
+
+
+def walks_of(parts: Sequence[Part], bounces: int) -> Iterator[tuple[np.ndarray, SampleRange, int]]:
+    """The paths that some ``parts`` took: which texels (m,) bool, their samples in each half, and their bounces.
+
+    Those of parts without reflected light end with their first ray.
+    """
+    first, most = 0, max((int(part.samples.max(initial=0)) for part in parts), default=0)
+    while first < most:
+        last = next_level(first)
+        some = SampleRange(first // 2, (last - first) // 2)
+        long, short = (took(parts, last, reflected) for reflected in (True, False))
+        yield long, some, bounces
+        yield short & ~long, some, 0
+        first = last
+
+
+def took(parts: Sequence[Part], samples: int, reflected: bool) -> np.ndarray:
+    """Which texels took so many ``samples`` in any of the parts with ``reflected`` light, or without; (m,) bool."""
+    own = [part.samples >= samples for part in parts if part.layer.reflected == reflected]
+    return np.logical_or.reduce([np.zeros(len(parts[0].samples), np.bool_), *own])
+
+
+def strays_of(place: Place, rows: np.ndarray, spec: BakeSpec, samples: SampleRange, confines: Confines) -> np.ndarray:
+    """Which of some ``rows`` (m,) bool have a path among these ``samples`` that met something beyond ``confines``."""
+    strays = np.zeros(len(rows), np.bool_)
+    for cells, own in by_isovalue(place[3], ~rows, spec.prepared):
+        find_strays(spec.prepared.field, cells, place, own, samples, confines, strays)
+    return strays

@@ -24,8 +24,7 @@ from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import BAKE_FORMAT
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.backend import StoredObject, one_line
-from isogi_core.storage.store import Store, StoreLike
-from isogi_core.storage.zarr_codec import ZSTD_LEVEL, described_array, description, unwrap_all, wrap
+from isogi_core.storage.store import ZSTD_LEVEL, Store, StoreLike, described_array, description, unwrap_all, wrap
 
 CHUNK_CODECS = (BytesCodec, ZstdCodec, Crc32cCodec)
 """Codecs of a chunk; the checksum is last, so that it covers the whole object."""

@@ -9,7 +9,7 @@ from contextlib import closing, contextmanager
 from functools import partial
 from typing import TypeVar
 
-from isogi_core.cache.chunk import Chunks
+from isogi_core.cache.chunk_record import Chunks
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.prepared.prepared_scene import Index

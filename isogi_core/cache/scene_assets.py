@@ -23,8 +23,7 @@ from isogi_core.model.value_survey import begin_digest
 from isogi_core.model.volume import UNMEASURED_FIELDS, Volume
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.backend import one_line
-from isogi_core.storage.store import Store
-from isogi_core.storage.zarr_codec import METADATA_KEY, ZSTD_LEVEL, described_array, description, unwrap, wrap
+from isogi_core.storage.store import METADATA_KEY, ZSTD_LEVEL, Store, described_array, description, unwrap, wrap
 
 Shape = tuple[int, ...]
 

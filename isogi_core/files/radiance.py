@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from isogi_core.errors import LightError
-from isogi_core.files.regular import open_regular, reason_of
+from isogi_core.files.packed_files import open_regular, reason_of
 from isogi_core.storage.atomic_file import write_whole
 
 MAX_PIXELS = 2**28

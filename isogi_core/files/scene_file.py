@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from urllib.parse import unquote
 
 from isogi_core.errors import SceneError, advice
-from isogi_core.files.regular import in_short, read_small, reason_of
+from isogi_core.files.packed_files import in_short, read_small, reason_of
 from isogi_core.files.scene_changes import CHANGING_PARAMETERS, change_document, tables_in
 
 DEFAULT_DEMO = "demo:casting"

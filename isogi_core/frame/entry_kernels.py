@@ -32,20 +32,23 @@ from isogi_core.kernels.shading.lobes import (
     spread_edges,
 )
 from isogi_core.kernels.shading.local_models import find_normals, find_shadows, shade_local
-from isogi_core.kernels.shading.picture_noise import pool_noise
-from isogi_core.kernels.shading.same_surface import mean_around
 from isogi_core.kernels.shading.shadow_points import prepare_points, sort_by_turn
-from isogi_core.kernels.shading.shine import cast_shine, fill_below, light_ends
-from isogi_core.kernels.shading.shine_filter import filter_shine
+from isogi_core.kernels.shading.shine import cast_shine, fill_below, filter_shine, light_ends
+from isogi_core.kernels.shading.surface_points import mean_around, pool_noise
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals, keep_normals, look_up_normals
 from isogi_core.kernels.shading.texel_table import add_part, find_fewest, judge_rows, unpack_texels
 from isogi_core.kernels.shading.wall_light import light_walls
 from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, number_bricks, pack_bricks
-from isogi_core.kernels.tracing.camera import trace_pixels, trace_places
+from isogi_core.kernels.tracing.camera import (
+    read_values,
+    trace_pixels,
+    trace_pixels_in_sight,
+    trace_places,
+    trace_places_in_sight,
+)
 from isogi_core.kernels.tracing.glow import Glows, gather_from_eye
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.kernels.tracing.peels import peel_rays
-from isogi_core.kernels.tracing.sight import read_values, trace_pixels_in_sight, trace_places_in_sight
 from isogi_core.kernels.tracing.stiffness import count_stiffness
 from isogi_core.kernels.transport.colours import fill_albedos
 from isogi_core.kernels.transport.entries import path_kernels
@@ -55,7 +58,7 @@ from isogi_core.kernels.transport.lights import project_lamps
 from isogi_core.kernels.transport.matter.sight import see_through
 from isogi_core.kernels.transport.microfacets import fill_energy
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
-from isogi_core.kernels.transport.texel_points import measure_distances
+from isogi_core.kernels.transport.transfer import measure_distances
 from isogi_core.plan.left_out import uncalled
 from isogi_core.plan.scene import Scene
 

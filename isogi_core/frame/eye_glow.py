@@ -14,7 +14,7 @@ from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.kernels.tracing.field import Field
 from isogi_core.kernels.tracing.glow import Glows, gather_from_eye
 from isogi_core.lru_cache import LruCache
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 Layer = tuple[np.ndarray, np.ndarray, np.ndarray | float]

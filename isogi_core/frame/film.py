@@ -16,8 +16,7 @@ from isogi_core.frame.gbuffer import TILE_RAYS, sight_of, view_pinhole
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.edges import Shown, borrow_light, find_contrasts
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, develop_rows, fill_curve
-from isogi_core.kernels.tracing.camera import trace_places
-from isogi_core.kernels.tracing.sight import trace_places_in_sight
+from isogi_core.kernels.tracing.camera import trace_places, trace_places_in_sight
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.model.colours import linear_of
 from isogi_core.prepared.prepared_scene import PreparedScene

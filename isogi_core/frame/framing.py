@@ -14,12 +14,11 @@ from isogi_core.frame.texel_reading import Lacking, Reading
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
-from isogi_core.kernels.tracing.sight import read_values
+from isogi_core.kernels.tracing.camera import read_values
 from isogi_core.kernels.transport.colours import Colours, fill_albedos
 from isogi_core.kernels.transport.lights import DIRECTIONAL
 from isogi_core.model.colours import linear_of
-from isogi_core.model.environment import Environment, Lamps, pixel_directions, resample, solid_angles
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS, Environment, Lamps, pixel_directions, resample, solid_angles
 from isogi_core.model.volume import Volume
 from isogi_core.plan.scene import Scene
 

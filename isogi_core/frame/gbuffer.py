@@ -10,8 +10,7 @@ import numpy as np
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.local_models import find_normals
 from isogi_core.kernels.shading.surface_points import SurfacePoints
-from isogi_core.kernels.tracing.camera import Pinhole, trace_pixels
-from isogi_core.kernels.tracing.sight import WINDOW_FACE, Sight, trace_pixels_in_sight
+from isogi_core.kernels.tracing.camera import WINDOW_FACE, Pinhole, Sight, trace_pixels, trace_pixels_in_sight
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.kernels.transport.colours import Colours, fill_albedos
 from isogi_core.model.view import Camera, View

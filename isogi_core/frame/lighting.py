@@ -17,12 +17,12 @@ from isogi_core.kernels.simd.types import REGISTER_LANES
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, rotate
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import DIRECTIONAL, LampArrays
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.material import Shine
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import Camera, View, rotation_matrix
-from isogi_core.plan.albedos import mixing_weights
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.surfaces import mixing_weights
 
 PICTURE_FORMAT = 13
 """Counts up when pictures of the same light change: those that browsers keep are then asked for again."""

@@ -17,7 +17,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import Demand, ViewTexels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer
 from isogi_core.kernels.shading.lattice import BURIED_GRADE, UNLIT_ROW, VOID_GRADE
-from isogi_core.kernels.transport.texel_points import measure_distances
+from isogi_core.kernels.transport.transfer import measure_distances
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 

@@ -36,8 +36,8 @@ from isogi_core.frame.gbuffer import GBuffer, surface_key, to_index, trace
 from isogi_core.frame.known_blocks import KnownBlocks
 from isogi_core.frame.rays.picture_plan import PRESENT, Prices
 from isogi_core.frame.several.composer import Composer
-from isogi_core.frame.stand_in import StandIn
 from isogi_core.frame.surface_renderer import BLOCKS_SHARE, VIEW_BYTES, SurfaceRenderer
+from isogi_core.frame.texel_shading import StandIn
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import OwnNormals, ViewTexels
 from isogi_core.lru_cache import LruCache

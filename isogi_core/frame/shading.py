@@ -34,7 +34,7 @@ from isogi_core.kernels.shading.lattice import LIGHT_NUMBERS, UNBAKED_GRADE, car
 from isogi_core.kernels.shading.local_models import find_shadows, shade_local
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.transport import streams
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.model.volume import Volume
 

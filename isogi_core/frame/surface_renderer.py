@@ -16,15 +16,13 @@ from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.rays.shine_light import ShineLight, ViewShine
 from isogi_core.frame.rays.through_matter import ViewThrough
 from isogi_core.frame.rays.wall_light import ViewWalls
-from isogi_core.frame.several.mixing import Level
 from isogi_core.frame.shading import (
     colour_surface,
     empty_framebuffer,
     shade,
 )
-from isogi_core.frame.stand_in import StandIn
-from isogi_core.frame.texel_reading import Reading
-from isogi_core.frame.texel_shading import FilteredLight, TexelShading
+from isogi_core.frame.texel_reading import Level, Reading
+from isogi_core.frame.texel_shading import FilteredLight, StandIn, TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_checks import ViewChecks, is_checked, texels_until
 from isogi_core.frame.view_texels import ViewTexels

@@ -29,6 +29,15 @@ FOLDER_HOLD = hold(KERNEL_FOLDER)
 
 numba.config.CACHE_DIR = str(KERNEL_FOLDER)
 
+REAL_ARRAY = types.float64[::1]
+REAL_ROWS = types.float64[:, ::1]
+INTEGER_ARRAY = types.int64[::1]
+SINGLE_ROWS = types.float32[:, ::1]
+SINGLE_ARRAY = types.float32[::1]
+REAL_TRIPLE = types.UniTuple(types.float64, 3)
+COUNT_ARRAY = types.int32[::1]
+"""Numba's types of arguments that many entry kernels have."""
+
 
 def no_blas() -> None:
     """Tell Numba that there is no BLAS: to look for it, each process would import SciPy, where that is installed."""

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel
+from isogi_core.kernels._jit import INTEGER_ARRAY, kernel
 
 MICROSECONDS = 1000
 """Between two looks at how much is resident."""
@@ -72,9 +72,6 @@ def let_go(status, line, enough, table, row, start):
         madvise(table[row, 0] + start, size, NEVER_NEEDED)
         start, done = start + size, done + size
     return row, start, done >= total
-
-
-INTEGER_ARRAY = types.int64[::1]
 
 
 @kernel(types.void(types.int32, INTEGER_ARRAY, types.int64[:, ::1], INTEGER_ARRAY))

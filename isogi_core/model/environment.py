@@ -1,11 +1,19 @@
 """The lights of a scene in two groups: the environment (constant and image) with its lobes, and fixed lamps.
 
 Images are lat-long, (h, w, ...): all directions, with the solid angles of their pixels.
+
+Analytic clear sky after Preetham, Shirley and Smits, "A Practical Analytic Model for Daylight", 1999. Luminances are
+in kcd/m² as in the paper until the whole image is scaled.
+
+Environments by formula: surroundings that need no file, for scenes and views that name one. ``overcast`` is the
+standard overcast sky of Moon and Spencer 1942 (CIE S 011), ``noon`` and ``evening`` are clear skies after Preetham et
+al. 1999 (see ``sky``). ``studio`` is a dim room with two soft boxes, ``gallery`` a white one with two skylights; both
+are boxes seen from a point in them.
 """
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,15 +21,141 @@ import numpy as np
 
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, POINT, LampArrays, project_lamps
 from isogi_core.model.lights import (
+    ENVIRONMENTS,
     AreaLight,
     DirectionalLight,
+    EnvironmentLight,
     Lamp,
     Light,
     PointLight,
+    SkyLight,
     Vector,
 )
 from isogi_core.model.orientation import PLAIN_ORIENTATION, Orientation
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+
+SUN_RADIUS = math.radians(0.2665)
+SUN_ILLUMINANCE = 128.0
+"""Of the sun outside the atmosphere, klx."""
+
+LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
+"""Weights of linear sRGB in luminance (ITU-R BT.709)."""
+
+_XYZ_TO_RGB = np.array(
+    [[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]
+)  # IEC 61966-2-1
+
+# Rows are A to E of Perez's distribution, columns the weights of (turbidity, 1); the paper's appendix A.2.
+_PEREZ_LUMINANCE = np.array(
+    [[0.17872, -1.46303], [-0.35540, 0.42749], [-0.02266, 5.32505], [0.12064, -2.57705], [-0.06696, 0.37027]]
+)
+_PEREZ_X = np.array(
+    [
+        [-0.01925, -0.25922],
+        [-0.06651, 0.00081],
+        [-0.00041, 0.21247],
+        [-0.06409, -0.89887],
+        [-0.00325, 0.04517],
+    ]
+)
+_PEREZ_Y = np.array(
+    [
+        [-0.01669, -0.26078],
+        [-0.09495, 0.00921],
+        [-0.00792, 0.21023],
+        [-0.04405, -1.65369],
+        [-0.01092, 0.05291],
+    ]
+)
+# Zenith chromaticity: rows are powers 2, 1, 0 of turbidity, columns powers 3 to 0 of the sun's zenith angle.
+_ZENITH_X = np.array(
+    [
+        [0.00166, -0.00375, 0.00209, 0.0],
+        [-0.02903, 0.06377, -0.03202, 0.00394],
+        [0.11693, -0.21196, 0.06052, 0.25886],
+    ]
+)
+_ZENITH_Y = np.array(
+    [
+        [0.00275, -0.00610, 0.00317, 0.0],
+        [-0.04214, 0.08970, -0.04153, 0.00516],
+        [0.15346, -0.26756, 0.06670, 0.26688],
+    ]
+)
+_WAVELENGTHS = np.array([0.610, 0.550, 0.465])
+"""Micrometres that stand for red, green and blue where the sun's beam is weakened."""
+
+
+def sky_image(light: SkyLight, directions: np.ndarray, solid_angles: np.ndarray) -> np.ndarray:
+    """Radiance (h, w, 3) float64 of sky, sun and ground in unit ``directions`` (h, w, 3), z up.
+
+    ``solid_angles`` (h, w), steradians, say what each direction stands for. The directions of the sun's disc
+    together hold exactly its irradiance; the ground reflects what sky and sun send down on it; the mean
+    luminance over the sphere is ``light.scale``.
+    """
+    up = directions[..., 2] > 0.0
+    sky = np.zeros(directions.shape)
+    sky[up] = _sky_radiance(light, directions[up])
+    sky[up] += _sun_disc(light, directions[up], solid_angles[up])
+    falling = (directions[..., 2] * solid_angles)[up] @ sky[up]
+    sky[~up] = np.multiply(light.ground, falling / np.pi)
+    mean = np.sum(solid_angles * (sky @ LUMINANCE_WEIGHTS)) / np.sum(solid_angles)
+    return np.asarray(sky * (light.scale / mean))
+
+
+def sun_direction(light: SkyLight) -> np.ndarray:
+    """Unit vector (3,) towards the sun."""
+    azimuth, elevation = math.radians(light.sun_azimuth), math.radians(light.sun_elevation)
+    level = math.cos(elevation)
+    return np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
+
+
+def _sky_radiance(light: SkyLight, directions: np.ndarray) -> np.ndarray:
+    """Linear RGB (n, 3), kcd/m², of the sky without the sun, in ``directions`` (n, 3) above the horizon."""
+    turbidity, theta = light.turbidity, math.radians(90.0 - light.sun_elevation)
+    cos_gamma = np.clip(directions @ sun_direction(light), -1.0, 1.0)
+    chi = (4.0 / 9.0 - turbidity / 120.0) * (math.pi - 2.0 * theta)
+    zenith = (4.0453 * turbidity - 4.9710) * math.tan(chi) - 0.2155 * turbidity + 2.4192
+    parts = (
+        (zenith, _PEREZ_LUMINANCE),
+        (_chromaticity(_ZENITH_X, turbidity, theta), _PEREZ_X),
+        (_chromaticity(_ZENITH_Y, turbidity, theta), _PEREZ_Y),
+    )
+    luminance, x, y = (
+        at_zenith
+        * _perez(table, turbidity, directions[:, 2], cos_gamma)
+        / _perez(table, turbidity, np.array(1.0), np.array(math.cos(theta)))
+        for at_zenith, table in parts
+    )
+    xyz = np.stack([x / y, np.ones_like(y), (1.0 - x - y) / y], axis=-1) * luminance[:, None]
+    return np.asarray(np.maximum(xyz @ _XYZ_TO_RGB.T, 0.0))
+
+
+def _chromaticity(table: np.ndarray, turbidity: float, theta: float) -> float:
+    """CIE x or y of the zenith, for the sun at zenith angle ``theta``."""
+    return float(np.array([turbidity**2, turbidity, 1.0]) @ table @ np.array([theta**3, theta**2, theta, 1.0]))
+
+
+def _perez(table: np.ndarray, turbidity: float, cos_theta: np.ndarray, cos_gamma: np.ndarray) -> np.ndarray:
+    """Perez's distribution at zenith angle θ and angle γ from the sun: eq. 3 of the paper."""
+    a, b, c, d, e = table @ np.array([turbidity, 1.0])
+    gradation = 1.0 + a * np.exp(b / cos_theta)
+    return np.asarray(gradation * (1.0 + c * np.exp(d * np.arccos(cos_gamma)) + e * cos_gamma**2))
+
+
+def _sun_disc(light: SkyLight, directions: np.ndarray, solid_angles: np.ndarray) -> np.ndarray:
+    """Radiance (n, 3) of the sun, spread evenly over the directions within its disc, or the nearest ones.
+
+    The beam is weakened by Rayleigh and aerosol scattering over the relative optical mass of the air (the
+    paper's appendix A.1; ozone, gases and water vapour weaken it little and are left out).
+    """
+    zenith = 90.0 - light.sun_elevation
+    mass = 1.0 / (math.cos(math.radians(zenith)) + 0.15 * (93.885 - zenith) ** -1.253)
+    beta = 0.04608 * light.turbidity - 0.04586
+    depth = 0.008735 * _WAVELENGTHS**-4.08 + beta * _WAVELENGTHS**-1.3
+    irradiance = SUN_ILLUMINANCE * np.exp(-mass * depth)
+    away = np.linalg.norm(directions - sun_direction(light), axis=-1)
+    disc = away <= max(SUN_RADIUS, 1.5 * float(away.min()))
+    return np.where(disc[:, None], irradiance / np.sum(solid_angles[disc]), 0.0)
 
 
 def solid_angles(height: int, width: int) -> np.ndarray:
@@ -300,3 +434,109 @@ class Lobe:
     def irradiance(self) -> np.ndarray:
         """Irradiance of a surface that faces it, ∫ L cosθ dω = Φ (1 + cos a)/2; (3,) linear RGB."""
         return np.array(self.flux) * (0.5 * (1.0 + self.cosine))
+
+
+GROUND = 0.3
+"""What the ground under an overcast sky reflects."""
+
+NOON = SkyLight(sun_azimuth=100.0, sun_elevation=62.0, turbidity=2.5)
+EVENING = SkyLight(sun_azimuth=20.0, sun_elevation=9.0, turbidity=4.5, ground=(0.3, 0.27, 0.23))
+
+SOFT_BOXES = (
+    ((5.0, 42.0), (30.0, 26.0), (17.0, 16.2, 15.0)),
+    ((125.0, 18.0), (20.0, 30.0), (4.2, 4.6, 5.2)),
+)
+"""The soft boxes of the studio: azimuth and elevation of the middle, half width and half height in degrees, radiance:
+a large warm one before and above, a dimmer cool one to the side."""
+
+EDGE_DEGREES = 4.0
+"""Degrees over which a soft box fades at its edges."""
+
+Image = np.ndarray
+
+
+def environment_image(light: EnvironmentLight, directions: np.ndarray, solid_angles: np.ndarray) -> Image:
+    """Radiance (h, w, 3) float64 of a named environment in unit ``directions`` (h, w, 3), z up.
+
+    ``solid_angles`` (h, w), steradians, say what each direction stands for. The mean luminance over the sphere is 1.
+    """
+    image = FORMULAS[light.environment](directions, solid_angles)
+    return np.asarray(image * (np.sum(solid_angles) / np.sum(solid_angles * (image @ LUMINANCE_WEIGHTS))))
+
+
+def overcast(directions: np.ndarray, solid_angles: np.ndarray) -> Image:
+    """L = Lz (1 + 2 sin θ)/3 at the elevation θ, over a ground that reflects GROUND of it: E = 7π/9 Lz."""
+    height = directions[..., 2]
+    sky = (1.0 + 2.0 * height) / 3.0
+    grey = np.where(height > 0.0, sky, GROUND * 7.0 / 9.0)
+    return np.repeat(grey[..., None], 3, axis=-1)
+
+
+def studio(directions: np.ndarray, solid_angles: np.ndarray) -> Image:
+    """A dim grey room, darker towards the floor, and SOFT_BOXES that fade over EDGE_DEGREES degrees at their edges."""
+    height = directions[..., 2]
+    room = 0.16 + 0.12 * height
+    image = np.repeat(room[..., None], 3, axis=-1)
+    for (azimuth, elevation), half, radiance in SOFT_BOXES:
+        image += _box(directions, azimuth, elevation, half)[..., None] * np.array(radiance)
+    return image
+
+
+def _box(directions: np.ndarray, azimuth: float, elevation: float, half: tuple[float, float]) -> np.ndarray:
+    """How much of a soft box is seen in each direction, from 0 to 1: a rectangle of a plane that faces the middle."""
+    turn, tilt = math.radians(azimuth), math.radians(elevation)
+    towards = np.array([math.cos(tilt) * math.cos(turn), math.cos(tilt) * math.sin(turn), math.sin(tilt)])
+    right = np.array([-math.sin(turn), math.cos(turn), 0.0])
+    before = directions @ towards
+    across, along = (
+        np.degrees(np.arctan2(np.abs(directions @ axis), before)) for axis in (right, np.cross(towards, right))
+    )
+    inside = [
+        np.clip((size - angle) / EDGE_DEGREES + 0.5, 0.0, 1.0)
+        for size, angle in zip(half, (across, along), strict=True)
+    ]
+    return np.where(before > 0.0, inside[0] * inside[1], 0.0)
+
+
+GALLERY_HALF_SIZES = (3.0, 2.2, 1.0)
+"""Half sizes of the gallery along x, y and z, seen from its middle."""
+
+SKYLIGHTS = (0.4, 1.4)
+"""From where to where along y, to either side, its ceiling is of glass; along x it is so from wall to wall."""
+
+WALL_RADIANCE, CEILING_RADIANCE, FLOOR_RADIANCE, GLASS_RADIANCE = (
+    (0.62, 0.60, 0.57),
+    (0.5, 0.5, 0.49),
+    (0.30, 0.22, 0.15),
+    (3.6, 3.8, 4.1),
+)
+"""Radiances, linear RGB: white walls, a ceiling, a wooden floor, and the sky through the glass."""
+
+
+def gallery(directions: np.ndarray, solid_angles: np.ndarray) -> Image:
+    """A white room under two skylights: what a box reflects and lets in, seen from its middle."""
+    size = np.array(GALLERY_HALF_SIZES)
+    with np.errstate(divide="ignore"):
+        reach = size / np.abs(directions)
+    face = reach.argmin(axis=-1)
+    points = directions * reach.min(axis=-1)[..., None]
+    up = points[..., 2]
+    image = np.array(WALL_RADIANCE) * (0.75 + 0.25 * up / GALLERY_HALF_SIZES[2])[..., None]
+    image[(face == 2) & (up < 0.0)] = FLOOR_RADIANCE
+    image[(face == 2) & (up > 0.0)] = CEILING_RADIANCE
+    aside = np.abs(points[..., 1])
+    image[(face == 2) & (up > 0.0) & (aside > SKYLIGHTS[0]) & (aside < SKYLIGHTS[1])] = GLASS_RADIANCE
+    return image
+
+
+def _clear(light: SkyLight) -> "Formula":
+    """A clear sky as a formula."""
+    return lambda directions, solid_angles: sky_image(light, directions, solid_angles)
+
+
+Formula = Callable[[np.ndarray, np.ndarray], Image]
+
+FORMULAS: dict[str, Formula] = dict(
+    zip(ENVIRONMENTS, (overcast, studio, _clear(NOON), _clear(EVENING), gallery), strict=True)
+)
+"""The image of each environment, up to a factor, from directions (h, w, 3) and solid angles (h, w)."""

@@ -27,10 +27,9 @@ from isogi_core.plan.lobe_choice import MANY_LOBES_SEARCHED as MOST_LOBES
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import CHUNK_SIDES, NORMAL_KINDS, Scene, SceneSettings
 from isogi_core.plan.surfaces import SceneSurfaces, read_surfaces
-from isogi_core.plan.volumes.colours import find_table, read_colours
-from isogi_core.plan.volumes.cuts import cut_away
-from isogi_core.plan.volumes.label_colours import colours_of_labels
+from isogi_core.plan.volumes.colours import colours_of_labels, find_table, read_colours
 from isogi_core.plan.volumes.labels import ALL_LABELS, LABEL_ISOVALUE, find_labels
+from isogi_core.plan.volumes.masks import cut_away
 from isogi_core.plan.volumes.opening import open_volume
 
 INSIDE_OUT = 0.6

@@ -6,8 +6,7 @@ from typing import Literal
 import numpy as np
 
 from isogi_core.kernels.transport.harmonics import DIAGONAL, MAX_ORDER, RECURRENCE_OFFSET, RECURRENCE_SLOPE
-from isogi_core.model.environment import Environment
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS, Environment
 
 # Gauss nodes and weights on [0, 1]: exact to rounding up to MAX_ORDER, even over a whole meridian.
 GAUSS_NODES, GAUSS_WEIGHTS = (

@@ -10,9 +10,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
-from isogi_core.model.environment import Environment, Lamps, Lobe
+from isogi_core.model.environment import LUMINANCE_WEIGHTS, Environment, Lamps, Lobe
 from isogi_core.model.lights import Vector
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.volume import Volume
 from isogi_core.plan.bands import band_energy, project_environment
 from isogi_core.plan.lobe_choice import energy_beside, find_lobes

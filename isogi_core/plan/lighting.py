@@ -12,8 +12,16 @@ import numpy as np
 from isogi_core.errors import LightError, SceneError, ViewError
 from isogi_core.files.radiance import read_hdr
 from isogi_core.files.scene_file import Settings
-from isogi_core.model.environment import Environment, Lamps, gather_lamps, pixel_directions, resample, solid_angles
-from isogi_core.model.environments import environment_image
+from isogi_core.model.environment import (
+    Environment,
+    Lamps,
+    environment_image,
+    gather_lamps,
+    pixel_directions,
+    resample,
+    sky_image,
+    solid_angles,
+)
 from isogi_core.model.glow import MAX_GLOW_STRENGTH, NO_GLOW, Glowing, glow_from_mapping, place_glows
 from isogi_core.model.lights import (
     ConstantLight,
@@ -26,10 +34,8 @@ from isogi_core.model.lights import (
     light_named,
 )
 from isogi_core.model.room import NO_ROOM, ROOMS, Room, cornell_room, place_walls, wall_from_mapping
-from isogi_core.model.sky import sky_image
 from isogi_core.model.volume import Volume
-from isogi_core.plan.materials import refuse_lamps
-from isogi_core.plan.surfaces import SceneSurfaces
+from isogi_core.plan.surfaces import SceneSurfaces, refuse_lamps
 from isogi_core.plan.volumes.glow_masks import read_glow_masks
 
 SKY_SIZE = (512, 1024)

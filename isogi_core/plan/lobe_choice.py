@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
-from isogi_core.model.environment import Environment, Lobe, solid_angles
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS, Environment, Lobe, solid_angles
 from isogi_core.plan.bands import FAR_BANDS, FAR_BANDS_ERROR, band_energy, evaluate_harmonics, truncation_error
 
 FEW_LOBES_SEARCHED, MANY_LOBES_SEARCHED = 4, 64

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 from isogi_core.errors import LightError, SceneError
 from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer, ScenePlan, most_samples
-from isogi_core.plan.albedos import choose_nodes, mixing_error
 from isogi_core.plan.bands import FAR_BANDS, FAR_BANDS_ERROR, choose_order, truncation_error
 from isogi_core.plan.budget import (
     HARMONICS,
@@ -22,6 +21,7 @@ from isogi_core.plan.budget import (
 )
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.left_out import left_out, percent
+from isogi_core.plan.surfaces import choose_nodes, mixing_error
 
 MIN_RADIANCE, MAX_RADIANCE = 1e-32, 1e32
 """Radiances of a white surface that frames of single floats show with all shades from a millionth up."""

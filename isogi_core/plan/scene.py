@@ -13,26 +13,29 @@ from isogi_core.kernels.shading.lattice import DEFAULT_CHUNK_SIDE
 from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS, Field
 from isogi_core.kernels.tracing.glow import Glows
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
-from isogi_core.kernels.transport.light_paths import Surroundings
+from isogi_core.kernels.transport.light_paths import Open, Surroundings
 from isogi_core.kernels.transport.matter.matter_paths import Through
-from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.room_paths import InRoom
 from isogi_core.kernels.transport.surface_paths import Among
 from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer, LeftOut, ScenePlan
 from isogi_core.model.value_survey import digest_of
 from isogi_core.model.view import Camera, orbit, orthographic
 from isogi_core.model.volume import Isovalue, Volume
-from isogi_core.plan.first_view import SeenNormals, exposure_for, find_seen, front_of
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides, found
-from isogi_core.plan.isovalue_presets import Preset, find_boundaries, suggested_presets
+from isogi_core.plan.isovalue_presets import (
+    Preset,
+    SeenNormals,
+    exposure_for,
+    find_boundaries,
+    find_seen,
+    front_of,
+    suggested_presets,
+)
 from isogi_core.plan.left_out import unprojected, unseen, unshared, unshining, untold_sides
-from isogi_core.plan.levels import find_levels
 from isogi_core.plan.lighting import SceneLighting
-from isogi_core.plan.materials import unrefracted
-from isogi_core.plan.projection import ProjectionPlan, plan_projection
-from isogi_core.plan.range_sampling import SampledRange, find_stops
+from isogi_core.plan.projection import ProjectionPlan, SampledRange, find_stops, plan_projection
 from isogi_core.plan.reachable_texels import TexelCount, count_texels
-from isogi_core.plan.surfaces import SceneSurfaces
+from isogi_core.plan.surfaces import SceneSurfaces, find_levels, unrefracted
 
 BAKE_FORMAT = 6
 """Version of baked light: increased when a chunk's content, or the way its light is computed, changes."""

@@ -26,7 +26,7 @@ from isogi_core.model.volume import Volume
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.planner import complete
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.volumes.cuts import cut_away, voxels_left
+from isogi_core.plan.volumes.masks import cut_away, voxels_left
 
 
 def remade(scene: Scene, document: dict[str, Any], volume: Volume | None, name: str | None = None) -> Scene:

@@ -16,19 +16,17 @@ from isogi_core.kernels.tracing.macrocells import fill_macrocells, macrocell_sha
 from isogi_core.kernels.tracing.peels import MAX_SURFACES
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.kernels.transport.colours import NO_COLOURS, Colours, colours_of
-from isogi_core.kernels.transport.light_paths import Surroundings
+from isogi_core.kernels.transport.light_paths import Open, Surroundings
 from isogi_core.kernels.transport.lights import LampArrays
-from isogi_core.kernels.transport.matter.inside import Matter, Passable
 from isogi_core.kernels.transport.matter.matter_paths import Through
-from isogi_core.kernels.transport.open_paths import Open
+from isogi_core.kernels.transport.matter.passage import Matter, Passable
 from isogi_core.kernels.transport.room_paths import InRoom, Room
 from isogi_core.kernels.transport.surface_paths import Among, Surfaces
 from isogi_core.model.lights import Colour
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.bands import project_environment
 from isogi_core.plan.scene import Scene
-from isogi_core.prepared.active_cell_maps import MAP_BYTES, ActiveCellMaps, Survey, anew
-from isogi_core.prepared.voxel_codes import VoxelCodes, find_codes
+from isogi_core.prepared.active_cell_maps import MAP_BYTES, ActiveCellMaps, Survey, VoxelCodes, anew, find_codes
 from isogi_core.runs import Run, serially
 
 

@@ -9,8 +9,7 @@ from datetime import timedelta
 from typing import Any
 
 from isogi_core.errors import ChangedError, StoreError
-from isogi_core.storage.backend import Entry, StoredObject
-from isogi_core.storage.url import StoreUrl
+from isogi_core.storage.backend import Entry, StoredObject, StoreUrl
 
 CONNECT_SECONDS = 2.0
 """Seconds within which a connection must be made; less where the whole call has less."""

@@ -3,18 +3,31 @@
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from isogi_core.errors import ChangedError, StoreAwayError, StoreError, StoreFullError, StoreReadOnlyError
-from isogi_core.storage.backend import Backend, Entry, StoredObject, store_error
-from isogi_core.storage.folder import Folder
-from isogi_core.storage.fsspec_store import FileSystem
+import google_crc32c
+import numpy as np
+import zarr
+from numcodecs.zstd import Zstd
+from zarr.core.buffer import default_buffer_prototype
+from zarr.storage import MemoryStore
+
+from isogi_core.errors import (
+    ChangedError,
+    DamagedChunkError,
+    StoreAwayError,
+    StoreError,
+    StoreFullError,
+    StoreReadOnlyError,
+)
+from isogi_core.storage.backend import Backend, Entry, StoredObject, StoreUrl, store_error
+from isogi_core.storage.folder import FileSystem, Folder
 from isogi_core.storage.local_copies import Copies
 from isogi_core.storage.object_store import Bucket
-from isogi_core.storage.url import StoreUrl
 
 SENTINEL_KEY = "isogi.json"
 """Key of the object that marks a folder or bucket as a store of isogi's."""
@@ -343,3 +356,68 @@ def backend_at(url: StoreUrl) -> Backend:
     if url.remote:
         return Bucket(url, SENTINEL_KEY)
     return Folder(url.folder, SENTINEL_KEY) if url.scheme == "file" else FileSystem(url, SENTINEL_KEY)
+
+
+METADATA_KEY = "zarr.json"
+
+
+def description(**array: Any) -> bytes:
+    """The ``zarr.json`` of an array made with these arguments of ``zarr.create_array``."""
+    store = MemoryStore()
+    zarr.create_array(store, zarr_format=3, **array)
+    return store._store_dict[METADATA_KEY].to_bytes()
+
+
+@lru_cache(maxsize=64)
+def described_array(document: bytes) -> "zarr.Array[Any]":
+    """The array that a ``zarr.json`` describes, without its chunks. Raises errors of many kinds for other documents.
+
+    Kept, as it is read before each new chunk, and Zarr takes as long for it as a small task for its light.
+    """
+    store = MemoryStore({METADATA_KEY: default_buffer_prototype().buffer.from_bytes(document)})
+    return zarr.open_array(store, mode="r", zarr_format=3)
+
+
+CRC_BYTES = 4
+
+ZSTD_LEVEL = 1
+"""Compression level of Zstandard."""
+
+
+def wrap(record: np.ndarray) -> bytes:
+    """Compress a ``record``, (bytes,) uint8, into an object with a checksum."""
+    body = bytes(Zstd(level=ZSTD_LEVEL).encode(record))
+    return body + checksum_of(body)
+
+
+def unwrap(stored: bytes, size: int) -> np.ndarray:
+    """The record in an object, (``size``,) uint8. Raises DamagedChunkError."""
+    return unwrap_all([stored], size)[0]
+
+
+def unwrap_all(stored: Sequence[bytes], size: int) -> np.ndarray:
+    """The records in objects, (objects, ``size``) uint8. Raises DamagedChunkError where any is damaged.
+
+    The bodies are decoded as one stream, so that Zstandard is set up once.
+    """
+    bodies = b"".join(map(body_of, stored))
+    try:
+        records = np.frombuffer(Zstd().decode(bodies) if stored else b"", np.uint8)
+    except (RuntimeError, ValueError) as error:
+        raise DamagedChunkError("it does not unpack") from error
+    if len(records) != len(stored) * size:
+        raise DamagedChunkError("it does not unpack to a record")
+    return records.reshape(len(stored), size)
+
+
+def body_of(stored: bytes) -> bytes:
+    """An object without its checksum; DamagedChunkError where the checksum is wrong."""
+    body, checksum = stored[:-CRC_BYTES], stored[-CRC_BYTES:]
+    if len(stored) <= CRC_BYTES or checksum_of(body) != checksum:
+        raise DamagedChunkError("its checksum is wrong")
+    return body
+
+
+def checksum_of(body: bytes) -> bytes:
+    """The checksum at the end of an object."""
+    return google_crc32c.value(body).to_bytes(CRC_BYTES, "little")

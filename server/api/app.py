@@ -14,15 +14,15 @@ from starlette.staticfiles import StaticFiles
 
 from server import problems
 from server.api.access import KnownHosts, KnownOrigins, TokenBearers
+from server.api.lifespan import Closing, GracefulShutdown
 from server.api.prewarm_jobs import resume
 from server.api.requests import HeadAsGet, Requests, SafeHeaders, SmallBodies
 from server.api.routes import card, events, frames, jobs, pages, points, scenes
 from server.api.service import Service
-from server.api.shutdown import Closing, GracefulShutdown
 from server.api.stream import router as stream_router
 from server.render.engine import RenderEngine
 from server.render.metrics import BakingCollector, JobsCollector, Metrics
-from server.render.resources import StoreProbe
+from server.render.workforce import StoreProbe
 from server.settings import Settings
 
 API_DESCRIPTION = "Pictures of isosurfaces with global illumination, served at once and refined while you look."

@@ -20,7 +20,6 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from server.api.prewarm_jobs import Prewarm, stand_back, to_its_end
 from server.api.service import Service
-from server.export_parameters import ExportParams
 from server.exports.lit_files import (
     check_coefficients,
     check_lattice,
@@ -30,6 +29,7 @@ from server.exports.lit_files import (
     places_to_light,
     write_lit,
 )
+from server.parameters import ExportParams
 from server.prewarm.order import PrewarmOrder, order_of
 from server.render.jobs import Job, Result
 from server.views import view_of

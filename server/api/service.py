@@ -24,17 +24,24 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from server.answers import scene_schema
-from server.api.startup import Startup, within
+from server.api.lifespan import Startup, within
 from server.bearers import Bearer, bearer_of, client_of
 from server.errors import ForbiddenError, StartingError, UnknownJobError, UnknownSceneError
 from server.exports.folder import ExportFolder
 from server.parameters import LightParams, VariantParams, ViewParams
-from server.render.admission import AdmissionLimit
+from server.render.bakes import UpdateBus, attended, request_viewer
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
 from server.render.scene_variant import Change
-from server.render.scheduling import DRAFT, REFINEMENT_PATIENCE, REQUEST_PATIENCE, REST_PATIENCE, Rank, Renders
-from server.render.updates import UpdateBus, attended, request_viewer
+from server.render.scheduling import (
+    DRAFT,
+    REFINEMENT_PATIENCE,
+    REQUEST_PATIENCE,
+    REST_PATIENCE,
+    AdmissionLimit,
+    Rank,
+    Renders,
+)
 from server.render.variants import Variants
 from server.settings import Settings
 from server.uploads.uploads import Uploads

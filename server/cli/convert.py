@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from isogi_core.files.ome_writer import size_of, write_image
+from isogi_core.files.ome import size_of, write_image
 from isogi_core.files.scene_file import Settings, find_source
 from isogi_core.model.value_survey import check
 from isogi_core.plan.volumes.opening import chosen_part, open_series

@@ -9,7 +9,7 @@ from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import ViewError
 from isogi_core.files.light_volumes import WRITERS, check_zarr
-from isogi_core.files.ome_writer import size_of
+from isogi_core.files.ome import size_of
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene_plan import MAX_SAMPLES
@@ -32,7 +32,7 @@ from server.exports.lit_files import (
 from server.parameters import ANGLES, ViewParams, read
 from server.prewarm.order import Levels, levels_of
 from server.progress import Progress, open_scene
-from server.render.resources import root_of
+from server.render.workforce import root_of
 from server.settings import Settings
 from server.views import view_of
 

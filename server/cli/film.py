@@ -17,7 +17,7 @@ from PIL import Image
 
 from isogi_core.errors import ViewError
 from isogi_core.model.material import SHINE_KNOBS
-from isogi_core.plan.first_view import front_of
+from isogi_core.plan.isovalue_presets import front_of
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.cli.film_path import film_path, steps_in, view_in, views_in

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.frame.film import coded, ground_of
-from isogi_core.plan.first_view import front_of
+from isogi_core.plan.isovalue_presets import front_of
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder, write_whole
 from server.answers import defaults

@@ -10,14 +10,13 @@ from typing import Any
 from isogi_core.errors import ViewError
 from isogi_core.files.scene_file import LEAST_TARGET, find_source
 from isogi_core.files.scene_file import Settings as SceneSettings
-from isogi_core.frame.card.blocks import Coding, coding_for
-from isogi_core.frame.card.chunk_light import raw_scale
+from isogi_core.frame.card.blocks import Coding, coding_for, raw_scale
 from isogi_core.frame.rays.control_pixels import TotalError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder
-from server.card_answers import card_obstacles
+from server.answers import card_obstacles
 from server.cli.prewarm import desk_of, show
 from server.cli.publish import PageRequest
 from server.cli.render import working

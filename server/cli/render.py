@@ -18,7 +18,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import PROJECTIONS, View
-from isogi_core.plan.first_view import front_of
+from isogi_core.plan.isovalue_presets import front_of
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.reference import Goal, Reference, grow_reference, load_reference, save_reference, with_bounces

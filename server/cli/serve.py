@@ -18,8 +18,8 @@ from isogi_core.errors import IsogiError
 from server import logs
 from server.api.app import create_app
 from server.api.connections import Connection, ServerConfig
+from server.api.lifespan import Closing
 from server.api.service import Service
-from server.api.shutdown import Closing
 from server.progress import compiling, open_scene, say
 from server.render.engine import engine_for
 from server.settings import Settings

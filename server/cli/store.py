@@ -4,12 +4,22 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from isogi_core.cache.upkeep.audit import Audit, Auditor, Repairer, leftovers
-from isogi_core.cache.upkeep.census import Census, Count, census_of
-from isogi_core.cache.upkeep.prune import PrunePlan, PruneRule, delete_layers, plan_prune
+from isogi_core.cache.upkeep import (
+    Audit,
+    Auditor,
+    Census,
+    Count,
+    PrunePlan,
+    PruneRule,
+    Repairer,
+    census_of,
+    delete_layers,
+    leftovers,
+    plan_prune,
+)
 from isogi_core.storage.store import Store
 from server.progress import Progress
-from server.render.resources import existing_store
+from server.render.workforce import existing_store
 from server.values import span
 
 __all__ = ["existing_store", "prune", "pruned", "repair", "repaired", "rule_of", "stats", "table", "verified", "verify"]

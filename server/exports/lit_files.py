@@ -12,9 +12,17 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import SceneError, ViewError
-from isogi_core.files.light_files import LitMesh, glb_bytes, obj_bytes, ply_bytes, srgb_bytes
+from isogi_core.files.light_files import (
+    LitMesh,
+    glb_bytes,
+    light_texture,
+    obj_bytes,
+    ply_bytes,
+    srgb_bytes,
+    usd_layer,
+    usdz_package,
+)
 from isogi_core.files.light_volumes import WRITERS, LitVolume, nibabel
-from isogi_core.files.usd_files import light_texture, usd_layer, usdz_package
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer

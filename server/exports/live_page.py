@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from isogi_core.frame.card.blocks import Coding
-from isogi_core.frame.card.chunk_light import CHUNKS, coded_chunks
+from isogi_core.frame.card.blocks import CHUNKS, Coding, coded_chunks
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from isogi_core.plan.reachable_texels import surface_texels
-from isogi_core.prepared.voxel_codes import IdleVoxels
+from isogi_core.prepared.active_cell_maps import IdleVoxels
 from isogi_core.storage.atomic_file import write_whole
-from server.answers import camera_schema, scene_schema
-from server.card_answers import card_scene
+from server.answers import camera_schema, card_scene, scene_schema
 from server.card_schemas import CardSlab
 from server.parameters import FrameParams
 from server.schemas import Range, SceneSchema

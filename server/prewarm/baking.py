@@ -21,7 +21,7 @@ from isogi_core.bake.noise import Effort, Until, relative_error
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import Light
-from isogi_core.cache.chunk import Chunk
+from isogi_core.cache.chunk_record import Chunk
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.costs import Cost
 from isogi_core.cache.scene_caches import Caches
@@ -35,13 +35,12 @@ from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
-from isogi_core.storage.url import StoreUrl
+from isogi_core.storage.backend import StoreUrl
 from server.render.bakes import BackgroundBake, Patience
 from server.render.engine import RenderEngine
 from server.settings import cores
 from worker.bake_requests import Viewer, next_until
 from worker.errors import WorkersError
-from worker.kernels import load_kernels
 from worker.progress import (
     PER_TASK,
     ChunkCost,
@@ -53,7 +52,7 @@ from worker.progress import (
     relative_standard_error,
     seconds_per_texel,
 )
-from worker.tasks import BakeTask, cost_of, results_of, sample_texels
+from worker.tasks import BakeTask, cost_of, load_kernels, results_of, sample_texels
 
 
 @dataclass(frozen=True)

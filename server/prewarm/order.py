@@ -16,8 +16,8 @@ from pydantic import BeforeValidator, Field, StrictBool, WithJsonSchema, model_v
 
 from isogi_core.model.material import DULL
 from isogi_core.model.view import View
-from isogi_core.plan.range_sampling import CELLS_WAITED_FOR, sample_range
-from isogi_core.plan.range_sampling import SPACING_KINDS as SAMPLINGS
+from isogi_core.plan.projection import CELLS_WAITED_FOR, sample_range
+from isogi_core.plan.projection import SPACING_KINDS as SAMPLINGS
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.parameters import TURN, NoParams, ViewParams, read

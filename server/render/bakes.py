@@ -1,31 +1,41 @@
 """Bakes of a scene as the workers know them, bakes of other texels and sides, background bakes, and patience."""
 
+from __future__ import annotations
+
+import asyncio
+import itertools
+import logging
 import threading
 import time
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
-from contextlib import suppress
-from dataclasses import replace
+from collections.abc import Callable, Collection, Coroutine, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
+
+from fastapi import Request
+from starlette.requests import HTTPConnection
 
 from isogi_core.bake.bake_spec import SPECS
 from isogi_core.cache.costs import Costs
 from isogi_core.cache.scene_assets import SceneAssets, send_assets
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.cache.upkeep.prune import trim_projected
-from isogi_core.errors import StoreFullError, StoreReadOnlyError
+from isogi_core.cache.upkeep import trim_projected
+from isogi_core.errors import Cancelled, IsogiError, StoreFullError, StoreReadOnlyError
 from isogi_core.frame.texel_reading import Stage
+from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store
+from server.bearers import bearer_of, client_of
 from worker.bake_requests import Viewer
 from worker.baker import Bake, Baker
 from worker.errors import WorkersError
-from worker.keeping import Whole
 from worker.progress import TimeLeft
+from worker.tasks import Whole
 
 
 def bake_name(scene: str, spec: str) -> str:
@@ -224,3 +234,220 @@ class Patience:
         elif now - self._since > self._seconds:
             why = " ".join(reasons) or "The workers bake nothing new."
             raise WorkersError(f"No light came for {self._seconds:g} seconds. {why}")
+
+
+@dataclass(eq=False)
+class Pending:
+    """``chunks`` of a ``bake`` that are waited for: ``some`` is set with the first update, ``all`` with the last.
+
+    The last update of a chunk says that no more of it is going to be baked: it is final or given up. ``lit`` is set
+    with ``all``, and once each of those that were ``dark`` has had an update.
+    """
+
+    bake: str
+    chunks: set[Index]
+    dark: set[Index] = field(default_factory=set)
+    some: asyncio.Event = field(default_factory=asyncio.Event)
+    lit: asyncio.Event = field(default_factory=asyncio.Event)
+    all: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def note(self, index: Index, more: bool) -> None:
+        """Note an update of a chunk, and whether there will be more."""
+        if index in self.chunks:
+            self.some.set()
+            if not more:
+                self.chunks.discard(index)
+        if index in self.dark:
+            self.dark.discard(index)
+            if not self.dark:
+                self.lit.set()
+        if not self.chunks:
+            self.lit.set()
+            self.all.set()
+
+
+class UpdateBus:
+    """The updates so far, numbered. All but ``publish`` belongs to the event loop that made it."""
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._count = 0
+        self._last: dict[tuple[str, Index], tuple[int, bool]] = {}
+        self._newest: dict[str, int] = {}
+        self._pending: set[Pending] = set()
+
+    def publish(self, bake: str, index: Index, more: bool) -> None:
+        """Say that a chunk of a bake has new light, or its task failed, and whether ``more`` is coming. Any thread."""
+        if not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._note, bake, index, more)
+
+    def newest(self, bake: str) -> int:
+        """The number of the newest update of a bake; 0 where there was none."""
+        return self._newest.get(bake, 0)
+
+    @contextmanager
+    def pending(
+        self, bake: str, chunks: Collection[Index], since: int, dark: Collection[Index] = ()
+    ) -> Iterator[Pending]:
+        """Watch ``chunks`` of a bake, some of which are ``dark``, from the update after number ``since`` on."""
+        pending = Pending(bake, set(chunks), set(dark))
+        for index in chunks:
+            number, more = self._last.get((bake, index), (0, True))
+            if number > since:
+                pending.note(index, more)
+        self._pending.add(pending)
+        try:
+            yield pending
+        finally:
+            self._pending.discard(pending)
+
+    def _note(self, bake: str, index: Index, more: bool) -> None:
+        self._count += 1
+        self._newest[bake] = self._count
+        self._last[bake, index] = self._count, more
+        for pending in self._pending:
+            if pending.bake == bake:
+                pending.note(index, more)
+
+
+Result = TypeVar("Result")
+
+_visits = itertools.count(1)
+
+
+def request_viewer(request: Request) -> Viewer:
+    """The viewer of one request: all requests of a bearer at an address are one client's."""
+    bakes = bearer_of(request.scope).may("bake")
+    return Viewer(client_of(request.scope), next(_visits), bakes=bakes)
+
+
+def stream_viewer(connection: HTTPConnection) -> Viewer:
+    """The viewer of a stream: a client of its own, which looks at one view at a time."""
+    visit = next(_visits)
+    return Viewer(visit, visit, single=True, bakes=bearer_of(connection.scope).may("bake"))
+
+
+def background_viewer() -> Viewer:
+    """The viewer of work in the background: a client of its own, which yields to all others."""
+    visit = next(_visits)
+    return Viewer(visit, visit, single=True, patient=True)
+
+
+async def attended(request: Request, answer: Coroutine[Any, Any, Result]) -> Result:
+    """The answer to a request. Once its client has left, the answer is cancelled and Cancelled raised."""
+    working, leaving = asyncio.create_task(answer), asyncio.create_task(gone(request))
+    try:
+        await asyncio.wait({working, leaving}, return_when=asyncio.FIRST_COMPLETED)
+        if not working.done():
+            raise Cancelled("Nobody waits for this frame any more.")
+        return await working
+    finally:
+        working.cancel()
+        leaving.cancel()
+        del working, leaving  # an error in them would hold itself until garbage is looked for
+
+
+async def gone(request: Request) -> None:
+    """Returns when the client has disconnected."""
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
+
+
+log = logging.getLogger("isogi.render")
+
+CHECK: Index = (-1, -1, -1)
+"""Stands for a picture's check among the chunks that are coming for it."""
+
+MAX_WAITING_PICTURES = 64
+"""Pictures that wait to be checked: those asked for last."""
+
+
+@dataclass(eq=False)
+class Picture:
+    """A view of a scene whose total error is to reach a ``target``; nobody wants it once it is ``cancelled``."""
+
+    scene: str
+    view: View
+    target: float
+    cancelled: threading.Event = field(default_factory=threading.Event)
+
+    def same(self, scene: str, view: View, target: float) -> bool:
+        """Whether it is this one."""
+        return (self.scene, self.view, self.target) == (scene, view, target)
+
+
+Step = Callable[[str, View, float, threading.Event], bool]
+Listener = Callable[[str, View, bool], object]
+
+
+class PictureChecks:
+    """Checks pictures step by step, the one asked for last first. Safe to use from many threads."""
+
+    def __init__(self, step: Step, notify: Listener) -> None:
+        """Take each ``step`` that there is; ``notify`` hears of it, and whether ``more`` are to come."""
+        self._step, self._notify = step, notify
+        self._wanted: OrderedDict[Viewer, Picture] = OrderedDict()
+        self._changed = threading.Condition()
+        self._closed = False
+        self._thread: threading.Thread | None = None
+
+    def request(self, scene: str, view: View, target: float, viewer: Viewer) -> None:
+        """Have a picture checked for a ``viewer``, in place of the one that it looked at before."""
+        with self._changed:
+            former = self._wanted.get(viewer)
+            if self._closed or (former is not None and former.same(scene, view, target)):
+                return
+            self._drop(viewer)
+            self._wanted[viewer] = Picture(scene, view, target)
+            if len(self._wanted) > MAX_WAITING_PICTURES:
+                self._drop(next(iter(self._wanted)))
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._work, name="checking", daemon=True)
+                self._thread.start()
+            self._changed.notify()
+
+    def leave(self, viewer: Viewer) -> None:
+        """Check nothing more for a viewer that has gone, or looks at something else."""
+        with self._changed:
+            self._drop(viewer)
+
+    def close(self) -> None:
+        """Stop, and wait until it has."""
+        with self._changed:
+            self._closed = True
+            for viewer in list(self._wanted):
+                self._drop(viewer)
+            self._changed.notify()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _drop(self, viewer: Viewer) -> None:
+        if (former := self._wanted.pop(viewer, None)) is not None:
+            former.cancelled.set()
+
+    def _work(self) -> None:
+        """Check what is wanted, until closed."""
+        while (found := self._next()) is not None:
+            viewer, picture = found
+            try:
+                more = self._step(picture.scene, picture.view, picture.target, picture.cancelled)
+            except IsogiError as error:
+                log.debug("a picture is not checked: %s", error)
+                more = False
+            except Exception:
+                log.exception("The check of a picture failed: it keeps the error that it has, others are checked.")
+                more = False
+            if not more:
+                self._done(viewer, picture)
+            self._notify(picture.scene, picture.view, more)
+
+    def _next(self) -> tuple[Viewer, Picture] | None:
+        """The newest picture that is wanted, once there is one; None when closed."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._wanted or self._closed)
+            return None if self._closed else next(reversed(self._wanted.items()))
+
+    def _done(self, viewer: Viewer, picture: Picture) -> None:
+        with self._changed:
+            if self._wanted.get(viewer) is picture:
+                self._drop(viewer)

@@ -25,16 +25,13 @@ from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
+from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store, StoreLike
-from isogi_core.storage.url import StoreUrl
 from server.errors import UnknownSceneError
-from server.render.bakes import BACKGROUND_VIEWER, BackgroundBake, SideBakes, bake_name, make_bake
-from server.render.kernels import SceneKernels
+from server.render.bakes import BACKGROUND_VIEWER, CHECK, BackgroundBake, PictureChecks, SideBakes, bake_name, make_bake
 from server.render.loaded_scene import LoadedScene, LoadedScenes, load_scene_parts
-from server.render.picture_checks import CHECK, PictureChecks
-from server.render.resources import root_of, shared, whereabouts
 from server.render.scene_variant import SceneVariant
-from server.render.workforce import Workforce, scheduler_of
+from server.render.workforce import SceneKernels, Workforce, root_of, scheduler_of, shared, whereabouts
 from server.settings import Settings
 from worker.bake_requests import GUEST_VIEWER, Viewer
 from worker.baker import Baker, Listener

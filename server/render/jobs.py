@@ -19,7 +19,7 @@ from pydantic import BaseModel
 
 from isogi_core.errors import IsogiError
 from server.errors import BusyError, UnknownJobError
-from server.render.admission import AdmissionLimit, Place
+from server.render.scheduling import AdmissionLimit, Place
 from worker.progress import TimeLeft
 
 log = logging.getLogger("isogi.server")

@@ -21,7 +21,7 @@ from isogi_core.errors import Cancelled, NoRoomError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.stand_in import StandIn
+from isogi_core.frame.texel_shading import StandIn
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.scene_plan import MAX_SAMPLES
@@ -30,13 +30,13 @@ from isogi_core.model.volume import Isovalue
 from isogi_core.plan.planner import complete
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import finer, has_finer
-from isogi_core.plan.volumes.cuts import voxels_left
+from isogi_core.plan.volumes.masks import voxels_left
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
 from server.render.bakes import sent
-from server.render.resources import Memory
-from worker.keeping import Whole
+from server.render.workforce import Memory
+from worker.tasks import Whole
 
 log = logging.getLogger("isogi.render")
 

@@ -16,7 +16,7 @@ from isogi_core.files.scene_changes import (
     read_material_text,
     write_material_text,
 )
-from isogi_core.model.window import read_window
+from isogi_core.model.view import read_window
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import made_of
 from server.errors import ParameterError

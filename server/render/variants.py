@@ -23,7 +23,7 @@ from isogi_core.kernels._jit import entries_of
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import at_time, cut_open, under, with_clears, with_hidden, with_material
-from isogi_core.plan.volumes.cuts import cut_digest
+from isogi_core.plan.volumes.masks import cut_digest
 from server.errors import BusyError, ParameterError
 from server.render.engine import RenderEngine
 from server.render.scene_variant import Change, SceneVariant

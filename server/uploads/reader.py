@@ -24,8 +24,7 @@ import numpy as np
 
 from isogi_core.errors import LightError, VolumeError
 from isogi_core.files.formats.opening import HEAD_BYTES, libraries_for, open_upload
-from isogi_core.files.grid import Grid
-from isogi_core.files.right_angles import on_right_angles
+from isogi_core.files.grid import Grid, on_right_angles
 from isogi_core.model.environment import resample
 from isogi_core.model.value_survey import survey
 from isogi_core.plan.volumes.labels import Segmentation

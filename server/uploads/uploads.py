@@ -26,9 +26,9 @@ from server.errors import (
     UploadFolderError,
     UploadsOffError,
 )
-from server.render.admission import AdmissionLimit
+from server.render.bakes import attended
 from server.render.engine import RenderEngine
-from server.render.updates import attended
+from server.render.scheduling import AdmissionLimit
 from server.settings import Settings
 from server.uploads.environments import ENVIRONMENT_KIND, VOLUME_KIND, UploadedEnvironment, read_environment
 from server.uploads.folder import (

@@ -11,8 +11,8 @@ from isogi_core.bake.bake_spec import SPECS, BakeSpec, band_of, spec_for, spec_n
 from isogi_core.bake.noise import deviation
 from isogi_core.bake.refine import add
 from isogi_core.bake.texel_light import Light, Part
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.scene_plan import Layer, ScenePlan
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import ALBEDO, CONSTANT, SKY, orbital, plan_of, rotations_of, spec_of
 from tests.loaded import load_scene

@@ -17,7 +17,7 @@ from benchmarks.accuracy.sampling import (
     shots,
     vertices_of,
 )
-from isogi_core.plan.range_sampling import SPACING_KINDS
+from isogi_core.plan.projection import SPACING_KINDS
 from isogi_core.reference import trace_reference
 from isogi_report.exact import lit_by_paths
 from tests.benchmarks.parts import bench_of, figures

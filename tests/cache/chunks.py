@@ -7,7 +7,7 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec, spec_for
 from isogi_core.bake.refine import refine
-from isogi_core.cache.chunk import Chunk, Chunks
+from isogi_core.cache.chunk_record import Chunk, Chunks
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.layer import LayerStore
 from isogi_core.kernels.shading.lattice import DEFAULT_CHUNK_SIDE

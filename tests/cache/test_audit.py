@@ -13,17 +13,24 @@ import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.precision import VOID
-from isogi_core.cache.chunk import Chunk
-from isogi_core.cache.chunk_record import record_type
+from isogi_core.cache.chunk_record import Chunk, record_type
 from isogi_core.cache.chunk_store import STAMP_EVERY, ChunkStore, UseStamps
 from isogi_core.cache.costs import Cost, Costs
 from isogi_core.cache.inventory import CLAIMS_FOLDER
-from isogi_core.cache.upkeep.audit import LEFT_AFTER, Audit, Auditor, Repairer
-from isogi_core.cache.upkeep.census import census_of
-from isogi_core.cache.upkeep.prune import BUSY_SECONDS, PruneRule, delete_layers, plan_prune
+from isogi_core.cache.upkeep import (
+    BUSY_SECONDS,
+    LEFT_AFTER,
+    Audit,
+    Auditor,
+    PruneRule,
+    Repairer,
+    census_of,
+    delete_layers,
+    plan_prune,
+)
 from isogi_core.errors import StoreError
 from isogi_core.prepared.prepared_scene import Index
-from isogi_core.storage.zarr_codec import unwrap, wrap
+from isogi_core.storage.store import unwrap, wrap
 from tests.cache.chunks import TEXELS, assert_equal, baked, file_of, shown, spec_of
 
 PLACES: tuple[Index, ...] = ((0, 1, 1), (1, 1, 1), (1, 2, 0), (2, 1, 2))

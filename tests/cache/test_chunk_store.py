@@ -17,7 +17,7 @@ from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.precision import VOID
 from isogi_core.bake.refine import climb, locate
 from isogi_core.bake.texel_light import Light
-from isogi_core.cache.chunk import Chunk
+from isogi_core.cache.chunk_record import Chunk
 from isogi_core.cache.chunk_store import ChunkStore, default_store
 from isogi_core.errors import StoreAwayError, StoreError
 from isogi_core.prepared.prepared_scene import Index

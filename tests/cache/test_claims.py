@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from isogi_core.cache.claims import CONTENDED_SECONDS, Claims
+from isogi_core.cache.inventory import CONTENDED_SECONDS, Claims
 from isogi_core.storage.backend import StoredObject
 from isogi_core.storage.folder import Folder
 from isogi_core.storage.store import Store

@@ -19,13 +19,11 @@ from numcodecs.zstd import Zstd
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.precision import VOID
 from isogi_core.bake.texel_light import Light, Part
-from isogi_core.cache.chunk import Chunk
-from isogi_core.cache.chunk_record import facts_in
+from isogi_core.cache.chunk_record import Chunk, facts_in
 from isogi_core.cache.layer import LayerStore, joined
 from isogi_core.errors import DamagedChunkError, StoreError, StoreReadOnlyError
 from isogi_core.prepared.prepared_scene import Index
-from isogi_core.storage.backend import StoredObject
-from isogi_core.storage.url import StoreUrl
+from isogi_core.storage.backend import StoredObject, StoreUrl
 from tests.bake.texels import same
 from tests.cache.chunks import CONSTANT, TEXELS, baked, file_of, spec_of
 from tests.s3 import S3Server

@@ -21,7 +21,7 @@ from isogi_core.cache.page_pool import PagePool
 from isogi_core.errors import Cancelled, StoreAwayError, StoreError
 from isogi_core.frame.tiles import Tiles
 from isogi_core.prepared.prepared_scene import Index
-from isogi_core.storage.url import StoreUrl
+from isogi_core.storage.backend import StoreUrl
 from tests.cache.chunks import file_of
 from tests.s3 import Call, S3Server
 

@@ -17,7 +17,7 @@ from typing import Any, Self
 import httpx
 import psutil
 
-from worker.certificates import show_certificate, temporary_security
+from worker.pool import show_certificate, temporary_security
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 LONG = 240.0

@@ -8,8 +8,8 @@ from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
+from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
-from isogi_core.storage.url import StoreUrl
 from server.render.engine import RenderEngine
 from worker.tasks import BakeTask, bake
 

@@ -9,7 +9,7 @@ CALENDAR = {"time.time", "datetime.now", "datetime.utcnow", "datetime.today", "t
 TOLD_TO_PEOPLE = {
     "server/render/jobs.py",  # when a job began and ended, and until when it is known
     "isogi_core/storage/store.py",  # how old objects are, by the dates that the store gives them
-    "worker/certificates.py",  # from when to when a certificate is good, a hundred years
+    "worker/pool.py",  # from when to when a certificate is good, a hundred years
 }
 
 

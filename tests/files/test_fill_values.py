@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.fill_values import find_fill, without_fill
 from isogi_core.files.grid import Grid
 from isogi_core.files.nrrd import read_nrrd
+from isogi_core.files.packing import find_fill, without_fill
 from tests.loaded import load_scene
 
 Z, Y, X = np.mgrid[:12, :48, :48]

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.nrrd import read_attached, read_nrrd
-from isogi_core.files.nrrd_header import MAX_HEADER
+from isogi_core.files.nrrd import MAX_HEADER, read_attached, read_nrrd
 from isogi_core.model.volume import make_volume
 
 RAMP = np.arange(24).reshape(2, 3, 4)

@@ -9,8 +9,7 @@ import pytest
 import zarr
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.grid import LabelName
-from isogi_core.files.right_angles import on_right_angles
+from isogi_core.files.grid import LabelName, on_right_angles
 from isogi_core.files.zarr_volume import open_zarr
 from isogi_core.model.orientation import Orientation
 from tests.loaded import load_scene

@@ -9,8 +9,14 @@ import pytest
 from PIL import Image
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.light_files import LitMesh
-from isogi_core.files.usd_files import BLOCK_TEXELS, MAX_TEXTURE_SIDE, light_texture, texture_places, usdz_package
+from isogi_core.files.light_files import (
+    BLOCK_TEXELS,
+    MAX_TEXTURE_SIDE,
+    LitMesh,
+    light_texture,
+    texture_places,
+    usdz_package,
+)
 from server.exports.lit_files import usdz_bytes
 
 RNG = np.random.default_rng(7)

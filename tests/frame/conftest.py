@@ -22,9 +22,8 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import Demand
-from isogi_core.model.environment import pixel_directions
+from isogi_core.model.environment import LUMINANCE_WEIGHTS, pixel_directions
 from isogi_core.model.scene_plan import MAX_SAMPLES
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.scene import Scene

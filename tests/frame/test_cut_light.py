@@ -3,7 +3,7 @@
 import numpy as np
 
 from isogi_core.model.view import View
-from isogi_core.plan.volumes.cuts import cut_away
+from isogi_core.plan.volumes.masks import cut_away
 from tests.frame.conftest import MIDDLE, Workbench, scene_of, shell
 
 

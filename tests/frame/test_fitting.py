@@ -9,7 +9,7 @@ import pytest
 from isogi_core.frame.fitting import FILLED, Stand, fitted, fitted_to_all, nearest
 from isogi_core.model.view import PROJECTIONS, Vec3, View, orbit
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.first_view import FRONT, SKEW_AZIMUTHS, front_of
+from isogi_core.plan.isovalue_presets import FRONT, SKEW_AZIMUTHS, front_of
 from tests.frame.conftest import Workbench
 from tests.loaded import load_scene
 

@@ -20,7 +20,7 @@ from isogi_core.kernels.shading.irradiance_ratio import MIN_UNSHADOWED
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
 from isogi_core.kernels.transport.lights import unshadowed
-from isogi_core.kernels.transport.texel_points import TEXEL_PROJECTED, project_texels
+from isogi_core.kernels.transport.transfer import TEXEL_PROJECTED, project_texels
 from isogi_core.model.view import Camera, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene

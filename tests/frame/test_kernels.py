@@ -14,7 +14,7 @@ from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.light_paths import light_in_the_open
 from isogi_core.kernels.transport.lights import project_lamps
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
-from isogi_core.kernels.transport.texel_points import measure_distances
+from isogi_core.kernels.transport.transfer import measure_distances
 from isogi_core.plan.scene import Scene
 from tests.loaded import load_scene
 from tests.scale import COMPILED
@@ -35,7 +35,7 @@ import json, os, sys, tempfile
 from dataclasses import replace
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.cache.chunk import Chunk, Chunks
+from isogi_core.cache.chunk_record import Chunk, Chunks
 from isogi_core.frame.film import develop
 from isogi_core.frame.entry_kernels import frame_kernels
 from isogi_core.frame.renderer import Renderer

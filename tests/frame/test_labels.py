@@ -7,7 +7,7 @@ from typing import Any
 import nrrd
 import numpy as np
 
-from isogi_core.model.window import read_window
+from isogi_core.model.view import read_window
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.volumes.labels import smooth
 from tests.frame.conftest import CONSTANT, SKY, Workbench, chunks_of, rmse_of_colours

@@ -13,7 +13,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import PAIRED, first_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
 from isogi_core.kernels.shading.lattice import BURIED_GRADE, LIGHT_NUMBERS, PARTIAL_GRADE, UNBAKED_GRADE, VOID_GRADE
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from tests.frame.conftest import SKY, Workbench, reading_of, refine_chunk, relative_rmse
 from tests.loaded import load_scene
 

@@ -15,7 +15,7 @@ from isogi_core.frame.texel_reading import read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.kernels.shading.lattice import BURIED_GRADE
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import IDENTITY, VIEW_SHADINGS, Camera, View, quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, ball, luminance, relative_rmse, scene_of

@@ -13,8 +13,7 @@ from isogi_core.bake.bake_spec import spec_for
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.lighting import KEY_SHARE, RotatedLight, shoulder_light
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, evaluate
-from isogi_core.model.environment import pixel_directions, solid_angles
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS, pixel_directions, solid_angles
 from isogi_core.model.view import IDENTITY, Camera, Quaternion, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import UNSHADOWED_ORDER, PreparedScene

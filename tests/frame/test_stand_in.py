@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.stand_in import StandIn
+from isogi_core.frame.texel_shading import StandIn
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
-from isogi_core.model.view import View
-from isogi_core.model.window import read_window
+from isogi_core.model.view import View, read_window
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.volumes.cuts import NORMAL_REACH, cut_away, voxels_left
+from isogi_core.plan.volumes.masks import NORMAL_REACH, cut_away, voxels_left
 from tests.frame.conftest import Workbench, scene_of, shell
 
 CUT = "x>16"

@@ -9,9 +9,8 @@ import pytest
 
 from isogi_core.frame.surface_point import point_at
 from isogi_core.model.orientation import Orientation, triple
-from isogi_core.model.view import View
+from isogi_core.model.view import View, read_window
 from isogi_core.model.volume import Volume
-from isogi_core.model.window import read_window
 from isogi_core.plan.scene import Scene
 from tests.frame.conftest import MIDDLE, Workbench, ball, scene_of, shell
 from tests.loaded import load_scene

@@ -8,8 +8,7 @@ import pytest
 from isogi_core.frame.gbuffer import GBuffer, trace
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
-from isogi_core.model.view import View
-from isogi_core.model.window import Window, read_window
+from isogi_core.model.view import View, Window, read_window
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import MIDDLE, Workbench, scene_of, shell
 

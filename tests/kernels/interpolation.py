@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from isogi_core.kernels.tracing.field import bspline, bspline_slope
-from isogi_core.kernels.tracing.plateaus import MAX_SHIFT_VOXELS, STEP_VOXELS
+from isogi_core.kernels.tracing.stiffness import MAX_SHIFT_VOXELS, STEP_VOXELS
 
 
 def smoothed(voxels, p):

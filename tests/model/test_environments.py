@@ -7,10 +7,18 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import SceneError
-from isogi_core.model.environment import pixel_directions, solid_angles
-from isogi_core.model.environments import FORMULAS, GALLERY_HALF_SIZES, GROUND, SKYLIGHTS, SOFT_BOXES, environment_image
+from isogi_core.model.environment import (
+    FORMULAS,
+    GALLERY_HALF_SIZES,
+    GROUND,
+    LUMINANCE_WEIGHTS,
+    SKYLIGHTS,
+    SOFT_BOXES,
+    environment_image,
+    pixel_directions,
+    solid_angles,
+)
 from isogi_core.model.lights import ENVIRONMENTS, EnvironmentLight, ProbeLight, light_named
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
 DIRECTIONS, ANGLES = pixel_directions(128, 256), solid_angles(128, 256)
 

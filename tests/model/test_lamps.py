@@ -9,10 +9,9 @@ from scipy.special import sph_harm_y
 
 from isogi_core.errors import SceneError
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, POINT
-from isogi_core.model.environment import gather_lamps
+from isogi_core.model.environment import LUMINANCE_WEIGHTS, gather_lamps
 from isogi_core.model.lights import AreaLight, ConstantLight, DirectionalLight, Lamp, PointLight
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.plan.scene import Scene
 from tests.loaded import load_scene
 

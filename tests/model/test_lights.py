@@ -10,7 +10,17 @@ import pytest
 
 from isogi_core.errors import LightError, SceneError
 from isogi_core.files.radiance import write_hdr
-from isogi_core.model.environment import cumulative, mean_radiance, pixel_directions, resample, solid_angles
+from isogi_core.model.environment import (
+    LUMINANCE_WEIGHTS,
+    SUN_ILLUMINANCE,
+    cumulative,
+    mean_radiance,
+    pixel_directions,
+    resample,
+    sky_image,
+    solid_angles,
+    sun_direction,
+)
 from isogi_core.model.lights import (
     AreaLight,
     ConstantLight,
@@ -20,7 +30,6 @@ from isogi_core.model.lights import (
     SkyLight,
     light_from_mapping,
 )
-from isogi_core.model.sky import LUMINANCE_WEIGHTS, SUN_ILLUMINANCE, sky_image, sun_direction
 from isogi_core.plan.lighting import assemble_environment
 
 HERE = Path("scenes")

@@ -20,9 +20,8 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import Demand
-from isogi_core.model.environment import pixel_directions
+from isogi_core.model.environment import LUMINANCE_WEIGHTS, pixel_directions
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.scene import Scene

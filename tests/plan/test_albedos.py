@@ -7,9 +7,9 @@ import pytest
 
 from isogi_core.errors import SceneError
 from isogi_core.model.scene_plan import Layer
-from isogi_core.plan.albedos import MAX_NODES, choose_nodes, mixing_error, mixing_weights, spread_nodes
 from isogi_core.plan.budget import MIXING
 from isogi_core.plan.left_out import percent
+from isogi_core.plan.surfaces import MAX_NODES, choose_nodes, mixing_error, mixing_weights, spread_nodes
 from tests.loaded import load_scene
 
 SKY = {"type": "sky", "sun_azimuth": 20.0, "sun_elevation": 35.0}

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.bake.refine import locate, sample_transfer
 from isogi_core.kernels.transport.harmonics import MAX_ORDER, rotate
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.lights import ProbeLight
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.plan.bands import (
     DECAY,
     TRANSFER_DIRECT,

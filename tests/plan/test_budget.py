@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.bake.texel_light import Light
 from isogi_core.frame.lighting import rotated_by
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.lights import ConstantLight, ProbeLight, SkyLight
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.plan.bands import project_environment
 from isogi_core.plan.budget import harmonics_error, rounding_error, tail_of_bounces
 from isogi_core.plan.inputs import PlanOverrides

@@ -11,7 +11,7 @@ from isogi_core.model.environment import pixel_directions, solid_angles
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.assembly import load_scene as load
 from isogi_core.plan.bands import project_image
-from isogi_core.plan.first_view import (
+from isogi_core.plan.isovalue_presets import (
     FALL,
     FRONT,
     MAX_SHOWN_ALBEDO,

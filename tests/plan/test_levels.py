@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.levels import find_levels, levels_around
+from isogi_core.plan.surfaces import find_levels, levels_around
 from tests.frame.conftest import ball
 
 LEVELS = (10.0, 20.0, 40.0, 50.0)

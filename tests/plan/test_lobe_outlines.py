@@ -6,8 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from isogi_core.model.environment import pixel_directions, solid_angles
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS, pixel_directions, solid_angles
 from isogi_core.plan.lobe_choice import MAX_SOLID_ANGLE, Outline, grow_lobe, lobe_of, moments_of, neighbours, outlines
 
 SHAPE = (128, 256)

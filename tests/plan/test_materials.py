@@ -7,8 +7,8 @@ import pytest
 from isogi_core.errors import SceneError
 from isogi_core.model.material import DIFFUSE, Material
 from isogi_core.model.scene_plan import LeftOut
-from isogi_core.plan.materials import unrefracted
 from isogi_core.plan.scene import INSIDE_KIND
+from isogi_core.plan.surfaces import unrefracted
 from tests.loaded import load_scene
 
 GLASS, INSIDE = {"material": "glass"}, {"material": "subsurface"}

@@ -12,7 +12,7 @@ import nrrd
 import numpy as np
 import pytest
 
-from isogi_core.files.regular import in_short, open_regular, read_small
+from isogi_core.files.packed_files import in_short, open_regular, read_small
 
 VOLUME = 'volume = "v.nrrd"\n'
 LIGHT = '[[lights]]\ntype = "point"\nposition = [1, 2, 3]\nintensity = 1\n'

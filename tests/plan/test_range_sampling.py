@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isogi_core.model.volume import Volume, make_volume
-from isogi_core.plan.range_sampling import (
+from isogi_core.plan.projection import (
     RANGE_BINS,
     SLIDER_STOPS,
     find_stops,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from isogi_core.prepared.voxel_codes import IdleVoxels
+from isogi_core.prepared.active_cell_maps import IdleVoxels
 
 LOW, HIGH = 0.45, 0.5
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isogi_core.model.volume import make_volume
-from isogi_core.prepared.voxel_codes import HOLE_CODE, SLAB_CODE_BYTES, VoxelCodes, find_codes
+from isogi_core.prepared.active_cell_maps import HOLE_CODE, SLAB_CODE_BYTES, VoxelCodes, find_codes
 
 RNG = np.random.default_rng(3)
 

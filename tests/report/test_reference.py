@@ -9,7 +9,7 @@ import pytest
 
 from isogi_core.errors import Cancelled, ReportError
 from isogi_core.frame.renderer import Renderer
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.reference import load_reference, save_reference, trace_reference, with_bounces
 from tests.frame.conftest import CONSTANT, SKY, Workbench, ball, scene_of
 from tests.loaded import load_scene

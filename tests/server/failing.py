@@ -9,8 +9,8 @@ from uuid import uuid4
 
 import pytest
 
+from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.folder import Folder
-from isogi_core.storage.url import StoreUrl
 from tests.s3 import Call, Fault, S3Server
 
 CALLS = ("get", "put", "create_sentinel", "folders", "check_writable")

@@ -13,7 +13,7 @@ from fastapi import FastAPI, Request
 from starlette.responses import Response
 from websockets.asyncio.client import connect
 
-from server.api.shutdown import Closing, GracefulShutdown
+from server.api.lifespan import Closing, GracefulShutdown
 from server.cli.serve import Server, listen
 from server.render.metrics import Metrics
 from server.settings import Settings

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.scene_plan import MIN_SAMPLES
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from tests.stability.scenes import (
     ABOVE,
     CONSTANT,

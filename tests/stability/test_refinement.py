@@ -20,7 +20,7 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.model.window import read_window
+from isogi_core.model.view import read_window
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import refine_chunk

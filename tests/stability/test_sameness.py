@@ -31,7 +31,7 @@ from isogi_core.plan.scene import CHUNK_SIDES, Scene
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.runs import Run, serially
-from isogi_core.storage.url import StoreUrl
+from isogi_core.storage.backend import StoreUrl
 from isogi_report.bake import UNREACHED_TARGET
 from isogi_report.speed import bake_chunks, wanted_of
 from tests.loaded import load_scene

@@ -22,10 +22,9 @@ from isogi_core.errors import (
     StoreReadOnlyError,
     StoreUrlError,
 )
-from isogi_core.storage.backend import StoredObject
+from isogi_core.storage.backend import StoredObject, StoreUrl
 from isogi_core.storage.local_copies import Copies
 from isogi_core.storage.store import CHECKED, SENTINEL_CONTENT, SENTINEL_KEY, Store
-from isogi_core.storage.url import StoreUrl
 from tests.s3 import ACCESS_KEY, SECRET_KEY, Fault, S3Server
 from tests.worker.clock import Clock
 

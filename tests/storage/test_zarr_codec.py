@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import DamagedChunkError
-from isogi_core.storage.zarr_codec import unwrap, unwrap_all, wrap
+from isogi_core.storage.store import unwrap, unwrap_all, wrap
 
 RNG = np.random.default_rng(3)
 RECORD = RNG.integers(0, 9, 200).astype(np.uint8)

@@ -14,7 +14,7 @@ from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, ScenePlan
 from isogi_core.prepared.prepared_scene import Index
-from isogi_core.storage.url import StoreUrl
+from isogi_core.storage.backend import StoreUrl
 from worker.bake_requests import GUEST_VIEWER, MOST_FAILURES, Viewer
 from worker.baker import (
     CLEAR_CORES_SECONDS,

@@ -2,7 +2,7 @@
 
 from distributed import Security
 
-from worker.certificates import temporary_security
+from worker.pool import temporary_security
 
 
 def test_each_cluster_has_a_key_of_its_own() -> None:

@@ -11,8 +11,8 @@ import pytest
 from isogi_core.kernels._jit import entries_of
 from tests.server.sockets import wait_for
 from worker.fork_server import START_METHOD, WORKER_PROCESS_NAME
-from worker.kernels import bake_kernels
 from worker.pool import WorkerPool
+from worker.tasks import bake_kernels
 
 pytestmark = pytest.mark.skipif(START_METHOD != "forkserver", reason="workers are spawned on this system")
 

@@ -11,10 +11,9 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import cut_open
 from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
-from isogi_core.storage.url import StoreUrl
-from worker.keeping import Whole
-from worker.tasks import BakeResult, BakeTask, bake, open_spec
+from worker.tasks import BakeResult, BakeTask, Whole, bake, open_spec
 
 WHOLE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=2, target_error=0.05)
 INDEX = (1, 1, 1)

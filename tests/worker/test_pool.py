@@ -25,14 +25,13 @@ from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.kernels._compilation import warm, with_callees
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
-from isogi_core.storage.url import StoreUrl
 from worker.baker import Baker
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
-from worker.kernels import OPENING_KERNELS, PLAIN_LAYER_KINDS, bake_kernels
 from worker.niceness import BACK_NICENESS, FORWARD_NICENESS, WORKER_NICENESS
 from worker.pool import CLUSTER_SETTINGS, TASKS_AHEAD, OwnClient, WorkerPool, hand_on_result
-from worker.tasks import BakeResult, BakeTask, open_spec
+from worker.tasks import OPENING_KERNELS, PLAIN_LAYER_KINDS, BakeResult, BakeTask, bake_kernels, open_spec
 
 pytestmark = pytest.mark.cluster
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5)

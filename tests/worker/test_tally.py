@@ -14,7 +14,7 @@ from isogi_core.cache.costs import Cost, Costs
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import Layer, ScenePlan
-from isogi_core.storage.url import StoreUrl
+from isogi_core.storage.backend import StoreUrl
 from tests.worker.clock import Clock
 from worker.baker import Bake, Baker
 from worker.pool import Done, WorkerPool

@@ -19,16 +19,17 @@ from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, 
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import SENTINEL_KEY, Store
-from isogi_core.storage.url import StoreUrl
-from worker.kernels import PLAIN_LAYER_KINDS, bake_kernels
 from worker.tasks import (
     BAKED_ELSEWHERE,
     OPEN,
+    PLAIN_LAYER_KINDS,
     BakeResult,
     BakeTask,
     bake,
     bake_all,
+    bake_kernels,
     claims_of,
     dask_setup,
     open_spec,

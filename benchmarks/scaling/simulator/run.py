@@ -20,8 +20,8 @@ from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import Layer, ScenePlan
 from isogi_core.prepared.prepared_scene import Index
+from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
-from isogi_core.storage.url import StoreUrl
 from worker.bake_requests import Viewer
 from worker.baker import Bake, Baker
 from worker.pool import Done, WorkerPool

@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.dicom_segments import (
+from isogi_core.files.formats.dicom_stack import (
     SEGMENT_TAGS,
+    Slice,
     is_segmentation,
     numbered,
     overlaid,
     segment_in,
     segments_of,
+    stack_of,
 )
-from isogi_core.files.formats.dicom_stack import Slice, stack_of
 from isogi_core.files.formats.source import (
     LUMINANCE_NOTE,
     Source,
@@ -29,10 +30,9 @@ from isogi_core.files.formats.source import (
     reading,
 )
 from isogi_core.files.grid import PATIENT_AXES, Affine, Grid, read_as
-from isogi_core.files.packed_files import READ_BYTES
+from isogi_core.files.packed_files import READ_BYTES, open_regular
 from isogi_core.files.packing import Packing, Scaling, holed
-from isogi_core.files.regular import open_regular
-from isogi_core.files.zarr_location import stamp_of
+from isogi_core.files.zarr_volume import stamp_of
 
 DECODER_PACKAGES = {"JPEG-LS": "pyjpegls", "JPEG 2000": "pylibjpeg pylibjpeg-openjpeg", "JPEG": "python-gdcm"}
 """What to install for pixels packed in some way, by a part of its name; all under free licences without conditions."""

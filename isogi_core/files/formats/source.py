@@ -13,9 +13,16 @@ import numpy as np
 
 from isogi_core.errors import IsogiError, VolumeError
 from isogi_core.files.grid import MAX_VOXELS, SINGLE_MOMENT, Shape, slab_layers
-from isogi_core.files.packed_files import PACKING_DAMAGE, READ_BYTES, Content, content_of, cut_notes, read_end
-from isogi_core.files.regular import open_regular
-from isogi_core.files.zarr_location import stamp_of
+from isogi_core.files.packed_files import (
+    PACKING_DAMAGE,
+    READ_BYTES,
+    Content,
+    content_of,
+    cut_notes,
+    open_regular,
+    read_end,
+)
+from isogi_core.files.zarr_volume import stamp_of
 
 FILE_CHOICES = ("level", "channel", "time", "series", "raw", "part")
 """What may be chosen of a file; ``part`` is a path inside it, and ``raw`` says what bare voxels are."""

@@ -23,7 +23,7 @@ from isogi_core.files.formats.source import (
 )
 from isogi_core.files.grid import SINGLE_MOMENT, Grid, Shape
 from isogi_core.files.packing import Packing, Scaling, holed
-from isogi_core.files.zarr_location import stamp_of
+from isogi_core.files.zarr_volume import stamp_of
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 TIFF_UNITS = {"micron": "µm", "um": "µm", "\\u00B5m": "µm", "µm": "µm", "nm": "nm", "mm": "mm", "cm": "cm", "pixel": ""}

@@ -1,19 +1,143 @@
-"""Blocks: the light of one chunk as bytes that a page puts into textures; docs/card.md has the layout.
+"""Blocks: the light of one chunk as bytes for textures of a visitor's graphics card; docs/card.md has the layout.
 
 Pages without a server get transfer in few bits: whole numbers of steps, as fine as the light asks.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec, band_of
-from isogi_core.frame.card.chunk_texels import ChunkTexels
-from isogi_core.frame.view_texels import ViewTexels
+from isogi_core.bake.noise import Until
+from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.cache.loader import Loader
+from isogi_core.cache.page_pool import PagePool
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.known_blocks import Block, Packed
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.shading import FILTER_DISTANCES, fill_texel_records, filter_texel_light, light_sources
+from isogi_core.frame.texel_reading import Reading, read_texels
+from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.unlit_view import undrawn_frame
+from isogi_core.frame.view_texels import ViewTexels, own_normals
+from isogi_core.kernels.shading.filtering import Numbering
 from isogi_core.kernels.shading.framebuffer import FINAL
-from isogi_core.kernels.shading.lattice import BURIED_GRADE, PARTIAL_GRADE, VOID_GRADE
+from isogi_core.kernels.shading.irradiance_ratio import DIRECT_COLUMN, REFLECTED_COLUMN
+from isogi_core.kernels.shading.lattice import BURIED_GRADE, PARTIAL_GRADE, UNLIT_ROW, VOID_GRADE
+from isogi_core.model.view import View
+from isogi_core.prepared.prepared_scene import Index, PreparedScene
+
+
+@dataclass(frozen=True, eq=False)
+class ChunkTexels:
+    """All texels of ``chunks`` that hold light, or are known to have none, and what is read of them.
+
+    ``texels`` are of those chunks alone that have any, in the same order; ``versions`` of all, 8 bytes each: they say
+    how far each chunk is baked.
+    """
+
+    chunks: tuple[Index, ...]
+    versions: tuple[bytes, ...]
+    texels: ViewTexels
+    reading: Reading
+
+
+class Occupied(NamedTuple):
+    """Chunks that have any texels, their ``slots`` in a pool, and which texels are ``there``, (chunks, texels) bool."""
+
+    chunks: tuple[Index, ...]
+    slots: np.ndarray
+    there: np.ndarray
+
+
+@contextmanager
+def hold_texels(
+    loader: Loader, chunks: Sequence[Index], target: float, tiles: Tiles, around: Sequence[Index] = ()
+) -> Iterator[tuple[ChunkTexels, PagePool]]:
+    """The texels of ``chunks``, in the pool that holds them while the block runs; final at the ``target`` error.
+
+    Of those ``around`` which chunks are filtered, where any are named, only the texels that the filter reads. Raises
+    what ``Loader.ensure`` does.
+    """
+    loader.ensure(chunks, tiles.check)
+    pool, prepared = loader.pool, loader.chunk_store.spec.prepared
+    with pool.hold(chunks) as held:
+        versions = tuple(map(pool.version, held.slots.tolist()))
+        near = near_texels(chunks, around, prepared) if around else None
+        occupied = find_occupied(pool, tuple(chunks), held.slots, near)
+        texels = number_texels(occupied, prepared)
+        yield (
+            ChunkTexels(
+                tuple(chunks),
+                versions,
+                texels,
+                read_texels(texels, occupied.slots, pool, Until(target, FIRST_LEVEL), tiles),
+            ),
+            pool,
+        )
+
+
+def find_occupied(pool: PagePool, chunks: tuple[Index, ...], slots: np.ndarray, near: np.ndarray | None) -> Occupied:
+    """Which ``chunks`` in ``slots`` of a pool, -1 where absent, hold any texels, and which; of those ``near`` alone."""
+    there = np.where(slots[:, None] >= 0, pool.table[slots] != UNLIT_ROW, False)
+    if near is not None:
+        there &= near
+    some = np.flatnonzero(there.any(axis=1))
+    return Occupied(tuple(chunks[i] for i in some.tolist()), slots[some], there[some])
+
+
+def near_texels(chunks: Sequence[Index], around: Sequence[Index], prepared: PreparedScene) -> np.ndarray:
+    """Which texels of ``chunks`` the filter reads for the chunks ``around`` which they lie; (chunks, texels) bool."""
+    side, reach = prepared.lattice.chunk, min(sum(FILTER_DISTANCES), prepared.lattice.chunk)
+    parts = {-1: slice(side - reach, side), 0: slice(0, side), 1: slice(0, reach)}
+    near = np.zeros((len(chunks), side, side, side), np.bool_)
+    numbers = {at: number for number, at in enumerate(chunks)}
+    for z, y, x in around:
+        for k, j, i in product(parts, repeat=3):
+            if (number := numbers.get((z + k, y + j, x + i))) is not None:
+                near[number, parts[k], parts[j], parts[i]] = True
+    return near.reshape(len(chunks), -1)
+
+
+def number_texels(occupied: Occupied, prepared: PreparedScene) -> ViewTexels:
+    """The texels that are there, numbered as a view that shows no point of the surface would number them."""
+    lattice, (chunks, _, there) = prepared.lattice, occupied
+    read = texel_words(there.reshape(-1, lattice.chunk))
+    first = np.zeros(len(read) + 1, np.uint32)
+    np.cumsum(np.bitwise_count(read), out=first[1:])
+    slots = np.full(prepared.chunks, -1, np.int32)
+    slots[tuple(np.array(chunks, np.int64).reshape(-1, 3).T)] = np.arange(len(chunks))
+    places, bounds = np.flatnonzero(there).astype(np.uint32), first[:: lattice.rows].copy()
+    corners, nowhere = np.empty((0, 8), np.uint32), np.empty((0, 3), np.float32)
+    points = GBuffer.of_points(prepared.surface(prepared.scene.isovalue), (0.0, 0.0, 0.0), nowhere)
+    return ViewTexels(points, lattice, chunks, places, bounds, corners, Numbering(slots, read, first))
+
+
+def texel_words(rows: np.ndarray) -> np.ndarray:
+    """Rows (m, n) bool of at most 32 as the bits of words, the first one lowest; (m,) uint32."""
+    bits = np.packbits(rows, axis=1, bitorder="little")
+    return np.pad(bits, ((0, 0), (0, 4 - bits.shape[1]))).view("<u4")[:, 0].astype(np.uint32)
+
+
+def with_neighbours(chunks: Sequence[Index], prepared: PreparedScene) -> tuple[Index, ...]:
+    """The ``chunks``, in their order, and after them all others that touch one of them."""
+    found = dict.fromkeys(chunks)
+    for z, y, x in chunks:
+        around = ((z + k, y + j, x + i) for k, j, i in product((-1, 0, 1), repeat=3))
+        found.update(dict.fromkeys(each for each in around if is_inside(each, prepared.chunks)))
+    return tuple(found)
+
+
+def is_inside(index: Index, shape: tuple[int, int, int]) -> bool:
+    """Whether there is a chunk of this ``index`` in a lattice of so many chunks."""
+    return all(0 <= i < n for i, n in zip(index, shape, strict=True))
+
 
 BLOCK_MARK = b"ISOB"
 """What a block begins with."""
@@ -214,3 +338,193 @@ def band_means(light: np.ndarray) -> np.ndarray:
     bands = band_of(round(light.shape[1] ** 0.5))
     sums = np.stack([np.bincount(bands, each**2) for each in light]) / np.bincount(bands)
     return np.asarray(np.sqrt(sums)[:, bands])
+
+
+CHUNKS = 64
+"""Chunks that are packed together at most."""
+
+SEEN_BYTES = 256
+"""Bytes that a chunk in a list of those seen takes in memory."""
+
+LEAST_SCATTER = 2.0**-20
+"""What scatter counts as at least, so that its logarithm is a number."""
+
+
+def known_light(renderer: Renderer, view: View, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
+    """``fold_chunks``, of which each is folded once for all that ask for it. Raises as that does."""
+    kind = FOLDED, view.light, view.albedo, target
+    return known(renderer, kind, chunks, lambda some: fold_chunks(renderer, view, some, target, tiles), tiles)
+
+
+def known_transfer(renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
+    """``transfer_chunks``, of which each is packed once for all that ask for it. Raises as that does."""
+    return known(renderer, (RAW, target), chunks, lambda some: transfer_chunks(renderer, some, target, tiles), tiles)
+
+
+def known(
+    renderer: Renderer, kind: Hashable, chunks: Sequence[Index], make: Callable[[Sequence[Index]], Packed], tiles: Tiles
+) -> Packed:
+    """Blocks of a ``kind`` that the renderer knows, or that ``make`` makes."""
+    return renderer.blocks.find(kind, chunks, renderer.caches.of("gi"), make, tiles.check)
+
+
+def fold_chunks(renderer: Renderer, view: View, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
+    """``chunks`` under the light of a ``view``, filtered where it is grainy; final at the ``target`` error.
+
+    Records are those that ``carry_irradiance_ratios`` is given. Raises Cancelled, and what ``Loader.ensure`` does.
+    """
+    light = RotatedLight(renderer.caches.spec("gi"), view)
+    with hold_filtering(renderer, chunks, target, tiles) as (found, pool):
+        lit = light_sources(found.reading.sources(pool), light, tiles)
+    about, reading = normals_of(renderer, found.texels, tiles), found.reading
+    if reading.grainy.any():
+        reading, lit = filter_texel_light(found.texels, reading, lit, about, light, tiles)
+    records = fill_texel_records(reading.grade, lit, about, light, tiles)
+    values = np.column_stack(
+        [records[:, DIRECT_COLUMN : DIRECT_COLUMN + 3], records[:, REFLECTED_COLUMN : REFLECTED_COLUMN + 3]]
+    )
+    return packed(found, pack(found, about, values, FOLDED), len(chunks), renderer.prepared)
+
+
+def transfer_chunks(renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles) -> Packed:
+    """``chunks`` with the ``raw_numbers`` of their texels, which fold to light and filter it wherever they are drawn.
+
+    Raises as ``fold_chunks``.
+    """
+    found, about, numbers = read_raw(renderer, chunks, target, tiles)
+    return Packed(tuple(map(Block, pack(found, about, numbers, RAW), found.versions)))
+
+
+def packed(found: ChunkTexels, blocks: Iterator[bytes], count: int, prepared: PreparedScene) -> Packed:
+    """The first ``count`` of some ``blocks`` of light, with the versions of all that it comes from."""
+    versions = dict(zip(found.chunks, found.versions, strict=True))
+    filtered = bool(found.reading.grainy.any())
+    return Packed(
+        tuple(
+            Block(data, versions[at], {n: versions[n] for n in with_neighbours([at], prepared)[1:]} if filtered else {})
+            for at, data in zip(found.chunks[:count], blocks, strict=False)
+        )
+    )
+
+
+def coded_chunks(
+    renderer: Renderer, chunks: Sequence[Index], target: float, coding: Coding, tiles: Tiles
+) -> tuple[bytes, ...]:
+    """The blocks of ``chunks`` with the ``raw_numbers`` of their texels in few bits. Raises as ``fold_chunks``."""
+    found, about, numbers = read_raw(renderer, chunks, target, tiles)
+    return tuple(pack(found, about, coding.codes(numbers), CODED))
+
+
+def read_raw(
+    renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles
+) -> tuple[ChunkTexels, np.ndarray, np.ndarray]:
+    """The texels of ``chunks``, the normals (m, 3) that they are lit about, and their ``raw_numbers``."""
+    with hold_texels(renderer.caches.of("gi"), chunks, target, tiles) as (found, pool):
+        numbers = raw_numbers(found.reading, pool)
+    return found, normals_of(renderer, found.texels, tiles), numbers
+
+
+@contextmanager
+def hold_filtering(
+    renderer: Renderer, chunks: Sequence[Index], target: float, tiles: Tiles
+) -> Iterator[tuple[ChunkTexels, PagePool]]:
+    """The texels of ``chunks``, and behind them those near by of all chunks that touch one, where some are grainy.
+
+    They are held in the pool while the block runs. Raises as ``fold_chunks``.
+    """
+    loader, more = renderer.caches.of("gi"), with_neighbours(chunks, renderer.prepared)
+    with hold_texels(loader, chunks, target, tiles) as held:
+        if not held[0].reading.grainy.any():
+            yield held
+            return
+    with hold_texels(loader, more, target, tiles, around=chunks) as held:
+        yield held
+
+
+def raw_numbers(reading: Reading, pool: PagePool) -> np.ndarray:
+    """What texels keep, over ``raw_scale``, and their ``noise_numbers``; (m, numbers) float32, 0 where unlit."""
+    rows, spec = reading.rows, pool.spec
+    numbers = np.where((rows >= 0)[:, None, None], pool.transfer[rows], np.float32(0.0))
+    kept = numbers.reshape(len(rows), spec.channels * spec.columns) / np.float32(raw_scale(spec))
+    return np.column_stack([kept, noise_numbers(reading, pool)])
+
+
+def noise_numbers(reading: Reading, pool: PagePool) -> np.ndarray:
+    """What the filter reads besides light: log₂ of the scatter, and ±(1 + log₂ of the samples); (m, 2) float32.
+
+    The latter is negative where light is not grainy; both are 0 where there is none.
+    """
+    lit, scatter, samples = reading.lit, pool.scatter[reading.rows], reading.samples
+    found = np.log2(np.maximum(np.column_stack([scatter, 2 * samples]), LEAST_SCATTER))
+    found[:, 1] *= np.where(reading.grainy, 1.0, -1.0)
+    return np.where(lit[:, None], found, 0.0).astype(np.float32)
+
+
+def raw_scale(spec: BakeSpec) -> float:
+    """What transfer is divided by so that half floats hold it: irradiance has met its light, and is as bright."""
+    return spec.unit if spec.plan.representation == "irradiance" else 1.0
+
+
+class SeenChunk(NamedTuple):
+    """A chunk that a view reads: its place ``at``, its ``version``, and whether all that is read of it is ``final``."""
+
+    at: Index
+    version: bytes
+    final: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """The chunks that a view reads, those first that most of its pixels do.
+
+    Where some of them are not final, a ``frame`` that is not drawn says what light it lacks.
+    """
+
+    seen: tuple[SeenChunk, ...]
+    frame: Frame | None
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes where all is final."""
+        return SEEN_BYTES * len(self.seen)
+
+    def is_current(self, loader: Loader, tiles: Tiles) -> bool:
+        """Whether nothing was baked on since. Raises what ``Loader.ensure`` does."""
+        chunks = [each.at for each in self.seen]
+        loader.ensure(chunks, tiles.check)
+        return loader.pool.versions(chunks) == tuple(each.version for each in self.seen)
+
+
+def seen_chunks(renderer: Renderer, view: View, target: float, tiles: Tiles) -> tuple[SeenChunk, ...]:
+    """The chunks that a ``view`` reads, those first that most of its pixels do. Raises as ``fold_chunks``."""
+    return look_at(renderer, view, target, tiles).seen
+
+
+def look_at(renderer: Renderer, view: View, target: float, tiles: Tiles) -> Look:
+    """What a ``view`` reads; looks at final light are kept for all that ask. Raises as ``fold_chunks``."""
+    check, loader = renderer.checks.held(view, target), renderer.caches.of("gi")
+    until = Until(target, check.known.enough if check else FIRST_LEVEL)
+    known: Look | None = renderer.looks.held((view, until))
+    if known is not None and known.is_current(loader, tiles):
+        return known
+    renderer.looks.drop((view, until))
+    look = new_look(renderer, view, until, loader, tiles)
+    return look if look.frame else renderer.looks.get((view, until), lambda: look)
+
+
+def new_look(renderer: Renderer, view: View, until: Until, loader: Loader, tiles: Tiles) -> Look:
+    """What a ``view`` reads, by its rays."""
+    texels = renderer.texels(view, renderer.gbuffer(view, tiles), tiles)
+    loader.ensure(texels.chunks, tiles.check)
+    with loader.pool.hold(texels.chunks) as held:
+        reading = read_texels(texels, held.slots, loader.pool, until, tiles)
+        versions = list(map(loader.pool.version, held.slots.tolist()))
+    read = texels.places[texels.corners].ravel() >> 3 * texels.lattice.bits
+    order = np.argsort(-np.bincount(read, minlength=len(versions)), kind="stable").tolist()
+    seen = tuple(SeenChunk(texels.chunks[i], versions[i], not reading.short[i]) for i in order)
+    return Look(seen, undrawn_frame(renderer, view, texels, reading) if reading.short.any() else None)
+
+
+def normals_of(renderer: Renderer, texels: ViewTexels, tiles: Tiles) -> np.ndarray:
+    """The normals that texels are lit about, (m, 3) float32."""
+    return own_normals(texels, texels.places, renderer.known_normals, renderer.prepared, tiles)

@@ -7,8 +7,7 @@ import numpy as np
 
 from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.frame.card.blocks import Coding
-from isogi_core.frame.card.chunk_light import normals_of, raw_numbers, raw_scale
+from isogi_core.frame.card.blocks import Coding, normals_of, raw_numbers, raw_scale
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import (
@@ -31,7 +30,7 @@ from isogi_core.frame.view_texels import carries_irradiance_ratios
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lattice import LIGHT_NUMBERS, light_texels
 from isogi_core.kernels.shading.lobes import add_lobes
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 
 CONTROLS = 256

@@ -7,8 +7,8 @@ import numpy as np
 
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.shading.picture_noise import pool_noise
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.kernels.shading.surface_points import pool_noise
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
 HALVES = 2
 """Independent randomisations, where neighbours tell of noise, too."""

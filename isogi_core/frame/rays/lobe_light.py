@@ -33,7 +33,7 @@ from isogi_core.kernels.shading.shadow_points import (
 )
 from isogi_core.kernels.tracing.cast import TracedSurface
 from isogi_core.kernels.transport.lights import LampArrays
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
 LOBE_POINTS, RIM_PAIRS, HALF_SEEN_PAIRS = 4096, 1024, 256
 """Surface points, pairs of points and lobes at edges of shadows, and such pairs in half-shadow, of a tile."""

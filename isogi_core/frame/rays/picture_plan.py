@@ -55,7 +55,7 @@ class Prices(NamedTuple):
 AWAITED = Prices()
 """Prices of a picture that somebody waits for."""
 
-PRESENT = AWAITED.of_present
+PRESENT: Prices = AWAITED.of_present
 """Prices of such a picture where there are no finer texels."""
 
 SHARED_PRICES = Prices(COUNTED_TEXEL_SHARE, 0.0).of_present

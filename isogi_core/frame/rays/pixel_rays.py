@@ -7,15 +7,15 @@ from functools import cached_property
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
-from isogi_core.bake.path_light import add_path_light
+from isogi_core.bake.refine import add_path_light
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.point_paths import add_glow, path_starts, sight_lines
 from isogi_core.frame.rays.shine import add_shine
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.transport.open_paths import Open
+from isogi_core.kernels.transport.light_paths import Open
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.plan.budget import survival_for
 
 PATH_POINTS, MAX_PATHS = 256, 1 << 16

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from isogi_core.bake.path_light import add_glow_paths, starts_at
-from isogi_core.bake.refine import seeds_of
+from isogi_core.bake.refine import add_glow_paths, seeds_of, starts_at
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.kernels.shading.surface_points import SurfacePoints

@@ -11,8 +11,7 @@ from itertools import count
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
-from isogi_core.bake.path_light import add_paths, starts_at, starts_between
-from isogi_core.bake.refine import seeds_of
+from isogi_core.bake.refine import add_paths, seeds_of, starts_at, starts_between
 from isogi_core.frame.gbuffer import NO_WALLS, GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight, triple
 from isogi_core.frame.rays.point_paths import add_glow
@@ -29,14 +28,14 @@ from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.colours import NO_COLOURS, fill_albedos
+from isogi_core.kernels.transport.light_paths import Open
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, LampArrays
 from isogi_core.kernels.transport.microfacets import ENERGY_STEPS, ShineLobe, fill_energy
-from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.ray_lights import Discs, Panels, ShineLights
 from isogi_core.kernels.transport.room_paths import Room
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.material import DULL
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.plan.budget import survival_for
 

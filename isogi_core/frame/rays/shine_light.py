@@ -29,11 +29,10 @@ from isogi_core.frame.view_checks import ViewChecks, check_key, texels_until
 from isogi_core.frame.view_texels import TexelNormals, ViewTexels
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import MIN_LIGHT
-from isogi_core.kernels.shading.shine import light_ends
-from isogi_core.kernels.shading.shine_filter import filter_shine
+from isogi_core.kernels.shading.shine import filter_shine, light_ends
 from isogi_core.lru_cache import LruCache
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.material import DULL
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
 
 MIN_RAYS, MAX_RAYS = 8, 1 << 12
 """Rays of each half from a point: so many find highlights that a few miss; and at most."""

@@ -25,7 +25,7 @@ from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffe
 from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.matter.sight import NO_SAMPLE, Chances, Leaves, see_through
 from isogi_core.lru_cache import LruCache
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
 FIRST_BREADTH, BREADTH = 8, 64
 """Places that a point sees, at most, by its first tree, and by each of those drawn while the view rests: trees with 64

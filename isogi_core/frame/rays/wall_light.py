@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
-from isogi_core.bake.path_light import starts_at
-from isogi_core.bake.refine import seeds_of
+from isogi_core.bake.refine import seeds_of, starts_at
 from isogi_core.cache.wall_store import Planes, Side, WallState, WallStore, planes_of
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
@@ -37,7 +36,7 @@ from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.shading.wall_light import WallTable, light_walls
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.lru_cache import LruCache
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.volume import Volume
 from isogi_core.prepared.prepared_scene import Surface
 

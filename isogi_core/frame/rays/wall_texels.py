@@ -12,9 +12,8 @@ from functools import cached_property
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
-from isogi_core.bake.path_light import add_paths, starts_at, starts_between
 from isogi_core.bake.precision import round_light
-from isogi_core.bake.refine import seeds_of
+from isogi_core.bake.refine import add_paths, seeds_of, starts_at, starts_between
 from isogi_core.cache.wall_store import Planes, Side, planes_of, wall_layer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import BINOMIAL, PATH_POINTS
@@ -23,7 +22,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.matter.matter_paths import Through
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.prepared.prepared_scene import Surface
 
 COARSE_WALL_TEXELS, FINE_WALL_TEXELS, MAX_WALL_TEXELS = 16, 64, 256

@@ -8,9 +8,8 @@ import numpy as np
 
 from isogi_core.frame.gbuffer import TILE_RAYS, GBuffer, PointsBeside, sight_among, view_pinhole
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.tracing.camera import Pinhole
+from isogi_core.kernels.tracing.camera import WINDOW_FACE, Pinhole, Sight
 from isogi_core.kernels.tracing.peels import FIRST_WALL_SIDE, MAX_PEELED_LAYERS, MAX_SURFACES, Peeled, Shells, peel_rays
-from isogi_core.kernels.tracing.sight import WINDOW_FACE, Sight
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.model.view import View
 from isogi_core.plan.sides import WALLS_SIDE, Side

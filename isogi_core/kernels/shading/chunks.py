@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import COUNT_ARRAY, SINGLE_ARRAY, kernel, record
 from isogi_core.kernels.shading.framebuffer import FINAL, FRAMEBUFFER, luminance
 from isogi_core.kernels.shading.lattice import CORNER_ROWS, LATTICE, UNLIT_ROW, base_texel, trilinear
 from isogi_core.kernels.shading.surface_points import PIXEL_ARRAY, POINT_ROWS
@@ -231,7 +231,6 @@ class Pages(NamedTuple):
     stamp: Any
 
 
-COUNT_ARRAY, SINGLE_ARRAY = types.int32[::1], types.float32[::1]
 PAGES = record(Pages, types.int32[:, ::1], SINGLE_ARRAY, SINGLE_ARRAY)
 
 

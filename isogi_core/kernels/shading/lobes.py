@@ -29,7 +29,6 @@ from isogi_core.kernels.shading.framebuffer import (
 )
 from isogi_core.kernels.shading.lattice import MIN_LIGHT
 from isogi_core.kernels.shading.local_models import find_unoccluded
-from isogi_core.kernels.shading.same_surface import number_at
 from isogi_core.kernels.shading.shadow_points import (
     ANY_TURN,
     ORDER_ARRAY,
@@ -40,7 +39,7 @@ from isogi_core.kernels.shading.shadow_points import (
     step_of,
     turn_of,
 )
-from isogi_core.kernels.shading.surface_points import PIXEL_ARRAY, point_of
+from isogi_core.kernels.shading.surface_points import PIXEL_ARRAY, number_at, point_of
 from isogi_core.kernels.tracing.cast import SURFACE
 from isogi_core.kernels.tracing.vec import dot, length, madd, put_column, scale
 from isogi_core.kernels.transport.lights import LAMPS, draw_from_disc, row

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import REAL_TRIPLE, kernel, record
 from isogi_core.kernels.shading.framebuffer import FINAL, FRAMEBUFFER, put_pixel
 from isogi_core.kernels.shading.surface_points import POINT_ROWS, SURFACE_POINTS, point_of
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
@@ -36,7 +36,6 @@ class LocalModel(NamedTuple):
     fog_far: float
 
 
-REAL_TRIPLE = types.UniTuple(types.float64, 3)
 REAL_NUMBER = types.float64
 LOCAL_MODEL = record(
     LocalModel, REAL_TRIPLE, REAL_TRIPLE, REAL_TRIPLE, REAL_NUMBER, REAL_NUMBER, types.boolean, REAL_NUMBER, REAL_NUMBER

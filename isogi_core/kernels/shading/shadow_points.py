@@ -11,8 +11,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.shading.same_surface import number_at
-from isogi_core.kernels.shading.surface_points import PIXEL_ARRAY, SURFACE_POINTS, point_of
+from isogi_core.kernels.shading.surface_points import PIXEL_ARRAY, SURFACE_POINTS, number_at, point_of
 from isogi_core.kernels.tracing.cast import SURFACE
 from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, launch
 from isogi_core.kernels.tracing.vec import add, length, scale, sub

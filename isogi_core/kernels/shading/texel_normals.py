@@ -5,13 +5,12 @@ import math
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel
+from isogi_core.kernels._jit import REAL_ARRAY, kernel
 from isogi_core.kernels.shading.surface_points import POINT_ROWS
 from isogi_core.kernels.tracing.field import FIELD_RECORD, SIXTH, normal, to_world_normal
-from isogi_core.kernels.tracing.plateaus import point_within
+from isogi_core.kernels.tracing.stiffness import point_within
 from isogi_core.kernels.tracing.vec import is_zero
-from isogi_core.kernels.transport.texel_points import way_to
-from isogi_core.kernels.transport.transfer import REAL_ARRAY, TEXEL_PLACES
+from isogi_core.kernels.transport.transfer import TEXEL_PLACES, way_to
 
 NEARLY = 8
 """Halvings that find a projected texel's place to a quarter of a thousandth of a voxel: enough for its normal."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import COUNT_ARRAY, INTEGER_ARRAY, REAL_ARRAY, SINGLE_ARRAY, kernel, record
 from isogi_core.kernels.shading.lattice import BURIED_ROW, LEAST_SPREAD, UNLIT_ROW, VOID_ROW
 
 INFINITE_HALF = 0x7C00
@@ -155,13 +155,11 @@ class Role(NamedTuple):
     fewest: int
 
 
-SINGLE_ARRAY, INTEGER_ARRAY = types.float32[::1], types.int64[::1]
-REAL_ARRAY = types.float64[::1]
 ROWS_RECORD = record(Rows, types.float32[:, :, ::1], SINGLE_ARRAY, SINGLE_ARRAY, SINGLE_ARRAY)
 SUMS_RECORD = record(Sums, REAL_ARRAY, REAL_ARRAY, INTEGER_ARRAY, INTEGER_ARRAY, types.uint8[::1])
 TERM_TYPES = (types.int64, types.int64, types.boolean)
 ROLE = record(Role, REAL_ARRAY, REAL_ARRAY, *TERM_TYPES, types.int64, types.boolean, types.boolean, types.int64)
-SAMPLE_COUNTS, COUNT_ARRAY = types.int32[::1], types.int32[::1]
+SAMPLE_COUNTS = types.int32[::1]
 NOISE_ROWS, LIGHT_ROWS = types.float32[:, ::1], types.float32[:, :, ::1]
 
 

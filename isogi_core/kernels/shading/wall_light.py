@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import INTEGER_ARRAY, kernel, record
 from isogi_core.kernels.shading.framebuffer import FRAMEBUFFER, luminance, put_pixel
 from isogi_core.kernels.shading.surface_points import PIXEL_ARRAY, POINT_ROWS, point_of
 from isogi_core.kernels.tracing.vec import sub
@@ -31,7 +31,6 @@ class WallTable(NamedTuple):
     states: Any
 
 
-INTEGER_ARRAY = types.int64[::1]
 WALL_TABLE = record(WallTable, types.float32[:, ::1], INTEGER_ARRAY, INTEGER_ARRAY, INTEGER_ARRAY, types.uint8[::1])
 
 

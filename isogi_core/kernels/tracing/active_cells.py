@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, plain, record
+from isogi_core.kernels._jit import SINGLE_ARRAY, kernel, plain, record
 from isogi_core.kernels.simd.memory import prefetch
 from isogi_core.kernels.tracing.field import VOXEL_ARRAY
 from isogi_core.kernels.tracing.macrocells import MACROCELL_SIDE, RANGES, SINGLE_INFINITY, blocks_along, find_ranges
@@ -19,7 +19,6 @@ POSITION_ERROR = 2.0**-20
 VALUE_ERROR = 2.0**-19
 """Rounding of a float32 trilinear value, over the largest magnitude in it."""
 
-SINGLE_ARRAY = types.float32[::1]
 WORD_ARRAY = types.int32[::1]
 EMPTY = types.boolean[::1]
 

@@ -1,16 +1,21 @@
-"""The pinhole camera and the G-buffer: where the surface is behind each pixel."""
+"""The pinhole camera and the G-buffer: the surface, wall or window face behind each pixel."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import REAL_ROWS, REAL_TRIPLE, kernel, record
+from isogi_core.kernels.simd.maths import where
+from isogi_core.kernels.simd.memory import load, store
+from isogi_core.kernels.simd.types import PATH_WIDTH
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
+from isogi_core.kernels.tracing.field import VOXEL_ARRAY, value
 from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.tracing.ray_stream import Rays
-from isogi_core.kernels.tracing.vec import column, madd, put_column
+from isogi_core.kernels.tracing.vec import column, load_columns, madd, put_column
+from isogi_core.kernels.tracing.walls import NO_WALL, WALLS_RECORD, inner, nearest_wall
 
 
 class Pinhole(NamedTuple):
@@ -25,7 +30,6 @@ class Pinhole(NamedTuple):
     down: tuple[float, float, float]
 
 
-REAL_TRIPLE = types.UniTuple(types.float64, 3)
 PINHOLE = record(Pinhole, REAL_TRIPLE, REAL_TRIPLE, REAL_TRIPLE, REAL_TRIPLE)
 
 
@@ -98,3 +102,122 @@ def write_hits(eye, directions, t, first, found, points):
 def put_point(points, row, p):
     """Write a vector into a row of ``points`` (n, 3)."""
     points[row, 0], points[row, 1], points[row, 2] = p
+
+
+WINDOW_FACE = -2.0
+"""Stands for a face of the window in place of a wall's number."""
+
+
+class Sight(NamedTuple):
+    """The ``walls``, and the planes of a ``window`` (k, 4) in index space, k >= 0: n · p + w >= 0 is left to see."""
+
+    walls: Any
+    window: Any
+
+
+SIGHT = record(Sight, WALLS_RECORD, REAL_ROWS)
+PIXEL_ROWS, POINT_ROWS = types.uint32[:, ::1], types.float32[:, :, ::1]
+
+
+@kernel()
+def look_through(window, eye, d):
+    """Part (near, far) of the ray eye + t·d, t >= 0, that a ``window`` leaves to see; (0, -inf) where none."""
+    near, far = 0.0, math.inf
+    for k in range(window.shape[0]):
+        height, slope = inner(window, k, eye) + window[k, 3], inner(window, k, d)
+        if slope > 0.0:
+            near = max(near, -height / slope)
+        elif slope < 0.0:
+            far = min(far, -height / slope)
+        elif height < 0.0:
+            far = -math.inf
+    return (near, far) if near <= far else (0.0, -math.inf)
+
+
+@kernel()
+def is_solid(surface, p):
+    """Whether a point in index space is in the volume's box, and above the isovalue there; never beside a hole."""
+    nz, ny, nx = surface.field.voxels.shape
+    x, y, z = p
+    within = 0.0 <= x <= nx - 1.0 and 0.0 <= y <= ny - 1.0 and 0.0 <= z <= nz - 1.0
+    return within and value(surface.field.voxels, p) > surface.isovalue
+
+
+@kernel()
+def cast_through(surface, window, eye, directions, t, met):
+    """``camera.cast_from_eye`` through a ``window``: ``met`` (n,) is WINDOW_FACE, on one of its faces, or NO_WALL."""
+    count = t.shape[0]
+    origins, came, near, far = np.empty((3, count)), np.empty(count, np.int8), np.empty(count), np.empty(count)
+    for i in range(count):
+        d = column(directions, i)
+        near[i], far[i] = look_through(window, eye, d)
+        put_column(origins, i, madd(eye, near[i], d))
+    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN_SIDE, np.int8))
+    cast_batch(surface.field, surface.cells, rays, t, came)
+    for i in range(count):
+        opened = near[i] > 0.0 and is_solid(surface, column(origins, i))
+        t[i] = near[i] if opened else near[i] + t[i]
+        seen = t[i] <= far[i]
+        t[i], met[i] = t[i] if seen else math.inf, WINDOW_FACE if opened and seen else NO_WALL
+
+
+@kernel()
+def cast_sight(surface, sight, eye, directions, t, met):
+    """Cast rays from the ``eye``: their ways ``t`` (n,) or inf, and the numbers of the walls ``met`` (n,), or those of
+    ``cast_through``. No window takes walls away.
+    """
+    cast_through(surface, sight.window, eye, directions, t, met)
+    whole = t.shape[0] // PATH_WIDTH * PATH_WIDTH
+    for i in range(0, whole, PATH_WIDTH):
+        d, reach = load_columns(directions, i), load(t, i, PATH_WIDTH)
+        reach, wall = nearest_wall(sight.walls, eye, d, d[0] * 0.0 + NO_WALL, reach)
+        store(t, i, reach)
+        store(met, i, where(wall > NO_WALL, wall, load(met, i, PATH_WIDTH)))
+    for i in range(whole, t.shape[0]):
+        t[i], wall = nearest_wall(sight.walls, eye, column(directions, i), NO_WALL, t[i])
+        met[i] = met[i] if wall == NO_WALL else wall
+
+
+SEEN_COUNTS = types.UniTuple(types.int64, 2)
+
+
+@kernel(SEEN_COUNTS(SURFACE, SIGHT, PINHOLE, types.int64, types.int64, PIXEL_ROWS, POINT_ROWS, types.int8[::1]))
+def trace_pixels_in_sight(surface, sight, camera, first, width, pixels, points, numbers):
+    """``trace_pixels`` where there are walls or a window: how many pixels show the surface, and how many these.
+
+    The first row of ``pixels`` (2, n) and ``points`` (2, n, 3) is of the surface, the second one of walls and faces,
+    of which ``numbers`` (n,) are the walls' or WINDOW_FACE.
+    """
+    count = pixels.shape[1]
+    directions, t, met = np.empty((3, count)), np.empty(count), np.empty(count)
+    for i in range(count):
+        y, x = divmod(first + i, width)
+        put_column(directions, i, pixel_ray(camera, x + 0.5, y + 0.5))
+    cast_sight(surface, sight, camera.eye, directions, t, met)
+    hits = beside = 0
+    for i in range(count):
+        kind, place = (0, hits) if met[i] == NO_WALL else (1, beside)
+        if t[i] < math.inf:
+            pixels[kind, place] = first + i
+            put_point(points[kind], place, madd(camera.eye, t[i], column(directions, i)))
+            numbers[place] = np.int8(met[i]) if kind else numbers[place]
+            hits, beside = hits + 1 - kind, beside + kind
+    return hits, beside
+
+
+@kernel(types.int64(SURFACE, SIGHT, PINHOLE, types.float32[:, ::1], types.uint32[::1], types.float32[:, ::1]))
+def trace_places_in_sight(surface, sight, camera, places, found, points):
+    """``trace_places`` where there are walls or a window: these count as the surface does."""
+    count = places.shape[0]
+    directions, t, met = np.empty((3, count)), np.empty(count), np.empty(count)
+    for i in range(count):
+        put_column(directions, i, pixel_ray(camera, places[i, 0], places[i, 1]))
+    cast_sight(surface, sight, camera.eye, directions, t, met)
+    return write_hits(camera.eye, directions, t, 0, found, points)
+
+
+@kernel(types.void(VOXEL_ARRAY, types.float32[:, ::1], types.float32[::1]))
+def read_values(voxels, points, values):
+    """Fill ``values`` (n,) with the voxels' trilinear values at ``points`` (n, 3) in index space, within the box."""
+    for i in range(values.shape[0]):
+        values[i] = value(voxels, (float(points[i, 0]), float(points[i, 1]), float(points[i, 2])))

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import REAL_ARRAY, kernel, record
 from isogi_core.kernels.simd.maths import bits, f64, where
 from isogi_core.kernels.simd.memory import gather, load, scatter
 from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER_LANES
@@ -29,7 +29,6 @@ MOST_VOXELS, LONGEST_SIDE = 2**31, 2**18
 
 ORIGINS = types.float64[:, ::1]
 SIDE_ARRAY = types.int8[::1]
-REAL_ARRAY = types.float64[::1]
 RAYS_RECORD = record(Rays, REAL_ARRAY, ORIGINS, ORIGINS, SIDE_ARRAY)
 
 

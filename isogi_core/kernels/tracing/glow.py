@@ -6,10 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import REAL_ARRAY, REAL_ROWS, kernel, record
 from isogi_core.kernels.tracing.field import FIELD_RECORD, value
 from isogi_core.kernels.tracing.vec import column, dot, length, madd, scale, sub
-from isogi_core.kernels.tracing.walls import REAL_ARRAY, REAL_ROWS
 
 VALUE_STEP = 0.5
 """Steps in which a range of values is looked for along a ray, in voxels of the least spacing."""

@@ -9,14 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import REAL_ARRAY, REAL_ROWS, kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
-from isogi_core.kernels.tracing.camera import put_point
+from isogi_core.kernels.tracing.camera import SIGHT, WINDOW_FACE, is_solid, look_through, put_point
 from isogi_core.kernels.tracing.cast import TracedSurface, cast_batch
 from isogi_core.kernels.tracing.field import FIELD_RECORD, clamp_cell
 from isogi_core.kernels.tracing.intersect import SOLID_SIGN, UNKNOWN_SIDE, cross_cell
 from isogi_core.kernels.tracing.ray_stream import Rays
-from isogi_core.kernels.tracing.sight import SIGHT, WINDOW_FACE, is_solid, look_through
 from isogi_core.kernels.tracing.slabs import clip_box, cut_cell, reciprocals
 from isogi_core.kernels.tracing.vec import column, madd, put_column
 from isogi_core.kernels.tracing.walls import NO_WALL, nearest_wall
@@ -90,7 +89,7 @@ class Layers(NamedTuple):
     weights: Any
 
 
-REAL_ARRAY, REAL_ROWS, BYTE_ARRAY = types.float64[::1], types.float64[:, ::1], types.int8[::1]
+BYTE_ARRAY = types.int8[::1]
 SHELLS = record(Shells, FIELD_RECORD, types.UniTuple(ACTIVE_CELLS, MAX_SURFACES), REAL_ARRAY, REAL_ARRAY)
 PEELED = record(Peeled, types.uint32[::1], types.float32[:, ::1], BYTE_ARRAY, BYTE_ARRAY, types.float32[::1])
 

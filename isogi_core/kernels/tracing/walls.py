@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import REAL_ARRAY, REAL_ROWS, kernel, record
 from isogi_core.kernels.simd.maths import divide, where
 from isogi_core.kernels.simd.memory import load, store
 from isogi_core.kernels.simd.types import PATH_WIDTH
@@ -31,7 +31,6 @@ class Walls(NamedTuple):
     backs: Any
 
 
-REAL_ROWS, REAL_ARRAY = types.float64[:, ::1], types.float64[::1]
 WALLS_RECORD = record(Walls, REAL_ROWS, REAL_ROWS, types.float64[:, :, ::1], REAL_ARRAY)
 
 

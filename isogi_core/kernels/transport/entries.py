@@ -3,12 +3,10 @@
 from typing import Any
 
 from isogi_core.kernels.tracing.glow import Glows
-from isogi_core.kernels.transport.glow_paths import glow_in_room
-from isogi_core.kernels.transport.light_paths import Surroundings, light_in_the_open
+from isogi_core.kernels.transport.glow_paths import glow_among_surfaces, glow_in_room
+from isogi_core.kernels.transport.light_paths import Open, Surroundings, light_in_the_open
 from isogi_core.kernels.transport.matter.matter_paths import Through, light_through_matter
-from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.room_paths import InRoom, fill_seeds, light_in_room
-from isogi_core.kernels.transport.surface_glow import glow_among_surfaces
 from isogi_core.kernels.transport.surface_paths import Among, light_among_surfaces
 
 PATH_KERNELS = {

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import REAL_ROWS, kernel, record
 from isogi_core.kernels.tracing.vec import SMALLEST_NORMAL, cross, dot, length, madd, scale, sub
 from isogi_core.kernels.transport.harmonics import accumulate, evaluate
 from isogi_core.kernels.transport.sampling import (
@@ -183,9 +183,6 @@ def illuminate(lamps, k, p, n, u, v):
     if lamps.kinds[k] == AREA:
         share *= max(-dot(w, cross(row(edges, 0), row(edges, 1))), 0.0)
     return w, distance, scale(colour, share)
-
-
-REAL_ROWS = types.float64[:, ::1]
 
 
 @kernel(types.void(types.int64, REAL_ROWS, REAL_ROWS, REAL_ROWS))

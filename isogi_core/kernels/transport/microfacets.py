@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import REAL_TRIPLE, kernel, record
 from isogi_core.kernels.tracing.vec import add, cross, dot, madd, normalize, scale
 from isogi_core.kernels.transport.sampling import sample_disc
 
@@ -39,7 +39,6 @@ class ShineLobe(NamedTuple):
     energy: Any
 
 
-REAL_TRIPLE = types.UniTuple(types.float64, 3)
 ENERGY = types.float64[:, ::1]
 SHINE_LOBE = record(ShineLobe, types.float64, REAL_TRIPLE, types.float64, types.boolean, types.float64, ENERGY)
 

@@ -4,8 +4,7 @@ from typing import Any, NamedTuple
 
 from numba import types
 
-from isogi_core.kernels._jit import record
-from isogi_core.kernels.tracing.walls import REAL_ARRAY, REAL_ROWS
+from isogi_core.kernels._jit import REAL_ARRAY, REAL_ROWS, record
 
 
 class PathStarts(NamedTuple):

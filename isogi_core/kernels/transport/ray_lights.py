@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import REAL_ARRAY, REAL_ROWS, kernel, record
 from isogi_core.kernels.tracing.vec import SMALLEST_NORMAL, cross, dot, length, madd, normalize, scale, sub
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD
 from isogi_core.kernels.transport.lights import NO_LIGHT, draw_bright, draw_from_disc, glow, row, turn_back
@@ -47,7 +47,7 @@ class ShineLights(NamedTuple):
     ways: int
 
 
-REAL_ROWS, PAIRS_OF_ROWS, REAL_ARRAY = types.float64[:, ::1], types.float64[:, :, ::1], types.float64[::1]
+PAIRS_OF_ROWS = types.float64[:, :, ::1]
 PANELS = record(Panels, REAL_ROWS, PAIRS_OF_ROWS, REAL_ROWS, REAL_ARRAY, REAL_ARRAY)
 DISCS = record(Discs, REAL_ROWS, PAIRS_OF_ROWS, REAL_ROWS)
 SHINE_LIGHTS = record(ShineLights, SURROUNDINGS_RECORD, PANELS, DISCS, types.float64, types.int64)

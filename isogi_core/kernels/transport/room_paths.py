@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import REAL_ARRAY, REAL_ROWS, kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.field import FIELD_RECORD, to_index
 from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.tracing.vec import SMALLEST_NORMAL, column, dot, length, madd, put_column, scale, sub
-from isogi_core.kernels.tracing.walls import REAL_ARRAY, REAL_ROWS, WALLS_RECORD, meet_walls
+from isogi_core.kernels.tracing.walls import WALLS_RECORD, meet_walls
 from isogi_core.kernels.transport.colours import COLOURS_RECORD, albedo_at
 from isogi_core.kernels.transport.integrate import (
     add_carried,
@@ -26,12 +26,12 @@ from isogi_core.kernels.transport.light_paths import (
     SURROUNDINGS_RECORD,
     Surroundings,
     add_sent,
+    cast_wave,
     gather_ends,
     gather_from_outside,
     to_world,
 )
 from isogi_core.kernels.transport.lights import NO_LIGHT, row
-from isogi_core.kernels.transport.open_paths import cast_wave
 from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import mix, point_of_words
 from isogi_core.kernels.transport.streams import FIRST_SOURCE_PAIR, PAIRS_PER_PURPOSE

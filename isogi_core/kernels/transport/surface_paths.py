@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import REAL_ARRAY, REAL_ROWS, kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.cast import cast_batch
 from isogi_core.kernels.tracing.field import FIELD_RECORD
@@ -46,7 +46,6 @@ class Surfaces(NamedTuple):
     transmissions: Any
 
 
-REAL_ARRAY, REAL_ROWS = types.float64[::1], types.float64[:, ::1]
 SURFACES_RECORD = record(
     Surfaces, types.UniTuple(ACTIVE_CELLS, MAX_SURFACES), REAL_ARRAY, REAL_ROWS, REAL_ARRAY, REAL_ROWS
 )

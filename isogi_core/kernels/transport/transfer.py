@@ -1,38 +1,43 @@
-"""Radiance transfer of texels (S1, eqs. 6 and 8), and their irradiance under a light that stays."""
+"""Radiance transfer of texels (S1, eqs. 6 and 8): their points, their paths, strays, and irradiance of fixed light.
+
+Strays: starts of paths of which one meets a surface outside of a box. What lies outside may be taken away, and the
+paths of all others stay as they are, to the bit: no ray of theirs met anything there, and where there is less matter
+nothing new is in their way.
+"""
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import Choice, kernel
+from isogi_core.kernels._jit import REAL_ARRAY, REAL_ROWS, Choice, kernel, record
 from isogi_core.kernels.simd.memory import load
 from isogi_core.kernels.simd.types import PATH_WIDTH
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
-from isogi_core.kernels.tracing.field import FIELD_RECORD, RAY_OFFSET_VOXELS, normal, to_index, value
-from isogi_core.kernels.tracing.plateaus import leave_plateau, point_within
-from isogi_core.kernels.tracing.vec import column, is_zero, length, load_columns, put_column
+from isogi_core.kernels.tracing.field import FIELD_RECORD, RAY_OFFSET_VOXELS, normal, smooth_gradient, to_index, value
+from isogi_core.kernels.tracing.stiffness import HALVINGS, STEP_VOXELS, crossing, downhill, leave_plateau, point_within
+from isogi_core.kernels.tracing.vec import column, dot, is_zero, length, load_columns, madd, put_column
 from isogi_core.kernels.tracing.walls import NO_WALL
-from isogi_core.kernels.transport.ends import blocks, make_ends, trace_ends
+from isogi_core.kernels.transport.colours import COLOURS_RECORD, albedo_at
+from isogi_core.kernels.transport.ends import EndWave, begin_branches, blocks, branch_ends, make_ends, trace_ends
 from isogi_core.kernels.transport.harmonics import accumulate
-from isogi_core.kernels.transport.integrate import add_paths, limits
-from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD
-from isogi_core.kernels.transport.open_paths import Open
+from isogi_core.kernels.transport.integrate import add_paths, advance, gather_met, limits, places_for, trace_paths
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD, Open, advance_in_the_open
 from isogi_core.kernels.transport.paths import (
     NO_PATH,
     PATH_RULES,
     SAMPLE_RANGE,
     TRANSFER_RULES,
+    PathEnds,
     PathStarts,
     PathTree,
     SampleRange,
     TransferRules,
 )
 from isogi_core.kernels.transport.rng import mix
-from isogi_core.kernels.transport.wavefront import WAVE_PATHS, whole
+from isogi_core.kernels.transport.wavefront import WAVE_PATHS, columns, make_wave, partition, whole
 
-REAL_ARRAY = types.float64[::1]
-REAL_ROWS = types.float64[:, ::1]
 TEXEL_PLACES = types.int32[:, ::1]
 
 
@@ -244,3 +249,247 @@ def bake_irradiance(field, cells, place, rows, samples, rules, light, sums):
     together = max(WAVE_PATHS // (2 * samples.count), PATH_WIDTH)
     for i in range(0, rows.shape[0], together):
         light_together(field, cells, place, rows[i : i + together], samples, rules, light, sums)
+
+
+class Confines(NamedTuple):
+    """Where paths may meet surfaces: a ``box`` (2, 3) of index space, its least and its greatest corner.
+
+    Paths go on as a ``PathTree`` says: by its ``bounces``, ``survival`` and ``branches``.
+    """
+
+    bounces: int
+    survival: float
+    branches: int
+    box: Any
+
+
+class Strays(NamedTuple):
+    """Which of g starts have a path that met something outside of a ``box``, ``marks`` (g,): it ends there."""
+
+    box: Any
+    marks: Any
+
+
+CONFINES_RECORD = record(Confines, types.int64, types.float64, types.int64, REAL_ROWS)
+
+
+@kernel()
+def is_within(p, box):
+    """Whether the point ``p`` lies in a ``box``."""
+    return box[0, 0] <= p[0] <= box[1, 0] and box[0, 1] <= p[1] <= box[1, 1] and box[0, 2] <= p[2] <= box[1, 2]
+
+
+@gather_met.case(Strays)
+def mark_strays(scene, state, vertices, bounce, strays):
+    """Mark the starts whose rays hit something outside of the box; returns how many go on, of all others."""
+    rays, count, staying = state.wave.rays, vertices.count, 0
+    origins, directions = columns(vertices.points, count), columns(rays.directions, count)
+    for h in range(partition(rays, count)):
+        i = rays.hits[h]
+        start = rays.owners[i] % strays.marks.shape[0]
+        if not is_within(madd(column(origins, i), rays.t[i], column(directions, i)), strays.box):
+            strays.marks[start] = True
+        rays.hits[staying] = i
+        staying += not strays.marks[start]
+    return staying
+
+
+@kernel()
+def trace_strays(scene, starts, samples, confines, marks):
+    """Mark which of g ``PathStarts`` stray, ``marks`` (g,), by a ``SampleRange`` of the paths of ``trace_ends``."""
+    tree = PathTree(confines.bounces, confines.survival, confines.branches)
+    total = starts.isovalues.shape[0] * samples.count
+    wave = EndWave(make_wave(places_for(total, tree.branches)), total, np.ones((3, 0)))
+    trace_paths(scene, starts, samples, tree, Strays(confines.box, marks), wave)
+
+
+@kernel(types.void(FIELD_RECORD, ACTIVE_CELLS, PLACE, ROW_ARRAY, SAMPLE_RANGE, CONFINES_RECORD, types.boolean[::1]))
+def find_strays(field, cells, place, rows, samples, confines, strays):
+    """Mark which of the ``rows`` are ``strays`` (m,), by a ``SampleRange`` of each of their two halves.
+
+    ``place`` is what ``locate_texels`` took and wrote, and the paths are those of ``bake_texels``.
+    """
+    together = max(WAVE_PATHS // (2 * samples.count), 1)
+    for i in range(0, rows.shape[0], together):
+        some = rows[i : i + together]
+        marks = np.zeros(2 * some.shape[0], np.bool_)
+        trace_strays(Open(field, cells), start_halves(place, some), samples, confines, marks)
+        for k in range(some.shape[0]):
+            strays[some[k]] |= marks[2 * k] | marks[2 * k + 1]
+
+
+class ColouredRules(NamedTuple):
+    """What a path counts in each of r rows of sums, and how it goes on: see ``PathTree``.
+
+    Rows have harmonics of ``orders`` (r,). One that leaves at once counts ``straight`` (r,), and one after k bounces
+    ``reflected`` (r,), times the albedos of what it hit over the chance to get there, as ``mixes`` (r, 3) mix them, or
+    the square of that in rows that are ``squared`` (r,).
+    """
+
+    orders: Any
+    straight: Any
+    reflected: Any
+    mixes: Any
+    squared: Any
+    bounces: int
+    survival: float
+    branches: int
+
+
+ROWS_OF_RULES = (ORDER_ARRAY, REAL_ARRAY, REAL_ARRAY, types.float64[:, ::1], types.boolean[::1])
+COLOURED_RULES = record(ColouredRules, *ROWS_OF_RULES, types.int64, types.float64, types.int64)
+
+
+class Coloured(NamedTuple):
+    """One isosurface of a ``field``, within its active ``cells``, whose albedo the ``colours`` say at each place."""
+
+    field: Any
+    cells: Any
+    colours: Any
+
+
+@limits.case(ColouredRules)
+def limits_of_colours(rules):
+    """Say how far paths go by ColouredRules."""
+    return rules.bounces, rules.branches
+
+
+@make_carried.case(Coloured)
+def make_albedos(scene, paths):
+    """Room for the albedos that each path has met, multiplied."""
+    return np.ones((3, paths))
+
+
+@advance.case(Coloured)
+def advance_on_colours(scene, state, vertices, following, bounce, rules):
+    """Move the paths that hit the surface there, to carry its albedo over the ``chance`` that they go on."""
+    rays, carried, chance = state.wave.rays, state.wave.carried, rules.survival if bounce > 0 else 1.0
+    origins, directions = columns(vertices.points, vertices.count), columns(rays.directions, vertices.count)
+    for i in rays.hits[: following.count]:
+        albedo = albedo_at(scene.colours, madd(column(origins, i), rays.t[i], column(directions, i)))
+        for c in range(3):
+            carried[c, rays.owners[i]] *= albedo[c] / chance
+    advance_in_the_open(scene, state, vertices, following, bounce, rules)
+
+
+@begin_branches.case(Coloured, PathEnds)
+def carry_along(scene, wave, count, ends):
+    """Say of the wave's branches that they have not left, and carry what the paths do that they are of."""
+    branch_ends(wave, count, ends)
+    for owner in wave.rays.owners[:count]:
+        put_column(wave.carried, owner, column(wave.carried, owner % wave.starting))
+
+
+@kernel()
+def count_path(rules, row, bounces, carried, m):
+    """What path ``m`` counts in a ``row`` of sums that left after its ``bounces``; nothing if it never did."""
+    if bounces <= 0:
+        return rules.straight[row] if bounces == 0 else 0.0
+    mix = rules.mixes[row]
+    share = mix[0] * carried[0, m] + mix[1] * carried[1, m] + mix[2] * carried[2, m]
+    return rules.reflected[row] * (share * share if rules.squared[row] else share)
+
+
+@count_ends.case(ColouredRules)
+def count_by_albedos(ends, carried, rules, c, counts):
+    """Count each path by the albedos that it met, and a branch over the number of branches."""
+    paths = ends.bounces.shape[0]
+    for m in range(paths):
+        counts[m] = count_path(rules, c, ends.bounces[m], carried, m)
+    counts[paths // blocks(rules.branches) : paths] /= rules.branches
+    return 0, blocks(rules.branches)
+
+
+@kernel(
+    types.void(
+        FIELD_RECORD, ACTIVE_CELLS, COLOURS_RECORD, PLACE, ROW_ARRAY, SAMPLE_RANGE, COLOURED_RULES, TRANSFER_SUMS
+    )
+)
+def bake_coloured_texels(field, cells, colours, place, rows, samples, rules, sums):
+    """``bake_texels`` of the same paths on a surface with ``colours``, by ColouredRules.
+
+    Adds to ``sums`` (m, 2, r, n²): τ_i = Σ (Π R(x_j)) Y_i(ω) / N over the points x_j that a path hits.
+    """
+    bake_rows(Coloured(field, cells, colours), place, rows, samples, rules, rules.orders, sums)
+
+
+TEXEL_PROJECTED, TOO_FAR, OTHER_SHEET, NORMAL_TURNED, TEXEL_HEMMED, NO_SURFACE = range(6)
+"""What became of a texel: it was projected, or the shown isosurface is not within MAX_SHIFT_VOXELS, or another sheet of
+it is; the normal there is turned by more than a right angle; light has no room to arrive there; or its own point has no
+normal.
+"""
+
+MAX_BACKTRACK = 0.1
+"""Share of the way between two isovalues that the field may go back on its way from one to the other."""
+
+
+@kernel(exact=True)
+def strays(voxels, p, d, level, reach):
+    """How far the field goes back between ``p`` and ``reach`` along ``d``, over its distance from ``level`` at p."""
+    own = value(voxels, p)
+    nearest, back, t = abs(own - level), 0.0, STEP_VOXELS
+    while t < reach:
+        away = abs(value(voxels, point_within(voxels.shape, p, d, t)) - level)
+        nearest, back, t = min(nearest, away), max(back, away - nearest), t + STEP_VOXELS
+    return back / max(abs(own - level), 1e-300)
+
+
+@kernel(exact=True)
+def way_to(field, p, n, level, halvings=HALVINGS):
+    """The way from ``p`` to the isosurface ``level`` along the normal ``n``, that is not zero: (direction, voxels).
+
+    Out of the solid or into it, to where the trilinear field first crosses the level; the direction is of index space,
+    a voxel long, and the way, found by ``halvings`` (see ``crossing``), inf where it does not within MAX_SHIFT_VOXELS.
+    """
+    d = downhill(n, field.spacing, 1.0 if value(field.voxels, p) > level else -1.0)
+    return d, crossing(field.voxels, p, d, level, halvings)
+
+
+@kernel(exact=True)
+def project_point(field, p, level):
+    """Move ``p`` along the normal onto the isosurface ``level``: (verdict, point, normal there).
+
+    The straight way of ``way_to``; both are those of ``p`` itself where that fails. Verdicts are TEXEL_PROJECTED …
+    NO_SURFACE.
+    """
+    n = normal(field, p)
+    if math.isnan(value(field.voxels, p)) or is_zero(n):
+        return NO_SURFACE, p, n
+    d, t = way_to(field, p, n, level)
+    if not t < math.inf:
+        return TOO_FAR, p, n
+    there = point_within(field.voxels.shape, p, d, t)
+    m = normal(field, there)
+    if strays(field.voxels, p, d, level, t) > MAX_BACKTRACK:
+        return OTHER_SHEET, p, n
+    if not dot(n, m) > 0.0:
+        return NORMAL_TURNED, p, n
+    return (TEXEL_HEMMED, p, n) if hemmed(field, there, m, level) else (TEXEL_PROJECTED, there, m)
+
+
+@kernel(types.void(FIELD_RECORD, REAL_ARRAY, types.float64, TEXEL_PLACES, REAL_ROWS, REAL_ROWS, types.uint8[::1]))
+def project_texels(field, step, level, texels, points, normals, verdicts):
+    """Move ``texels`` (m, 3; z, y, x) onto the isosurface ``level``, a voxel-space isovalue.
+
+    ``step`` (3,) voxels per texel along x, y, z. Writes ``points`` and ``normals`` (3, m), and the ``verdicts`` (m,):
+    TEXEL_PROJECTED, or why a texel stays where it is.
+    """
+    for m in range(texels.shape[0]):
+        p = (texels[m, 2] * step[0], texels[m, 1] * step[1], texels[m, 0] * step[2])
+        verdict, there, n = project_point(field, p, level)
+        verdicts[m] = np.uint8(verdict)
+        put_column(points, m, there)
+        put_column(normals, m, n)
+
+
+@kernel(types.void(FIELD_RECORD, REAL_ARRAY, types.float64, TEXEL_PLACES, REAL_ARRAY))
+def measure_distances(field, step, level, texels, ways):
+    """Estimate the ``ways`` (m,), in voxels, from ``texels`` (m, 3; z, y, x) to the isosurface ``level``.
+
+    To first order, |ρ - level| / |∇ρ| with the smoothed gradient; inf where that is zero, and where ρ is not a number.
+    """
+    for m in range(texels.shape[0]):
+        p = (texels[m, 2] * step[0], texels[m, 1] * step[1], texels[m, 0] * step[2])
+        away, slope = abs(value(field.voxels, p) - level), length(smooth_gradient(field.voxels, p))
+        way = away / slope if slope > 0.0 else math.inf
+        ways[m] = math.inf if math.isnan(way) else way

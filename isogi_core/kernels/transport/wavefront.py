@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel
+from isogi_core.kernels._jit import REAL_ARRAY, kernel
 from isogi_core.kernels.simd.maths import u32
 from isogi_core.kernels.simd.memory import load
 from isogi_core.kernels.simd.types import PATH_WIDTH
-from isogi_core.kernels.tracing.cast import ORIGINS, REAL_ARRAY, SIDE_ARRAY, cast_batch
+from isogi_core.kernels.tracing.cast import ORIGINS, SIDE_ARRAY, cast_batch
 from isogi_core.kernels.tracing.field import FIELD_RECORD, gradients, to_index, to_world_normal
 from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, launch, shading_normal
 from isogi_core.kernels.tracing.ray_stream import Rays

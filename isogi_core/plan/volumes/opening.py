@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
-from isogi_core.files.fill_values import without_fill
 from isogi_core.files.formats.opening import open_file, split_part
-from isogi_core.files.grid import Grid, Region
+from isogi_core.files.grid import Grid, Region, on_right_angles
 from isogi_core.files.mappings import UNMAPPED_SHARE, budget
-from isogi_core.files.regular import in_short, reason_of
-from isogi_core.files.right_angles import on_right_angles
+from isogi_core.files.packed_files import in_short, reason_of
+from isogi_core.files.packing import without_fill
 from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, is_zarr, name_of
 from isogi_core.files.volume_copies import get_copy
 from isogi_core.files.voxel_file import Draft

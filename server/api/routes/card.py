@@ -7,30 +7,33 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
-from isogi_core.frame.card.chunk_light import Look, SeenChunk, known_light, known_transfer, look_at
+from isogi_core.frame.card.blocks import Look, SeenChunk, known_light, known_transfer, look_at
 from isogi_core.frame.known_blocks import Packed, Part
 from isogi_core.frame.renderer import Renderer
 from isogi_core.plan.scene import Scene
+from server.answers import card_schema, chunk_list, voxel_version
 from server.api.binary import BINARY, binary_answer
 from server.api.headers import matches, tag_of
 from server.api.service import SceneDep, Service, ServiceDep
-from server.card_answers import card_schema, chunk_list, voxel_version
-from server.card_parameters import (
+from server.card_schemas import CardChunks, CardSchema
+from server.errors import ForbiddenError, ParameterError
+from server.parameters import (
     ChunkName,
     FoldParams,
     FoldParamsDep,
     TransferParams,
     TransferParamsDep,
+    VariantParams,
+    ViewParams,
+    ViewParamsDep,
     VoxelParams,
     VoxelParamsDep,
     chunk_names,
+    documented,
     layers_of,
 )
-from server.card_schemas import CardChunks, CardSchema
-from server.errors import ForbiddenError, ParameterError
-from server.parameters import VariantParams, ViewParams, ViewParamsDep, documented
 from server.problems import documented_problems
-from server.render.updates import request_viewer
+from server.render.bakes import request_viewer
 
 router = APIRouter(prefix="/v1/scenes/{scene}/card", tags=["card"])
 PROBLEMS = documented_problems(403, 404, 422, 429, 503)

@@ -19,7 +19,7 @@ from server.api.service import PREVIEW, ClientDep, PictureRequest, SceneDep, Ser
 from server.errors import BusyError, ParameterError, UnknownSceneError
 from server.parameters import ViewParams, ViewParamsDep, documented
 from server.problems import documented_problems
-from server.render.updates import stream_viewer
+from server.render.bakes import stream_viewer
 from worker.bake_requests import Viewer
 
 router = APIRouter(prefix="/v1/scenes/{scene}", tags=["frames"])

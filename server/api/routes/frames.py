@@ -15,9 +15,9 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
 from server.answers import camera_schema, coverage_schema
 from server.api.headers import STAGES, PreferencesDep, entity_tag, frame_headers, matches, server_timing
+from server.api.lifespan import within
 from server.api.routes.jobs import JobSchema, address, job_schema
 from server.api.service import BearerDep, PictureRequest, SceneDep, Service, ServiceDep, Shown
-from server.api.startup import within
 from server.bearers import client_of
 from server.parameters import (
     FitParams,
@@ -30,10 +30,9 @@ from server.parameters import (
 )
 from server.pictures import MEDIA_TYPES, encode, format_for, npy_bytes, npy_parts, smoothed
 from server.problems import documented_problems
-from server.render.bakes import BackgroundBake
+from server.render.bakes import BackgroundBake, background_viewer, request_viewer, stream_viewer
 from server.render.jobs import Job, Result
 from server.render.scheduling import REFINEMENT_PATIENCE
-from server.render.updates import background_viewer, request_viewer, stream_viewer
 from server.schemas import CameraSchema, Coverage
 from worker.errors import WorkersError
 

@@ -18,8 +18,7 @@ from server.api.export_jobs import media_type
 from server.api.prewarm_jobs import begin
 from server.api.service import BearerDep, ClientDep, SceneDep, ServiceDep
 from server.errors import ParameterError, UnknownResultError
-from server.export_parameters import ExportParams, ExportParamsDep
-from server.parameters import NoParamsDep, documented, read
+from server.parameters import ExportParams, ExportParamsDep, NoParamsDep, documented, read
 from server.prewarm.order import PrewarmOrder, PrewarmRequest, Views
 from server.prewarm.record import Summary
 from server.problems import documented_problems

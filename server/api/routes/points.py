@@ -13,9 +13,7 @@ from server.answers import point_schema, size_schema
 from server.api.headers import PreferencesDep, matches, tag_of
 from server.api.service import SceneDep, ServiceDep
 from server.errors import ParameterError
-from server.parameters import VariantParams, documented
-from server.pictures import MEDIA_TYPES, compress, grey, media_range, quality, values_npy
-from server.point_parameters import (
+from server.parameters import (
     AXIS_NAMES,
     PointParams,
     PointParamsDep,
@@ -23,9 +21,12 @@ from server.point_parameters import (
     SizeParamsDep,
     SliceParams,
     SliceParamsDep,
+    VariantParams,
+    documented,
 )
-from server.point_schemas import PointSchema, SizeSchema
+from server.pictures import MEDIA_TYPES, compress, grey, media_range, quality, values_npy
 from server.problems import documented_problems
+from server.schemas import PointSchema, SizeSchema
 
 router = APIRouter(prefix="/v1/scenes/{scene}", tags=["frames"])
 SLICE: dict[int | str, dict[str, Any]] = {

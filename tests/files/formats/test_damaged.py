@@ -9,7 +9,7 @@ import pytest
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.opening import open_file, open_upload
-from isogi_core.files.right_angles import on_right_angles
+from isogi_core.files.grid import on_right_angles
 from tests.files.formats.every_kind import metaimage, written
 
 VOXELS = 1 << 16

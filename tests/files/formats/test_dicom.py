@@ -9,8 +9,7 @@ import pytest
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.opening import open_file
-from isogi_core.files.grid import Grid
-from isogi_core.files.right_angles import on_right_angles
+from isogi_core.files.grid import Grid, on_right_angles
 from tests.files.formats.dicom_files import dataset, write_series
 from tests.files.formats.phantom import affine, letter
 

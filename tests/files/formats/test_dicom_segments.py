@@ -8,8 +8,7 @@ import pytest
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.opening import open_file, open_upload
-from isogi_core.files.grid import LabelName
-from isogi_core.files.right_angles import on_right_angles
+from isogi_core.files.grid import LabelName, on_right_angles
 from tests.files.formats.dicom_files import dataset
 from tests.files.formats.phantom import affine, letter
 from tests.loaded import load_scene

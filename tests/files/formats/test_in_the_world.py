@@ -13,7 +13,7 @@ import zarr
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.opening import open_file, open_upload
-from isogi_core.files.right_angles import on_right_angles
+from isogi_core.files.grid import on_right_angles
 from isogi_core.files.zarr_volume import open_zarr
 from isogi_core.model.volume import make_volume
 from tests.files.formats.dicom_files import dataset, write_series

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from isogi_core.files.formats.opening import open_file
+from isogi_core.files.grid import on_right_angles
 from isogi_core.files.radiance import write_hdr
-from isogi_core.files.right_angles import on_right_angles
 from isogi_core.model.environment import pixel_directions
 from isogi_core.model.orientation import Orientation
 from isogi_report.speed import make_renderer

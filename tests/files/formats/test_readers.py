@@ -12,8 +12,7 @@ import pytest
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats import source
 from isogi_core.files.formats.opening import open_file, open_upload, split_part
-from isogi_core.files.grid import Grid
-from isogi_core.files.right_angles import on_right_angles
+from isogi_core.files.grid import Grid, on_right_angles
 from tests.files.formats.phantom import affine, letter
 
 F = letter()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from isogi_core.files.formats.opening import open_file
-from isogi_core.files.right_angles import on_right_angles
+from isogi_core.files.grid import on_right_angles
 from isogi_core.model.orientation import Orientation
 
 pytestmark = pytest.mark.data

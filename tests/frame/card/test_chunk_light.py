@@ -8,12 +8,12 @@ import pytest
 from isogi_core.bake.noise import Until
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.page_pool import UNLIT_VERSION
-from isogi_core.frame.card.chunk_light import fold_chunks, seen_chunks, transfer_chunks
+from isogi_core.frame.card.blocks import fold_chunks, seen_chunks, transfer_chunks
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.kernels.shading.irradiance_ratio import DIRECT_COLUMN, REFLECTED_COLUMN
 from isogi_core.model.view import View, quaternion_from_angles, rotation_matrix
-from server.card_answers import card_scene
+from server.answers import card_scene
 from tests.card_twin import Twin, blocks_in
 from tests.frame.card.benches import SCENES, TILES, Make, bench_of, drawn
 from tests.frame.conftest import LOOSE, Workbench, refine_chunk

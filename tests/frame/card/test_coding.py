@@ -5,8 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from isogi_core.frame.card.blocks import CODES, FLAT, Coding, coarse, coding_for, words_of
-from isogi_core.frame.card.chunk_light import coded_chunks, raw_scale, seen_chunks, transfer_chunks
+from isogi_core.frame.card.blocks import (
+    CODES,
+    FLAT,
+    Coding,
+    coarse,
+    coded_chunks,
+    coding_for,
+    raw_scale,
+    seen_chunks,
+    transfer_chunks,
+    words_of,
+)
 from isogi_core.frame.card.coded_picture import ControlPictures, draw_coded
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.kernels.shading.framebuffer import FINAL

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import pytest
 
-from isogi_core.frame.card import chunk_light
-from isogi_core.frame.card.chunk_light import fold_chunks, known_light, known_transfer, look_at, seen_chunks
+from isogi_core.frame.card import blocks
+from isogi_core.frame.card.blocks import fold_chunks, known_light, known_transfer, look_at, seen_chunks
 from isogi_core.frame.known_blocks import KnownBlocks, Packed
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.prepared.prepared_scene import Index
@@ -33,7 +33,7 @@ def folded(monkeypatch: pytest.MonkeyPatch) -> list[Index]:
         counted.extend(chunks)
         return fold_chunks(renderer, view, chunks, *more)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(chunk_light, "fold_chunks", counting)
+    monkeypatch.setattr(blocks, "fold_chunks", counting)
     return counted
 
 

@@ -5,8 +5,7 @@ from typing import Any
 import pytest
 
 from isogi_core.frame.card.obstacles import BYTES, find_obstacles
-from isogi_core.model.view import View
-from isogi_core.model.window import read_window
+from isogi_core.model.view import View, read_window
 from isogi_core.plan.scene import Scene
 from tests.frame.conftest import SKY
 from tests.loaded import load_scene

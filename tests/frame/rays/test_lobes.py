@@ -15,7 +15,7 @@ from isogi_core.files.radiance import write_hdr
 from isogi_core.frame import surface_renderer as module
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.kernels.transport.lights import DIRECTIONAL
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.lobe_choice import FEW_LOBES_SEARCHED

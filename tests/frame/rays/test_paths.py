@@ -9,7 +9,7 @@ import pytest
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.rays.pixel_rays import pooled_variance, replicas_for, variance_of_mean
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.plan.scene import Scene
 from tests.frame.conftest import CONSTANT, Workbench, ball, luminance, scene_of
 

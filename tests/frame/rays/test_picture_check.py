@@ -23,11 +23,11 @@ from isogi_core.frame.rays.control_pixels import (
     draw_places,
     measure_total,
 )
-from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.picture_plan import PRESENT, SHARED_PRICES, noise_of_climbers
 from isogi_core.frame.texel_reading import Reading, grade_rows
+from isogi_core.frame.view_checks import PictureCheck
 from isogi_core.kernels.shading.framebuffer import FINAL
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.assembly import load_scene

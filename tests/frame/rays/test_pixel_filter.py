@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.frame.rays.pixel_filter import Surroundings, correct, filter_pixels
+from isogi_core.frame.rays.own_light import Surroundings, correct, filter_pixels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.surface_points import SurfacePoints
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
 SIZE, NOISE = 48, 0.1
 Bend = Callable[[np.ndarray, np.ndarray], np.ndarray]

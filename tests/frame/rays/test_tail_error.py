@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from isogi_core.frame.rays.control_pixels import ControlPixels, chances
-from isogi_core.frame.rays.tail_error import (
+from isogi_core.frame.rays.control_pixels import (
     BORDERS,
     ODD,
     TAIL_SHARE,
     TAIL_STANDARD_ERRORS,
+    ControlPixels,
     TailError,
     bounds,
+    chances,
     falls_below,
     gamma_quantile,
     measure_tail,

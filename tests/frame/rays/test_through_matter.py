@@ -11,7 +11,7 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.through_matter import BREADTH, SeenThrough, Trees, dark_row
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
 from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
 from tests.loaded import load_scene

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import interp1d
 
-from isogi_core.cache.upkeep.audit import Auditor
-from isogi_core.cache.upkeep.census import census_of
-from isogi_core.cache.upkeep.prune import PruneRule, plan_prune
+from isogi_core.cache.upkeep import Auditor, PruneRule, census_of, plan_prune
 from isogi_core.cache.wall_store import WallLayer, WallState, WallStore
 from isogi_core.errors import ViewError
 from isogi_core.frame.entry_kernels import ROOM, frame_kernels
@@ -22,8 +20,8 @@ from isogi_core.frame.rays.wall_texels import FINE_WALL_TEXELS, MAX_WALL_TEXELS,
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 from isogi_core.kernels.tracing.camera import trace_pixels
 from isogi_core.kernels.transport.room_paths import light_in_room
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.orientation import triple
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.storage.store import Store
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse

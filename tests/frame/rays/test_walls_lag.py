@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.several.surfaces_frame import parts_of
+from isogi_core.frame.several.composer import parts_of
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.sides import WALLS_SIDE

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.frame.several.mixing import Level, MixedReading, mixed
-from isogi_core.frame.texel_reading import Reading
+from isogi_core.frame.texel_reading import Level, MixedReading, Reading, mixed
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
 from isogi_core.kernels.shading.lattice import BURIED_GRADE, LIGHT_NUMBERS, PARTIAL_GRADE, UNBAKED_GRADE, VOID_GRADE
 from isogi_core.model.scene_plan import MAX_SAMPLES

@@ -8,9 +8,9 @@ import pytest
 
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.several.surfaces_frame import parts_of
+from isogi_core.frame.several.composer import parts_of
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.plan.bands import evaluate_harmonics
 from isogi_core.plan.sides import OUTER, Side
 from tests.frame.conftest import SKY, Workbench, ball, relative_rmse, scene_of

@@ -24,7 +24,7 @@ from isogi_core.kernels.shading.irradiance_ratio import (
     UNSHADOWED_COLUMN,
 )
 from isogi_core.kernels.shading.lattice import LIGHT_NUMBERS, UNBAKED_GRADE
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
 BITS, CHUNKS = 2, (2, 3, 2)
 

@@ -12,7 +12,7 @@ from isogi_core.kernels.shading.framebuffer import (
     put_pixel,
     tally,
 )
-from isogi_core.model.sky import LUMINANCE_WEIGHTS
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
 
 def blank(pixels):

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from isogi_core.kernels.shading.picture_noise import pool_noise
 from isogi_core.kernels.shading.shine import (
     MET_ISOSURFACE,
     MET_NOTHING,
@@ -15,7 +14,7 @@ from isogi_core.kernels.shading.shine import (
     fill_below,
     light_ends,
 )
-from isogi_core.kernels.shading.surface_points import SurfacePoints
+from isogi_core.kernels.shading.surface_points import SurfacePoints, pool_noise
 from isogi_core.kernels.transport.light_paths import NO_TABLE, Surroundings
 from isogi_core.kernels.transport.lights import DIRECTIONAL, NO_LAMPS, POINT, LampArrays
 from isogi_core.kernels.transport.microfacets import ENERGY_STEPS, ShineLobe, fill_energy

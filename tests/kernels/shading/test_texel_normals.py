@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals
-from isogi_core.kernels.transport.texel_points import NO_SURFACE, TEXEL_PROJECTED, TOO_FAR, project_texels
-from isogi_core.kernels.transport.transfer import locate_texels
+from isogi_core.kernels.transport.transfer import NO_SURFACE, TEXEL_PROJECTED, TOO_FAR, locate_texels, project_texels
 from tests.kernels.fields import field_of
 
 RNG = np.random.default_rng(12)

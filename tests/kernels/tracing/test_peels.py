@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numba import njit
 
+from isogi_core.kernels.tracing.camera import WINDOW_FACE, Sight
 from isogi_core.kernels.tracing.intersect import SOLID_SIGN, UNKNOWN_SIDE, cast
 from isogi_core.kernels.tracing.peels import (
     FIRST_WALL_SIDE,
@@ -16,7 +17,6 @@ from isogi_core.kernels.tracing.peels import (
     Shells,
     peel_rays,
 )
-from isogi_core.kernels.tracing.sight import WINDOW_FACE, Sight
 from isogi_core.kernels.tracing.vec import column, madd
 from isogi_core.kernels.tracing.walls import NO_WALL, nearest_wall
 from tests.kernels.fields import cells_of, field_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
-from isogi_core.kernels.tracing.plateaus import BEHIND_VOXELS, EDGE_SHARE, FLAT_SHARE
+from isogi_core.kernels.tracing.stiffness import BEHIND_VOXELS, EDGE_SHARE, FLAT_SHARE
 from isogi_core.kernels.transport.transfer import locate_texels
 from tests.kernels.fields import field_of
 from tests.kernels.interpolation import search, smoothed, values

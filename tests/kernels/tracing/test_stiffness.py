@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.tracing.field import normal
-from isogi_core.kernels.tracing.plateaus import EDGE_SHARE, FLAT_SHARE
 from isogi_core.kernels.tracing.stiffness import (
     CELLS_ROW,
     COUNTED_ROWS,
+    EDGE_SHARE,
     FACES_ROW,
+    FLAT_SHARE,
     HOLED_ROW,
     MIN_MEAN_NORMAL,
     NOISY_ROW,

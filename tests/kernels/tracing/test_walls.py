@@ -5,8 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from isogi_core.kernels.tracing.camera import Pinhole
-from isogi_core.kernels.tracing.sight import Sight, trace_pixels_in_sight
+from isogi_core.kernels.tracing.camera import Pinhole, Sight, trace_pixels_in_sight
 from isogi_core.kernels.tracing.vec import column
 from isogi_core.kernels.tracing.walls import NO_WALL, meet_walls, nearest_wall
 from tests.kernels.fields import field_of, surface_of

@@ -6,9 +6,8 @@ import numpy as np
 
 from isogi_core.frame.rays.point_paths import path_starts
 from isogi_core.kernels.tracing.walls import NO_WALL
-from isogi_core.kernels.transport.light_paths import Surroundings, light_in_the_open
+from isogi_core.kernels.transport.light_paths import Open, Surroundings, light_in_the_open
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, NO_LAMPS, POINT, LampArrays
-from isogi_core.kernels.transport.open_paths import Open
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.transfer import bake_irradiance, locate_texels, texel_seed
 from isogi_core.model.environment import cumulative, pixel_directions, solid_angles

@@ -13,16 +13,20 @@ import numpy as np
 
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.tracing.walls import NO_WALL
-from isogi_core.kernels.transport.coloured_transfer import ColouredRules, bake_coloured_texels
 from isogi_core.kernels.transport.colours import colours_of
-from isogi_core.kernels.transport.glow_paths import glow_in_room
+from isogi_core.kernels.transport.glow_paths import glow_among_surfaces, glow_in_room
 from isogi_core.kernels.transport.matter.matter_paths import ALONG_RAY, INWARD, Through, light_through_matter
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange, TransferRules
 from isogi_core.kernels.transport.room_paths import InRoom, light_in_room
-from isogi_core.kernels.transport.strays import Confines, find_strays
-from isogi_core.kernels.transport.surface_glow import glow_among_surfaces
 from isogi_core.kernels.transport.surface_paths import light_among_surfaces
-from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels
+from isogi_core.kernels.transport.transfer import (
+    ColouredRules,
+    Confines,
+    bake_coloured_texels,
+    bake_irradiance,
+    bake_texels,
+    find_strays,
+)
 from tests.kernels.fields import cells_of, field_of, surface_of
 from tests.kernels.glows import ball, block, glows_of
 from tests.kernels.rooms import X, Y, Z, box, room_of, sky, wall

@@ -6,10 +6,9 @@ import pytest
 from isogi_core.kernels.tracing.vec import column
 from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport import colours as module
-from isogi_core.kernels.transport.coloured_transfer import ColouredRules, bake_coloured_texels
 from isogi_core.kernels.transport.colours import fill_albedos, sample_layer, slope_layer
 from isogi_core.kernels.transport.paths import PathTree, SampleRange, TransferRules
-from isogi_core.kernels.transport.transfer import bake_texels
+from isogi_core.kernels.transport.transfer import ColouredRules, bake_coloured_texels, bake_texels
 from tests.kernels.fields import field_of
 from tests.kernels.rooms import room_of
 from tests.kernels.transport.lighting import TORUS, halves_of, place_of

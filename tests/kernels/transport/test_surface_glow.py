@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.tracing.walls import NO_WALL
+from isogi_core.kernels.transport.glow_paths import glow_among_surfaces
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.surface_glow import glow_among_surfaces
 from tests.kernels.fields import field_of
 from tests.kernels.glows import ball, block, gather_glow, glows_of
 from tests.kernels.rooms import X, Y, Z, room_of, starts_in, wall

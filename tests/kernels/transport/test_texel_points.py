@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
-from isogi_core.kernels.tracing.plateaus import MAX_SHIFT_VOXELS, STEP_VOXELS
-from isogi_core.kernels.transport.texel_points import (
+from isogi_core.kernels.tracing.stiffness import MAX_SHIFT_VOXELS, STEP_VOXELS
+from isogi_core.kernels.transport.transfer import (
     MAX_BACKTRACK,
     NO_SURFACE,
     NORMAL_TURNED,

@@ -12,8 +12,7 @@ from isogi_core.kernels.tracing.vec import column
 from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.harmonics import accumulate
 from isogi_core.kernels.transport.paths import PathTree, SampleRange, TransferRules
-from isogi_core.kernels.transport.strays import Confines, find_strays
-from isogi_core.kernels.transport.transfer import bake_texels
+from isogi_core.kernels.transport.transfer import Confines, bake_texels, find_strays
 from isogi_core.model.volume import make_volume
 from isogi_core.prepared.prepared_scene import PreparedScene, make_field
 from tests.kernels.fields import cells_of, field_of

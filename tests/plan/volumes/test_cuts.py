@@ -11,7 +11,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.orientation import Orientation
 from isogi_core.model.view import View
 from isogi_core.plan.variants import cut_open
-from isogi_core.plan.volumes.cuts import CUT_AWAY_VALUE, box_left, cut_away, values_beyond, voxels_left
+from isogi_core.plan.volumes.masks import CUT_AWAY_VALUE, box_left, cut_away, values_beyond, voxels_left
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import MIDDLE, scene_of, shell
 from tests.loaded import load_scene

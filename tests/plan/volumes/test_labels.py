@@ -18,7 +18,7 @@ from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import cut_open, with_hidden
 from isogi_core.plan.volumes import labels as module
-from isogi_core.plan.volumes.label_colours import stride_of, weighed
+from isogi_core.plan.volumes.colours import stride_of, weighed
 from isogi_core.plan.volumes.labels import smooth
 from isogi_core.storage.store import Store
 from tests.loaded import load_scene

@@ -12,7 +12,7 @@ import zarr
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files import zarr_volume
 from isogi_core.files.grid import Grid
-from isogi_core.files.ome_writer import write_image
+from isogi_core.files.ome import write_image
 from isogi_core.files.zarr_volume import open_zarr
 from isogi_core.model.volume import Volume
 from isogi_core.plan.scene import Scene

@@ -8,7 +8,7 @@ import pytest
 from fastapi import FastAPI
 
 from server.api.app import middleware
-from server.api.shutdown import Closing
+from server.api.lifespan import Closing
 from server.render.metrics import Metrics
 from server.settings import Settings
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from isogi_core.model.lights import ENVIRONMENTS
-from isogi_core.model.window import read_window
+from isogi_core.model.view import read_window
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.store import Store
 from server.errors import UnknownSceneError

@@ -10,8 +10,8 @@ from starlette.middleware import Middleware
 
 from isogi_core.kernels._compilation import KernelProgress
 from server.api.access import TokenBearers
+from server.api.lifespan import Closing
 from server.api.routes import pages as health
-from server.api.shutdown import Closing
 from server.bearers import Bearer
 
 TOKEN = "correct horse battery"

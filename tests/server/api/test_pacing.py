@@ -6,7 +6,10 @@ from typing import Any
 
 import pytest
 
-from server.api.pacing import (
+from server.api.stream import (
+    CLOSE_IDLE,
+    CLOSE_POLICY,
+    CLOSE_TOO_BIG,
     HALF,
     MAX_DRAFT_SECONDS,
     MAX_PICTURES_AHEAD,
@@ -14,11 +17,11 @@ from server.api.pacing import (
     QUARTER,
     RECEIPT_SECONDS,
     Drafts,
+    Inbox,
     Window,
 )
-from server.api.stream import CLOSE_IDLE, CLOSE_POLICY, CLOSE_TOO_BIG, Inbox
 from server.errors import StreamError
-from server.render.admission import Place
+from server.render.scheduling import Place
 from server.settings import Settings
 from tests.server.loops import played
 

@@ -12,7 +12,7 @@ import pytest
 
 from isogi_core.model.view import VIEW_SHADINGS
 from isogi_core.plan.assembly import load_scene
-from isogi_core.plan.range_sampling import SLIDER_STOPS
+from isogi_core.plan.projection import SLIDER_STOPS
 from isogi_core.plan.variants import under
 from server.answers import scene_schema
 

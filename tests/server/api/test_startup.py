@@ -5,7 +5,7 @@ import time
 from types import SimpleNamespace
 from typing import Any
 
-from server.api.startup import Startup
+from server.api.lifespan import Startup
 
 
 def test_what_visitors_ask_for_is_surveyed_once_there_is_light() -> None:

@@ -14,7 +14,7 @@ from websockets.exceptions import ConnectionClosed
 from isogi_core.errors import Cancelled
 from isogi_core.frame.frame import Frame
 from isogi_core.model.view import View
-from server.api import pacing as window
+from server.api import stream as window
 from server.render.engine import RenderEngine
 
 VIEW: dict[str, Any] = {"width": 48, "height": 40, "azimuth": 40}

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from isogi_core.plan.first_view import front_of
+from isogi_core.plan.isovalue_presets import front_of
 from server.cli.command import run
 from server.cli.publish import first_place, ground_colour, sliders_of, values_in
 from server.errors import ParameterError

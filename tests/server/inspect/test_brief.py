@@ -9,7 +9,7 @@ import pytest
 from isogi_core.plan.assembly import load_scene
 from server.cli.command import run
 from server.inspect.inspection import inspection_schema
-from server.inspect.rows import LEAD_COLUMNS
+from server.inspect.text import LEAD_COLUMNS
 
 
 def brief_of(capsys: pytest.CaptureFixture[str], target: Path) -> dict[str, str]:

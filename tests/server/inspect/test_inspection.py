@@ -207,7 +207,7 @@ def test_the_picture(capsys: pytest.CaptureFixture[str], small_scene: Path, tmp_
 
 @needs_matplotlib
 def test_a_volume_without_a_surface_has_a_picture_too(tmp_path: Path) -> None:
-    from server.inspect.picture import save_picture
+    from server.inspect.inspection import save_picture
 
     save_picture(tmp_path / "a.png", inspection_schema(scene_of(np.ones((4, 5, 6)), 1.0)))
     assert (tmp_path / "a.png").stat().st_size > 1000

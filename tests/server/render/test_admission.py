@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from server.errors import BusyError
-from server.render.admission import AdmissionLimit, Place
+from server.render.scheduling import AdmissionLimit, Place
 from tests.server.loops import played
 
 

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from isogi_core.kernels._compilation import KernelProgress
-from server.render import kernels
-from server.render.kernels import SceneKernels
+from server.render import workforce
+from server.render.workforce import SceneKernels
 from tests.loaded import load_scene
 
 LONG = 20.0
@@ -37,8 +37,8 @@ class Slow:
 
 
 def test_what_an_admitted_scene_lacks_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kernels, "Compilation", Slow)
-    monkeypatch.setattr(kernels, "load", lambda *_: None)
+    monkeypatch.setattr(workforce, "Compilation", Slow)
+    monkeypatch.setattr(workforce, "load", lambda *_: None)
     scene = load_scene("demo:orbital")
     known = SceneKernels(lambda: [scene], threading.Event())
     assert known.progress is None

@@ -15,8 +15,8 @@ import pytest
 
 from isogi_core.errors import StoreError
 from isogi_core.plan.assembly import load_scene
+from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
-from isogi_core.storage.url import StoreUrl
 from server.render.engine import RenderEngine
 from tests.cluster.processes import ROOT, end, until
 from tests.proxy import Harm, Proxy

@@ -29,16 +29,16 @@ from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.tracing.stiffness import count_stiffness
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
-from isogi_core.kernels.transport.texel_points import measure_distances
+from isogi_core.kernels.transport.transfer import measure_distances
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps, Run, find_levels
 from isogi_core.storage import folder
-from isogi_core.storage.url import StoreUrl
+from isogi_core.storage.backend import StoreUrl
 from server.cli.render import draw_refined
 from server.render.engine import RenderEngine
 from server.render.loaded_scene import next_values
-from server.render.resources import StoreProbe, whereabouts
+from server.render.workforce import StoreProbe, whereabouts
 from tests.scale import COMPILED
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of
 from worker import pool
@@ -482,7 +482,7 @@ import json, sys
 from contextlib import closing
 from isogi_core.plan.assembly import load_scene
 from isogi_core.model.view import View, quaternion_from_angles
-from server.render.resources import StoreProbe
+from server.render.workforce import StoreProbe
 from server.render.engine import RenderEngine
 from tests.compile_kernels import entry_kernels
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from isogi_core.cache.upkeep.census import census_of
+from isogi_core.cache.upkeep import census_of
 from isogi_core.errors import NoRoomError
 from isogi_core.frame.rays.picture_plan import COUNTED_TEXEL_SHARE, Prices
 from isogi_core.frame.renderer import Renderer

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from server.render.resources import shared
+from server.render.workforce import shared
 
 THREADS = """
 import ctypes, re, sys, threading

@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 
 from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.cache import upkeep as pruning
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.cache.upkeep import prune as pruning
-from isogi_core.cache.upkeep.census import census_of
-from isogi_core.cache.upkeep.prune import trim_projected
+from isogi_core.cache.upkeep import census_of, trim_projected
 from isogi_core.frame import projected_texels
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.view_texels import Demand

@@ -11,8 +11,8 @@ from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from server.cli.render import awaited
+from server.render.bakes import CHECK
 from server.render.engine import RenderEngine
-from server.render.picture_checks import CHECK
 from tests.server.inline import LONG
 from worker.bake_requests import GUEST_VIEWER
 

@@ -12,6 +12,7 @@ import pytest
 from isogi_core.prepared.prepared_scene import Index
 from server.errors import BusyError
 from server.logs import REQUEST_ID
+from server.render.bakes import UpdateBus
 from server.render.scheduling import (
     DRAFT,
     REFINEMENT_PATIENCE,
@@ -22,7 +23,6 @@ from server.render.scheduling import (
     Rank,
     Renders,
 )
-from server.render.updates import UpdateBus
 from tests.server.loops import played
 
 

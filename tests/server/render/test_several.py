@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from isogi_core.errors import ReportError
-from isogi_core.frame.several.surfaces_frame import parts_of
+from isogi_core.frame.several.composer import parts_of
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_report.bench import Bench

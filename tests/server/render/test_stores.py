@@ -19,8 +19,8 @@ import pytest
 
 from isogi_core.errors import StoreAwayError
 from isogi_core.plan.assembly import load_scene
+from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
-from isogi_core.storage.url import StoreUrl
 from server.api.app import create_app
 from server.api.routes import frames as completion
 from server.api.routes.events import resumed
@@ -57,7 +57,7 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool, "WorkerPool", Watched)
     monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.0)
     monkeypatch.setattr("isogi_core.cache.loader.ASK_AGAIN", 0.0)
-    monkeypatch.setattr("server.render.resources.FINDING_SECONDS", 0.0)
+    monkeypatch.setattr("server.render.workforce.FINDING_SECONDS", 0.0)
     monkeypatch.setattr("worker.baker.SHORTEST_PAUSE", 0.05)
     monkeypatch.setattr("worker.baker.LONGEST_PAUSE", 0.05)
 

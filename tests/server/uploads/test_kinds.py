@@ -11,9 +11,8 @@ import nrrd
 import numpy as np
 import pytest
 
-from isogi_core.files.grid import LabelName
+from isogi_core.files.grid import LabelName, on_right_angles
 from isogi_core.files.nrrd import open_nrrd
-from isogi_core.files.right_angles import on_right_angles
 from isogi_core.model.orientation import Orientation
 from server.uploads.folder import read_facts
 from server.uploads.reading import PYTHON_ROOT

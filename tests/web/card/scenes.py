@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from isogi_core.bake.noise import Until
-from isogi_core.frame.card.chunk_light import CHUNKS, fold_chunks, seen_chunks, transfer_chunks
+from isogi_core.frame.card.blocks import CHUNKS, fold_chunks, seen_chunks, transfer_chunks
 from isogi_core.frame.known_blocks import LEVEL
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.model.view import Camera, Quaternion, View, quaternion_from_angles
-from server.card_answers import card_scene
+from server.answers import card_scene
 from tests.web.card.lab import Lab
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)

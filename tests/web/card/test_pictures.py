@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.model.view import View, orthographic
+from isogi_core.model.view import View, orthographic, read_window
 from isogi_core.model.volume import make_volume
-from isogi_core.model.window import read_window
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, scene_of
 from tests.loaded import load_scene
 from tests.web.card.conftest import Make

@@ -1,5 +1,5 @@
 // Windows: what planes leave to the eye, and the faces that they open in what is solid.
-// Kernels: isogi_core/kernels/tracing/sight.py, paint_faces of isogi_core/frame/framing.py.
+// Kernels: isogi_core/kernels/tracing/camera.py, paint_faces of isogi_core/frame/framing.py.
 const int PLANES = 12;
 uniform vec4 window[PLANES];    // in index space: n . p + w >= 0 is left to see
 uniform int planes;             // how many there are

@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import REAL_ROWS, kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.field import FIELD_RECORD
 from isogi_core.kernels.tracing.intersect import SOLID_SIGN, UNKNOWN_SIDE
 from isogi_core.kernels.tracing.vec import column, dot, put_column, scale
-from isogi_core.kernels.tracing.walls import NO_WALL, REAL_ROWS
+from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.integrate import (
     add_carried,
     add_paths,
@@ -22,11 +22,9 @@ from isogi_core.kernels.transport.integrate import (
     make_state,
     meet,
 )
-from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD, Surroundings
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD, Surroundings, cast_wave
 from isogi_core.kernels.transport.lights import arriving, radiance, row
-from isogi_core.kernels.transport.matter.inside import MATTER_RECORD
-from isogi_core.kernels.transport.matter.passage import make_passage, pass_matter
-from isogi_core.kernels.transport.open_paths import cast_wave
+from isogi_core.kernels.transport.matter.passage import MATTER_RECORD, make_passage, pass_matter
 from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.room_paths import ROOM_RECORD, balance_area, cast_among_walls, lit_from

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import SINGLE_ARRAY, SINGLE_ROWS, kernel, record
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
 from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
@@ -16,7 +16,7 @@ from isogi_core.kernels.tracing.vec import column, dot, madd, normalize, put_col
 from isogi_core.kernels.tracing.walls import NO_WALL, nearest_wall
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD, to_world
 from isogi_core.kernels.transport.lights import radiance, row
-from isogi_core.kernels.transport.matter.inside import (
+from isogi_core.kernels.transport.matter.passage import (
     PASSABLE,
     brightest,
     dimmed,
@@ -51,7 +51,7 @@ class Leaves(NamedTuple):
     cut: Any
 
 
-SINGLE_ROWS, SMALL_INTEGERS, SINGLE_ARRAY = types.float32[:, ::1], types.int8[::1], types.float32[::1]
+SMALL_INTEGERS = types.int8[::1]
 LEAVES_OF = record(Leaves, SINGLE_ROWS, SINGLE_ROWS, SINGLE_ROWS, SMALL_INTEGERS, SMALL_INTEGERS, SINGLE_ARRAY)
 
 

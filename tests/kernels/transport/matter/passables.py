@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from isogi_core.kernels.transport.matter.inside import Matter, Passable
 from isogi_core.kernels.transport.matter.matter_paths import Through, light_through_matter
+from isogi_core.kernels.transport.matter.passage import Matter, Passable
 from isogi_core.kernels.transport.matter.sight import NO_SAMPLE, Chances, Leaves, see_through
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from tests.kernels.fields import cells_of, field_of, surface_of

@@ -1,1 +1,0 @@
-"""Upkeep of a store: audit and repair, census, and pruning of unused layers."""
