@@ -206,8 +206,8 @@ def frame_kernels(scenes: Iterable[Scene], surveyed: bool = True) -> tuple[Any, 
 def calls(scene: Scene, kernel: Any, surveyed: bool) -> bool:
     """Whether frames of a ``scene`` call a ``kernel`` of KERNELS; for ``surveyed`` see ``frame_kernels``."""
     names = uncalled(scene.lighting.rotating, scene.lighting.environment, scene.lighting.lamps, scene.plan.lobes)
-    needed = CALLED_IF.get(kernel, lambda *_: True)
-    return kernel.__name__ not in names and needed(scene, not surveyed or scene.projection.any)
+    needed = CALLED_IF.get(kernel)
+    return kernel.__name__ not in names and (needed is None or needed(scene, not surveyed or scene.projection.any))
 
 
 def other_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:

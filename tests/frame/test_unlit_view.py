@@ -11,7 +11,7 @@ from isogi_core.errors import Cancelled
 from isogi_core.frame import renderer as renderer_module
 from isogi_core.frame import texel_shading
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.unlit_view import unlit_frame
+from isogi_core.frame.renderer import unlit_frame
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from tests.frame.conftest import SKY, Workbench, refine_chunk

@@ -18,8 +18,8 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
-from isogi_core.frame.rays.estimate import HALVES, Estimate, NoisyLight
 from isogi_core.frame.rays.picture_plan import Prices
+from isogi_core.frame.rays.point_paths import HALVES, Estimate, NoisyLight
 from isogi_core.frame.rays.shine import RAYS_TOGETHER, ShineRays, cast_rays, light_below, paths_from
 from isogi_core.frame.rays.wall_light import ViewWalls, WallView
 from isogi_core.frame.refinement import Refinement

@@ -15,8 +15,8 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.estimate import HALVES, Estimate, NoisyLight
 from isogi_core.frame.rays.picture_plan import Prices
+from isogi_core.frame.rays.point_paths import HALVES, Estimate, NoisyLight
 from isogi_core.frame.rays.wall_light import ViewWalls, WallView
 from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.shading import empty_framebuffer

@@ -7,7 +7,6 @@ import pytest
 
 from isogi_core.bake.noise import RATE
 from isogi_core.frame.rays.control_pixels import ControlPixels, spread_errors, variance_of_halves
-from isogi_core.frame.rays.estimate import Estimate
 from isogi_core.frame.rays.own_light import (
     AIM,
     FILTERED_VARIANCE_SHARE,
@@ -20,6 +19,7 @@ from isogi_core.frame.rays.own_light import (
     foreseen_paths,
 )
 from isogi_core.frame.rays.pixel_rays import variance_of_mean
+from isogi_core.frame.rays.point_paths import Estimate
 
 POINTS, PATHS, NOISE = 2000, 512, 0.02
 NONE = np.empty(0, np.int64)
