@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.fitting import FILLED, Stand, fitted, fitted_to_all, nearest
-from isogi_core.model.view import PROJECTIONS, Vec3, View, orbit
+from isogi_core.model.choices import PROJECTIONS
+from isogi_core.model.view import Vec3, View, orbit
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.isovalue_presets import FRONT, SKEW_AZIMUTHS, front_of
 from tests.frame.conftest import Workbench

@@ -19,8 +19,9 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import first_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
+from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.scene_plan import MAX_SAMPLES
-from isogi_core.model.view import IDENTITY, VIEW_SHADINGS, quaternion_from_angles
+from isogi_core.model.view import IDENTITY, quaternion_from_angles
 from isogi_core.model.volume import make_volume
 from tests.frame.conftest import (
     LOOSE,
