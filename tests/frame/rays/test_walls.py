@@ -18,7 +18,6 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.wall_light import RoomLight
 from isogi_core.frame.rays.wall_texels import FINE_WALL_TEXELS, MAX_WALL_TEXELS, WallTexels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
-from isogi_core.kernels.tracing.camera import trace_pixels
 from isogi_core.kernels.transport.room_paths import light_in_room
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.orientation import triple
@@ -113,7 +112,6 @@ def test_the_camera_may_not_stand_in_a_wall(room: Workbench) -> None:
 
 def test_only_scenes_with_walls_need_their_kernels(room: Workbench) -> None:
     assert {*ROOM, light_in_room} <= {*frame_kernels([room.scene])}
-    assert trace_pixels not in frame_kernels([room.scene])
     assert not {*ROOM, light_in_room} & {*frame_kernels([load_scene("demo:orbital", lights=[CONSTANT])])}
 
 
