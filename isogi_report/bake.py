@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec, spec_name
-from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.bake.refine import refine
-from isogi_core.bake.texel_light import Light, Part
+from isogi_core.bake.texel_light import FIRST_LEVEL, Light, Part
 from isogi_core.cache.chunk_record import Chunks
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.projected_texels import find_distances

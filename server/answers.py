@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from isogi_core.files.scene_changes import write_material_text
+from isogi_core.files.scene_file import write_material_text
 from isogi_core.frame.card.blocks import CHUNKS, SeenChunk, raw_scale, seen_chunks
 from isogi_core.frame.card.obstacles import BYTES, Obstacle, find_obstacles
 from isogi_core.frame.film import COLOURS, SCALE, ground_of, lit
@@ -31,8 +31,8 @@ from isogi_core.plan.left_out import S1_BYTES
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.surfaces import material_settings
 from isogi_core.plan.variants import find_materials
+from isogi_core.prepared.isosurface_mesh import surface_size
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_core.prepared.surface_size import surface_size
 from server.card_schemas import (
     CardChunk,
     CardGrid,

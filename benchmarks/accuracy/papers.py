@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.accuracy.carrying import lit_texels
-from isogi_core.bake.precision import next_level
+from isogi_core.bake.texel_light import next_level
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.lattice import Lattice

@@ -29,7 +29,7 @@ from benchmarks.accuracy.scenes import PLANNED, load_planned
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.suite import part
 from isogi_core.bake.refine import refine
-from isogi_core.cache.loader import Loader
+from isogi_core.cache.scene_caches import Loader
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, most_samples

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.precision import VOID
-from isogi_core.bake.texel_light import Part
+from isogi_core.bake.texel_light import VOID, Part
 from isogi_core.cache.chunk_record import Chunk, Chunks
 from isogi_core.cache.inventory import STAMPS_FOLDER
 from isogi_core.cache.layer import LayerStore

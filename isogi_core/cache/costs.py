@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable
 from functools import reduce
 from typing import Any, NamedTuple
 
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store, StoreLike
 

@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from isogi_core.bake.precision import VOID
-from isogi_core.bake.texel_light import Part
+from isogi_core.bake.texel_light import VOID, Part
 from isogi_core.cache.chunk_record import LayerFacts, facts_in, find_anomaly, unpack
 from isogi_core.cache.costs import Cost
 from isogi_core.cache.inventory import QUARANTINE_FOLDER, Inventory, LayerFiles, inventory_of

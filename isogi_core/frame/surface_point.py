@@ -10,7 +10,7 @@ from isogi_core.kernels.shading.local_models import find_normals
 from isogi_core.model.orientation import triple
 from isogi_core.model.view import Vec3
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.sides import surfaces_of
+from isogi_core.plan.variants import surfaces_of
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import SPECS
 from isogi_core.bake.noise import Until
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.lighting import RotatedLight

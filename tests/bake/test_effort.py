@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.noise import Effort, efforts, expected_samples, good_enough, samples_left, samples_needed
-from isogi_core.bake.precision import VOID
+from isogi_core.bake.texel_light import VOID
 from isogi_core.model.scene_plan import MIN_SAMPLES, most_samples, texel_target
 
 TARGET = 0.05

@@ -1,7 +1,6 @@
 import numpy as np
 
-from isogi_core.bake.precision import VOID
-from isogi_core.bake.texel_light import Light, Part
+from isogi_core.bake.texel_light import VOID, Light, Part
 from isogi_core.model.scene_plan import Layer, ScenePlan
 from tests.bake.texels import same
 

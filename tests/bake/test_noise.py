@@ -18,8 +18,7 @@ from isogi_core.bake.noise import (
     noise_of_halves,
     relative_error,
 )
-from isogi_core.bake.precision import VOID
-from isogi_core.bake.texel_light import Light, Part
+from isogi_core.bake.texel_light import VOID, Light, Part
 from isogi_core.model.scene_plan import MIN_SAMPLES, most_samples, texel_target
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import baked, climbed, orbital, rotations_of, surface_texels

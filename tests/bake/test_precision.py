@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from isogi_core.bake.precision import (
+from isogi_core.bake.texel_light import (
     CODES_PER_HALVING,
     FIRST_LEVEL,
     LARGEST_HALF,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.precision import VOID
+from isogi_core.bake.texel_light import VOID
 from isogi_core.cache.chunk_record import Chunk, record_type
 from isogi_core.cache.chunk_store import STAMP_EVERY, ChunkStore, UseStamps
 from isogi_core.cache.costs import Cost, Costs

@@ -1,7 +1,6 @@
 import numpy as np
 
-from isogi_core.bake.precision import VOID
-from isogi_core.bake.texel_light import Light, Part
+from isogi_core.bake.texel_light import VOID, Light, Part
 from isogi_core.cache.chunk_record import Chunk, Chunks
 from tests.bake.texels import same
 from tests.cache.chunks import PLAN

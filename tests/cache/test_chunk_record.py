@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from isogi_core.bake.precision import VOID, VOID_CODE, round_light
-from isogi_core.bake.texel_light import Part
+from isogi_core.bake.texel_light import VOID, VOID_CODE, Part, round_light
 from isogi_core.cache.chunk_record import pack, record_type, unpack
 from isogi_core.model.scene_plan import Layer
 from tests.bake.texels import COLUMNS

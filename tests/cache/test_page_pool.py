@@ -9,7 +9,7 @@ import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import deviations, path_deviation, relative_error
-from isogi_core.bake.precision import VOID
+from isogi_core.bake.texel_light import VOID
 from isogi_core.cache.chunk_record import Chunk, Chunks
 from isogi_core.cache.page_pool import FEWEST_CHUNKS, PAGE_TEXELS, PagePool, fewest_samples
 from isogi_core.errors import StoreError

@@ -8,8 +8,7 @@ import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import relative_error, scatter, standard_error
-from isogi_core.bake.precision import VOID, level_codes
-from isogi_core.bake.texel_light import Light, Part
+from isogi_core.bake.texel_light import VOID, Light, Part, level_codes
 from isogi_core.cache.page_pool import MAX_SAMPLE_LEVELS, SHOWN_CHECKSUMS, fewest_samples, fill_rows, new_rows
 from isogi_core.kernels.shading.lattice import BURIED_ROW, UNLIT_ROW, VOID_ROW
 from isogi_core.kernels.shading.texel_table import Rows

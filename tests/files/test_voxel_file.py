@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isogi_core.files.voxel_file import new_voxels
+from isogi_core.files.volume_copies import new_voxels
 
 SCRIPT = """
 import sys, time
 from pathlib import Path
 from isogi_core.files.mappings import file_bytes
-from isogi_core.files.voxel_file import read_voxels
+from isogi_core.files.volume_copies import read_voxels
 import numpy as np
 import pytest
 from isogi_core.kernels._pages import bound_pages

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import SceneError
-from isogi_core.files.scene_changes import read_clears
+from isogi_core.files.scene_file import read_clears
 from isogi_core.plan.assembly import build_scene, load_scene
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.sides import OUTER, Side, scene_of_side, sides_of
-from isogi_core.plan.variants import with_clears
+from isogi_core.plan.variants import OUTER, Side, scene_of_side, sides_of, with_clears
 
 SKIN = {"isovalue": 60.0, "clear": 0.5, "albedo": [0.8, 0.5, 0.4]}
 

@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-import isogi_core.prepared.surface_size as module
+import isogi_core.prepared.isosurface_mesh as module
 from isogi_core.model.volume import make_volume
-from isogi_core.prepared.surface_size import SurfaceSize, surface_size
+from isogi_core.prepared.isosurface_mesh import SurfaceSize, surface_size
 
 SHEAR = np.array([[0.8, 0.2, 0.0], [0.0, 1.1, -0.3], [0.1, 0.0, 1.4]])
 EVEN = np.eye(3)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import SPECS
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import StoreError
 from isogi_core.frame.frame import Frame

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.noise import mean_luminance
-from isogi_core.bake.precision import FIRST_LEVEL, round_light
 from isogi_core.bake.refine import add_to_mean, locate, refine, sample_transfer
-from isogi_core.bake.texel_light import Light
+from isogi_core.bake.texel_light import FIRST_LEVEL, Light, round_light
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer

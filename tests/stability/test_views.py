@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import ViewError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.shading.framebuffer import CONVERGING

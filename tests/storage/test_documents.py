@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from isogi_core.errors import ChangedError, StoreError
-from isogi_core.storage.documents import MAX_TRIES, Documents
-from isogi_core.storage.store import Store
+from isogi_core.storage.store import MAX_TRIES, Documents, Store
 
 
 @pytest.mark.parametrize("scheme", ["", "file://"])

@@ -23,7 +23,7 @@ from isogi_core.errors import (
     StoreUrlError,
 )
 from isogi_core.storage.backend import StoredObject, StoreUrl
-from isogi_core.storage.local_copies import Copies
+from isogi_core.storage.folder import Copies
 from isogi_core.storage.store import CHECKED, SENTINEL_CONTENT, SENTINEL_KEY, Store
 from tests.s3 import ACCESS_KEY, SECRET_KEY, Fault, S3Server
 from tests.worker.clock import Clock

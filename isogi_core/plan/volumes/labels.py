@@ -11,8 +11,7 @@ import numpy as np
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.grid import Grid, LabelName, slab_layers
 from isogi_core.files.mappings import budget
-from isogi_core.files.scene_changes import tables_in
-from isogi_core.files.scene_file import SceneSource, Settings
+from isogi_core.files.scene_file import SceneSource, Settings, tables_in
 from isogi_core.model.colours import Colour, Label, linear_of
 from isogi_core.model.value_survey import check
 from isogi_core.model.volume import Volume

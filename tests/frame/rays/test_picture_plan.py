@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.rays.control_pixels import MAX_CONTROLS, TotalError
 from isogi_core.frame.rays.picture_plan import (
     AWAITED,

@@ -11,7 +11,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.several.composer import parts_of
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
 from isogi_core.model.view import View
-from isogi_core.plan.sides import WALLS_SIDE
+from isogi_core.plan.variants import WALLS_SIDE
 from tests.frame.conftest import LOOSE, Workbench
 from tests.frame.several.drawing import bake
 from tests.loaded import load_scene

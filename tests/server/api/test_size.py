@@ -7,7 +7,7 @@ import httpx
 import pytest
 
 from isogi_client import Isogi
-from isogi_core.prepared.surface_size import surface_size
+from isogi_core.prepared.isosurface_mesh import surface_size
 from tests.loaded import load_scene
 
 
