@@ -8,13 +8,14 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from isogi_core.files.grid import Vector, triple
 from isogi_core.files.scene_file import write_material_text
 from isogi_core.frame.card.blocks import CHUNKS, SeenChunk, raw_scale, seen_chunks
 from isogi_core.frame.card.obstacles import BYTES, Obstacle, find_obstacles
 from isogi_core.frame.film import COLOURS, SCALE, ground_of, lit
 from isogi_core.frame.fitting import Stand, fitted_to_all
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.lighting import RotatedLight, triple
+from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import expected_error
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.surface_point import point_at
@@ -25,7 +26,7 @@ from isogi_core.model.environment import Lobe
 from isogi_core.model.lights import ENVIRONMENTS, Light
 from isogi_core.model.material import SHINE_KINDS, SHINE_KNOBS
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.view import IDENTITY, VIEW_SHADINGS, Vec3, View
+from isogi_core.model.view import IDENTITY, VIEW_SHADINGS, View
 from isogi_core.plan.isovalue_presets import front_of
 from isogi_core.plan.left_out import S1_BYTES
 from isogi_core.plan.scene import Scene
@@ -210,7 +211,7 @@ def camera_schema(
     return CameraSchema(azimuth=azimuth, elevation=elevation, distance=distance, target=target)
 
 
-def fit(renderer: Renderer, stands: Sequence[Stand], projection: str | None) -> tuple[Vec3, float]:
+def fit(renderer: Renderer, stands: Sequence[Stand], projection: str | None) -> tuple[Vector, float]:
     """The target and the distance, rounded, at which cameras see their surfaces whole: see ``fitted_to_all``.
 
     They see the whole volume where none is to be seen.

@@ -9,6 +9,7 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator, model_validator
 
 from isogi_core.errors import advice
+from isogi_core.files.grid import Vector
 from isogi_core.frame.card.blocks import CHUNKS, is_inside
 from isogi_core.model.glow import MAX_GLOW_STRENGTH
 from isogi_core.model.lights import ENVIRONMENTS
@@ -18,7 +19,6 @@ from isogi_core.model.view import (
     PROJECTIONS,
     VIEW_SHADINGS,
     Quaternion,
-    Vec3,
 )
 from isogi_core.prepared.prepared_scene import Index
 from server.errors import ParameterError, UnknownPartError
@@ -114,18 +114,20 @@ class ViewParams(VariantParams):
         description="How rays leave the camera: perspective, from the eye, or orthographic, side by side; what is at"
         " the target is as large in both; default: the scene's.",
     )
-    eye: Annotated[Vec3 | None, XYZ] = Field(None, description="Instead of azimuth, elevation, distance: world x,y,z.")
-    target: Annotated[Vec3 | None, XYZ] = Field(
+    eye: Annotated[Vector | None, XYZ] = Field(
+        None, description="Instead of azimuth, elevation, distance: world x,y,z."
+    )
+    target: Annotated[Vector | None, XYZ] = Field(
         None, description="World x,y,z that is in the middle of the picture; default: the volume's centre."
     )
-    up: Annotated[Vec3 | None, XYZ] = Field(
+    up: Annotated[Vector | None, XYZ] = Field(
         None, description="World x,y,z that points up in the picture; default: 0,0,1 with eye, else the orbit's own."
     )
     light: LightTurn = None
     yaw: Yaw = 0.0
     pitch: Pitch = 0.0
     roll: Roll = 0.0
-    albedo: Annotated[Vec3 | None, Colour()] = Field(
+    albedo: Annotated[Vector | None, Colour()] = Field(
         None,
         description="What share of the light the surface reflects, one number or r,g,b, within the scene's albedos;"
         " default: the scene's albedo.",
@@ -323,7 +325,7 @@ class ExportParams(VariantParams):
     yaw: Yaw = 0.0
     pitch: Pitch = 0.0
     roll: Roll = 0.0
-    albedo: Annotated[Vec3 | None, Colour()] = Field(
+    albedo: Annotated[Vector | None, Colour()] = Field(
         None, description="One number or r,g,b, within the scene's albedos; default: the scene's albedo."
     )
     exposure: Annotated[float | None, Span(1e-36, 1e36)] = Field(
@@ -498,7 +500,7 @@ class FoldParams(TransferParams):
     yaw: Yaw = 0.0
     pitch: Pitch = 0.0
     roll: Roll = 0.0
-    albedo: Annotated[Vec3 | None, Colour()] = Field(
+    albedo: Annotated[Vector | None, Colour()] = Field(
         None, description="What share of the light the surface reflects; default: the scene's albedo."
     )
 

@@ -40,8 +40,8 @@ class Affine:
     def of(cls, matrix: Any, letters: str = "") -> "Affine":
         """From an array (3, 4) or (4, 4): the matrix, and the origin as its last column."""
         rows = np.asarray(matrix, np.float64)[:3]
-        x, y, z = (_axis_vector(row) for row in rows[:, :3])
-        return cls((x, y, z), _axis_vector(rows[:, 3]), letters)
+        x, y, z = (triple(row) for row in rows[:, :3])
+        return cls((x, y, z), triple(rows[:, 3]), letters)
 
     @property
     def array(self) -> np.ndarray:
@@ -49,7 +49,8 @@ class Affine:
         return np.column_stack([np.array(self.matrix), np.array(self.origin)])
 
 
-def _axis_vector(row: np.ndarray) -> Vector:
+def triple(row: Any) -> Vector:
+    """Three floats."""
     x, y, z = (float(value) for value in row)
     return x, y, z
 
@@ -303,13 +304,12 @@ def _resampled(grid: Grid, rotation: np.ndarray, skewed: np.ndarray) -> Grid:
     origin = grid.affine.array[:, 3] + rotation[:, :2] @ (first * steps[:2])
     affine = Affine.of(np.column_stack([rotation * steps, origin]), grid.affine.letters)
     note = "The axes are skewed: the layers were resampled onto right angles, linearly."
-    x, y, z = (float(step) for step in steps)
     slabs = partial(_moved, grid, skewed, (int(first[0]), int(first[1])), (height, width), dtype)
     return replace(
         grid,
         shape=(nz, height, width),
         dtype=dtype,
-        spacing=(x, y, z),
+        spacing=triple(steps),
         slabs=slabs,
         affine=affine,
         notes=(*grid.notes, note),

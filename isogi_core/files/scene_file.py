@@ -5,13 +5,14 @@ Parameters of views spell changes: what pinned surfaces let pass, which labels a
 
 import sys
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import unquote
 
 from isogi_core.errors import SceneError, advice
+from isogi_core.files.grid import Vector, triple
 from isogi_core.files.packed_files import in_short, read_small, reason_of
 
 CHANGING_PARAMETERS = ("surfaces", "hide", "material")
@@ -372,7 +373,7 @@ class Settings:
         value = self._get(key)
         if value is None:
             return None
-        if not isinstance(value, list | tuple) or len(value) != length or not all(map(is_number, value)):
+        if not are_numbers(value, length):
             raise self._wrong(key, f"a list of {length} numbers")
         return tuple(float(v) for v in value)
 
@@ -413,10 +414,9 @@ class Settings:
         if value is None:
             value = fallback
         listed = [value] * 3 if is_number(value) else value
-        if not isinstance(listed, list) or len(listed) != 3 or not all(is_number(v) and 0 <= v <= 1 for v in listed):
+        if not are_numbers(listed, 3) or not all(0 <= share <= 1 for share in listed):
             raise self._wrong(key, "a number from 0 to 1, or three of them")
-        r, g, b = (float(v) for v in listed)
-        return r, g, b
+        return triple(listed)
 
     def lights(self, others: Sequence[Any] = ()) -> list[Mapping[str, Any]]:
         """The [[lights]] tables; a sky with a sun where the scene has none, nor any ``others`` that are lights."""
@@ -460,3 +460,57 @@ def is_span(value: Any) -> bool:
 def is_number(value: Any) -> bool:
     """Whether ``value`` is a finite real number (and not a bool) that floats hold."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
+TableReaders = Mapping[str, Callable[[str, Any], Any]]
+"""How the values of a table are read, by their keys: from what a message calls the value, and the value."""
+
+
+def read_table(
+    table: Mapping[str, Any], what: str, readers: TableReaders, needed: Iterable[str] = ()
+) -> dict[str, Any]:
+    """The values of a scene's ``table`` by its keys; messages call it ``what`` it describes, such as "A wall".
+
+    SceneError where a key is unknown, one that is ``needed`` is missing, or a value is of the wrong kind.
+    """
+    unknown = next((key for key in table if key not in readers), None)
+    if unknown is not None:
+        raise SceneError(f"{what} has no '{unknown}': {advice(unknown, readers)}")
+    missing = next((key for key in needed if key not in table), None)
+    if missing is not None:
+        raise SceneError(f"{what} lacks its '{missing}': add it to the scene.")
+    return {key: readers[key](f"{what}'s {key}", value) for key, value in table.items()}
+
+
+def read_number(name: str, value: Any) -> float:
+    """A number that floats hold."""
+    if not is_number(value):
+        raise SceneError(f"{name} is {in_short(value)}: give a number.")
+    return float(value)
+
+
+def read_colour(name: str, value: Any) -> Vector:
+    """A number for all three channels, or ``[r, g, b]``."""
+    given = [value] * 3 if is_number(value) else value
+    if not are_numbers(given, 3):
+        raise SceneError(f"{name} is {in_short(value)}: give a number or [r, g, b].")
+    return triple(given)
+
+
+def read_vector(name: str, value: Any) -> Vector:
+    """``[x, y, z]``."""
+    if not are_numbers(value, 3):
+        raise SceneError(f"{name} is {in_short(value)}: give [x, y, z].")
+    return triple(value)
+
+
+def read_name(name: str, value: Any) -> str:
+    """The name of a file."""
+    if not isinstance(value, str) or not value:
+        raise SceneError(f"{name} is {in_short(value)}: give the file by its name.")
+    return value
+
+
+def are_numbers(value: Any, count: int) -> bool:
+    """Whether ``value`` is a list of so many numbers."""
+    return isinstance(value, list | tuple) and len(value) == count and all(map(is_number, value))

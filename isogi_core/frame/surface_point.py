@@ -4,11 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from isogi_core.files.grid import Vector, triple
 from isogi_core.frame.frame import STATE_CODES, Frame
 from isogi_core.frame.framing import values_at
 from isogi_core.kernels.shading.local_models import find_normals
-from isogi_core.model.orientation import triple
-from isogi_core.model.view import Vec3
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import surfaces_of
 
@@ -22,12 +21,12 @@ class SurfacePoint:
     the relative error of the pixel, whatever its causes.
     """
 
-    position: Vec3
-    normal: Vec3
-    voxel: Vec3
+    position: Vector
+    normal: Vector
+    voxel: Vector
     value: float | None
     wall: int | None
-    radiance: Vec3
+    radiance: Vector
     state: str
     error: float
 

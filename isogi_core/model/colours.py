@@ -6,7 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-Colour = tuple[float, float, float]
+from isogi_core.files.grid import triple
+from isogi_core.model.lights import Colour
 
 COLOUR_MAPS = {
     "viridis": "440154 48186a 472d7b 424086 3b528b 33638d 2c728e 26828e 21918c"
@@ -114,8 +115,7 @@ class SurfaceColours:
         """The most that any place reflects of each colour."""
         codes = self.places if self.places.ndim == 3 else self.places[..., :2]
         there = np.any([np.bincount(layer.ravel(), minlength=VALUES + 1) > 0 for layer in codes], axis=0)
-        red, green, blue = self.table[there].max(axis=0).tolist()
-        return red, green, blue
+        return triple(self.table[there].max(axis=0))
 
     @property
     def grey(self) -> bool:

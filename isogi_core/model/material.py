@@ -9,7 +9,8 @@ from dataclasses import astuple, dataclass, field, fields
 from typing import Any
 
 from isogi_core.errors import SceneError, ViewError, advice
-from isogi_core.files.scene_file import is_number
+from isogi_core.files.grid import triple
+from isogi_core.files.scene_file import are_numbers, is_number
 from isogi_core.model.lights import LARGEST_LIGHT, Colour
 from isogi_core.model.volume import Volume
 
@@ -182,8 +183,7 @@ class PinnedSurface:
 
 def leaving(albedo: Colour, transmission: Colour) -> Colour:
     """The share of light that leaves a surface on either side where as much falls on both: their sum."""
-    red, green, blue = (min(back + through, 1.0) for back, through in zip(albedo, transmission, strict=True))
-    return red, green, blue
+    return triple(min(back + through, 1.0) for back, through in zip(albedo, transmission, strict=True))
 
 
 def refuse_gain(albedo: Colour, transmission: Colour, surface: str) -> None:
@@ -214,11 +214,10 @@ def pinned_from_mapping(table: Mapping[str, Any], volume: Volume) -> PinnedSurfa
 def _colour(table: Mapping[str, Any], key: str, fallback: float) -> Colour:
     given = table.get(key, fallback)
     listed = [given] * 3 if is_number(given) else given
-    if not isinstance(listed, list) or len(listed) != 3 or not all(is_number(v) and 0.0 <= v <= 1.0 for v in listed):
+    if not are_numbers(listed, 3) or not all(0.0 <= share <= 1.0 for share in listed):
         at = f"The surface at {table['isovalue']:g}"
         raise SceneError(f"{at} has {key} {given!r}: give a number from 0 to 1, or three.")
-    red, green, blue = (float(v) for v in listed)
-    return red, green, blue
+    return triple(listed)
 
 
 def pinned_surfaces(tables: list[Mapping[str, Any]], volume: Volume) -> tuple[PinnedSurface, ...]:

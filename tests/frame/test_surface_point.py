@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from isogi_core.files.grid import triple
 from isogi_core.frame.surface_point import point_at
-from isogi_core.model.orientation import Orientation, triple
+from isogi_core.model.orientation import Orientation
 from isogi_core.model.view import View, read_window
 from isogi_core.model.volume import Volume
 from isogi_core.plan.scene import Scene

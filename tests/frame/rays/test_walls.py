@@ -12,6 +12,7 @@ from scipy.interpolate import interp1d
 from isogi_core.cache.upkeep import Auditor, PruneRule, census_of, plan_prune
 from isogi_core.cache.wall_store import WallLayer, WallState, WallStore
 from isogi_core.errors import ViewError
+from isogi_core.files.grid import triple
 from isogi_core.frame.entry_kernels import ROOM, frame_kernels
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
@@ -21,7 +22,6 @@ from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONA
 from isogi_core.kernels.tracing.camera import trace_pixels
 from isogi_core.kernels.transport.room_paths import light_in_room
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
-from isogi_core.model.orientation import triple
 from isogi_core.model.view import View
 from isogi_core.storage.store import Store
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
