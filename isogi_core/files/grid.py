@@ -67,6 +67,13 @@ class LabelName:
     colour: str = ""
 
 
+def srgb_bytes(linear: np.ndarray) -> np.ndarray:
+    """Linear RGB as sRGB bytes (IEC 61966-2-1)."""
+    share = np.clip(linear, 0.0, 1.0)
+    curve = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
+    return np.asarray(curve * 255.0 + 0.5, np.uint8)
+
+
 SINGLE_MOMENT = (0, 1)
 """The moment of what is no series in time."""
 

@@ -17,7 +17,7 @@ import numpy as np
 from isogi_core.errors import VolumeError
 from isogi_core.files.mappings import map_file, scratch
 from isogi_core.kernels._cache_folder import locked
-from isogi_core.storage.atomic_file import PARTIAL_SUFFIX, sync_folder, write_whole
+from isogi_core.storage.atomic_file import PARTIAL_SUFFIX, sync_folder, user_cache, write_whole
 
 HEADER_BYTES = 16384
 """Bytes before the voxels, whole pages for their alignment."""
@@ -116,8 +116,7 @@ Copy = tuple[np.ndarray, dict[str, Any]]
 def copies_folder() -> Path:
     """The folder of copies: ``$ISOGI_VOLUME_CACHE``, or ``isogi/volumes`` in the user's cache folder."""
     given = os.environ.get("ISOGI_VOLUME_CACHE")
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return Path(given) if given else base / "isogi" / "volumes"
+    return Path(given) if given else user_cache("volumes")
 
 
 def most_bytes() -> int:

@@ -20,7 +20,7 @@ from zarr.core.sync import sync
 from zarr.storage._common import make_store
 
 from isogi_core.errors import ChangedError
-from isogi_core.storage.atomic_file import PARTIAL_SUFFIX, partial_file, sync_folder, write_whole
+from isogi_core.storage.atomic_file import PARTIAL_SUFFIX, partial_file, sync_folder, user_cache, write_whole
 from isogi_core.storage.backend import Entry, StoredObject, StoreUrl
 
 ABSENT_ERRORS = (FileNotFoundError, NotADirectoryError)
@@ -211,11 +211,6 @@ ROOM_MADE = 0.9
 """Share of the room that stays filled when the oldest copies are deleted."""
 
 
-def default_copies() -> Path:
-    """The default folder of copies: ``$XDG_CACHE_HOME/isogi/chunks`` or ``~/.cache/isogi/chunks``."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "isogi" / "chunks"
-
-
 class Copies:
     """At most ``most`` bytes of objects of the store ``url`` in ``folder``; the oldest of any store are deleted first.
 
@@ -227,7 +222,7 @@ class Copies:
         """Touch nothing yet."""
         self._url = url
         self._most = most
-        self._folder = folder or default_copies()
+        self._folder = folder or user_cache("chunks")
         self._lock = threading.Lock()
         self._grown = most  # as if full: the first put scans the folder
 

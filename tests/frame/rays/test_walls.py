@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import interp1d
 
-from isogi_core.cache.upkeep import Auditor, PruneRule, census_of, plan_prune
+from isogi_core.cache.upkeep import PruneRule, audit_store, census_of, plan_prune
 from isogi_core.cache.wall_store import WallLayer, WallState, WallStore
 from isogi_core.errors import ViewError
 from isogi_core.files.grid import triple
@@ -191,11 +191,11 @@ def test_damaged_light_of_walls_is_baked_again(room: Workbench, tmp_path: Path) 
     )
     assert len(objects) == 1
     objects[0].write_bytes(objects[0].read_bytes()[:-9])
-    found = [damage.key for damage in Auditor(copy.caches.store).audit().damages]
+    found = [damage.key for damage in audit_store(copy.caches.store).damages]
     assert found == [objects[0].relative_to(copy.folder).as_posix()], "an audit finds it"
     assert copy.renderer.render(view).quality.waiting
     np.testing.assert_array_equal(*on_walls(finished(copy, view), true))
-    assert Auditor(copy.caches.store).audit().sound
+    assert audit_store(copy.caches.store).sound
 
 
 def test_light_of_walls_is_pruned_with_the_rest(room: Workbench, tmp_path: Path) -> None:
