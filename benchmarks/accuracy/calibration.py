@@ -32,7 +32,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import IDENTITY, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
-from isogi_report.bake import ViewBake
+from isogi_report.bench import ViewBake
 from isogi_report.speed import make_renderer
 
 FURTHER = 16

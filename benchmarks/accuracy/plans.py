@@ -36,8 +36,8 @@ from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, most_samples
 from isogi_core.plan.left_out import S1_BYTES, lattice_bytes
 from isogi_core.plan.reachable_texels import TexelCount
 from isogi_core.plan.scene import Scene
-from isogi_report.convergence import as_s1
 from isogi_report.speed import make_renderer, view_of
+from isogi_report.studies import as_s1
 
 PATHS = 1024
 """Paths from each pixel of the picture that frames are compared with."""

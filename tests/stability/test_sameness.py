@@ -32,7 +32,7 @@ from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.runs import Run, serially
 from isogi_core.storage.backend import StoreUrl
-from isogi_report.bake import UNREACHED_TARGET
+from isogi_report.bench import UNREACHED_TARGET
 from isogi_report.speed import bake_chunks, wanted_of
 from tests.loaded import load_scene
 from tests.stability.scenes import view_of

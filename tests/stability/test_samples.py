@@ -15,7 +15,7 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer
 from isogi_core.plan.budget import BYTE_ROUNDING, HALF_ONE
-from isogi_report.bake import UNREACHED_TARGET, ViewBake
+from isogi_report.bench import UNREACHED_TARGET, ViewBake
 from tests.stability.scenes import body_volume, is_finite, lit, view_bake, view_of
 
 EXPECTED = {"half floats": HALF_ONE, "bytes": BYTE_ROUNDING, "single floats": 1e-7}
