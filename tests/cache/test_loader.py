@@ -1,3 +1,5 @@
+"""Loading: light in the store comes into memory once, and no damage or delay stops a frame; caches of a scene."""
+
 import hashlib
 import itertools
 import logging
@@ -12,17 +14,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.bake_spec import BakeSpec
+from isogi_core.bake.bake_spec import SPECS, BakeSpec
 from isogi_core.bake.refine import refine
 from isogi_core.cache import loader as loading
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.loader import ASK_AGAIN, MAX_BATCHES_AHEAD, Loader, ahead
-from isogi_core.cache.page_pool import PagePool
+from isogi_core.cache.page_pool import PAGE_TEXELS, PagePool
+from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import Cancelled, StoreAwayError, StoreError
 from isogi_core.frame.tiles import Tiles
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoreUrl
-from tests.cache.chunks import file_of
+from tests.cache.chunks import file_of, spec_of
 from tests.s3 import Call, S3Server
 
 A, B, C = (0, 1, 1), (1, 1, 1), (2, 1, 1)
@@ -306,3 +309,52 @@ def test_a_store_that_cannot_be_read_is_an_error(loader: Loader) -> None:
     again = Loader(ChunkStore(layer.store.url, spec), PagePool(spec, 1 << 22))
     with pytest.raises(StoreError, match="move that folder away"):
         again.ensure([A])
+
+
+# --- caches of a scene ------------------------------------------------------------------------------------------------
+
+
+BUDGET = 1 << 22
+
+
+def folders(store: Path) -> set[str]:
+    """The layers that were opened."""
+    return {path.parent.name for path in store.glob("*/zarr.json")}
+
+
+def test_nothing_is_opened_before_it_is_read(tmp_path: Path) -> None:
+    spec = spec_of()
+    caches = Caches(spec.prepared, tmp_path / "light", BUDGET)
+    assert not (tmp_path / "light").exists()
+    digests = [spec.prepared.scene.layer_digest(layer) for layer in spec.plan.layers]
+    caches.of("vicinity")
+    assert folders(tmp_path / "light") == {digests[0]}
+    caches.of("gi")
+    assert folders(tmp_path / "light") == set(digests)
+
+
+def test_each_spec_is_opened_once_with_a_pool_of_its_own(tmp_path: Path) -> None:
+    caches = Caches(spec_of().prepared, tmp_path, BUDGET)
+    with ThreadPoolExecutor(8) as threads:
+        loaders = set(threads.map(caches.of, ["gi", "vicinity"] * 8))
+    assert len(loaders) == 2
+    assert caches.of("gi") is caches.of("gi") is not caches.of("vicinity")
+    assert {loader.pool.spec.plan.representation for loader in loaders} == {"transfer", "vicinity"}
+    assert all(loader.chunk_store.spec is loader.pool.spec for loader in loaders)
+
+
+def test_specs_share_memory_by_equal_numbers_of_texels(tmp_path: Path) -> None:
+    caches = Caches(spec_of().prepared, tmp_path, BUDGET)
+    pools = [caches.of(name).pool for name in SPECS]
+    sizes = [sum(a.nbytes for a in (p.transfer, p.scatter, p.error, p.stamp, p.table)) for p in pools]
+    assert 0.95 * BUDGET < sum(sizes) <= BUDGET
+    rows = [len(pool.scatter) for pool in pools]
+    assert max(rows) - min(rows) <= PAGE_TEXELS
+
+
+def test_a_place_that_cannot_be_opened_is_an_error_each_time(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    caches = Caches(spec_of().prepared, tmp_path / "file", BUDGET)
+    for _ in range(2):
+        with pytest.raises(StoreError, match="Cannot"):
+            caches.of("gi")

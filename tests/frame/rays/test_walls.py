@@ -1,9 +1,10 @@
-"""Frames in a room: walls and luminaires in the picture, their light on the surface, and how it becomes final."""
+"""Walls of rooms: their light beside texels, what it errs by, and how it is kept."""
 
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,14 +18,17 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.wall_light import RoomLight
 from isogi_core.frame.rays.wall_texels import FINE_WALL_TEXELS, MAX_WALL_TEXELS, WallTexels
+from isogi_core.frame.several.composer import parts_of
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 from isogi_core.kernels.tracing.camera import trace_pixels
 from isogi_core.kernels.transport.room_paths import light_in_room
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.orientation import triple
 from isogi_core.model.view import View
+from isogi_core.plan.sides import WALLS_SIDE
 from isogi_core.storage.store import Store
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
+from tests.frame.several.drawing import bake
 from tests.loaded import load_scene
 
 SIZE = 32
@@ -276,3 +280,65 @@ def test_noise_of_walls_is_not_taken_for_edges() -> None:
     texels = wall_texels(64, lambda x, y: 1.0 + 0.3 * np.sin(3.0 * x + y), noise=0.1)
     assert texels.unsharp.mean() < 0.25 * texels.variance.mean()
     assert not texels.too_coarse(0.02)
+
+
+# --- walls before and beside texels -----------------------------------------------------------------------------------
+
+
+SMALL = 24
+SCENES: dict[str, dict[str, Any]] = {"one": {}, "several": {"isovalue": 0.06, "clear": 0.6}}
+
+
+@pytest.fixture(params=list(SCENES))
+def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Workbench:
+    """The orbital in a Cornell room, with one surface or with both sides of one that lets rays pass; nothing is lit."""
+    own = {"room": "cornell", "bounces": 2, "target_error": LOOSE, "projected": False}
+    return Workbench(load_scene("demo:orbital", **own, **SCENES[request.param]), tmp_path)
+
+
+def view_of(bench: Workbench) -> View:
+    """The view from the open side of the room."""
+    return bench.view(90.0, 0.0, SMALL, distance=4.0)
+
+
+def beside_surface(frame: Frame) -> np.ndarray:
+    """The states of pixels that show a wall and no surface."""
+    alone = frame.state > 0
+    parts = parts_of(frame) if parts_of(frame) else ()
+    for pixels in [
+        frame.gbuffer.pixels,
+        *(p for each in parts if each.side != WALLS_SIDE for _, p in each.layers.each),
+    ]:
+        alone.ravel()[pixels] = False
+    return frame.state[alone]
+
+
+@pytest.mark.slow
+def test_walls_are_fine_before_any_texel_has_light(bench: Workbench) -> None:
+    """A step makes them so; they err less then than a surface without light, and wait for that."""
+    view, target = view_of(bench), 0.01
+    first = bench.renderer.render(view, target)
+    assert first.walls_lag and first.refinable and not first.checkable
+    assert not bench.renderer.render(replace(view, moving=True)).refinable, "a view that moves has no time for it"
+    assert bench.renderer.refine(view, target)
+    second = bench.renderer.render(view, target)
+    assert 0.9 * first.quality.waiting < second.quality.waiting and not second.walls_lag
+    assert (beside_surface(second) > PROVISIONAL).all()
+    assert second.coverage["provisional"] < first.coverage["provisional"] == 1.0
+    assert not bench.renderer.refine(view, target)
+    assert bench.renderer.render(view, target).version == second.version
+
+
+@pytest.mark.slow
+def test_walls_grow_while_they_err_more_than_the_surface(bench: Workbench) -> None:
+    """Where the surface's light is final they do whatever it takes, as ever."""
+    view = view_of(bench)
+    bench.renderer.refine(view)
+    bake(bench, view) if bench.scene.surfaces.several else bench.bake(view)
+    frame = bench.renderer.render(view)
+    assert frame.quality.waiting and frame.checkable and frame.refinable
+    while bench.renderer.refine(view):
+        bake(bench, view) if bench.scene.surfaces.several else bench.bake(view)
+    frame = bench.renderer.render(view)
+    assert not frame.quality.waiting and not frame.walls_lag and not frame.refinable
+    assert (frame.state[frame.state > 0] == FINAL).all()

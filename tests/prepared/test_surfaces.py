@@ -1,4 +1,4 @@
-"""Area and volume of isosurfaces: closed forms, sums by chance, and errors that say how far off they are."""
+"""Isosurfaces: what rays meet at an isovalue, meshes, and area and volume against closed forms."""
 
 from itertools import pairwise
 
@@ -7,7 +7,94 @@ import pytest
 
 import isogi_core.prepared.surface_size as module
 from isogi_core.model.volume import make_volume
+from isogi_core.prepared.isosurface_mesh import Mesh, isosurface_mesh, vertex_count
+from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.prepared.surface_size import SurfaceSize, surface_size
+from tests.frame.conftest import scene_of
+
+VALUES = np.random.default_rng(4).integers(100, 4000, (9, 10, 11))
+
+
+@pytest.mark.parametrize("solid", ["above", "below"])
+def test_a_surface_takes_isovalues_of_the_file(solid: str) -> None:
+    volume = make_volume(VALUES, solid=solid)
+    prepared = PreparedScene(scene_of(volume, 2000.0))
+    surface = prepared.surface(2000.0)
+    inside = VALUES > 2000 if solid == "above" else VALUES < 2000
+    assert np.array_equal(volume.voxels > surface.isovalue, inside)
+    assert surface.field is prepared.field
+
+
+def test_near_surfaces_share_cells_until_forgotten() -> None:
+    prepared = PreparedScene(scene_of(make_volume(VALUES), 2000.0))
+    one, other = prepared.surface(2000.0), prepared.surface(2001.0)
+    field, cells, isovalue = one.traced()
+    assert field is prepared.field and isovalue == one.isovalue
+    assert other.cells() is cells
+    prepared.maps.forget()
+    assert one.cells() is not cells
+
+
+# --- meshes -----------------------------------------------------------------------------------------------------------
+
+
+RADIUS = 7.3
+
+
+def ball() -> np.ndarray:
+    z, y, x = np.mgrid[:20, :22, :24] - np.array([9.6, 10.3, 11.1])[:, None, None, None]
+    return RADIUS - np.sqrt(x**2 + y**2 + z**2)
+
+
+def mesh_of(values: np.ndarray, isovalue: float, solid: str = "above") -> Mesh:
+    volume = make_volume(values.astype(np.float32), solid=solid)
+    return isosurface_mesh(volume.voxels, volume.normalise_isovalue(isovalue))
+
+
+def triangles_of(mesh: Mesh) -> np.ndarray:
+    return np.concatenate([mesh.quads[:, [0, 1, 2]], mesh.quads[:, [0, 2, 3]]])
+
+
+def enclosed(mesh: Mesh) -> float:
+    """The volume that is enclosed by triangles, positive where they are anticlockwise from outside."""
+    a, b, c = (mesh.vertices[triangles_of(mesh)[:, n]].astype(float) for n in range(3))
+    return float((a * np.cross(b, c)).sum() / 6.0)
+
+
+@pytest.mark.parametrize("solid", ["above", "below"])
+def test_a_ball_is_closed_and_faces_outwards(solid: str) -> None:
+    mesh = mesh_of(ball(), 0.0, solid)
+    assert enclosed(mesh) == pytest.approx((1 if solid == "above" else -1) * 4 / 3 * np.pi * RADIUS**3, rel=0.02)
+    triangles = triangles_of(mesh)
+    sides = np.sort(np.concatenate([triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))]), axis=1)
+    _, counts = np.unique(sides, axis=0, return_counts=True)
+    assert (counts == 2).all()
+    assert len(mesh.vertices) - len(counts) + len(triangles) == 2  # Euler
+
+
+def test_vertices_lie_on_the_trilinear_surface() -> None:
+    values = ball()
+    mesh = mesh_of(values, 1.5)
+    cell = np.minimum(np.floor(mesh.vertices).astype(int), np.array(values.shape[::-1]) - 2)
+    share, found = mesh.vertices - cell, np.zeros(len(mesh.vertices))
+    for x, y, z in np.ndindex(2, 2, 2):
+        weight = np.where(np.array([x, y, z]) == 1, share, 1.0 - share).prod(axis=1)
+        found += weight * values[cell[:, 2] + z, cell[:, 1] + y, cell[:, 0] + x]
+    np.testing.assert_allclose(found, 1.5, atol=2e-3)
+    volume = make_volume(values.astype(np.float32))
+    assert vertex_count(volume.voxels, volume.normalise_isovalue(1.5)) == len(mesh.vertices)
+
+
+def test_there_is_no_surface_beside_a_hole_or_beyond_the_values() -> None:
+    values = ball()
+    values[9, 10, 17] = np.nan
+    mesh = mesh_of(values, 0.0)
+    assert np.abs(mesh.vertices - (17, 10, 9)).max(axis=1).min() >= 1.0
+    assert len(mesh.quads) and not len(mesh_of(ball(), 100.0).quads)
+
+
+# --- area and volume --------------------------------------------------------------------------------------------------
+
 
 SHEAR = np.array([[0.8, 0.2, 0.0], [0.0, 1.1, -0.3], [0.1, 0.0, 1.4]])
 EVEN = np.eye(3)
@@ -25,7 +112,7 @@ def size_of(values: np.ndarray, isovalue: float, matrix: np.ndarray = EVEN, soli
     return surface_size(volume.voxels, volume.normalise_isovalue(isovalue), matrix)
 
 
-def ball(radius: float, matrix: np.ndarray) -> np.ndarray:
+def placed_ball(radius: float, matrix: np.ndarray) -> np.ndarray:
     """How deep voxels are in a ball around a place beside the middle, in the world."""
     at = places(matrix)
     return radius - np.linalg.norm(at - at.reshape(-1, 3).mean(axis=0) - 0.17, axis=-1)
@@ -34,7 +121,7 @@ def ball(radius: float, matrix: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("matrix", [EVEN, SHEAR, np.diag([1.0, -1.0, 1.0])], ids=["plain", "sheared", "mirrored"])
 @pytest.mark.parametrize("radius", [3.1, 5.4, 7.9])
 def test_a_ball_is_as_large_as_its_errors_say(radius: float, matrix: np.ndarray) -> None:
-    size = size_of(ball(radius, matrix), 0.0, matrix)
+    size = size_of(placed_ball(radius, matrix), 0.0, matrix)
     area, volume = 4 * np.pi * radius**2, 4 / 3 * np.pi * radius**3
     assert abs(size.area - area) < 1.6 * size.area_error < 0.1 * area
     assert abs(size.volume - volume) < 1.6 * size.volume_error < 0.16 * volume
@@ -42,7 +129,7 @@ def test_a_ball_is_as_large_as_its_errors_say(radius: float, matrix: np.ndarray)
 
 
 def test_finer_voxels_make_smaller_errors() -> None:
-    sizes = [size_of(ball(radius, EVEN), 0.0) for radius in (2.7, 5.4, 10.8)]
+    sizes = [size_of(placed_ball(radius, EVEN), 0.0) for radius in (2.7, 5.4, 10.8)]
     for name in ("area", "volume"):
         shares = [getattr(size, f"{name}_error") / getattr(size, name) for size in sizes]
         assert all(2.5 < coarse / fine < 6.5 for coarse, fine in pairwise(shares)), "four, where steps are halved"
@@ -110,9 +197,9 @@ def test_cells_beside_a_hole_are_left_out() -> None:
 
 
 def test_some_cells_stand_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = size_of(ball(7.9, EVEN), 0.0)
+    whole = size_of(placed_ball(7.9, EVEN), 0.0)
     monkeypatch.setattr(module, "MAX_TRIED_CELLS", 150)
-    part = size_of(ball(7.9, EVEN), 0.0)
+    part = size_of(placed_ball(7.9, EVEN), 0.0)
     assert part.area == pytest.approx(whole.area, rel=5e-4)
     assert part.volume == pytest.approx(whole.volume, rel=5e-4)
     assert part != whole

@@ -1,9 +1,12 @@
-"""Looking after a store: what an audit finds, what repair does about it, and what a census and pruning tell."""
+"""Looking after a store: audits, repair, census and pruning, what bakes cost, and claims of bakers."""
 
+import errno
 import json
+import logging
 import os
 import shutil
 import time
+import uuid
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,8 +18,8 @@ from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.precision import VOID
 from isogi_core.cache.chunk_record import Chunk, record_type
 from isogi_core.cache.chunk_store import STAMP_EVERY, ChunkStore, UseStamps
-from isogi_core.cache.costs import Cost, Costs
-from isogi_core.cache.inventory import CLAIMS_FOLDER
+from isogi_core.cache.costs import SAVE_EVERY, Cost, Costs
+from isogi_core.cache.inventory import CLAIMS_FOLDER, CONTENDED_SECONDS, Claims
 from isogi_core.cache.upkeep import (
     BUSY_SECONDS,
     LEFT_AFTER,
@@ -30,8 +33,11 @@ from isogi_core.cache.upkeep import (
 )
 from isogi_core.errors import StoreError
 from isogi_core.prepared.prepared_scene import Index
-from isogi_core.storage.store import unwrap, wrap
+from isogi_core.storage.backend import StoredObject
+from isogi_core.storage.folder import Folder
+from isogi_core.storage.store import Store, unwrap, wrap
 from tests.cache.chunks import TEXELS, assert_equal, baked, file_of, shown, spec_of
+from tests.worker.clock import Clock
 
 PLACES: tuple[Index, ...] = ((0, 1, 1), (1, 1, 1), (1, 2, 0), (2, 1, 2))
 DIRECT, INDIRECT = 0, 1
@@ -308,3 +314,236 @@ def test_a_store_that_tells_no_ages_is_pruned_of_nothing(two: ChunkStore, chunk_
 
 def replace_age(found):  # type: ignore[no-untyped-def]
     return found._replace(written=float("nan"))
+
+
+# --- claims -----------------------------------------------------------------------------------------------------------
+
+
+NAME = "0123456789abcdef0123.1.2.3"
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = Store(tmp_path)
+    store.open()
+    return store
+
+
+def someone(store: Store, clock: Clock | None = None) -> Claims:
+    """Claims of a process that has met another."""
+    claims = Claims(store, clock or Clock())
+    claims.note_contention()
+    return claims
+
+
+def left(store: Store) -> list[str]:
+    """The keys of all claims in the store."""
+    return [found.key for found in store.entries() if found.key.startswith("claims/")]
+
+
+def test_a_claim_stands_while_the_work_lasts_and_no_longer(store: Store) -> None:
+    one, other = someone(store), someone(store)
+    with one.on(NAME, "one") as ours:
+        assert ours and left(store) == [f"claims/{NAME}"]
+        with other.on(NAME, "other") as theirs:
+            assert not theirs
+        assert left(store) == [f"claims/{NAME}"]
+        with other.on("another", "other") as theirs:
+            assert theirs
+    assert not left(store)
+    with other.on(NAME, "other") as theirs:
+        assert theirs
+
+
+def test_a_claim_ends_with_work_that_fails(store: Store) -> None:
+    with pytest.raises(ZeroDivisionError), someone(store).on(NAME, "one"):
+        raise ZeroDivisionError
+    assert not left(store)
+
+
+def test_claims_end_a_while_after_the_last_contention(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock()
+    lonely, met = Claims(store, clock), someone(store, clock)
+    clock.now += CONTENDED_SECONDS + 1.0
+    for asked in ("get", "put", "delete"):
+        monkeypatch.setattr(Folder, asked, lambda *_: pytest.fail("the store was asked"))
+    for claims in (lonely, met):
+        with claims.on(NAME, "one") as ours:
+            assert ours
+
+
+def test_a_claim_that_stands_is_company(store: Store) -> None:
+    clock = Clock()
+    one, other = someone(store, clock), someone(store, clock)
+    clock.now += CONTENDED_SECONDS - 1.0
+    with one.on(NAME, "one"), other.on(NAME, "other") as theirs:
+        assert not theirs
+    clock.now += CONTENDED_SECONDS - 1.0
+    with other.on(NAME, "other"):
+        assert left(store)
+    with one.on(NAME, "one"):
+        assert not left(store)
+
+
+def test_a_killed_bakers_claim_counts_until_another_insists(store: Store) -> None:
+    killed = someone(store).on(NAME, "killed")
+    killed.__enter__()
+    other = someone(store)
+    for insist in (False, True):
+        with other.on(NAME, "other", insist) as theirs:
+            assert theirs is insist
+    assert not left(store)
+
+
+def test_an_owner_takes_its_own_claim_over(store: Store) -> None:
+    """The worker that had it died, and another of the same baker goes on at once."""
+    dead = someone(store).on(NAME, "one")
+    dead.__enter__()
+    with someone(store).on(NAME, "one") as ours:
+        assert ours
+    assert not left(store)
+
+
+def test_an_empty_owner_claims_nothing(store: Store) -> None:
+    with someone(store).on(NAME, "") as ours:
+        assert ours and not left(store)
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC, errno.EIO])
+def test_where_no_claim_can_be_made_the_work_goes_on(
+    store: Store, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(number, "so it is")
+
+    claims = someone(store)
+    for asked in ("put", "delete"):
+        monkeypatch.setattr(Folder, asked, fail)
+    with claims.on(NAME, "one") as ours:
+        assert ours
+
+
+def test_of_two_that_insist_one_has_it(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody takes a claim over between another's look at it and that other's write."""
+    killed = someone(store).on(NAME, "killed")
+    killed.__enter__()
+
+    def late(key: str) -> StoredObject | None:
+        found = Store.get(store, key)
+        store.put(key, b"third", found)
+        return found
+
+    monkeypatch.setattr(store, "get", late)
+    with someone(store).on(NAME, "other", insist=True) as theirs:
+        assert not theirs
+
+
+def test_a_claim_that_ends_at_this_moment_is_free(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    killed = someone(store).on(NAME, "killed")
+    killed.__enter__()
+    monkeypatch.setattr(store, "get", store.delete)
+    with someone(store).on(NAME, "other") as theirs:
+        assert theirs
+
+
+# --- costs ------------------------------------------------------------------------------------------------------------
+
+
+GROUP = '{"zarr_format": 3, "node_type": "group", "attributes": %s}'
+
+
+@pytest.fixture(params=["folder", "file://", "memory://"])
+def place(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    roots = {"folder": str(tmp_path / "light"), "file://": f"file://{tmp_path}/light"}
+    return roots.get(request.param, f"memory://{uuid.uuid4().hex}")
+
+
+def read(place: str | Path, digest: str = "digest") -> Costs:
+    costs = Costs(place, digest)
+    costs.read()
+    return costs
+
+
+def test_a_path_costs_its_chunks_rate_or_the_common_one(place: str) -> None:
+    costs = read(place)
+    assert costs.rate((0, 0, 0)) is None
+    costs.add((0, 0, 1), Cost(8.0, 80, 5, 8.0))
+    costs.add((0, 0, 2), Cost(4.0, 80, 5, 4.0))
+    assert costs.rate((0, 0, 1)) == costs.rate((9, 9, 9)) == 0.05
+    costs.add((0, 0, 1), Cost(3.0, 300, 0))
+    assert costs.rate((0, 0, 1)) == costs.rate((0, 0, 2)) == pytest.approx(0.01)
+    costs.add((0, 0, 2), Cost(40.0, 1000, 0))
+    costs.add((0, 0, 3), Cost(98.0, 1016, 1, 8.0))
+    costs.add((0, 0, 4), Cost(0.5, 0, 0))
+    assert costs.rate((0, 0, 4)) == costs.rate((9, 9, 9)) == pytest.approx(0.04)
+    assert costs.total == Cost(153.5, 2476, 11, 20.0)
+
+
+def test_costs_are_known_after_a_restart(place: str) -> None:
+    costs = read(place)
+    costs.add((1, 20, 3), Cost(1.5, 100, 5, 0.1))
+    costs.save()
+    again = read(place)
+    assert (again.rate((1, 20, 3)), again.total) == (pytest.approx(0.07), Cost(1.5, 100, 5, 0.1))
+    assert read(place, "other").total == Cost()
+
+
+def test_they_are_written_now_and_then(tmp_path: Path) -> None:
+    now = 0.0
+    costs = Costs(tmp_path, "digest", lambda: now)
+    costs.save()
+    costs.add((0, 0, 1), Cost(1.0, 100, 5, 0.5))
+    costs.save(at_once=False)
+    assert not list(tmp_path.iterdir())
+    now = SAVE_EVERY
+    costs.save(at_once=False)
+    group = json.loads((tmp_path / "costs" / "digest" / "zarr.json").read_text())
+    assert group["attributes"] == {"chunks": {"0/0/1": [1.0, 100, 5, 0.5]}}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{",
+        "[]",
+        GROUP % "{}",
+        *(GROUP % f'{{"chunks": {chunks}}}' for chunks in ("[]", '{"0/0": [1, 2, 3, 4]}', '{"0/0/1": [1]}')),
+    ],
+)
+def test_what_is_damaged_counts_as_unknown(tmp_path: Path, text: str) -> None:
+    (tmp_path / "costs" / "digest").mkdir(parents=True)
+    (tmp_path / "costs" / "digest" / "zarr.json").write_text(text)
+    assert read(tmp_path).total == Cost()
+
+
+def test_what_could_not_be_kept_is_kept_later(tmp_path: Path) -> None:
+    now, place = 0.0, tmp_path / "light"
+    place.write_text("not a folder")
+    costs = Costs(Store(place, clock=lambda: now), "digest", lambda: now)
+    costs.add((0, 0, 1), Cost(1.0, 100, 5, 0.5))
+    costs.save()
+    place.unlink()
+    costs.save(at_once=False)
+    assert not place.exists()
+    now = SAVE_EVERY
+    costs.save(at_once=False)
+    assert read(place).total == Cost(1.0, 100, 5, 0.5)
+
+
+def test_the_common_rate_is_the_median_however_chunks_change() -> None:
+    rng, costs, kept = np.random.default_rng(4), Costs("memory://median", "digest"), {}
+    for index in rng.integers(0, 9, 40):
+        cost = Cost(float(rng.random()), int(rng.integers(1, 100)))
+        costs.add((0, 0, int(index)), cost)
+        kept[int(index)] = kept.get(int(index), Cost()).plus(cost)
+        assert costs.rate((9, 9, 9)) == pytest.approx(np.median([each.rate for each in kept.values()]))
+
+
+def test_a_store_that_takes_no_costs_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "light").write_text("not a folder")
+    costs = read(tmp_path / "light")
+    costs.add((0, 0, 1), Cost(1.0, 100, 5, 0.5))
+    with caplog.at_level(logging.WARNING, "isogi.cache"):
+        costs.save()
+    assert "What the bake took cannot be kept" in caplog.text
