@@ -174,15 +174,6 @@ def test_light_of_the_layers_that_are_there_is_shown(loader: Loader) -> None:
     assert not light[:, :, width:].any()
 
 
-def test_a_chunk_under_another_name_is_absent(loader: Loader) -> None:
-    bake(loader, A)
-    bake(loader, C)
-    for layer in loader.chunk_store.layers:
-        shutil.copyfile(file_of(layer, C), file_of(layer, A))
-    assert brought(loader, A) == ("",)
-    assert transfer(loader, A) is None
-
-
 def test_deleted_layers_read_as_absent_and_never_as_zeros(loader: Loader) -> None:
     kept = bake(loader, A)
     loader.ensure([A])
@@ -299,16 +290,6 @@ def test_a_view_that_does_not_fit_the_memory_is_an_error(tmp_path: Path, spec: B
     assert all(brought(small, B))
     with pytest.raises(StoreError, match="does not fit"):
         small.ensure([A, B])
-
-
-def test_a_store_that_cannot_be_read_is_an_error(loader: Loader) -> None:
-    bake(loader, A)
-    layer = loader.chunk_store.layers[1]
-    Path(layer.path, "zarr.json").write_text("{")
-    spec = loader.chunk_store.spec
-    again = Loader(ChunkStore(layer.store.url, spec), PagePool(spec, 1 << 22))
-    with pytest.raises(StoreError, match="move that folder away"):
-        again.ensure([A])
 
 
 # --- caches of a scene ------------------------------------------------------------------------------------------------

@@ -131,13 +131,6 @@ def test_an_absent_chunk_has_no_slot(spec: BakeSpec) -> None:
         assert slots[1] >= 0
 
 
-def test_an_empty_chunk_is_unlit_everywhere(spec: BakeSpec) -> None:
-    pool = PagePool(spec, 1 << 22)
-    pool.insert(empty(spec, (0, 0, 0)))
-    with pool.hold([(0, 0, 0)]) as (slots, _):
-        assert (pool.table[slots[0]] == UNLIT_ROW).all()
-
-
 @pytest.mark.parametrize("order", [2, 5])
 @pytest.mark.parametrize("chunk", CHUNK_SIDES)
 @pytest.mark.parametrize("budget", [1 << 21, 10_000_000, 1 << 26])
@@ -245,15 +238,6 @@ def test_a_view_that_cannot_fit_is_an_error(spec: BakeSpec) -> None:
     assert pool.missing(wanted) == [wanted[2]]
     pool.insert(chunk_of(spec, wanted[1], 4.0), wanted)
     assert not pool.missing([wanted[1]])
-
-
-def test_a_chunk_larger_than_the_pool_is_refused(spec: BakeSpec) -> None:
-    pool = pool_of(spec, 4)
-    pool.insert(chunk_of(spec, (0, 0, 0), 1.0, texels=PAGE_TEXELS))
-    with pool.hold([(0, 0, 0)]) as (slots, _):
-        with pytest.raises(StoreError):
-            pool.insert(chunk_of(spec, (0, 0, 1), 2.0, texels=4 * PAGE_TEXELS))
-        assert levels(pool, slots[0]) == {1.0}
 
 
 def test_a_chunk_that_cannot_fit_drops_nothing(spec: BakeSpec) -> None:

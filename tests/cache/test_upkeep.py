@@ -2,7 +2,6 @@
 
 import errno
 import json
-import logging
 import os
 import shutil
 import time
@@ -538,12 +537,3 @@ def test_the_common_rate_is_the_median_however_chunks_change() -> None:
         costs.add((0, 0, int(index)), cost)
         kept[int(index)] = kept.get(int(index), Cost()).plus(cost)
         assert costs.rate((9, 9, 9)) == pytest.approx(np.median([each.rate for each in kept.values()]))
-
-
-def test_a_store_that_takes_no_costs_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    (tmp_path / "light").write_text("not a folder")
-    costs = read(tmp_path / "light")
-    costs.add((0, 0, 1), Cost(1.0, 100, 5, 0.5))
-    with caplog.at_level(logging.WARNING, "isogi.cache"):
-        costs.save()
-    assert "What the bake took cannot be kept" in caplog.text

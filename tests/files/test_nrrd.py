@@ -79,11 +79,7 @@ def test_unknown_spacing_is_left_to_the_scene(tmp_path: Path, line: str) -> None
 
 @pytest.mark.parametrize(
     ("line", "before"),
-    [
-        ("byte skip: 5\n", b"12345"),
-        ("line skip: 2\n", b"a\nbcd\n"),
-        ("byte skip: -1\n", b"any number of bytes"),
-    ],
+    [("byte skip: 5\n", b"12345"), ("line skip: 2\n", b"a\nbcd\n"), ("byte skip: -1\n", b"any number of bytes")],
 )
 def test_skips(tmp_path: Path, line: str, before: bytes) -> None:
     array, _ = read_nrrd(write(tmp_path, PLAIN + line, before + bytes(range(24))))

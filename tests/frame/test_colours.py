@@ -88,9 +88,7 @@ def test_light_that_stays_is_what_paths_bring(workbench: Callable[..., Workbench
     scene = painted(SKY, rotating=False)
     bench, view = workbench(scene), workbench(scene).view(size=32)
     bench.bake(view)
-    while bench.renderer.refine(view):
-        pass
-    frame = bench.renderer.render(view)
+    frame = bench.settled(view)
     traced = bench.renderer.render(bench.view(size=32, shading="path_traced", samples=1024))
     assert frame.final and relative_rmse(frame, traced) == pytest.approx(frame.total.likely, abs=0.015)
     assert scene.plan.representation == "irradiance" and scene.bakes == {"room"}
@@ -139,10 +137,8 @@ def test_local_shading_shows_the_colours(workbench: Callable[..., Workbench]) ->
 @pytest.mark.slow
 def test_shine_lies_over_the_colours(workbench: Callable[..., Workbench]) -> None:
     bench = workbench(painted(CONSTANT, shine={"kind": "plastic"}))
-    frame = bench.bake(bench.view(size=24))
-    while bench.renderer.refine(bench.view(size=24)):
-        pass
-    frame = bench.renderer.render(bench.view(size=24))
+    bench.bake(bench.view(size=24))
+    frame = bench.settled(bench.view(size=24))
     traced = bench.renderer.render(bench.view(size=24, shading="path_traced", samples=256))
     assert rmse_of_colours(frame, traced) < 0.05
 

@@ -142,17 +142,6 @@ def test_a_cancelled_trace_stops() -> None:
         surface.cells(tiles.run)  # it made no map
 
 
-@pytest.mark.parametrize("isovalue", [0.0, 3.25])
-def test_solid_below_is_the_negated_volume(isovalue: float) -> None:
-    rng = np.random.default_rng(1)
-    voxels = (ball().voxels * 40.0 - 16.0 + rng.normal(size=(41, 41, 41)) * 0.2).astype(np.float32)
-    below = seen(make_volume(-voxels, solid="below"), -isovalue, 25.0, 10.0)
-    above = seen(make_volume(voxels), isovalue, 25.0, 10.0)
-    assert len(above.pixels) > 100
-    for name in ("pixels", "points"):
-        assert np.array_equal(getattr(below, name), getattr(above, name))
-
-
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 3.0), (3.0, 1.0, 1.0), (0.5, 1.5, 1.0)])
 def test_a_ball_sampled_unevenly_looks_the_same(
     spacing: tuple[float, float, float], workbench: Callable[..., Workbench]

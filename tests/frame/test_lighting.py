@@ -83,10 +83,6 @@ def test_constant_light_has_band_0_alone() -> None:
     assert turned.sky.order == 1
 
 
-def test_constant_light_does_not_rotate() -> None:
-    np.testing.assert_allclose(around([CONSTANT], ODD).light, around([CONSTANT]).light, atol=1e-12)
-
-
 def test_reflected_light_is_tinted_by_the_albedo() -> None:
     turned = around([SKY], albedo=[0.2, 0.5, 1.0])
     np.testing.assert_allclose(turned.reflected, turned.light * np.array([[0.2], [0.5], [1.0]]))

@@ -28,7 +28,7 @@ from isogi_core.kernels.shading.lattice import (
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.scene_plan import MIN_SAMPLES, most_samples
 from isogi_core.model.view import View
-from tests.frame.conftest import CONSTANT, SKY, Workbench, reading_of, refine_chunk, relative_rmse
+from tests.frame.conftest import SKY, Workbench, reading_of, refine_chunk, relative_rmse
 from tests.loaded import load_scene
 
 TARGET = 0.02
@@ -121,15 +121,6 @@ def test_efforts_of_chunks_in_pieces_are_those_of_their_texels(
     unlit = [int((whole.rows[a:b] == UNLIT_ROW).sum()) for a, b in pairwise(texels.bounds.tolist())]
     assert [effort.unlit for effort in efforts] == unlit and 0 < sum(unlit) < len(whole.rows)
     assert all(effort.taken > 0.0 for effort in efforts if not effort.unlit)
-
-
-def test_threads_change_no_reading(workbench: Callable[..., Workbench]) -> None:
-    bench = workbench(load_scene("demo:orbital", lights=[CONSTANT], bounces=1, target_error=0.5))
-    view = bench.view(size=24)
-    bench.bake(view)
-    one, other = (reading_of(bench, view, Tiles(threads)) for threads in (1, 3))
-    assert one.version == other.version
-    assert np.array_equal(one.rows, other.rows) and np.array_equal(one.grade, other.grade)
 
 
 # --- drafts -----------------------------------------------------------------------------------------------------------

@@ -69,14 +69,7 @@ def small_sky(light: SkyLight, height: int = 128) -> tuple[np.ndarray, np.ndarra
         ({"type": "probe", "file": "../p.hdr", "scale": 0.5}, ProbeLight(BASE / "../p.hdr", 0.5)),
         ({"type": "sky"}, SkyLight()),
         (
-            {
-                "type": "sky",
-                "sun_azimuth": -30,
-                "sun_elevation": 20,
-                "turbidity": 4,
-                "ground": 0.1,
-                "scale": 2,
-            },
+            {"type": "sky", "sun_azimuth": -30, "sun_elevation": 20, "turbidity": 4, "ground": 0.1, "scale": 2},
             SkyLight(-30.0, 20.0, 4.0, (0.1, 0.1, 0.1), 2.0),
         ),
         ({"type": "directional"}, DirectionalLight(135.0, 45.0, (np.pi,) * 3, 0.0)),
@@ -84,10 +77,7 @@ def small_sky(light: SkyLight, height: int = 128) -> tuple[np.ndarray, np.ndarra
             {"type": "directional", "azimuth": -90, "elevation": -10, "irradiance": [1, 2, 3], "angle": 0.5},
             DirectionalLight(-90.0, -10.0, (1.0, 2.0, 3.0), 0.5),
         ),
-        (
-            {"type": "point", "position": [1, -2, 3.5], "intensity": 4},
-            PointLight((1.0, -2.0, 3.5), (4.0, 4.0, 4.0)),
-        ),
+        ({"type": "point", "position": [1, -2, 3.5], "intensity": 4}, PointLight((1.0, -2.0, 3.5), (4.0, 4.0, 4.0))),
         (
             {"type": "area", "corner": [0, 0, 9], "u": [0, 2, 0], "v": [2, 0, 0], "radiance": [3, 2, 1]},
             AreaLight((0.0, 0.0, 9.0), (0.0, 2.0, 0.0), (2.0, 0.0, 0.0), (3.0, 2.0, 1.0)),

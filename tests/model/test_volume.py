@@ -61,13 +61,7 @@ def test_isovalue_equal_to_a_voxel_is_equal_after_normalisation(dtype: str, soli
 @pytest.mark.parametrize("solid", SOLIDS)
 @pytest.mark.parametrize(
     ("factor", "offset", "tolerance"),
-    [
-        (1.0, 1e9, 3e-7),
-        (1e-300, 0.0, 2e-7),
-        (1e300, 0.0, 2e-7),
-        (1.7e308, 0.0, 2e-7),
-        (2.0**-1060, 0.0, 1e-4),
-    ],
+    [(1.0, 1e9, 3e-7), (1e-300, 0.0, 2e-7), (1e300, 0.0, 2e-7), (1.7e308, 0.0, 2e-7), (2.0**-1060, 0.0, 1e-4)],
 )
 def test_extreme_ranges_keep_the_field(factor: float, offset: float, tolerance: float, solid: str) -> None:
     volume = make_volume(UNIT * factor + offset, solid=solid)
@@ -110,8 +104,7 @@ def test_whole_range_of_64_bits(dtype: type, solid: str) -> None:
     info = np.iinfo(dtype)
     values = np.array([info.min, info.max] * 4, dtype).reshape(2, 2, 2)
     np.testing.assert_array_equal(
-        make_volume(values, solid=solid).voxels,
-        [[[0, 1]] * 2] * 2 if solid == "above" else [[[1, 0]] * 2] * 2,
+        make_volume(values, solid=solid).voxels, [[[0, 1]] * 2] * 2 if solid == "above" else [[[1, 0]] * 2] * 2
     )
 
 

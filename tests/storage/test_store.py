@@ -10,6 +10,7 @@ import sys
 import threading
 import uuid
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -108,11 +109,8 @@ def test_each_of_many_writers_is_kept_or_refused(location: str) -> None:
             except ChangedError:
                 kept.append(number)
 
-    writers = [threading.Thread(target=write, args=(number,)) for number in range(8)]
-    for writer in writers:
-        writer.start()
-    for writer in writers:
-        writer.join()
+    with ThreadPoolExecutor(8) as threads:
+        list(threads.map(write, range(8)))
     found = Store(location).get(KEY)
     assert found is not None and sorted(json.loads(found.data)) == list(range(8))
 
@@ -149,11 +147,8 @@ def test_many_who_open_a_new_store_at_once_agree(location: str) -> None:
         store.open()
         store.put(f"layer/{id(store)}", b"light", None)
 
-    openers = [threading.Thread(target=first, args=(store,)) for store in stores]
-    for opener in openers:
-        opener.start()
-    for opener in openers:
-        opener.join()
+    with ThreadPoolExecutor(len(stores)) as threads:
+        list(threads.map(first, stores))
     assert Store(location, make=False).get(SENTINEL_KEY) == StoredObject(SENTINEL_CONTENT)
     assert len(list(Store(location, make=False).keys("layer"))) == len(stores), "no light of theirs is lost"
 

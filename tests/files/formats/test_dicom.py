@@ -139,34 +139,6 @@ def test_transfer_syntaxes_give_the_same_voxels(tmp_path: Path, syntax: str) -> 
     np.testing.assert_array_equal(opened(tmp_path / "a").whole(), F)
 
 
-def test_many_frames_in_one_file_lie_where_they_say(tmp_path: Path) -> None:
-    from pydicom.dataset import Dataset
-    from pydicom.sequence import Sequence
-
-    def group(**values: Any) -> Any:
-        inner = Dataset()
-        for name, value in values.items():
-            setattr(inner, name, value)
-        return Sequence([inner])
-
-    made = dataset(F[0], LPS, 0, NumberOfFrames=12, PixelData=F[::-1].astype("<i2").tobytes())
-    shared, frames = Dataset(), []
-    shared.PixelMeasuresSequence = group(PixelSpacing=list(made.PixelSpacing), SliceThickness="1.5")
-    shared.PlaneOrientationSequence = group(ImageOrientationPatient=list(made.ImageOrientationPatient))
-    for number in range(11, -1, -1):
-        frame = Dataset()
-        place = [f"{x:.9g}" for x in LPS[:3, 3] + number * LPS[:3, 2]]
-        frame.PlanePositionSequence = group(ImagePositionPatient=place)
-        frames.append(frame)
-    del made.ImagePositionPatient, made.ImageOrientationPatient, made.PixelSpacing
-    made.SharedFunctionalGroupsSequence, made.PerFrameFunctionalGroupsSequence = Sequence([shared]), Sequence(frames)
-    save(tmp_path, "a.dcm", made)
-    grid = opened(tmp_path / "a.dcm")
-    np.testing.assert_array_equal(grid.whole(), F)
-    assert grid.affine is not None
-    np.testing.assert_allclose(grid.spacing, (1.0, 1.25, 1.5))
-
-
 def test_slices_that_do_not_say_where_they_lie_are_in_order(tmp_path: Path) -> None:
     for number, layer in enumerate(F):
         made = dataset(layer, LPS, number)

@@ -61,9 +61,7 @@ def checked(bench: Workbench, view: View, target: float | None = None) -> Frame:
     """The frame of a view once its light is baked and its picture checked to the end."""
     bench.bake(view, target)
     bench.project(view, target)
-    while bench.renderer.refine(view, target):
-        pass
-    return bench.renderer.render(view, target)
+    return bench.settled(view, target)
 
 
 @pytest.fixture(scope="module")

@@ -13,15 +13,12 @@ from scipy.interpolate import interp1d
 from isogi_core.cache.upkeep import Auditor, PruneRule, census_of, plan_prune
 from isogi_core.cache.wall_store import WallLayer, WallState, WallStore
 from isogi_core.errors import ViewError
-from isogi_core.frame.entry_kernels import ROOM, frame_kernels
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.wall_light import RoomLight
 from isogi_core.frame.rays.wall_texels import FINE_WALL_TEXELS, MAX_WALL_TEXELS, WallTexels
 from isogi_core.frame.several.composer import parts_of
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
-from isogi_core.kernels.tracing.camera import trace_pixels
-from isogi_core.kernels.transport.room_paths import light_in_room
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.orientation import triple
 from isogi_core.model.view import View
@@ -53,9 +50,7 @@ def test_a_room_becomes_final_and_is_what_paths_say(room: Workbench) -> None:
     assert set(first.state.ravel()[walls.pixels]) == {PROVISIONAL}
     assert first.quality.waiting == len(walls.pixels)
     assert first.checkable
-    while room.renderer.refine(view):
-        pass
-    frame = room.renderer.render(view)
+    frame = room.settled(view)
     assert frame.quality.waiting == 0
     assert (frame.state[first.state > 0] == FINAL).all()
     assert frame.version != first.version
@@ -72,8 +67,7 @@ def test_a_room_becomes_final_and_is_what_paths_say(room: Workbench) -> None:
 @pytest.mark.slow
 def test_edges_of_walls_and_before_walls_are_smooth(room: Workbench) -> None:
     """Against the mean of six times as many pixels along each side, of the same light."""
-    while room.renderer.refine(room.view(90.0, 0.0, SIZE, distance=4.0)):
-        pass
+    room.settled(room.view(90.0, 0.0, SIZE, distance=4.0))
     view = room.view(90.0, 0.0, 3 * SIZE, distance=2.5, smooth=True)
     fine = replace(view, width=18 * SIZE, height=18 * SIZE, smooth=False)
     room.bake(view)
@@ -115,12 +109,6 @@ def test_the_camera_may_not_stand_in_a_wall(room: Workbench) -> None:
         room.renderer.render(replace(view, camera=replace(view.camera, eye=eye)))
 
 
-def test_only_scenes_with_walls_need_their_kernels(room: Workbench) -> None:
-    assert {*ROOM, light_in_room} <= {*frame_kernels([room.scene])}
-    assert trace_pixels not in frame_kernels([room.scene])
-    assert not {*ROOM, light_in_room} & {*frame_kernels([load_scene("demo:orbital", lights=[CONSTANT])])}
-
-
 @pytest.mark.slow
 def test_a_white_furnace_stays_one_in_a_closed_room(tmp_path: Path) -> None:
     """Walls that all give off 1 and reflect nothing are a constant light of radiance 1 to a surface in them."""
@@ -142,13 +130,6 @@ def test_a_white_furnace_stays_one_in_a_closed_room(tmp_path: Path) -> None:
     assert abs(found.mean() / expected.mean() - 1.0) < 0.01
 
 
-def finished(bench: Workbench, view: View) -> Frame:
-    """The frame of a view whose walls are final."""
-    while bench.renderer.refine(view):
-        pass
-    return bench.renderer.render(view)
-
-
 def on_walls(*frames: Frame) -> list[np.ndarray]:
     """What pictures of one view show on walls, (m, 3) each."""
     return [frame.radiance.reshape(-1, 3)[frame.gbuffer.walls.pixels] for frame in frames]
@@ -156,7 +137,7 @@ def on_walls(*frames: Frame) -> list[np.ndarray]:
 
 def test_walls_are_final_at_once_after_a_restart(room: Workbench) -> None:
     view = room.view(90.0, 0.0, SIZE, distance=4.0)
-    before, after = finished(room, view), room.again().renderer.render(view)
+    before, after = room.settled(view), room.again().renderer.render(view)
     assert after.quality.waiting == 0
     np.testing.assert_array_equal(*on_walls(before, after))
     np.testing.assert_array_equal(*(frame.error.ravel()[before.gbuffer.walls.pixels] for frame in (before, after)))
@@ -169,10 +150,10 @@ def test_walls_between_two_isovalues_show_what_is_known_of_these(room: Workbench
     fresh = Workbench(room.scene, tmp_path)
     for view in (low, high):
         fresh.bake(view)
-        finished(fresh, view)
+        fresh.settled(view)
     fresh.bake(here)
     lent = fresh.again().renderer.render(here)
-    walls, true = lent.gbuffer.walls.pixels, finished(room, here)
+    walls, true = lent.gbuffer.walls.pixels, room.settled(here)
     assert lent.quality.waiting == len(walls), "they are not final"
     assert set(lent.state.ravel()[walls]) == {CONVERGING}
     shown, known = (frame.radiance.reshape(-1, 3)[walls] @ LUMINANCE_WEIGHTS for frame in (lent, true))
@@ -180,14 +161,14 @@ def test_walls_between_two_isovalues_show_what_is_known_of_these(room: Workbench
     assert np.sqrt((wrong**2).mean()) < 2.0 * np.sqrt((told**2).mean())
     assert np.sqrt((wrong**2).mean()) < LOOSE * known.mean()
     np.testing.assert_array_equal(
-        finished(fresh, here).radiance.reshape(-1, 3)[walls], true.radiance.reshape(-1, 3)[walls]
+        fresh.settled(here).radiance.reshape(-1, 3)[walls], true.radiance.reshape(-1, 3)[walls]
     )
 
 
 @pytest.mark.slow
 def test_damaged_light_of_walls_is_baked_again(room: Workbench, tmp_path: Path) -> None:
     view = room.view(90.0, 0.0, SIZE, distance=4.0)
-    true = finished(room, view)
+    true = room.settled(view)
     copy = Workbench(room.scene, Path(shutil.copytree(room.folder, tmp_path / "copy")))
     state = WallState(float(copy.prepared.surface(view.isovalue).isovalue), copy.scene.surfaces.albedo, 1.0)
     objects = sorted(
@@ -198,12 +179,12 @@ def test_damaged_light_of_walls_is_baked_again(room: Workbench, tmp_path: Path) 
     found = [damage.key for damage in Auditor(copy.caches.store).audit().damages]
     assert found == [objects[0].relative_to(copy.folder).as_posix()], "an audit finds it"
     assert copy.renderer.render(view).quality.waiting
-    np.testing.assert_array_equal(*on_walls(finished(copy, view), true))
+    np.testing.assert_array_equal(*on_walls(copy.settled(view), true))
     assert Auditor(copy.caches.store).audit().sound
 
 
 def test_light_of_walls_is_pruned_with_the_rest(room: Workbench, tmp_path: Path) -> None:
-    finished(room, room.view(90.0, 0.0, SIZE, distance=4.0))
+    room.settled(room.view(90.0, 0.0, SIZE, distance=4.0))
     store = Store(shutil.copytree(room.folder, tmp_path / "copy"))
     census = census_of(store)
     walls = [count for count in census.counts.values() if count.facts.layer.kind == "walls"]
@@ -217,7 +198,7 @@ def test_walls_are_lit_where_a_store_takes_nothing(room: Workbench, tmp_path: Pa
     view, bench = room.view(90.0, 0.0, SIZE, distance=4.0), Workbench(room.scene, tmp_path)
     bench.bake(view)
     bench.caches.store.read_only = True
-    np.testing.assert_array_equal(*on_walls(finished(bench, view), finished(room, view)))
+    np.testing.assert_array_equal(*on_walls(bench.settled(view), room.settled(view)))
     assert not (tmp_path / "walls").exists()
 
 
