@@ -244,16 +244,19 @@ def live() -> BakeSpec:
     return orbital(0.3, **EXACT)
 
 
+def of_one_albedo(albedo: float, live: BakeSpec) -> BakeSpec:
+    """The orbital of an albedo, with the orders and the survival of paths of a spec of several."""
+    fixed = orbital(albedo, precision="single")
+    orders = [layer.order for layer in live.plan.layers]
+    layers = tuple(replace(layer, order=order) for layer, order in zip(fixed.plan.layers, orders, strict=True))
+    return BakeSpec(fixed.prepared, replace(fixed.plan, layers=layers, survival=live.plan.survival))
+
+
 def test_each_node_is_the_bake_of_its_albedo(live: BakeSpec) -> None:
     texels = surface_texels(live, 30)
     direct, indirect = climbed(live, texels, PATHS).parts
     for channel, node in enumerate(live.plan.nodes):
-        fixed = orbital(node, precision="single")
-        layers = tuple(
-            replace(layer, order=own.order) for layer, own in zip(fixed.plan.layers, live.plan.layers, strict=True)
-        )
-        plan = replace(fixed.plan, layers=layers, survival=live.plan.survival)
-        alone = climbed(BakeSpec(fixed.prepared, plan), texels, PATHS).parts
+        alone = climbed(of_one_albedo(node, live), texels, PATHS).parts
         assert np.array_equal(alone[0].coefficients, direct.coefficients)
         assert np.array_equal(alone[1].coefficients[:, 0], indirect.coefficients[:, channel])
 
@@ -308,10 +311,5 @@ def test_errors_are_the_most_noise_over_the_least_light() -> None:
     texels = surface_texels(live, 100)
     judged = relative_error(climbed(live, texels, PATHS), live)
     for albedo in (0.9, 0.5, 0.1):
-        fixed = orbital(albedo, precision="single")
-        layers = tuple(
-            replace(layer, order=own.order) for layer, own in zip(fixed.plan.layers, live.plan.layers, strict=True)
-        )
-        plan = replace(fixed.plan, layers=layers, survival=live.plan.survival)
-        spec = BakeSpec(fixed.prepared, plan)
+        spec = of_one_albedo(albedo, live)
         assert (relative_error(climbed(spec, texels, PATHS), spec) <= judged * (1.0 + 1e-6)).all()

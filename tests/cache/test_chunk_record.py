@@ -8,7 +8,7 @@ from isogi_core.bake.texel_light import Light, Part
 from isogi_core.cache.chunk_record import Chunk, Chunks, pack, record_type, unpack
 from isogi_core.model.scene_plan import Layer
 from tests.bake.texels import COLUMNS, same
-from tests.cache.chunks import PLAN, TEXELS, baked, spec_of
+from tests.cache.chunks import CONSTANT, PLAN, TEXELS, baked, spec_of
 
 BAKE = "0123456789abcdef0123"
 INDEX = (4, 0, 17)
@@ -58,7 +58,10 @@ def test_light_beyond_half_floats_is_cut_alike_in_the_store(rounded: bool) -> No
     np.testing.assert_array_equal(found[1].coefficients, round_light(light, layer))
 
 
-@pytest.mark.parametrize("settings", [{}, {"precision": "single"}, {"albedo": [0.2, 0.5, 0.8], "order": 4}])
+@pytest.mark.parametrize(
+    "settings",
+    [{}, {"precision": "single"}, {"lights": [CONSTANT]}, {"albedo": [0.2, 0.5, 0.8], "order": 4, "indirect_order": 1}],
+)
 def test_what_was_just_baked_is_read_back_bit_by_bit(settings: dict[str, object]) -> None:
     spec = spec_of(**settings)  # type: ignore[arg-type]
     chunk = baked(spec, (1, 1, 1), samples=128)

@@ -122,13 +122,12 @@ def test_a_pool_keeps_what_frames_of_its_spec_read_alone(settings: dict[str, Any
         np.testing.assert_array_equal(pool.transfer[rows_of(pool, slots[0])], chunk.light.columns(spec.terms))
 
 
-def test_an_absent_chunk_has_no_slot(spec: BakeSpec) -> None:
+def test_an_absent_chunk_has_no_slot_and_an_empty_one_is_unlit(spec: BakeSpec) -> None:
     pool = PagePool(spec, 1 << 22)
-    pool.insert(chunk_of(spec, (0, 0, 1), 1.0))
+    pool.insert(empty(spec, (0, 0, 1)))
     with pool.hold([(0, 0, 0), (0, 0, 1)]) as (slots, _):
-        assert slots.dtype == np.int32
-        assert slots[0] == -1
-        assert slots[1] >= 0
+        assert slots.dtype == np.int32 and slots[0] == -1
+        assert (pool.table[slots[1]] == UNLIT_ROW).all()
 
 
 @pytest.mark.parametrize("order", [2, 5])

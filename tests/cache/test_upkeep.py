@@ -305,14 +305,12 @@ def test_light_is_stamped_when_it_is_shown_and_seldom_again(chunk_store: ChunkSt
 def test_a_store_that_tells_no_ages_is_pruned_of_nothing(two: ChunkStore, chunk_store: ChunkStore) -> None:
     census = census_of(chunk_store.store, False)
     for count in census.counts.values():
-        count.files.chunks = {index: replace_age(found) for index, found in count.files.chunks.items()}
+        count.files.chunks = {
+            index: found._replace(written=float("nan")) for index, found in count.files.chunks.items()
+        }
         count.files.metadata = None
     with pytest.raises(StoreError, match="does not know when"):
         plan_prune(census, PruneRule(older_than=DAY), 0.0)
-
-
-def replace_age(found):  # type: ignore[no-untyped-def]
-    return found._replace(written=float("nan"))
 
 
 # --- claims -----------------------------------------------------------------------------------------------------------

@@ -113,12 +113,6 @@ def test_an_environment_is_its_constant_and_its_image() -> None:
     np.testing.assert_allclose(project_environment(light, 1)[:, 0], WHITE * light.mean(), rtol=1e-12)
 
 
-def test_a_constant_environment_is_exact() -> None:
-    light = assemble_environment([ConstantLight((1.0, 0.5, 0.1))])
-    expected = np.outer([1.0, 0.5, 0.1], np.eye(9)[0]) * WHITE
-    assert (project_environment(light, 3) == expected).all()
-
-
 # --- truncation -------------------------------------------------------------------------------------------------------
 
 

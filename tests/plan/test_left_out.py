@@ -17,7 +17,7 @@ from isogi_core.kernels.shading.lattice import DEFAULT_CHUNK_SIDE
 from isogi_core.model import environment as lamps
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.view import IDENTITY
-from isogi_core.plan.reachable_texels import surface_cells, void_texels
+from isogi_core.plan.reachable_texels import surface_cells
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.plan.conftest import (
@@ -80,14 +80,6 @@ def test_turning_is_left_out_where_the_light_stays(drawn: Frames, lobe: Lobe) ->
     assert apart(drawn(scene, 256), drawn(kept, 256)) < TARGET
 
 
-def test_turning_is_kept_where_the_light_may_turn(drawn: Frames, lobe: Lobe) -> None:
-    scene = in_bowl(lights=[lobe(WIDE)])
-    assert scene.plan.representation == "transfer"
-    turned = drawn(scene, light=TURN)
-    assert apart(turned, drawn(scene, 256, light=TURN, shading="path_traced")) < 2 * TARGET
-    assert apart(drawn(scene), turned) > 4 * TARGET
-
-
 def test_soft_light_leaves_out_bands_of_direct_light(drawn: Frames, lobe: Lobe) -> None:
     scene = in_bowl(lights=[lobe(WIDE)])
     direct, indirect = scene.plan.layers
@@ -124,14 +116,6 @@ def test_lobes_are_left_out_where_the_light_is_soft(drawn: Frames, lobe: Lobe) -
     scene = in_bowl(lights=[lobe(WIDE)])
     assert scene.plan.lobes == 0 and not scene.inputs.lobes
     assert apart(drawn(scene, 256), drawn(scene, 256, shading="path_traced")) < 2 * TARGET
-
-
-@pytest.mark.slow
-def test_lobes_are_kept_where_a_sun_throws_shadows(drawn: Frames) -> None:
-    scene = in_bowl(lights=[SUN])
-    assert scene.plan.lobes == 1
-    truth = drawn(scene, 256, shading="path_traced")
-    assert apart(drawn(in_bowl(lights=[SUN], lobes=0), 256), truth) > 2 * apart(drawn(scene, 256), truth)
 
 
 def test_channels_are_left_out_where_the_albedo_is_grey(drawn: Frames) -> None:
@@ -204,18 +188,6 @@ def test_single_floats_are_kept_for_a_small_target(drawn: Frames, lobe: Lobe) ->
     assert apart(drawn(in_bowl(**small, precision="half")), drawn(scene)) > scene.target_error
 
 
-@pytest.mark.slow
-def test_vicinity_shading_is_the_path_tracer_without_bounces(drawn: Frames) -> None:
-    """S1, figure 10: by the same paths from texels, and by others from pixels, which do not interpolate."""
-    scene = in_bowl(bounces=0, lattice=2.0)
-    assert scene.plan.representation == "vicinity"
-    frame = drawn(scene)
-    general = with_layers(scene, Layer("irradiance"), representation="irradiance")
-    assert apart(frame, drawn(general)) < TARGET / 50
-    assert apart(frame, drawn(scene, 1024, shading="path_traced")) < TARGET / 2
-    assert apart(drawn(in_bowl(lattice=2.0), shading="vicinity"), frame) == 0.0
-
-
 # --- rays, kernels and texels -----------------------------------------------------------------------------------------
 
 
@@ -283,15 +255,6 @@ def read_by(scene: Scene, isovalue: float, azimuth: float) -> np.ndarray:
     return marks
 
 
-def test_texels_are_left_out_that_no_allowed_isovalue_shows() -> None:
-    scene = scene_of(bowl(), (-0.45, 0.45))
-    low, high = map(scene.volume.normalise_isovalue, scene.isovalues)
-    shown = shown_texels(surface_cells(scene.volume.voxels, low, high), scene.lattice_shape)
-    assert shown.sum() == scene.texels.shown < scene.texels.total / 2
-    for isovalue, azimuth in [(-0.45, 0.0), (-0.2, 100.0), (0.0, 200.0), (0.45, 300.0)]:
-        assert not (read_by(scene, isovalue, azimuth) & ~shown).any()
-
-
 def test_texels_are_kept_that_some_allowed_isovalue_shows() -> None:
     one, more = scene_of(bowl(), (0.0, 0.0)), scene_of(bowl(), (0.0, 3.0))
     at_zero = surface_cells(one.volume.voxels, *[one.volume.normalise_isovalue(0.0)] * 2)
@@ -306,15 +269,3 @@ def test_texels_without_a_gradient_are_left_out_and_not_missed(frame_of: Frames)
     frame = frame_of(scene)
     assert frame.coverage["provisional"] == 0.0
     assert apart(frame, replace(frame, radiance=np.full_like(frame.radiance, scene.surfaces.albedo[0]))) < TARGET
-
-
-def test_texels_with_a_gradient_are_kept() -> None:
-    """But a few: at the crest within the bowl's wall, and in the gap between bowl and ball, a voxel wide."""
-    scene = scene_of(bowl(), (-0.4, 0.4))
-    low, high, deep = map(scene.volume.normalise_isovalue, (*scene.isovalues, 1.5))
-    voxels, shape = scene.volume.voxels, scene.lattice_shape
-    shown = shown_texels(surface_cells(voxels, low, high), shape)
-    void = void_texels(PreparedScene(scene).field, shape, np.flatnonzero(shown))
-    gap = [(np.roll(voxels, 1, axis) > voxels) & (np.roll(voxels, -1, axis) > voxels) for axis in range(3)]
-    assert void.sum() == scene.texels.void < 0.03 * scene.texels.shown
-    assert ((voxels > deep) | np.any(gap, axis=0))[shown][void].all()

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,7 @@ from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, refine_chunk
 from tests.loaded import load_scene
 
 Make = Callable[[Scene], Workbench]
+BenchOf = Callable[[str], Workbench]
 TILES = Tiles()
 SCENES: dict[str, dict[str, Any]] = {
     "colours": {"lights": [SKY], "albedo": [0.8, 0.6, 0.4]},
@@ -54,11 +56,18 @@ SCENES: dict[str, dict[str, Any]] = {
 }
 
 
-def bench_of(workbench: Make, name: str) -> Workbench:
-    """A scene of the orbital whose `view()` is baked."""
-    bench = workbench(load_scene("demo:orbital", bounces=2, target_error=LOOSE, projected=False, **SCENES[name]))
-    bench.bake(bench.view(size=40))
-    return bench
+@pytest.fixture(scope="module")
+def bench_of(tmp_path_factory: pytest.TempPathFactory) -> BenchOf:
+    """Makes workbenches of SCENES, on stores in which their `view()` is baked."""
+
+    @cache
+    def baked(name: str) -> Workbench:
+        scene = load_scene("demo:orbital", bounces=2, target_error=LOOSE, projected=False, **SCENES[name])
+        bench = Workbench(scene, tmp_path_factory.mktemp(name))
+        bench.bake(bench.view(size=40))
+        return bench
+
+    return lambda name: baked(name).again()
 
 
 def drawn(
@@ -103,8 +112,8 @@ def differences(twin: Twin, bench: Workbench, view: View, raw: bool) -> tuple[np
 @pytest.mark.usefixtures("unfiltered")
 @pytest.mark.parametrize("raw", [False, True], ids=["folded", "raw"])
 @pytest.mark.parametrize("name", SCENES)
-def test_the_bytes_draw_the_frame(workbench: Make, name: str, raw: bool) -> None:
-    bench = bench_of(workbench, name)
+def test_the_bytes_draw_the_frame(bench_of: BenchOf, name: str, raw: bool) -> None:
+    bench = bench_of(name)
     view = bench.view(size=40, light=TURN if bench.scene.lighting.rotating else (1.0, 0.0, 0.0, 0.0))
     apart, rmse = differences(twin_of(bench, view, raw), bench, view, raw)
     assert (apart <= 2).mean() == 1.0, f"{(apart > 2).sum()} of {len(apart)} pixels, up to {apart.max()}"
@@ -112,16 +121,16 @@ def test_the_bytes_draw_the_frame(workbench: Make, name: str, raw: bool) -> None
 
 
 @pytest.mark.usefixtures("unfiltered")
-def test_the_albedo_of_a_view_is_in_the_document(workbench: Make) -> None:
-    bench = bench_of(workbench, "albedos")
+def test_the_albedo_of_a_view_is_in_the_document(bench_of: BenchOf) -> None:
+    bench = bench_of("albedos")
     view = bench.view(size=40, albedo=(0.3, 0.5, 0.7))
     for raw in (False, True):
         apart, rmse = differences(twin_of(bench, view, raw), bench, view, raw)
         assert (apart <= 2).all() and rmse < 0.002
 
 
-def test_records_are_the_kernels_inputs_in_halves(workbench: Make) -> None:
-    bench = bench_of(workbench, "colours")
+def test_records_are_the_kernels_inputs_in_halves(bench_of: BenchOf) -> None:
+    bench = bench_of("colours")
     view = bench.view(size=40, light=TURN)
     twin, light = twin_of(bench, view, False), RotatedLight(bench.caches.spec("gi"), view)
     texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
@@ -155,8 +164,8 @@ def kernels_inputs(bench: Workbench, view: View, light: RotatedLight) -> tuple[A
     return reading, fill_texel_records(reading.grade, lit, normals, light, TILES)
 
 
-def test_a_brick_ends_with_its_mean(workbench: Make) -> None:
-    bench = bench_of(workbench, "colours")
+def test_a_brick_ends_with_its_mean(bench_of: BenchOf) -> None:
+    bench = bench_of("colours")
     view = bench.view(size=40)
     at = [each.at for each in seen_chunks(bench.renderer, view, LOOSE, TILES)][:3]
     for block in blocks_in(b"".join(each.data for each in fold_chunks(bench.renderer, view, at, LOOSE, TILES).blocks)):
@@ -260,15 +269,15 @@ def coding_of(bench: Workbench, error: float) -> Coding:
 
 
 @pytest.fixture
-def colours(workbench: Make) -> Workbench:
-    return bench_of(workbench, "colours")
+def colours(bench_of: BenchOf) -> Workbench:
+    return bench_of("colours")
 
 
 @pytest.mark.parametrize("turn", [0.0, 110.0])
 @pytest.mark.parametrize("name", SCENES)
-def test_rounding_errs_as_much_as_is_allowed(workbench: Make, name: str, turn: float) -> None:
+def test_rounding_errs_as_much_as_is_allowed(bench_of: BenchOf, name: str, turn: float) -> None:
     """Of light that a surface reflects which sees half of it, whichever way the light is turned."""
-    bench = bench_of(workbench, name)
+    bench = bench_of(name)
     spec, error = bench.caches.spec("gi"), 0.02
     coding = coding_of(bench, error)
     numbers = RNG.normal(size=(4000, spec.channels * spec.columns + 2)).astype(np.float32)
@@ -328,8 +337,8 @@ def test_normals_in_few_bits_stay_near_and_codes_as_they_are() -> None:
 
 @pytest.mark.usefixtures("unfiltered")
 @pytest.mark.parametrize("name", ["colours", "irradiance", "constant"])
-def test_pictures_of_fine_codes_are_isogis(workbench: Make, name: str) -> None:
-    bench = bench_of(workbench, name)
+def test_pictures_of_fine_codes_are_isogis(bench_of: BenchOf, name: str) -> None:
+    bench = bench_of(name)
     view = bench.view(size=40)
     framebuffer = draw_coded(bench.renderer, view, coding_of(bench, 1e-4), LOOSE)
     expected = drawn(bench, view)[2]
