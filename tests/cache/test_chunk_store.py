@@ -1,10 +1,8 @@
 """The store of a look: its layers side by side, each whole or absent, wherever Zarr can keep them."""
 
-import multiprocessing
 import shutil
 import uuid
 from collections.abc import Callable
-from itertools import product
 from pathlib import Path
 
 import nrrd
@@ -152,29 +150,6 @@ def test_a_deleted_store_is_away_until_a_new_start_makes_it(
 
 
 # --- many writers -------------------------------------------------------------------------------------------------
-
-
-def save_chunks(store: Path, indices: list[Index]) -> None:
-    spec = spec_of()
-    chunk_store = ChunkStore(store, spec)
-    for index in indices:
-        chunk_store.save(baked(spec, index, seed=sum(index)))
-
-
-@pytest.mark.slow
-def test_two_processes_with_different_chunks_lose_none(tmp_path: Path, spec: BakeSpec) -> None:
-    indices = list(product(range(3), repeat=3))
-    spawn = multiprocessing.get_context("spawn")
-    writers = [spawn.Process(target=save_chunks, args=(tmp_path, indices[i::2])) for i in range(2)]
-    for writer in writers:
-        writer.start()
-    for writer in writers:
-        writer.join()
-        assert writer.exitcode == 0
-    chunk_store = ChunkStore(tmp_path, spec)
-    for index in indices:
-        assert_equal(chunk_store.load(index), baked(spec, index, seed=sum(index)))
-    assert not list(tmp_path.rglob("*.partial"))
 
 
 def test_a_chunk_that_was_never_lit_is_no_chunk(chunk_store: ChunkStore, spec: BakeSpec) -> None:

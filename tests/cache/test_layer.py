@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import tempfile
-import threading
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -346,29 +345,6 @@ def test_a_store_that_cannot_be_written_is_read(sealed: Path, spec: BakeSpec) ->
     assert more.read(INNER) is None and more.store.read_only
     with pytest.raises(StoreReadOnlyError, match="can only be read"):
         save(more, chunk)
-
-
-def test_one_chunk_written_from_two_threads_is_always_whole(layer: LayerStore, spec: BakeSpec) -> None:
-    """And has the light of both once both have written."""
-    versions = [baked(spec, EDGE, texels=300, seed=seed) for seed in (1, 2)]
-    mine, other = ((chunk.offsets, chunk.light.parts[INDIRECT]) for chunk in versions)
-    offsets, both = joined(*mine, *other)
-    save(layer, versions[0])
-
-    def write(chunk: Chunk) -> None:
-        for _ in range(60):
-            save(layer, chunk)
-
-    writers = [threading.Thread(target=write, args=(chunk,)) for chunk in versions]
-    for writer in writers:
-        writer.start()
-    seen = 0
-    while any(writer.is_alive() for writer in writers):
-        _, part = layer.decode(EDGE, layer.read(EDGE) or b"")
-        assert any(same(Light((part,)), Light((whole,))) for whole in (mine[1], both))
-        seen += 1
-    assert seen > 1
-    assert 300 < len(offsets) == len(layer.decode(EDGE, layer.read(EDGE) or b"")[0])
 
 
 @pytest.fixture(params=["folder", "s3"])

@@ -161,19 +161,6 @@ def test_damage_counts_as_absence_and_is_logged(loader: Loader, clock: Clock, ca
     assert [path.read_bytes() for path in paths] == whole
 
 
-def test_light_of_the_layers_that_are_there_is_shown(loader: Loader) -> None:
-    bake(loader, A)
-    file_of(loader.chunk_store.layers[1], A).unlink()
-    loader.ensure([A])
-    direct, indirect = loader.chunk_store.load(A).light.parts
-    assert direct.coefficients.any() and not indirect.samples.any()
-    light = transfer(loader, A)
-    assert light is not None
-    width = direct.coefficients.shape[2]
-    np.testing.assert_array_equal(light[:, :, :width], direct.coefficients)
-    assert not light[:, :, width:].any()
-
-
 def test_deleted_layers_read_as_absent_and_never_as_zeros(loader: Loader) -> None:
     kept = bake(loader, A)
     loader.ensure([A])

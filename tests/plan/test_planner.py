@@ -39,7 +39,7 @@ from tests.loaded import load_scene
 from tests.plan.planning import NOTHING, inputs_of, plan_of
 from tests.scale import COMPILED
 
-GREY, RED = (0.7, 0.7, 0.7), (0.8, 0.2, 0.2)
+RED = (0.8, 0.2, 0.2)
 WHITE, BLUE = ConstantLight(), ConstantLight((0.2, 0.3, 1.0))
 
 

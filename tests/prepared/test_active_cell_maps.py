@@ -231,16 +231,16 @@ def crowd(voxels: np.ndarray) -> float:
     return float(np.histogram(voxels, find_levels(voxels)[1:-1])[0].max() / voxels.size)
 
 
-def test_even_values_have_even_levels() -> None:
-    assert find_levels(EVEN).tolist() == UNIFORM
+EVEN_FIELDS = {
+    "even values": EVEN,
+    "holes": np.where(EVEN < 0.3, np.float32(np.nan), EVEN),
+    "a mask": (EVEN > 0.99).astype(np.float32),
+}
 
 
-def test_holes_change_no_level() -> None:
-    assert find_levels(np.where(EVEN < 0.3, np.float32(np.nan), EVEN)).tolist() == UNIFORM
-
-
-def test_a_mask_has_even_levels() -> None:
-    assert find_levels((EVEN > 0.99).astype(np.float32)).tolist() == UNIFORM
+@pytest.mark.parametrize("field", EVEN_FIELDS)
+def test_fields_that_are_not_crowded_have_even_levels(field: str) -> None:
+    assert find_levels(EVEN_FIELDS[field]).tolist() == UNIFORM
 
 
 def test_crowded_values_are_parted_by_rank() -> None:

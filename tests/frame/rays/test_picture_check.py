@@ -276,12 +276,6 @@ def test_pictures_end_the_same_wherever_their_texels_began(workbench: Make) -> N
     assert same.radiance.tobytes() == last.radiance.tobytes()
 
 
-def test_the_same_view_tells_the_same_after_a_restart(coarse: Workbench) -> None:
-    view = coarse.view(azimuth=150.0, size=32)
-    one, other = (checked(bench, view) for bench in (coarse, coarse.again()))
-    assert (one.version, one.total, one.radiance.tobytes()) == (other.version, other.total, other.radiance.tobytes())
-
-
 def test_a_frame_that_others_have_overtaken_takes_no_step(coarse: Workbench) -> None:
     """Two threads draw the same picture, and one waits while the other takes a step."""
     bench, view = coarse.again(), coarse.view(azimuth=75.0, size=32)
