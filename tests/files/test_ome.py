@@ -190,51 +190,6 @@ def test_an_image_of_labels_names_them(tmp_path: Path) -> None:
     assert colours is not None and [each.name for each in colours.scale.labels] == ["nucleus", "cell"]
 
 
-def levels(path: Path, count: int) -> Path:
-    """A ball of radius 11.2 as a pyramid: each level is the mean of eight voxels of the one before."""
-    z, y, x = np.indices((32, 32, 32)) - 15.5
-    field = np.clip(11.2 - np.sqrt((x - 1) ** 2 + y**2 + (z + 2) ** 2), -4, 4).astype(np.float32)
-    group, datasets = zarr.open_group(path, mode="w"), []
-    for level in range(count):
-        zarr.create_array(path / str(level), shape=field.shape, dtype="f4", chunks=(8, 8, 8))[:] = field
-        lies = translation(*[0.5 * (2**level - 1) * 0.25] * 3)
-        datasets.append({"path": str(level), "coordinateTransformations": [scale(*[2**level * 0.25] * 3), lies]})
-        field = field.reshape(*(n for side in field.shape for n in (side // 2, 2))).mean(axis=(1, 3, 5))
-    group.attrs["ome"] = {"version": "0.5", "multiscales": [{"axes": ZYX, "datasets": datasets}]}
-    return path
-
-
-def crossings(path: Path, level: int) -> np.ndarray:
-    """Where the surface at 0 meets the six half axes through the ball's middle, in the world."""
-    grid = on_right_angles(open_zarr(path, level=level))
-    voxels, orientation, spacing = grid.whole(), Orientation.of(grid), np.array(grid.spacing)
-    middle = np.array(orientation.point_to_box((16.5 * 0.25, 15.5 * 0.25, 13.5 * 0.25))) / spacing
-    found = []
-    for direction in np.vstack([np.eye(3), -np.eye(3)]):
-        steps = np.linspace(0, 13.0 * 0.25 / spacing[0], 400)
-        points = middle + steps[:, None] * direction
-        values = np.array([trilinear(voxels, point) for point in points])
-        place = int(np.argmax(values < 0))
-        share = values[place - 1] / (values[place - 1] - values[place])
-        at = points[place - 1] + share * (points[place] - points[place - 1])
-        found.append(orientation.to_world(at * spacing))
-    return np.array(found)
-
-
-def trilinear(voxels: np.ndarray, point: np.ndarray) -> float:
-    """The value between voxels, at indices x, y, z."""
-    low = np.floor(point).astype(int)
-    t = point - low
-    corners = voxels[low[2] : low[2] + 2, low[1] : low[1] + 2, low[0] : low[0] + 2].astype(float)
-    return float(np.einsum("zyx,z,y,x", corners, *([1 - t[n], t[n]] for n in (2, 1, 0))))
-
-
-def test_surfaces_of_two_levels_lie_at_one_place(tmp_path: Path) -> None:
-    path = levels(tmp_path / "v.zarr", 2)
-    apart = np.linalg.norm(crossings(path, 0) - crossings(path, 1), axis=1) / 0.5
-    assert apart.max() < 0.1, "in voxels of the coarser level"
-
-
 # --- written images ---------------------------------------------------------------------------------------------------
 
 
