@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from isogi_core.frame.renderer import Renderer
+from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.glow import Glowing
 from isogi_core.model.orientation import triple
-from isogi_core.model.view import PROJECTIONS, Vec3, View, orbit
+from isogi_core.model.view import Vec3, View, orbit
 
 SIDE = 96
 """Pixels along each side of the picture that finds the surface."""

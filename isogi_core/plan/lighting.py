@@ -12,6 +12,7 @@ import numpy as np
 from isogi_core.errors import LightError, SceneError, ViewError
 from isogi_core.files.radiance import read_hdr
 from isogi_core.files.scene_file import Settings
+from isogi_core.model.choices import MAX_GLOW_STRENGTH
 from isogi_core.model.environment import (
     Environment,
     Lamps,
@@ -22,7 +23,7 @@ from isogi_core.model.environment import (
     sky_image,
     solid_angles,
 )
-from isogi_core.model.glow import MAX_GLOW_STRENGTH, NO_GLOW, Glowing, glow_from_mapping, place_glows
+from isogi_core.model.glow import NO_GLOW, Glowing, glow_from_mapping, place_glows
 from isogi_core.model.lights import (
     ConstantLight,
     EnvironmentLight,

@@ -13,8 +13,9 @@ from isogi_core.frame.texel_reading import read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.kernels.shading.lattice import BURIED_GRADE
+from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
-from isogi_core.model.view import IDENTITY, VIEW_SHADINGS, Camera, View, quaternion_from_angles
+from isogi_core.model.view import IDENTITY, Camera, View, quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, ball, luminance, relative_rmse, scene_of
 from tests.loaded import load_scene

@@ -22,8 +22,9 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.unlit_view import unlit_frame
 from isogi_core.frame.view_texels import first_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
+from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.scene_plan import MAX_SAMPLES
-from isogi_core.model.view import IDENTITY, VIEW_SHADINGS, View, quaternion_from_angles
+from isogi_core.model.view import IDENTITY, View, quaternion_from_angles
 from isogi_core.model.volume import make_volume
 from tests.frame.conftest import (
     LOOSE,

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from isogi_core.errors import ViewError
+from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.view import (
     IDENTITY,
-    VIEW_SHADINGS,
     Camera,
     Quaternion,
     Vec3,

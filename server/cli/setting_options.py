@@ -1,7 +1,6 @@
-"""Options: those that settings make, their documentation, and the checks of values that a command is given."""
+"""Options that settings make: read, and documented."""
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ from pydantic import ValidationError
 
 from isogi_core.errors import advice
 from server.settings import FORMER_SETTING_NAMES, Settings, read_settings
-from server.values import Span, seconds_of, seconds_of_age
 
 SECRET_SETTINGS = ("token",)
 """Settings without an option: what a command is given, all users of the machine can see."""
@@ -38,29 +36,6 @@ def settings_from(config: Path | None = None, **given: Any) -> Settings:
         raise click.UsageError(f"{name}: {first['msg']}{value}.") from None
     except ValueError as error:
         raise click.UsageError(f"{config}: {error}." if config else f"{error}.") from None
-
-
-def checked(read: Callable[[str], float], text: str) -> float:
-    """What ``read`` makes of a text; BadParameter says why where it is refused."""
-    try:
-        return read(text)
-    except ValueError as error:
-        raise click.BadParameter(str(error)) from None
-
-
-def number(text: str, low: float, high: float) -> float:
-    """A number from ``low`` to ``high``; BadParameter for any other text."""
-    return checked(Span(low, high).read, text)
-
-
-def duration(text: str) -> float:
-    """Seconds of a span of time; BadParameter for any other text."""
-    return checked(seconds_of, text)
-
-
-def age(text: str) -> float:
-    """Seconds of an age, which may be in days or weeks; BadParameter for any other text."""
-    return checked(seconds_of_age, text)
 
 
 def setting_options() -> list[click.Parameter]:
