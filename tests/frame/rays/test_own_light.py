@@ -9,7 +9,6 @@ import pytest
 from isogi_core.bake.noise import RATE
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.rays.control_pixels import ControlPixels, spread_errors, variance_of_halves
-from isogi_core.frame.rays.estimate import Estimate
 from isogi_core.frame.rays.own_light import (
     AIM,
     FILTERED_VARIANCE_SHARE,
@@ -25,6 +24,7 @@ from isogi_core.frame.rays.own_light import (
     foreseen_paths,
 )
 from isogi_core.frame.rays.pixel_rays import variance_of_mean
+from isogi_core.frame.rays.point_paths import Estimate
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.model.environment import LUMINANCE_WEIGHTS

@@ -236,7 +236,7 @@ def test_a_rung_is_for_noise_that_it_takes_away(monkeypatch: pytest.MonkeyPatch,
     quality = SimpleNamespace(lacking=SimpleNamespace(reading=reading), known=state)
     frame: Any = SimpleNamespace(quality=quality, noise=0.02, measured=total, surface=9, final=False)
     unused: Any = None
-    PictureCheck(unused, unused, state).step(frame, np.empty(0), unused, PRESENT)
+    PictureCheck(unused, unused, state).advance(frame, np.empty(0), unused, PRESENT)
     assert taken == [step]
 
 
