@@ -29,7 +29,7 @@ from benchmarks.common.suite import part
 from benchmarks.speed.film import isogi
 from isogi_core.files.grid import srgb_bytes
 from isogi_core.plan.assembly import load_scene
-from server.cli.options import settings_from
+from server.cli.setting_options import settings_from
 from server.parameters import FrameParams, read
 from server.views import view_of
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from isogi_core.files.grid import Vector, triple
 from isogi_core.frame.renderer import Renderer
+from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.glow import Glowing
-from isogi_core.model.view import PROJECTIONS, View, orbit
+from isogi_core.model.view import View, orbit
 
 SIDE = 96
 """Pixels along each side of the picture that finds the surface."""

@@ -18,9 +18,6 @@ from isogi_core.model.volume import Volume
 MOST_GLOWS = 8
 """Most tables of a scene: every ray asks each of them."""
 
-MAX_GLOW_STRENGTH = 16.0
-"""How many times as bright as a scene says views may show what glows, at most."""
-
 ALL_VALUES = (-math.inf, math.inf)
 """The range of all values."""
 

@@ -83,16 +83,9 @@ class Shine:
     is diffuse. Raises ViewError where a number has no meaning.
     """
 
-    kind: str = field(
-        default="plastic", metadata={"help": "Of a scene with a shine: plastic or metal; default: the scene's."}
-    )
-    roughness: float = field(
-        default=0.3,
-        metadata={"range": (MIN_ROUGHNESS, 1), "help": "Of that shine, 0.02 (a mirror) to 1; default: the scene's."},
-    )
-    strength: float = field(
-        default=1.0, metadata={"range": (0, 1), "help": "How much that shine counts, 0 to 1; default: the scene's."}
-    )
+    kind: str = "plastic"
+    roughness: float = field(default=0.3, metadata={"range": (MIN_ROUGHNESS, 1)})
+    strength: float = field(default=1.0, metadata={"range": (0, 1)})
 
     def __post_init__(self) -> None:
         if self.kind not in SHINE_KINDS:
@@ -115,9 +108,6 @@ SHINE_RANGES: dict[str, tuple[float, float]] = {
 
 SHINE_KNOBS = {"shine" if each.name == "kind" else each.name: each.name for each in fields(Shine)}
 """Parameters of views that change the shine, and the fields of Shine that they are."""
-
-SHINE_HELP: dict[str, str] = dict(zip(SHINE_KNOBS, (each.metadata["help"] for each in fields(Shine)), strict=True))
-"""What each of these parameters does, in a line."""
 
 DULL = Shine(strength=0.0)
 """What views ask for that are to show diffuse light alone."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from isogi_core.errors import ViewError
 from isogi_core.files.grid import Vector, triple
+from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.material import Shine
 from isogi_core.model.orientation import PLAIN_ORIENTATION, Orientation
 
@@ -80,18 +81,6 @@ def _read_term(term: str) -> Plane:
 
 Quaternion = tuple[float, float, float, float]
 
-VIEW_SHADINGS = (
-    "gi",
-    "vicinity",
-    "lambert",
-    "lambert_shadow",
-    "lambert_fog",
-    "phong",
-    "phong_shadow",
-    "path_traced",
-)
-OVERLAYS = ("none", "provisional", "error")
-PROJECTIONS = ("perspective", "orthographic")
 ORTHOGRAPHIC_RADII = 1e7
 """Radii of the volume from which an orthographic camera looks: its rays meet no more than a ten-millionth of their way,
 which is what the float32 coordinates of the points hold that they find.

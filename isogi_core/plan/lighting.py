@@ -13,6 +13,7 @@ from isogi_core.errors import LightError, SceneError, ViewError, VolumeError
 from isogi_core.files.mappings import budget
 from isogi_core.files.radiance import read_hdr
 from isogi_core.files.scene_file import Settings
+from isogi_core.model.choices import MAX_GLOW_STRENGTH
 from isogi_core.model.environment import (
     Environment,
     Lamps,
@@ -23,7 +24,7 @@ from isogi_core.model.environment import (
     sky_image,
     solid_angles,
 )
-from isogi_core.model.glow import MAX_GLOW_STRENGTH, NO_BITS, NO_GLOW, Glow, Glowing, glow_from_mapping, place_glows
+from isogi_core.model.glow import NO_BITS, NO_GLOW, Glow, Glowing, glow_from_mapping, place_glows
 from isogi_core.model.lights import (
     ConstantLight,
     EnvironmentLight,

@@ -16,10 +16,9 @@ from isogi_core.errors import StoreFullError, StoreReadOnlyError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
 from isogi_core.frame.rays.picture_plan import AWAITED, HEAVIER, Prices
-from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.renderer import Renderer, unlit_frame
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.unlit_view import unlit_frame
 from isogi_core.frame.view_checks import PathsLeft
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue

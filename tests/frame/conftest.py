@@ -85,6 +85,12 @@ class Workbench:
             rung, frame = 2 * rung, self.renderer.render(view, target, enough=MAX_SAMPLES)
         return self.renderer.render(view, target)
 
+    def settled(self, view: View, target: float | None = None) -> Frame:
+        """The frame of a view once nothing of its picture can be refined any more."""
+        while self.renderer.refine(view, target):
+            pass
+        return self.renderer.render(view, target)
+
     @property
     def layers(self) -> set[str]:
         """Folders of the layers that were baked."""

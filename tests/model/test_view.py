@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from isogi_core.errors import ViewError
 from isogi_core.files.grid import Vector
+from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.view import (
     IDENTITY,
-    VIEW_SHADINGS,
     Camera,
     Quaternion,
     View,
