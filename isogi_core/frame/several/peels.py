@@ -12,7 +12,7 @@ from isogi_core.kernels.tracing.camera import WINDOW_FACE, Pinhole, Sight
 from isogi_core.kernels.tracing.peels import FIRST_WALL_SIDE, MAX_PEELED_LAYERS, MAX_SURFACES, Peeled, Shells, peel_rays
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.model.view import View
-from isogi_core.plan.sides import WALLS_SIDE, Side
+from isogi_core.plan.variants import WALLS_SIDE, Side
 from isogi_core.prepared.prepared_scene import Surface
 
 

@@ -15,7 +15,7 @@ from isogi_core.kernels.shading.wall_light import light_walls
 from isogi_core.kernels.transport.room_paths import light_in_room
 from isogi_core.kernels.transport.surface_paths import light_among_surfaces
 from isogi_core.model.view import View
-from isogi_core.plan.sides import OUTER, WALLS_SIDE, Side
+from isogi_core.plan.variants import OUTER, WALLS_SIDE, Side
 from tests.frame.conftest import LOOSE, Workbench, ball, relative_rmse, scene_of
 from tests.frame.several.drawing import bake, check, drawn
 from tests.loaded import load_scene
