@@ -1,7 +1,6 @@
 """Jobs: how they begin, what becomes of them, and that who dismisses one has nothing more baked."""
 
 import asyncio
-import time
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -18,12 +17,13 @@ from server.errors import BusyError, UnknownJobError
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs, Result, Status
 from server.settings import Settings
+from tests.client.lab import Broken
 from tests.live import live, serving
 from tests.server.idle import Idle, idle_server
 from tests.server.inline import LONG
+from tests.server.jobs import until_over
 from worker.baker import Baker
-from worker.pool import Done, WorkerPool
-from worker.tasks import BakeTask
+from worker.pool import WorkerPool
 
 SOON = 2.0
 ASYNC = {"Prefer": "respond-async"}
@@ -140,19 +140,6 @@ async def test_ended_jobs_are_forgotten_by_age_and_number(monkeypatch: pytest.Mo
     await jobs.close()
 
 
-def until_over(client: httpx.Client, address: str) -> dict[str, Any]:
-    """The document of a job once it has ended; its progress has not fallen meanwhile."""
-    deadline, seen = time.monotonic() + LONG, [0]
-    while True:
-        facts: dict[str, Any] = client.get(address).json()
-        seen.append(facts["progress"])
-        assert seen == sorted(seen)
-        if facts["status"] not in ("accepted", "running"):
-            return facts
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-
-
 def test_a_provisional_frame_is_answered_with_a_job_for_it(small_scene: Path, tmp_path: Path) -> None:
     """From a store of its own: what other tests have asked for may have baked this view."""
     with serving(small_scene, tmp_path) as url, httpx.Client(base_url=url, timeout=60) as client:
@@ -229,18 +216,6 @@ async def test_a_dismissed_job_has_nothing_more_baked(idle: Idle) -> None:
         for each in (address, other.headers["location"]):
             assert (await client.delete(each)).json()["status"] == "dismissed"
         await idle.until(lambda: not idle.wanted, SOON)
-
-
-class Broken:
-    """A pool whose tasks all fail."""
-
-    room, together, workers, trouble = 2, 1, 1, ""
-
-    def submit(self, task: BakeTask, done: Done) -> None:
-        done(None, RuntimeError("The texels are cursed."))
-
-    def close(self) -> None:
-        pass
 
 
 def test_a_job_fails_where_its_light_cannot_be_baked(small_scene: Path, tmp_path: Path) -> None:
