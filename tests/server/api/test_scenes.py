@@ -9,7 +9,7 @@ import httpx
 import numpy as np
 import pytest
 
-from isogi_core.model.view import VIEW_SHADINGS
+from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.projection import SLIDER_STOPS
 from isogi_core.plan.variants import under

@@ -44,7 +44,7 @@ def hasty(inline: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bake on a thread of this process, look often whether the store is back, and try again at once what failed."""
     monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.0)
     monkeypatch.setattr("isogi_core.storage.store.WRITE_RETRY_SECONDS", 0.0)
-    monkeypatch.setattr("isogi_core.cache.loader.ASK_AGAIN", 0.0)
+    monkeypatch.setattr("isogi_core.cache.scene_caches.ASK_AGAIN", 0.0)
     monkeypatch.setattr("worker.baker.SHORTEST_PAUSE", 0.01)
     monkeypatch.setattr("worker.baker.LONGEST_PAUSE", 0.01)
 

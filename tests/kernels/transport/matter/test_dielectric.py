@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from isogi_core.kernels.transport.matter.dielectric import fresnel, mirror, refract
+from isogi_core.kernels.transport.sampling import fresnel, mirror, refract
 
 NORMAL = (0.0, 0.0, 1.0)
 
