@@ -267,7 +267,7 @@ async def test_a_stream_names_the_chunks_of_a_view_at_rest(client: httpx.Client)
             await socket.send(json.dumps({"id": 1, "view": VIEW, **more}))
             return json.loads(await socket.recv())
 
-    assert await heard(chunks=True)["chunks"] == chunks(client)
+    assert (await heard(chunks=True))["chunks"] == chunks(client)
     assert "chunks" not in await heard()
     assert "chunks" not in await heard(chunks=True, moving=True)
 

@@ -98,10 +98,10 @@ def error_of(found: Frame, wanted: Frame) -> float:
 async def test_the_light_of_the_step_before_stands_in(series: RenderEngine, inline: None) -> None:
     series.start()
     variants, own, view = Variants(series, lambda name: None), series.scenes["series"], view_of(series)
-    bare = series.survey(await variants.of(own, Change(time=1)).id, view, 0.5)
+    bare = series.survey((await variants.of(own, Change(time=1))).id, view, 0.5)
     assert not series.frame("series", view, wait=LONG).provisional
     series.dismiss("series@+1")
-    lent = series.survey(await variants.of(own, Change(time=1)).id, view, 0.5)
+    lent = series.survey((await variants.of(own, Change(time=1))).id, view, 0.5)
     assert set(np.unique(lent.state)) == {0, PROVISIONAL}, "what stands in is told as provisional"
     assert len(lent.demands) == len(bare.demands), "and all of it is still to be baked"
     wanted = series.frame("series@+1", view, wait=LONG)
