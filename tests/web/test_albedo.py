@@ -2,13 +2,12 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import parse_qs, urlsplit
 
 import pytest
 from playwright.sync_api import Page, expect
 
 from tests.live import serving
-from tests.web.visits import BROWSER, SHOTS, open_final, pixels, slide, wait_final
+from tests.web.visits import BROWSER, open_final, pixels, query_of, shoot, slide, wait_final
 
 pytestmark = BROWSER
 
@@ -20,11 +19,6 @@ def server(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Itera
     scene.write_text(f"albedo = 0.3\nalbedos = [0, 0.9]\n{small_scene.read_text()}")
     with serving(scene, tmp_path_factory.mktemp("store")) as url:
         yield url
-
-
-def in_address(page: Page, name: str) -> str | None:
-    """A knob as the address bar has it."""
-    return parse_qs(urlsplit(page.url).query).get(name, [None])[0]
 
 
 def tint(page: Page, colour: str) -> None:
@@ -47,7 +41,7 @@ def test_the_slider_brightens_and_the_link_keeps_it(page: Page, server: str) -> 
     bright = pixels(page)
     expect(page.locator("output[for=albedo]")).to_have_text("0.90")
     assert bright.max() > dark.max() + 40.0
-    assert (in_address(page, "albedo"), in_address(page, "tint")) == ("0.9", None)
+    assert query_of(page)["albedo"] == "0.9" and "tint" not in query_of(page)
     again = page.url
     page.click("#reset")
     wait_final(page)
@@ -62,12 +56,11 @@ def test_a_tint_colours_the_surface_and_is_in_the_lines(page: Page, server: str)
     wait_final(page)
     red, green, blue = (pixels(page)[..., c].max() for c in range(3))
     assert red > green + 20.0 > blue + 40.0
-    assert in_address(page, "tint") == "#ff8000"
+    assert query_of(page)["tint"] == "#ff8000"
     page.click("#share-button")
     line = page.locator("#share-curl")
     expect(line).to_contain_text("albedo=0.8%2C0.1727%2C0")
-    SHOTS.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=SHOTS / "tint.png")
+    shoot(page, "tint")
 
 
 def test_a_surface_of_one_albedo_has_neither(page: Page, live_server: str) -> None:
@@ -76,5 +69,4 @@ def test_a_surface_of_one_albedo_has_neither(page: Page, live_server: str) -> No
     expect(page.locator("#tint")).to_be_hidden()
     slide(page, "exposure", 0.6)
     wait_final(page)
-    assert in_address(page, "exposure") is not None
-    assert in_address(page, "albedo") is None and in_address(page, "tint") is None
+    assert "exposure" in query_of(page) and not {"albedo", "tint"} & set(query_of(page))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.web.visits import BROWSER, FINAL_MS, open_final, pixels, wait_final, written
+from tests.web.visits import BROWSER, FINAL_MS, drag, middle, open_final, pixels, stage_of, wait_final, written
 
 pytestmark = BROWSER
 SHADING, OTHER = "lambert", "lambert_fog"
@@ -33,12 +33,6 @@ def both_final(page: Page) -> Page:
     return page
 
 
-def centre(page: Page, selector: str) -> tuple[float, float]:
-    box = page.locator(selector).bounding_box()
-    assert box is not None
-    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-
-
 def test_each_side_shows_its_shading_and_they_change_places(compared: Page) -> None:
     left, right = pixels(compared), pixels(compared, "#other")
     assert np.abs(left - right).mean() > 0.3
@@ -53,11 +47,8 @@ def test_each_side_shows_its_shading_and_they_change_places(compared: Page) -> N
 def test_while_the_view_moves_the_right_side_shows_nothing_old(compared: Page) -> None:
     before = pixels(compared, "#other")
     compared.evaluate(WATCH)
-    x, y = centre(compared, "#stage")
-    compared.mouse.move(x - 100, y)
-    compared.mouse.down()
-    compared.mouse.move(x - 160, y, steps=4)
-    compared.mouse.up()
+    x, y = middle(compared.locator("#stage"))
+    drag(compared, (x - 100, y), -60, 0)
     both_final(compared)
     expect(compared.locator("#other")).to_be_visible()
     seen = compared.evaluate("seen")
@@ -68,15 +59,10 @@ def test_while_the_view_moves_the_right_side_shows_nothing_old(compared: Page) -
 
 def test_the_divider_is_moved_by_hand_and_by_keys(compared: Page) -> None:
     address = compared.url
-    divider, (x, y) = compared.locator("#divider"), centre(compared, "#divider")
-    box = compared.locator("#stage").bounding_box()
-    assert box is not None
-    compared.mouse.move(x, y)
-    compared.mouse.down()
-    compared.mouse.move(box["x"] + 0.25 * box["width"], y + 60, steps=4)
-    compared.mouse.up()
+    divider, (left, _, width, _) = compared.locator("#divider"), stage_of(compared)
+    drag(compared, middle(divider), left + 0.25 * width - middle(divider)[0], 60)
     expect(divider).to_have_attribute("aria-valuenow", re.compile(r"^(24|25)(\.\d)?$"))
-    assert centre(compared, "#divider")[0] == pytest.approx(box["x"] + 0.25 * box["width"], abs=2)
+    assert middle(divider)[0] == pytest.approx(left + 0.25 * width, abs=2)
     divider.focus()
     for key, place in (("Home", 0), ("ArrowRight", 2), ("PageUp", 12), ("Shift+ArrowLeft", 2), ("End", 100)):
         compared.keyboard.press(key)

@@ -1,12 +1,11 @@
 """Cutting away on the page: by sliders, with light coming in or not, kept in the address, and shown whole again."""
 
 import re
-from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 from playwright.sync_api import Page, expect
 
-from tests.web.visits import BROWSER, open_final, pixels, slide, wait_final
+from tests.web.visits import BROWSER, drag, middle, open_final, pixels, query_of, slide, wait_final
 
 pytestmark = BROWSER
 
@@ -54,12 +53,8 @@ def test_a_slider_is_moved_by_keys_alone(page: Page, live_server: str) -> None:
 def test_handles_in_the_picture_move_planes(page: Page, live_server: str) -> None:
     open_final(page, live_server)
     page.keyboard.press("c")
-    middles = [page.get_by_label(f"Cut, x {end}").bounding_box() for end in ("from", "to")]
-    (ax, ay), (bx, by) = ((box["x"] + box["width"] / 2, box["y"] + box["height"] / 2) for box in middles if box)
-    page.mouse.move(bx, by)
-    page.mouse.down()
-    page.mouse.move(bx + 0.3 * (ax - bx), by + 0.3 * (ay - by), steps=5)
-    page.mouse.up()
+    (ax, ay), (bx, by) = (middle(page.get_by_label(f"Cut, x {end}")) for end in ("from", "to"))
+    drag(page, (bx, by), 0.3 * (ax - bx), 0.3 * (ay - by))
     expect(page.locator("#uncut")).to_be_enabled()
     turn = float(page.input_value("#azimuth"))
     page.keyboard.press("ArrowLeft")
@@ -68,8 +63,8 @@ def test_handles_in_the_picture_move_planes(page: Page, live_server: str) -> Non
     page.keyboard.press("PageUp")
     page.click("#add-plane")
     wait_final(page)
-    query = parse_qs(urlsplit(page.url).query)
-    assert re.fullmatch(r"x>\d+(\.\d+)?;y<\d+(\.\d+)?|y<\d+(\.\d+)?;x>\d+(\.\d+)?", query["cut"][0]), query
-    assert query["window"][0].count(",") == 2, "a plane that faces the viewer"
+    query = query_of(page)
+    assert re.fullmatch(r"x>\d+(\.\d+)?;y<\d+(\.\d+)?|y<\d+(\.\d+)?;x>\d+(\.\d+)?", query["cut"]), query
+    assert query["window"].count(",") == 2, "a plane that faces the viewer"
     page.locator("#oblique").get_by_role("button", name="Remove").click()
     expect(page.locator(".handle")).to_have_count(6)

@@ -3,13 +3,12 @@
 import json
 import math
 from pathlib import Path
-from urllib.parse import parse_qs, urlsplit
 
 import pytest
 from playwright.sync_api import Page, Route, expect
 
 from server.cli.film_path import views_in
-from tests.web.visits import BROWSER, FINAL_MS, SHOTS, written
+from tests.web.visits import BROWSER, FINAL_MS, query_of, shoot
 
 pytestmark = BROWSER
 VIEW = "isovalue=0.45&azimuth=-70.5&shading=phong"
@@ -31,8 +30,7 @@ def test_the_surface_comes_as_a_mesh_with_its_light(panel: Page, live_server: st
     download.value.save_as(tmp_path / "a.glb")
     assert (tmp_path / "a.glb").read_bytes()[:4] == b"glTF"
     expect(panel.locator("#export .note")).to_contain_text("100% of its light final")
-    SHOTS.mkdir(parents=True, exist_ok=True)
-    panel.screenshot(path=SHOTS / "export.png")
+    shoot(panel, "export")
 
 
 def test_a_volume_is_offered_where_texels_are_voxels(panel: Page, live_server: str) -> None:
@@ -78,9 +76,9 @@ def test_views_are_kept_shown_again_and_saved_for_films(page: Page, live_server:
     expect(page.locator("#views-line code")).to_have_text(
         "isogi film small.toml --views-file small-views.json -o small.mp4"
     )
-    page.screenshot(path=SHOTS / "views.png")
+    shoot(page, "views")
     page.locator("#views-list .go").first.click()
-    assert parse_qs(urlsplit(written(page)).query)["azimuth"] == ["-70.5"]
+    assert query_of(page)["azimuth"] == "-70.5"
     page.reload()
     page.click("#share-button:enabled")
     expect(page.locator("#views-list li")).to_have_count(2)

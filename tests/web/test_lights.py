@@ -9,7 +9,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from isogi_core.files.radiance import write_hdr
 from tests.server.uploads.site import Site
-from tests.web.visits import BROWSER, DROP, FINAL_MS, give, open_final, pixels, slide, wait_final
+from tests.web.visits import BROWSER, DROP, FINAL_MS, give, open_final, open_shown, pixels, slide, wait_final
 
 pytestmark = BROWSER
 
@@ -63,8 +63,7 @@ def test_intensity_stays_as_many_stops(page: Page, live_server: str) -> None:
 
 
 def test_a_probe_is_opened_shown_and_deleted(page: Page, site: Site, probe: bytes) -> None:
-    page.goto(str(site.client.base_url))
-    page.wait_for_selector("#picture:not([hidden])", timeout=FINAL_MS)
+    open_shown(page, str(site.client.base_url))
     expect(page.locator("#environment-delete")).to_be_hidden()
     give(page, "blue.hdr", probe)
     page.wait_for_url("**environment=*", timeout=FINAL_MS)
@@ -82,8 +81,7 @@ def test_a_probe_is_opened_shown_and_deleted(page: Page, site: Site, probe: byte
 
 
 def test_a_probe_can_be_dropped_on_the_picture(page: Page, site: Site, probe: bytes) -> None:
-    page.goto(str(site.client.base_url))
-    page.wait_for_selector("#picture:not([hidden])", timeout=FINAL_MS)
+    open_shown(page, str(site.client.base_url))
     page.evaluate(DROP, [b64encode(probe).decode(), "sky.HDR"])
     page.wait_for_url("**environment=*", timeout=FINAL_MS)
     expect(page.locator("#environment option:checked")).to_have_text("sky", timeout=FINAL_MS)
@@ -92,8 +90,7 @@ def test_a_probe_can_be_dropped_on_the_picture(page: Page, site: Site, probe: by
 def test_why_a_probe_is_refused_is_said(browser: Browser, site: Site) -> None:
     """On a page of its own: browsers complain of any answer that is a refusal."""
     page = browser.new_page()
-    page.goto(str(site.client.base_url))
-    page.wait_for_selector("#picture:not([hidden])", timeout=FINAL_MS)
+    open_shown(page, str(site.client.base_url))
     give(page, "flat.hdr", b"#?RADIANCE\n\n-Y 8 +X 8\n" + bytes(256))
     expect(page.locator("#upload-note p")).to_contain_text("twice as wide as high", timeout=FINAL_MS)
     page.close()

@@ -1,14 +1,13 @@
 """Materials on the page: chosen, with numbers that are applied when their slider is let go, and kept in the address."""
 
 from collections.abc import Iterator
-from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
 from tests.live import serving
-from tests.web.visits import BROWSER, open_final, pixels, slide, wait_final, written
+from tests.web.visits import BROWSER, open_final, open_shown, pixels, query_of, slide, wait_final
 
 pytestmark = BROWSER
 
@@ -27,7 +26,7 @@ def sunlit(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 def material(page: Page) -> str:
     """What the address says of it."""
-    return parse_qs(urlsplit(written(page)).query).get("material", [""])[0]
+    return query_of(page).get("material", "")
 
 
 def test_a_material_is_chosen_and_the_picture_follows(page: Page, live_server: str) -> None:
@@ -90,6 +89,5 @@ def test_a_link_of_a_material_that_there_is_not_is_told(page: Page, live_server:
 
 
 def test_where_a_scene_allows_its_own_alone_there_is_no_choice(page: Page, sunlit: str) -> None:
-    page.goto(sunlit)
-    page.wait_for_selector("#picture:not([hidden])")
+    open_shown(page, sunlit)
     expect(page.locator("#material")).to_be_hidden()

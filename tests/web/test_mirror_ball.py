@@ -5,7 +5,7 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 
 from isogi_core.model.view import orbit, quaternion_from_angles, rotation_matrix
-from tests.web.visits import BROWSER, pixels
+from tests.web.visits import BROWSER, box_of, drag, middle, open_shown, pixels
 
 SUN = (30.0, 50.0)  # azimuth and elevation in the scene
 
@@ -39,13 +39,9 @@ def dragged(page: Page, right: int, down: int) -> np.ndarray:
     """How far the sun moves, in pixels right and down, when the ball is dragged."""
     before = sun_on(page)
     page.locator("#globe").scroll_into_view_if_needed()
-    box = page.locator("#globe").bounding_box()
-    assert box is not None
-    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    page.mouse.down()
-    page.mouse.move(box["x"] + box["width"] / 2 + right, box["y"] + box["height"] / 2 + down, steps=4)
-    page.mouse.up()
-    return (sun_on(page) - before) * (0.5 * box["width"], -0.5 * box["width"])
+    drag(page, middle(page.locator("#globe")), right, down)
+    radius = 0.5 * box_of(page.locator("#globe"))["width"]
+    return (sun_on(page) - before) * (radius, -radius)
 
 
 TURNED = (
@@ -99,8 +95,6 @@ def test_a_light_that_is_fixed_is_shown_and_cannot_be_turned(page: Page, live_se
 
 def test_without_a_sky_picture_the_light_still_turns(page: Page, live_server: str) -> None:
     page.route("**/sky?*", lambda route: route.abort())
-    page.goto(f"{live_server}/?shading=lambert")
-    page.wait_for_selector("#picture:not([hidden])")
-    page.focus("#globe")
+    open_shown(page, f"{live_server}/?shading=lambert").focus("#globe")
     page.keyboard.press("ArrowRight")
     assert float(page.input_value("#yaw")) > 5

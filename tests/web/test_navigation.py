@@ -1,15 +1,13 @@
 """Moving the picture and looking along an axis: what the page asks for, and what the server then shows there."""
 
-import io
-from typing import Literal
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import urljoin
 
 import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
 from isogi_core.model.view import orbit
-from tests.web.visits import BROWSER, stage_of, written
+from tests.web.visits import BROWSER, drag, middle, open_shown, query_of, stage_of, surface_of
 
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 CENTRE = (11.5, 9.5, 7.5)
@@ -22,47 +20,24 @@ pytestmark = BROWSER
 @pytest.fixture
 def shown(page: Page, live_server: str) -> Page:
     """The page with a picture, at a view that is none of the sides."""
-    page.goto(f"{live_server}/?shading=lambert&azimuth=25&elevation=15&distance=3")
-    page.wait_for_selector("#picture:not([hidden])")
-    return page
-
-
-def view_of(page: Page) -> dict[str, str]:
-    """The knobs in the address bar."""
-    return dict(parse_qsl(urlsplit(written(page)).query))
+    return open_shown(page, f"{live_server}/?shading=lambert&azimuth=25&elevation=15&distance=3")
 
 
 def target_of(page: Page) -> list[float]:
-    return [float(x) for x in view_of(page)["target"].split(",")]
+    return [float(x) for x in query_of(page)["target"].split(",")]
 
 
-def surface(page: Page, width: int, height: int) -> np.ndarray:
-    """World positions (h, w, 3) of the surface that the view of the address shows, NaN where it shows none."""
-    view = {name: value for name, value in view_of(page).items() if name not in ("scene", "exposure")}
-    origin = "{0.scheme}://{0.netloc}".format(urlsplit(page.url))
-    query = {**view, "f": "npy", "width": width, "height": height}
-    answer = page.request.get(f"{origin}/v1/scenes/small/frame", params=query)
-    assert answer.ok, answer.text()
-    planes: np.ndarray = np.load(io.BytesIO(answer.body()))
-    return np.where(planes[..., 3:4] > 0, planes[..., 6:], np.nan)
-
-
-def drag(page: Page, hand: str, way: int) -> None:
-    left, top, width, height = stage_of(page)
-    x, y = left + width / 2, top + height / 2
+def pull(page: Page, hand: str, way: int) -> None:
+    """Drag the picture, by the middle button, two fingers, or the left button while a key is held."""
+    place = middle(page.locator("#stage"))
     if hand == "fingers":
-        return drag_fingers(page, x, y, way)
-    button: Literal["left", "middle"] = "middle" if hand == "middle" else "left"
-    held = [hand] if hand in ("Control", "Alt") else []
-    page.mouse.move(x, y)
-    for key in held:
-        page.keyboard.down(key)
-    page.mouse.down(button=button)
-    page.mouse.move(x + way * RIGHT, y + way * DOWN, steps=5)
-    page.mouse.up(button=button)
-    for key in held:
-        page.keyboard.up(key)
-    return None
+        drag_fingers(page, *place, way)
+    elif hand == "middle":
+        drag(page, place, way * RIGHT, way * DOWN, "middle")
+    else:
+        page.keyboard.down(hand)
+        drag(page, place, way * RIGHT, way * DOWN)
+        page.keyboard.up(hand)
 
 
 def drag_fingers(page: Page, x: float, y: float, way: int, apart: float = 1.0) -> None:
@@ -77,13 +52,13 @@ def drag_fingers(page: Page, x: float, y: float, way: int, apart: float = 1.0) -
 
 
 def test_the_surface_follows_the_pointer_pixel_by_pixel(shown: Page) -> None:
-    *_, width, height = stage_of(shown)
+    *_, height = stage_of(shown)
     pixel = 2 * 3 * np.linalg.norm(CENTRE) * np.tan(np.radians(15)) / height
-    kept, before, way = view_of(shown), surface(shown, width, height), 1
+    kept, before, way = query_of(shown), surface_of(shown), 1
     for hand in ("middle", "Control", "Alt", "fingers"):
-        drag(shown, hand, way)
-        assert kept.items() <= view_of(shown).items(), f"nothing but the target has changed: {hand}"
-        after = surface(shown, width, height)
+        pull(shown, hand, way)
+        assert kept.items() <= query_of(shown).items(), f"nothing but the target has changed: {hand}"
+        after = surface_of(shown)
         level = np.abs((before - CENTRE) @ OUT) < 0.5  # as deep as the target, or nearly so
         moved = np.roll(before, (way * DOWN, way * RIGHT), (0, 1)) - after
         error = np.linalg.norm(moved[np.roll(level, (way * DOWN, way * RIGHT), (0, 1))], axis=1)
@@ -92,9 +67,8 @@ def test_the_surface_follows_the_pointer_pixel_by_pixel(shown: Page) -> None:
 
 
 def test_two_fingers_move_and_zoom_at_once(shown: Page) -> None:
-    left, top, width, height = stage_of(shown)
-    drag_fingers(shown, left + width / 2, top + height / 2, 1, apart=2.0)
-    view = view_of(shown)
+    drag_fingers(shown, *middle(shown.locator("#stage")), 1, apart=2.0)
+    view = query_of(shown)
     assert float(view["distance"]) == pytest.approx(1.5, rel=0.01)
     assert "target" in view and view["azimuth"] == "25"
 
@@ -112,15 +86,15 @@ def test_keys_move_the_picture_and_reset_brings_it_back(shown: Page) -> None:
     shown.keyboard.press("s")
     assert target_of(shown) == pytest.approx(CENTRE, abs=1e-3)
     shown.keyboard.press("0")
-    origin = "{0.scheme}://{0.netloc}".format(urlsplit(shown.url))
-    _, _, width, height = stage_of(shown)
-    fit = shown.request.get(f"{origin}/v1/scenes/small/fit", params={"width": width, "height": height}).json()
+    *_, width, height = stage_of(shown)
+    asked = {"width": width, "height": height}
+    fit = shown.request.get(urljoin(shown.url, "/v1/scenes/small/fit"), params=asked).json()
     assert target_of(shown) == pytest.approx(fit["target"], abs=1e-3)
 
 
 def test_a_double_click_brings_the_surface_to_the_middle(shown: Page) -> None:
     left, top, width, height = stage_of(shown)
-    before = surface(shown, width, height)
+    before = surface_of(shown)
     row, column = height // 2 + 30, width // 2 - 60
     assert np.isfinite(before[row, column]).all()
     shown.mouse.dblclick(left + column + 0.5, top + row + 0.5)
@@ -135,17 +109,17 @@ def test_a_double_click_brings_the_surface_to_the_middle(shown: Page) -> None:
 def test_axis_views_keep_distance_and_target(shown: Page) -> None:
     shown.focus("#stage")
     shown.keyboard.press("d")
-    kept = {name: value for name, value in view_of(shown).items() if name not in ("azimuth", "elevation")}
+    kept = {name: value for name, value in query_of(shown).items() if name not in ("azimuth", "elevation")}
     for name, axis in AXES.items():
         for sign, word, key in ((1, "plus", name), (-1, "minus", f"Shift+{name.upper()}")):
             button = shown.get_by_role("button", name=f"From {word} {name}", exact=True)
             expect(button).to_have_attribute("aria-pressed", "false")
             button.click()
-            clicked = view_of(shown)
+            clicked = query_of(shown)
             expect(button).to_have_attribute("aria-pressed", "true")
-            assert np.nanmean(surface(shown, 48, 48) - CENTRE, axis=(0, 1)) @ axis * sign > 0.5
+            assert np.nanmean(surface_of(shown) - CENTRE, axis=(0, 1)) @ axis * sign > 0.5
             shown.focus("#stage")
             shown.keyboard.press("ArrowLeft")
             shown.keyboard.press(key)
-            assert view_of(shown) == clicked
+            assert query_of(shown) == clicked
             assert {name: value for name, value in clicked.items() if name not in ("azimuth", "elevation")} == kept

@@ -1,14 +1,10 @@
 """Points of the picture that a person clicks: what the card says, and where its mark is as the camera turns."""
 
-import io
-from typing import Any
-from urllib.parse import parse_qsl, urlsplit
-
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.web.visits import BROWSER, click, fact, position, stage_of, written
+from tests.web.visits import BROWSER, box_of, click, drag, fact, open_shown, position, stage_of, surface_of, written
 
 ADDRESS = "?shading=lambert&azimuth=25&elevation=15&distance=3"
 
@@ -18,23 +14,7 @@ pytestmark = BROWSER
 @pytest.fixture
 def shown(page: Page, live_server: str) -> Page:
     """The page with a picture, for which nothing is baked."""
-    page.goto(f"{live_server}/{ADDRESS}")
-    page.wait_for_selector("#picture:not([hidden])")
-    return page
-
-
-def surface(page: Page) -> np.ndarray:
-    """World positions (h, w, 3) of the surface in the stage's pixels, NaN where none is."""
-    view = {
-        name: value for name, value in parse_qsl(urlsplit(written(page)).query) if name not in ("scene", "exposure")
-    }
-    *_, width, height = stage_of(page)
-    origin = "{0.scheme}://{0.netloc}".format(urlsplit(page.url))
-    query: dict[str, Any] = {**view, "f": "npy", "width": width, "height": height}
-    answer = page.request.get(f"{origin}/v1/scenes/small/frame", params=query)
-    assert answer.ok, answer.text()
-    planes: np.ndarray = np.load(io.BytesIO(answer.body()))
-    return np.where(planes[..., 3:4] > 0, planes[..., 6:], np.nan)
+    return open_shown(page, f"{live_server}/{ADDRESS}")
 
 
 def mark(page: Page) -> tuple[float, float]:
@@ -52,7 +32,7 @@ def nearest(points: np.ndarray, position: list[float]) -> tuple[int, int, float]
 
 @pytest.mark.journey
 def test_a_click_tells_the_point_under_it(shown: Page) -> None:
-    points = surface(shown)
+    points = surface_of(shown)
     *_, width, height = stage_of(shown)
     for column, row in ((width // 2, height // 2), (width // 2 - 60, height // 2 + 30)):
         click(shown, column, row)
@@ -76,7 +56,7 @@ def test_the_mark_stays_on_its_point_as_the_camera_turns(shown: Page) -> None:
     shown.focus("#stage")
     for key in ("ArrowLeft", "ArrowLeft", "ArrowUp", "+", "d"):
         shown.keyboard.press(key)
-    column, row, away = nearest(surface(shown), point)
+    column, row, away = nearest(surface_of(shown), point)
     assert away < 0.1
     assert mark(shown) == pytest.approx((column + 0.5, row + 0.5), abs=2.0)
     assert position(shown) == point
@@ -117,12 +97,9 @@ def test_a_press_that_leaves_the_card_spoils_no_click(shown: Page) -> None:
     left, top, width, height = stage_of(shown)
     click(shown, width // 2, height // 2)
     expect(shown.locator("#point")).to_be_visible()
-    card = shown.locator("#point").bounding_box()
-    assert card is not None
-    shown.mouse.move(card["x"] + 20, card["y"] + 20)
-    shown.mouse.down()
-    shown.mouse.move(left + width / 2, top + height + 60, steps=4)
-    shown.mouse.up()
+    card = box_of(shown.locator("#point"))
+    x, y = card["x"] + 20, card["y"] + 20
+    drag(shown, (x, y), left + width / 2 - x, top + height + 60 - y)
     before = shown.locator("#marks circle").get_attribute("cx") or ""
     click(shown, width // 2 - 60, height // 2 + 30)
     expect(shown.locator("#marks circle")).not_to_have_attribute("cx", before)
@@ -156,7 +133,7 @@ def in_voxels(text: str) -> float:
 
 
 def test_two_points_give_a_distance_and_three_an_angle(shown: Page) -> None:
-    points = surface(shown)
+    points = surface_of(shown)
     *_, width, height = stage_of(shown)
     places = [(width // 2 + 60, height // 2), (width // 2 - 70, height // 2 + 10), (width // 2, height // 2 - 40)]
     a, b, c = (points[row, column] for column, row in places)
@@ -205,8 +182,7 @@ def test_measures_live_in_the_address_until_they_are_removed(shown: Page) -> Non
 
 def test_lines_end_on_their_points_as_the_camera_turns(shown: Page) -> None:
     a, b = (16.0, 9.5, 11.5), (8.0, 9.5, 11.5)
-    shown.goto(f"{shown.url}&measure={','.join(map(str, a))};{','.join(map(str, b))}")
-    shown.wait_for_selector("#picture:not([hidden])")
+    open_shown(shown, f"{shown.url}&measure={','.join(map(str, a))};{','.join(map(str, b))}")
     shown.focus("#stage")
     shown.keyboard.press("ArrowLeft")
     shown.keyboard.press("z")
@@ -245,7 +221,7 @@ def test_marks_hold_under_parallel_rays(shown: Page) -> None:
     shown.eval_on_selector("#camera", "details => { details.open = true; }")
     shown.select_option("#projection", "orthographic")
     shown.evaluate("scrollTo(0, 0)")  # where the stage begins at a whole pixel
-    points = surface(shown)
+    points = surface_of(shown)
     assert "projection=orthographic" in shown.url
     *_, width, height = stage_of(shown)
     column, row = width // 2 - 50, height // 2 + 25
@@ -257,7 +233,7 @@ def test_marks_hold_under_parallel_rays(shown: Page) -> None:
     shown.focus("#stage")
     for key in ("ArrowLeft", "ArrowUp", "d"):
         shown.keyboard.press(key)
-    column, row, away = nearest(surface(shown), point)
+    column, row, away = nearest(surface_of(shown), point)
     assert away < 0.1
     assert mark(shown) == pytest.approx((column + 0.5, row + 0.5), abs=2.0)
     shown.keyboard.press("Shift+X")
@@ -267,18 +243,16 @@ def test_marks_hold_under_parallel_rays(shown: Page) -> None:
 def test_a_tap_on_a_phone_docks_the_card_away_from_it(browser: Browser, live_server: str) -> None:
     context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True)
     page = context.new_page()
-    page.goto(f"{live_server}/{ADDRESS}")
-    page.wait_for_selector("#picture:not([hidden])")
+    open_shown(page, f"{live_server}/{ADDRESS}")
     left, top, width, height = stage_of(page)
     page.touchscreen.tap(left + width / 2, top + 0.45 * height)
     expect(page.locator("#point")).to_be_visible()
-    card = page.locator("#point").bounding_box()
-    assert card is not None
+    card = box_of(page.locator("#point"))
     assert card["x"] >= left and card["x"] + card["width"] <= left + width
     assert top + 0.45 * height < card["y"] and card["y"] + card["height"] <= top + height
     page.locator("#point .close").tap()
     page.touchscreen.tap(left + width / 2, top + 0.65 * height)
     expect(page.locator("#point[data-low]")).to_be_visible()
-    card = page.locator("#point").bounding_box()
-    assert card is not None and top <= card["y"] and card["y"] + card["height"] < top + 0.65 * height
+    card = box_of(page.locator("#point"))
+    assert top <= card["y"] and card["y"] + card["height"] < top + 0.65 * height
     context.close()

@@ -5,7 +5,7 @@ import re
 import httpx
 from playwright.sync_api import Page, expect
 
-from tests.web.visits import BROWSER, SHOTS, open_final, slide
+from tests.web.visits import BROWSER, open_final, shoot, slide
 
 pytestmark = BROWSER
 
@@ -29,9 +29,8 @@ def test_area_and_volume_are_those_of_the_surface(page: Page, live_server: str) 
         assert abs(value - known[name]) < 0.1 * error
         assert abs(error / known[f"{name}_error"] - 1) < 0.06, "of two digits"
     expect(page.locator("#size .note")).to_contain_text("Of the whole surface")
-    SHOTS.mkdir(parents=True, exist_ok=True)
     page.locator("#size").scroll_into_view_if_needed()
-    page.screenshot(path=SHOTS / "size.png")
+    shoot(page, "size")
     slide(page, "isovalue", 0.6)
     assert rows(page) == {} and page.inner_text("#size .note") == "Measuring…"
     expect(page.locator("#size dd")).to_have_count(2)

@@ -10,7 +10,7 @@ from playwright.sync_api import Page, expect
 
 from tests.live import serving
 from tests.series import STEPS, write_series
-from tests.web.visits import BROWSER, SHOTS, open_final, pixels, slide, wait_final
+from tests.web.visits import BROWSER, open_final, pixels, shoot, slide, wait_final
 
 pytestmark = BROWSER
 
@@ -32,8 +32,7 @@ def test_a_slider_leafs_through_the_steps(page: Page, series: str) -> None:
     expect(page.locator("output[for=time]")).to_have_text("step 3")
     assert "time=3" in page.url and np.abs(last - first).mean() > 2.0
     page.locator("#time").scroll_into_view_if_needed()
-    SHOTS.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=SHOTS / "times.png")
+    shoot(page, "times")
     page.focus("#time")
     page.keyboard.press("ArrowLeft")
     expect(page.locator("output[for=time]")).to_have_text("step 2")
@@ -64,7 +63,7 @@ def test_the_series_is_played_round_and_round(page: Page, series: str) -> None:
     page.get_by_role("button", name="Pause").click()
     assert page.evaluate("() => window.seen")[:6] == [f"step {n % STEPS}" for n in range(1, 7)]
     page.locator("#play").scroll_into_view_if_needed()
-    page.screenshot(path=SHOTS / "player.png")
+    shoot(page, "player")
     seen = page.evaluate("() => window.seen")
     wait_final(page)
     page.wait_for_timeout(1500)

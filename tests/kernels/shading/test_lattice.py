@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
-from scipy.special import sph_harm_y
 
 from isogi_core.kernels.shading.framebuffer import (
     BLUE_LUMINANCE,
@@ -36,6 +35,7 @@ from isogi_core.kernels.shading.lattice import (
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
 from tests.kernels.shading.lattices import RNG, SHAPE, STEP, border_points, lattice, lower_texels, some_points, view_of
+from tests.kernels.transport.harmonic_bases import scipy_basis
 
 
 def test_base_texel_is_the_lower_corner_and_the_fractions_in_it():
@@ -203,19 +203,14 @@ def test_buried_texels_do_not_darken_what_stands_in():
     grade[:] = BURIED_GRADE
     grade[view_of(points)[2][0, 6]] = UNBAKED_GRADE
     radiance, state, _ = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))
-    np.testing.assert_allclose(radiance[0], irradiance_over_pi((0.0, 0.0, 1.0)), rtol=1e-5)
+    np.testing.assert_allclose(radiance[0], irradiance_over_pi([(0.0, 0.0, 1.0)])[0], rtol=1e-5)
     assert state == [PROVISIONAL]
 
 
-def irradiance_over_pi(n):
-    """E/π of SKY_LIGHT about the unit normal n by SciPy's harmonics: Σ A_l/π ℓ_lm Y_lm(n); (3,)."""
-    theta, phi = math.acos(n[2]), math.atan2(n[1], n[0])
-    total = np.zeros(3)
-    for l, lobe in enumerate((1.0, 2.0 / 3.0, 0.25)):
-        for m in range(-l, l + 1):
-            y = (-1) ** m * sph_harm_y(l, abs(m), theta, phi) * math.sqrt(2.0 if m else 1.0)
-            total += lobe * (y.imag if m < 0 else y.real) * SKY_LIGHT[:, l * (l + 1) + m]
-    return total
+def irradiance_over_pi(normals):
+    """E/π (n, 3) of SKY_LIGHT about unit normals (n, 3), by SciPy's harmonics: Σ A_l/π ℓ_lm Y_lm(n)."""
+    lobes = np.repeat([1.0, 2.0 / 3.0, 0.25], [1, 3, 5])
+    return scipy_basis(3, np.asarray(normals, float)) @ (lobes * SKY_LIGHT).T
 
 
 @pytest.mark.parametrize("missing", [UNBAKED_GRADE, VOID_GRADE])
@@ -227,7 +222,7 @@ def test_without_any_lit_texel_unshadowed_light_stands_in(missing):
     grade[:] = missing
     lit[:] = np.nan
     radiance, state, _ = carry(points, grade, lit, normals)
-    np.testing.assert_allclose(radiance, [irradiance_over_pi(n.astype(float)) for n in normals], rtol=1e-5)
+    np.testing.assert_allclose(radiance, irradiance_over_pi(normals), rtol=1e-5)
     assert (radiance > 0.0).all() and (state == (PROVISIONAL if missing == UNBAKED_GRADE else FINAL)).all()
 
 
@@ -240,5 +235,5 @@ def test_what_is_missing_is_filled_in_proportion():
     fz, fy, fx = lower_texels(points)[1][0]
     share = trilinear(1, fz, fy, fx) + trilinear(6, fz, fy, fx)
     radiance, _, _ = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))
-    expected = (1 - share) * 0.25 + share * irradiance_over_pi((0.0, 0.0, 1.0))
+    expected = (1 - share) * 0.25 + share * irradiance_over_pi([(0.0, 0.0, 1.0)])[0]
     np.testing.assert_allclose(radiance[0], expected, rtol=1e-5)

@@ -22,7 +22,7 @@ from isogi_core.kernels.transport.lights import fog
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from tests.kernels.fields import field_of, surface_of
 from tests.kernels.transport.lighting import trace_points
-from tests.scale import COMPILED, few
+from tests.scale import few
 
 COUNT = few(2000, 60)
 Z, Y, X = np.mgrid[:41, :41, :41] - 20.0
@@ -241,21 +241,3 @@ def test_sums_of_any_number_of_goes_have_the_same_bits():
             trace_points(surface, place, light, rules, 0, SampleRange(first, count), into)
             first += count
     assert sums[0].any() and np.array_equal(*sums)
-
-
-@COMPILED
-def test_paths_that_end_by_chance_bring_the_same_light():
-    """Weights over the chance to get there: z-test of two means in a bowl, of 2 × 8 independent replicas."""
-    points, normals = ball_points(20)
-    weights, survival = 0.9 ** np.arange(1.0, 9.0)[:, None] * np.ones(3), 0.6
-    fewer = weights / survival ** np.maximum(np.arange(8) - 1, 0)[:, None]
-    surface = surface_of(field_of(NOISY), 0.0)
-    place = SurfacePoints(points, normals.astype(np.float32), np.arange(20, dtype=np.uint32))
-    sums = np.zeros((2, 20, 8, 3))
-    for into, own, chance, stream in zip(sums, (weights, fewer), (1.0, survival), (0, 8), strict=True):
-        rules = PathRules(own, chance)
-        trace_points(surface, place, half_sky(np.eye(3)), rules, stream, SampleRange(0, 512), into)
-    means = sums[..., 0].mean(axis=1) / 512
-    apart = means[0].mean(axis=-1) - means[1].mean(axis=-1)
-    error = np.sqrt((means.var(axis=-1, ddof=1) / 8).sum(axis=0))
-    assert abs(apart / error) < 4.0
