@@ -119,24 +119,3 @@ def test_a_plane_across_the_view_is_met_where_each_pixel_looks(spacing):
     assert hit.mean() > 0.5
     world = np.stack([x + 24.0 * right, y + 24.0 * up, np.full_like(up, z)], axis=-1)
     np.testing.assert_allclose((position * spacing)[hit], world[hit], atol=1e-4)
-
-
-@pytest.mark.parametrize(
-    "eye", [(16, 16, 16), (16, 16, 32), (16.5, 16, 25.9), (16, 16, 33e6), (16, 16, -40), (0, 0, 0)]
-)
-@pytest.mark.parametrize("fov", [1e-6, 40.0, 179.999])
-def test_any_eye_gives_a_picture_of_points_in_the_box_or_none(eye, fov):
-    """Inside the solid, on a face of the box, on the surface, far away, behind, and in a corner."""
-    position = picture(BALL, 0.0, look_down(eye, fov, 8, 8), 8, 8)
-    hit = seen(position)
-    assert (np.isnan(position).all(axis=-1) == ~hit).all()
-    assert ((position[hit] >= -1e-3) & (position[hit] <= 32 + 1e-3)).all()
-
-
-def test_a_far_eye_sees_what_a_near_one_of_the_same_rays_sees():
-    """Parallel rays, nearly: one eye at 1e5 voxels, one at 1e7, each with the angle that frames the ball."""
-    views = [picture(BALL, 0.0, look_down((16, 16, 16 + far), math.degrees(2 * 15 / far))) for far in (1e5, 1e7)]
-    both = seen(views[0]) & seen(views[1])
-    assert both.sum() > 0.25 * SIDE**2
-    rim = np.abs(np.linalg.norm(views[0][both][:, :2] - 16.0, axis=-1) - 10.0) < 0.5
-    assert np.abs(views[0][both] - views[1][both])[~rim].max() < 1e-2

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.shading.surface_points import SurfacePoints
-from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
 from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.lights import POINT
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
@@ -20,7 +19,6 @@ from tests.kernels.transport.lighting import (
     MIDDLE,
     NOISY,
     PLANE,
-    SHELL,
     TURN,
     UP,
     Z,
@@ -95,19 +93,6 @@ def test_a_lamp_is_hidden_by_what_is_nearer_only():
         light = surroundings(lamps=lamps((POINT, (22.0, 20.0, height), None, (1.0, 1.0, 1.0))))
         found = gather(field_of(slab), place_at(floor, UP), light, np.ones((1, 3)), 1)
         assert (found > 0.0).all() == seen and found.any() == seen
-
-
-@COMPILED
-@pytest.mark.parametrize("bounces", [0, 1, 6])
-def test_a_lamp_in_a_hollow_ball(bounces):
-    """Its wall is lit evenly, also by what it reflects, I/(π a²) Σ R^k: a wall behind a lamp does not hide it."""
-    inward = np.random.default_rng(4).normal(size=(3, 200))
-    inward /= np.linalg.norm(inward, axis=0)
-    albedo = np.array([0.3, 0.6, 0.9])
-    weights = albedo ** np.arange(bounces + 1.0)[:, None]
-    light = surroundings(lamps=lamps((POINT, (20.0, 20.0, 20.0), None, (1.0, 1.0, 1.0))))
-    found = gather(field_of(SHELL), place_at(20.0 - 13.0 * inward, inward), light, weights, 32).mean(axis=(0, 1))
-    np.testing.assert_allclose(found * (13.0 - RAY_OFFSET_VOXELS) ** 2, weights.sum(axis=0), rtol=0.02)
 
 
 # --- statistics ----------------------------------------------------------------------------------------------------

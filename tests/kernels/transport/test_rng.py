@@ -168,15 +168,6 @@ def test_dimensions_of_one_seed_are_uncorrelated():
     assert np.abs(across).max() < bound * np.sqrt(9.0 / 7.0 / n)
 
 
-def test_integrates_better_than_independent_points():
-    """RMSE of a smooth integral, 256 points and 64 seeds: far below the 1/√N of independent ones, no bias."""
-    n = 256
-    errors = np.array([np.prod(prefix(np.uint64(s), 0, 0, n) * 2, axis=1).mean() - 1.0 for s in range(64)])
-    independent = np.sqrt((16.0 / 9.0 - 1.0) / n)
-    assert np.sqrt(np.mean(errors**2)) < 0.05 * independent
-    assert abs(errors.mean()) < 3.5 * errors.std() / 8.0
-
-
 def test_same_bits_compiled_and_not():
     for seed in SEEDS:
         for index in (0, 1, 77, 2**32 - 1):
