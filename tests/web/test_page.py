@@ -278,13 +278,6 @@ def test_shading_choice(shown: Page, live_server: str) -> None:
     assert difference(pixels(shown), before) > 0.3
 
 
-def test_exposure_brightens(shown: Page) -> None:
-    before = pixels(shown).mean()
-    slide(shown, "exposure", 0.7)
-    wait_final(shown)
-    assert pixels(shown).mean() > before + 2.0
-
-
 def test_overlay_marks_what_is_provisional(page: Page, live_server: str) -> None:
     views = watched(page).views
     page.goto(f"{live_server}/?overlay=provisional&azimuth=211&elevation=-17")
@@ -410,17 +403,6 @@ def test_server_gone_and_back(fresh: Page, live_server: str) -> None:
     away = False
     expect(fresh.locator("#trouble")).to_be_hidden(timeout=FINAL_MS)
     wait_final(fresh)
-
-
-def test_server_gone_and_back_without_sockets(fresh: Page, live_server: str) -> None:
-    shown = open_final(without_sockets(fresh), live_server)
-    shown.route("**/frame?*", lambda route: route.abort())
-    shown.focus("#stage")
-    shown.keyboard.press("ArrowLeft")
-    expect(shown.locator("#trouble h2")).to_have_text("The server does not answer")
-    shown.unroute("**/frame?*")
-    expect(shown.locator("#trouble")).to_be_hidden(timeout=FINAL_MS)
-    wait_final(shown)
 
 
 def test_server_away_at_the_start(page: Page, live_server: str) -> None:
