@@ -11,7 +11,7 @@ EXTRAS := --extra formats --extra report --extra s3 --extra client --extra film
 # Every process would compile all modules anew: a server with two workers starts three times as fast without it.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install serve shell test-fast test test-all test-long kernels bytecode test-bounds test-python check lock format pictures \
+.PHONY: install serve shell test-fast test test-all test-long kernels bytecode test-bounds test-python check lock format schemas pictures \
   figures reports clean
 
 install: $(BIN)/.installed
@@ -133,6 +133,10 @@ lock: $(BIN)/.tools
 format: $(BIN)/.tools
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+# The page's types of the server's documents.
+schemas: $(BIN)/.tools
+	$(BIN)/python -m tests.web.write_schemas
 
 clean:
 	rm -rf .venv tests/web/node_modules test-results .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

@@ -2,37 +2,38 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from typing import Any
 from urllib.parse import urlencode
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from isogi_core.files.scene_changes import write_material_text
+from isogi_core.files.grid import Vector, triple
+from isogi_core.files.scene_file import write_material_text
 from isogi_core.frame.card.blocks import CHUNKS, SeenChunk, raw_scale, seen_chunks
 from isogi_core.frame.card.obstacles import BYTES, Obstacle, find_obstacles
 from isogi_core.frame.film import COLOURS, SCALE, ground_of, lit
 from isogi_core.frame.fitting import Stand, fitted_to_all
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.lighting import RotatedLight, triple
+from isogi_core.frame.framing import point_at
+from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import expected_error
 from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.surface_point import point_at
 from isogi_core.frame.view_texels import carries_irradiance_ratios
 from isogi_core.kernels.shading.framebuffer import FINAL, TONE_GAIN, TONE_SHOULDER, TONE_TOE
+from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.colours import hex_of
 from isogi_core.model.environment import Lobe
 from isogi_core.model.lights import ENVIRONMENTS, Light
-from isogi_core.model.material import SHINE_KINDS, SHINE_KNOBS
+from isogi_core.model.material import SHINE_KINDS
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.view import IDENTITY, VIEW_SHADINGS, Vec3, View
+from isogi_core.model.view import IDENTITY, View
 from isogi_core.plan.isovalue_presets import front_of
 from isogi_core.plan.left_out import S1_BYTES
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.surfaces import material_settings
 from isogi_core.plan.variants import find_materials
+from isogi_core.prepared.isosurface_mesh import surface_size
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_core.prepared.surface_size import surface_size
 from server.card_schemas import (
     CardChunk,
     CardGrid,
@@ -54,7 +55,7 @@ from server.card_schemas import (
     CardVolume,
     Colours,
 )
-from server.parameters import FrameParams
+from server.knobs import KNOBS
 from server.schemas import (
     CameraSchema,
     ChunkCounts,
@@ -84,12 +85,6 @@ from server.schemas import (
 )
 from server.values import Span
 from worker.progress import TimeLeft
-
-SCENE_INDEPENDENT_PARAMETERS = (
-    *("azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll"),
-    *("width", "height", "shading"),
-)
-"""Parameters whose defaults no scene changes."""
 
 MATERIALS_OF: WeakKeyDictionary[Scene, list[MaterialSchema]] = WeakKeyDictionary()
 """The materials of the scenes in use that were asked."""
@@ -210,14 +205,14 @@ def camera_schema(
     return CameraSchema(azimuth=azimuth, elevation=elevation, distance=distance, target=target)
 
 
-def fit(renderer: Renderer, stands: Sequence[Stand], projection: str | None) -> tuple[Vec3, float]:
+def fit(renderer: Renderer, stands: Sequence[Stand], projection: str | None) -> tuple[Vector, float]:
     """The target and the distance, rounded, at which cameras see their surfaces whole: see ``fitted_to_all``.
 
     They see the whole volume where none is to be seen.
     """
     scene = renderer.prepared.scene
     found = fitted_to_all(renderer, stands, projection or scene.settings.projection)
-    target, distance = found or (scene.volume.world_centre, FrameParams.model_fields["distance"].default)
+    target, distance = found or (scene.volume.world_centre, KNOBS["distance"].default)
     x, y, z = (float(f"{value:.6g}") for value in target)
     return (x, y, z), float(f"{distance:.4g}")
 
@@ -275,38 +270,17 @@ def layer_schema(layer: Layer) -> LayerSchema:
 
 
 def defaults(scene: Scene) -> dict[str, float | str]:
-    """What each parameter is where it is left out."""
-    fixed: dict[str, Any] = {name: FrameParams.model_fields[name].default for name in SCENE_INDEPENDENT_PARAMETERS}
-    albedo = {} if scene.surfaces.albedos is None else {"albedo": albedo_text(scene)}
-    own = scene.surfaces.shine
-    shine = {} if own is None else {name: getattr(own, field) for name, field in SHINE_KNOBS.items()}
-    fixed["projection"] = scene.settings.projection
-    glow = {"glow": 1.0} if scene.lighting.glowing.any else {}
-    time, times = scene.volume.moment
-    series = {"time": time} if times > 1 else {}
-    more = {**albedo, **shine, **glow, **series}
-    return {"isovalue": scene.isovalue, **fixed, **more, "exposure": scene.default_exposure}
-
-
-def albedo_text(scene: Scene) -> float | str:
-    """The scene's albedo as a query has it: one number where it is grey."""
-    grey = len({*scene.surfaces.albedo}) == 1
-    return scene.surfaces.albedo[0] if grey else ",".join(f"{share:.6g}" for share in scene.surfaces.albedo)
+    """What each knob of a scene is where it is left out."""
+    own = {name: knob.default_of(scene) for name, knob in KNOBS.items()}
+    return {name: value for name, value in own.items() if value is not None}
 
 
 def ranges(scene: Scene) -> dict[str, Range]:
     """What each number may be."""
-    spans = {
-        name: Range(min=span.low, max=span.high)
-        for name, field in FrameParams.model_fields.items()
-        for span in field.metadata
-        if isinstance(span, Span)
-    }
-    of_scene = {"isovalue": scene.isovalues} | (
-        {} if scene.surfaces.albedos is None else {"albedo": scene.surfaces.albedos}
-    )
-    spans["time"] = Range(min=0, max=scene.volume.moment[1] - 1)
-    return {**{name: Range(min=low, max=high) for name, (low, high) in of_scene.items()}, **spans}
+    spans = {name: (knob.kind.low, knob.kind.high) for name, knob in KNOBS.items() if isinstance(knob.kind, Span)}
+    spans |= {"isovalue": scene.isovalues, "time": (0, scene.volume.moment[1] - 1)}
+    spans |= {} if scene.surfaces.albedos is None else {"albedo": scene.surfaces.albedos}
+    return {name: Range(min=low, max=high) for name, (low, high) in spans.items()}
 
 
 def point_schema(scene: Scene, frame: Frame, pixel: tuple[int, int], exposure: float) -> PointSchema:

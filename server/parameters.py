@@ -3,55 +3,35 @@
 import re
 import sys
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Annotated, Any, NamedTuple, Self, TypeVar
 
 from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator, model_validator
 
 from isogi_core.errors import advice
+from isogi_core.files.grid import Vector
 from isogi_core.frame.card.blocks import CHUNKS, is_inside
-from isogi_core.model.glow import MAX_GLOW_STRENGTH
-from isogi_core.model.lights import ENVIRONMENTS
-from isogi_core.model.material import SHINE_KINDS, SHINE_RANGES
-from isogi_core.model.view import (
-    OVERLAYS,
-    PROJECTIONS,
-    VIEW_SHADINGS,
-    Quaternion,
-    Vec3,
-)
+from isogi_core.model.choices import PROJECTIONS
+from isogi_core.model.view import Quaternion
 from isogi_core.prepared.prepared_scene import Index
 from server.errors import ParameterError, UnknownPartError
-from server.values import LONGEST_SECONDS, Choice, Colour, Ground, Planes, Row, Rows, Span
+from server.knobs import KNOBS, LONGEST_SIDE
+from server.values import LONGEST_SECONDS, Choice, Rows, Span
 
 FORMATS = ("png", "jpeg", "webp", "npy")
 VERSION_PATTERN = r"^[0-9a-f]{32}$"
-LONGEST_SIDE = 16383  # WebP's own limit
-LONGEST_WAIT = 10_000
-"""Milliseconds that a request may wait for baking."""
 
 ORBIT = ("azimuth", "elevation", "distance")
 ANGLES = ("yaw", "pitch", "roll")
-XYZ = Row(("x", "y", "z"))
-TURN = Span(-360, 360)
-
-Isovalue = Annotated[
-    float | str | None,
-    WithJsonSchema({"type": "number"}),
-    Field(description="In the volume's own units, within the scene's range; default: the scene's."),
-]
-LightTurn = Annotated[
-    Quaternion | None,
-    Row(("w", "x", "y", "z")),
-    Field(description="Quaternion w,x,y,z that turns the light; instead of yaw, pitch, roll."),
-]
-Yaw = Annotated[float, TURN, Field(description="Turns the light about z, degrees.")]
-Pitch = Annotated[float, TURN, Field(description="Then about y, degrees.")]
-Roll = Annotated[float, TURN, Field(description="Then about x, degrees.")]
 
 
-MOST_STEPS = 1 << 20
-"""Most steps of a series in time."""
+def knob(name: str, **changes: Any) -> Any:
+    """The field of a model that a row of KNOBS makes, with ``changes`` of the row's fields."""
+    row = replace(KNOBS[name], **changes)
+    field = Field(row.default, description=row.text)
+    field.metadata.append(row.kind)
+    return field
 
 
 class NoParams(BaseModel):
@@ -63,98 +43,47 @@ class NoParams(BaseModel):
 class LightParams(NoParams):
     """The light that a scene is shown in."""
 
-    environment: Annotated[str | None, WithJsonSchema({"type": "string", "example": "studio"})] = Field(
-        None,
-        max_length=40,
-        description=f"Light in place of the scene's own: {', '.join(ENVIRONMENTS)}, or the id of an uploaded"
-        " environment; default: the scene's own.",
-    )
+    environment: str | None = knob("environment")
 
 
 class VariantParams(LightParams):
     """The light that a scene is shown in, what is taken away of it, when, of what, and which surfaces are beside."""
 
-    cut: Annotated[str | None, Planes()] = Field(
-        None,
-        description="Planes along the volume's axes, in world units, such as x>40;z<10: light comes in where they cut.",
-    )
-    time: Annotated[int | None, Span(0, MOST_STEPS, whole=True)] = Field(
-        None, description="Which step of a series in time, from 0 on; default: the scene's. Each has light of its own."
-    )
-    surfaces: Annotated[str | None, WithJsonSchema({"type": "string", "example": "0.4,off"})] = Field(
-        None,
-        max_length=100,
-        description="The share of rays that passes each pinned surface, or off; default: the scene's.",
-    )
-    hide: Annotated[str | None, WithJsonSchema({"type": "string", "example": "3,4"})] = Field(
-        None,
-        max_length=2000,
-        description="The labels of a segmentation that are hidden, by their values, or none; default: the scene's.",
-    )
-    material: Annotated[str | None, WithJsonSchema({"type": "string", "example": "glass,index=1.3"})] = Field(
-        None,
-        max_length=200,
-        description="What the surface is made of: diffuse, glass or subsurface, with its index, absorption or"
-        " mean_free_path; default: the scene's.",
-    )
+    cut: str | None = knob("cut")
+    time: int | None = knob("time")
+    surfaces: str | None = knob("surfaces")
+    hide: str | None = knob("hide")
+    material: str | None = knob("material")
 
 
 class ViewParams(VariantParams):
     """What to look at, from where and in which light; what is left out takes the scene's defaults."""
 
-    isovalue: Isovalue = None
-    azimuth: Annotated[float, TURN] = Field(30.0, description="Degrees; 0 looks from +x, 90 from +y.")
-    elevation: Annotated[float, Span(-90, 90)] = Field(20.0, description="Degrees above the xy plane.")
-    distance: Annotated[float, Span(0.01, 1e7)] = Field(
-        3.4, description="From the target, in radii of the volume's bounding sphere."
-    )
-    fov: Annotated[float, Span(0.01, 179)] = Field(30.0, description="Vertical field of view, degrees.")
-    projection: Annotated[str | None, Choice(PROJECTIONS)] = Field(
-        None,
-        description="How rays leave the camera: perspective, from the eye, or orthographic, side by side; what is at"
-        " the target is as large in both; default: the scene's.",
-    )
-    eye: Annotated[Vec3 | None, XYZ] = Field(None, description="Instead of azimuth, elevation, distance: world x,y,z.")
-    target: Annotated[Vec3 | None, XYZ] = Field(
-        None, description="World x,y,z that is in the middle of the picture; default: the volume's centre."
-    )
-    up: Annotated[Vec3 | None, XYZ] = Field(
-        None, description="World x,y,z that points up in the picture; default: 0,0,1 with eye, else the orbit's own."
-    )
-    light: LightTurn = None
-    yaw: Yaw = 0.0
-    pitch: Pitch = 0.0
-    roll: Roll = 0.0
-    albedo: Annotated[Vec3 | None, Colour()] = Field(
-        None,
-        description="What share of the light the surface reflects, one number or r,g,b, within the scene's albedos;"
-        " default: the scene's albedo.",
-    )
-    shine: Annotated[str | None, Choice(SHINE_KINDS)] = Field(
-        None, description="What the surface shines as, where the scene has a shine; default: the scene's."
-    )
-    roughness: Annotated[float | None, Span(*SHINE_RANGES["roughness"])] = Field(
-        None, description="Of that shine; default: the scene's."
-    )
-    strength: Annotated[float | None, Span(*SHINE_RANGES["strength"])] = Field(
-        None, description="How much that shine counts; default: the scene's."
-    )
-    glow: Annotated[float, Span(0, MAX_GLOW_STRENGTH)] = Field(
-        1.0, description="How bright what glows is, where something does, over the scene's own."
-    )
-    window: Annotated[str | None, Planes()] = Field(
-        None,
-        description="Planes that take away what the eye would see there, in world units: x>40, or a normal such as"
-        " 0,1,-1<12.5, with ; between them. All light stays; what is cut open shows its values.",
-    )
-    width: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
-    height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
-    shading: Annotated[str, Choice(VIEW_SHADINGS)] = Field("gi", description="How the surface is lit.")
-    samples: Annotated[int, Span(1, 4096, whole=True)] = Field(16, description="Paths per pixel; path_traced alone.")
-    wait_ms: Annotated[int, Span(0, LONGEST_WAIT, whole=True)] = Field(0, description="Longest wait for baking.")
-    max_error: Annotated[float | None, Span(0.0001, 1)] = Field(
-        None, description="Relative error at which a pixel is final; default: the scene's target_error."
-    )
+    isovalue: float | str | None = knob("isovalue")
+    azimuth: float = knob("azimuth")
+    elevation: float = knob("elevation")
+    distance: float = knob("distance")
+    fov: float = knob("fov")
+    projection: str | None = knob("projection")
+    eye: Vector | None = knob("eye")
+    target: Vector | None = knob("target")
+    up: Vector | None = knob("up")
+    light: Quaternion | None = knob("light")
+    yaw: float = knob("yaw")
+    pitch: float = knob("pitch")
+    roll: float = knob("roll")
+    albedo: Vector | None = knob("albedo")
+    shine: str | None = knob("shine")
+    roughness: float | None = knob("roughness")
+    strength: float | None = knob("strength")
+    glow: float = knob("glow")
+    window: str | None = knob("window")
+    width: int = knob("width")
+    height: int = knob("height")
+    shading: str = knob("shading")
+    samples: int = knob("samples")
+    wait_ms: int = knob("wait_ms")
+    max_error: float | None = knob("max_error")
 
     @model_validator(mode="after")
     def one_of_each(self) -> Self:
@@ -176,15 +105,13 @@ class ViewParams(VariantParams):
 class FitParams(NoParams):
     """The surface that a camera is to show whole, from where, and in a picture of which size."""
 
-    isovalue: Isovalue = None
-    azimuth: Annotated[float | None, TURN] = Field(None, description="Degrees; default: from three quarters.")
-    elevation: Annotated[float | None, Span(-90, 90)] = Field(None, description="Degrees; default: somewhat above.")
-    fov: Annotated[float, Span(0.01, 179)] = Field(30.0, description="Vertical field of view, degrees.")
-    projection: Annotated[str | None, Choice(PROJECTIONS)] = Field(
-        None, description="perspective or orthographic; default: the scene's."
-    )
-    width: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
-    height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
+    isovalue: float | str | None = knob("isovalue")
+    azimuth: float | None = knob("azimuth", default=None, otherwise="from three quarters")
+    elevation: float | None = knob("elevation", default=None, otherwise="from somewhat above")
+    fov: float = knob("fov")
+    projection: str | None = knob("projection")
+    width: int = knob("width")
+    height: int = knob("height")
 
     @property
     def view(self) -> ViewParams:
@@ -211,21 +138,10 @@ class FrameParams(ViewParams):
     """A view and the picture to make of it."""
 
     f: Annotated[str | None, Choice(FORMATS)] = Field(None, description="Picture format; default: by Accept, else png.")
-    overlay: Annotated[str, Choice(OVERLAYS)] = Field(
-        "none",
-        description="Marks over the picture: provisional hatches what is not final; error colours each pixel by its"
-        " estimated relative error on a log scale (the scene's error_scale), and hatches what has no light yet.",
-    )
-    exposure: Annotated[float | None, Span(1e-36, 1e36)] = Field(
-        None, description="Factor on radiance before the tone curve; default: the scene's."
-    )
-    background: Annotated[str, Ground()] = Field(
-        "light", description="Behind the surface: light, dark, transparent (not in jpeg), or sRGB such as #ffffff."
-    )
-    antialias: Annotated[str | None, Choice(("on", "off"))] = Field(
-        None,
-        description="Whether pixels at edges are the mean of 8 to 16 samples; default: on, off in npy.",
-    )
+    overlay: str = knob("overlay")
+    exposure: float | None = knob("exposure")
+    background: str = knob("background")
+    antialias: str | None = knob("antialias")
     strip: Annotated[tuple[int, int] | None, Rows()] = Field(
         None, description="The rows of the picture to draw, first,last: from the first up to before the last."
     )
@@ -318,20 +234,14 @@ class ExportParams(VariantParams):
     """A file with the light of a scene in it: of the isosurface, or of the volume around it."""
 
     f: Annotated[str, Choice(EXPORTS)] = Field("glb", description="Kind of file: a mesh, or a volume (vti, nrrd).")
-    isovalue: Isovalue = None
-    light: LightTurn = None
-    yaw: Yaw = 0.0
-    pitch: Pitch = 0.0
-    roll: Roll = 0.0
-    albedo: Annotated[Vec3 | None, Colour()] = Field(
-        None, description="One number or r,g,b, within the scene's albedos; default: the scene's albedo."
-    )
-    exposure: Annotated[float | None, Span(1e-36, 1e36)] = Field(
-        None, description="Factor on radiance; default: the scene's."
-    )
-    max_error: Annotated[float | None, Span(0.0001, 1)] = Field(
-        None, description="Relative error at which light is final; default: the scene's target_error."
-    )
+    isovalue: float | str | None = knob("isovalue")
+    light: Quaternion | None = knob("light")
+    yaw: float = knob("yaw")
+    pitch: float = knob("pitch")
+    roll: float = knob("roll")
+    albedo: Vector | None = knob("albedo")
+    exposure: float | None = knob("exposure")
+    max_error: float | None = knob("max_error")
     deadline: Annotated[float | None, Span(0, LONGEST_SECONDS)] = Field(
         None, description="Seconds of baking after which the file is made with the light that is there; default: none."
     )
@@ -360,9 +270,7 @@ class PointParams(ViewParams):
         description="From the left edge of the picture, in pixels; a pixel's middle is at a half."
     )
     y: Annotated[float, Span(0, LONGEST_SIDE)] = Field(description="From the top edge, likewise.")
-    exposure: Annotated[float | None, Span(1e-36, 1e36)] = Field(
-        None, description="Factor on radiance before the tone curve; default: the scene's."
-    )
+    exposure: float | None = knob("exposure")
 
     @property
     def pixel(self) -> tuple[int, int]:
@@ -384,9 +292,7 @@ class SliceParams(NoParams):
     high: Annotated[float | None, Span(-LARGEST_VALUE, LARGEST_VALUE)] = Field(
         None, description="The value that is white; default: its greatest one, outliers aside."
     )
-    time: Annotated[int | None, Span(0, MOST_STEPS, whole=True)] = Field(
-        None, description="Which step of a series in time, from 0 on; default: the scene's."
-    )
+    time: int | None = knob("time")
     f: Annotated[str, Choice(("png", "npy"))] = Field(
         "png", description="A grey picture; or npy, the values themselves, in the volume's units."
     )
@@ -413,7 +319,7 @@ class SliceParams(NoParams):
 class SizeParams(VariantParams):
     """A surface that is measured."""
 
-    isovalue: Isovalue = None
+    isovalue: float | str | None = knob("isovalue")
 
     @property
     def view(self) -> ViewParams:
@@ -486,21 +392,17 @@ class VoxelParams(VariantParams):
 class TransferParams(VariantParams):
     """The scene whose light is asked for."""
 
-    max_error: Annotated[float | None, Span(0.0001, 1)] = Field(
-        None, description="Relative error at which a texel is final; default: the scene's target_error."
-    )
+    max_error: float | None = knob("max_error")
 
 
 class FoldParams(TransferParams):
     """The light that chunks are lit by."""
 
-    light: LightTurn = None
-    yaw: Yaw = 0.0
-    pitch: Pitch = 0.0
-    roll: Roll = 0.0
-    albedo: Annotated[Vec3 | None, Colour()] = Field(
-        None, description="What share of the light the surface reflects; default: the scene's albedo."
-    )
+    light: Quaternion | None = knob("light")
+    yaw: float = knob("yaw")
+    pitch: float = knob("pitch")
+    roll: float = knob("roll")
+    albedo: Vector | None = knob("albedo")
 
     @property
     def view(self) -> ViewParams:

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from annotated_types import GroupedMetadata
-from pydantic import BeforeValidator, WithJsonSchema
+from annotated_types import GroupedMetadata, MaxLen
 
 from isogi_core.errors import ViewError
 from isogi_core.files.packed_files import read_small
-from isogi_core.model.view import read_window
 from server.errors import ParameterError
 
 NUMBER_PATTERN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -38,18 +36,39 @@ def finite(value: object) -> float:
     return float(value)
 
 
+class Kind(GroupedMetadata):
+    """A kind of value that text spells: an annotation of pydantic's fields, which needs no pydantic by itself."""
+
+    example: str = ""
+
+    @property
+    def schema(self) -> dict[str, Any]:
+        """The kind as JSON Schema."""
+        return {"type": "string", "example": self.example}
+
+    def read(self, value: object) -> Any:
+        """What ``value`` spells; ValueError, which says what is allowed, where it is of another kind."""
+        return value
+
+    def __iter__(self) -> Iterator[Any]:
+        from pydantic import BeforeValidator, WithJsonSchema  # noqa: PLC0415 (help of commands does without it)
+
+        yield BeforeValidator(self.read)
+        yield WithJsonSchema(self.schema)
+
+
 @dataclass(frozen=True)
-class Span(GroupedMetadata):
+class Span(Kind):
     """A number from ``low`` to ``high``, both included; a whole number where ``whole`` is set."""
 
     low: float
     high: float
     whole: bool = False
 
-    def __iter__(self) -> Iterator[Any]:
-        yield BeforeValidator(self.read)
-        kind = "integer" if self.whole else "number"
-        yield WithJsonSchema({"type": kind, "minimum": self.low, "maximum": self.high})
+    @property
+    def schema(self) -> dict[str, Any]:
+        """The kind as JSON Schema."""
+        return {"type": "integer" if self.whole else "number", "minimum": self.low, "maximum": self.high}
 
     def read(self, value: object) -> float:
         """The number in ``value``; ValueError where it is none or out of range."""
@@ -62,14 +81,15 @@ class Span(GroupedMetadata):
 
 
 @dataclass(frozen=True)
-class Row(GroupedMetadata):
+class Row(Kind):
     """Several finite numbers with commas between them, such as ``eye=1,2,3``."""
 
     names: tuple[str, ...]
 
-    def __iter__(self) -> Iterator[Any]:
-        yield BeforeValidator(self.read)
-        yield WithJsonSchema({"type": "string", "example": ",".join("0" for _ in self.names)})
+    @property
+    def schema(self) -> dict[str, Any]:
+        """The kind as JSON Schema."""
+        return {"type": "string", "example": ",".join("0" for _ in self.names)}
 
     def read(self, value: object) -> tuple[float, ...]:
         """The numbers in ``value``, a text or a sequence; ValueError where they are not these."""
@@ -82,12 +102,10 @@ class Row(GroupedMetadata):
 
 
 @dataclass(frozen=True)
-class Rows(GroupedMetadata):
+class Rows(Kind):
     """Rows of a picture, ``first,last``, whole numbers, of which the last is not among them."""
 
-    def __iter__(self) -> Iterator[Any]:
-        yield BeforeValidator(self.read)
-        yield WithJsonSchema({"type": "string", "example": "0,512"})
+    example = "0,512"
 
     def read(self, value: object) -> tuple[int, int]:
         """The two numbers; ValueError where they are not these."""
@@ -100,12 +118,10 @@ class Rows(GroupedMetadata):
 
 
 @dataclass(frozen=True)
-class Colour(GroupedMetadata):
+class Colour(Kind):
     """Linear RGB, each from 0 to 1, such as ``albedo=0.7,0.5,0.3``; one number is that of all three."""
 
-    def __iter__(self) -> Iterator[Any]:
-        yield BeforeValidator(self.read)
-        yield WithJsonSchema({"type": "string", "example": "0.7"})
+    example = "0.7"
 
     def read(self, value: object) -> tuple[float, float, float]:
         """The three numbers in ``value``, a number, a text or a sequence; ValueError where it is none of these."""
@@ -118,15 +134,15 @@ class Colour(GroupedMetadata):
 
 
 @dataclass(frozen=True)
-class Planes(GroupedMetadata):
+class Planes(Kind):
     """Planes with ; between them, such as ``window=x>40;0,1,-1<12.5``: each takes away what it is true of."""
 
-    def __iter__(self) -> Iterator[Any]:
-        yield BeforeValidator(self.read)
-        yield WithJsonSchema({"type": "string", "example": "x>40"})
+    example = "x>40"
 
     def read(self, value: object) -> str:
         """``value`` where it spells planes; ValueError else."""
+        from isogi_core.model.view import read_window  # noqa: PLC0415 (NumPy, which help of commands does without)
+
         try:
             read_window(str(value))
         except ViewError as error:
@@ -138,12 +154,10 @@ BACKGROUND_NAMES = ("dark", "light", "transparent")
 
 
 @dataclass(frozen=True)
-class Ground(GroupedMetadata):
+class Ground(Kind):
     """What is behind a surface: one of BACKGROUND_NAMES, or sRGB as ``#rrggbb``."""
 
-    def __iter__(self) -> Iterator[Any]:
-        yield BeforeValidator(self.read)
-        yield WithJsonSchema({"type": "string", "example": "light"})
+    example = "light"
 
     def read(self, value: object) -> str:
         """The background in ``value``, in small letters; ValueError where it is none."""
@@ -154,20 +168,42 @@ class Ground(GroupedMetadata):
 
 
 @dataclass(frozen=True)
-class Choice(GroupedMetadata):
+class Choice(Kind):
     """One of a few words."""
 
     words: tuple[str, ...]
 
-    def __iter__(self) -> Iterator[Any]:
-        yield BeforeValidator(self.read)
-        yield WithJsonSchema({"type": "string", "enum": list(self.words)})
+    @property
+    def schema(self) -> dict[str, Any]:
+        """The kind as JSON Schema."""
+        return {"type": "string", "enum": list(self.words)}
 
     def read(self, value: object) -> object:
         """``value`` where it is one of the words; ValueError else."""
         if value not in self.words:
             raise ValueError(f"must be one of {', '.join(self.words)}, not {shown(value)}.")
         return value
+
+
+@dataclass(frozen=True)
+class Words(Kind):
+    """A text that is read by what knows its meaning, such as ``example``, of ``longest`` characters at most."""
+
+    longest: int
+    example: str
+
+    def __iter__(self) -> Iterator[Any]:
+        yield MaxLen(self.longest)
+        yield from super().__iter__()
+
+
+class Isovalue(Kind):
+    """An isovalue: a number in the range of a scene, which reads it."""
+
+    @property
+    def schema(self) -> dict[str, Any]:
+        """The kind as JSON Schema."""
+        return {"type": "number"}
 
 
 TIME_UNITS = (("h", 3600.0), ("min", 60.0), ("s", 1.0), ("ms", 1e-3))

@@ -43,7 +43,7 @@ import { Picture } from "./view/picture.js";
 
 /** @typedef {import("./net/polling.js").FrameOptions} FrameOptions */
 /** @typedef {import("./net/schemas.js").Scene} Scene */
-/** @typedef {import("./net/schemas.js").SceneLink} SceneLink */
+/** @typedef {import("./documents.js").SceneLink} SceneLink */
 /** @typedef {import("./view/model.js").Knobs} Knobs */
 /** @typedef {import("./view/rotation.js").Vec3} Vec3 */
 

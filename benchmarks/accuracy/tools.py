@@ -27,9 +27,9 @@ from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import shared_data
 from benchmarks.common.suite import part
 from benchmarks.speed.film import isogi
-from isogi_core.files.light_files import srgb_bytes
+from isogi_core.files.grid import srgb_bytes
 from isogi_core.plan.assembly import load_scene
-from server.cli.options import settings_from
+from server.cli.setting_options import settings_from
 from server.parameters import FrameParams, read
 from server.views import view_of
 

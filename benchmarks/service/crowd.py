@@ -14,7 +14,7 @@ import httpx
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from isogi_core.model.view import VIEW_SHADINGS
+from isogi_core.model.choices import VIEW_SHADINGS
 
 SIDES = (48, 96, 160, 256)
 VIEWS = 12

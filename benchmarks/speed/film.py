@@ -30,7 +30,7 @@ from benchmarks.common.scenes import scene_file
 from benchmarks.common.suite import part
 from benchmarks.common.timing import Seconds
 from isogi_core.plan.assembly import load_scene
-from server.cli.options import settings_from
+from server.cli.setting_options import settings_from
 from server.parameters import FrameParams, read
 from server.views import view_of
 

@@ -13,12 +13,12 @@ from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, fin
 from isogi_core.kernels.shading.lattice import DEFAULT_CHUNK_SIDE
 from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
+from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.colours import SurfaceColours
 from isogi_core.model.demo import DEMOS
+from isogi_core.model.material import leaving
 from isogi_core.model.scene_plan import REPRESENTATIONS
-from isogi_core.model.surfaces import leaving
 from isogi_core.model.value_survey import Progress, no_progress
-from isogi_core.model.view import PROJECTIONS
 from isogi_core.model.volume import HISTOGRAM_BINS, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import read_presets

@@ -14,7 +14,8 @@ from fastapi import Depends, Header
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.plan.variants import FINER_FACTOR
-from server.parameters import LONGEST_WAIT, FrameParams, ViewParams
+from server.knobs import LONGEST_WAIT
+from server.parameters import FrameParams, ViewParams
 from worker.progress import TimeLeft
 
 FOR_EVER = "max-age=31536000, immutable"

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import wraps
 from importlib import import_module
 from pathlib import Path
@@ -10,13 +11,15 @@ from urllib.parse import quote
 
 import click
 
-from isogi_core.model.material import SHINE_HELP
+from isogi_core.model.lights import ENVIRONMENTS
+from server.knobs import GROUPS, KNOBS
+from server.values import Span, seconds_of, seconds_of_age
 
 if TYPE_CHECKING:
     from server.settings import Settings
 
 COMMAND_MODULES = {
-    "options": "server.cli.options",
+    "settings": "server.cli.setting_options",
     "serve": "server.cli.serve",
     "render": "server.cli.render",
     "reference": "server.cli.render",
@@ -31,7 +34,7 @@ COMMAND_MODULES = {
     "bench": "isogi_report.speed",
     "store": "server.cli.store",
 }
-"""The module that does a command's work; ``options`` checks what commands are given, for which it loads pydantic."""
+"""The module that does a command's work; ``settings`` are read by pydantic."""
 
 
 def module_of(command: str) -> Any:
@@ -45,70 +48,46 @@ FIRST_HEADING = "Options"
 """The heading of options of no group."""
 
 VIEW_GROUPS = {
-    FIRST_HEADING: {
-        "isovalue": "In the volume's own units; default: the scene's.",
-        "projection": "perspective or orthographic; default: the scene's.",
-    },
-    "Camera": {
-        "azimuth": "Degrees; 0 looks from +x, 90 from +y.",
-        "elevation": "Degrees above the xy plane.",
-        "distance": "From the target, in radii of the volume's bounding sphere; of a picture,"
-        " default: all of it is seen.",
-        "fov": "Vertical field of view, degrees.",
-        "eye": "World x,y,z, instead of azimuth, elevation and distance.",
-        "target": "World x,y,z to look at; default: the volume's centre.",
-        "up": "World x,y,z that points up in the picture.",
-        "window": "Planes that take away what the eye would see there: x>40, or 0,1,-1<12.5, with ; between them.",
-    },
-    "Light": {
-        "yaw": "Turns the light about z, degrees.",
-        "pitch": "Then about y, degrees.",
-        "roll": "Then about x, degrees.",
-        "light": "Quaternion w,x,y,z that turns the light, instead of yaw, pitch and roll.",
-    },
-    "Picture": {
-        "albedo": "Of the surface, one number or r,g,b, within the scene's albedos; default: the scene's albedo.",
-        **SHINE_HELP,
-        "glow": "How bright what glows is, over the scene's own, 0 to 16; default: 1.",
-        "width": "Pixels.",
-        "height": "Pixels.",
-        "shading": "gi (light from all around), vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
-        "exposure": "How much brighter: a factor on the light; default: the scene's.",
-        "antialias": "Smooth edges, on or off; default: on, off in npy.",
-        "background": "Behind the surface: light (default), dark, transparent (png, webp),"
-        " or a colour such as #ffffff.",
-        "samples": "Paths per pixel, for path_traced.",
-        "overlay": "Over the picture: none, provisional (hatches what is not done)"
-        " or error (colours each pixel by it).",
-    },
+    heading: tuple(knob.name for knob in GROUPS[heading]) for heading in (FIRST_HEADING, "Camera", "Light", "Picture")
 }
-"""What each option of a view does, by the headings of help."""
+"""The knobs that are options of a view, by the headings of help."""
 
-VIEW_OPTIONS = {name: text for texts in VIEW_GROUPS.values() for name, text in texts.items()}
-DEVELOPING_OPTIONS = ("shading", "samples", "exposure", "antialias", "background", "overlay")
-"""Options that a reference, which is radiance alone, does not read."""
 
-PICTURE_OPTIONS = ("window", *(name for name in VIEW_GROUPS["Picture"] if name != "exposure"))
-REPORT_OPTIONS = {
-    **{name: text for name, text in VIEW_OPTIONS.items() if name not in (*PICTURE_OPTIONS, "projection")},
-    "azimuth": "Degrees; 0 looks from +x, 90 from +y; default: 40.",
-    "elevation": "Degrees above the xy plane; default: 30.",
-    "distance": "From the target, in radii of the volume's bounding sphere; default: 2.2.",
-}
+def view_options(span: str = "", **otherwise: str) -> dict[str, str]:
+    """The options of a view with their help; the azimuth and the like take a ``span`` such as first:last too.
+
+    Where a command has defaults of its own, ``otherwise`` has them by name.
+    """
+    otherwise = {"azimuth": "", "elevation": "", "distance": "all of it is seen"} | otherwise
+    fitted = {name: replace(KNOBS[name], default=None, otherwise=usual) for name, usual in otherwise.items()}
+    knobs = {name: fitted.get(name, KNOBS[name]) for names in VIEW_GROUPS.values() for name in names}
+    return {
+        name: f"{knob.text[:-1]}; or {span}." if span and name in RANGE_OPTIONS else knob.text
+        for name, knob in knobs.items()
+    }
+
+
 RANGE_OPTIONS = ("isovalue", "azimuth", "elevation", "distance", "yaw")
 """Options of a view that also take ranges, where there are many views."""
 
-FILM_OPTIONS = {
-    name: f"{text[:-1]}; or first:last." if name in RANGE_OPTIONS else text for name, text in VIEW_OPTIONS.items()
-}
-GRID_OPTIONS = {
-    name: f"{text[:-1]}; or first:last:step." if name in RANGE_OPTIONS else text for name, text in VIEW_OPTIONS.items()
+VIEW_OPTIONS = view_options()
+FILM_OPTIONS = view_options("first:last")
+GRID_OPTIONS = view_options("first:last:step")
+
+DEVELOPING_OPTIONS = ("shading", "samples", "exposure", "antialias", "background", "overlay")
+"""Options that a reference, which is radiance alone, does not read."""
+
+PICTURE_OPTIONS = ("window", "projection", *(name for name in VIEW_GROUPS["Picture"] if name != "exposure"))
+REPORT_OPTIONS = {
+    name: text
+    for name, text in view_options(azimuth="40", elevation="30", distance="2.2").items()
+    if name not in PICTURE_OPTIONS
 }
 PREWARM_OPTIONS = {
     "views": "Directions of each isovalue, spread over all sides; default: 12 where none are given.",
     "times": "Steps of a series in time, each with light of its own: all, 3, 0:9 or 0:9:3.",
     "target_error": "Relative error of pictures at which light is final.",
-    **{name: VIEW_OPTIONS[name] for name in ("distance", "fov", "width", "height")},
+    **{name: KNOBS[name].text for name in ("distance", "fov", "width", "height")},
 }
 WORK_OPTIONS = {
     "workers": "Processes that compute light; default: one per core.",
@@ -123,30 +102,23 @@ SWITCH_OPTIONS = ("insecure_scheduler",)
 """Options that take no value."""
 
 
-ENVIRONMENT_HELP = "Light: overcast, studio, noon, evening or gallery, or a probe's file (.hdr); default: the scene's."
-
-
-CUT_HELP = (
-    "Planes along the volume's axes that take away what lies there, so that light comes in: x>40, with ; between."
-)
-
-
-SURFACES_HELP = (
-    "What each pinned surface of the scene lets pass, in turn, from 0 to 1, or off to hide it, such as 0.4,off."
-)
-
-
-HIDE_HELP = "Which labels of a segmentation are hidden, by their values, such as 3,4; or none."
-
-
-MATERIAL_HELP = (
-    "What the surface is made of: diffuse, glass or subsurface, with numbers of it, such as glass,index=1.3."
-)
-
+LIGHT_HELP = f"Light in place of the scene's own: {', '.join(ENVIRONMENTS)}, or a probe's file (.hdr)"
 
 RAW_HELP = (
     "What a file without a header holds: sizes along x, y, z, type and byte order, such as 256x256x128,uint8,little."
 )
+
+
+def options(table: dict[str, str]) -> Callable[[Command], Command]:
+    """Decorator: one text option per row; they are checked where they are read, as HTTP's are."""
+
+    def decorate(command: Command) -> Command:
+        for name, text in reversed(table.items()):
+            flag = f"--{name.replace('_', '-')}"
+            command = click.option(flag, is_flag=name in SWITCH_OPTIONS, default=None, help=text)(command)
+        return command
+
+    return decorate
 
 
 VOLUME_OPTIONS = ("axes", "raw", "solid", "environment", "cut", "surfaces", "hide", "material")
@@ -167,11 +139,8 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
         type=click.Choice(["above", "below"]),
         help="Which side of the isovalue is solid; default: above; below where most of the border is above.",
     )
-    @click.option("--environment", help=ENVIRONMENT_HELP)
-    @click.option("--cut", help=CUT_HELP)
-    @click.option("--surfaces", help=SURFACES_HELP)
-    @click.option("--hide", help=HIDE_HELP)
-    @click.option("--material", help=MATERIAL_HELP)
+    @click.option("--environment", help=replace(KNOBS["environment"], help=LIGHT_HELP).text)
+    @options({name: KNOBS[name].text for name in ("cut", "surfaces", "hide", "material")})
     @wraps(command)
     def placed(**given: Any) -> Any:
         name, placing = "scene" if "scene" in given else "target", {key: given.pop(key) for key in VOLUME_OPTIONS}
@@ -210,40 +179,37 @@ EXISTING_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
 
 
-def options(table: dict[str, str]) -> Callable[[Command], Command]:
-    """Decorator: one text option per row; they are checked where they are read, as HTTP's are."""
-
-    def decorate(command: Command) -> Command:
-        for name, text in reversed(table.items()):
-            flag = f"--{name.replace('_', '-')}"
-            command = click.option(flag, is_flag=name in SWITCH_OPTIONS, default=None, help=text)(command)
-        return command
-
-    return decorate
-
-
 Check = Callable[[click.Context, click.Parameter, str | None], float | None]
 """A callback of an option that is a number."""
 
 
+def checked(read: Callable[[str], float]) -> Check:
+    """Callback of an option: what ``read`` makes of its text; BadParameter says why where it is refused."""
+
+    def check(_: click.Context, __: click.Parameter, text: str | None) -> float | None:
+        try:
+            return None if text is None else read(text)
+        except ValueError as error:
+            raise click.BadParameter(str(error)) from None
+
+    return check
+
+
 def number(low: float, high: float) -> Check:
     """Callback of an option that is a number from ``low`` to ``high``."""
-    return lambda _, __, text: None if text is None else float(module_of("options").number(text, low, high))
+    return checked(Span(low, high).read)
 
 
-def duration(_: click.Context, __: click.Parameter, text: str | None) -> float | None:
-    """Callback of an option that is a span of time: seconds."""
-    return None if text is None else float(module_of("options").duration(text))
+share_of_error, factor = (checked(KNOBS[name].kind.read) for name in ("max_error", "exposure"))
+"""Callbacks of options that are a relative error, or a factor on radiance."""
 
-
-def age(_: click.Context, __: click.Parameter, text: str | None) -> float | None:
-    """Callback of an option that is an age: seconds."""
-    return None if text is None else float(module_of("options").age(text))
+duration, age = checked(seconds_of), checked(seconds_of_age)
+"""Callbacks of options that are a span of time, or an age: seconds."""
 
 
 def settings_from(config: Path | None = None, **given: Any) -> "Settings":
     """The settings: options first, then the environment, then a file; UsageError names what is wrong."""
-    settings: Settings = module_of("options").settings_from(config, **given)
+    settings: Settings = module_of("settings").settings_from(config, **given)
     return settings
 
 

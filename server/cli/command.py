@@ -23,11 +23,13 @@ from server.cli.arguments import (
     WORK_OPTIONS,
     age,
     duration,
+    factor,
     module_of,
     number,
     options,
     raw_option,
     settings_from,
+    share_of_error,
     show,
     volume_options,
 )
@@ -95,7 +97,7 @@ def serve(target: str | None, config: Path | None, **given: str | None) -> None:
 @volume_options
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False))
 @options(VIEW_OPTIONS)
-@click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a pixel is final.")
+@click.option("--target-error", callback=share_of_error, help="Relative error at which a pixel is final.")
 @click.option("--time", "seconds", callback=duration, help="Stop baking after so long: 90, 90s, 10m or 1h.")
 @options(WORK_OPTIONS)
 @AS_JSON
@@ -236,7 +238,7 @@ def convert(target: str, output: Path, as_json: bool) -> None:
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="Its file.")
 @click.option("--isovalue", "isovalues", multiple=True, help="One; of a volume also more, or first:last.")
 @options({name: GRID_OPTIONS[name] for name in ("albedo", "yaw", "pitch", "roll", "light")})
-@click.option("--exposure", callback=number(1e-36, 1e36), help="Factor on radiance; default: the scene's.")
+@click.option("--exposure", callback=factor, help="Factor on radiance; default: the scene's.")
 @click.option("--target-error", help="Relative error of pictures at which light is final.")
 @click.option("--coefficients", is_flag=True, help="Harmonics of the light too, into a .vti: see docs/export.md.")
 @options(WORK_OPTIONS)
@@ -272,7 +274,7 @@ def export(
 @click.option("--times", help="Steps of a series in time, in turn: all, 0:9 or 0:9:3.")
 @click.option("--length", callback=duration, default="10s", show_default=True, help="Of the film.")
 @click.option("--fps", callback=number(0.1, 240), default="24", show_default=True, help="Frames of a second.")
-@click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a frame is final.")
+@click.option("--target-error", callback=share_of_error, help="Relative error at which a frame is final.")
 @click.option("--time", "seconds", callback=duration, help="Longest time for a frame: 5, 5s or 1m.")
 @click.option("--deadline", callback=duration, help="Longest time for all frames together, shared evenly.")
 @options(WORK_OPTIONS)
@@ -294,7 +296,7 @@ def film(scene: str, as_json: bool, **given: Any) -> None:
 @options(GRID_OPTIONS)
 @click.option("--interactive", is_flag=True, help="Instead a page that draws by the visitor's graphics card.")
 @click.option("--megabytes", callback=number(0.1, 1e6), help="Most that the interactive page may take.")
-@click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a picture is final.")
+@click.option("--target-error", callback=share_of_error, help="Relative error at which a picture is final.")
 @click.option("--time", "seconds", callback=duration, help="Longest time for a picture: 5, 5s or 1m.")
 @click.option("--deadline", callback=duration, help="Longest time for all pictures together, shared evenly.")
 @options(WORK_OPTIONS)

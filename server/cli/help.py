@@ -67,7 +67,7 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
 
 
 GROUPS = {
-    **{title: tuple(texts) for title, texts in VIEW_GROUPS.items() if title != FIRST_HEADING},
+    **{title: names for title, names in VIEW_GROUPS.items() if title != FIRST_HEADING},
     "Light that is kept": (
         *("store", "store_seconds", "store_retries", "store_cache_mb", "projected_mb", "memory_mb"),
         *("volume_mb", "volume_cache", "volume_cache_mb"),
@@ -161,10 +161,10 @@ class SettingsCommand(GroupedCommand):
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """The command's own parameters and the settings' options."""
         *own, help_option = super().get_params(ctx)
-        return [*own, *import_module("server.cli.options").setting_options(), help_option]
+        return [*own, *import_module("server.cli.setting_options").setting_options(), help_option]
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the settings that have no option, and then the examples."""
         with formatter.section("Only in the environment or the file"):
-            formatter.write_dl(import_module("server.cli.options").secrets())
+            formatter.write_dl(import_module("server.cli.setting_options").secrets())
         super().format_epilog(ctx, formatter)

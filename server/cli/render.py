@@ -17,7 +17,8 @@ from isogi_core.frame.fitting import Stand
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.model.view import PROJECTIONS, View
+from isogi_core.model.choices import PROJECTIONS
+from isogi_core.model.view import View
 from isogi_core.plan.isovalue_presets import front_of
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene

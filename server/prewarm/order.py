@@ -20,7 +20,8 @@ from isogi_core.plan.projection import CELLS_WAITED_FOR, sample_range
 from isogi_core.plan.projection import SPACING_KINDS as SAMPLINGS
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
-from server.parameters import TURN, NoParams, ViewParams, read
+from server.knobs import KNOBS
+from server.parameters import NoParams, ViewParams, knob, read
 from server.settings import Settings
 from server.values import LONGEST_SECONDS, Span, finite, shown
 from server.views import isovalue_of, view_of
@@ -152,23 +153,18 @@ Level = Annotated[
 Count = Annotated[int, Span(1, MOST_DIRECTIONS, whole=True)]
 
 
-def as_of_a_view(name: str) -> Any:
-    """What a view says of a field that it has too."""
-    return ViewParams.model_fields[name]
-
-
 class From(NoParams):
     """A direction to look from."""
 
-    azimuth: Annotated[float, TURN] = Field(description="Degrees; 0 looks from +x, 90 from +y.")
-    elevation: Annotated[float, Span(-90, 90)] = Field(0.0, description="Degrees above the xy plane.")
+    azimuth: float = knob("azimuth", default=..., otherwise="")
+    elevation: float = knob("elevation", default=0.0)
 
 
 class Orbit(NoParams):
     """Directions evenly around the object."""
 
     count: Count = Field(description="Azimuths, from 0 on.")
-    elevation: Annotated[float, Span(-90, 90)] = Field(0.0, description="Degrees above the xy plane.")
+    elevation: float = knob("elevation", default=0.0)
 
 
 class PrewarmOrder(NoParams):
@@ -190,11 +186,11 @@ class PrewarmOrder(NoParams):
     all_directions: StrictBool = Field(
         False, description="Instead: whole isosurfaces, whatever a camera can see of them, from wherever."
     )
-    distance: Annotated[float, Span(0.01, 1e7)] = as_of_a_view("distance")
-    fov: Annotated[float, Span(0.01, 179)] = as_of_a_view("fov")
-    width: Annotated[int, Span(1, 16383, whole=True)] = as_of_a_view("width")
-    height: Annotated[int, Span(1, 16383, whole=True)] = as_of_a_view("height")
-    target_error: Annotated[float, Span(0.0001, 1)] | None = Field(
+    distance: float = knob("distance")
+    fov: float = knob("fov")
+    width: int = knob("width")
+    height: int = knob("height")
+    target_error: Annotated[float, KNOBS["max_error"].kind] | None = Field(
         None, description="Total relative error that pictures are to reach; default: the scene's target_error."
     )
     deadline: Annotated[float, Span(0, LONGEST_SECONDS)] | None = Field(

@@ -33,7 +33,7 @@ from benchmarks.accuracy.projection import (
 )
 from isogi_core.frame import texel_shading
 from isogi_core.frame.lighting import RotatedLight
-from isogi_report.bake import ViewBake
+from isogi_report.bench import ViewBake
 from isogi_report.exact import straight_light, unrounded
 from isogi_report.metrics import luminance_of
 from tests.benchmarks.parts import CONSTANT, bench_of

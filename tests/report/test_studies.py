@@ -18,10 +18,8 @@ from isogi_core.frame.projected_texels import STEEPNESS, find_distances
 from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_report import bench as benches
-from isogi_report import convergence
-from isogi_report.bake import UNREACHED_TARGET, ViewBake
-from isogi_report.bench import Bench
-from isogi_report.convergence import EQUAL_ERROR_COLUMNS, even, evens, seconds_at
+from isogi_report import studies
+from isogi_report.bench import UNREACHED_TARGET, Bench, ViewBake
 from isogi_report.exact import (
     CONVERGED_SAMPLE_FACTOR,
     converged,
@@ -36,7 +34,16 @@ from isogi_report.measuring import STUDIES, Study, run
 from isogi_report.metrics import mean_of, spread_of
 from isogi_report.sections import COLUMN_UNITS, Curve, Section
 from isogi_report.speed import bake_view, make_renderer
-from isogi_report.split import Split, split_error, study, true_surface
+from isogi_report.studies import (
+    EQUAL_ERROR_COLUMNS,
+    Split,
+    even,
+    evens,
+    seconds_at,
+    split_error,
+    study_split,
+    true_surface,
+)
 from tests.report.conftest import MakeBench
 from tests.toil import PACE, measure_toil
 
@@ -110,7 +117,7 @@ def test_a_bake_counts_at_its_cheapest_good_point() -> None:
 def test_curves_fall_with_time(under_sky: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each point of baked light has cost all samples up to its own, each of traced paths its own alone."""
     measure_toil(monkeypatch)
-    (plot,) = convergence.study(under_sky).plots
+    (plot,) = studies.study_convergence(under_sky).plots
     assert [curve.x for curve in plot.curves[3:]] == [(16 * 12 * 12 / PACE, 64 * 12 * 12 / PACE)]
     for curve in plot.curves:
         assert 0 < curve.x[0] == curve.x[1] / 4
@@ -192,7 +199,7 @@ def test_normals_and_offset_are_told_apart(under_sky: Bench) -> None:
 
 
 def test_constant_light_has_no_truncation_and_no_rounding(calm: Bench) -> None:
-    section = study(calm)
+    section = study_split(calm)
     assert names(split_error(calm)) == ["Monte Carlo noise", "interpolation", "bounces cut off"]
     assert not cuts_harmonics(calm.scene)
     assert own_light(calm).light is not None
@@ -213,8 +220,8 @@ def test_transfer_at_points_agrees_with_paths_under_soft_light(make_bench: Calla
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(convergence, "CURVE_SAMPLES", (16, 64))
-    monkeypatch.setattr(convergence, "CURVE_PIXELS", 12)
+    monkeypatch.setattr(studies, "CURVE_SAMPLES", (16, 64))
+    monkeypatch.setattr(studies, "CURVE_PIXELS", 12)
 
 
 def check(section: Section) -> None:
@@ -255,7 +262,7 @@ def test_what_gives_way_to_time_is_told(make_bench: Callable[..., Bench]) -> Non
     bench = make_bench()
     assert not bench.hurried
     late = replace(bench, deadline=time.monotonic() + 1e-3, hurry=threading.Event(), _made={})
-    found = run(Study("convergence", "", convergence.study, 1.0), late)
+    found = run(Study("convergence", "", studies.study_convergence, 1.0), late)
     assert late.hurried
     assert isinstance(found, Entry) and "ends at 16 samples" in found.section.about
     assert not bench.hurried

@@ -8,10 +8,9 @@ import pytest
 
 from isogi_core.model.view import Camera, orbit, orthographic
 from isogi_report import measuring
-from isogi_report.cells import text_column, text_columns
 from isogi_report.heading import standpoint
 from isogi_report.measuring import Pieces
-from isogi_report.sections import Cell, Column, Table
+from isogi_report.sections import Cell, Column, Table, text_column, text_columns
 from server import progress
 
 

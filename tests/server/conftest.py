@@ -1,18 +1,19 @@
-"""Asking an app without a socket."""
+"""Asking apps and servers."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Iterator
 from typing import Any
 
 import httpx
 import pytest
 from fastapi import FastAPI
 
+from tests.server.asking import Ask
 from tests.server.inline import InlinePool
 
 
 @pytest.fixture(scope="session")
-def ask() -> Callable[..., httpx.Response]:
+def ask() -> Ask:
     """``ask(app, method, path, **more)``: one answer of an ASGI app, its lifespan not begun."""
 
     async def answer(app: FastAPI, method: str, path: str, more: dict[str, Any]) -> httpx.Response:
@@ -21,6 +22,13 @@ def ask() -> Callable[..., httpx.Response]:
             return await client.request(method, path, **more)
 
     return lambda app, method, path, **more: asyncio.run(answer(app, method, path, more))
+
+
+@pytest.fixture(scope="module")
+def client(live_server: str) -> Iterator[httpx.Client]:
+    """A client of ``live_server``."""
+    with httpx.Client(base_url=live_server, timeout=180) as client:
+        yield client
 
 
 @pytest.fixture

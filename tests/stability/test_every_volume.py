@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from isogi_core.model.view import VIEW_SHADINGS
+from isogi_core.model.choices import VIEW_SHADINGS
 from tests.stability.scenes import frame_of, is_finite, renderer_of, scenes_of, surface_light, view_of
 from tests.stability.volumes import CAVE, SPECKS, VOLUMES
 

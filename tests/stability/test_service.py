@@ -17,7 +17,7 @@ import pytest
 from fastapi import FastAPI
 from PIL import Image
 
-from isogi_core.model.view import VIEW_SHADINGS
+from isogi_core.model.choices import VIEW_SHADINGS
 from server.api.app import create_app
 from server.cli.command import run, settings_from
 from tests.loaded import load_scene

@@ -4,13 +4,13 @@ import { CLOCK } from "../net/trouble.js";
 import { fromAngles } from "../view/rotation.js";
 import { anglesOf } from "./view.js";
 
-/** @typedef {import("../net/schemas.js").ListedChunk} ListedChunk */
+/** @typedef {import("../documents.js").CardChunk} CardChunk */
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/rotation.js").Angles} Angles */
 
 /**
  * @typedef {object} Wanted what a view reads
- * @property {ListedChunk[]} chunks most visible first
+ * @property {CardChunk[]} chunks most visible first
  * @property {Knobs} values
  * @property {boolean} moving
  * @property {Set<string>} asked what was asked for: a chunk that grew meanwhile comes with a version of the next list
@@ -18,7 +18,7 @@ import { anglesOf } from "./view.js";
 
 /**
  * @typedef {object} LightCard what of a card takes light
- * @property {(chunks: ListedChunk[], turn: import("../card/light.js").Quaternion) => {light: string[], transfer: string[]}} lacking
+ * @property {(chunks: CardChunk[], turn: import("../card/light.js").Quaternion) => {light: string[], transfer: string[]}} lacking
  * @property {(answer: ArrayBuffer, turn: import("../card/light.js").Quaternion) => void} take
  */
 
@@ -57,7 +57,7 @@ export class Feed {
 
   /**
    * Bring what some chunks lack; the newest list counts.
-   * @param {ListedChunk[]} chunks that a view reads, most visible first
+   * @param {CardChunk[]} chunks that a view reads, most visible first
    * @param {Knobs} values of the view
    * @param {boolean} moving
    */

@@ -8,7 +8,7 @@ import { albedoOf, anglesOf, cardView, chunksQuery, documentQuery, lightQuery, v
 /** @typedef {import("../card/card.js").Card} Card */
 /** @typedef {import("../net/schemas.js").CardFacts} CardFacts */
 /** @typedef {import("../net/schemas.js").FrameQuery} FrameQuery */
-/** @typedef {import("../net/schemas.js").ListedChunk} ListedChunk */
+/** @typedef {import("../documents.js").CardChunk} CardChunk */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/rotation.js").Angles} Angles */
@@ -22,7 +22,7 @@ const SLOW_PICTURES = 4; // in a row, after which the server draws
  * @typedef {object} Source what the server is asked for
  * @property {(query: FrameQuery) => Promise<CardFacts>} document
  * @property {(href: string) => Promise<ArrayBuffer>} bytes
- * @property {(query: FrameQuery) => Promise<ListedChunk[]>} chunks
+ * @property {(query: FrameQuery) => Promise<CardChunk[]>} chunks
  * @property {(what: "light"|"transfer", chunks: string[], query: FrameQuery) => Promise<ArrayBuffer>} blocks
  *
  * @typedef {{key: string, look: string, albedo: import("../view/rotation.js").Vec3, facts: NonNullable<CardFacts["scene"]>, feed: Feed}} Loaded
@@ -47,9 +47,9 @@ export class Live {
   #card = null;
   /** @type {Loaded|null} */
   #loaded = null;
-  /** What the newest list names. @type {ListedChunk[]} */
+  /** What the newest list names. @type {CardChunk[]} */
   #chunks = [];
-  /** Lists of all final light, by what they were asked for by: asking once more would tell nothing new. @type {Map<string, ListedChunk[]>} */
+  /** Lists of all final light, by what they were asked for by: asking once more would tell nothing new. @type {Map<string, CardChunk[]>} */
   #known = new Map();
   #preparing = "";
   #refused = false;
@@ -129,7 +129,7 @@ export class Live {
    * have the card ready for what comes next.
    * @param {Knobs} values
    * @param {{coverage: {provisional: number}}|null} facts
-   * @param {ListedChunk[]} [chunks] that it reads, where the server named them
+   * @param {CardChunk[]} [chunks] that it reads, where the server named them
    */
   rest(values, facts, chunks) {
     const card = this.draws(values) && this.#has(values);
@@ -256,7 +256,7 @@ export class Live {
     }
   }
 
-  /** The chunks that a view reads. @param {FrameQuery} query @returns {Promise<ListedChunk[]>} */
+  /** The chunks that a view reads. @param {FrameQuery} query @returns {Promise<CardChunk[]>} */
   async #listOf(query) {
     const key = JSON.stringify(query), known = this.#known.get(key);
     if (known) return known;
@@ -266,7 +266,7 @@ export class Live {
     return chunks;
   }
 
-  /** @param {ListedChunk[]} chunks */
+  /** @param {CardChunk[]} chunks */
   #bring(chunks) {
     if (!this.#loaded || !this.#values) return;
     this.#chunks = chunks;

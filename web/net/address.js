@@ -125,7 +125,7 @@ function choiceComplaint({ shadings, environments = [], surfaces = [], colours, 
   return KNOWN.has(name) ? "" : `The link says ${name}, which this page does not know.`;
 }
 
-/** @type {(materials: import("./schemas.js").Material[], value: string) => string} */
+/** @type {(materials: import("../documents.js").Material[], value: string) => string} */
 function materialComplaint(materials, value) {
   const { refused } = materials.find(({ kind }) => kind === value.split(",")[0]) ?? {};
   return `“${value}” is no material of this scene${refused ? `: ${refused}` : "."}`;

@@ -8,7 +8,7 @@ import { Trouble, lost, retryDelay, troubleOf } from "./trouble.js";
 /** @typedef {import("./schemas.js").Frame} Frame */
 /** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
 /** @typedef {import("./schemas.js").Scene} Scene */
-/** @typedef {import("./schemas.js").SceneList} SceneList */
+/** @typedef {import("../documents.js").SceneList} SceneList */
 /** @typedef {import("./schemas.js").SurfacePoint} SurfacePoint */
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
@@ -183,7 +183,7 @@ export async function readPoint(scene, query) {
  * @param {Scene} scene
  * @param {Knobs} values knobs of the view
  * @param {AbortSignal} signal
- * @returns {Promise<import("./schemas.js").Size>}
+ * @returns {Promise<import("../documents.js").Size>}
  */
 export async function readSize(scene, values, signal) {
   const query = Object.entries(frameQuery(scene, values, ONE_PIXEL)).filter(([name]) => OF_SIZE.includes(name));
@@ -260,7 +260,7 @@ export async function readCardBytes(scene, href) {
  * The chunks of texels that a view reads, most visible first.
  * @param {string} scene
  * @param {FrameQuery} query
- * @returns {Promise<import("./schemas.js").ListedChunk[]>}
+ * @returns {Promise<import("../documents.js").CardChunk[]>}
  */
 export async function readChunks(scene, query) {
   return (await (await ask(sceneAddress(scene, "card/chunks", query))).json()).chunks;
@@ -290,7 +290,7 @@ export async function beginExport(scene, query) {
   return `v1/jobs/${(await answer.json()).jobID}`;
 }
 
-/** How far a job is. @param {string} address @returns {Promise<import("./schemas.js").Job>} */
+/** How far a job is. @param {string} address @returns {Promise<import("../documents.js").Job>} */
 export async function readJob(address) {
   return (await ask(address)).json();
 }

@@ -6,7 +6,7 @@ import { beginExport, readJob, stopJob } from "./api.js";
 import { Trouble } from "./trouble.js";
 
 /** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
-/** @typedef {import("./schemas.js").Job} Job */
+/** @typedef {import("../documents.js").Job} Job */
 
 const OF_LIGHT = ["isovalue", "yaw", "pitch", "roll", "albedo", "exposure", "environment", "cut", "time", "surfaces", "hide", "material"];
 const ASK_MS = 1000; // between two questions how far the job is

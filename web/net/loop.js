@@ -8,7 +8,7 @@ import { CLOCK } from "./trouble.js";
 /** @typedef {import("./schemas.js").Facts} Facts */
 /** @typedef {import("./schemas.js").Frame} Frame */
 /** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
-/** @typedef {import("./schemas.js").ListedChunk} ListedChunk */
+/** @typedef {import("../documents.js").CardChunk} CardChunk */
 /** @typedef {import("./shown.js").Asked} Asked */
 
 const SETTLE_MS = 200; // a view that has not changed for this long is at rest
@@ -16,7 +16,7 @@ const SETTLE_MS = 200; // a view that has not changed for this long is at rest
 /**
  * @typedef {{query: FrameQuery, chunks?: boolean, of: Asked}} View the parameters of a picture, whether to name the
  *   chunks that it reads, and the view that they are of
- * @typedef {{blob: Blob|null, facts: Facts|null, chunks?: ListedChunk[], of: Asked}} Answer a picture, where it is a new
+ * @typedef {{blob: Blob|null, facts: Facts|null, chunks?: CardChunk[], of: Asked}} Answer a picture, where it is a new
  *   one, the chunks that it reads, where they were asked for, and its view
  *
  * @typedef {object} Hooks what the loop calls

@@ -4,7 +4,7 @@ import { find } from "../dom.js";
 import { deleteUpload, readReadiness, sendFile } from "./api.js";
 import { progressWords } from "./compiling.js";
 
-/** @typedef {import("./schemas.js").UploadLimits} UploadLimits */
+/** @typedef {import("../documents.js").UploadLimits} UploadLimits */
 
 const MEGABYTE = 1 << 20;
 const LOOK_MS = 500; // between two looks at what the server compiles for a file

@@ -5,9 +5,9 @@ import { MOST_OBLIQUE, facingPlane, moved, movablePlanes, readPlanes, termOf, wr
 import { cameraAxes } from "../view/rotation.js";
 import { absorbedShares, isMaterial, readHidden, readMaterial, readSurfaces, tintOf, writeHidden, writeMaterial, writeSurfaces } from "../view/surfaces.js";
 
-/** @typedef {import("../net/schemas.js").Label} Label */
+/** @typedef {import("../documents.js").Label} Label */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
-/** @typedef {import("../net/schemas.js").Surface} Surface */
+/** @typedef {import("../documents.js").Surface} Surface */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 
 /**

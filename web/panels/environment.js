@@ -88,7 +88,7 @@ export function exposureIn(usual, now, before, former) {
   return Math.abs(wanted / usual - 1) < SAME ? usual : wanted;
 }
 
-/** @type {(scene: Scene, environment: string) => import("../net/schemas.js").Environment|undefined} */
+/** @type {(scene: Scene, environment: string) => import("../documents.js").Environment|undefined} */
 function chosen({ environments }, environment) {
   return environments.find(({ id }) => id === environment);
 }

@@ -5,7 +5,7 @@ import { retryDelay } from "../net/trouble.js";
 import { MOST, knownInWords, measureInWords } from "../view/measures.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
-/** @typedef {import("../net/schemas.js").Size} Size */
+/** @typedef {import("../documents.js").Size} Size */
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/marks.js").Marks} Marks */
 /** @typedef {import("../view/marks.js").FindSurface} FindSurface */

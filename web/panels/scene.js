@@ -70,7 +70,7 @@ function sharesInWords(colour) {
   return [...new Set(colour)].map((share) => Number(share.toFixed(3))).join(", ");
 }
 
-/** @param {import("../net/schemas.js").Surface} surface */
+/** @param {import("../documents.js").Surface} surface */
 function surfaceInWords({ isovalue, name, clear, transmission }) {
   const passing = clear ? `, ${percent(clear)} clear` : "";
   const through = transmission.some(Boolean) ? `, transmission ${sharesInWords(transmission)}` : "";
@@ -79,7 +79,7 @@ function surfaceInWords({ isovalue, name, clear, transmission }) {
 
 /**
  * What one layer keeps for each texel, such as "SH order 5 in 3 channels, float16 floats".
- * @param {import("../net/schemas.js").Layer} layer
+ * @param {import("../documents.js").Layer} layer
  * @returns {string}
  */
 export function layerInWords({ order, channels, precision, coarse, nodes }) {
@@ -92,7 +92,7 @@ export function layerInWords({ order, channels, precision, coarse, nodes }) {
 
 /**
  * An amount that was saved, such as "12 000 texels (measured)".
- * @param {import("../net/schemas.js").Omission["saves"][number]} saving
+ * @param {import("../documents.js").Omission["saves"][number]} saving
  * @returns {string}
  */
 export function savingInWords({ amount, unit, measured }) {
@@ -102,13 +102,13 @@ export function savingInWords({ amount, unit, measured }) {
 
 const FEW_LOBES = 4;
 
-/** @param {import("../net/schemas.js").Lobe[]} lobes */
+/** @param {import("../documents.js").Lobe[]} lobes */
 function lobesInWords(lobes) {
   const further = lobes.length > FEW_LOBES ? [`and ${lobes.length - FEW_LOBES} more`] : [];
   return [...lobes.slice(0, FEW_LOBES).map(lobeInWords), ...further].join("; ");
 }
 
-/** @param {import("../net/schemas.js").Lobe} lobe */
+/** @param {import("../documents.js").Lobe} lobe */
 function lobeInWords({ azimuth, elevation, angle }) {
   return `${Number(angle.toPrecision(2))}° across at azimuth ${azimuth.toFixed(0)}°, elevation ${elevation.toFixed(0)}°`;
 }
@@ -120,7 +120,7 @@ function list(rows) {
   );
 }
 
-/** @param {import("../net/schemas.js").Omission} omission */
+/** @param {import("../documents.js").Omission} omission */
 function omission({ what, why, saves }) {
   const node = document.createElement("li");
   node.append(textElement("b", what), ` — ${why}`);

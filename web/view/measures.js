@@ -4,7 +4,7 @@ import { OPPOSITE } from "./camera.js";
 import { vector } from "./rotation.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
-/** @typedef {import("../net/schemas.js").Volume} Volume */
+/** @typedef {import("../documents.js").Volume} Volume */
 /** @typedef {Vec3[]} Measure two points, or three */
 
 const DIGITS = 6; // of a coordinate: what an address can hold, and a voxel of any volume needs

@@ -4,9 +4,9 @@ import { WHITE, hexOf, linear } from "./albedo.js";
 
 /** @typedef {{shown: boolean, clear: number}} Shown a surface: whether it is there, and the share of rays that passes */
 
-/** @typedef {Pick<import("../net/schemas.js").Label, "value"|"shown">} Known a label of the scene, and whether that shows it */
+/** @typedef {Pick<import("../documents.js").Label, "value"|"shown">} Known a label of the scene, and whether that shows it */
 
-/** @typedef {import("../net/schemas.js").Material} Material */
+/** @typedef {import("../documents.js").Material} Material */
 
 /** @typedef {{material: string, materials: Material[]}} Choice the scene's own material, and all */
 

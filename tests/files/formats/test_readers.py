@@ -187,7 +187,8 @@ def test_numpy_files_are_read(tmp_path: Path, order: Any) -> None:
         opened(tmp_path / "o.npy")
 
 
-PACKINGS: list[dict[str, Any]] = [{}, {"compression": "zlib"}, {"bigtiff": True}]
+TILED = {"tile": (16, 16), "compression": "zlib"}
+PACKINGS: list[dict[str, Any]] = [{}, {"compression": "zlib"}, {"bigtiff": True}, TILED, {**TILED, "bigtiff": True}]
 IMAGEJ: dict[str, Any] = {"imagej": True, "metadata": {"axes": "ZYX", "spacing": 0.5, "unit": "um"}}
 
 
@@ -413,3 +414,13 @@ def test_netcdf_says_which_axis_is_time(tmp_path: Path, how: str) -> None:
     grid = check(tmp_path / "f.nc", F)
     assert (grid.moment, grid.unchosen) == ((0, 2), True)
     assert not check(tmp_path / "f.nc", F + 1, time=1).unchosen
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["emd_3001.map", "emd_3197.map"])
+def test_shared_maps_hold_what_mrcfile_reads(shared_data: Path, name: str) -> None:
+    mrcfile = pytest.importorskip("mrcfile")
+    with mrcfile.open(shared_data / "formats" / name) as whole:
+        grid = open_file(shared_data / "formats" / name, {})
+        np.testing.assert_array_equal(grid.whole(), whole.data)
+        np.testing.assert_allclose(np.sort(grid.spacing), np.sort(whole.voxel_size.tolist()), rtol=1e-5)

@@ -7,10 +7,10 @@ import pytest
 
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.tracing.walls import NO_WALL
+from isogi_core.kernels.transport.integrator import WAVE_PATHS
 from isogi_core.kernels.transport.lights import POINT
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.rng import mix
-from isogi_core.kernels.transport.wavefront import WAVE_PATHS
 from isogi_core.model.environment import cumulative, pixel_directions, solid_angles
 from tests.kernels.fields import field_of, surface_of
 from tests.kernels.transport.lighting import (

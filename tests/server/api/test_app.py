@@ -1,6 +1,5 @@
 """The guards together: each setting arms its own, and they stand in the right order."""
 
-from collections.abc import Callable
 from typing import Any
 
 import httpx
@@ -11,8 +10,8 @@ from server.api.app import middleware
 from server.api.lifespan import Closing
 from server.render.metrics import Metrics
 from server.settings import Settings
+from tests.server.asking import Ask
 
-Ask = Callable[..., httpx.Response]
 LAB, EVIL = "https://lab.example", "https://evil.example"
 TOKEN = "correct horse battery"
 PREFLIGHT = {"Access-Control-Request-Method": "GET", "Access-Control-Request-Headers": "authorization"}

@@ -2,9 +2,7 @@
 
 import asyncio
 import gzip
-import io
 import json
-import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -25,7 +23,9 @@ from server.views import view_of
 from tests.baking import bake_each_texel
 from tests.card_twin import Twin, blocks_in, voxels_of
 from tests.live import live, serving
+from tests.server.asking import final, numbers
 from tests.server.inline import EngineWithoutWorkers
+from tests.server.sockets import wait_for
 
 CARD = "/v1/scenes/card/card"
 VIEW: dict[str, Any] = {"width": 56, "height": 50, "azimuth": 40, "max_error": 0.5}
@@ -49,8 +49,7 @@ def client(scene_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterat
     store = tmp_path_factory.mktemp("store")
     bake_whole_view(load_scene(scene_file), store)
     with serving(scene_file, store) as url, httpx.Client(base_url=url, timeout=300) as found:
-        while found.get("/v1/scenes/card/frame", params={**VIEW, "wait_ms": 5000}).headers["isogi-provisional"] != "?0":
-            pass
+        final(found, "card", **VIEW)
         yield found
 
 
@@ -67,8 +66,8 @@ def scene(scene_file: Path) -> Scene:
     return load_scene(scene_file)
 
 
-def document(client: httpx.Client, **more: Any) -> dict[str, Any]:
-    answer = client.get(CARD, params={**VIEW, **more})
+def document(client: httpx.Client, path: str = CARD, **more: Any) -> dict[str, Any]:
+    answer = client.get(path, params={**VIEW, **more})
     assert answer.status_code == 200, answer.text
     found: dict[str, Any] = answer.json()
     return found
@@ -80,9 +79,7 @@ def voxels(client: httpx.Client, facts: dict[str, Any]) -> bytes:
 
 
 def chunks(client: httpx.Client, **more: Any) -> list[dict[str, Any]]:
-    answer = client.get(f"{CARD}/chunks", params={**VIEW, **more})
-    assert answer.status_code == 200, answer.text
-    found: list[dict[str, Any]] = answer.json()["chunks"]
+    found: list[dict[str, Any]] = document(client, f"{CARD}/chunks", **more)["chunks"]
     return found
 
 
@@ -110,7 +107,7 @@ def test_a_twin_draws_the_frame_of_the_answers_alone(client: httpx.Client, what:
     named = ",".join(f"{each['at']}-{each['version']}" for each in chunks(client))
     twin = Twin(facts, matrix_of(turn))
     twin.take(client.get(f"/v1/scenes/card/{facts['links'][what]}{named}", params={**query, "max_error": 0.5}).content)
-    planes = np.load(io.BytesIO(client.get("/v1/scenes/card/frame", params={**VIEW, **turn, "f": "npy"}).content))
+    planes = numbers(client.get("/v1/scenes/card/frame", params={**VIEW, **turn, "f": "npy"}))
     on = planes[..., 3] > 0
     points = planes[on][:, 6:9].astype(float) / facts["grid"]["spacing"]
     normals = -gradient(voxels_of(facts, voxels(client, facts)), points) / facts["grid"]["spacing"]
@@ -131,11 +128,9 @@ def test_the_document_tells_the_scenes_own_numbers(client: httpx.Client, scene: 
     found = document(client)
     assert (found["drawable"], found["because"], found["reason"], found["format"]) == (True, [], "", 1)
     facts, volume = found["scene"], scene.volume
-    assert facts["grid"]["size"] == [24, 20, 16] and facts["grid"]["spacing"] == list(volume.spacing)
-    assert (
-        facts["lattice"]["size"] == list(scene.lattice_shape[::-1])
-        and facts["lattice"]["chunk"] == scene.settings.chunk
-    )
+    assert facts["grid"] | {"size": [24, 20, 16], "spacing": list(volume.spacing)} == facts["grid"]
+    lattice = {"size": list(scene.lattice_shape[::-1]), "chunk": scene.settings.chunk}
+    assert facts["lattice"] | lattice == facts["lattice"]
     assert (facts["exposure"], facts["target"]) == (scene.default_exposure, scene.target_error)
     assert facts["isovalues"] == list(scene.isovalues)
     level = np.float32((0.5 - facts["values"]["offset"]) / facts["values"]["scale"])
@@ -226,12 +221,9 @@ def test_a_view_that_was_not_baked_has_its_light_requested(client: httpx.Client)
     view = {"isovalue": 0.31, "azimuth": 200}
     before = chunks(client, **view)
     assert not all(each["final"] for each in before)
-    for _ in range(60):
-        now = chunks(client, **view)
-        if all(each["final"] for each in now):
-            break
-        time.sleep(0.5)
-    assert all(each["final"] for each in now) and {each["at"] for each in now} == {each["at"] for each in before}
+    assert wait_for(lambda: all(each["final"] for each in chunks(client, **view)), 30)
+    now = chunks(client, **view)
+    assert {each["at"] for each in now} == {each["at"] for each in before}
     versions = {each["at"]: each["version"] for each in before}
     assert any(each["version"] != versions[each["at"]] for each in now)
 
@@ -265,13 +257,15 @@ def test_an_unknown_scene_has_no_card(client: httpx.Client) -> None:
         assert client.get(f"/v1/scenes/none/{path}").status_code == 404
 
 
+def stream_of(client: httpx.Client) -> connect:
+    return connect(str(client.base_url).replace("http", "ws").rstrip("/") + "/v1/scenes/card/stream", max_size=None)
+
+
 def test_a_stream_names_the_chunks_of_a_view_at_rest(client: httpx.Client) -> None:
-    async def heard(**more: Any) -> dict[str, Any]:
-        address = str(client.base_url).replace("http", "ws").rstrip("/") + "/v1/scenes/card/stream"
-        async with connect(address, max_size=None) as socket:
+    async def heard(**more: Any) -> Any:
+        async with stream_of(client) as socket:
             await socket.send(json.dumps({"id": 1, "view": VIEW, **more}))
-            found: dict[str, Any] = json.loads(await socket.recv())
-            return found
+            return json.loads(await socket.recv())
 
     assert asyncio.run(heard(chunks=True))["chunks"] == chunks(client)
     assert "chunks" not in asyncio.run(heard())
@@ -279,18 +273,17 @@ def test_a_stream_names_the_chunks_of_a_view_at_rest(client: httpx.Client) -> No
 
 
 def test_a_stream_sends_no_pictures_that_nobody_wants(client: httpx.Client) -> None:
-    async def heard() -> list[dict[str, Any]]:
-        address = str(client.base_url).replace("http", "ws").rstrip("/") + "/v1/scenes/card/stream"
-        async with connect(address, max_size=None) as socket:
+    async def heard() -> Any:
+        async with stream_of(client) as socket:
             for number in (1, 2, 3):
                 view = {**VIEW, "azimuth": 40 + number}
                 await socket.send(json.dumps({"id": number, "view": view, "moving": True, "pictures": False}))
                 with pytest.raises(TimeoutError):
                     await asyncio.wait_for(socket.recv(), 0.5)
             await socket.send(json.dumps({"id": 4, "view": VIEW}))
-            return [json.loads(await socket.recv())]
+            return json.loads(await socket.recv())
 
-    assert [each["id"] for each in asyncio.run(heard())] == [4]
+    assert asyncio.run(heard())["id"] == 4
 
 
 def test_the_addresses_are_documented(client: httpx.Client) -> None:
@@ -300,13 +293,16 @@ def test_the_addresses_are_documented(client: httpx.Client) -> None:
         assert operation["summary"] and {"200", "403", "404", "422", "429", "503"} <= set(operation["responses"])
 
 
-@pytest.mark.parametrize(("own", "handed"), [({}, False), ({"hand_out_voxels": True}, True)])
-def test_a_server_with_a_token_keeps_its_voxels(
-    scene_file: Path, tmp_path: Path, own: dict[str, bool], handed: bool
-) -> None:
-    settings = Settings(token="correct horse battery", **own)  # type: ignore[arg-type]
-    app = create_app(EngineWithoutWorkers([load_scene(scene_file)], str(tmp_path)), settings)
-    headers = {"Authorization": "Bearer correct horse battery"}
+TOKEN = {"token": "correct horse battery"}
+
+
+@pytest.mark.parametrize(
+    ("given", "handed"),
+    [(TOKEN, False), ({**TOKEN, "hand_out_voxels": True}, True), ({"hand_out_voxels": False}, False)],
+)
+def test_a_server_may_keep_its_voxels(scene_file: Path, tmp_path: Path, given: dict[str, Any], handed: bool) -> None:
+    app = create_app(EngineWithoutWorkers([load_scene(scene_file)], str(tmp_path)), Settings(**given))
+    headers = {"Authorization": f"Bearer {TOKEN['token']}"}
     with live(app) as url, httpx.Client(base_url=url, headers=headers, timeout=300) as found:
         facts = found.get(CARD).json()
         assert (facts["drawable"], facts["because"]) == ((True, []) if handed else (False, ["voxels kept"]))
@@ -315,8 +311,3 @@ def test_a_server_with_a_token_keeps_its_voxels(
             answer = found.get(f"{CARD}/{path}")
             assert answer.status_code == (200 if handed else 403)
             assert handed or "hand_out_voxels" in answer.json()["detail"]
-
-
-def test_voxels_are_handed_out_unless_it_says_otherwise() -> None:
-    assert Settings().hands_out_voxels
-    assert not Settings(hand_out_voxels=False).hands_out_voxels

@@ -2,7 +2,6 @@
 
 import asyncio
 import hashlib
-import io
 import math
 import time
 from collections.abc import Iterator
@@ -16,31 +15,30 @@ import pytest
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.view import read_window
 from isogi_core.plan.scene import Scene
-from isogi_core.storage.store import Store
 from server.errors import UnknownSceneError
 from server.render.engine import RenderEngine
 from server.render.scene_variant import Change, SceneVariant
 from server.render.variants import Variants
 from tests.loaded import load_scene
+from tests.server.asking import SMALL, final, numbers
 from tests.server.idle import idle_server
 from tests.server.sockets import pictures_on
 
 SCENE = "/v1/scenes/small"
 
 
-def frame(server: str, **query: str) -> tuple[httpx.Response, np.ndarray]:
-    """A frame as numbers, once its light is there."""
-    view = {"width": "40", "height": "40", "f": "npy", "wait_ms": "10000", "azimuth": "10", **query}
-    for _ in range(12):
-        answer = httpx.get(f"{server}{SCENE}/frame", params=view, timeout=60).raise_for_status()
-        if answer.headers["isogi-provisional"] == "?0":
-            break
-    return answer, np.load(io.BytesIO(answer.content))
+def frame(client: httpx.Client, **query: str) -> tuple[httpx.Response, np.ndarray]:
+    """A frame, and the x of the surface in its pixels, once its light is there."""
+    answer = final(client, **SMALL, azimuth=10, **query)
+    planes = numbers(answer)
+    surface = planes[planes[..., 3] > 0]
+    assert (surface[:, :3].max(axis=1) > 0.0).all()
+    return answer, surface[:, 6]
 
 
-def texels_kept(server: str) -> float:
+def texels_kept(client: httpx.Client) -> float:
     """How many texels of cuts kept the light of the whole."""
-    found = httpx.get(f"{server}/metrics").text.split("\nisogi_texels_kept_total ")[1]
+    found = client.get("/metrics").text.split("\nisogi_texels_kept_total ")[1]
     return float(found.split("\n")[0])
 
 
@@ -49,32 +47,20 @@ def middle(scene_file: Path) -> float:
     return load_scene(scene_file).volume.world_centre[0]
 
 
-def test_a_window_hides_what_lies_there_and_bakes_nothing(live_server: str, small_scene: Path) -> None:
+def test_a_window_hides_what_lies_there(client: httpx.Client, small_scene: Path) -> None:
     x = middle(small_scene)
-    whole, before = frame(live_server)
-    looked, after = frame(live_server, window=f"x>{x}")
-    assert before[..., 6][before[..., 3] > 0].max() > x + 1
-    assert after[..., 6][after[..., 3] > 0].max() <= x + 1e-3
+    whole, before = frame(client)
+    looked, after = frame(client, window=f"x>{x}")
+    assert before.max() > x + 1 and after.max() <= x + 1e-3
     assert whole.headers["etag"] != looked.headers["etag"]
 
 
-def test_a_cut_takes_away_and_lets_light_in(live_server: str, small_scene: Path) -> None:
+def test_a_cut_takes_away_and_lets_light_in(client: httpx.Client, small_scene: Path) -> None:
     x = middle(small_scene) + 1.0  # no other test on this server cuts there
-    frame(live_server, shading="vicinity")
-    before = texels_kept(live_server)
-    answer, after = frame(live_server, cut=f"x>{x}", shading="vicinity")
-    assert texels_kept(live_server) > before, "texels that light reaches as before are not baked again"
-    assert answer.headers["isogi-provisional"] == "?0"
-    assert after[..., 6][after[..., 3] > 0].max() <= x + 0.2
-    assert (after[..., :3][after[..., 3] > 0].max(axis=1) > 0.0).all()
-
-
-def test_the_document_of_a_cut_has_the_scenes_own_name(live_server: str, small_scene: Path) -> None:
-    cut = f"x>{middle(small_scene)}"
-    answer = httpx.get(f"{live_server}{SCENE}", params={"cut": cut}).raise_for_status().json()
-    assert answer["id"] == "small"
-    listed = httpx.get(f"{live_server}/v1/scenes").json()["scenes"]
-    assert [each["id"] for each in listed] == ["small"], "what is cut is no scene of its own"
+    frame(client, shading="vicinity")
+    before = texels_kept(client)
+    assert frame(client, cut=f"x>{x}", shading="vicinity")[1].max() <= x + 0.2
+    assert texels_kept(client) > before, "texels that light reaches as before are not baked again"
 
 
 @pytest.mark.parametrize("route", ["/frame", "/coverage", "/events"])
@@ -92,8 +78,8 @@ def test_the_document_of_a_cut_has_the_scenes_own_name(live_server: str, small_s
         ({"window": ";".join(["x>3"] * 13)}, "at most 12 planes"),
     ],
 )
-def test_planes_without_meaning_are_422(live_server: str, route: str, query: dict[str, str], reason: str) -> None:
-    answer = httpx.get(f"{live_server}{SCENE}{route}", params=query)
+def test_planes_without_meaning_are_422(client: httpx.Client, route: str, query: dict[str, str], reason: str) -> None:
+    answer = client.get(f"{SCENE}{route}", params=query)
     assert answer.status_code == 422 and answer.json()["parameter"] == next(iter(query))
     assert reason in answer.json()["detail"]
 
@@ -122,7 +108,7 @@ def test_eight_people_each_see_the_cut_of_their_own(crowded: str, small_scene: P
 
     answers = [answer for each in asyncio.run(people()) for answer in each]
     assert {answer.status_code for answer in answers} == {200}
-    edges = [np.load(io.BytesIO(answer.content))[..., 6].max() for answer in answers[::views]]
+    edges = [numbers(answer)[..., 6].max() for answer in answers[::views]]
     assert edges == sorted(edges) and edges[0] < edges[-1] - 2, "everybody has the cut that was asked for"
 
 
@@ -153,27 +139,18 @@ def test_a_stream_goes_on_when_its_cut_made_way(crowded: str, small_scene: Path)
     assert pictures[0] == pictures[2] != pictures[1] == pictures[3]
 
 
-def test_a_cut_that_is_gone_with_its_scene_has_no_inner_name(small_scene: Path, tmp_path: Path) -> None:
-    engine = RenderEngine([load_scene(small_scene)], Store(f"file://{tmp_path}"), workers=1)
-    try:
-        variants = Variants(engine, lambda name: None)
-        cut = asyncio.run(variants.of(engine.scenes["small"], Change(cut="x>12")))
-        engine.dismiss("small")
-        with pytest.raises(UnknownSceneError, match=r"^The scene 'small' is not"):
-            engine.renderer(cut.id)
-    finally:
-        engine.close()
+def test_a_cut_that_is_gone_with_its_scene_has_no_inner_name(engine: RenderEngine) -> None:
+    cut = asyncio.run(Variants(engine, lambda name: None).of(engine.scenes["small"], Change(cut="x>12")))
+    engine.dismiss("small")
+    with pytest.raises(UnknownSceneError, match=r"^The scene 'small' is not"):
+        engine.renderer(cut.id)
 
 
-def test_many_small_cuts_are_kept(small_scene: Path, tmp_path: Path) -> None:
-    engine = RenderEngine([load_scene(small_scene)], Store(f"file://{tmp_path}"), workers=1)
-    try:
-        own, variants = engine.scenes["small"], Variants(engine, lambda name: None)
-        for number in range(20):
-            asyncio.run(variants.of(own, Change(cut=f"x>{5 + number / 2}")))
-        assert len(engine.scenes) == 21
-    finally:
-        engine.close()
+def test_many_small_cuts_are_kept(engine: RenderEngine) -> None:
+    own, variants = engine.scenes["small"], Variants(engine, lambda name: None)
+    for number in range(20):
+        asyncio.run(variants.of(own, Change(cut=f"x>{5 + number / 2}")))
+    assert len(engine.scenes) == 21
 
 
 def test_cuts_whose_48_bits_were_alike_have_names_of_their_own(small_scene: Path) -> None:
@@ -185,19 +162,14 @@ def test_cuts_whose_48_bits_were_alike_have_names_of_their_own(small_scene: Path
         assert ends[0] == ends[1], "else this test shows nothing"
 
 
-def test_few_cuts_are_kept_and_share_their_voxels(small_scene: Path, tmp_path: Path) -> None:
-    engine = RenderEngine([load_scene(small_scene)], Store(f"file://{tmp_path}"), workers=1)
-    try:
-        own = engine.scenes["small"]
-        place = {name: name for name in ENVIRONMENTS}.get
-        variants, x = Variants(engine, place, most=3, most_cuts=2, room=0), own.volume.world_centre[0]
-        one = asyncio.run(variants.of(own, Change(cut=f"x>{x}")))
-        lit = asyncio.run(variants.of(own, Change("noon", f"x> {x}")))
-        assert lit.volume is one.volume and lit.lighting.environment is not one.lighting.environment
-        assert asyncio.run(variants.of(own, Change(cut=f" x>{x}"))) is one
-        asyncio.run(variants.of(own, Change("studio")))
-        asyncio.run(variants.of(own, Change(cut=f"x>{x + 1}")))
-        left = set(engine.scenes) - {"small", "small@studio"}
-        assert len(left) == 2 and lit.id not in left and one.id in left
-    finally:
-        engine.close()
+def test_few_cuts_are_kept_and_share_their_voxels(engine: RenderEngine) -> None:
+    own, place = engine.scenes["small"], {name: name for name in ENVIRONMENTS}.get
+    variants, x = Variants(engine, place, most=3, most_cuts=2, room=0), own.volume.world_centre[0]
+    one = asyncio.run(variants.of(own, Change(cut=f"x>{x}")))
+    lit = asyncio.run(variants.of(own, Change("noon", f"x> {x}")))
+    assert lit.volume is one.volume and lit.lighting.environment is not one.lighting.environment
+    assert asyncio.run(variants.of(own, Change(cut=f" x>{x}"))) is one
+    asyncio.run(variants.of(own, Change("studio")))
+    asyncio.run(variants.of(own, Change(cut=f"x>{x + 1}")))
+    left = set(engine.scenes) - {"small", "small@studio"}
+    assert len(left) == 2 and lit.id not in left and one.id in left

@@ -2,14 +2,14 @@
 
 import asyncio
 import json
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-from websockets.asyncio.client import connect
+from websockets.asyncio.client import ClientConnection, connect
 
 from tests.server.idle import Idle, idle_server
 
@@ -37,11 +37,20 @@ def stream_of(idle: Idle) -> connect:
     return connect(idle.url.replace("http", "ws") + PATH + "/stream")
 
 
+@asynccontextmanager
+async def watching(idle: Idle, azimuth: int = 77) -> AsyncIterator[ClientConnection]:
+    """A stream whose view wants light that nobody else wants."""
+    before = idle.wanted
+    async with stream_of(idle) as socket:
+        await socket.send(json.dumps({"id": 1, "view": VIEW | {"azimuth": azimuth}}))
+        await idle.until(lambda: idle.wanted > before, 60)
+        yield socket
+
+
 def test_a_stream_that_is_closed_wants_nothing_more(idle: Idle) -> None:
     async def visit() -> None:
-        async with stream_of(idle) as socket:
-            await socket.send(json.dumps({"id": 1, "view": VIEW}))
-            await idle.until(lambda: bool(idle.wanted), 60)
+        async with watching(idle):
+            pass
         await idle.until(lambda: not idle.wanted, SOON)
 
     asyncio.run(visit())
@@ -49,23 +58,18 @@ def test_a_stream_that_is_closed_wants_nothing_more(idle: Idle) -> None:
 
 def test_a_stream_that_is_torn_wants_nothing_more(idle: Idle) -> None:
     async def visit() -> None:
-        socket = await stream_of(idle)
-        await socket.send(json.dumps({"id": 1, "view": VIEW}))
-        await idle.until(lambda: bool(idle.wanted), 60)
-        socket.transport.abort()
-        await idle.until(lambda: not idle.wanted, SOON)
+        async with watching(idle) as socket:
+            socket.transport.abort()
+            await idle.until(lambda: not idle.wanted, SOON)
 
     asyncio.run(visit())
 
 
 def test_a_stream_that_looks_elsewhere_wants_that_alone(idle: Idle) -> None:
     async def visit() -> None:
-        async with stream_of(idle) as socket:
-            await socket.send(json.dumps({"id": 1, "view": VIEW}))
-            await idle.until(lambda: bool(idle.wanted), 60)
-            await socket.send(
-                json.dumps({"id": 2, "view": {"width": 9, "height": 9, "eye": "500,0,0", "target": "900,0,0"}})
-            )
+        async with watching(idle) as socket:
+            away = {"width": 9, "height": 9, "eye": "500,0,0", "target": "900,0,0"}
+            await socket.send(json.dumps({"id": 2, "view": away}))
             await idle.until(lambda: not idle.wanted, SOON)
 
     asyncio.run(visit())
@@ -96,13 +100,10 @@ def test_a_request_that_is_aborted_wants_nothing_more(idle: Idle, path: str) -> 
 
 def test_what_one_viewer_leaves_another_still_wants(idle: Idle) -> None:
     async def visit() -> None:
-        async with stream_of(idle) as staying:
-            await staying.send(json.dumps({"id": 1, "view": VIEW}))
-            await idle.until(lambda: bool(idle.wanted), 60)
+        async with watching(idle):
             wanted = idle.wanted
-            async with stream_of(idle) as leaving:
-                await leaving.send(json.dumps({"id": 1, "view": VIEW | {"azimuth": 190}}))
-                await idle.until(lambda: idle.wanted > wanted, 60)
+            async with watching(idle, azimuth=190):
+                pass
             await idle.until(lambda: idle.wanted == wanted, SOON)
 
     asyncio.run(visit())

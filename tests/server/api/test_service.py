@@ -4,9 +4,8 @@ import asyncio
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import aclosing
-from dataclasses import replace
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import aclosing, asynccontextmanager
 from types import SimpleNamespace
 from typing import Any
 
@@ -28,6 +27,7 @@ from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store
 from server.api import service as service_module
 from server.api.app import create_app
+from server.api.lifespan import Startup
 from server.api.routes.scenes import scene_facts
 from server.api.service import Service
 from server.errors import BusyError
@@ -74,7 +74,8 @@ class FakeEngine:
         self.wants: list[Viewer] = []
         self.left: list[Viewer] = []
         self.coming: frozenset[Index] = frozenset()
-        self.version = "v1"
+        self.version, self.state = "v1", PROVISIONAL
+        self.took: dict[str, float] = {}
         self.publish: Listener = lambda *_: None
         self.startable: Exception | None = None
         self.stopped = False
@@ -117,13 +118,20 @@ class FakeEngine:
     def survey(self, scene: str, view: View, target: float, cancelled: threading.Event, watch: Stopwatch) -> Frame:
         self.views.append((view, target))
         self.doing(cancelled)
+        return self.picture(view, watch)
+
+    def picture(self, view: View, watch: Stopwatch) -> Frame:
+        watch.seconds |= self.took
         shape = (view.height, view.width)
         colour, ones = np.full((*shape, 3), 0.5, np.float32), np.ones(shape, np.float32)
         pixels = np.arange(ones.size, dtype=np.uint32)
         surface = GBuffer(shape, (1.0, 1.0, 1.0), (9.0, 0.0, 0.0), 0.5, pixels, colour.reshape(-1, 3))
-        return Frame(
-            view, colour, ones.astype(np.uint8), ones, surface, self.version, watch.seconds, Quality(chunks=(3, 1))
-        )
+        state, quality = np.full(shape, self.state, np.uint8), Quality(chunks=(3, 1))
+        return Frame(view, colour, state, ones, surface, self.version, watch.seconds, quality)
+
+    def grow(self, _: threading.Event) -> None:
+        """Done in a picture, so that each has a version of its own."""
+        self.version = f"v{len(self.views)}"
 
     def want(self, scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
         self.wants.append(viewer)
@@ -164,13 +172,20 @@ def app(engine: FakeEngine, settings: Settings) -> Iterator[FastAPI]:
     app.state.service.threads.close()
 
 
+@asynccontextmanager
+async def asking(app: FastAPI) -> AsyncIterator[httpx.AsyncClient]:
+    """A client, once the engine has started."""
+    await app.state.service.start()
+    transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+    async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+        yield client
+
+
 def started(app: FastAPI, *queries: dict[str, Any]) -> list[httpx.Response]:
-    """Answers to frame requests sent at the same time, once the engine has started."""
+    """Answers to frame requests sent at the same time."""
 
     async def gather() -> list[httpx.Response]:
-        await app.state.service.start()
-        transport = httpx.ASGITransport(app, raise_app_exceptions=False)
-        async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+        async with asking(app) as client:
             answers = await asyncio.gather(*(client.get(FRAME, params={"width": 4, **q}) for q in queries))
         app.state.service.engine.kernels.compiled.set()  # or the loop waits at its end for who compiles
         return answers
@@ -258,9 +273,7 @@ def test_beyond_the_queue_is_429_and_the_rest_is_served(engine: FakeEngine, app:
 
 async def crowd(app: FastAPI, clients: int, release: threading.Event) -> list[httpx.Response]:
     """Answers to so many clients at once, in the order they came; frames are held until the 6th."""
-    await app.state.service.start()
-    transport = httpx.ASGITransport(app)
-    async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+    async with asking(app) as client:
         answers: list[httpx.Response] = []
         for answer in asyncio.as_completed([client.get(FRAME, params={"width": 4}) for _ in range(clients)]):
             answers.append(await answer)
@@ -321,9 +334,7 @@ def test_leaving_a_shared_render_does_not_end_it_for_others(engine: FakeEngine, 
             raise Cancelled("Nobody waits.")
 
     async def both() -> httpx.Response:
-        await app.state.service.start()
-        transport = httpx.ASGITransport(app)
-        async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+        async with asking(app) as client:
             staying = asyncio.create_task(client.get(FRAME, params={"width": 4}))
             await leave(app, begun)
             release.set()
@@ -405,17 +416,23 @@ async def leave(app: FastAPI, begun: threading.Event, wait_ms: int = 0) -> None:
     async def send(message: Any) -> None:
         pass
 
+    query = f"width=4&wait_ms={wait_ms}".encode()
     scope = {
         **{"type": "http", "http_version": "1.1", "method": "GET", "path": FRAME, "raw_path": FRAME.encode()},
-        **{
-            "query_string": f"width=4&wait_ms={wait_ms}".encode(),
-            "headers": [(b"host", b"localhost")],
-            "scheme": "http",
-            "root_path": "",
-        },
+        **{"query_string": query, "headers": [(b"host", b"localhost")], "scheme": "http", "root_path": ""},
         **{"server": ("localhost", 80), "client": ("localhost", 1)},
     }
     await app(scope, receive, send)  # type: ignore[arg-type]
+
+
+@asynccontextmanager
+async def watching(service: Service, viewer: Viewer) -> AsyncIterator[Any]:
+    """What a viewer of a small picture is sent, after the first picture."""
+    await service.start()
+    picture = service.picture_of(service.engine.scenes["orbital"], ViewParams(width=4, height=4))
+    async with aclosing(service.refinements(picture, viewer)) as refinements:
+        await anext(refinements)
+        yield refinements
 
 
 async def second_after(engine: FakeEngine, service: Service, rest: float = 0.0) -> float:
@@ -423,11 +440,8 @@ async def second_after(engine: FakeEngine, service: Service, rest: float = 0.0) 
 
     A chunk has new light a tenth of a second after that.
     """
-    await service.start()
     clock = asyncio.get_running_loop().time
-    picture = service.picture_of(engine.scenes["orbital"], ViewParams(width=4, height=4))
-    async with aclosing(service.refinements(picture, Viewer("a"))) as refinements:
-        await anext(refinements)
+    async with watching(service, Viewer("a")) as refinements:
         await asyncio.sleep(rest)
         asyncio.get_running_loop().call_later(0.1, engine.publish, "orbital", (0, 0, 1), True)
         begun = clock()
@@ -436,20 +450,11 @@ async def second_after(engine: FakeEngine, service: Service, rest: float = 0.0) 
 
 
 @pytest.mark.parametrize(("state", "at_once"), [(PROVISIONAL, True), (CONVERGING, False)])
-def test_first_light_is_shown_as_soon_as_it_comes(
-    engine: FakeEngine, app: FastAPI, state: int, at_once: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_first_light_is_shown_as_soon_as_it_comes(engine: FakeEngine, app: FastAPI, state: int, at_once: bool) -> None:
     """A picture of a quarter of a second is drawn again after three; without any light in it, at once."""
-    service: Service = app.state.service
-    engine.coming, plain = frozenset({(0, 0, 1), (0, 0, 2)}), engine.survey
-
-    def survey(scene: str, view: View, target: float, cancelled: threading.Event, watch: Stopwatch) -> Frame:
-        watch.seconds |= {"shade": 0.25, "primary": 60.0}  # the latter is kept
-        frame = plain(scene, view, target, cancelled, watch)
-        return replace(frame, state=np.full_like(frame.state, state), version=f"v{len(engine.views)}")
-
-    monkeypatch.setattr(engine, "survey", survey)
-    took = asyncio.run(second_after(engine, service))
+    engine.coming, engine.doing, engine.state = frozenset({(0, 0, 1), (0, 0, 2)}), engine.grow, state
+    engine.took = {"shade": 0.25, "primary": 60.0}  # the latter is kept
+    took = asyncio.run(second_after(engine, app.state.service))
     assert took < 0.7 if at_once else 0.7 < took < 30.0
 
 
@@ -458,18 +463,11 @@ def test_pictures_of_a_view_that_has_long_been_shown_come_rarely(
     younger: float, engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A light takes as long to become visibly better as it has been baked for, times a share; not longer, though."""
-    service: Service = app.state.service
-    engine.coming, plain = frozenset({(0, 0, 1), (0, 0, 2)}), engine.survey
-
-    def survey(*given: Any) -> Frame:
-        frame = plain(*given)
-        given[4].seconds["shade"] = 1e-3
-        return replace(frame, state=np.full_like(frame.state, CONVERGING), version=f"v{len(engine.views)}")
-
-    monkeypatch.setattr(engine, "survey", survey)
+    engine.coming, engine.doing, engine.state = frozenset({(0, 0, 1), (0, 0, 2)}), engine.grow, CONVERGING
+    engine.took = {"shade": 1e-3}
     monkeypatch.setattr(service_module, "YOUNGER", younger)
     monkeypatch.setattr(service_module, "LONGEST_PAUSE", 0.9)
-    took = asyncio.run(second_after(engine, service, rest=0.3))
+    took = asyncio.run(second_after(engine, app.state.service, rest=0.3))
     assert 0.9 <= took < 30.0 if younger else took < 0.7
 
 
@@ -477,24 +475,14 @@ def test_light_of_a_new_view_is_requested_before_it_is_drawn(
     engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For a viewer that may have light baked, and for no other; nor where others wait for their turn."""
-    service: Service = app.state.service
-    drawn, plain = list[int](), engine.survey
-
-    def survey(*given: Any) -> Frame:
-        drawn.append(len(engine.wants))
-        return plain(*given)
-
-    def unlit_frame(scene: str, view: View, target: float, cancelled: threading.Event) -> Frame:
-        return plain(scene, view, target, cancelled, Stopwatch())
+    drawn = list[int]()
 
     async def first(viewer: Viewer) -> None:
-        await service.start()
-        picture = service.picture_of(engine.scenes["orbital"], ViewParams(width=4, height=4))
-        async with aclosing(service.refinements(picture, viewer)) as refinements:
-            await anext(refinements)
+        async with watching(app.state.service, viewer):
+            pass
 
-    monkeypatch.setattr(engine, "survey", survey)
-    monkeypatch.setattr(engine, "unlit_frame", unlit_frame)
+    engine.doing = lambda _: drawn.append(len(engine.wants))
+    monkeypatch.setattr(engine, "unlit_frame", lambda _scene, view, *_: engine.picture(view, Stopwatch()))
     asyncio.run(first(Viewer("a")))
     assert drawn == [1] and engine.wants == [Viewer("a"), Viewer("a")]
     asyncio.run(first(Viewer("b", bakes=False)))
@@ -540,13 +528,9 @@ def test_a_store_is_not_read_only_while_kernels_are_compiled(engine: FakeEngine,
 
 def test_a_view_at_rest_is_lit_once_kernels_are_there(engine: FakeEngine, app: FastAPI) -> None:
     engine.kernels.compiled.clear()
-    service: Service = app.state.service
 
     async def two() -> list[str]:
-        await service.start()
-        picture = service.picture_of(engine.scenes["orbital"], ViewParams(width=4, height=4))
-        async with aclosing(service.refinements(picture, Viewer("a"))) as refinements:
-            await anext(refinements)
+        async with watching(app.state.service, Viewer("a")) as refinements:
             engine.kernels.compiled.set()
             await anext(refinements)
         return [view.shading for view, _ in engine.views]
@@ -570,3 +554,50 @@ def test_a_view_whose_light_does_not_fit_is_shown_without(engine: FakeEngine, ap
     (answer,) = started(app, {})
     assert (answer.status_code, answer.headers["isogi-provisional"]) == (200, "?1")
     assert [view.shading for view, _ in engine.views] == ["gi", "lambert"]
+
+
+@pytest.fixture
+def did() -> list[str]:
+    """What a service did while it started."""
+    return []
+
+
+@pytest.fixture
+def startup(did: list[str]) -> Startup:
+    """The start of an engine of two scenes."""
+    kernels = SimpleNamespace(progress=None, others=lambda: did.append("others"))
+    engine: Any = SimpleNamespace(
+        **{name: lambda name=name: did.append(name) for name in ("open", "light")},
+        **{"kernels": kernels, "stop": lambda: None, "scenes": {"one": "a scene", "other": "another"}},
+    )
+    return Startup(engine)
+
+
+def test_what_visitors_ask_for_is_surveyed_once_there_is_light(startup: Startup, did: list[str]) -> None:
+    async def start() -> None:
+        await startup.run(lambda: did.append("prepare"), did.append)  # type: ignore[arg-type]
+        assert startup.lit.is_set() and not startup.failure
+        await startup.others("phong", 5.0)
+        await startup.close()
+
+    asyncio.run(start())
+    assert did == ["open", "prepare", "light", "a scene", "another", "others"]
+
+
+def test_scenes_are_not_surveyed_once_it_is_to_stop(startup: Startup, did: list[str]) -> None:
+    """A server of many scenes would stop late."""
+
+    async def start_and_stop() -> None:
+        surveyed, loop = asyncio.Event(), asyncio.get_running_loop()
+
+        def survey(scene: str) -> None:
+            did.append(scene)
+            loop.call_soon_threadsafe(surveyed.set)
+            time.sleep(0.2)
+
+        await startup.run(lambda: None, survey)  # type: ignore[arg-type]
+        await surveyed.wait()
+        await startup.close()
+
+    asyncio.run(start_and_stop())
+    assert "a scene" in did and "another" not in did

@@ -6,7 +6,7 @@ import pytest
 
 from server.cli.command import run
 from server.cli.help import FIRST_HEADING, group_of
-from server.cli.options import SECRET_SETTINGS, flag, rows, variable
+from server.cli.setting_options import SECRET_SETTINGS, flag, rows, variable
 from server.settings import Settings
 
 DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "settings.md"
@@ -31,7 +31,7 @@ def test_only_where_to_listen_is_in_no_group() -> None:
 
 
 def test_the_document_has_a_row_for_each_setting() -> None:
-    """Where it fails: the rows of docs/settings.md are those that ``server.cli.options.rows`` gives."""
+    """Where it fails: the rows of docs/settings.md are those that ``server.cli.setting_options.rows`` gives."""
     lines = DOCUMENT.read_text(encoding="utf-8").splitlines()
     assert [line for line in lines if "`ISOGI_" in line and line.startswith("| ")] == rows()
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from isogi_core.kernels.transport.matter.dielectric import fresnel, mirror, refract
 from isogi_core.kernels.transport.matter.matter_paths import ALONG_RAY, INWARD
+from isogi_core.kernels.transport.sampling import fresnel, mirror, refract
 from tests.kernels.fields import field_of
 from tests.kernels.rooms import sky, wall
 from tests.kernels.transport.matter.passables import ball, gather, passable, slab

@@ -1,13 +1,18 @@
 """A web socket's handshake, as a server would pass it to an app."""
 
 import asyncio
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 from fastapi import FastAPI
 
+Guarded = Callable[..., FastAPI]
+"""What the fixture ``guarded`` is."""
 
-def handshake(app: FastAPI, path: str = "/socket", **headers: str) -> list[dict[str, Any]]:
-    """What the app sends to who opens a socket with these headers; the names have ``_`` for ``-``."""
+
+def handshake(app: FastAPI, headers: Mapping[str, str] = MappingProxyType({})) -> list[dict[str, Any]]:
+    """What the app sends to who opens a socket with these headers."""
     sent: list[dict[str, Any]] = []
 
     async def receive() -> dict[str, Any]:
@@ -16,10 +21,10 @@ def handshake(app: FastAPI, path: str = "/socket", **headers: str) -> list[dict[
     async def send(message: Any) -> None:
         sent.append(message)
 
-    named = {"host": "localhost", **{name.replace("_", "-"): value for name, value in headers.items()}}
+    named = {"host": "localhost", **{name.lower(): value for name, value in headers.items()}}
     scope = {
-        **{"type": "websocket", "asgi": {"version": "3.0"}, "http_version": "1.1", "scheme": "ws", "path": path},
-        **{"raw_path": path.encode(), "query_string": b"", "root_path": "", "subprotocols": [], "state": {}},
+        **{"type": "websocket", "asgi": {"version": "3.0"}, "http_version": "1.1", "scheme": "ws", "path": "/socket"},
+        **{"raw_path": b"/socket", "query_string": b"", "root_path": "", "subprotocols": [], "state": {}},
         **{"headers": [(name.encode(), value.encode()) for name, value in named.items()]},
         **{"server": ("localhost", 80), "client": ("localhost", 1), "extensions": {"websocket.http.response": {}}},
     }

@@ -127,6 +127,8 @@ def test_every_response_carries_the_safe_headers(live_server: str) -> None:
     for path in ("/", "/docs", "/web/main.js", "/livez", "/metrics", "/v1/scenes/small/frame?width=8&height=8", "/no"):
         headers = httpx.get(f"{live_server}{path}", headers={"Origin": "https://evil.example"}).headers
         assert headers["x-content-type-options"] == "nosniff", path
+        assert headers["referrer-policy"] == "no-referrer", path
+        assert headers["cross-origin-opener-policy"] == "same-origin", path
         assert "default-src 'none'" in headers["content-security-policy"], path
         assert "access-control-allow-origin" not in headers, path
         assert "server" not in headers, path

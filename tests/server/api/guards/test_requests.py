@@ -1,19 +1,17 @@
-"""Request ids, counts, and the log."""
+"""Request ids, counts and the log; limits on bodies; HEAD; and the headers that every response carries."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import AsyncIterator
 
-import httpx
 import pytest
-from fastapi import FastAPI, WebSocket
+from fastapi import FastAPI
 from starlette.datastructures import Headers
 
 from server import problems
-from server.api.requests import HeadAsGet, Requests
+from server.api.requests import HeadAsGet, Requests, SafeHeaders, SmallBodies
 from server.render.metrics import Metrics
-from tests.server.api.guards.handshakes import handshake
-
-Ask = Callable[..., httpx.Response]
+from tests.server.api.guards.handshakes import Guarded, handshake
+from tests.server.asking import Ask
 
 
 @pytest.fixture
@@ -22,7 +20,7 @@ def metrics() -> Metrics:
 
 
 @pytest.fixture
-def app(guarded: Callable[..., FastAPI], metrics: Metrics) -> FastAPI:
+def app(guarded: Guarded, metrics: Metrics) -> FastAPI:
     app = guarded(Requests, HeadAsGet, metrics=metrics)
     problems.install(app)
 
@@ -30,10 +28,6 @@ def app(guarded: Callable[..., FastAPI], metrics: Metrics) -> FastAPI:
     def thing(number: int) -> int:
         logging.getLogger("isogi.test").warning("thing %d", number)
         return 1 // number
-
-    @app.websocket("/socket")
-    async def socket(socket: WebSocket) -> None:
-        await socket.accept()
 
     return app
 
@@ -101,3 +95,43 @@ def test_the_log_tells_the_path_and_never_the_query(ask: Ask, app: FastAPI, capl
     assert (vars(first)["status"], vars(first)["path"]) == (200, "/things/1")
     assert "secret" not in caplog.text
     assert "\n" not in second.getMessage()
+
+
+def test_head_is_get_without_a_body(ask: Ask, app: FastAPI) -> None:
+    head, get = (ask(app, method, "/page", headers={"X-Request-ID": "mine"}) for method in ("HEAD", "GET"))
+    assert (head.status_code, head.content) == (200, b"")
+    assert dict(head.headers) == dict(get.headers)
+
+
+LIMIT = 100
+
+
+async def chunks(length: int) -> AsyncIterator[bytes]:
+    for _ in range(length):
+        yield b"x"
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_one_byte_more_is_413(ask: Ask, guarded: Guarded, told: bool) -> None:
+    app = guarded(SmallBodies, limit=LIMIT)
+    most, more = (b"x" * n if told else chunks(n) for n in (LIMIT, LIMIT + 1))
+    assert ask(app, "POST", "/length", content=most).json() == LIMIT
+    answer = ask(app, "POST", "/length", content=more)
+    assert (answer.status_code, answer.headers["content-type"]) == (413, "application/problem+json")
+    assert str(LIMIT) in answer.json()["detail"]
+
+
+def test_a_body_with_two_lengths_is_refused(ask: Ask, guarded: Guarded) -> None:
+    headers = {"Content-Length": "1", "Transfer-Encoding": "chunked"}
+    answer = ask(guarded(SmallBodies, limit=LIMIT), "POST", "/length", content=b"x", headers=headers)
+    assert (answer.status_code, answer.headers["connection"]) == (400, "close")
+
+
+@pytest.mark.parametrize(("path", "loads", "caching"), [("/page", True, "no-cache"), ("/data", False, "max-age=5")])
+def test_pages_load_their_files_only_and_data_nothing(
+    ask: Ask, guarded: Guarded, path: str, loads: bool, caching: str
+) -> None:
+    headers = ask(guarded(SafeHeaders), "GET", path).headers
+    policies = headers["content-security-policy"].split("; ")
+    assert policies[0] == "default-src 'none'" and ("script-src 'self'" in policies) == loads
+    assert "unsafe" not in headers["content-security-policy"] and headers["cache-control"] == caching

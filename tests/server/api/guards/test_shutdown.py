@@ -10,6 +10,7 @@ import pytest
 from fastapi import FastAPI, Request
 from starlette.responses import StreamingResponse
 
+from server.cli.serve import queued
 from tests.server.sockets import HEAD, Running, answer, running, small_app, status, wait_for
 
 
@@ -111,3 +112,15 @@ def test_a_stop_breaks_off_no_answer(app: FastAPI) -> None:
     for thread in threads:
         thread.join()
     assert len(ends) == 8 and set(ends) <= {ConnectionRefusedError, ConnectionResetError}
+
+
+def test_connections_that_wait_are_taken_before_the_end() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        waiting = [socket.create_connection(listener.getsockname()) for _ in range(3)]
+        listener.setblocking(False)
+        last = list(queued(listener))
+        listener.close()
+        for client, accepted in zip(waiting, last, strict=True):
+            with client, accepted:
+                accepted.sendall(b"welcome")
+                assert client.recv(16) == b"welcome"

@@ -1,0 +1,84 @@
+"""Options that settings make: read, and documented."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import click
+from pydantic import ValidationError
+
+from isogi_core.errors import advice
+from server.settings import FORMER_SETTING_NAMES, Settings, read_settings
+
+SECRET_SETTINGS = ("token",)
+"""Settings without an option: what a command is given, all users of the machine can see."""
+
+CONFIG = "A TOML file with settings, such as port = 8080; options and the environment come before it."
+
+
+def settings_from(config: Path | None = None, **given: Any) -> Settings:
+    """The settings: options first, then the environment, then a file; UsageError names what is wrong.
+
+    The token is taken out of the environment, which workers inherit.
+    """
+    try:
+        settings = read_settings(config, **{name: value for name, value in given.items() if value is not None})
+        os.environ.pop(variable("token"), None)
+        return settings
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        if not first["loc"]:
+            raise click.UsageError(f"{first['msg'].removeprefix('Value error, ')}.") from None
+        name = str(first["loc"][0])
+        if first["type"] == "extra_forbidden":
+            raise click.UsageError(f"There is no setting '{name}': {advice(name, Settings.model_fields)}") from None
+        value = "" if name in SECRET_SETTINGS else f", not {first['input']!r}"
+        raise click.UsageError(f"{name}: {first['msg']}{value}.") from None
+    except ValueError as error:
+        raise click.UsageError(f"{config}: {error}." if config else f"{error}.") from None
+
+
+def setting_options() -> list[click.Parameter]:
+    """An option for each setting that may have one, and for the file of settings."""
+    file = click.Option(["--config"], type=click.Path(path_type=Path, exists=True, dir_okay=False), help=CONFIG)
+    names = [name for name in Settings.model_fields if name not in SECRET_SETTINGS]
+    former = [click.Option([flag(name)], hidden=True) for name in FORMER_SETTING_NAMES]
+    own = [
+        click.Option([flag(name)], is_flag=switched(name), default=None, help=f"{described(name)} [{variable(name)}]")
+        for name in names
+    ]
+    return [file, *own, *former]
+
+
+def switched(name: str) -> bool:
+    """Whether a setting is on or off, so that its option takes no value."""
+    return Settings.model_fields[name].annotation is bool
+
+
+def secrets() -> list[tuple[str, str]]:
+    """The settings that have no option: environment variable and description."""
+    return [(variable(name), described(name)) for name in SECRET_SETTINGS]
+
+
+def described(name: str) -> str:
+    """What a setting is for, with its default where the description does not name it."""
+    field = Settings.model_fields[name]
+    text = field.description or ""
+    complete = switched(name) or field.default_factory is not None or field.default in (None, ()) or "default:" in text
+    return text if complete else f"{text.removesuffix('.')}; default: {field.default}."
+
+
+def flag(name: str) -> str:
+    """The option of a setting."""
+    return f"--{name.replace('_', '-')}"
+
+
+def variable(name: str) -> str:
+    """The environment variable of a setting."""
+    return f"ISOGI_{name.upper()}"
+
+
+def rows() -> list[str]:
+    """One row of a Markdown table for each setting, as docs/settings.md has them."""
+    options = {name: "–" if name in SECRET_SETTINGS else f"`{flag(name)}`" for name in Settings.model_fields}
+    return [f"| `{name}` | {option} | `{variable(name)}` | {described(name)} |" for name, option in options.items()]

@@ -1,0 +1,224 @@
+"""The table of knobs: what a view and its picture may be asked for, over HTTP and by options of commands alike.
+
+Parameters, options, their help, and the defaults and ranges of a scene's document all derive from KNOBS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from isogi_core.model.choices import MAX_GLOW_STRENGTH, OVERLAYS, PROJECTIONS, VIEW_SHADINGS
+from isogi_core.model.lights import ENVIRONMENTS
+from isogi_core.model.material import SHINE_KINDS, SHINE_KNOBS, SHINE_RANGES
+from server.values import Choice, Colour, Ground, Isovalue, Kind, Planes, Row, Span, Words
+
+if TYPE_CHECKING:
+    from isogi_core.plan.scene import Scene
+
+LONGEST_SIDE = 16383  # WebP's own limit
+LONGEST_WAIT = 10_000
+"""Milliseconds that a request may wait for baking."""
+
+MOST_STEPS = 1 << 20
+"""Most steps of a series in time."""
+
+OF_SCENE = "the scene's"
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A knob: its ``name``, the ``kind`` of its values, and what it does, a line of ``help`` without its end.
+
+    Left out it is its ``default``, None where ``otherwise`` says what holds instead. Numbers are in its ``unit``.
+    """
+
+    name: str
+    kind: Kind
+    help: str
+    default: Any = None
+    unit: str = ""
+    otherwise: str = OF_SCENE
+    own: Callable[[Scene], Any] | None = None
+    """The value that a scene gives it; None of a scene that does not have this knob."""
+
+    @property
+    def text(self) -> str:
+        """A line of help: what it does, what it may be, and what it is where it is left out."""
+        usual = self.otherwise if self.default in (None, ...) else self.default
+        shown = usual if isinstance(usual, str) else f"{usual:g}"
+        return f"{self.help}{self._values()}{shown and f'; default: {shown}'}."
+
+    def _values(self) -> str:
+        match self.kind:
+            case Span(low, high):
+                return f" ({low:,.7g} to {high:,.7g}{' ' if self.unit else ''}{self.unit})"
+            case Choice(words):
+                return f" ({', '.join(words)})"
+        return ""
+
+    def default_of(self, scene: Scene) -> Any:
+        """What it is in views of a ``scene`` that leave it out; None where the scene does not have it."""
+        return self.default if self.own is None else self.own(scene)
+
+
+XYZ, ANGLE, SIDE = Row(("x", "y", "z")), Span(-360, 360), Span(1, LONGEST_SIDE, whole=True)
+
+
+def _none(_: Scene) -> None:
+    """No scene gives a default of what is of one request alone."""
+
+
+def _albedo(scene: Scene) -> float | str | None:
+    """One number where it is grey."""
+    own = scene.surfaces.albedo
+    if scene.surfaces.albedos is None:
+        return None
+    return own[0] if len({*own}) == 1 else ",".join(f"{share:.6g}" for share in own)
+
+
+def _shine(name: str) -> Callable[[Scene], Any]:
+    return lambda scene: getattr(scene.surfaces.shine, SHINE_KNOBS[name], None)
+
+
+GROUPS = {
+    "Volume": (
+        Knob(
+            "environment",
+            Words(40, "studio"),
+            f"Light in place of the scene's own: {', '.join(ENVIRONMENTS)}, or the id of an uploaded environment",
+        ),
+        Knob(
+            "cut",
+            Planes(),
+            "Planes along the volume's axes, in world units, such as x>40;z<10: light comes in where they cut",
+            otherwise="",
+        ),
+        Knob(
+            "time",
+            Span(0, MOST_STEPS, whole=True),
+            "Which step of a series in time, each with light of its own",
+            own=lambda scene: scene.volume.moment[0] if scene.volume.moment[1] > 1 else None,
+        ),
+        Knob(
+            "surfaces",
+            Words(100, "0.4,off"),
+            "The share of rays that passes each pinned surface, 0 to 1, or off to hide it, such as 0.4,off",
+        ),
+        Knob(
+            "hide",
+            Words(2000, "3,4"),
+            "The labels of a segmentation that are hidden, by their values, such as 3,4, or none",
+        ),
+        Knob(
+            "material",
+            Words(200, "glass,index=1.3"),
+            "What the surface is made of: diffuse, glass or subsurface, with its index, absorption or mean_free_path",
+        ),
+    ),
+    "Options": (
+        Knob(
+            "isovalue",
+            Isovalue(),
+            "Value of the surface, in the volume's own units, within the scene's range",
+            own=lambda scene: scene.isovalue,
+        ),
+        Knob(
+            "projection",
+            Choice(PROJECTIONS),
+            "How rays leave the camera, from the eye or side by side; what is at the target is as large in both",
+            own=lambda scene: scene.settings.projection,
+        ),
+    ),
+    "Camera": (
+        Knob("azimuth", ANGLE, "Where to look from: 0 from +x, 90 from +y", 30.0, "degrees"),
+        Knob("elevation", Span(-90, 90), "Where to look from, above the xy plane", 20.0, "degrees"),
+        Knob("distance", Span(0.01, 1e7), "From the target, in radii of the volume's bounding sphere", 3.4),
+        Knob("fov", Span(0.01, 179), "Vertical field of view", 30.0, "degrees"),
+        Knob("eye", XYZ, "World x,y,z of the eye, instead of azimuth, elevation and distance", otherwise=""),
+        Knob("target", XYZ, "World x,y,z in the middle of the picture", otherwise="the volume's centre"),
+        Knob("up", XYZ, "World x,y,z that points up", otherwise="0,0,1 with eye, else the orbit's own"),
+        Knob(
+            "window",
+            Planes(),
+            "Planes that take away what the eye would see there, in world units: x>40, or a normal such as 0,1,-1<12.5,"
+            " with ; between them. All light stays; what is cut open shows its values",
+            otherwise="",
+        ),
+    ),
+    "Light": (
+        Knob("yaw", ANGLE, "Turns the light about z", 0.0, "degrees"),
+        Knob("pitch", ANGLE, "Then about y", 0.0, "degrees"),
+        Knob("roll", ANGLE, "Then about x", 0.0, "degrees"),
+        Knob(
+            "light",
+            Row(("w", "x", "y", "z")),
+            "Quaternion w,x,y,z that turns the light, instead of yaw, pitch and roll",
+            otherwise="",
+        ),
+    ),
+    "Picture": (
+        Knob(
+            "albedo",
+            Colour(),
+            "The share of the light that the surface reflects, one number or r,g,b, within the scene's albedos",
+            own=_albedo,
+        ),
+        Knob(
+            "shine", Choice(SHINE_KINDS), "What the surface shines as, where the scene has a shine", own=_shine("shine")
+        ),
+        Knob("roughness", Span(*SHINE_RANGES["roughness"]), "Roughness of that shine", own=_shine("roughness")),
+        Knob("strength", Span(*SHINE_RANGES["strength"]), "How much that shine counts", own=_shine("strength")),
+        Knob(
+            "glow",
+            Span(0, MAX_GLOW_STRENGTH),
+            "How bright what glows is, where something does, over the scene's own",
+            1.0,
+            own=lambda scene: 1.0 if scene.lighting.glowing.any else None,
+        ),
+        Knob("width", SIDE, "Width of the picture", 512, "pixels"),
+        Knob("height", SIDE, "Height of the picture", 512, "pixels"),
+        Knob("shading", Choice(VIEW_SHADINGS), "How the surface is lit: gi by light from all around", "gi"),
+        Knob(
+            "exposure",
+            Span(1e-36, 1e36),
+            "Factor on radiance before the tone curve",
+            own=lambda scene: scene.default_exposure,
+        ),
+        Knob(
+            "antialias",
+            Choice(("on", "off")),
+            "Whether pixels at edges are the mean of 8 to 16 samples",
+            otherwise="on, off in npy",
+        ),
+        Knob(
+            "background",
+            Ground(),
+            "Behind the surface: light, dark, transparent (not in jpeg), or sRGB such as #ffffff",
+            "light",
+            own=_none,
+        ),
+        Knob("samples", Span(1, 4096, whole=True), "Paths per pixel, of path_traced alone", 16, own=_none),
+        Knob(
+            "overlay",
+            Choice(OVERLAYS),
+            "Marks over the picture: provisional hatches what is not final; error colours each pixel by its estimated"
+            " relative error on a log scale (the scene's error_scale), and hatches what has no light yet",
+            "none",
+            own=_none,
+        ),
+    ),
+    "Work": (
+        Knob("wait_ms", Span(0, LONGEST_WAIT, whole=True), "Longest wait for baking", 0, "milliseconds", own=_none),
+        Knob(
+            "max_error",
+            Span(0.0001, 1),
+            "Relative error at which light is final",
+            otherwise="the scene's target_error",
+        ),
+    ),
+}
+"""The knobs by what they are of: headings of help, but for the volume's and the work's, which have options apart."""
+
+KNOBS = {knob.name: knob for group in GROUPS.values() for knob in group}
