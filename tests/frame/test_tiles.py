@@ -54,8 +54,8 @@ def test_tiles_do_not_wait_for_a_busy_helper() -> None:
         held.result(10)
 
 
-@pytest.mark.parametrize("failing", ["tile_0", "tile_1"])
-def test_a_helpers_error_comes_out_after_the_other_pieces(failing: str) -> None:
+@pytest.mark.parametrize("failing", ["tile_0", "tile_1", "MainThread"])
+def test_an_error_of_any_thread_comes_out_after_the_others(failing: str) -> None:
     tiles, together, ended = Tiles(3), threading.Barrier(3), []
 
     def piece(a: int, b: int) -> None:
