@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from isogi_core.bake.precision import (
+from isogi_core.bake.texel_light import (
     CODES_PER_HALVING,
     FIRST_LEVEL,
     LARGEST_HALF,
@@ -16,6 +16,7 @@ from isogi_core.bake.precision import (
     SMALLEST,
     VOID,
     VOID_CODE,
+    Light,
     decoded_light,
     level_codes,
     light_codes,
@@ -24,7 +25,6 @@ from isogi_core.bake.precision import (
     noise_of,
     round_light,
 )
-from isogi_core.bake.texel_light import Light
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, ScenePlan
 from tests.bake.texels import same
 

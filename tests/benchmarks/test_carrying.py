@@ -19,7 +19,7 @@ from benchmarks.accuracy.carrying import (
 )
 from benchmarks.accuracy.projection import by_shares_and_normals, plain, sides_of
 from isogi_core.frame import texel_shading
-from isogi_report.bake import ViewBake
+from isogi_report.bench import ViewBake
 from isogi_report.exact import straight_light, unrounded
 from isogi_report.metrics import luminance_of
 from tests.benchmarks.parts import bench_of

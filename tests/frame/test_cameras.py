@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from isogi_core.files.grid import Vector
 from isogi_core.frame.fitting import FILLED, Stand, fitted, fitted_to_all, nearest
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.orientation import Orientation
-from isogi_core.model.view import Camera, Vec3, View, orbit, orthographic
+from isogi_core.model.view import Camera, View, orbit, orthographic
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.isovalue_presets import FRONT, SKEW_AZIMUTHS, front_of
 from isogi_core.plan.scene import Scene
@@ -65,7 +66,7 @@ def test_the_longer_side_lies_across_the_first_picture() -> None:
     assert cube == FRONT and long[0] < cube[0] and wide == (SKEW_AZIMUTHS[1], FRONT[1])
 
 
-def edges_of(bench: Workbench, view: View, stand: Stand, found: tuple[Vec3, float], projection: str) -> np.ndarray:
+def edges_of(bench: Workbench, view: View, stand: Stand, found: tuple[Vector, float], projection: str) -> np.ndarray:
     """How far the surface reaches in the picture of a camera at a ``stand``, 1 at its edges: left, right, down, up."""
     camera = orbit(found[0], bench.scene.volume.radius, stand.azimuth, stand.elevation, found[1], view.camera.fov)
     seen = bench.renderer.gbuffer(replace(view, camera=bench.scene.in_box(camera, projection)))

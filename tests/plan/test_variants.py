@@ -10,14 +10,24 @@ import pytest
 from isogi_core.cache.scene_assets import files_of
 from isogi_core.errors import SceneError
 from isogi_core.files.radiance import write_hdr
-from isogi_core.files.scene_changes import read_clears
-from isogi_core.files.scene_file import split_settings
+from isogi_core.files.scene_file import read_clears, split_settings
 from isogi_core.model.lights import EnvironmentLight, ProbeLight
 from isogi_core.model.material import MATERIALS, Material
 from isogi_core.plan.assembly import build_scene, load_scene
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.sides import OUTER, Side, scene_of_side, sides_of
-from isogi_core.plan.variants import FURTHER, find_materials, finer, has_finer, under, with_clears, with_material
+from isogi_core.plan.variants import (
+    FURTHER,
+    OUTER,
+    Side,
+    find_materials,
+    finer,
+    has_finer,
+    scene_of_side,
+    sides_of,
+    under,
+    with_clears,
+    with_material,
+)
 
 TEXT = """
 volume = "demo:orbital"

@@ -7,8 +7,7 @@ import numpy as np
 from isogi_core.bake.refine import locate
 from isogi_core.frame.projected_texels import STEEPNESS, find_distances
 from isogi_core.frame.renderer import Renderer
-from isogi_report.bake import UNREACHED_TARGET, ViewBake
-from isogi_report.bench import Bench
+from isogi_report.bench import UNREACHED_TARGET, Bench, ViewBake
 from isogi_report.speed import bake_view, make_renderer
 from tests.report.conftest import MakeBench
 

@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from isogi_report.cells import text_column, text_columns
-from isogi_report.sections import Cell, Column, Table
+from isogi_report.sections import Cell, Column, Table, text_column, text_columns
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,10 @@
 
 import pytest
 
-from isogi_report import convergence
+from isogi_report import studies
 from isogi_report.bench import Bench
-from isogi_report.convergence import EQUAL_ERROR_COLUMNS, even, evens, seconds_at
 from isogi_report.sections import Curve
+from isogi_report.studies import EQUAL_ERROR_COLUMNS, even, evens, seconds_at
 from tests.toil import PACE, measure_toil
 
 TRACED = Curve("paths", (0.01, 0.04, 0.16, 0.64), (0.08, 0.04, 0.02, 0.01))
@@ -37,9 +37,9 @@ def test_a_bake_counts_at_its_cheapest_good_point() -> None:
 def test_curves_fall_with_time(under_sky: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each point of baked light has cost all samples up to its own, each of traced paths its own alone."""
     measure_toil(monkeypatch)
-    monkeypatch.setattr(convergence, "CURVE_SAMPLES", (16, 64))
-    monkeypatch.setattr(convergence, "CURVE_PIXELS", 12)
-    (plot,) = convergence.study(under_sky).plots
+    monkeypatch.setattr(studies, "CURVE_SAMPLES", (16, 64))
+    monkeypatch.setattr(studies, "CURVE_PIXELS", 12)
+    (plot,) = studies.study_convergence(under_sky).plots
     assert [curve.x for curve in plot.curves[3:]] == [(16 * 12 * 12 / PACE, 64 * 12 * 12 / PACE)]
     for curve in plot.curves:
         assert 0 < curve.x[0] == curve.x[1] / 4

@@ -8,7 +8,7 @@ import pytest
 from isogi_report.bench import Bench
 from isogi_report.exact import cuts_harmonics, lit_by_paths, own_light, reference_difference, short_paths
 from isogi_report.metrics import mean_of, spread_of
-from isogi_report.split import Split, split_error, study, true_surface
+from isogi_report.studies import Split, split_error, study_split, true_surface
 
 CONSTANT = {"type": "constant", "radiance": 1.0}
 
@@ -85,7 +85,7 @@ def test_normals_and_offset_are_told_apart(under_sky: Bench) -> None:
 
 
 def test_constant_light_has_no_truncation_and_no_rounding(calm: Bench) -> None:
-    section = study(calm)
+    section = study_split(calm)
     assert names(split_error(calm)) == ["Monte Carlo noise", "interpolation", "bounces cut off"]
     assert not cuts_harmonics(calm.scene)
     assert own_light(calm).light is not None

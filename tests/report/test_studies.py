@@ -14,9 +14,8 @@ from isogi_core.errors import Cancelled, StoreError, ViewError
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_report import bench as benches
-from isogi_report import convergence
-from isogi_report.bake import ViewBake
-from isogi_report.bench import Bench
+from isogi_report import studies
+from isogi_report.bench import Bench, ViewBake
 from isogi_report.exact import CONVERGED_SAMPLE_FACTOR, converged
 from isogi_report.journal import Entry
 from isogi_report.measuring import STUDIES, Study, run
@@ -25,8 +24,8 @@ from isogi_report.sections import COLUMN_UNITS, Section
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(convergence, "CURVE_SAMPLES", (16, 64))
-    monkeypatch.setattr(convergence, "CURVE_PIXELS", 12)
+    monkeypatch.setattr(studies, "CURVE_SAMPLES", (16, 64))
+    monkeypatch.setattr(studies, "CURVE_PIXELS", 12)
 
 
 def check(section: Section) -> None:
@@ -67,7 +66,7 @@ def test_what_gives_way_to_time_is_told(make_bench: Callable[..., Bench]) -> Non
     bench = make_bench()
     assert not bench.hurried
     late = replace(bench, deadline=time.monotonic() + 1e-3, hurry=threading.Event(), _made={})
-    found = run(Study("convergence", "", convergence.study, 1.0), late)
+    found = run(Study("convergence", "", studies.study_convergence, 1.0), late)
     assert late.hurried
     assert isinstance(found, Entry) and "ends at 16 samples" in found.section.about
     assert not bench.hurried

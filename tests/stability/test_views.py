@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import ViewError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.shading.framebuffer import CONVERGING
@@ -15,7 +15,7 @@ from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.view import Camera, View, orthographic
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.scene import Scene
-from isogi_report.bake import ViewBake
+from isogi_report.bench import ViewBake
 from server.parameters import ViewParams, read
 from server.views import camera_of
 from tests.loaded import load_scene

@@ -28,10 +28,19 @@ from isogi_core.errors import (
     StoreUrlError,
 )
 from isogi_core.storage.backend import StoredObject, StoreUrl
-from isogi_core.storage.documents import MAX_TRIES, Documents
-from isogi_core.storage.local_copies import Copies
+from isogi_core.storage.folder import Copies
 from isogi_core.storage.object_store import sentence
-from isogi_core.storage.store import CHECKED, SENTINEL_CONTENT, SENTINEL_KEY, Store, unwrap, unwrap_all, wrap
+from isogi_core.storage.store import (
+    CHECKED,
+    MAX_TRIES,
+    SENTINEL_CONTENT,
+    SENTINEL_KEY,
+    Documents,
+    Store,
+    unwrap,
+    unwrap_all,
+    wrap,
+)
 from tests.s3 import ACCESS_KEY, SECRET_KEY, Fault, S3Server
 from tests.worker.clock import Clock
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.noise import Effort
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.noise import Until
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.page_pool import UNLIT_VERSION
 from isogi_core.frame.card import blocks
 from isogi_core.frame.card.blocks import (

@@ -15,7 +15,7 @@ from isogi_core.kernels.tracing.peels import MAX_PEELED_LAYERS
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import Camera, View
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.sides import Side
+from isogi_core.plan.variants import Side
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import ball, scene_of
 

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from numba import njit
 
-from isogi_core.kernels.tracing.camera import Pinhole, pixel_ray, trace_pixels
+from isogi_core.kernels.tracing.camera import NO_WALLS, Pinhole, Sight, pixel_ray, trace_pixels
 from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE, cast
 from isogi_core.kernels.tracing.vec import madd
 from tests.kernels.fields import field_of, surface_of
 from tests.scale import few
 
 SIDE = few(96, 12)
+ALONE = Sight(NO_WALLS, np.empty((0, 4)))
 Z, Y, X = np.mgrid[:33, :33, :33] - 16.0
 BALL = 10.0 - np.sqrt(X * X + Y * Y + Z * Z)
 SLOPE = 16.0 - np.broadcast_to(np.arange(33.0)[:, None, None], (33, 33, 33))
@@ -37,11 +38,12 @@ def picture(voxels, iso, camera, width=SIDE, height=SIDE, tile=None, spacing=(1.
     position = np.full((width * height, 3), np.nan, np.float32)
     for first in range(0, width * height, tile or width * height):
         count = min(tile or width * height, width * height - first)
-        pixels, points = np.zeros(count, np.uint32), np.zeros((count, 3), np.float32)
-        hits = trace_pixels(surface, camera, first, width, pixels, points)
-        assert not points[hits:].any() and not pixels[hits:].any(), "nothing is written past the hits"
-        assert (np.diff(pixels[:hits].astype(int)) > 0).all()
-        position[pixels[:hits]] = points[:hits]
+        pixels, points = np.zeros((2, count), np.uint32), np.zeros((2, count, 3), np.float32)
+        hits, beside = trace_pixels(surface, ALONE, camera, first, width, pixels, points, np.zeros(count, np.int8))
+        assert beside == 0 and not pixels[1].any()
+        assert not points[0, hits:].any() and not pixels[0, hits:].any(), "nothing is written past the hits"
+        assert (np.diff(pixels[0, :hits].astype(int)) > 0).all()
+        position[pixels[0, :hits]] = points[0, :hits]
     return position.reshape(height, width, 3)
 
 

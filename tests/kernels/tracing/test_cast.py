@@ -5,7 +5,6 @@ import mmap
 import numpy as np
 import pytest
 
-from isogi_core.files.nrrd import read_nrrd
 from isogi_core.kernels.simd.types import REGISTER_LANES
 from isogi_core.kernels.tracing.active_cells import (
     BRICK_CELLS,
@@ -21,6 +20,7 @@ from isogi_core.kernels.tracing.macrocells import macrocell_shape
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.model.volume import make_volume
 from isogi_core.prepared.prepared_scene import make_field
+from tests.loaded import read_nrrd
 from tests.scale import COMPILED, few
 
 COUNT = few(20_000, 20)

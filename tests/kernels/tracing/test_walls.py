@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from isogi_core.kernels.tracing.camera import Pinhole, Sight, trace_pixels_in_sight
+from isogi_core.kernels.tracing.camera import Pinhole, Sight, trace_pixels
 from isogi_core.kernels.tracing.vec import column
 from isogi_core.kernels.tracing.walls import NO_WALL, meet_walls, nearest_wall
 from tests.kernels.fields import field_of, surface_of
@@ -55,9 +55,7 @@ def test_the_camera_looks_through_backs_that_are_dark() -> None:
     camera = Pinhole((80.0, 10.0, 10.0), (-1.0, 0.5, 0.5), (0.0, -0.0625, 0.0), (0.0, 0.0, -0.0625))
     pixels, points = np.empty((2, 256), np.uint32), np.empty((2, 256, 3), np.float32)
     numbers = np.empty(256, np.int8)
-    seen, walled = trace_pixels_in_sight(
-        surface_of(field, 0.0), Sight(walls, WHOLE), camera, 0, 16, pixels, points, numbers
-    )
+    seen, walled = trace_pixels(surface_of(field, 0.0), Sight(walls, WHOLE), camera, 0, 16, pixels, points, numbers)
     assert seen > 0
     assert seen + walled < 256  # what passes beside the room
     assert 0 in numbers[:walled]
@@ -66,8 +64,6 @@ def test_the_camera_looks_through_backs_that_are_dark() -> None:
     radii = np.linalg.norm(points[0, :seen] - 10.0, axis=1)
     np.testing.assert_allclose(radii, 4.0, atol=0.1)
     closed = room.walls
-    seen, _ = trace_pixels_in_sight(
-        surface_of(field, 0.0), Sight(closed, WHOLE), camera, 0, 16, pixels, points, numbers
-    )
+    seen, _ = trace_pixels(surface_of(field, 0.0), Sight(closed, WHOLE), camera, 0, 16, pixels, points, numbers)
     assert seen == 0
     assert math.isfinite(float(points[1, 0, 0]))

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isogi_core.files.nrrd import read_nrrd
 from isogi_core.kernels.shading.local_models import find_normals
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS, to_index
@@ -19,6 +18,7 @@ from isogi_core.kernels.transport.sampling import about
 from isogi_core.kernels.transport.transfer import bake_texels, locate_texels
 from tests.kernels.fields import cast_each, cells_of, field_of, surface_of
 from tests.kernels.transport.lighting import trace_points
+from tests.loaded import read_nrrd
 from tests.scale import COMPILED, few
 
 ENDLESS = 1000

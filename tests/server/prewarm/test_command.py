@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame import projected_texels
 from isogi_core.frame.rays.picture_plan import SHARED_PRICES
 from isogi_core.kernels.shading.framebuffer import CONVERGING

@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from isogi_core.bake.bake_spec import spec_for
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.rays.picture_plan import COUNTED_TEXEL_SHARE, SHARED_PRICES, Prices
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene

@@ -36,7 +36,7 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("worker.queue.FORGET_AFTER", 2.0)
     monkeypatch.setattr("worker.queue.EXPIRY_CHECK_SECONDS", 0.1)
     monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.05)
-    monkeypatch.setattr("isogi_core.cache.loader.ASK_AGAIN", 0.0)
+    monkeypatch.setattr("isogi_core.cache.scene_caches.ASK_AGAIN", 0.0)
     monkeypatch.setattr("worker.baker.SHORTEST_PAUSE", 0.05)
     monkeypatch.setattr("worker.baker.LONGEST_PAUSE", 0.2)
 

@@ -33,7 +33,7 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
     monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.0)
     monkeypatch.setattr("isogi_core.storage.store.WRITE_RETRY_SECONDS", 0.0)
-    monkeypatch.setattr("isogi_core.cache.loader.ASK_AGAIN", 0.0)
+    monkeypatch.setattr("isogi_core.cache.scene_caches.ASK_AGAIN", 0.0)
     monkeypatch.setattr("worker.baker.SHORTEST_PAUSE", 0.01)
     monkeypatch.setattr("worker.baker.LONGEST_PAUSE", 0.01)
 

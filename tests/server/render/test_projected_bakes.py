@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache import upkeep as pruning
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.upkeep import census_of, trim_projected

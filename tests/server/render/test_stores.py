@@ -56,7 +56,7 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     Watched.sent = []
     monkeypatch.setattr(pool, "WorkerPool", Watched)
     monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.0)
-    monkeypatch.setattr("isogi_core.cache.loader.ASK_AGAIN", 0.0)
+    monkeypatch.setattr("isogi_core.cache.scene_caches.ASK_AGAIN", 0.0)
     monkeypatch.setattr("server.render.workforce.FINDING_SECONDS", 0.0)
     monkeypatch.setattr("worker.baker.SHORTEST_PAUSE", 0.05)
     monkeypatch.setattr("worker.baker.LONGEST_PAUSE", 0.05)

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from isogi_core.files.formats.opening import open_file
 from isogi_core.files.grid import Grid, LabelName
-from isogi_core.files.nrrd import open_nrrd, read_nrrd
 from server.uploads.folder import NRRD_TYPES, SCENE_BYTES, read_facts, write
+from tests.loaded import read_nrrd
 
 RAMP = np.arange(24).reshape(2, 3, 4)
 
@@ -78,13 +79,13 @@ def test_labels_keep_their_names_and_colours(tmp_path: Path) -> None:
     path = labelled(tmp_path, LABELS)
     assert read_facts(path)
     odd = LabelName(2, "oddSegment7_Name:=xne", "")
-    assert open_nrrd(path).labels == (LABELS[0], odd, LabelName(9, "x" * 64, "#000001"))
+    assert open_file(path, {}).labels == (LABELS[0], odd, LabelName(9, "x" * 64, "#000001"))
     bare = labelled(tmp_path, None)
-    assert open_nrrd(bare).labels is None and bare.stem != path.stem
+    assert open_file(bare, {}).labels is None and bare.stem != path.stem
     assert bare == kept(tmp_path, RAMP.astype("u1"))
-    assert open_nrrd(labelled(tmp_path, ())).labels is not None
+    assert open_file(labelled(tmp_path, ()), {}).labels is not None
     many = labelled(tmp_path, tuple(LabelName(n, "ä" * 64, "#123456") for n in range(1, 400)))
-    assert read_facts(many) and len(open_nrrd(many).labels or ()) == 255
+    assert read_facts(many) and len(open_file(many, {}).labels or ()) == 255
 
 
 def test_what_isogi_did_not_write_is_none(tmp_path: Path) -> None:
