@@ -28,14 +28,14 @@ from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER_LANES
 from isogi_core.kernels.tracing import ray_stream
 from isogi_core.kernels.tracing.cast import cast_batch
 from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
-from isogi_core.kernels.transport.wavefront import bounce_rays
+from isogi_core.kernels.transport.integrator import bounce_rays
 from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.runs import Run, serially
-from isogi_report.bake import UNREACHED_TARGET
+from isogi_report.bench import UNREACHED_TARGET
 from server.parameters import FORMATS
 from server.pictures import encode
 from server.progress import open_scene

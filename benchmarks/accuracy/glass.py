@@ -28,7 +28,7 @@ from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import ControlPixels
-from isogi_core.frame.rays.estimate import HALVES
+from isogi_core.frame.rays.point_paths import HALVES
 from isogi_core.frame.rays.through_matter import BREADTH, SeenThrough, Trees, dark_row
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles

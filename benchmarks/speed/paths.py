@@ -28,12 +28,12 @@ from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN
-from isogi_core.kernels.transport.wavefront import bounce_rays
+from isogi_core.kernels.transport.integrator import bounce_rays
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_report.bake import UNREACHED_TARGET
+from isogi_report.bench import UNREACHED_TARGET
 from isogi_report.speed import (
     Candidate,
     Rays,

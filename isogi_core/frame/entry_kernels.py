@@ -1,6 +1,6 @@
 """The entry kernels that frames of a scene call, so that they are ready before the first."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from isogi_core.frame.view_texels import carries_irradiance_ratios
@@ -42,9 +42,7 @@ from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, nu
 from isogi_core.kernels.tracing.camera import (
     read_values,
     trace_pixels,
-    trace_pixels_in_sight,
     trace_places,
-    trace_places_in_sight,
 )
 from isogi_core.kernels.tracing.glow import Glows, gather_from_eye
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
@@ -78,16 +76,14 @@ LOBES = (
 )
 """Kernels that only lights with lobes call."""
 
-ROOM = (trace_pixels_in_sight, trace_places_in_sight, light_walls)
-"""Kernels that only scenes with walls call, in addition; not their ``trace_pixels`` and ``trace_places``. Scenes that
-have several surfaces, too, call ``light_walls`` alone.
-"""
+ROOM = (light_walls,)
+"""Kernels that only scenes with walls call."""
 
 COLOURED = (fill_albedos,)
 """Kernels that only scenes with colours by data call; their paths are those of a room."""
 
 AMONG = (peel_rays,)
-"""Kernels that only scenes with several surfaces call; not their ``trace_pixels`` and ``trace_places``."""
+"""Kernels that only scenes with several surfaces call; they call no ``trace_pixels`` and no ``trace_places``."""
 
 SHINE_KERNELS = (cast_shine, fill_below, fill_energy, pool_noise, filter_shine)
 """Kernels that only scenes with a shine call; and, where lights have lobes, ``light_ends``."""
@@ -141,15 +137,33 @@ FRAME = (
     keep_normals,
     *LOBES[1:],
 )
-"""All of them but ROOM, those that take longest to compile first."""
+"""Kernels of a plain scene in turning light, with lobes and texels that are projected; the slowest compile first."""
+
+KERNELS = tuple(dict.fromkeys((*ROOM, *COLOURED, *GLOW, *MATTER, *AMONG, *SHINE_KERNELS, light_ends, *FRAME)))
+"""All kernels of frames, but for those of whole paths; the slowest compile first."""
+
+CALLED_IF: Mapping[Any, Callable[[Scene, bool], bool]] = {
+    **dict.fromkeys((trace_pixels, trace_places), lambda scene, _: not has_several(scene)),
+    **dict.fromkeys(ROOM, lambda scene, _: has_walls(scene)),
+    **dict.fromkeys(COLOURED, lambda scene, _: bool(scene.surfaces.colours)),
+    **dict.fromkeys(GLOW, lambda scene, _: scene.lighting.glowing.any),
+    **dict.fromkeys(MATTER, lambda scene, _: scene.surfaces.material.refracts),
+    **dict.fromkeys(AMONG, lambda scene, _: has_several(scene)),
+    **dict.fromkeys(SHINE_KERNELS, lambda scene, _: bool(scene.surfaces.shine)),
+    light_ends: lambda scene, _: bool(scene.surfaces.shine) and scene.plan.lobes > 0,
+    pool_noise: lambda scene, _: bool(scene.surfaces.shine) or scene.surfaces.material.refracts,
+    count_stiffness: lambda scene, _: scene.settings.projected is None,
+    measure_distances: lambda _, projects: projects,
+    carry_ratios: lambda scene, projects: projects or carries_irradiance_ratios(scene, "gi", False),
+    carry_light: lambda scene, _: not carries_irradiance_ratios(scene, "gi", False),
+}
+"""What a scene has whose frames call a kernel, given whether the scene projects texels; see also ``uncalled``."""
 
 OTHER_KERNELS = (
     mean_around,
     find_shadows,
     shade_local,
-    trace_pixels_in_sight,
     read_values,
-    trace_places_in_sight,
 )
 """Kernels of pictures without light from texels (local shadings and path-traced ones), of checks of pictures, and of
 views through a window.
@@ -157,7 +171,7 @@ views through a window.
 
 
 FIRST_KERNELS = (
-    *(trace_pixels, trace_pixels_in_sight, light_in_room, light_walls, fill_seeds, peel_rays),
+    *(trace_pixels, light_in_room, light_walls, fill_seeds, peel_rays),
     *(mark_bricks, fill_ranges, pack_bricks, number_bricks, fill_macrocells, count_stiffness),
     *(find_normals, tally, develop_rows, fill_curve),
 )
@@ -171,26 +185,22 @@ def first_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
 
 
 def frame_kernels(scenes: Iterable[Scene], surveyed: bool = True) -> tuple[Any, ...]:
-    """Kernels that frames of any of the ``scenes`` call: ROOM where one has walls, COLOURED where one has colours,
-    MATTER where light passes one, AMONG where one has several surfaces, GLOW where something glows, SHINE_KERNELS where
-    one shines, then in the order of FRAME.
+    """Kernels that frames of any of the ``scenes`` call: those of paths first, then in the order of KERNELS.
 
-    Whether a scene projects texels is asked of a survey of its volume, which calls kernels itself: those that are not
+    Whether a scene projects texels is asked of a survey of its volume, which calls kernels itself: scenes that are not
     ``surveyed`` count as if they did.
     """
     shown = tuple(scenes)
-    uncalled = set.intersection({*FRAME}, *(uncalled_by(scene, surveyed) for scene in shown))
-    rooms = ROOM if any(scene.lighting.room.any and not scene.surfaces.several for scene in shown) else ()
-    rooms += (light_walls,) if any(scene.lighting.room.any and scene.surfaces.several for scene in shown) else ()
-    shining = [scene for scene in shown if scene.surfaces.shine]
-    shines = SHINE_KERNELS if shining else ()
-    lobes = (light_ends,) if any(scene.plan.lobes for scene in shining) else ()
-    rooms += COLOURED if any(scene.surfaces.colours for scene in shown) else ()
-    rooms += GLOW if any(scene.lighting.glowing.any for scene in shown) else ()
-    rooms += MATTER if any(scene.surfaces.material.refracts for scene in shown) else ()
-    rooms += AMONG if any(scene.surfaces.several for scene in shown) else ()
     paths = dict.fromkeys(kernel for scene in shown if not only_checked(scene) for kernel in paths_of(scene))
-    return (*paths, *rooms, *shines, *lobes, *(kernel for kernel in FRAME if kernel not in uncalled))
+    called = (kernel for kernel in KERNELS if any(calls(scene, kernel, surveyed) for scene in shown))
+    return (*paths, *called)
+
+
+def calls(scene: Scene, kernel: Any, surveyed: bool) -> bool:
+    """Whether frames of a ``scene`` call a ``kernel`` of KERNELS; for ``surveyed`` see ``frame_kernels``."""
+    names = uncalled(scene.lighting.rotating, scene.lighting.environment, scene.lighting.lamps, scene.plan.lobes)
+    needed = CALLED_IF.get(kernel)
+    return kernel.__name__ not in names and (needed is None or needed(scene, not surveyed or scene.projection.any))
 
 
 def other_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
@@ -204,19 +214,16 @@ def paths_of(scene: Scene) -> tuple[Any, ...]:
     return (*path_kernels(scene.meets, Surroundings), *glow)
 
 
+def has_walls(scene: Scene) -> bool:
+    """Whether a ``scene`` is in a room."""
+    return scene.lighting.room.any
+
+
+def has_several(scene: Scene) -> bool:
+    """Whether a ``scene`` has several surfaces."""
+    return scene.surfaces.several
+
+
 def only_checked(scene: Scene) -> bool:
     """Whether frames of a ``scene`` send paths only where they are checked: no walls, no ways by chance."""
-    return not (scene.lighting.room.any or scene.surfaces.several or scene.surfaces.material.refracts)
-
-
-def uncalled_by(scene: Scene, surveyed: bool) -> set[Any]:
-    """Kernels that frames of a ``scene`` never call; for ``surveyed`` see ``frame_kernels``."""
-    names = {*uncalled(scene.lighting.rotating, scene.lighting.environment, scene.lighting.lamps, scene.plan.lobes)}
-    never = {kernel for kernel in FRAME if kernel.__name__ in names}
-    never |= set() if scene.settings.projected is None else {count_stiffness}
-    projects = not surveyed or scene.projection.any
-    never |= set() if projects else {measure_distances}
-    never |= {trace_pixels, trace_places} if scene.lighting.room.any or scene.surfaces.several else set()
-    if carries_irradiance_ratios(scene, "gi", False):
-        return never | {carry_light}
-    return never if projects else never | {carry_ratios}
+    return not (has_walls(scene) or has_several(scene) or scene.surfaces.material.refracts)

@@ -1,7 +1,7 @@
 """The light of the surface in a picture, and of walls: by local models, by paths, or by texels, and refined."""
 
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 from isogi_core.bake.bake_spec import spec_name
 from isogi_core.bake.noise import Until
@@ -16,6 +16,7 @@ from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.rays.shine_light import ShineLight, ViewShine
 from isogi_core.frame.rays.through_matter import ViewThrough
 from isogi_core.frame.rays.wall_light import ViewWalls
+from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.shading import (
     colour_surface,
     empty_framebuffer,
@@ -30,17 +31,6 @@ from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
-
-
-class Refinement(Protocol):
-    """A kind of light that pictures take more paths for, step by step, and show as far as it has come."""
-
-    def step(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """Bring a ``frame`` in a ``light`` a step nearer to the ``target``; whether there was a step to take.
-
-        Ways to the target are weighed at these ``prices``. Raises Cancelled.
-        """
-
 
 VIEW_BYTES = 256 << 20
 """Bytes that are kept of views, for turning light and for asking again."""
@@ -78,7 +68,8 @@ class SurfaceRenderer:
         self._walls = ViewWalls(self._kept, self.prepared.scene.volume, WallStore(caches.store, self.prepared))
         self._through = ViewThrough(self._kept, self._walls)
         self._shine = ViewShine(self._kept, self._texels, self._walls, self.checks)
-        self._refinements: tuple[Refinement, ...] = (self._through, self._shine, self.checks)
+        walls = self._through if self.prepared.scene.surfaces.material.refracts else self._walls
+        self._refinements: tuple[Refinement[Any], ...] = (walls, self._shine, self.checks)
 
     @property
     def nbytes(self) -> int:
@@ -123,7 +114,7 @@ class SurfaceRenderer:
         """The frame out of the illumination cache: global illumination, or vicinity shading (S1, section 4.2)."""
         target = until.target
         checked = is_checked(light.view) and until.enough < MAX_SAMPLES
-        known = self.checks.of(light, gbuffer, target).known if checked else None
+        known = self.checks.check(light, gbuffer, target).known if checked else None
         with watch.stage("texels"):
             texels = self.texels(light.view, gbuffer, tiles)
         shine, until = b"", texels_until(until, light.view, known)

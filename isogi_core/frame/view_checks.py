@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from isogi_core.bake.noise import RATE, Until
-from isogi_core.bake.precision import FIRST_LEVEL, next_level
+from isogi_core.bake.texel_light import FIRST_LEVEL, next_level
 from isogi_core.frame.frame import Frame, PictureState
 from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.lighting import RotatedLight
@@ -50,6 +50,7 @@ from isogi_core.frame.rays.picture_plan import (
     rungs_above,
     rungs_at_once,
 )
+from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.shading import texel_disagreement
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.texel_shading import TexelShading
@@ -90,15 +91,17 @@ class PictureCheck:
         """Bytes that it takes."""
         return self.known.nbytes + (self.growing.nbytes if self.growing else 0)
 
-    def step(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
+    def is_shown(self, frame: Frame) -> bool:
+        """Whether a ``frame`` was drawn by the controls and for the samples that are known now."""
+        shown = frame.quality.known
+        return shown is not None and shown.controls is self.known.controls and shown.enough == self.known.enough
+
+    def advance(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
         """Come one step nearer to the target from a ``frame`` of this picture; whether there was one to take.
 
         ``uncertainty`` (m,) says how uncertain the light of each surface point is; ways to the target are weighed at
-        these ``prices``. Where another thread took a step since the frame was drawn, that was it. Raises Cancelled.
+        these ``prices``. Raises Cancelled.
         """
-        shown = frame.quality.known
-        if shown is None or shown.controls is not self.known.controls or shown.enough != self.known.enough:
-            return True
         taken = frame.surface > 0 and not frame.final and self._step(frame, uncertainty, tiles, prices)
         self.known = replace(self.known, ended=not taken)
         return taken
@@ -247,31 +250,33 @@ class PathsLeft(NamedTuple):
     pace: float | None = None
 
 
-class ViewChecks:
+class ViewChecks(Refinement[PictureCheck]):
     """The checks of the pictures of views that are ``kept``, shaded by their ``texels``."""
 
     def __init__(self, kept: LruCache[Any], texels: TexelShading) -> None:
         """Keep them there, and ask ``texels`` how far they differ."""
         self._kept, self._texels = kept, texels
 
-    def of(self, light: RotatedLight, gbuffer: GBuffer, target: float) -> PictureCheck:
+    def check(self, light: RotatedLight, gbuffer: GBuffer, target: float) -> PictureCheck:
         """What is known of the picture of a view besides its texels' light."""
         return self._kept.get(check_key(light.view, target), lambda: PictureCheck(light, gbuffer, PictureState(target)))
+
+    def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> PictureCheck:
+        """See ``Refinement``."""
+        return self.check(light, frame.gbuffer, target)
+
+    def advance(self, found: PictureCheck, frame: Frame, target: float, tiles: Tiles, prices: Prices) -> bool:
+        """See ``Refinement``. Pixels whose light grows were chosen before: nothing is drawn by the uncertainty then."""
+        uncertainty = found.known.uncertainty if found.growing else self._uncertainty(frame, found, tiles)
+        return found.advance(frame, uncertainty, tiles, prices)
 
     def held(self, view: View, target: float) -> PictureCheck | None:
         """The check of a view's picture, where anything is known of it."""
         return self._kept.held(check_key(view, target)) if is_checked(view) else None
 
-    def step(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """Take a step of the check of a picture: see ``Refinement``."""
-        check = self.of(light, frame.gbuffer, target)
-        with check.lock:  # pixels whose own light grows were chosen: nothing is drawn by the uncertainty then
-            known = check.known
-            uncertainty = known.uncertainty if check.growing else self._uncertainty(frame, light, known, tiles)
-            return check.step(frame, uncertainty, tiles, prices)
-
-    def _uncertainty(self, frame: Frame, light: RotatedLight, known: PictureState, tiles: Tiles) -> np.ndarray:
+    def _uncertainty(self, frame: Frame, check: PictureCheck, tiles: Tiles) -> np.ndarray:
         """How uncertain the light of each surface point is, by how texels around it differ, and its noise; (m,)."""
+        light, known = check.light, check.known
         texels = self._texels.under(light.view, frame.gbuffer, tiles)
         found = self._texels.lit(texels, light, Until(known.target, known.enough), tiles, Stopwatch())
         between = light.spec.unit * texel_disagreement(texels, *found)

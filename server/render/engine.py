@@ -9,17 +9,16 @@ from dataclasses import replace
 from functools import partial
 
 from isogi_core.bake.bake_spec import SPECS, spec_name
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.chunk_store import default_store
 from isogi_core.cache.costs import Cost
 from isogi_core.errors import StoreFullError, StoreReadOnlyError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import surface_key
 from isogi_core.frame.rays.picture_plan import AWAITED, HEAVIER, Prices
-from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.renderer import Renderer, unlit_frame
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.unlit_view import unlit_frame
 from isogi_core.frame.view_checks import PathsLeft
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue

@@ -7,14 +7,13 @@ import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import DECAYS, blend_noise, finished, most_samples, noise_of_halves, relative_error
-from isogi_core.bake.precision import VOID, noise_codes, noise_of, round_light
 from isogi_core.bake.refine import add_to_mean, climb, locate, next_samples, refine
-from isogi_core.bake.texel_light import Light
+from isogi_core.bake.texel_light import VOID, Light, noise_codes, noise_of, round_light
 from isogi_core.kernels.transport.paths import SampleRange, TransferRules
 from isogi_core.kernels.transport.transfer import bake_texels, locate_texels
 from isogi_core.model.scene_plan import MIN_SAMPLES, texel_target
 from isogi_core.prepared.prepared_scene import PreparedScene
-from tests.bake.texels import COLUMNS, NEVER, baked, climbed, orbital, same, surface_texels
+from tests.bake.texels import COLUMNS, baked, climbed, orbital, same, surface_texels
 from tests.scale import COMPILED
 
 LOOKS = {
@@ -72,19 +71,6 @@ def test_order_and_company_of_texels_change_no_bit() -> None:
         assert same(baked(spec, texels[rows], 64), together.rows(rows))
 
 
-def test_texels_at_different_levels_meet() -> None:
-    spec = orbital()
-    texels = surface_texels(spec, 12)
-    light = Light.dark(spec.plan, 12)
-    for share, until in ((np.arange(4), 64), (np.arange(2, 8), 32)):
-        part = light.rows(share)
-        refine(part, texels[share], spec, until, NEVER)
-        light.put(share, part)
-    assert len(set(light.samples.tolist())) > 2
-    refine(light, texels, spec, 128, NEVER)
-    assert same(light, baked(spec, texels, 128))
-
-
 @COMPILED
 @EVERY_LOOK
 def test_light_in_memory_is_rounded_as_in_the_store(settings: dict[str, object]) -> None:
@@ -131,17 +117,6 @@ def test_texels_with_enough_samples_wait() -> None:
     light = baked(spec, surface_texels(spec, 60), until, target=target)
     waiting, done = next_samples(light, spec, target), finished(light, spec, target)
     assert (waiting[done] == -1).all() and (waiting[~done] == until).all() and not done.all()
-
-
-@COMPILED
-def test_a_lost_layer_is_baked_again_and_the_other_kept() -> None:
-    spec, target = orbital(), 0.02
-    texels = surface_texels(spec, 60)
-    whole = baked(spec, texels, most_samples(target), target=target)
-    light = Light((whole.parts[0].rows(np.arange(60)), Light.dark(spec.plan, 60).parts[1]))
-    assert not next_samples(light, spec, target).any()
-    refine(light, texels, spec, most_samples(target), target)
-    assert finished(light, spec, target).all() and same(light, whole)
 
 
 @COMPILED
@@ -222,14 +197,6 @@ def test_coloured_albedo_is_three_grey_bakes() -> None:
         alone = climbed(BakeSpec(grey.prepared, plan), texels, 64).parts
         assert np.array_equal(alone[0].coefficients, direct.coefficients)
         assert np.array_equal(alone[1].coefficients[:, 0], indirect.coefficients[:, channel])
-
-
-@COMPILED
-def test_brighter_albedo_reflects_more_and_black_nothing() -> None:
-    spec = orbital((0.0, 0.5, 0.9))
-    _, indirect = climbed(spec, surface_texels(spec, 60), 64).parts
-    black, grey, bright = indirect.coefficients[:, :, 0].mean(axis=0)
-    assert black == 0.0 < grey < bright
 
 
 @EVERY_LOOK

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec, spec_for
-from isogi_core.bake.precision import VOID
-from isogi_core.bake.texel_light import Part
+from isogi_core.bake.texel_light import VOID, Part
 from isogi_core.cache.chunk_store import (
     MIN_DIRECT_ORDER,
     ChunkStore,
@@ -243,17 +242,6 @@ def direct_of(spec: BakeSpec) -> tuple[np.ndarray, Any]:
 
 
 # --- what is shared, and what never is -----------------------------------------------------------------------------
-
-
-def test_coloured_albedo_takes_the_direct_light_that_is_there(tmp_path: Path) -> None:
-    grey, coloured = spec(3), spec(3, albedo=[0.7, 0.5, 0.3])
-    old = baked(grey, INDEX)
-    ChunkStore(tmp_path, grey).save(old)
-    chunk = ChunkStore(tmp_path, coloured).load(INDEX)
-    assert grey.plan.layers[DIRECT] == coloured.plan.layers[DIRECT]
-    np.testing.assert_array_equal(chunk.light.parts[DIRECT].coefficients, old.light.parts[DIRECT].coefficients)
-    np.testing.assert_array_equal(chunk.light.parts[DIRECT].samples, old.light.parts[DIRECT].samples)
-    assert not chunk.light.parts[INDIRECT].samples.any()
 
 
 def digests(spec: BakeSpec, number: int) -> set[str]:

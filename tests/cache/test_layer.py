@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import tempfile
-import threading
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -17,15 +16,14 @@ import zarr
 from numcodecs.zstd import Zstd
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.precision import VOID
-from isogi_core.bake.texel_light import Light, Part
+from isogi_core.bake.texel_light import VOID, Light, Part
 from isogi_core.cache.chunk_record import Chunk, facts_in
 from isogi_core.cache.layer import LayerStore, joined
 from isogi_core.errors import DamagedChunkError, StoreError, StoreReadOnlyError
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoredObject, StoreUrl
 from tests.bake.texels import same
-from tests.cache.chunks import CONSTANT, TEXELS, baked, file_of, spec_of
+from tests.cache.chunks import TEXELS, baked, file_of, spec_of
 from tests.s3 import S3Server
 
 INNER, EDGE = (1, 1, 1), (2, 1, 2)
@@ -190,17 +188,6 @@ def test_damage_is_found_and_healed(
     assert file_of(layer, index).read_bytes() == whole
 
 
-def test_every_single_flipped_bit_is_found(layer: LayerStore, spec: BakeSpec) -> None:
-    save(layer, baked(spec, INNER, texels=4))
-    whole = layer.read(INNER) or b""
-    assert len(whole) > 100
-    for bit in range(8 * len(whole)):
-        flipped = bytearray(whole)
-        flipped[bit // 8] ^= 1 << (bit % 8)
-        with pytest.raises(DamagedChunkError):
-            layer.decode(INNER, bytes(flipped))
-
-
 def test_an_object_under_another_chunks_key_is_refused(layer: LayerStore, spec: BakeSpec) -> None:
     for index in (INNER, EDGE):
         save(layer, baked(spec, index))
@@ -209,39 +196,6 @@ def test_an_object_under_another_chunks_key_is_refused(layer: LayerStore, spec: 
         file_of(layer, index).write_bytes(stored)
         with pytest.raises(DamagedChunkError, match="another place"):
             layer.decode(index, layer.read(index) or b"")
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        {"target": "demo:casting"},
-        {"lattice": 0.8},
-        {"order": 3, "indirect_order": 3},
-        {"albedo": 0.5},
-        {"albedo": [0.2, 0.3, 0.4]},
-        {"bounces": 2},
-        {"precision": "single"},
-        {"lights": [CONSTANT]},
-    ],
-)
-def test_an_object_of_another_scene_is_refused(layer: LayerStore, tmp_path: Path, other: dict[str, Any]) -> None:
-    strange = spec_of(**other)
-    stranger = layer_of(tmp_path / "other", strange, -1)
-    save(stranger, baked(strange, INNER, texels=500), -1)
-    with pytest.raises(DamagedChunkError):
-        layer.decode(INNER, stranger.read(INNER) or b"")
-
-
-def test_an_object_in_another_layers_folder_is_refused(layer: LayerStore, spec: BakeSpec) -> None:
-    """Direct and indirect light of the same scene, the same order and so the same number of bytes."""
-    direct, chunk = layer_of(layer.store.url, spec, DIRECT), baked(spec, INNER)
-    assert direct.size == layer.size
-    save(direct, chunk, DIRECT)
-    save(layer, chunk)
-    shutil.copyfile(file_of(direct, INNER), file_of(layer, INNER))
-    with pytest.raises(DamagedChunkError, match="another place"):
-        layer.decode(INNER, layer.read(INNER) or b"")
-    assert found(direct, chunk, DIRECT)
 
 
 # --- many at once -------------------------------------------------------------------------------------------------
@@ -302,15 +256,6 @@ def packed(record: np.ndarray) -> bytes:
     return body + google_crc32c.value(body).to_bytes(4, "little")
 
 
-@pytest.mark.parametrize("size", [0, 36, -1, 1 << 24])
-def test_an_object_that_unpacks_to_another_size_is_refused(layer: LayerStore, spec: BakeSpec, size: int) -> None:
-    save(layer, baked(spec, INNER))
-    record = np.asarray(zarr.open_array(layer.path, mode="r")[(*INNER, slice(None))])
-    assert layer.decode(INNER, packed(record))[0].size == 40
-    with pytest.raises(DamagedChunkError, match="unpack"):
-        layer.decode(INNER, packed(np.resize(record, size if size >= 0 else len(record) + size)))
-
-
 def test_left_over_partial_files_are_ignored(layer: LayerStore, spec: BakeSpec) -> None:
     chunk = baked(spec, INNER)
     save(layer, chunk)
@@ -367,15 +312,6 @@ def test_metadata_of_something_else_is_refused(
         layer_of(layer.store.url, spec).read(INNER)
 
 
-def test_a_deleted_layer_reads_as_absent_and_is_made_again(layer: LayerStore, spec: BakeSpec) -> None:
-    chunk = baked(spec, INNER)
-    save(layer, chunk)
-    shutil.rmtree(layer.path)
-    assert layer.read(INNER) is None
-    save(layer, chunk)
-    assert found(layer_of(layer.store.url, spec), chunk)
-
-
 # --- who may write, and who writes at once ------------------------------------------------------------------------
 
 
@@ -408,29 +344,6 @@ def test_a_store_that_cannot_be_written_is_read(sealed: Path, spec: BakeSpec) ->
     assert more.read(INNER) is None and more.store.read_only
     with pytest.raises(StoreReadOnlyError, match="can only be read"):
         save(more, chunk)
-
-
-def test_one_chunk_written_from_two_threads_is_always_whole(layer: LayerStore, spec: BakeSpec) -> None:
-    """And has the light of both once both have written."""
-    versions = [baked(spec, EDGE, texels=300, seed=seed) for seed in (1, 2)]
-    mine, other = ((chunk.offsets, chunk.light.parts[INDIRECT]) for chunk in versions)
-    offsets, both = joined(*mine, *other)
-    save(layer, versions[0])
-
-    def write(chunk: Chunk) -> None:
-        for _ in range(60):
-            save(layer, chunk)
-
-    writers = [threading.Thread(target=write, args=(chunk,)) for chunk in versions]
-    for writer in writers:
-        writer.start()
-    seen = 0
-    while any(writer.is_alive() for writer in writers):
-        _, part = layer.decode(EDGE, layer.read(EDGE) or b"")
-        assert any(same(Light((part,)), Light((whole,))) for whole in (mine[1], both))
-        seen += 1
-    assert seen > 1
-    assert 300 < len(offsets) == len(layer.decode(EDGE, layer.read(EDGE) or b"")[0])
 
 
 @pytest.fixture(params=["folder", "s3"])
@@ -491,12 +404,3 @@ def test_void_texels_stay_void_whoever_comes_last(spec: BakeSpec) -> None:
     for first, second in (((ours, part), (theirs, other)), ((theirs, other), (ours, part))):
         offsets, both = joined(*first, *second)
         assert (offsets.tolist(), both.samples.tolist()) == ([1, 2, 3, 4], [VOID, VOID, 16, 8])
-
-
-def test_one_record_holds_a_whole_chunk(layer: LayerStore, spec: BakeSpec) -> None:
-    part = Part.dark(spec.plan.layers[INDIRECT], TEXELS)
-    part.samples[:] = 1 << 20
-    part.coefficients[:] = np.random.default_rng(1).random(part.coefficients.shape, np.float32).astype(np.float16)
-    layer.save(INNER, np.arange(TEXELS, dtype=np.int32), part)
-    offsets, again = layer.decode(INNER, layer.read(INNER) or b"")
-    assert len(offsets) == TEXELS and same(Light((again,)), Light((part,)))

@@ -1,3 +1,5 @@
+"""Loading: light in the store comes into memory once, and no damage or delay stops a frame; caches of a scene."""
+
 import hashlib
 import itertools
 import logging
@@ -12,17 +14,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.bake_spec import BakeSpec
+from isogi_core.bake.bake_spec import SPECS, BakeSpec
 from isogi_core.bake.refine import refine
-from isogi_core.cache import loader as loading
+from isogi_core.cache import scene_caches as loading
 from isogi_core.cache.chunk_store import ChunkStore
-from isogi_core.cache.loader import ASK_AGAIN, MAX_BATCHES_AHEAD, Loader, ahead
-from isogi_core.cache.page_pool import PagePool
+from isogi_core.cache.page_pool import PAGE_TEXELS, PagePool
+from isogi_core.cache.scene_caches import ASK_AGAIN, MAX_BATCHES_AHEAD, Caches, Loader, ahead
 from isogi_core.errors import Cancelled, StoreAwayError, StoreError
 from isogi_core.frame.tiles import Tiles
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoreUrl
-from tests.cache.chunks import file_of
+from tests.cache.chunks import file_of, spec_of
 from tests.s3 import Call, S3Server
 
 A, B, C = (0, 1, 1), (1, 1, 1), (2, 1, 1)
@@ -158,28 +160,6 @@ def test_damage_counts_as_absence_and_is_logged(loader: Loader, clock: Clock, ca
     assert [path.read_bytes() for path in paths] == whole
 
 
-def test_light_of_the_layers_that_are_there_is_shown(loader: Loader) -> None:
-    bake(loader, A)
-    file_of(loader.chunk_store.layers[1], A).unlink()
-    loader.ensure([A])
-    direct, indirect = loader.chunk_store.load(A).light.parts
-    assert direct.coefficients.any() and not indirect.samples.any()
-    light = transfer(loader, A)
-    assert light is not None
-    width = direct.coefficients.shape[2]
-    np.testing.assert_array_equal(light[:, :, :width], direct.coefficients)
-    assert not light[:, :, width:].any()
-
-
-def test_a_chunk_under_another_name_is_absent(loader: Loader) -> None:
-    bake(loader, A)
-    bake(loader, C)
-    for layer in loader.chunk_store.layers:
-        shutil.copyfile(file_of(layer, C), file_of(layer, A))
-    assert brought(loader, A) == ("",)
-    assert transfer(loader, A) is None
-
-
 def test_deleted_layers_read_as_absent_and_never_as_zeros(loader: Loader) -> None:
     kept = bake(loader, A)
     loader.ensure([A])
@@ -298,11 +278,50 @@ def test_a_view_that_does_not_fit_the_memory_is_an_error(tmp_path: Path, spec: B
         small.ensure([A, B])
 
 
-def test_a_store_that_cannot_be_read_is_an_error(loader: Loader) -> None:
-    bake(loader, A)
-    layer = loader.chunk_store.layers[1]
-    Path(layer.path, "zarr.json").write_text("{")
-    spec = loader.chunk_store.spec
-    again = Loader(ChunkStore(layer.store.url, spec), PagePool(spec, 1 << 22))
-    with pytest.raises(StoreError, match="move that folder away"):
-        again.ensure([A])
+# --- caches of a scene ------------------------------------------------------------------------------------------------
+
+
+BUDGET = 1 << 22
+
+
+def folders(store: Path) -> set[str]:
+    """The layers that were opened."""
+    return {path.parent.name for path in store.glob("*/zarr.json")}
+
+
+def test_nothing_is_opened_before_it_is_read(tmp_path: Path) -> None:
+    spec = spec_of()
+    caches = Caches(spec.prepared, tmp_path / "light", BUDGET)
+    assert not (tmp_path / "light").exists()
+    digests = [spec.prepared.scene.layer_digest(layer) for layer in spec.plan.layers]
+    caches.of("vicinity")
+    assert folders(tmp_path / "light") == {digests[0]}
+    caches.of("gi")
+    assert folders(tmp_path / "light") == set(digests)
+
+
+def test_each_spec_is_opened_once_with_a_pool_of_its_own(tmp_path: Path) -> None:
+    caches = Caches(spec_of().prepared, tmp_path, BUDGET)
+    with ThreadPoolExecutor(8) as threads:
+        loaders = set(threads.map(caches.of, ["gi", "vicinity"] * 8))
+    assert len(loaders) == 2
+    assert caches.of("gi") is caches.of("gi") is not caches.of("vicinity")
+    assert {loader.pool.spec.plan.representation for loader in loaders} == {"transfer", "vicinity"}
+    assert all(loader.chunk_store.spec is loader.pool.spec for loader in loaders)
+
+
+def test_specs_share_memory_by_equal_numbers_of_texels(tmp_path: Path) -> None:
+    caches = Caches(spec_of().prepared, tmp_path, BUDGET)
+    pools = [caches.of(name).pool for name in SPECS]
+    sizes = [sum(a.nbytes for a in (p.transfer, p.scatter, p.error, p.stamp, p.table)) for p in pools]
+    assert 0.95 * BUDGET < sum(sizes) <= BUDGET
+    rows = [len(pool.scatter) for pool in pools]
+    assert max(rows) - min(rows) <= PAGE_TEXELS
+
+
+def test_a_place_that_cannot_be_opened_is_an_error_each_time(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    caches = Caches(spec_of().prepared, tmp_path / "file", BUDGET)
+    for _ in range(2):
+        with pytest.raises(StoreError, match="Cannot"):
+            caches.of("gi")

@@ -1,4 +1,4 @@
-"""OME-Zarr as it is written: plates, axes in any order, coordinate systems of 0.6, and levels that lie as one."""
+"""OME-Zarr as others write it and as isogi does: what is read back is what was there, where it was."""
 
 from itertools import permutations
 from pathlib import Path
@@ -9,9 +9,12 @@ import pytest
 import zarr
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.grid import LabelName, on_right_angles
+from isogi_core.files.grid import Affine, Grid, LabelName, on_right_angles
+from isogi_core.files.ome import TURNED_AXES_NOTE, halved, write_image
 from isogi_core.files.zarr_volume import open_zarr
 from isogi_core.model.orientation import Orientation
+from isogi_core.model.value_survey import no_progress
+from tests.files.formats.phantom import WAYS, landmarks, letter, lying, world
 from tests.loaded import load_scene
 
 FIELD = np.arange(7 * 5 * 6).reshape(7, 5, 6)
@@ -187,46 +190,102 @@ def test_an_image_of_labels_names_them(tmp_path: Path) -> None:
     assert colours is not None and [each.name for each in colours.scale.labels] == ["nucleus", "cell"]
 
 
-def levels(path: Path, count: int) -> Path:
-    """A ball of radius 11.2 as a pyramid: each level is the mean of eight voxels of the one before."""
-    z, y, x = np.indices((32, 32, 32)) - 15.5
-    field = np.clip(11.2 - np.sqrt((x - 1) ** 2 + y**2 + (z + 2) ** 2), -4, 4).astype(np.float32)
-    group, datasets = zarr.open_group(path, mode="w"), []
-    for level in range(count):
-        zarr.create_array(path / str(level), shape=field.shape, dtype="f4", chunks=(8, 8, 8))[:] = field
-        lies = translation(*[0.5 * (2**level - 1) * 0.25] * 3)
-        datasets.append({"path": str(level), "coordinateTransformations": [scale(*[2**level * 0.25] * 3), lies]})
-        field = field.reshape(*(n for side in field.shape for n in (side // 2, 2))).mean(axis=(1, 3, 5))
-    group.attrs["ome"] = {"version": "0.5", "multiscales": [{"axes": ZYX, "datasets": datasets}]}
-    return path
+# --- written images ---------------------------------------------------------------------------------------------------
 
 
-def crossings(path: Path, level: int) -> np.ndarray:
-    """Where the surface at 0 meets the six half axes through the ball's middle, in the world."""
-    grid = on_right_angles(open_zarr(path, level=level))
-    voxels, orientation, spacing = grid.whole(), Orientation.of(grid), np.array(grid.spacing)
-    middle = np.array(orientation.point_to_box((16.5 * 0.25, 15.5 * 0.25, 13.5 * 0.25))) / spacing
-    found = []
-    for direction in np.vstack([np.eye(3), -np.eye(3)]):
-        steps = np.linspace(0, 13.0 * 0.25 / spacing[0], 400)
-        points = middle + steps[:, None] * direction
-        values = np.array([trilinear(voxels, point) for point in points])
-        place = int(np.argmax(values < 0))
-        share = values[place - 1] / (values[place - 1] - values[place])
-        at = points[place - 1] + share * (points[place] - points[place - 1])
-        found.append(orientation.to_world(at * spacing))
-    return np.array(found)
+def grid_of(array: np.ndarray, placed: Any = None, letters: str = "", **more: Any) -> Grid:
+    """An array as a grid in slabs of five layers, placed by an affine."""
+    affine = None if placed is None else Affine.of(placed, letters)
+    steps = (1.0, 1.0, 1.0) if placed is None else tuple(np.linalg.norm(placed[:3, :3], axis=0).tolist())
+    parts = range(0, len(array), 5)
+    return Grid(array.shape, array.dtype, steps, lambda: (array[z : z + 5] for z in parts), affine=affine, **more)
 
 
-def trilinear(voxels: np.ndarray, point: np.ndarray) -> float:
-    """The value between voxels, at indices x, y, z."""
-    low = np.floor(point).astype(int)
-    t = point - low
-    corners = voxels[low[2] : low[2] + 2, low[1] : low[1] + 2, low[0] : low[0] + 2].astype(float)
-    return float(np.einsum("zyx,z,y,x", corners, *([1 - t[n], t[n]] for n in (2, 1, 0))))
+@pytest.mark.parametrize("way", WAYS[::5], ids=str)
+def test_what_is_written_lies_where_it_was(tmp_path: Path, way: Any) -> None:
+    array, placed = lying(*way)
+    assert not write_image(grid_of(array, placed, "RAS", unit="mm"), tmp_path / "v.zarr", no_progress)
+    read = open_zarr(tmp_path / "v.zarr")
+    grid = on_right_angles(read)
+    voxels, orientation = grid.whole(), Orientation.of(grid)
+    assert (grid.unit, orientation.letters) == ("mm", "RAS")
+    assert np.allclose(orientation.matrix, np.eye(3)), "axes of the file ascend in the world"
+    for index, place in zip(landmarks(), world(landmarks()), strict=True):
+        x, y, z = np.rint(np.array(orientation.point_to_box(tuple(place))) / np.array(grid.spacing)).astype(int)
+        assert voxels[z, y, x] == letter()[tuple(index[::-1])]
 
 
-def test_surfaces_of_two_levels_lie_at_one_place(tmp_path: Path) -> None:
-    path = levels(tmp_path / "v.zarr", 2)
-    apart = np.linalg.norm(crossings(path, 0) - crossings(path, 1), axis=1) / 0.5
-    assert apart.max() < 0.1, "in voxels of the coarser level"
+@pytest.mark.parametrize("kind", ["u1", "i2", ">u2", "f4", "f8", "?"])
+def test_numbers_of_all_types_are_kept(tmp_path: Path, kind: str) -> None:
+    array = (np.random.default_rng(1).random((70, 9, 130)) * 3).astype(kind)
+    write_image(grid_of(array), tmp_path / "v.zarr", no_progress)
+    np.testing.assert_array_equal(open_zarr(tmp_path / "v.zarr").whole(), array)
+    coarse = open_zarr(tmp_path / "v.zarr", level=1)
+    assert coarse.shape == (35, 5, 65) and tuple(coarse.spacing) == (2.0, 2.0, 2.0)
+    inside = array[:, :8].astype(float).reshape(35, 2, 4, 2, 65, 2).mean(axis=(1, 3, 5))
+    expected = np.rint(inside) if np.dtype(kind).kind != "f" else inside
+    np.testing.assert_allclose(coarse.whole()[:, :4].astype(float), expected, rtol=1e-6)
+    last = open_zarr(tmp_path / "v.zarr", level=2)
+    assert last.shape == (18, 5, 33) and tuple(last.spacing) == (4.0, 2.0, 4.0), "thin sides are not halved"
+    with pytest.raises(VolumeError, match="levels 0 to 2"):
+        open_zarr(tmp_path / "v.zarr", level=3)
+
+
+def test_holes_stay_holes_and_make_no_others() -> None:
+    block = np.arange(16, dtype=np.float32).reshape(2, 2, 4)
+    block[0, 0, 0] = np.nan
+    block[:, :, 2:] = np.nan
+    found = halved(block, [True, True, True])
+    assert found.shape == (1, 1, 2) and np.isnan(found[0, 0, 1])
+    assert found[0, 0, 0] == np.nanmean(block[:, :, :2])
+
+
+def test_labels_are_never_mixed_and_keep_their_names(tmp_path: Path) -> None:
+    array = np.random.default_rng(2).choice([0, 3, 900], (66, 66, 66)).astype(np.uint16)
+    names = (LabelName(3, "left", "#ff0010"), LabelName(900, "right"))
+    write_image(grid_of(array, labels=names), tmp_path / "v.zarr", no_progress)
+    coarse = open_zarr(tmp_path / "v.zarr", level=1)
+    assert coarse.labels == names and coarse.affine is None
+    np.testing.assert_array_equal(coarse.whole(), array[::2, ::2, ::2])
+
+
+def test_a_turned_volume_is_written_without_its_place(tmp_path: Path) -> None:
+    turn = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))[0]
+    placed = np.column_stack([turn * np.sign(np.linalg.det(turn)), [1.0, 2.0, 3.0]])
+    assert write_image(grid_of(letter(), placed, "RAS"), tmp_path / "v.zarr", no_progress) == (TURNED_AXES_NOTE,)
+    grid = open_zarr(tmp_path / "v.zarr")
+    np.testing.assert_array_equal(grid.whole(), letter())
+    assert grid.affine is None
+
+
+def test_nothing_is_left_of_what_fails_and_nothing_is_replaced(tmp_path: Path) -> None:
+    def broken() -> Any:
+        yield letter()[:5]
+        raise VolumeError("The source is damaged.")
+
+    failing = Grid(letter().shape, letter().dtype, (1.0, 1.0, 1.0), broken)
+    with pytest.raises(VolumeError, match="is damaged"):
+        write_image(failing, tmp_path / "v.zarr", no_progress)
+    assert not list(tmp_path.iterdir())
+    write_image(grid_of(letter()), tmp_path / "v.zarr", no_progress)
+    with pytest.raises(VolumeError, match="already: remove it"):
+        write_image(grid_of(letter()), tmp_path / "v.zarr", no_progress)
+
+
+def test_others_read_the_image(tmp_path: Path) -> None:
+    """By the names that NGFF 0.5 gives, without isogi's reader."""
+    write_image(grid_of(letter(), unit="µm"), tmp_path / "v.zarr", no_progress)
+    group = zarr.open_group(tmp_path / "v.zarr", mode="r")
+    held: Any = group.attrs["ome"]
+    (image,) = held["multiscales"]
+    assert (held["version"], [axis["name"] for axis in image["axes"]]) == ("0.5", ["z", "y", "x"])
+    assert {axis["unit"] for axis in image["axes"]} == {"micrometer"}
+    found: Any = group[image["datasets"][0]["path"]]
+    np.testing.assert_array_equal(found[:], letter())
+
+
+def test_progress_counts_the_layers_of_all_levels(tmp_path: Path) -> None:
+    seen: list[tuple[int, int]] = []
+    array = np.zeros((70, 70, 70), np.uint8)
+    write_image(grid_of(array), tmp_path / "v.zarr", lambda done, total: seen.append((done, total)))
+    assert seen[-1] == (105, 105) and [done for done, _ in seen] == sorted({done for done, _ in seen})

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.noise import Until
-from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.bake.refine import refine
-from isogi_core.cache.loader import Loader
-from isogi_core.cache.scene_caches import Caches
+from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.cache.scene_caches import Caches, Loader
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
@@ -84,6 +83,12 @@ class Workbench:
             given = partial(refine_chunk, loader, rung, target or self.scene.target_error)
             list(map(given, frame.quality.projection.demands))
             rung, frame = 2 * rung, self.renderer.render(view, target, enough=MAX_SAMPLES)
+        return self.renderer.render(view, target)
+
+    def settled(self, view: View, target: float | None = None) -> Frame:
+        """The frame of a view once nothing of its picture can be refined any more."""
+        while self.renderer.refine(view, target):
+            pass
         return self.renderer.render(view, target)
 
     @property

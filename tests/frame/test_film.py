@@ -1,5 +1,6 @@
-"""Developing a frame: which overlay changes which pixels, and the colours of errors."""
+"""Developing a frame: overlays, backgrounds, smooth edges, and panoramas of the light."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -7,9 +8,25 @@ import numpy as np
 import pytest
 
 from isogi_core.frame import film
-from isogi_core.frame.film import COVER, develop
+from isogi_core.frame.film import (
+    BACKGROUND,
+    BUDGET,
+    COUNTS,
+    COVER,
+    averaged,
+    develop,
+    find_edges,
+    linear_table,
+    pattern,
+    tone_table,
+)
 from isogi_core.frame.frame import EdgeSamples
+from isogi_core.frame.framing import GLARE, MIDDLE_BRIGHTNESS, glare, paint_panorama, tone
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
+from isogi_core.model.environment import gather_lamps, solid_angles
+from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, PointLight, SkyLight
+from isogi_core.plan.lighting import assemble_environment
+from tests.frame.conftest import Workbench
 
 STATES = (0, PROVISIONAL, CONVERGING, FINAL)
 
@@ -108,3 +125,157 @@ def test_developing_errors_leaves_the_frame_as_it_was() -> None:
     state = frame.state.copy()
     develop(frame, 1.0, "error")
     assert np.array_equal(frame.state, state)
+
+
+# --- smooth edges -----------------------------------------------------------------------------------------------------
+
+
+SIZE = 224
+TRUE = 256
+"""Samples of a pixel that counts as true."""
+
+
+@pytest.mark.parametrize("count", [*COUNTS, TRUE])
+def test_samples_are_spread_evenly_over_the_pixel(count: int) -> None:
+    places = pattern(count)
+    for axis in range(2):
+        assert sorted((places[:, axis] * count).astype(int)) == list(range(count))
+    np.testing.assert_allclose(places.mean(axis=0), 0.5, atol=1e-6)
+
+
+def test_edges_are_silhouettes_and_contrasts_and_nothing_else() -> None:
+    state, picture = np.zeros((200, 200), np.uint8), np.full((200, 200, 3), 90, np.uint8)
+    state[10:30, 10:30] = 3
+    picture[10:30, 20:] = 130
+    edges, count = find_edges(picture, state)
+    found = np.zeros(state.size, np.bool_)
+    found[edges] = True
+    wanted = np.zeros(state.shape, np.bool_)
+    wanted[9:31, 9:31] = True
+    wanted[11:29, 11:29] = False
+    wanted[10:30, 19:21] = True
+    assert np.array_equal(found.reshape(state.shape), wanted) and count == max(COUNTS)
+
+
+@pytest.mark.parametrize("place", [(1, 1), (1, 2), (2, 1), (2, 2)])
+def test_a_brighter_pixel_is_an_edge_on_all_sides(place: tuple[int, int]) -> None:
+    picture = np.full((4, 4, 3), 100, np.uint8)
+    picture[place] = 130
+    edges, _ = find_edges(picture, np.full((4, 4), 3, np.uint8))
+    beside = {place, *((place[0] + y, place[1] + x) for y, x in ((0, 1), (1, 0), (0, -1), (-1, 0)))}
+    assert {divmod(int(each), 4) for each in edges} >= beside
+
+
+def test_strongest_edges_come_first_and_the_budget_holds() -> None:
+    picture = np.random.default_rng(1).integers(0, 256, (400, 400, 3)).astype(np.uint8)
+    picture[:, 200:] //= 4
+    edges, count = find_edges(picture, np.full((400, 400), 3, np.uint8))
+    assert count == min(COUNTS) and 0.9 * BUDGET < len(edges) * count / 400**2 <= BUDGET
+    assert (np.diff(edges.astype(int)) > 0).all() and (edges % 400 < 201).all()
+
+
+def test_smooth_edges_are_four_times_nearer_to_the_true_ones(
+    orbital: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view = orbital.view(size=SIZE, smooth=True)
+    exposure = orbital.scene.default_exposure
+    frame, plain = orbital.renderer.render(view), orbital.renderer.render(replace(view, smooth=False))
+    assert frame.edges is not None and plain.edges is None
+    pixels = frame.edges.pixels
+    monkeypatch.setattr(film, "find_edges", lambda *_: (pixels, TRUE))
+    true = orbital.renderer.render(view).edges
+    assert true is not None
+    partly = (true.covered[:, 3] > 0.0) & (true.covered[:, 3] < 1.0)
+    wanted = linear_table()[averaged(true, exposure, BACKGROUND, clear=False)][partly]
+    smooth, stairs = (
+        np.sqrt(np.mean((linear_table()[develop(each, exposure).reshape(-1, 3)[pixels[partly]]] - wanted) ** 2))
+        for each in (frame, plain)
+    )
+    assert smooth < stairs / 4
+    inside = np.ones(SIZE**2, np.bool_)
+    inside[pixels] = False
+    assert np.array_equal(
+        develop(frame, exposure).reshape(-1, 3)[inside], develop(plain, exposure).reshape(-1, 3)[inside]
+    )
+
+
+def test_moving_views_have_no_more_samples(orbital: Workbench) -> None:
+    assert orbital.renderer.render(orbital.view(size=32, smooth=True, moving=True)).edges is None
+
+
+def test_a_view_of_nothing_has_no_edges(orbital: Workbench) -> None:
+    assert orbital.renderer.render(orbital.view(size=16, distance=1000.0, smooth=True)).edges is None
+
+
+def test_coverage_is_of_the_samples_on_the_surface(orbital: Workbench) -> None:
+    frame = orbital.renderer.render(orbital.view(size=64, smooth=True))
+    assert frame.edges is not None
+    light, share = frame.edges.covered[:, :3], frame.edges.covered[:, 3]
+    assert ((share >= 0) & (share <= 1)).all() and ((share > 0) & (share < 1)).any()
+    assert (light[share > 0].sum(axis=1) > 0).all() and (light[share == 0] == 0).all()
+    clear = develop(frame, 1.0, "none", "transparent").reshape(-1, 4)[frame.edges.pixels, 3]
+    np.testing.assert_allclose(clear, 255 * share, atol=0.6)
+
+
+# --- panoramas --------------------------------------------------------------------------------------------------------
+
+
+def painted(*lights: Light, width: int = 128) -> np.ndarray:
+    return paint_panorama(assemble_environment(lights), gather_lamps(lights), width)
+
+
+def brightest(picture: np.ndarray) -> tuple[float, float]:
+    """Azimuth and elevation of the middle of the brightest pixels, degrees."""
+    height, width = picture.shape[:2]
+    rows, columns = np.nonzero(picture.sum(axis=2, dtype=int) >= picture.sum(axis=2, dtype=int).max())
+    return (columns.mean() + 0.5) / width * 360, 90 - (rows.mean() + 0.5) / height * 180
+
+
+@pytest.mark.parametrize("radiance", [1e-20, 1.0, 1e20])
+def test_a_constant_light_is_the_same_grey_however_bright(radiance: float) -> None:
+    grey = tone_table()[round(MIDDLE_BRIGHTNESS / (1 + MIDDLE_BRIGHTNESS) * 4095)]
+    assert (painted(ConstantLight((radiance,) * 3)) == grey).all()
+
+
+@pytest.mark.parametrize("width", [16, 33, 256, 512])
+def test_the_picture_is_half_as_high_as_it_is_wide(width: int) -> None:
+    assert painted(SkyLight(), width=width).shape == (width // 2, width, 3)
+
+
+@pytest.mark.parametrize(("azimuth", "elevation"), [(30.0, 50.0), (200.0, 10.0), (350.0, 80.0)])
+def test_the_sun_is_where_the_scene_puts_it(azimuth: float, elevation: float) -> None:
+    picture = painted(SkyLight(azimuth, elevation))
+    assert brightest(picture) == pytest.approx((azimuth, elevation), abs=4.0)
+    blue = picture[..., 2].astype(int) - picture[..., 0]
+    assert blue[:32].mean() > 0.0 > blue[32:].mean(), "the sky is above, and the ground is warm"
+
+
+@pytest.mark.parametrize(("azimuth", "elevation"), [(0.0, 0.0), (100.0, -40.0), (77.0, 89.0)])
+def test_a_directional_light_is_marked_in_its_colour(azimuth: float, elevation: float) -> None:
+    picture = painted(DirectionalLight(azimuth, elevation, (3.0, 1.5, 0.0)), width=256)
+    marked = picture.any(axis=2)
+    row = round((90 - elevation) / 180 * 128 - 0.5)
+    column = round(azimuth / 360 * 256 - 0.5) % 256
+    assert marked[row, column] and 0 < (solid_angles(128, 256) * marked).sum() < 0.02, "steradians"
+    assert picture[marked].tolist() == [[255, tone_table()[2048], 0]] * int(marked.sum())
+
+
+def test_a_panorama_without_distant_light_is_black() -> None:
+    assert not painted(PointLight((1.0, 2.0, 3.0), (5.0, 5.0, 5.0))).any()
+    assert not painted(ConstantLight((0.0, 0.0, 0.0)), DirectionalLight(irradiance=(0.0, 0.0, 0.0))).any()
+
+
+def test_glare_spreads_a_small_share_and_loses_no_light() -> None:
+    point = np.zeros((32, 64, 3))
+    point[16, 1] = 1.0
+    spread = glare(point) - point
+    assert spread.sum(axis=(0, 1)) == pytest.approx([GLARE] * 3)
+    assert np.unravel_index(spread[..., 0].argmax(), (32, 64)) == (16, 1)
+    assert spread[16, [2, 0]] == pytest.approx(spread[[15, 17], 1]) and spread[16, -2].all(), "round the seam"
+
+
+def test_tones_keep_their_order_and_their_hue() -> None:
+    radiance = np.geomspace(1e-3, 1e5, 64)[:, None, None] * np.array([1.0, 0.5, 0.25]) * np.ones((64, 8, 1))
+    toned = tone(radiance)
+    assert (np.diff(toned[:, 0, 1]) > 0).all() and toned.max() <= 1.0
+    assert toned[:30, 0, 0] == pytest.approx(2.0 * toned[:30, 0, 1])

@@ -13,7 +13,6 @@ from isogi_core.bake.bake_spec import spec_for
 from isogi_core.frame import texel_shading
 from isogi_core.frame import view_texels as facings
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import OwnNormals, carries_irradiance_ratios, find_texel_normals
 from isogi_core.kernels.shading.irradiance_ratio import MIN_UNSHADOWED
@@ -116,13 +115,6 @@ def test_ratios_are_nearer_to_the_truth_than_plain_light(
     monkeypatch.setattr(texel_shading, "carries_irradiance_ratios", lambda *_: False)
     plain = bench.renderer.render(view)
     assert relative_rmse(shared, truth) < 0.5 * relative_rmse(plain, truth)
-
-
-def test_a_frame_has_the_same_bits_on_any_number_of_threads(orbital: Workbench) -> None:
-    view = orbital.view(size=40, light=ODD)
-    frames = [Renderer(orbital.caches, Tiles(threads)).render(view) for threads in (1, 3)]
-    assert frames[0].radiance.tobytes() == frames[1].radiance.tobytes()
-    assert frames[0].error.tobytes() == frames[1].error.tobytes()
 
 
 def test_normals_of_projected_texels_are_found_once(orbital: Workbench, monkeypatch: pytest.MonkeyPatch) -> None:

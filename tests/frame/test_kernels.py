@@ -5,7 +5,20 @@ from typing import Any
 
 import pytest
 
-from isogi_core.frame.entry_kernels import COLOURED, FRAME, GLOW, LOBES, OTHER_KERNELS, frame_kernels, other_kernels
+from isogi_core.frame.entry_kernels import (
+    AMONG,
+    COLOURED,
+    FRAME,
+    GLOW,
+    LOBES,
+    MATTER,
+    OTHER_KERNELS,
+    ROOM,
+    SHINE_KERNELS,
+    frame_kernels,
+    other_kernels,
+)
+from isogi_core.kernels._jit import Entry
 from isogi_core.kernels.shading.irradiance_ratio import carry_ratios
 from isogi_core.kernels.shading.lattice import carry_light
 from isogi_core.kernels.tracing.stiffness import count_stiffness
@@ -13,7 +26,9 @@ from isogi_core.kernels.transport.glow_paths import glow_in_room
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.light_paths import light_in_the_open
 from isogi_core.kernels.transport.lights import project_lamps
+from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
+from isogi_core.kernels.transport.surface_paths import light_among_surfaces
 from isogi_core.kernels.transport.transfer import measure_distances
 from isogi_core.plan.scene import Scene
 from tests.loaded import load_scene
@@ -162,6 +177,23 @@ def test_glow_needs_kernels_of_its_own() -> None:
     assert {*frame_kernels([scene])} - {*frame_kernels([plain])} == {*GLOW}
     assert {*other_kernels([plain, scene])} - {*OTHER_KERNELS} == {glow_in_room, light_in_the_open, fill_seeds}
     assert glow_in_room in frame_kernels([load_scene("demo:orbital", room="cornell", glow=GLOWING["glow"])])
+
+
+@pytest.mark.parametrize(
+    ("settings", "more", "kernels"),
+    [
+        ({}, {"room": "cornell"}, {*ROOM, light_in_room}),
+        ({"room": "cornell"}, {"material": "glass"}, {*MATTER, light_through_matter}),
+        ({}, {"surfaces": [{"isovalue": 0.012, "clear": 0.6}]}, {*AMONG, light_among_surfaces}),
+        ({}, {"shine": {"kind": "plastic"}}, {*SHINE_KERNELS}),
+    ],
+    ids=["walls", "matter", "surfaces", "shine"],
+)
+def test_only_scenes_with_a_feature_need_its_kernels(
+    settings: dict[str, Any], more: dict[str, Any], kernels: set[Entry]
+) -> None:
+    assert kernels <= {*frame_kernels([scene_of({**settings, **more})])}
+    assert not kernels & {*frame_kernels([scene_of(settings)])}
 
 
 def test_several_scenes_need_the_kernels_of_each() -> None:

@@ -3,14 +3,12 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from isogi_core.bake.noise import Until
-from isogi_core.frame.frame import Frame
 from isogi_core.frame.texel_reading import read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
@@ -201,32 +199,24 @@ def test_a_closed_hollow_is_black_from_inside(shading: str, workbench: Make) -> 
 # --- against the path tracer ----------------------------------------------------------------------------------------
 
 
-def against_path_tracer(bench: Workbench, samples: int, size: int) -> tuple[float, Frame]:
-    """Relative RMSE of the baked `gi` picture against the path tracer with so many samples, and the `gi` frame."""
-    view: View = bench.view(size=size)
+@pytest.mark.parametrize(
+    ("name", "size", "most"),
+    [
+        ("orbital", 64, 0.02),
+        pytest.param("casting", 64, 0.03, marks=pytest.mark.slow),
+        pytest.param("engine", 80, 0.02, marks=[pytest.mark.slow, pytest.mark.data]),
+    ],
+)
+def test_baked_light_is_the_path_tracers(
+    name: str, size: int, most: float, workbench: Make, request: pytest.FixtureRequest
+) -> None:
+    """Of the casting's thin fins and webs, one or two voxels wide, light differs most from texel to texel."""
+    if name == "engine":
+        file = request.getfixturevalue("shared_data") / "engine_256x256x128_uint8.nhdr"
+        bench = workbench(load_scene(file, isovalue=70, **CALM))
+    else:
+        bench = workbench(load_scene(f"demo:{name}", **CALM))
+    view = bench.view(size=size)
     frame = bench.bake(view)
-    reference = bench.renderer.render(replace(view, shading="path_traced", samples=samples))
-    return relative_rmse(frame, reference), frame
-
-
-def test_gi_of_the_orbital_is_the_path_tracers(workbench: Make) -> None:
-    error, frame = against_path_tracer(workbench(load_scene("demo:orbital", **CALM)), 256, 64)
-    assert error < 0.02
-    assert frame.noise < 0.02
-
-
-@pytest.mark.slow
-def test_gi_of_the_casting_is_the_path_tracers(workbench: Make) -> None:
-    """Thin fins and webs of one or two voxels: light differs most from texel to texel here."""
-    error, frame = against_path_tracer(workbench(load_scene("demo:casting", **CALM)), 256, 64)
-    assert error < 0.03
-    assert frame.noise < 0.02
-
-
-@pytest.mark.slow
-@pytest.mark.data
-def test_gi_of_the_engine_is_the_path_tracers(shared_data: Path, workbench: Make) -> None:
-    scene = load_scene(shared_data / "engine_256x256x128_uint8.nhdr", isovalue=70, **CALM)
-    error, frame = against_path_tracer(workbench(scene), 256, 80)
-    assert error < 0.02
+    assert relative_rmse(frame, bench.renderer.render(replace(view, shading="path_traced", samples=256))) < most
     assert frame.noise < 0.02

@@ -1,4 +1,4 @@
-"""The light around a view: turned from the unturned light each time, and boiled down to one key light."""
+"""The light around a view: turned each time, boiled down to a key light, and noise at another albedo."""
 
 import math
 from collections.abc import Callable
@@ -9,14 +9,23 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from isogi_core.bake.bake_spec import spec_for
+from isogi_core.bake.bake_spec import BakeSpec, spec_for
 from isogi_core.files.radiance import write_hdr
-from isogi_core.frame.lighting import KEY_SHARE, RotatedLight, shoulder_light
+from isogi_core.frame.lighting import (
+    KEY_SHARE,
+    RotatedLight,
+    all_weights,
+    reflected_weights,
+    scatter_at,
+    shoulder_light,
+    weights_between,
+)
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, evaluate
 from isogi_core.model.environment import LUMINANCE_WEIGHTS, pixel_directions, solid_angles
 from isogi_core.model.view import IDENTITY, Camera, Quaternion, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import UNSHADOWED_ORDER, PreparedScene
+from tests.bake.texels import orbital
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, luminance
 from tests.loaded import load_scene
 
@@ -72,10 +81,6 @@ def test_constant_light_has_band_0_alone() -> None:
     turned = around([CONSTANT], ODD)
     np.testing.assert_allclose(turned.light, [[math.sqrt(4 * math.pi)]] * 3)
     assert turned.sky.order == 1
-
-
-def test_constant_light_does_not_rotate() -> None:
-    np.testing.assert_allclose(around([CONSTANT], ODD).light, around([CONSTANT]).light, atol=1e-12)
 
 
 def test_reflected_light_is_tinted_by_the_albedo() -> None:
@@ -238,3 +243,53 @@ def test_a_lamp_inside_the_volume_lights_what_is_around_it(
     shown = [luminance(frame) * bench.scene.default_exposure for frame in frames]
     assert all(np.isfinite(each).all() for each in shown)
     assert all(0.01 < each.mean() < 2.0 for each in shown)
+
+
+# --- noise at another albedo ------------------------------------------------------------------------------------------
+
+
+CHANCES = np.array([0.1, 0.35, 0.7])
+"""Of three texels: the chance of their paths to leave at each hit."""
+
+
+@pytest.fixture(scope="module")
+def judged() -> BakeSpec:
+    """The orbital under constant light, of which views may ask for albedos up to 0.9; three bounces."""
+    return orbital(0.3, sky=False, albedos=(0.0, 0.9))
+
+
+def light_of(spec: BakeSpec) -> np.ndarray:
+    """Band 0 of each term: what such paths bring unreflected, and at each of the albedos that are kept; (3, terms)."""
+    k = np.arange(1, spec.plan.bounces + 1)
+    left = CHANCES[:, None] * (1.0 - CHANCES[:, None]) ** k
+    return np.column_stack([CHANCES, left @ (np.array(spec.plan.nodes) ** k[:, None])])
+
+
+@pytest.mark.parametrize("albedo", [(0.3, 0.3, 0.3), (0.05, 0.05, 0.05), (0.9, 0.5, 0.1)])
+def test_noise_of_reflected_light_falls_as_squares_of_paths(
+    albedo: tuple[float, float, float], judged: BakeSpec
+) -> None:
+    """Of paths that leave by such chances the variance is known: Σ (mean over colours of R^k)² f (1 - f)^k."""
+    seen, kept = judged.of_albedo(albedo), light_of(judged)
+    k = np.arange(1, judged.plan.bounces + 1)
+    left = CHANCES[:, None] * (1.0 - CHANCES[:, None]) ** k
+    mix = np.array([0.2126, 0.7152, 0.0722]) * albedo
+    brought = (mix / mix.sum()) @ np.array(albedo)[:, None] ** k
+    np.testing.assert_allclose(kept @ reflected_weights(seen), left @ brought**2, rtol=0.02, atol=2e-4)
+    weights, ones, none = weights_between(seen, judged), np.ones(3, np.float32), np.zeros(3, np.float32)
+    ratio = scatter_at(weights, ones, ones, kept) / scatter_at(weights, ones, none, kept)
+    np.testing.assert_allclose(ratio**2, left @ brought**2 / (left @ 0.9 ** (2 * k)), rtol=0.05, atol=2e-4)
+
+
+def test_weights_of_all_paths_leave_the_surface_out(judged: BakeSpec) -> None:
+    """Without reflected light it is the same at each albedo; with it there is less at a lower one."""
+    dark = judged.of_albedo((0.3, 0.3, 0.3))
+    kept = np.array([[1.0, *([0.0] * len(judged.plan.nodes))]])
+    np.testing.assert_allclose(kept @ all_weights(dark), kept @ all_weights(judged))
+    assert (light_of(judged) @ all_weights(dark) < light_of(judged) @ all_weights(judged)).all()
+
+
+def test_noise_at_the_judged_albedo_stays(judged: BakeSpec) -> None:
+    weights = weights_between(judged, judged)
+    scatter = scatter_at(weights, np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.5, 1.0]), light_of(judged))
+    np.testing.assert_allclose(scatter, [0.1, 0.2, 0.3], rtol=1e-6)

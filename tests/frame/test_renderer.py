@@ -13,15 +13,17 @@ import pytest
 
 from isogi_core.errors import Cancelled
 from isogi_core.frame import gbuffer as gbuffer_module
+from isogi_core.frame import renderer as renderer_module
 from isogi_core.frame import texel_shading
+from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.renderer import Renderer, unlit_frame
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import first_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.scene_plan import MAX_SAMPLES
-from isogi_core.model.view import IDENTITY, quaternion_from_angles
+from isogi_core.model.view import IDENTITY, View, quaternion_from_angles
 from isogi_core.model.volume import make_volume
 from tests.frame.conftest import (
     LOOSE,
@@ -302,3 +304,83 @@ def test_errors_do_not_depend_on_how_bright_the_light_is(tmp_path: Path) -> None
         assert np.isfinite(frame.radiance).all() and frame.radiance.any()
         np.testing.assert_allclose(frame.error, frames[1].error, rtol=1e-4)
         assert 0.0 < frame.noise == pytest.approx(frames[1].noise, rel=1e-4)
+
+
+# --- points -----------------------------------------------------------------------------------------------------------
+
+
+def test_points_of_a_picture_have_its_light(orbital: Workbench) -> None:
+    view, renderer = orbital.view(), Renderer(orbital.renderer.caches, orbital.renderer.tiles)
+    frame = renderer.render(view)  # by a renderer of its own, in which no pixel has paths of its own
+    shown = frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels]
+    for moving in (False, True):
+        lit, normals = renderer.light_points(replace(view, moving=moving), frame.gbuffer.points)
+        assert (lit.radiance[0] != shown).any(axis=1).mean() < 0.01  # half-shadows are of random rays
+    np.testing.assert_array_equal(normals, frame.gbuffer.normals(orbital.renderer.tiles))
+
+
+# --- views without light ----------------------------------------------------------------------------------------------
+
+
+ORBITAL = {"lights": [SKY], "bounces": 1, "target_error": 0.5}
+
+
+def unlit(bench: Workbench, view: View) -> Frame | None:
+    """The frame of a view that is new, and has no light."""
+    return unlit_frame(bench.renderer, view, bench.scene.target_error, threading.Event())
+
+
+def test_it_demands_what_the_first_picture_does(workbench: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And that picture traces no ray and finds no texel again."""
+    bench = workbench(load_scene("demo:orbital", **ORBITAL))
+    view = bench.view()
+    frame = unlit(bench, view)
+    assert frame is not None and not frame.checkable
+    for module, name in ((renderer_module, "trace"), (texel_shading, "find_texels")):
+        monkeypatch.setattr(module, name, lambda *_: pytest.fail("it is done twice"))
+    first = bench.renderer.render(view)
+    assert np.array_equal(frame.state, first.state) and (first.state[first.state > 0] == PROVISIONAL).all()
+    pairs = list(zip(frame.demands, first.demands, strict=True))
+    assert len(pairs) > 3 and all(ours.index == theirs.index and ours.weight > 0.0 for ours, theirs in pairs)
+    assert all(np.array_equal(ours.offsets, theirs.offsets) for ours, theirs in pairs)
+    assert all(ours.effort == theirs.effort for ours, theirs in pairs)
+
+
+def test_there_is_none_of_a_view_that_is_known_or_lit(workbench: Make) -> None:
+    bench = workbench(load_scene("demo:orbital", **ORBITAL))
+    view = bench.view()
+    assert unlit(bench, view) is not None
+    assert unlit(bench, view) is None, "it is known"
+    refine_chunk(bench.caches.of("gi"), 16, 0.5, bench.renderer.render(view).demands[0])
+    assert unlit(bench, replace(view, width=40)) is None, "some of it has light"
+    assert unlit(bench.again(), view) is None, "also after a restart"
+
+
+@pytest.mark.parametrize("other", [{"moving": True}, {"shading": "lambert"}, {"shading": "vicinity"}])
+def test_views_without_light_of_their_own_are_passed_over(workbench: Make, other: dict[str, object]) -> None:
+    bench = workbench(load_scene("demo:orbital", **ORBITAL))
+    found = unlit(bench, bench.view(**other))
+    assert (found is not None) == (other == {"shading": "vicinity"})
+
+
+def test_it_ends_once_nobody_waits(workbench: Make) -> None:
+    bench, cancelled = workbench(load_scene("demo:orbital", **ORBITAL)), threading.Event()
+    cancelled.set()
+    with pytest.raises(Cancelled):
+        unlit_frame(bench.renderer, bench.view(), 0.5, cancelled)
+
+
+@pytest.mark.parametrize("settings", [{}, {"isovalue": 0.02}])
+def test_the_first_picture_is_the_same_about_any_normals(
+    workbench: Make, settings: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is lit about those of surface points, as texels' own would take as long as all else."""
+    bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=2))
+    view = bench.view(**settings)
+    monkeypatch.setattr(texel_shading, "find_texel_normals", lambda *_: pytest.fail("it takes long"))
+    near = bench.renderer.render(view)
+    monkeypatch.undo()
+    monkeypatch.setattr("isogi_core.frame.texel_reading.Reading.unbaked", False)
+    own = bench.again().renderer.render(view)
+    np.testing.assert_allclose(near.radiance, own.radiance, rtol=1e-5, atol=1e-7)
+    assert near.version == own.version and (near.radiance[near.state > 0] > 0.0).all()

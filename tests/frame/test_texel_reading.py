@@ -1,28 +1,34 @@
-"""Readings: how good the light of a view's texels is, and what of it is still wanted."""
+"""Readings: how good the light of a view's texels is, what is wanted of it, and what drafts lend."""
 
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
+from isogi_core.frame import shading
 from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.shading import carry_texel_light, filter_texel_light, lend_light
 from isogi_core.frame.texel_reading import Lacking, grade_rows
 from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.view_texels import PAIRED, first_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import (
     BURIED_GRADE,
     BURIED_ROW,
+    LIGHT_NUMBERS,
     PARTIAL_GRADE,
     UNBAKED_GRADE,
     UNLIT_ROW,
     VOID_GRADE,
     VOID_ROW,
 )
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.scene_plan import MIN_SAMPLES, most_samples
 from isogi_core.model.view import View
-from tests.frame.conftest import CONSTANT, SKY, Workbench, reading_of, refine_chunk
+from tests.frame.conftest import SKY, Workbench, reading_of, refine_chunk, relative_rmse
 from tests.loaded import load_scene
 
 TARGET = 0.02
@@ -117,10 +123,141 @@ def test_efforts_of_chunks_in_pieces_are_those_of_their_texels(
     assert all(effort.taken > 0.0 for effort in efforts if not effort.unlit)
 
 
-def test_threads_change_no_reading(workbench: Callable[..., Workbench]) -> None:
-    bench = workbench(load_scene("demo:orbital", lights=[CONSTANT], bounces=1, target_error=0.5))
+# --- drafts -----------------------------------------------------------------------------------------------------------
+
+
+Make = Callable[..., Workbench]
+
+
+def orbital(workbench: Make) -> Workbench:
+    """The orbital under a sky, with nothing baked."""
+    return workbench(load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=1e-3))
+
+
+def test_unlit_texels_have_the_mean_of_their_cells_others(workbench: Make) -> None:
+    """Texels of all grades, beside a loop over cells; void, buried and half-baked ones lend nothing."""
+    bench, random = orbital(workbench), np.random.default_rng(5)
     view = bench.view(size=24)
-    bench.bake(view)
-    one, other = (reading_of(bench, view, Tiles(threads)) for threads in (1, 3))
-    assert one.version == other.version
-    assert np.array_equal(one.rows, other.rows) and np.array_equal(one.grade, other.grade)
+    texels, empty = bench.renderer.texels(view, bench.renderer.gbuffer(view)), reading_of(bench, view, Tiles(1))
+    chosen = random.choice(
+        [UNBAKED_GRADE, PARTIAL_GRADE, CONVERGING, FINAL, BURIED_GRADE, VOID_GRADE], len(texels.places)
+    )
+    reading, lit = (
+        replace(empty, grade=chosen.astype(np.uint8)),
+        random.random((len(chosen), LIGHT_NUMBERS), np.float32),
+    )
+    after, lent = lend_light(texels, reading, lit)
+    expected: dict[int, list[np.ndarray]] = {}
+    for cell in texels.corners.tolist():
+        lenders = [t for t in cell if CONVERGING <= chosen[t] <= FINAL]
+        for t in cell:
+            if chosen[t] == UNBAKED_GRADE and lenders:
+                expected.setdefault(t, []).append(lit[lenders].mean(axis=0))
+    assert 100 < len(expected) < (chosen == UNBAKED_GRADE).sum()
+    for t, means in expected.items():
+        assert after.grade[t] == CONVERGING
+        assert any(np.allclose(lent[t], mean, rtol=1e-5) for mean in means)
+    others = np.setdiff1d(np.arange(len(chosen)), [*expected])
+    assert np.array_equal(lent[others], lit[others]) and np.array_equal(after.grade[others], chosen[others])
+    assert np.array_equal(reading.grade, chosen), "what was read stays as it is"
+
+
+def test_light_that_is_all_there_is_left_alone(workbench: Make) -> None:
+    bench = orbital(workbench)
+    view = bench.view(size=24)
+    texels, empty = bench.renderer.texels(view, bench.renderer.gbuffer(view)), reading_of(bench, view, Tiles(1))
+    reading, lit = (
+        replace(empty, grade=np.full_like(empty.grade, CONVERGING)),
+        np.ones((len(empty.grade), LIGHT_NUMBERS)),
+    )
+    assert lend_light(texels, reading, lit) == (reading, lit)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [64, 128, 512])
+def test_a_draft_is_lit_by_a_quarter_of_its_texels(size: int, workbench: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small one reads no others. All are filtered as at rest, and near to that picture."""
+    bench = orbital(workbench)
+    view = bench.view(size=size)
+    for demand in bench.renderer.render(view).demands:
+        first = demand.offsets[first_texels(demand.offsets, demand.bits)]
+        refine_chunk(bench.caches.of("gi"), 64, 1e-3, replace(demand, offsets=first))
+    steps, filters = set[int](), shading.filter_texels
+
+    def noted(*given: Any) -> None:
+        steps.add(given[4])
+        filters(*given)
+
+    monkeypatch.setattr(shading, "filter_texels", noted)
+    draft = bench.renderer.render(replace(view, moving=True))
+    assert steps == {1, 2} and draft.coverage["provisional"] < 0.02
+    unlit = sum(demand.effort.unlit for demand in draft.demands)
+    assert unlit == 0 if size < 512 else unlit > 1000
+    rest = bench.renderer.render(view)
+    assert relative_rmse(draft, rest) < 0.15
+
+
+def test_what_moves_reads_few_texels_where_pixels_are_large(workbench: Make) -> None:
+    """Small views that move read first texels alone; large ones, and all at rest, the eight about each point."""
+    bench = orbital(workbench)
+    for size in (32, 64, 128, 512):
+        view = bench.view(size=size)
+        gbuffer = bench.renderer.gbuffer(view)
+        rest, draft = (bench.renderer.texels(replace(view, moving=moving), gbuffer) for moving in (False, True))
+        assert not rest.coarse and draft.coarse == (size < 512)
+        assert bench.renderer.texels(view, gbuffer) is rest, "both are kept"
+        assert draft.coarse == (len(rest.places) > len(gbuffer.pixels))
+        assert len(draft.places) <= 2 * len(gbuffer.pixels)
+        assert np.isin(draft.numbers(draft.places), rest.numbers(rest.places)).all(), "of those at rest"
+
+
+def test_coarse_texels_count_more_in_the_noise_of_pixels() -> None:
+    """By 17/8 in the variance, over points spread evenly in a cell, where two take the weights of four corners each."""
+    share = (np.arange(32) + 0.5) / 32
+    weights = np.stack([1.0 - share, share])
+    corners = np.einsum("ax,by,cz->abcxyz", weights, weights, weights).reshape(8, -1)
+    near = [c.bit_count() < 2 for c in range(8)]
+    pairs = np.stack([corners[near].sum(axis=0), corners[np.invert(near)].sum(axis=0)])
+    assert (pairs**2).sum() / (corners**2).sum() == pytest.approx(PAIRED, rel=2e-3)
+
+
+def test_a_coarse_draft_tells_the_noise_of_its_pixels(workbench: Make) -> None:
+    """Over many independent lights of its texels, their pixels scatter as much as is told of them in the mean."""
+    bench, random = orbital(workbench), np.random.default_rng(3)
+    view = replace(bench.view(size=48), moving=True)
+    light, tiles = bench.renderer._light(view), Tiles(1)
+    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    assert texels.coarse
+    reading = replace(reading_of(bench, view, tiles), grade=np.full(len(texels.places), CONVERGING, np.uint8))
+    seen, told = [], []
+    for _ in range(64):
+        lit = np.ones((len(texels.places), LIGHT_NUMBERS), np.float32)
+        lit[:, :3], lit[:, 3] = 1.0 + 0.05 * random.normal(size=(len(lit), 1)), 0.05
+        picture = carry_texel_light(texels, reading, lit, texels.gbuffer.shown(tiles), light, tiles)
+        shown = picture.radiance[texels.gbuffer.pixels] @ LUMINANCE_WEIGHTS / light.spec.unit
+        seen.append(shown)
+        told.append(picture.error[texels.gbuffer.pixels] * shown)
+    true = np.sqrt(np.var(seen, axis=0).mean())
+    assert np.sqrt(np.mean(np.square(told))) == pytest.approx(true, rel=0.1)
+
+
+def test_lent_light_may_all_be_wrong(workbench: Make) -> None:
+    """A texel whose normal is turned round has the light of its cell, and as much error as light; none is filtered."""
+    bench = orbital(workbench)
+    view, tiles = bench.view(size=24), Tiles(1)
+    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    turned = np.unique(texels.corners[::7, 3])
+    normals = np.tile(np.array([[0.0, 0.0, 1.0]], np.float32), (len(texels.places), 1))
+    normals[turned] *= -1.0
+    grade = np.full(len(normals), CONVERGING, np.uint8)
+    grade[turned] = UNBAKED_GRADE
+    samples = np.where(grade == UNBAKED_GRADE, 0, 16).astype(np.int32)
+    reading = replace(reading_of(bench, view, tiles), grade=grade, samples=samples)
+    lit = np.full((len(normals), LIGHT_NUMBERS), 0.5, np.float32)
+    lit[:, 3], lit[turned] = 0.01, 0.0
+    for moving in (False, True):
+        light = bench.renderer._light(replace(view, moving=moving))
+        found, filtered = filter_texel_light(texels, reading, lit, normals, light, tiles)
+        assert (found.grade == CONVERGING).all()
+        np.testing.assert_allclose(filtered[turned, :3], 0.5, rtol=1e-3)
+        np.testing.assert_allclose(filtered[turned, 3], 0.5, rtol=1e-3)

@@ -1,102 +1,323 @@
-"""Projection of lat-long images against exact quadrature, closed forms and the rotation of harmonics."""
+"""Where texels are projected: stiffness of known fields, levels of a range, and what plans make of both."""
 
 import math
+import re
+from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from isogi_core.kernels.transport.harmonics import MAX_ORDER, cosine_lobe_factors
-from isogi_core.model.environment import pixel_directions
-from isogi_core.model.lights import ConstantLight, SkyLight
-from isogi_core.plan.bands import project_environment, project_image
-from isogi_core.plan.lighting import assemble_environment
-from tests.kernels.transport.harmonic_bases import basis, rotation_matrix
+from isogi_core.errors import SceneError
+from isogi_core.frame.tiles import Tiles
+from isogi_core.model.volume import Isovalue, Volume, make_volume
+from isogi_core.plan import projection
+from isogi_core.plan.projection import (
+    INTERPOLATION,
+    NOISY_ERROR,
+    RANGE_BINS,
+    SLIDER_STOPS,
+    SMOOTH_ERROR,
+    STEEP_ERROR,
+    ProjectionPlan,
+    Stiffness,
+    find_stops,
+    least_gradients,
+    measure_stiffness,
+    plan_projection,
+    rounded,
+    sample_range,
+    shortened,
+    spread_down,
+)
+from isogi_core.runs import serially
+from tests.kernels.fields import field_of
+from tests.loaded import load_scene
 
-COUNT = MAX_ORDER * MAX_ORDER
-WHITE = math.sqrt(4.0 * math.pi)
-
-
-def project(image: np.ndarray, order: int = MAX_ORDER) -> np.ndarray:
-    """Coefficients (3, order²) of an image of float32, as environments keep it."""
-    return project_image(np.asarray(image, np.float32), order)
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (5, 1), (16, 32), (33, 65)])
-def test_a_constant_is_one_number(shape: tuple[int, int]) -> None:
-    radiance = np.array([1.0, 0.5, 1e6])
-    expected = np.outer(radiance, np.eye(COUNT)[0]) * WHITE
-    np.testing.assert_allclose(project(np.broadcast_to(radiance, (*shape, 3))), expected, rtol=1e-13, atol=1e-8)
-    np.testing.assert_allclose(project(np.ones((*shape, 3)))[0], expected[0], rtol=0, atol=2e-14)
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 3), (4, 1), (3, 5)])
-def test_projection_is_the_integral_of_the_pixels(shape: tuple[int, int]) -> None:
-    """Against Gauss quadrature of Y_i within every pixel, one by one."""
-    height, width = shape
-    image = np.random.default_rng(8).random((*shape, 3)).astype(np.float32)
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-    expected = np.zeros((3, COUNT))
-    for i, j in np.ndindex(shape):
-        theta = math.pi * (i + (nodes[:, None] + 1.0) / 2.0) / height + 0.0 * nodes
-        phi = 2.0 * math.pi * (j + (nodes + 1.0) / 2.0) / width + 0.0 * nodes[:, None]
-        sine = np.sin(theta)
-        directions = np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], axis=-1)
-        area = np.outer(weights, weights) / 4.0 * sine * (math.pi / height) * (2.0 * math.pi / width)
-        integral = area.ravel() @ basis(MAX_ORDER, directions.reshape(-1, 3))
-        expected += image[i, j].astype(float)[:, None] * integral
-    np.testing.assert_allclose(project(image), expected, rtol=0, atol=1e-13)
+SIDE = 40
 
 
-@pytest.mark.parametrize("order", range(1, MAX_ORDER + 1))
-def test_a_lower_order_is_the_beginning_of_a_higher(order: int) -> None:
-    image = np.random.default_rng(11).random((6, 9, 3))
-    np.testing.assert_allclose(project(image, order), project(image)[:, : order**2], rtol=0, atol=1e-14)
+def ball(width: float) -> np.ndarray:
+    """A ball of radius 13 whose skin is a ramp of ``width`` voxels; a mask where that is 0."""
+    z, y, x = np.indices((SIDE,) * 3) - (SIDE - 1) / 2
+    distance = np.sqrt(x * x + y * y + z * z) - 13.1
+    return np.clip(0.5 - distance / width, 0.0, 1.0) if width else (distance < 0.0).astype(float)
 
 
-def test_projection_finds_the_coefficients_of_an_image() -> None:
-    """A band-limited image comes back, up to the pixels' size, channel by channel."""
-    coefficients = np.random.default_rng(9).normal(size=(3, 25))
-    image = basis(5, pixel_directions(128, 256).reshape(-1, 3)) @ coefficients.T
-    np.testing.assert_allclose(project(image.reshape(128, 256, 3), 5), coefficients, rtol=0, atol=2e-3)
+def stiffness(voxels: np.ndarray, *levels: float) -> Stiffness:
+    return measure_stiffness(field_of(voxels), levels or (0.5,), serially)
 
 
-@pytest.mark.parametrize("axis", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (0.6, -0.64, 0.48)])
-def test_projection_of_a_cosine_lobe(axis: tuple[float, float, float]) -> None:
-    """max(ω·n, 0) has the coefficients A_l Y_lm(n)."""
-    lobe = np.maximum(pixel_directions(128, 256) @ np.array(axis), 0.0)
-    degrees = np.repeat(np.arange(5), 2 * np.arange(5) + 1)
-    expected = cosine_lobe_factors(5)[degrees] * basis(5, np.array([axis]))[0]
-    np.testing.assert_allclose(project(lobe[..., None].repeat(3, axis=2), 5)[1], expected, rtol=0, atol=1e-3)
+def shares(found: Stiffness) -> tuple[float, float, float]:
+    """Steep, plateau, noisy at the first isovalue."""
+    steep, plateau, noisy = (float(found.share(each)[0]) for each in (found.steep, found.plateau, found.noisy))
+    return steep, plateau, noisy
 
 
-def test_projection_of_one_pixel_of_a_million() -> None:
-    """A filament in the dark: every coefficient is its energy times Y_i, and dark pixels add nothing."""
-    image = np.zeros((64, 128, 3))
-    image[20, 90] = 1e6
-    edges = np.cos(np.array([20, 21]) * math.pi / 64)
-    energy = 1e6 * (edges[0] - edges[1]) * 2.0 * math.pi / 128
-    direction = pixel_directions(64, 128)[20, 90]
-    np.testing.assert_allclose(project(image, 3)[2], energy * basis(3, direction[None])[0], rtol=5e-3)
+@pytest.mark.parametrize("width", [8.0, 4.0, 3.0])
+def test_a_ball_with_a_soft_skin_is_not_stiff(width: float) -> None:
+    assert shares(stiffness(ball(width))) == (0.0, 0.0, 0.0)
 
 
-def test_projection_and_rotation_agree() -> None:
-    """Turning an image by whole columns is turning its coefficients about z."""
-    image = np.random.default_rng(10).random((8, 16, 3))
-    turn = Rotation.from_rotvec([0.0, 0.0, 3 * 2.0 * math.pi / 16]).as_matrix()
-    turned = project(image) @ rotation_matrix(turn).T
-    np.testing.assert_allclose(project(np.roll(image, 3, axis=1)), turned, rtol=0, atol=1e-13)
+def test_the_thinner_a_ramp_the_more_of_it_is_steep() -> None:
+    steep = [shares(stiffness(ball(width)))[0] for width in (3.0, 2.0, 1.5, 1.0, 0.0)]
+    assert steep == sorted(steep) and steep[1] < 0.2 and steep[3] > 0.9
 
 
-def test_an_environment_is_its_constant_and_its_image() -> None:
-    light = assemble_environment([ConstantLight((1.0, 2.0, 3.0)), SkyLight()])
-    expected = project_image(light.image, 4)
-    expected[:, 0] += WHITE * np.array([1.0, 2.0, 3.0])
-    np.testing.assert_allclose(project_environment(light, 4), expected, rtol=1e-14)
-    np.testing.assert_allclose(project_environment(light, 1)[:, 0], WHITE * light.mean(), rtol=1e-12)
+def test_a_mask_is_steep_everywhere_and_no_more_than_steep() -> None:
+    assert shares(stiffness(ball(0.0))) == (1.0, 0.0, 0.0)
 
 
-def test_a_constant_environment_is_exact() -> None:
-    light = assemble_environment([ConstantLight((1.0, 0.5, 0.1))])
-    expected = np.outer([1.0, 0.5, 0.1], np.eye(9)[0]) * WHITE
-    assert (project_environment(light, 3) == expected).all()
+def test_a_mask_seen_at_the_value_of_its_outside_is_on_a_plateau() -> None:
+    steep, plateau, _ = shares(stiffness(ball(0.0), 0.0))
+    assert steep == 1.0 and plateau > 0.5
+
+
+def test_noise_is_noisy_and_a_little_noise_is_not() -> None:
+    noise = np.random.default_rng(2).normal(size=(SIDE,) * 3)
+    assert shares(stiffness(noise, 0.0))[2] > 0.9
+    assert shares(stiffness(ball(8.0) + 0.01 * noise))[2] == 0.0
+
+
+def test_terraces_are_plateaus_at_their_treads_values_alone() -> None:
+    treads = np.floor(np.indices((30, 30, 30))[0] / 6.0)
+    found = stiffness(treads, 1.0, 1.5)
+    assert found.share(found.plateau).tolist() == [1.0, 0.0]
+    assert found.share(found.steep).tolist() == [1.0, 1.0]
+
+
+def test_a_surface_meets_the_faces_that_it_leads_to() -> None:
+    """A rod along x through the box, cut off at y = 0 too."""
+    rod = np.full((20, 20, 20), 0.0)
+    rod[8:12, :12, :] = 1.0
+    found = stiffness(rod)
+    assert found.faces[:, 0].tolist() == [27, 27, 38, 0, 0, 0]
+
+
+def test_cells_beside_a_hole_are_counted() -> None:
+    voxels = ball(8.0)
+    voxels[SIDE // 2, SIDE // 2, SIDE // 2 + 13] = np.nan
+    found, whole = stiffness(voxels), stiffness(ball(8.0))
+    assert whole.holed[0] == 0 and 0 < found.holed[0] < 50
+    assert 0 < whole.cells[0] - found.cells[0] <= 8
+
+
+def test_levels_ascend_and_threads_do_not_change_counts() -> None:
+    voxels = np.random.default_rng(4).random((33, 12, 13))
+    tiles = Tiles(3)
+    one, many = (measure_stiffness(field_of(voxels), (0.7, 0.2, 0.7), run) for run in (serially, tiles.run))
+    tiles.close()
+    assert one.levels.tolist() == np.float32([0.2, 0.7]).tolist()
+    for name in ("cells", "steep", "plateau", "noisy", "holed", "faces"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(many, name))
+
+
+def test_a_stiffer_surface_is_expected_to_err_more() -> None:
+    soft, steep = (stiffness(each).expectation(0) for each in (ball(8.0), ball(0.0)))
+    noise = stiffness(np.random.default_rng(2).normal(size=(SIDE,) * 3), 0.0).expectation(0)
+    assert soft.low < soft.likely < soft.high
+    assert soft.likely < steep.likely < noise.likely
+
+
+# --- levels of a range ------------------------------------------------------------------------------------------------
+
+
+def radial(profile, size: int = 33, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0), **made) -> Volume:  # type: ignore[no-untyped-def]
+    """A volume of a ``profile`` of the distance from its middle, in the world."""
+    axes = [(np.arange(size) - (size - 1) / 2.0) * step for step in spacing[::-1]]
+    z, y, x = np.meshgrid(*axes, indexing="ij")
+    return make_volume(profile(np.sqrt(x * x + y * y + z * z)).astype(np.float32), spacing, **made)
+
+
+def test_uniform_levels_are_middles_of_equal_parts() -> None:
+    volume = radial(lambda r: r)
+    levels = sample_range(volume, (2.0, 12.0), 5, "uniform").levels
+    assert levels == pytest.approx((3.0, 5.0, 7.0, 9.0, 11.0))
+
+
+@pytest.mark.parametrize("solid", ["above", "below"])
+def test_adaptive_surfaces_are_evenly_spaced(solid: str) -> None:
+    """Of f = r², whose surfaces are balls of radius √c: even levels crowd outside, adaptive ones do not."""
+    volume = radial(lambda r: r * r, size=65, solid=solid)
+    levels = sample_range(volume, (100.0, 900.0), 12, "adaptive")
+    radii = np.sqrt(levels.levels)
+    even = np.sqrt(sample_range(volume, (100.0, 900.0), 12, "uniform").levels)
+    assert (np.diff(levels.levels) > 0.0).all()
+    assert np.diff(radii).std() / np.diff(radii).mean() < 0.2 < np.diff(even).std() / np.diff(even).mean()
+    assert levels.softened == 0.0
+    assert levels.note == ""
+
+
+def test_the_least_gradient_is_that_of_the_field() -> None:
+    """|∇f| = 2r of f = r², whatever the voxels' shape; those of a cell's middle, next to the surface."""
+    volume = radial(lambda r: r * r, size=65, spacing=(0.5, 1.0, 0.75))
+    low, high = (float(volume.normalise_isovalue(each)) for each in (25.0, 225.0))
+    found = least_gradients(volume, (low, high)) * abs(volume.scale)
+    radii = np.sqrt(25.0 + 200.0 * (np.arange(RANGE_BINS) + 0.5) / RANGE_BINS)
+    assert (found <= 2.0 * radii + 1e-6).all()
+    assert (found >= 2.0 * (radii - 1.0)).all()
+
+
+def test_of_a_large_volume_some_cells_say_nearly_the_same() -> None:
+    volume = radial(lambda r: r * r, size=65)
+    whole, some = (
+        sample_range(volume, (100.0, 900.0), 12, "adaptive", most).levels for most in (np.inf, volume.voxels.size / 40)
+    )
+    assert some != whole
+    np.testing.assert_allclose(np.sqrt(some), np.sqrt(whole), atol=0.5)
+
+
+def test_stops_are_spread_over_the_range_and_are_short_numbers() -> None:
+    volume = radial(lambda r: r * r, size=65)
+    stops = find_stops(volume, (100.0, 900.0)).levels
+    assert len(stops) == SLIDER_STOPS
+    assert np.diff([100.0, *stops, 900.0]).min() > 0.0
+    assert max(len(f"{stop:.15g}") for stop in stops) <= 5
+    assert find_stops(volume, (300.0, 300.0)).levels == ()
+
+
+@pytest.mark.parametrize("outlier", [1e3, 1e30, -1e300, np.inf, np.nan])
+@pytest.mark.parametrize("scale", [1e-300, 1.0, 1e200])
+def test_outliers_move_no_stop(outlier: float, scale: float) -> None:
+    values = np.random.default_rng(2).random((9, 9, 9)).cumsum(axis=0) * scale
+    values[4, 4, 4] = outlier * scale
+    volume = make_volume(values)
+    stops = find_stops(volume, (scale, 4.0 * scale)).levels
+    assert len(stops) == SLIDER_STOPS
+    assert np.diff([1.0, *(stop / scale for stop in stops), 4.0]).min() > 0.0
+
+
+@pytest.mark.parametrize("scale", [1e-320, 1e-30, 1.0, 1e30, 1e307])
+def test_shortened_levels_stay_near_and_in_order(scale: float) -> None:
+    levels = [scale * each for each in (-3.14159, 0.123456, 0.234567, 8.7654321)]
+    short = shortened(levels, (-4.0 * scale, 9.0 * scale))
+    moved = np.abs(np.array(short) / 2.0 - np.array(levels) / 2.0)
+    assert (moved <= 0.026 * np.array([0.87, 0.12, 0.12, 0.24]) * scale).all()
+
+
+def test_numbers_are_rounded_to_powers_of_ten() -> None:
+    steps = {60.0: 120.0, 1.0: 123.0, 0.5: 123.5, 0.0: 123.456, float("inf"): 123.456}
+    assert {most: rounded(123.456, most) for most in steps} == steps
+    assert str(rounded(-0.2, 1.0)) == "0.0"
+
+
+def test_noise_leaves_even_levels_and_says_so() -> None:
+    noise = np.random.default_rng(5).normal(size=(40, 40, 40)).astype(np.float32)
+    volume = make_volume(noise)
+    adaptive, even = (sample_range(volume, (-1.0, 1.0), 8, way) for way in ("adaptive", "uniform"))
+    assert adaptive.softened > 0.5
+    assert "levels are even there" in adaptive.note
+    np.testing.assert_allclose(adaptive.levels, even.levels, atol=0.15)
+
+
+def test_no_level_is_in_a_gap_of_the_range() -> None:
+    """Two plateaus, 0 and 10, a step between: no surface lies beyond 10, and levels stay below."""
+    volume = make_volume(np.repeat([0.0, 10.0, 20.0], [8, 8, 1])[:, None, None] * np.ones((1, 6, 6), np.float32))
+    volume.voxels[-1] = np.nan
+    levels = sample_range(volume, (0.0, 20.0), 6, "adaptive").levels
+    assert min(levels) > 0.0
+    assert max(levels) <= 10.05
+
+
+def test_ranges_of_powers_of_two_spread_to_their_places() -> None:
+    draw, places = np.random.default_rng(1), 64
+    table, expected = np.full((7, places), np.inf), np.full(places, np.inf)
+    for _ in range(40):
+        level = int(draw.integers(7))
+        first, value = int(draw.integers(places - (1 << level) + 1)), float(draw.random())
+        table[level, first] = min(table[level, first], value)
+        expected[first : first + (1 << level)] = np.minimum(expected[first : first + (1 << level)], value)
+    np.testing.assert_array_equal(spread_down(table), expected)
+
+
+# --- plans ------------------------------------------------------------------------------------------------------------
+
+
+def level(value: float) -> Isovalue:
+    return Isovalue(np.float64(value))
+
+
+def plan_of(errors: list[float], allowed: float = 0.01) -> ProjectionPlan:
+    return ProjectionPlan(np.arange(len(errors), dtype=float), np.array(errors), allowed)
+
+
+def stepped(height: float) -> np.ndarray:
+    """A smooth slope along x up to 1, and a step of a ``height`` above it."""
+    slope = np.minimum(np.arange(24) / 12.0, 1.0) + height * (np.arange(24) >= 18)
+    return np.broadcast_to(slope, (20, 20, 24)).astype(np.float32).copy()
+
+
+def test_the_error_at_the_nearest_level_counts() -> None:
+    plan = plan_of([0.0, 0.02, 0.005])
+    assert [plan.error(level(at)) for at in (-3, 0, 0.4, 0.6, 1, 1.4, 1.6, 9)] == [0, 0, 0, *[0.02] * 3, 0.005, 0.005]
+    assert [plan.projects(level(at)) for at in (0, 0.4, 1, 1.4, 2)] == [False, False, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("errors", "spans"),
+    [
+        ([0.0, 0.0], []),
+        ([0.0, 0.02, 0.0, 0.0, 0.03], [(0.5, 1.5), (3.5, 4.0)]),
+        ([0.02, 0.0, 0.02], [(0.0, 0.5), (1.5, 2.0)]),
+        ([0.0, 0.02, 0.02, 0.0], [(0.5, 2.5)]),
+        ([0.02], [(0.0, 0.0)]),
+    ],
+)
+def test_spans_hold_just_the_isovalues_that_project(errors: list[float], spans: list[tuple[float, float]]) -> None:
+    plan = plan_of(errors)
+    assert plan.spans() == spans and plan.any == bool(spans)
+    for at in np.linspace(0.0, len(errors) - 1, 8 * len(errors)).tolist():
+        inside = any(low <= at <= high for low, high in spans)
+        assert plan.projects(level(at)) == inside or at % 1.0 == 0.5
+
+
+def test_a_steep_surface_is_projected_and_a_smooth_one_is_not() -> None:
+    """The error of a step is SMOOTH_ERROR + STEEP_ERROR: above what a target of 2 % allows, and below that of 4 %."""
+    field, span = field_of(stepped(2.0)), (level(0.0), level(3.0))
+    plan = plan_projection(field, span, level(2.0), 0.02)
+    assert plan.allowed == pytest.approx(INTERPOLATION * 0.02)
+    assert plan.error(level(0.5)) == pytest.approx(SMOOTH_ERROR)
+    assert plan.error(level(2.0)) == pytest.approx(SMOOTH_ERROR + STEEP_ERROR)
+    assert not plan.projects(level(0.5)) and plan.projects(level(2.0))
+    assert not plan_projection(field, span, level(2.0), 0.04).any
+
+
+def test_a_sample_of_layers_tells_what_all_of_them_tell() -> None:
+    rng = np.random.default_rng(3)
+    z, y, x = np.mgrid[:64, :40, :40]
+    voxels = (np.hypot(np.hypot(x - 20, y - 20), z / 2 - 16) / 20 + 0.1 * rng.normal(size=x.shape)).astype(np.float32)
+    whole, part = (measure_stiffness(field_of(voxels), (0.4, 0.6), most=most) for most in (None, voxels.size // 8))
+    assert (part.cells < 0.2 * whole.cells).all() and (part.cells > 0.05 * whole.cells).all()
+    for place in range(2):
+        assert part.expectation(place).likely == pytest.approx(whole.expectation(place).likely, rel=0.1)
+        assert whole.expectation(place).likely > SMOOTH_ERROR + 0.2 * NOISY_ERROR
+
+
+@pytest.mark.parametrize("most", [1, 100, 1 << 30])
+def test_a_sample_of_a_thin_volume_is_not_empty(most: int) -> None:
+    found = measure_stiffness(field_of(stepped(2.0)[:3]), (2.0,), most=most)
+    assert found.cells[0] > 0 and found.share(found.steep)[0] == 1.0
+
+
+@pytest.mark.parametrize("projected", [True, False])
+def test_a_scene_may_settle_it(projected: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(projection, "count_stiffness", None)
+    scene = load_scene("demo:orbital", projected=projected)
+    assert scene.projection.any is projected
+    assert scene.projection.spans() == ([scene.span] if projected else [])
+    assert any(each.what == "surface-projected texels" for each in scene.left_out) is not projected
+    other = load_scene("demo:orbital", projected=not projected)
+    assert scene.digest != other.digest and scene.bake_digest == other.bake_digest
+
+
+def test_what_is_left_out_says_what_interpolation_errs_by() -> None:
+    scene = load_scene("demo:orbital", lattice=0.4)
+    (found,) = (each for each in scene.left_out if each.what == "surface-projected texels")
+    error = scene.projection.error(scene.start)
+    said = re.match(r"The error of interpolation is about ([\d.]+)", found.why)
+    assert said is not None and math.isclose(float(said[1]), 100.0 * error, rel_tol=1e-2)
+
+
+@pytest.mark.parametrize("settings", [{"sharpen": True}, {"sharpen": False}])
+def test_the_former_key_is_refused_with_the_new_one(settings: dict[str, Any]) -> None:
+    with pytest.raises(SceneError, match="projected = false"):
+        load_scene("demo:orbital", **settings)

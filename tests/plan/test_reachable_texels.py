@@ -1,7 +1,6 @@
 """Texels that isovalues can show, against loops over cells, real frames and the bake's own normals."""
 
 import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,14 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import find_texels
 from isogi_core.model.view import View
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.reachable_texels import SAMPLED_TEXELS, Sample, count_texels, surface_cells, void_texels
+from isogi_core.plan.reachable_texels import (
+    SAMPLED_TEXELS,
+    Sample,
+    count_texels,
+    surface_cells,
+    surface_texels,
+    void_texels,
+)
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import scene_of
@@ -147,7 +153,22 @@ def test_a_constant_volume_shows_nothing() -> None:
     assert (count.total, count.shown, count.void, count.shown_chunks) == (125, 0, 0, 0)
 
 
-@pytest.mark.data
-def test_a_real_volume_is_counted(shared_data: Path) -> None:
-    scene = load_scene(shared_data / "engine_256x256x128_uint8.nhdr", isovalues=[40, 250])
-    assert 0 < scene.texels.shown < scene.texels.total
+# --- chunk by chunk ---------------------------------------------------------------------------------------------------
+
+
+RANGES = [[(0.5, 0.5)], [(0.2, 0.3), (0.9, 0.95)], [(7.0, 8.0)]]
+
+
+@pytest.mark.parametrize("shape", [(20, 17, 33), (10, 9, 17), (39, 33, 65), (2, 2, 2), (16, 16, 16)])
+@pytest.mark.parametrize("ranges", RANGES)
+def test_chunks_together_hold_what_the_lattice_shows(
+    shape: tuple[int, int, int], ranges: list[tuple[float, float]]
+) -> None:
+    voxels = np.random.default_rng(0).random((20, 17, 33)).astype(np.float32).cumsum(axis=0) / 10
+    expected = np.logical_or.reduce([shown_texels(surface_cells(voxels, *each), shape) for each in ranges])
+    found = np.zeros(shape, np.bool_)
+    for index, offsets in surface_texels(voxels, shape, 8, ranges):
+        assert len(offsets) > 0 and (np.diff(offsets) > 0).all()
+        z, y, x = np.stack(np.unravel_index(offsets, (8, 8, 8))) + 8 * np.array(index)[:, None]
+        found[z, y, x] = True
+    np.testing.assert_array_equal(found, expected)

@@ -1,9 +1,10 @@
-"""The active-cell maps of one volume: widened to levels, made once, kept within so many bytes."""
+"""Active cells of one volume: maps widened to levels, kept within so many bytes; idle voxels, and voxel codes."""
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,19 @@ from isogi_core.kernels.tracing.active_cells import ActiveCells, block_ranges, m
 from isogi_core.lru_cache import OVERHEAD_BYTES
 from isogi_core.model.volume import Isovalue, make_volume
 from isogi_core.prepared import active_cell_maps as module
-from isogi_core.prepared.active_cell_maps import CORE_GROUPS, MARKED_LAYERS, NEAR_ZERO_LEVEL, ActiveCellMaps
+from isogi_core.prepared.active_cell_maps import (
+    CORE_GROUPS,
+    CROWDED_SHARE,
+    HOLE_CODE,
+    MARKED_LAYERS,
+    NEAR_ZERO_LEVEL,
+    SLAB_CODE_BYTES,
+    ActiveCellMaps,
+    IdleVoxels,
+    VoxelCodes,
+    find_codes,
+    find_levels,
+)
 from isogi_core.prepared.prepared_scene import make_field, survey_of
 from isogi_core.runs import Piece, Run, serially
 
@@ -204,3 +217,183 @@ def test_a_large_volume_is_measured_once(monkeypatch: pytest.MonkeyPatch, tmp_pa
         assert_same(maps.at(HALF), first.at(HALF))
     for one, other in zip(make_field(volume)[1:3], make_field(replace(volume, digest="other"))[1:3], strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+# --- levels -----------------------------------------------------------------------------------------------------------
+
+
+EVEN = np.random.default_rng(1).random((20, 21, 22)).astype(np.float32)
+UNIFORM = [-np.inf, 0.0, NEAR_ZERO_LEVEL, *(np.arange(1, CORE_GROUPS + 1) / CORE_GROUPS), np.inf]
+
+
+def crowd(voxels: np.ndarray) -> float:
+    """The largest share of the voxels between two levels that follow each other."""
+    return float(np.histogram(voxels, find_levels(voxels)[1:-1])[0].max() / voxels.size)
+
+
+EVEN_FIELDS = {
+    "even values": EVEN,
+    "holes": np.where(EVEN < 0.3, np.float32(np.nan), EVEN),
+    "a mask": (EVEN > 0.99).astype(np.float32),
+}
+
+
+@pytest.mark.parametrize("field", EVEN_FIELDS)
+def test_fields_that_are_not_crowded_have_even_levels(field: str) -> None:
+    assert find_levels(EVEN_FIELDS[field]).tolist() == UNIFORM
+
+
+def test_crowded_values_are_parted_by_rank() -> None:
+    squeezed = EVEN / 100
+    squeezed[0, 0, 0] = 1.0
+    assert np.histogram(squeezed, UNIFORM[1:-1])[0].max() > CROWDED_SHARE * squeezed.size
+    assert crowd(squeezed) < 1.1 / CORE_GROUPS
+    levels = find_levels(squeezed)
+    assert (np.diff(levels) > 0).all() and set(UNIFORM) <= set(levels.tolist())
+
+
+def test_values_beyond_the_core_are_parted_too() -> None:
+    assert crowd(EVEN * np.float32(1e30) + 2) < 1.1 / CORE_GROUPS
+
+
+def test_groups_are_two_levels_wide_and_hold_their_isovalues() -> None:
+    for voxels in (EVEN, np.concatenate([EVEN / 100, EVEN[:1] + 1])):
+        maps = ActiveCellMaps(voxels)
+        isovalues = np.concatenate([voxels.ravel()[::7].astype(np.float64), [-1e36, 0.0, 1.0, 1e36]])
+        groups, spans = maps.groups(isovalues)
+        assert (spans[groups, 0] <= isovalues).all() and (isovalues < spans[groups, 1]).all()
+        assert set(spans.ravel().tolist()) <= set(maps.levels.tolist()) and len(spans) <= len(maps.levels) // 2 + 1
+
+
+def test_empty_space_at_zero_is_in_no_map_of_isovalues_above() -> None:
+    voxels = np.zeros((40, 40, 40), np.float32)
+    voxels[18:22, 18:22, 18:22] = 1.0
+    maps = ActiveCellMaps(voxels)
+    groups, spans = maps.groups(np.array([1e-3, 0.999]))
+    wide = maps.covering(np.array([spans[groups[0], 0], spans[groups[1], 1]]))
+    assert np.count_nonzero((wide.tops >> 28) == 0) <= 27 < wide.tops.size
+
+
+# --- idle voxels ------------------------------------------------------------------------------------------------------
+
+
+LOW, HIGH = 0.45, 0.5
+
+
+def volume(holes: bool) -> np.ndarray:
+    """Waves with an inside and an outside that are several voxels thick; (z, y, x) float32."""
+    z, y, x = np.mgrid[:14, :17, :40]
+    field = 0.5 + 0.4 * np.sin(0.16 * x) * np.cos(0.1 * y) + 0.02 * np.sin(3.0 * (x + y + z))
+    values = field.astype(np.float32)
+    if holes:
+        values[4:6, 3:6, 8:12] = np.nan
+    return values
+
+
+def cells_of(values: np.ndarray) -> np.ndarray:
+    """The eight corners of each cell; (8, z, y, x)."""
+    nz, ny, nx = values.shape
+    corners = [(k >> 2, k >> 1 & 1, k & 1) for k in range(8)]
+    return np.stack([values[c : nz - 1 + c, b : ny - 1 + b, a : nx - 1 + a] for c, b, a in corners])
+
+
+@pytest.mark.parametrize("holes", [False, True], ids=["whole", "holes"])
+@pytest.mark.parametrize("layers", [3, 14])
+def test_what_isosurfaces_of_the_range_read_stays(holes: bool, layers: int) -> None:
+    values = volume(holes)
+    idle = IdleVoxels(values, LOW, HIGH)
+    slabs = [idle.flattened(a, min(a + layers, len(values))) for a in range(0, len(values), layers)]
+    flat = np.concatenate(slabs)
+    corners = cells_of(values)
+    with np.errstate(invalid="ignore"):
+        active = (corners.min(axis=0) <= HIGH) & (corners.max(axis=0) >= LOW)
+    assert 0.05 < active.mean() < 0.6
+    for z, y, x in np.argwhere(active).tolist():
+        about = tuple(slice(max(i - 1, 0), i + 3) for i in (z, y, x))
+        np.testing.assert_array_equal(flat[about], values[about])
+
+
+@pytest.mark.parametrize("isovalue", [LOW, 0.48, HIGH])
+def test_sides_and_holes_stay_where_voxels_are_idle(isovalue: float) -> None:
+    values = volume(holes=True)
+    flat = IdleVoxels(values, LOW, HIGH).flattened(0, len(values))
+    np.testing.assert_array_equal(np.isnan(flat), np.isnan(values))
+    np.testing.assert_array_equal(flat > isovalue, values > isovalue)
+    changed = (flat != values) & ~np.isnan(values)
+    assert changed.mean() > 0.2 and len(np.unique(flat[changed])) == 2
+
+
+def test_a_volume_on_one_side_of_the_range_is_one_number() -> None:
+    values = np.linspace(0.0, 0.3, 60, dtype=np.float32).reshape(3, 4, 5)
+    assert np.unique(IdleVoxels(values, LOW, HIGH).flattened(0, 3)).tolist() == [np.float32(0.3)]
+
+
+# --- voxel codes ------------------------------------------------------------------------------------------------------
+
+
+RNG = np.random.default_rng(3)
+
+
+def numbers(low: int, high: int, kind: Any) -> np.ndarray:
+    return RNG.integers(low, high, (6, 7, 9), endpoint=True).astype(kind)
+
+
+@pytest.mark.parametrize("solid", ["above", "below"])
+@pytest.mark.parametrize(
+    ("array", "kind"),
+    [
+        (numbers(0, 255, np.uint8), "uint8"),
+        (numbers(40, 90, np.uint8), "uint8"),
+        (numbers(-128, 127, np.int8), "uint8"),
+        (numbers(-1024, 3071, np.int16), "uint16"),
+        (numbers(7_000_000, 7_000_200, np.int32), "uint8"),
+        (numbers(0, 1 << 20, np.int32), "float32"),
+        (RNG.normal(size=(6, 7, 9)).astype(np.float32), "float32"),
+        (numbers(0, 255, np.uint8).astype(np.float32), "float32"),
+    ],
+)
+def test_codes_are_voxels_exactly(array: np.ndarray, kind: str, solid: str) -> None:
+    volume = make_volume(array, solid=solid)
+    codes = find_codes(volume)
+    found = codes.code(volume.voxels)
+    assert (codes.kind, found.dtype) == (kind, np.dtype(kind))
+    assert np.array_equal((codes.base + codes.gain * found.astype(np.float64)).astype(np.float32), volume.voxels)
+    assert codes.gain > 0.0 and np.log2(codes.gain) % 1.0 == 0.0
+    assert codes.nbytes == found.nbytes
+
+
+def test_codes_keep_the_side_of_an_isovalue() -> None:
+    """Also of isovalues that are voxels themselves, and where what is below is solid."""
+    array = numbers(3, 250, np.uint8)
+    for solid in ("above", "below"):
+        volume = make_volume(array, solid=solid)
+        codes = find_codes(volume)
+        for isovalue in (3.0, 70.0, 70.5, 250.0):
+            level = float(volume.normalise_isovalue(isovalue))
+            inside = codes.code(volume.voxels) > (level - codes.base) / codes.gain
+            assert np.array_equal(inside, volume.voxels > level)
+
+
+def test_holes_are_a_number_below_all_others() -> None:
+    array = RNG.normal(size=(6, 7, 9)).astype(np.float32)
+    array[2, 3, 4] = np.nan
+    volume = make_volume(array)
+    codes = find_codes(volume)
+    found = codes.code(volume.voxels)
+    assert codes.hole == HOLE_CODE and found[2, 3, 4] == np.float32(HOLE_CODE)
+    assert np.isfinite(found).all() and (found == np.float32(HOLE_CODE)).sum() == 1
+
+
+def test_holes_among_whole_numbers_stay_apart() -> None:
+    array = numbers(0, 250, np.uint8)
+    array[1, 2, 3] = 7
+    volume = make_volume(array, missing=[7.0])
+    codes = find_codes(volume)
+    assert codes.kind == "float32" and (codes.code(volume.voxels) == np.float32(HOLE_CODE)).sum() == volume.holes > 0
+
+
+def test_slabs_are_all_layers_once() -> None:
+    for shape in ((128, 256, 256), (7, 3000, 3000), (1000, 4, 4)):
+        codes = VoxelCodes("uint8", 1.0, 0.0, None, shape)
+        assert [z for a, b in codes.slabs for z in range(a, b)] == list(range(shape[0]))
+        assert all((b - a) * shape[1] * shape[2] <= max(SLAB_CODE_BYTES, shape[1] * shape[2]) for a, b in codes.slabs)

@@ -9,7 +9,7 @@ import pytest
 
 from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
 from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, SKIN, SOLID_SIGN, UNKNOWN_SIDE
-from isogi_core.kernels.transport.wavefront import bounce_rays
+from isogi_core.kernels.transport.integrator import bounce_rays
 from tests.stability.scenes import ARITHMETICS, Surface, surface_of
 from tests.stability.volumes import CLOSED, CLOSED_SIDE, RADIUS, grid
 

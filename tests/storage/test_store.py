@@ -1,21 +1,26 @@
-"""The root of a store: what is there, what is absent, and what is not known because the store is away."""
+"""A store: its objects and documents, what is absent, and what is not known because the store is away."""
 
 import errno
 import functools
 import http.server
 import json
 import pickle
+import re
 import sys
 import threading
 import uuid
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from isogi_core.errors import (
     ChangedError,
+    DamagedChunkError,
     StoreAwayError,
     StoreError,
     StoreFullError,
@@ -23,8 +28,19 @@ from isogi_core.errors import (
     StoreUrlError,
 )
 from isogi_core.storage.backend import StoredObject, StoreUrl
-from isogi_core.storage.local_copies import Copies
-from isogi_core.storage.store import CHECKED, SENTINEL_CONTENT, SENTINEL_KEY, Store
+from isogi_core.storage.folder import Copies
+from isogi_core.storage.object_store import sentence
+from isogi_core.storage.store import (
+    CHECKED,
+    MAX_TRIES,
+    SENTINEL_CONTENT,
+    SENTINEL_KEY,
+    Documents,
+    Store,
+    unwrap,
+    unwrap_all,
+    wrap,
+)
 from tests.s3 import ACCESS_KEY, SECRET_KEY, Fault, S3Server
 from tests.worker.clock import Clock
 
@@ -91,23 +107,19 @@ def test_each_of_many_writers_is_kept_or_refused(location: str) -> None:
     """Where the store can tell; in one process memory can too, for its calls come one after the other."""
     if location.startswith("memory"):
         pytest.skip("a store in memory cannot tell")
-    kept: list[int] = []
+    together = threading.Barrier(8)
 
     def write(number: int) -> None:
         store = Store(location)
+        together.wait()
         while True:
             found = store.get(KEY)
             numbers = json.loads(found.data) if found else []
-            try:
+            with suppress(ChangedError):
                 return store.put(KEY, json.dumps([*numbers, number]).encode(), found)
-            except ChangedError:
-                kept.append(number)
 
-    writers = [threading.Thread(target=write, args=(number,)) for number in range(8)]
-    for writer in writers:
-        writer.start()
-    for writer in writers:
-        writer.join()
+    with ThreadPoolExecutor(8) as threads:
+        list(threads.map(write, range(8)))
     found = Store(location).get(KEY)
     assert found is not None and sorted(json.loads(found.data)) == list(range(8))
 
@@ -144,11 +156,8 @@ def test_many_who_open_a_new_store_at_once_agree(location: str) -> None:
         store.open()
         store.put(f"layer/{id(store)}", b"light", None)
 
-    openers = [threading.Thread(target=first, args=(store,)) for store in stores]
-    for opener in openers:
-        opener.start()
-    for opener in openers:
-        opener.join()
+    with ThreadPoolExecutor(len(stores)) as threads:
+        list(threads.map(first, stores))
     assert Store(location, make=False).get(SENTINEL_KEY) == StoredObject(SENTINEL_CONTENT)
     assert len(list(Store(location, make=False).keys("layer"))) == len(stores), "no light of theirs is lost"
 
@@ -445,3 +454,120 @@ def test_copies_that_cannot_be_kept_are_none(tmp_path: Path, s3: S3Server) -> No
     bucket(s3)
     store = Store(s3.url, copies=Copies(s3.url, 1 << 20, tmp_path / "file"))
     assert store.view(KEY) == b"light" == store.view(KEY)
+
+
+# --- documents --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", ["", "file://"])
+def test_what_is_written_is_read_and_listed(tmp_path: Path, scheme: str) -> None:
+    documents = Documents(f"{scheme}{tmp_path}", "papers")
+    assert (documents.read("one"), documents.names()) == (None, [])
+    documents.write("one", {"a": 1})
+    documents.write("two", {"b": [2.5, None, "é"]})
+    documents.write("one", {"a": 3})
+    assert documents.read("one") == {"a": 3}
+    assert documents.read("two") == {"b": [2.5, None, "é"]}
+    assert documents.names() == ["one", "two"]
+    assert documents.path_of("one") == f"{tmp_path}/papers/one.json"
+    assert sorted(path.name for path in (tmp_path / "papers").iterdir()) == ["one.json", "two.json"]
+
+
+@pytest.mark.parametrize("content", ["", "{", "[1]"])
+def test_damaged_files_are_errors(tmp_path: Path, content: str) -> None:
+    (tmp_path / "papers").mkdir()
+    (tmp_path / "papers" / "one.json").write_text(content)
+    with pytest.raises(StoreError, match="damaged"):
+        Documents(tmp_path, "papers").read("one")
+
+
+def test_a_place_that_is_none_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(StoreError, match=re.escape(str(tmp_path))):
+        Documents(str(tmp_path / "file"), "papers").write("one", {})
+
+
+@pytest.mark.parametrize("others", [0, 1, MAX_TRIES - 1, MAX_TRIES])
+def test_a_document_that_others_write_too_is_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, others: int
+) -> None:
+    documents, put, tried = Documents(tmp_path, "papers"), Store.put, list[str]()
+
+    def contested(store: Store, key: str, *what: Any) -> None:
+        tried.append(key)
+        if len(tried) <= others:
+            raise ChangedError("Another writer was here.")
+        put(store, key, *what)
+
+    documents.write("one", {"a": 1})
+    monkeypatch.setattr(Store, "put", contested)
+    if others < MAX_TRIES:
+        documents.write("one", {"a": 2})
+    else:
+        with pytest.raises(StoreError, match="Others keep writing"):
+            documents.write("one", {"a": 2})
+    assert documents.read("one") == {"a": 2 if others < MAX_TRIES else 1}
+    assert len(tried) == min(others + 1, MAX_TRIES)
+
+
+# --- what buckets say -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ("Error performing GET http://a/b?key=1 in 2s - HTTP error: error sending request", "before an answer"),
+        ("Generic S3 error: HTTP error: request or response body error\n\nDebug source:", "in the middle of an answer"),
+        ("Error performing PUT http://a/b in 1s - HTTP error: operation timed out", "no answer came in time"),
+        (
+            'Error performing PUT http://a/b in 1s - Server returned non-2xx status code: 400 Bad Request: {"a":{}}',
+            "status code: 400 Bad Request",
+        ),
+        (
+            "Error in 1s - Server returned non-2xx status code: 403 Forbidden: <Error><Code>",
+            "status code: 403 Forbidden",
+        ),
+    ],
+)
+def test_what_a_bucket_says_is_a_sentence(said: str, told: str) -> None:
+    words = sentence(OSError(said))
+    assert words.endswith(told)
+    assert not {"{", "<", "/", "?", "\n"} & {*words}
+
+
+# --- objects of chunks ------------------------------------------------------------------------------------------------
+
+
+RNG = np.random.default_rng(3)
+RECORD = RNG.integers(0, 9, 200).astype(np.uint8)
+
+
+def test_a_record_comes_back_from_its_object() -> None:
+    for record in (RECORD, np.zeros(5000, np.uint8), RNG.integers(0, 256, 300).astype(np.uint8)):
+        np.testing.assert_array_equal(unwrap(wrap(record), len(record)), record)
+
+
+def test_every_bit_that_flips_and_every_cut_is_noticed() -> None:
+    stored = wrap(RECORD)
+    number = int.from_bytes(stored, "little")
+    flipped = ((number ^ 1 << bit).to_bytes(len(stored), "little") for bit in range(8 * len(stored)))
+    cut = (stored[:end] for end in range(len(stored)))
+    for broken in (*flipped, *cut, stored + b"\0", bytes(len(stored))):
+        with pytest.raises(DamagedChunkError):
+            unwrap(broken, len(RECORD))
+
+
+@pytest.mark.parametrize("size", [len(RECORD) - 1, len(RECORD) + 1, 0])
+def test_a_record_of_another_layer_is_no_record(size: int) -> None:
+    with pytest.raises(DamagedChunkError, match="does not unpack to a record"):
+        unwrap(wrap(RECORD), size)
+
+
+def test_one_damaged_object_of_many_is_noticed() -> None:
+    records = RNG.integers(0, 9, (7, 64)).astype(np.uint8)
+    stored = [wrap(record) for record in records]
+    np.testing.assert_array_equal(unwrap_all(stored, 64), records)
+    assert unwrap_all([], 64).shape == (0, 64)
+    for broken in range(7):
+        with pytest.raises(DamagedChunkError):
+            unwrap_all([*stored[:broken], stored[broken][:-1], *stored[broken + 1 :]], 64)

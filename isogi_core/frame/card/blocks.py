@@ -13,18 +13,17 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec, band_of
 from isogi_core.bake.noise import Until
-from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.cache.loader import Loader
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.page_pool import PagePool
+from isogi_core.cache.scene_caches import Loader
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.known_blocks import Block, Packed
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.renderer import Renderer, undrawn_frame
 from isogi_core.frame.shading import FILTER_DISTANCES, fill_texel_records, filter_texel_light, light_sources
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.unlit_view import undrawn_frame
 from isogi_core.frame.view_texels import ViewTexels, own_normals
 from isogi_core.kernels.shading.filtering import Numbering
 from isogi_core.kernels.shading.framebuffer import FINAL

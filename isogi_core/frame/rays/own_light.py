@@ -22,8 +22,8 @@ from isogi_core.bake.noise import RATE
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
-from isogi_core.frame.rays.estimate import Estimate
 from isogi_core.frame.rays.pixel_rays import Paths, pooled_variance, variance_of_mean
+from isogi_core.frame.rays.point_paths import Estimate
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
 from isogi_core.kernels.shading.lattice import MIN_LIGHT

@@ -13,15 +13,16 @@ from typing import Any
 import numpy as np
 
 from isogi_core.bake.noise import Until
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
-from isogi_core.frame.rays.estimate import HALVES, Estimate, NoisyLight
 from isogi_core.frame.rays.picture_plan import Prices
+from isogi_core.frame.rays.point_paths import HALVES, Estimate, NoisyLight
 from isogi_core.frame.rays.shine import RAYS_TOGETHER, ShineRays, cast_rays, light_below, paths_from
 from isogi_core.frame.rays.wall_light import ViewWalls, WallView
+from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.shading import colour_surface
 from isogi_core.frame.texel_shading import TexelShading
 from isogi_core.frame.tiles import Stopwatch, Tiles
@@ -94,6 +95,10 @@ class ShineLight:
         """Names the rays that it is made of, but for what texels show where the first ones end."""
         return repr(self.light.shine).encode() + self.sums.version
 
+    def is_shown(self, frame: Frame) -> bool:
+        """Whether a ``frame`` shows all rays that were cast."""
+        return frame.quality.rays.startswith(self.version)
+
     def put(self, seen: SeenLight | None, framebuffer: Framebuffer, tiles: Tiles) -> None:
         """Write it into a picture of diffuse light, of which the share ``below`` stays; errors are of both.
 
@@ -142,7 +147,7 @@ class ShineLight:
 
 
 @dataclass(frozen=True, eq=False)
-class ViewShine:
+class ViewShine(Refinement[ShineLight]):
     """The shine of views, among what is ``kept``; ``texels``, ``walls`` and ``checks`` tell what its rays see."""
 
     kept: LruCache[Any]
@@ -159,22 +164,18 @@ class ViewShine:
         shine.put(ends, framebuffer, tiles)
         return shine.version + (ends.version if ends else b"")
 
-    def step(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """Cast more rays where the noise is above its share of the ``target``: see ``Refinement``.
+    def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> ShineLight | None:
+        """See ``Refinement``."""
+        shines = light.shine is not None and len(frame.gbuffer.pixels) > 0
+        return self._of(light, frame.gbuffer, tiles) if shines else None
 
-        Where another thread cast some since the ``frame`` was drawn, that was the step.
-        """
-        if light.shine is None or not len(frame.gbuffer.pixels):
+    def advance(self, found: ShineLight, frame: Frame, target: float, tiles: Tiles, prices: Prices) -> bool:
+        """Cast more rays where the noise is above its share of the ``target``: see ``Refinement``."""
+        places = found.noisy(SHINE_NOISE_SHARE * target * frame.true_mean, tiles)
+        if not len(places) or found.count >= MAX_RAYS:
             return False
-        shine, allowed = self._of(light, frame.gbuffer, tiles), SHINE_NOISE_SHARE * target * frame.true_mean
-        with shine.lock:
-            if not frame.quality.rays.startswith(shine.version):
-                return True
-            places = shine.noisy(allowed, tiles)
-            if not len(places) or shine.count >= MAX_RAYS:
-                return False
-            self._cast(shine, places, target, tiles)
-            return True
+        self._cast(found, places, target, tiles)
+        return True
 
     def _cast(self, shine: ShineLight, places: np.ndarray, target: float, tiles: Tiles) -> None:
         """Cast as many rays again from the points at ``places``; paths go on from where light is not final."""

@@ -15,9 +15,10 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.estimate import HALVES, Estimate, NoisyLight
 from isogi_core.frame.rays.picture_plan import Prices
+from isogi_core.frame.rays.point_paths import HALVES, Estimate, NoisyLight
 from isogi_core.frame.rays.wall_light import ViewWalls, WallView
+from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.shading import empty_framebuffer
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_checks import check_key
@@ -161,6 +162,10 @@ class SurfaceSeen:
         """Bytes that it takes."""
         return self.first.nbytes + self.sums.nbytes
 
+    def is_shown(self, frame: Frame) -> bool:
+        """Whether a ``frame`` shows all trees that were drawn."""
+        return frame.quality.rays == self.sums.version
+
     def put(self, lit: Framebuffer, target: float, framebuffer: Framebuffer, tiles: Tiles) -> bytes:
         """Write what is seen to a picture where walls are ``lit``; what names the trees. Raises Cancelled.
 
@@ -202,7 +207,7 @@ class SurfaceSeen:
 
 
 @dataclass(frozen=True, eq=False)
-class ViewThrough:
+class ViewThrough(Refinement[SurfaceSeen]):
     """Pictures of what light passes; what is seen in a view is among what is ``kept``, and so is the light of walls."""
 
     kept: LruCache[Any]
@@ -223,24 +228,22 @@ class ViewThrough:
         frame = frame_of(gbuffer, light, framebuffer, watch, rays=rays)
         return replace(frame, quality=replace(frame.quality, waiting=waiting), version=f"{frame.version}{version}")
 
-    def step(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """Have the walls in a picture, and those seen through its surface, that are not final take as many paths again;
-        once all are, what is seen through it more trees. See ``Refinement``.
-        """
-        views = [WallView.of(frame.gbuffer, light)]
-        if not light.spec.prepared.scene.surfaces.material.refracts:
-            return self.walls.grow(views, target, tiles)
-        seen = self._seen(frame.gbuffer, light, target, tiles)
-        if self.walls.grow([*views, *seen.first.views(frame.gbuffer, light)], target, tiles):
-            return True
-        with seen.lock:
-            lit, _ = self._lit(seen.first, frame.gbuffer, light, target, tiles)
-            places = seen.noisy(seen.sums, seen.shown(seen.sums, lit, tiles)[0], target)
-            return len(places) > 0 and self._draw_trees(seen, places, light, target, tiles)
+    def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> SurfaceSeen:
+        """See ``Refinement``."""
+        return self._seen(frame.gbuffer, light, target, tiles)
 
-    def _draw_trees(
-        self, seen: SurfaceSeen, places: np.ndarray, light: RotatedLight, target: float, tiles: Tiles
-    ) -> bool:
+    def advance(self, found: SurfaceSeen, frame: Frame, target: float, tiles: Tiles, prices: Prices) -> bool:
+        """Have the walls in a picture, and those seen through its surface, that are not final take as many paths again;
+        once all are, draw more trees for what is seen through it. See ``Refinement``.
+        """
+        gbuffer, light = frame.gbuffer, found.light
+        if self.walls.grow([WallView.of(gbuffer, light), *found.first.views(gbuffer, light)], target, tiles):
+            return True
+        lit, _ = self._lit(found.first, gbuffer, light, target, tiles)
+        places = found.noisy(found.sums, found.shown(found.sums, lit, tiles)[0], target)
+        return len(places) > 0 and self._draw_trees(found, places, target, tiles)
+
+    def _draw_trees(self, seen: SurfaceSeen, places: np.ndarray, target: float, tiles: Tiles) -> bool:
         """Draw as many trees again for the points at ``places``; where walls that they see are not final these take as
         many paths again in place of that. Whether anything was taken. Raises Cancelled.
         """
@@ -250,9 +253,9 @@ class ViewThrough:
         for a in range(0, len(places), some):
             rows = places[a : a + some]
             found = SeenThrough.of(seen.gbuffer.part(rows, tiles), seen.light, trees, tiles)
-            lit, _ = self._lit(found, seen.gbuffer, light, target, tiles)
+            lit, _ = self._lit(found, seen.gbuffer, seen.light, target, tiles)
             if (lit.state[: len(found.rows)] < FINAL).any():
-                return self.walls.grow(found.views(seen.gbuffer, light), target, tiles)
+                return self.walls.grow(found.views(seen.gbuffer, seen.light), target, tiles)
             added[a : a + some] = found.gather(lit)[0].reshape(len(rows), HALVES, -1, 3).sum(axis=2)
         seen.sums = seen.sums.joined(places, added, numbers.stop)
         return True

@@ -19,6 +19,7 @@ from isogi_core.cache.wall_store import Planes, Side, WallState, WallStore, plan
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.picture_plan import Prices
 from isogi_core.frame.rays.pixel_rays import pooled_variance, replicas_for, variance_of_mean
 from isogi_core.frame.rays.wall_texels import (
     COARSE_WALL_TEXELS,
@@ -27,6 +28,7 @@ from isogi_core.frame.rays.wall_texels import (
     WallTexels,
     light_starts,
 )
+from isogi_core.frame.refinement import Refinement
 from isogi_core.frame.shading import fog_depths
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
@@ -74,8 +76,8 @@ class WallLight:
                 self.texels = self.texels.grown(self.light, self.surface, tiles)
             return self.texels
 
-    def step(self, target: float, tiles: Tiles) -> bool:
-        """Bring its texels a step nearer to a ``target`` error; whether there was one to take. Raises Cancelled."""
+    def grow(self, target: float, tiles: Tiles) -> bool:
+        """Bring its texels a step nearer to a ``target`` error; False if they are final. Raises Cancelled."""
         with self.lock:
             if self.texels.final(target):
                 return False
@@ -95,6 +97,7 @@ class RoomLight:
     state: WallState
     store: WallStore
     sides: dict[Side, WallLight] = field(default_factory=dict)
+    lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @classmethod
     def of(cls, light: RotatedLight, surface: Surface, store: WallStore) -> "RoomLight":
@@ -109,6 +112,10 @@ class RoomLight:
     def nbytes(self) -> int:
         """Bytes that it takes."""
         return sum(each.nbytes for each in list(self.sides.values()))
+
+    def is_shown(self, frame: Frame) -> bool:
+        """True: a step from a ``frame`` that is behind takes paths for walls that still need some."""
+        return True
 
     def side(self, side: Side) -> WallLight:
         """The light of one side."""
@@ -258,7 +265,7 @@ class WallView:
             shade_local(some, reached, gbuffer.eye, gbuffer.spacing, model, framebuffer)
 
 
-class ViewWalls:
+class ViewWalls(Refinement[RoomLight]):
     """The walls about a ``volume``, whose light is among what is ``kept`` of views."""
 
     def __init__(self, kept: LruCache[Any], volume: Volume, store: WallStore) -> None:
@@ -300,6 +307,14 @@ class ViewWalls:
             version += "".join(each.version for each in texels)
         return version
 
+    def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> RoomLight:
+        """See ``Refinement``."""
+        return self._room(WallView.of(frame.gbuffer, light))
+
+    def advance(self, found: RoomLight, frame: Frame, target: float, tiles: Tiles, prices: Prices) -> bool:
+        """Have the walls in a ``frame`` that are not final take as many paths again: see ``Refinement``."""
+        return self.grow([WallView.of(frame.gbuffer, found.light)], target, tiles)
+
     def grow(self, views: Sequence[WallView], target: float, tiles: Tiles) -> bool:
         """Have the walls in some ``views`` of one light, that are not final, take as many paths again.
 
@@ -309,7 +324,7 @@ class ViewWalls:
         try:
             for side in dict.fromkeys(side for walls in views for side in walls.seen):
                 lit = room.side(side)
-                if lit.step(target, tiles):
+                if lit.grow(target, tiles):
                     grown.append(lit.texels)
         finally:
             room.keep(grown)

@@ -14,7 +14,7 @@ from isogi_core.kernels._jit import REAL_ROWS, kernel
 from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.glow import GLOWS, Glows, gather_on_way, way_through_ball
 from isogi_core.kernels.tracing.vec import SMALLEST_NORMAL, column, dot, normalize, put_column, sub
-from isogi_core.kernels.transport.integrate import add_paths, gather_met, gather_sources
+from isogi_core.kernels.transport.integrator import add_paths, columns, gather_met, gather_sources, partition
 from isogi_core.kernels.transport.light_paths import NO_START, cast_wave, to_world
 from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
@@ -22,7 +22,6 @@ from isogi_core.kernels.transport.room_paths import IN_ROOM, InRoom, gather_wall
 from isogi_core.kernels.transport.sampling import about
 from isogi_core.kernels.transport.streams import FIRST_SOURCE_PAIR, MAX_CROSSINGS, PAIRS_PER_PURPOSE
 from isogi_core.kernels.transport.surface_paths import AMONG_RECORD, Among, cast_at_all, cast_past, goes_on
-from isogi_core.kernels.transport.wavefront import columns, partition
 
 
 @kernel()

@@ -10,22 +10,27 @@ from isogi_core.kernels._jit import REAL_ROWS, Choice, kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.field import FIELD_RECORD, to_index
 from isogi_core.kernels.tracing.vec import column, dot, put_column
-from isogi_core.kernels.transport.integrate import (
+from isogi_core.kernels.transport.integrator import (
     add_carried,
     add_paths,
     advance,
     begin_wave,
+    columns,
+    compact,
     gather_met,
     gather_sources,
+    intersect,
+    launch_all,
     launch_starts,
     make_state,
     meet,
+    next_vertex,
+    partition,
 )
 from isogi_core.kernels.transport.lights import LAMPS, NO_LAMPS, NO_LIGHT, arriving, draw_bright, illuminate
 from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE, PathRules
 from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.streams import FIRST_SOURCE_PAIR, PAIRS_PER_PURPOSE
-from isogi_core.kernels.transport.wavefront import columns, compact, intersect, launch_all, next_vertex, partition
 
 
 class Open(NamedTuple):

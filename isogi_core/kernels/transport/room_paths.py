@@ -13,13 +13,18 @@ from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.tracing.vec import SMALLEST_NORMAL, column, dot, length, madd, put_column, scale, sub
 from isogi_core.kernels.tracing.walls import WALLS_RECORD, meet_walls
 from isogi_core.kernels.transport.colours import COLOURS_RECORD, albedo_at
-from isogi_core.kernels.transport.integrate import (
+from isogi_core.kernels.transport.integrator import (
     add_carried,
     add_paths,
     advance,
     begin_wave,
+    columns,
+    compact,
     gather_met,
     gather_sources,
+    intersect,
+    next_vertex,
+    whole,
 )
 from isogi_core.kernels.transport.light_paths import (
     NO_START,
@@ -35,7 +40,6 @@ from isogi_core.kernels.transport.lights import NO_LIGHT, row
 from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import mix, point_of_words
 from isogi_core.kernels.transport.streams import FIRST_SOURCE_PAIR, PAIRS_PER_PURPOSE
-from isogi_core.kernels.transport.wavefront import columns, compact, intersect, next_vertex, whole
 
 SHADOWED_SHARE = 1.0 - 1e-9
 """Share of the way to a luminaire on which something may shadow it."""

@@ -18,13 +18,22 @@ from isogi_core.kernels.tracing.peels import MAX_SURFACES
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import SMALLEST_NORMAL, column, madd, put_column, scale
 from isogi_core.kernels.tracing.walls import NO_WALL, meet_walls
-from isogi_core.kernels.transport.integrate import add_paths, advance, begin_wave, make_state, meet
+from isogi_core.kernels.transport.integrator import (
+    add_paths,
+    advance,
+    begin_wave,
+    columns,
+    compact,
+    make_state,
+    meet,
+    next_vertex,
+    whole,
+)
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD, add_sent
 from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.room_paths import ROOM_RECORD, begin_on_walls, stand_on_walls
 from isogi_core.kernels.transport.streams import LEAVING, MAX_CROSSINGS, PAIRS_PER_PURPOSE, PASSING
-from isogi_core.kernels.transport.wavefront import columns, compact, next_vertex, whole
 
 NO_SURFACE = -1
 """The number of no surface: of what is a wall, or nothing."""

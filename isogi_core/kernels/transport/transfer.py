@@ -20,9 +20,26 @@ from isogi_core.kernels.tracing.stiffness import HALVINGS, STEP_VOXELS, crossing
 from isogi_core.kernels.tracing.vec import column, dot, is_zero, length, load_columns, madd, put_column
 from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.colours import COLOURS_RECORD, albedo_at
-from isogi_core.kernels.transport.ends import EndWave, begin_branches, blocks, branch_ends, make_ends, trace_ends
 from isogi_core.kernels.transport.harmonics import accumulate
-from isogi_core.kernels.transport.integrate import add_paths, advance, gather_met, limits, places_for, trace_paths
+from isogi_core.kernels.transport.integrator import (
+    WAVE_PATHS,
+    EndWave,
+    add_paths,
+    advance,
+    begin_branches,
+    blocks,
+    branch_ends,
+    columns,
+    gather_met,
+    limits,
+    make_ends,
+    make_wave,
+    partition,
+    places_for,
+    trace_ends,
+    trace_paths,
+    whole,
+)
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD, Open, advance_in_the_open
 from isogi_core.kernels.transport.paths import (
     NO_PATH,
@@ -36,7 +53,6 @@ from isogi_core.kernels.transport.paths import (
     TransferRules,
 )
 from isogi_core.kernels.transport.rng import mix
-from isogi_core.kernels.transport.wavefront import WAVE_PATHS, columns, make_wave, partition, whole
 
 TEXEL_PLACES = types.int32[:, ::1]
 

@@ -1,4 +1,4 @@
-"""FreeSurfer's files and Analyze's pairs, against what nibabel reads of them."""
+"""Files of brains by many programs, against what nibabel reads of them."""
 
 import gzip
 from itertools import product
@@ -32,7 +32,9 @@ def check(path: Path, loaded: Any, **chosen: int) -> Grid:
     values = values[..., chosen["time"]] if values.ndim == 4 else values
     for index in product(*((0, n // 3, n - 1) for n in values.shape)):
         place = nib.affines.apply_affine(loaded.affine, index)
-        x, y, z = np.rint(np.array(orientation.point_to_box(tuple(place))) / np.array(grid.spacing)).astype(int)
+        box = np.array(orientation.point_to_box(tuple(place))) / np.array(grid.spacing)
+        x, y, z = np.rint(box).astype(int)
+        assert np.abs(box - (x, y, z)).max() < 1e-3
         assert found[z, y, x] == pytest.approx(values[index], rel=1e-6)
     return grid
 
@@ -179,3 +181,13 @@ def test_a_damaged_header_of_afni_is_refused(tmp_path: Path) -> None:
     (tmp_path / "f+orig.BRIK").write_bytes(F.tobytes()[:-2])
     with pytest.raises(VolumeError, match="ends before its last voxel"):
         open_file(tmp_path / "f+orig.HEAD", {}).whole()
+
+
+NIFTI = ("anatomical.nii", "example4d.nii.gz", "someones_anatomy.nii.gz", "reoriented_anat_moved.nii")
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", NIFTI)
+def test_shared_nifti_files_lie_where_nibabel_says(shared_data: Path, name: str) -> None:
+    image = nib.load(shared_data / "formats" / name)
+    check(shared_data / "formats" / name, image, **({"time": 1} if len(image.shape) == 4 else {}))

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.frame.entry_kernels import GLOW, frame_kernels
 from isogi_core.frame.film import LIGHT, develop
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.tiles import Tiles
@@ -72,9 +71,7 @@ def test_pictures_with_glow_are_what_paths_say(lights: list[dict[str, Any]], tmp
     beside = np.setdiff1d(np.flatnonzero(frame.glow.any(axis=1)), frame.gbuffer.pixels)
     assert len(beside) > 0 and (frame.state.ravel()[beside] == FINAL).all()
     np.testing.assert_array_equal(frame.radiance.reshape(-1, 3)[beside], frame.glow[beside])
-    while bench.renderer.refine(view):
-        pass
-    assert bench.renderer.render(view).total.likely < 1.5 * LOOSE
+    assert bench.settled(view).total.likely < 1.5 * LOOSE
 
 
 @pytest.mark.slow
@@ -88,9 +85,7 @@ def test_walls_are_lit_by_what_glows(tmp_path: Path) -> None:
     bench = Workbench(scene, tmp_path / "dark")
     view = bench.view(90.0, 0.0, SIZE, distance=4.0)
     bench.bake(view)
-    while bench.renderer.refine(view):
-        pass
-    frame, traced = (bench.renderer.render(each) for each in (view, replace(view, shading="path_traced", samples=256)))
+    frame, traced = bench.settled(view), bench.renderer.render(replace(view, shading="path_traced", samples=256))
     assert relative_rmse(frame, traced) < 1.5 * LOOSE
     walls = frame.gbuffer.walls
     floor = frame.radiance.reshape(-1, 3)[walls.pixels[walls.numbers == 0]]
@@ -148,11 +143,6 @@ def test_other_light_keeps_its_chunks(tmp_path: Path) -> None:
     (layer,) = alone.layers
     assert layer in beside.layers and len(beside.layers) == 2
     assert chunks_of(alone.folder, layer) == chunks_of(beside.folder, layer)
-
-
-def test_only_scenes_with_glow_need_its_kernels() -> None:
-    assert {*GLOW} <= {*frame_kernels([orbital_of(lights=[CONSTANT])])}
-    assert not {*GLOW} & {*frame_kernels([load_scene("demo:orbital", lights=[CONSTANT])])}
 
 
 def test_edges_before_what_glows_are_smooth(tmp_path: Path) -> None:

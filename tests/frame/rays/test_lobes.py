@@ -20,7 +20,6 @@ from isogi_core.model.view import quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.lobe_choice import FEW_LOBES_SEARCHED
 from tests.frame.conftest import LOOSE, SKY, Workbench, ball, luminance, relative_rmse, scene_of
-from tests.loaded import load_scene
 
 Make = Callable[..., Workbench]
 TURN = quaternion_from_angles(70.0, 20.0, -10.0)
@@ -58,15 +57,6 @@ def test_provisional_light_counts_no_lobe_twice(workbench: Make, light: Any) -> 
     plain, with_lobe = (luminance(renderer.render(view)) for renderer in frames)
     assert plain.mean() == pytest.approx(with_lobe.mean(), rel=0.02)
     assert np.sqrt(((plain - with_lobe) ** 2).mean()) < 0.1 * plain.mean(), "order 3 has nearly all of unshadowed light"
-
-
-def test_frames_with_and_without_lobes_have_two_versions(workbench: Make) -> None:
-    plain, with_lobe = (set_out(workbench, ball(24, 8.0), lobes=n) for n in (0, 1))
-    view = plain.view(size=16)
-    assert plain.scene.digest != with_lobe.scene.digest
-    assert plain.renderer.render(view).version != with_lobe.renderer.render(view).version
-    for layer in plain.scene.plan.layers:
-        assert plain.scene.layer_digest(layer) == with_lobe.scene.layer_digest(layer), "what is baked is the same"
 
 
 def test_lobes_rotate_as_the_light_does(workbench: Make) -> None:
@@ -135,8 +125,3 @@ def test_the_suns_shadow_lacks_the_suns_light_alone(workbench: Make) -> None:
     share = (lit[:, :3] @ LUMINANCE_WEIGHTS)[open_light > 0.0] / open_light[open_light > 0.0]
     assert (share < 1.001).all()
     assert (share < 1e-6).mean() > 0.005 and (np.abs(share - 1.0) < 1e-4).mean() > 0.5, "in the shadow, or in the light"
-
-
-def test_a_scene_may_set_its_number_of_lobes() -> None:
-    assert [load_scene("demo:orbital", lobes=n).plan.lobes for n in (0, 1)] == [0, 1]
-    assert load_scene("demo:orbital").plan.lobes == 1

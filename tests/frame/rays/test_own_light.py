@@ -1,13 +1,14 @@
-"""Which pixels are to have light of their own, and how many paths that takes."""
+"""Light of pixels' own: which are to have it, how many paths that takes, and how it is filtered."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from isogi_core.bake.noise import RATE
+from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.rays.control_pixels import ControlPixels, spread_errors, variance_of_halves
-from isogi_core.frame.rays.estimate import Estimate
 from isogi_core.frame.rays.own_light import (
     AIM,
     FILTERED_VARIANCE_SHARE,
@@ -16,10 +17,17 @@ from isogi_core.frame.rays.own_light import (
     Choice,
     Growth,
     PixelLight,
+    Surroundings,
     choose_points,
+    correct,
+    filter_pixels,
     foreseen_paths,
 )
 from isogi_core.frame.rays.pixel_rays import variance_of_mean
+from isogi_core.frame.rays.point_paths import Estimate
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.shading.surface_points import SurfacePoints
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
 POINTS, PATHS, NOISE = 2000, 512, 0.02
 NONE = np.empty(0, np.int64)
@@ -134,3 +142,159 @@ def test_in_the_dark_all_points_are_traced_once() -> None:
     choice = choose_points(errors, np.zeros(POINTS), PATHS, NONE, 0.0)
     assert len(choice.places) == POINTS and choice.count == FIRST_PATHS
     assert Growth(choice, light_of(choice.places, FIRST_PATHS, 0.0)).enough
+
+
+# --- filtering --------------------------------------------------------------------------------------------------------
+
+
+SIZE, GRAIN = 48, 0.1
+Bend = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def seen(depth: Bend, normal: tuple[float, float, float] | np.ndarray = (0.0, 0.0, 1.0)) -> GBuffer:
+    """A surface that is seen from above in all pixels: its ``depth`` by x and y, in pixels."""
+    y, x = (each.ravel().astype(np.float32) for each in np.mgrid[:SIZE, :SIZE])
+    points = np.stack([x, y, depth(x, y)], axis=1).astype(np.float32)
+    normals = np.ascontiguousarray(np.broadcast_to(np.float32(normal), points.shape))
+    shown = SurfacePoints(points, normals, np.arange(SIZE**2, dtype=np.uint32))
+    surface: object = None
+    return GBuffer(
+        (SIZE, SIZE),
+        (1.0, 1.0, 1.0),
+        (0.0, 0.0, 99.0),
+        surface,  # type: ignore[arg-type]
+        shown.pixels,
+        points,
+        _shown=shown,
+    )
+
+
+def noisy(light: np.ndarray) -> np.ndarray:
+    """Light (k,) as grey (k, 3) with the deviation NOISE."""
+    return (light + np.random.default_rng(1).normal(0.0, GRAIN, len(light)))[:, None].repeat(3, axis=1)
+
+
+def filtered(light: np.ndarray, gbuffer: GBuffer) -> tuple[np.ndarray, np.ndarray]:
+    """The luminance of noisy light once it is filtered, and its variance."""
+    found, variance = filter_pixels(noisy(light), np.full(len(light), GRAIN**2), gbuffer, Tiles(1))
+    return found @ LUMINANCE_WEIGHTS, variance
+
+
+@pytest.mark.parametrize("slope", [0.0, 1.0])
+def test_even_light_loses_most_of_its_noise(slope: float) -> None:
+    normal = np.array([-slope, 0.0, 1.0]) / np.hypot(slope, 1.0)
+    found, variance = filtered(np.ones(SIZE**2), seen(lambda x, y: slope * x, normal))
+    wrong = ((found - 1.0) ** 2).mean()
+    assert wrong < 0.2 * GRAIN**2
+    assert variance.mean() == pytest.approx(wrong, rel=0.35), "and says how much is left"
+
+
+def test_a_border_of_light_stays_sharp() -> None:
+    """Light that differs by more than its noise is no noise."""
+    light = np.where(np.arange(SIZE**2) % SIZE < SIZE // 2, 1.0, 3.0)
+    found, _ = filtered(light, seen(lambda x, y: 0.0 * x))
+    at_border = np.isin(np.arange(SIZE**2) % SIZE, (SIZE // 2 - 1, SIZE // 2))
+    assert np.abs(found - light)[at_border].mean() < 1.5 * GRAIN
+
+
+def test_pixels_of_other_surfaces_are_left_out() -> None:
+    """Half of the picture lies far behind, and a little darker: by less than the noise."""
+    light = np.where(np.arange(SIZE**2) % SIZE < SIZE // 2, 1.0, 1.0 - GRAIN)
+    behind = filtered(light, seen(lambda x, y: np.where(x < SIZE // 2, 0.0, -40.0)))[0] - light
+    beside = filtered(light, seen(lambda x, y: 0.0 * x))[0] - light
+    left, right = (np.flatnonzero(np.arange(SIZE**2) % SIZE == SIZE // 2 - 1 + i) for i in (0, 1))
+    assert abs(behind[left].mean()) < 0.5 * abs(beside[left].mean())
+    assert abs(behind[right].mean()) < 0.5 * abs(beside[right].mean())
+
+
+def test_a_pixel_alone_keeps_its_light() -> None:
+    gbuffer = seen(lambda x, y: 0.0 * x)
+    one = gbuffer.part(np.array([100]), Tiles(1))
+    found, variance = filter_pixels(np.full((1, 3), 0.7), np.array([0.01]), one, Tiles(1))
+    assert found.tolist() == [[0.7] * 3] and variance.tolist() == [0.01]
+
+
+def corrected(
+    own: np.ndarray, error: np.ndarray, gbuffer: GBuffer, expected: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Even light of 1 whose texels have an ``error`` (k,), corrected by own light where ``own`` (k,) is true."""
+    places = np.flatnonzero(own)
+    even = np.ones(len(error)) if expected is None else expected
+    given = even, places, noisy(np.ones(len(places))), np.full(len(places), GRAIN**2)
+    light, variance = correct((1.0 + error)[:, None].repeat(3, axis=1), *given, gbuffer, Tiles(1))
+    return light @ LUMINANCE_WEIGHTS, variance
+
+
+def from_afar(texel: float) -> GBuffer:
+    """A flat surface with voxels of so many pixels."""
+    gbuffer = seen(lambda x, y: 0.0 * x)
+    gbuffer.points /= np.float32(texel)
+    return gbuffer
+
+
+def test_no_border_shows_beside_light_of_their_own() -> None:
+    column = np.arange(SIZE**2) % SIZE
+    own, error = column < SIZE // 2, np.full(SIZE**2, 0.3)
+    light, _ = corrected(own, error, from_afar(8.0))
+    across = np.array([light[column == each].mean() for each in range(SIZE)])
+    assert np.abs(np.diff(across)).max() < 0.06, "a fifth of the error, where it would be the whole of it"
+    assert across[SIZE // 2 + 2] < 1.1 and across[-1] == pytest.approx(1.3), "and it fades out"
+    assert ((light - 1.0)[own] ** 2).mean() < 0.15 * GRAIN**2
+
+
+def test_light_that_is_expected_to_be_right_stays() -> None:
+    """Each fourth column is right, and known to be, among others that are far off."""
+    own = np.arange(SIZE**2) % 4 > 0
+    light, _ = corrected(own, np.where(own, 0.5, 0.01), from_afar(8.0), np.where(own, 0.5, 0.01))
+    assert np.abs(light - 1.0)[~own].max() < 0.03
+
+
+def test_a_line_with_an_error_of_its_own_is_kept() -> None:
+    own = np.arange(SIZE**2) % SIZE == SIZE // 2
+    light, _ = corrected(own, np.where(own, 0.5, 0.0), from_afar(8.0))
+    assert np.abs(light - 1.0)[own].mean() < 1.5 * GRAIN
+    assert np.abs(light - 1.0)[~own].max() < 0.1
+
+
+def test_a_pixel_whose_light_is_noise_shows_none_of_it() -> None:
+    own = np.zeros(SIZE**2, bool)
+    own[SIZE * (SIZE // 2) + SIZE // 2] = True
+    light, _ = corrected(own, np.zeros(SIZE**2), from_afar(8.0))
+    assert np.abs(light - 1.0).max() < 0.01
+
+
+def test_what_is_left_of_the_noise_is_said() -> None:
+    own, error = np.ones(SIZE**2, bool), np.full(SIZE**2, 0.2)
+    light, variance = corrected(own, error, from_afar(4.0))
+    assert ((light - 1.0) ** 2).mean() < 1.5 * variance.mean() + 0.05 * GRAIN**2
+    assert variance.mean() < 0.5 * GRAIN**2
+
+
+@pytest.mark.parametrize("step", [1, 3])
+def test_means_around_are_those_of_a_plain_loop(step: int) -> None:
+    random = np.random.default_rng(5)
+    bend = seen(lambda x, y: 0.02 * (x - SIZE / 2) ** 2 + 0.3 * y)
+    normals = random.normal((0.2, 0.1, 1.0), 0.1, (SIZE**2, 3))
+    bend._normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+    buffer = bend.part(np.flatnonzero(random.random(SIZE**2) < 0.8), Tiles(1))
+    values, variance = random.random((len(buffer.pixels), 2)), random.random(len(buffer.pixels))
+    means, left = Surroundings(buffer, Tiles(1)).means(values, variance, step)
+    for row in random.integers(0, len(values), 50):
+        y, x = divmod(int(buffer.pixels[row]), SIZE)
+        total, mean, noise = 0.0, np.zeros(2), 0.0
+        for v, u in ((y + dy * step, x + dx * step) for dy in (-1, 0, 1) for dx in (-1, 0, 1)):
+            near = buffer.rows[v, u] if 0 <= v < SIZE and 0 <= u < SIZE else -1
+            if near >= 0:
+                weight = counted(buffer, row, near, ((v - y) ** 2 + (u - x) ** 2) / step**2)
+                total, mean, noise = total + weight, mean + weight * values[near], noise + weight**2 * variance[near]
+        assert means[row] == pytest.approx(mean / total) and left[row] == pytest.approx(noise / total**2)
+
+
+def counted(buffer: GBuffer, a: int, b: int, square: float) -> float:
+    """What point ``b`` counts for ``a`` at a squared distance in steps."""
+    if a == b:
+        return 1.0
+    way, normals = (buffer.points[b] - buffer.points[a]).astype(float), buffer.normals(Tiles(1)).astype(float)
+    slope = max(abs(way @ normals[a]), abs(way @ normals[b])) / np.linalg.norm(way)
+    like = max(float(normals[a] @ normals[b]), 0.0) ** 16
+    return float(np.exp(-square / 2.0) * like * np.exp2(-((slope / 0.4) ** 2)))

@@ -1,4 +1,4 @@
-"""Control pixels tell a picture's whole error, and pixels get light of their own until it is at the target."""
+"""Control pixels tell a picture's whole error, and the cheapest way to its target is taken."""
 
 import math
 import threading
@@ -11,19 +11,38 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import TAIL, Frame, PictureState, Quality
 from isogi_core.frame.rays.control_pixels import (
     FIRST_CONTROLS,
+    MAX_CONTROLS,
     ControlPixels,
     TotalError,
     chances,
     draw_places,
     measure_total,
 )
-from isogi_core.frame.rays.picture_plan import PRESENT, SHARED_PRICES, noise_of_climbers
+from isogi_core.frame.rays.picture_plan import (
+    AWAITED,
+    CLOSER,
+    COUNTED_TEXEL_SHARE,
+    FINER_TEXELS_FACTOR,
+    HEAVIER,
+    PRESENT,
+    QUIETER,
+    SHARED_PRICES,
+    TASK,
+    Ahead,
+    OwnLight,
+    Plan,
+    by_finer,
+    by_rungs,
+    controls_to,
+    noise_of_climbers,
+    rungs_at_once,
+)
 from isogi_core.frame.texel_reading import Reading, grade_rows
 from isogi_core.frame.view_checks import PictureCheck
 from isogi_core.kernels.shading.framebuffer import FINAL
@@ -42,9 +61,7 @@ def checked(bench: Workbench, view: View, target: float | None = None) -> Frame:
     """The frame of a view once its light is baked and its picture checked to the end."""
     bench.bake(view, target)
     bench.project(view, target)
-    while bench.renderer.refine(view, target):
-        pass
-    return bench.renderer.render(view, target)
+    return bench.settled(view, target)
 
 
 @pytest.fixture(scope="module")
@@ -219,7 +236,7 @@ def test_a_rung_is_for_noise_that_it_takes_away(monkeypatch: pytest.MonkeyPatch,
     quality = SimpleNamespace(lacking=SimpleNamespace(reading=reading), known=state)
     frame: Any = SimpleNamespace(quality=quality, noise=0.02, measured=total, surface=9, final=False)
     unused: Any = None
-    PictureCheck(unused, unused, state).step(frame, np.empty(0), unused, PRESENT)
+    PictureCheck(unused, unused, state).advance(frame, np.empty(0), unused, PRESENT)
     assert taken == [step]
 
 
@@ -257,12 +274,6 @@ def test_pictures_end_the_same_wherever_their_texels_began(workbench: Make) -> N
     same = climbed(again, view, target)[-1]
     assert (same.version, same.total) == (last.version, last.total)
     assert same.radiance.tobytes() == last.radiance.tobytes()
-
-
-def test_the_same_view_tells_the_same_after_a_restart(coarse: Workbench) -> None:
-    view = coarse.view(azimuth=150.0, size=32)
-    one, other = (checked(bench, view) for bench in (coarse, coarse.again()))
-    assert (one.version, one.total, one.radiance.tobytes()) == (other.version, other.total, other.radiance.tobytes())
 
 
 def test_a_frame_that_others_have_overtaken_takes_no_step(coarse: Workbench) -> None:
@@ -347,3 +358,84 @@ def test_a_closed_shell_is_dark_inside(workbench: Make, wall: float, projected: 
     frame = checked(bench, inside, 0.02)
     assert frame.final and frame.surface == 256
     assert luminance(frame).max() == 0.0 and frame.total.likely == frame.total.high == 0.0
+
+
+# --- plans ------------------------------------------------------------------------------------------------------------
+
+
+PIXELS, WANTED, CHUNKS = 4000, 0.02, 20
+NONE = np.empty(0, np.int64)
+
+
+def own_light(allowed: float) -> OwnLight:
+    """Pixels of the luminance 1, whose light has a variance of 0.01 after 256 paths."""
+    return OwnLight(np.full(PIXELS, 0.01), 256, NONE, allowed)
+
+
+def cheapest(apart: float, noise: float, texels: int) -> Plan:
+    """The plan for a picture that is ``apart`` from the truth besides its ``noise``, by so many ``texels``."""
+    own, squares = own_light((0.85 * WANTED) ** 2), np.full(PIXELS, apart**2 + noise**2)
+    climbs = [0.0, *(16.0 * texels * (2**n - 1) for n in (1, 2, 3))]
+    plans = by_rungs(own, squares, np.full(PIXELS, noise**2), climbs, CHUNKS)
+    plans += by_finer(own, squares, np.full(PIXELS, noise**2), texels, CHUNKS, FIRST_LEVEL, WANTED)
+    return min(plans, key=lambda plan: plan.cost(AWAITED))
+
+
+def test_noise_asks_for_rungs() -> None:
+    plan = cheapest(apart=0.002, noise=0.03, texels=2000)
+    assert plan.rungs == 2 and not plan.finer and not len(plan.choice.places)
+
+
+def test_light_between_texels_asks_for_finer_ones() -> None:
+    plan = cheapest(apart=0.03, noise=0.005, texels=2000)
+    assert plan.finer and plan.rungs == 1 and plan.texel_paths == FINER_TEXELS_FACTOR * 2000 * FIRST_LEVEL
+
+
+def test_many_texels_leave_pixels_to_light_of_their_own() -> None:
+    plan = cheapest(apart=0.03, noise=0.005, texels=2_000_000)
+    assert not plan.rungs and len(plan.choice.places)
+
+
+def test_finer_texels_begin_with_their_first_samples_again() -> None:
+    """Those of a third rung have four times the noise variance of the coarse ones at first."""
+    own, errors, noise = own_light(1.0), np.full(9, 0.05), np.full(9, 0.01)
+    own = OwnLight(np.full(9, 0.01), 256, NONE, 1e-12)
+    asked: list[np.ndarray] = []
+    by_finer(OwnLightSeen(own, asked), errors, noise, 10, CHUNKS, 4 * FIRST_LEVEL, WANTED)
+    assert asked[0] == pytest.approx(CLOSER * 0.04 + 0.01 / QUIETER**2)
+    assert asked[2] == pytest.approx(CLOSER * 0.04 + 0.01) and asked[3][0] < asked[2][0]
+
+
+class OwnLightSeen(OwnLight):
+    """Notes the errors that it is asked about."""
+
+    def __init__(self, own: OwnLight, asked: list[np.ndarray]) -> None:
+        super().__init__(own.variance, own.paths, own.own, own.allowed)
+        object.__setattr__(self, "asked", asked)
+
+    def beside(self, errors: np.ndarray):  # type: ignore[no-untyped-def]
+        self.asked.append(errors)  # type: ignore[attr-defined]
+        return super().beside(errors)
+
+
+def test_what_is_ahead_leaves_out_what_begins_now() -> None:
+    own = own_light(0.05**2)
+    plan = by_rungs(own, np.full(PIXELS, 0.2), np.full(PIXELS, 0.1), [0.0, 10.0, 30.0], 5)[2]
+    assert plan.cost(AWAITED) == 10 * TASK + COUNTED_TEXEL_SHARE * HEAVIER * 30.0 + plan.choice.paths
+    assert plan.ahead(5.0, 100.0) == Ahead(plan.choice.paths + 110.0, 20.0, 3)
+    now = by_rungs(own, np.full(PIXELS, 0.2), np.full(PIXELS, 0.1), [0.0], 5)[0]
+    assert now.ahead(5.0, 100.0) == Ahead(100.0, 0.0, 1)
+
+
+def test_narrow_intervals_take_more_controls() -> None:
+    """256 of them leave the error within a factor of 1.2: to be sure of half of that takes four times as many."""
+    measured = TotalError(0.018, 0.015, 0.018 * 1.2, 256)
+    room = math.sqrt(1.2)
+    assert controls_to(measured, WANTED / room, WANTED) in (1024, 1025)
+    assert controls_to(measured, WANTED, WANTED) == controls_to(measured, 0.019999, WANTED) == MAX_CONTROLS
+
+
+def test_cheap_rungs_are_climbed_at_once() -> None:
+    assert rungs_at_once(3, [0.0, 10.0, 30.0, 70.0], check=40.0) == 2
+    assert rungs_at_once(1, [0.0, 10.0, 30.0, 70.0], check=40.0) == 1
+    assert rungs_at_once(3, [0.0, 50.0, 150.0, 350.0], check=40.0) == 1

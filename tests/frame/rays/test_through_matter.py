@@ -5,12 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isogi_core.frame.entry_kernels import MATTER, frame_kernels
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.through_matter import BREADTH, SeenThrough, Trees, dark_row
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
-from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
@@ -35,9 +33,7 @@ def test_glass_in_a_room_becomes_what_paths_say(room: Workbench) -> None:
     assert len(glass) and len(walls) and not first.demands
     assert set(first.state.ravel()[walls]) == {PROVISIONAL}
     assert 0 < first.quality.waiting <= first.surface and first.checkable
-    while room.renderer.refine(view):
-        pass
-    frame = room.renderer.render(view)
+    frame = room.settled(view)
     assert frame.final
     assert frame.version != first.version
     assert (frame.state[first.state > 0] == FINAL).all()
@@ -85,15 +81,11 @@ def test_glass_tells_its_error_and_becomes_right(casting: Workbench) -> None:
     first, error = wrong()
     assert error > 0.05 and error / 3.0 < first.noise < 2.0 * error
     assert not first.final and first.checkable and first.counts["converging"] == first.surface
-    while casting.renderer.refine(view):
-        pass
+    casting.settled(view)
     frame, error = wrong()
     assert frame.final and frame.version != first.version
     assert 0.7 * error < frame.noise < 0.05 and error < 0.06
-    again = casting.again()
-    while again.renderer.refine(view):
-        pass
-    other = again.renderer.render(view)
+    other = casting.again().settled(view)
     assert (other.version, other.radiance.tobytes()) == (frame.version, frame.radiance.tobytes())
 
 
@@ -110,10 +102,7 @@ def test_a_subsurface_becomes_what_paths_inside_say(tmp_path: Path) -> None:
     chosen = {"material": "subsurface", "mean_free_path": 3.0, "albedo": [0.9, 0.6, 0.3], "environment": "overcast"}
     scene = load_scene("demo:casting", **chosen, target_error=LOOSE, projected=False)
     bench = Workbench(scene, tmp_path)
-    frame = bench.bake(bench.view(size=SIZE))
-    while bench.renderer.refine(frame.view):
-        pass
-    frame = bench.renderer.render(frame.view)
+    frame = bench.settled(bench.bake(bench.view(size=SIZE)).view)
     assert frame.final
     traced = bench.renderer.render(bench.view(size=SIZE, shading="path_traced", samples=512))
     assert relative_rmse(frame, traced) < 1.2 * LOOSE
@@ -121,9 +110,3 @@ def test_a_subsurface_becomes_what_paths_inside_say(tmp_path: Path) -> None:
     np.testing.assert_allclose(means[0][0], means[1][0], rtol=0.03)
     np.testing.assert_allclose(*means, rtol=0.1)
     assert means[0][0] / means[0][2] > 1.3 * 0.9 / 0.3
-
-
-def test_only_scenes_that_light_passes_compile_its_kernels(room: Workbench) -> None:
-    called = {*MATTER, light_through_matter}
-    assert called <= set(frame_kernels([room.scene]))
-    assert not called & set(frame_kernels([load_scene("demo:orbital", room="cornell")]))

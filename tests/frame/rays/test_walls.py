@@ -1,30 +1,31 @@
-"""Frames in a room: walls and luminaires in the picture, their light on the surface, and how it becomes final."""
+"""Walls of rooms: their light beside texels, what it errs by, and how it is kept."""
 
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.interpolate import interp1d
 
-from isogi_core.cache.upkeep import Auditor, PruneRule, census_of, plan_prune
+from isogi_core.cache.upkeep import PruneRule, audit_store, census_of, plan_prune
 from isogi_core.cache.wall_store import WallLayer, WallState, WallStore
 from isogi_core.errors import ViewError
-from isogi_core.frame.entry_kernels import ROOM, frame_kernels
+from isogi_core.files.grid import triple
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.wall_light import RoomLight
 from isogi_core.frame.rays.wall_texels import FINE_WALL_TEXELS, MAX_WALL_TEXELS, WallTexels
+from isogi_core.frame.several.composer import parts_of
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
-from isogi_core.kernels.tracing.camera import trace_pixels
-from isogi_core.kernels.transport.room_paths import light_in_room
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
-from isogi_core.model.orientation import triple
 from isogi_core.model.view import View
+from isogi_core.plan.variants import WALLS_SIDE
 from isogi_core.storage.store import Store
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
+from tests.frame.several.drawing import bake
 from tests.loaded import load_scene
 
 SIZE = 32
@@ -49,9 +50,7 @@ def test_a_room_becomes_final_and_is_what_paths_say(room: Workbench) -> None:
     assert set(first.state.ravel()[walls.pixels]) == {PROVISIONAL}
     assert first.quality.waiting == len(walls.pixels)
     assert first.checkable
-    while room.renderer.refine(view):
-        pass
-    frame = room.renderer.render(view)
+    frame = room.settled(view)
     assert frame.quality.waiting == 0
     assert (frame.state[first.state > 0] == FINAL).all()
     assert frame.version != first.version
@@ -68,8 +67,7 @@ def test_a_room_becomes_final_and_is_what_paths_say(room: Workbench) -> None:
 @pytest.mark.slow
 def test_edges_of_walls_and_before_walls_are_smooth(room: Workbench) -> None:
     """Against the mean of six times as many pixels along each side, of the same light."""
-    while room.renderer.refine(room.view(90.0, 0.0, SIZE, distance=4.0)):
-        pass
+    room.settled(room.view(90.0, 0.0, SIZE, distance=4.0))
     view = room.view(90.0, 0.0, 3 * SIZE, distance=2.5, smooth=True)
     fine = replace(view, width=18 * SIZE, height=18 * SIZE, smooth=False)
     room.bake(view)
@@ -111,12 +109,6 @@ def test_the_camera_may_not_stand_in_a_wall(room: Workbench) -> None:
         room.renderer.render(replace(view, camera=replace(view.camera, eye=eye)))
 
 
-def test_only_scenes_with_walls_need_their_kernels(room: Workbench) -> None:
-    assert {*ROOM, light_in_room} <= {*frame_kernels([room.scene])}
-    assert trace_pixels not in frame_kernels([room.scene])
-    assert not {*ROOM, light_in_room} & {*frame_kernels([load_scene("demo:orbital", lights=[CONSTANT])])}
-
-
 @pytest.mark.slow
 def test_a_white_furnace_stays_one_in_a_closed_room(tmp_path: Path) -> None:
     """Walls that all give off 1 and reflect nothing are a constant light of radiance 1 to a surface in them."""
@@ -138,13 +130,6 @@ def test_a_white_furnace_stays_one_in_a_closed_room(tmp_path: Path) -> None:
     assert abs(found.mean() / expected.mean() - 1.0) < 0.01
 
 
-def finished(bench: Workbench, view: View) -> Frame:
-    """The frame of a view whose walls are final."""
-    while bench.renderer.refine(view):
-        pass
-    return bench.renderer.render(view)
-
-
 def on_walls(*frames: Frame) -> list[np.ndarray]:
     """What pictures of one view show on walls, (m, 3) each."""
     return [frame.radiance.reshape(-1, 3)[frame.gbuffer.walls.pixels] for frame in frames]
@@ -152,7 +137,7 @@ def on_walls(*frames: Frame) -> list[np.ndarray]:
 
 def test_walls_are_final_at_once_after_a_restart(room: Workbench) -> None:
     view = room.view(90.0, 0.0, SIZE, distance=4.0)
-    before, after = finished(room, view), room.again().renderer.render(view)
+    before, after = room.settled(view), room.again().renderer.render(view)
     assert after.quality.waiting == 0
     np.testing.assert_array_equal(*on_walls(before, after))
     np.testing.assert_array_equal(*(frame.error.ravel()[before.gbuffer.walls.pixels] for frame in (before, after)))
@@ -165,10 +150,10 @@ def test_walls_between_two_isovalues_show_what_is_known_of_these(room: Workbench
     fresh = Workbench(room.scene, tmp_path)
     for view in (low, high):
         fresh.bake(view)
-        finished(fresh, view)
+        fresh.settled(view)
     fresh.bake(here)
     lent = fresh.again().renderer.render(here)
-    walls, true = lent.gbuffer.walls.pixels, finished(room, here)
+    walls, true = lent.gbuffer.walls.pixels, room.settled(here)
     assert lent.quality.waiting == len(walls), "they are not final"
     assert set(lent.state.ravel()[walls]) == {CONVERGING}
     shown, known = (frame.radiance.reshape(-1, 3)[walls] @ LUMINANCE_WEIGHTS for frame in (lent, true))
@@ -176,14 +161,14 @@ def test_walls_between_two_isovalues_show_what_is_known_of_these(room: Workbench
     assert np.sqrt((wrong**2).mean()) < 2.0 * np.sqrt((told**2).mean())
     assert np.sqrt((wrong**2).mean()) < LOOSE * known.mean()
     np.testing.assert_array_equal(
-        finished(fresh, here).radiance.reshape(-1, 3)[walls], true.radiance.reshape(-1, 3)[walls]
+        fresh.settled(here).radiance.reshape(-1, 3)[walls], true.radiance.reshape(-1, 3)[walls]
     )
 
 
 @pytest.mark.slow
 def test_damaged_light_of_walls_is_baked_again(room: Workbench, tmp_path: Path) -> None:
     view = room.view(90.0, 0.0, SIZE, distance=4.0)
-    true = finished(room, view)
+    true = room.settled(view)
     copy = Workbench(room.scene, Path(shutil.copytree(room.folder, tmp_path / "copy")))
     state = WallState(float(copy.prepared.surface(view.isovalue).isovalue), copy.scene.surfaces.albedo, 1.0)
     objects = sorted(
@@ -191,15 +176,15 @@ def test_damaged_light_of_walls_is_baked_again(room: Workbench, tmp_path: Path) 
     )
     assert len(objects) == 1
     objects[0].write_bytes(objects[0].read_bytes()[:-9])
-    found = [damage.key for damage in Auditor(copy.caches.store).audit().damages]
+    found = [damage.key for damage in audit_store(copy.caches.store).damages]
     assert found == [objects[0].relative_to(copy.folder).as_posix()], "an audit finds it"
     assert copy.renderer.render(view).quality.waiting
-    np.testing.assert_array_equal(*on_walls(finished(copy, view), true))
-    assert Auditor(copy.caches.store).audit().sound
+    np.testing.assert_array_equal(*on_walls(copy.settled(view), true))
+    assert audit_store(copy.caches.store).sound
 
 
 def test_light_of_walls_is_pruned_with_the_rest(room: Workbench, tmp_path: Path) -> None:
-    finished(room, room.view(90.0, 0.0, SIZE, distance=4.0))
+    room.settled(room.view(90.0, 0.0, SIZE, distance=4.0))
     store = Store(shutil.copytree(room.folder, tmp_path / "copy"))
     census = census_of(store)
     walls = [count for count in census.counts.values() if count.facts.layer.kind == "walls"]
@@ -213,7 +198,7 @@ def test_walls_are_lit_where_a_store_takes_nothing(room: Workbench, tmp_path: Pa
     view, bench = room.view(90.0, 0.0, SIZE, distance=4.0), Workbench(room.scene, tmp_path)
     bench.bake(view)
     bench.caches.store.read_only = True
-    np.testing.assert_array_equal(*on_walls(finished(bench, view), finished(room, view)))
+    np.testing.assert_array_equal(*on_walls(bench.settled(view), room.settled(view)))
     assert not (tmp_path / "walls").exists()
 
 
@@ -276,3 +261,65 @@ def test_noise_of_walls_is_not_taken_for_edges() -> None:
     texels = wall_texels(64, lambda x, y: 1.0 + 0.3 * np.sin(3.0 * x + y), noise=0.1)
     assert texels.unsharp.mean() < 0.25 * texels.variance.mean()
     assert not texels.too_coarse(0.02)
+
+
+# --- walls before and beside texels -----------------------------------------------------------------------------------
+
+
+SMALL = 24
+SCENES: dict[str, dict[str, Any]] = {"one": {}, "several": {"isovalue": 0.06, "clear": 0.6}}
+
+
+@pytest.fixture(params=list(SCENES))
+def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Workbench:
+    """The orbital in a Cornell room, with one surface or with both sides of one that lets rays pass; nothing is lit."""
+    own = {"room": "cornell", "bounces": 2, "target_error": LOOSE, "projected": False}
+    return Workbench(load_scene("demo:orbital", **own, **SCENES[request.param]), tmp_path)
+
+
+def view_of(bench: Workbench) -> View:
+    """The view from the open side of the room."""
+    return bench.view(90.0, 0.0, SMALL, distance=4.0)
+
+
+def beside_surface(frame: Frame) -> np.ndarray:
+    """The states of pixels that show a wall and no surface."""
+    alone = frame.state > 0
+    parts = parts_of(frame) if parts_of(frame) else ()
+    for pixels in [
+        frame.gbuffer.pixels,
+        *(p for each in parts if each.side != WALLS_SIDE for _, p in each.layers.each),
+    ]:
+        alone.ravel()[pixels] = False
+    return frame.state[alone]
+
+
+@pytest.mark.slow
+def test_walls_are_fine_before_any_texel_has_light(bench: Workbench) -> None:
+    """A step makes them so; they err less then than a surface without light, and wait for that."""
+    view, target = view_of(bench), 0.01
+    first = bench.renderer.render(view, target)
+    assert first.walls_lag and first.refinable and not first.checkable
+    assert not bench.renderer.render(replace(view, moving=True)).refinable, "a view that moves has no time for it"
+    assert bench.renderer.refine(view, target)
+    second = bench.renderer.render(view, target)
+    assert 0.9 * first.quality.waiting < second.quality.waiting and not second.walls_lag
+    assert (beside_surface(second) > PROVISIONAL).all()
+    assert second.coverage["provisional"] < first.coverage["provisional"] == 1.0
+    assert not bench.renderer.refine(view, target)
+    assert bench.renderer.render(view, target).version == second.version
+
+
+@pytest.mark.slow
+def test_walls_grow_while_they_err_more_than_the_surface(bench: Workbench) -> None:
+    """Where the surface's light is final they do whatever it takes, as ever."""
+    view = view_of(bench)
+    bench.renderer.refine(view)
+    bake(bench, view) if bench.scene.surfaces.several else bench.bake(view)
+    frame = bench.renderer.render(view)
+    assert frame.quality.waiting and frame.checkable and frame.refinable
+    while bench.renderer.refine(view):
+        bake(bench, view) if bench.scene.surfaces.several else bench.bake(view)
+    frame = bench.renderer.render(view)
+    assert not frame.quality.waiting and not frame.walls_lag and not frame.refinable
+    assert (frame.state[frame.state > 0] == FINAL).all()

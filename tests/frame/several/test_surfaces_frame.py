@@ -8,17 +8,15 @@ import pytest
 
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import NoRoomError
-from isogi_core.frame.entry_kernels import AMONG, frame_kernels
 from isogi_core.frame.film import develop, linear_table
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.framing import point_at
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.several.composer import parts_of
-from isogi_core.frame.surface_point import point_at
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
-from isogi_core.kernels.transport.surface_paths import light_among_surfaces
 from isogi_core.model.view import read_window
-from isogi_core.plan.sides import OUTER, Side
+from isogi_core.plan.variants import OUTER, Side
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
 from tests.frame.several.drawing import bake, check, drawn
 from tests.loaded import load_scene
@@ -184,9 +182,3 @@ def test_local_shadings_show_all_surfaces(halo: Workbench) -> None:
     for shading in ("lambert", "phong_shadow", "lambert_fog"):
         frame = drawn(halo, halo.view(size=SIZE, shading=shading))
         assert frame.surface == len(frame.gbuffer.pixels) and not frame.provisional
-
-
-def test_other_scenes_compile_no_kernel_of_theirs(halo: Workbench) -> None:
-    plain = frame_kernels([load_scene("demo:orbital")])
-    assert not set(plain) & {*AMONG, light_among_surfaces}
-    assert {*AMONG, light_among_surfaces} <= {*frame_kernels([halo.scene])}

@@ -1,5 +1,6 @@
-"""Masks cut a volume where they lie in the world, whatever their grids; a scene without them is what it was."""
+"""What is taken away of volumes: cuts by planes, masks in the world, and masks of glows."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,14 +8,23 @@ import nrrd
 import numpy as np
 import pytest
 
-from isogi_core.cache.scene_assets import receive_assets, send_assets
+from isogi_core.cache.scene_assets import receive_assets, receive_glow_bits, send_assets
 from isogi_core.errors import IsogiError, SceneError, VolumeError
+from isogi_core.frame.gbuffer import trace
+from isogi_core.frame.tiles import Tiles
+from isogi_core.model.orientation import Orientation
+from isogi_core.model.value_survey import no_progress
+from isogi_core.model.view import View
 from isogi_core.model.volume import Volume
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.volumes.masks import is_one_of
+from isogi_core.plan.variants import cut_open
+from isogi_core.plan.volumes.masks import CUT_AWAY_VALUE, box_left, cut_away, is_one_of, values_beyond, voxels_left
+from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
 from tests.files.formats.phantom import SIZE, WAYS, affine, letter, lying
+from tests.frame.conftest import MIDDLE, shell
+from tests.frame.conftest import scene_of as bare_scene
 from tests.loaded import load_scene
 
 FIELD = np.random.default_rng(6).integers(20, 90, (9, 7, 8)).astype(np.uint8)
@@ -158,3 +168,160 @@ def test_masks_tell_labels_of_64_bits_apart(kind: type) -> None:
 def test_masks_find_labels_in_the_type_of_their_values() -> None:
     assert is_one_of(np.array([[[0.1, 0.2]]], np.float32), (0.1,)).tolist() == [[[True, False]]]
     assert is_one_of(np.array([[[True, False]]]), (1,)).tolist() == [[[True, False]]]
+
+
+# --- cuts -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "left"),
+    [
+        ("x>20", (range(21), range(33), range(33))),
+        ("x>20.5", (range(21), range(33), range(33))),
+        ("x<20.5;z>3", (range(21, 33), range(33), range(4))),
+        ("y<4;y>9", (range(33), range(4, 10), range(33))),
+        ("0,0,-2>-8", (range(33), range(33), range(4, 33))),
+        ("x>900", (range(33), range(33), range(33))),
+    ],
+)
+def test_planes_leave_the_voxels_before_them(text: str, left: tuple[range, ...]) -> None:
+    volume = shell()
+    assert voxels_left(volume, text) == left
+    cut = cut_away(volume, text)
+    inside = np.zeros(volume.shape, bool)
+    inside[tuple(slice(each.start, each.stop) for each in left[::-1])] = True
+    assert np.array_equal(cut.voxels, np.where(inside, volume.voxels, np.float32(CUT_AWAY_VALUE)))
+
+
+@pytest.mark.parametrize("text", ["x>20", "x<9;x>25;z>3", "y<4;y>9", "y<16;z<16.5", "x>900", "x>1;y>1;z>1"])
+def test_values_beyond_are_those_of_all_cells_there(text: str) -> None:
+    voxels = np.random.default_rng(1).random((33, 33, 33), np.float32)
+    volume = replace(shell(), voxels=voxels)
+    box = box_left(voxels_left(volume, text), volume.size)
+    corners = np.moveaxis(np.indices((32, 32, 32)), 0, -1)[..., ::-1]
+    beyond = ~((corners >= box[0]) & (corners + 1 <= box[1])).all(axis=-1)
+    cells = np.lib.stride_tricks.sliding_window_view(voxels, (2, 2, 2))[beyond]
+    expected = (cells.min(), cells.max()) if beyond.any() else (np.inf, -np.inf)
+    assert values_beyond(volume, box) == expected
+
+
+def test_a_cut_keeps_all_that_is_told_of_values() -> None:
+    volume, cut = shell(), cut_away(shell(), "x>16")
+    assert cut.digest != volume.digest
+    assert cut.digest != cut_away(shell(), "x>17").digest
+    assert (cut.value_range, cut.core, cut.offset, cut.scale) == (
+        *(volume.value_range, volume.core, volume.offset, volume.scale),
+    )
+    assert np.array_equal(cut.histogram()[0], volume.histogram()[0])
+    assert cut_away(volume, "x>900") is volume
+
+
+def test_planes_are_in_world_units_and_turned_with_the_volume() -> None:
+    turned = replace(
+        shell(),
+        spacing=(2.0, 1.0, 1.0),
+        orientation=Orientation(((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)), (5.0, 0.0, 0.0)),
+    )
+    assert voxels_left(turned, "x>15")[1] == range(11), "world x is the box's y, moved by 5"
+    assert voxels_left(turned, "y<-20")[0] == range(11), "world y is the box's x backwards, of 2 units a voxel"
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [("1,1,0>3", "across the voxels"), ("x>-5", "leaves nothing"), ("x=3", "cannot be read"), ("", "cannot be read")],
+)
+def test_a_cut_that_cannot_be_made_says_why(text: str, reason: str) -> None:
+    with pytest.raises(SceneError, match=reason):
+        cut_away(shell(), text)
+
+
+@pytest.mark.parametrize("isovalue", [0.0, 1.0, 2.0])
+def test_faces_are_flat_and_at_one_place_for_all_isovalues(isovalue: float) -> None:
+    scene = bare_scene(cut_away(shell(), "x>16.3"), isovalue)
+    view = View(isovalue, scene.camera(0.0, 0.0, 3.0, 30.0), width=64, height=64)
+    gbuffer = trace(view, PreparedScene(scene).surface(isovalue), Tiles(2))
+    rings = np.linalg.norm(gbuffer.points[:, 1:] - MIDDLE, axis=1)
+    face = gbuffer.points[(rings > 6.5 + isovalue) & (rings < 11.5 - isovalue)]
+    assert len(face) > 20
+    assert face[:, 0].min() >= 16.0 and face[:, 0].max() < 16.12
+
+
+def test_a_scene_file_may_have_a_cut_of_its_own() -> None:
+    scene = load_scene("demo:casting", cut="z>10")
+    again = cut_open(load_scene("demo:casting"), "z>10", "casting-cut")
+    assert scene.volume.digest == again.volume.digest
+    assert scene.digest == again.digest and again.id == "casting-cut"
+    twice = cut_open(scene, "x>20", "both")
+    assert twice.source.document["cut"] == "z>10;x>20"
+    assert twice.volume.digest == load_scene("demo:casting", cut="z>10;x>20").volume.digest
+    with pytest.raises(SceneError, match="leaves nothing"):
+        cut_open(scene, "z<20", "nothing")
+
+
+# --- masks of glows ---------------------------------------------------------------------------------------------------
+
+
+LABELS = np.zeros(FIELD.shape, np.int16)
+LABELS[2:5, 1:4, 3:7] = 4
+LABELS[6:, 5:, :2] = 9
+
+
+def glowing_scene(folder: Path, *glows: dict[str, Any], **settings: Any) -> Scene:
+    """The scene of v.nrrd in a folder, in which ``glows`` have m.nrrd for a mask."""
+    nrrd.write(str(folder / "v.nrrd"), FIELD, index_order="C")
+    nrrd.write(str(folder / "m.nrrd"), LABELS, index_order="C")
+    mask = str(folder / "m.nrrd")
+    return load_scene(folder / "v.nrrd", glow=[{"mask": mask, **each} for each in glows], isovalue=50.0, **settings)
+
+
+def test_masks_are_bits_of_voxels_and_their_boxes_regions(tmp_path: Path) -> None:
+    glowing = glowing_scene(tmp_path, {}, {"labels": [4], "radiance": [3, 2, 1]}).lighting.glowing
+    np.testing.assert_array_equal(glowing.bits, (LABELS != 0) * np.uint8(1) + (LABELS == 4) * np.uint8(2))
+    lows, highs = glowing.middles - glowing.halves, glowing.middles + glowing.halves
+    np.testing.assert_allclose(lows, [[0.0, 0.5, 1.5], [2.5, 0.5, 1.5]])
+    np.testing.assert_allclose(highs, [[6.5, 6.0, 8.0], [6.5, 3.5, 4.5]])
+    sphere = glowing_scene(tmp_path, {"sphere": [4, 3, 3, 2]}).lighting.glowing
+    assert sphere.round.all() and sphere.masked.all() and sphere.halves[0, 0] == 2.0
+
+
+def test_light_depends_on_a_mask_and_not_on_its_file(tmp_path: Path) -> None:
+    one, other = (glowing_scene(tmp_path, {"labels": [label], "box": [[0, 0, 0], [7, 6, 8]]}) for label in (4, 9))
+    assert one.lighting.glowing.halves.tolist() == other.lighting.glowing.halves.tolist()
+    assert one.bake_digest != other.bake_digest
+    nrrd.write(str(tmp_path / "same.nrrd"), (LABELS == 4).astype(np.uint8), index_order="C")
+    same = load_scene(
+        tmp_path / "v.nrrd",
+        isovalue=50.0,
+        glow=[{"mask": str(tmp_path / "same.nrrd"), "box": [[0, 0, 0], [7, 6, 8]], "radiance": 3}],
+    )
+    assert same.bake_digest == one.bake_digest and same.digest != one.digest
+
+
+def test_other_machines_are_given_what_masks_take(tmp_path: Path) -> None:
+    scene, store = glowing_scene(tmp_path, {"labels": [4]}), Store(tmp_path / "store")
+    assets = send_assets(scene, store)
+    (tmp_path / "m.nrrd").unlink()
+    source, volume = receive_assets(replace(scene.source, base=Path("/nowhere")), assets, store)
+    made = build_scene(source, no_progress, volume, None, receive_glow_bits(assets, store))
+    assert made.bake_digest == scene.bake_digest
+    cut = cut_open(scene, "z>6", "cut")
+    np.testing.assert_array_equal(cut.lighting.glowing.bits, scene.lighting.glowing.bits)
+
+
+@pytest.mark.parametrize(
+    ("glow", "sentence"),
+    [
+        ({"labels": [7]}, "No voxel of the volume is in the glow's mask"),
+        ({"labels": 4}, "A glow's labels are 4: give a list"),
+        ({"mask": 3}, "A glow's mask is 3: give the file"),
+        ({"mask": "nowhere.nrrd"}, "nowhere.nrrd"),
+    ],
+)
+def test_a_bad_mask_is_refused_in_a_sentence(glow: dict[str, Any], sentence: str, tmp_path: Path) -> None:
+    with pytest.raises(IsogiError, match=sentence):
+        glowing_scene(tmp_path, glow)
+
+
+def test_labels_without_a_mask_are_refused() -> None:
+    with pytest.raises(IsogiError, match="A glow has labels of no mask: add mask"):
+        load_scene("demo:orbital", glow=[{"labels": [1], "sphere": [40, 50, 60, 5]}])

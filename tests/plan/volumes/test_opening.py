@@ -3,9 +3,9 @@
 import json
 import os
 import shutil
-import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -161,18 +161,14 @@ def test_a_copy_is_made_once_and_anew_where_the_source_changed() -> None:
 
 def test_many_that_ask_at_once_have_it_made_once() -> None:
     made: list[int] = []
-    found: list[Volume] = []
 
     def slabs() -> Iterator[np.ndarray]:
         made.append(1)
         time.sleep(0.05)
         yield FIELD
 
-    threads = [threading.Thread(target=lambda: found.append(opened(slabs=slabs))) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(lambda _: opened(slabs=slabs), range(4)))
     assert len(made) == 2 and len({volume.digest for volume in found}) == 1  # a copy takes two looks
 
 

@@ -1,5 +1,5 @@
 // The field along a ray through a cell: a cubic, its turning points and its first crossing of 0.
-// Kernel: isogi_core/kernels/tracing/cubic.py. Split at the roots of the slope, bracket, refine.
+// Kernel: isogi_core/kernels/tracing/intersect.py. Split at the roots of the slope, bracket, refine.
 const int REFINEMENTS = 12;       // steps of Newton's method at most, which single floats need
 const float CLOSE = 1e-7;         // steps below which it ends
 

@@ -12,15 +12,18 @@ from isogi_core.kernels.tracing.field import FIELD_RECORD
 from isogi_core.kernels.tracing.intersect import SOLID_SIGN, UNKNOWN_SIDE
 from isogi_core.kernels.tracing.vec import column, dot, put_column, scale
 from isogi_core.kernels.tracing.walls import NO_WALL
-from isogi_core.kernels.transport.integrate import (
+from isogi_core.kernels.transport.integrator import (
     add_carried,
     add_paths,
     advance,
     begin_wave,
+    columns,
+    compact,
     gather_met,
     launch_starts,
     make_state,
     meet,
+    partition,
 )
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD, Surroundings, cast_wave
 from isogi_core.kernels.transport.lights import arriving, radiance, row
@@ -30,7 +33,6 @@ from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.room_paths import ROOM_RECORD, balance_area, cast_among_walls, lit_from
 from isogi_core.kernels.transport.sampling import about, sample_cosine_hemisphere
 from isogi_core.kernels.transport.streams import DIRECTIONS
-from isogi_core.kernels.transport.wavefront import columns, compact, partition
 
 INWARD, ALONG_RAY = -2.0, -3.0
 """In place of a wall's number: a start on the isosurface whose rays go in, cosine-weighted about its inner normal; and

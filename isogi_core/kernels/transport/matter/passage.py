@@ -17,12 +17,11 @@ from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.slabs import clip_box
 from isogi_core.kernels.tracing.vec import column, dot, madd, put_column, scale
 from isogi_core.kernels.tracing.walls import NO_WALL, meet_walls
-from isogi_core.kernels.transport.matter.dielectric import fresnel, mirror, refract
+from isogi_core.kernels.transport.integrator import whole
 from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.room_paths import ROOM_RECORD
-from isogi_core.kernels.transport.sampling import sample_uniform_sphere
+from isogi_core.kernels.transport.sampling import fresnel, mirror, refract, sample_uniform_sphere
 from isogi_core.kernels.transport.streams import IN_MATTER, MAX_STEPS, PAIRS_PER_PURPOSE
-from isogi_core.kernels.transport.wavefront import whole
 
 
 class Matter(NamedTuple):

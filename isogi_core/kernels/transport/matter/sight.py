@@ -14,6 +14,7 @@ from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.slabs import longest
 from isogi_core.kernels.tracing.vec import column, dot, madd, normalize, put_column, scale, sub
 from isogi_core.kernels.tracing.walls import NO_WALL, nearest_wall
+from isogi_core.kernels.transport.integrator import whole
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD, to_world
 from isogi_core.kernels.transport.lights import radiance, row
 from isogi_core.kernels.transport.matter.passage import (
@@ -26,7 +27,6 @@ from isogi_core.kernels.transport.matter.passage import (
 )
 from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.room_paths import lit_from
-from isogi_core.kernels.transport.wavefront import whole
 
 PARTED_PLACES = 16
 """A ray parts where each part counts at least 1 / (PARTED_PLACES · places), of the places that its point may see."""
