@@ -14,7 +14,7 @@ from isogi_report.heading import left_out_rows, machine_rows, plan_facts_rows, s
 from isogi_report.journal import Report, picture_name
 from isogi_report.plots import draw, gradient, keys, scales_of
 from isogi_report.sections import Picture, Plot, Section, Table
-from server.inspect.inspection import SCHEME
+from server.inspect.picture import SCHEME
 from server.values import span
 
 REPORT_FOLDER = Path(__file__).parent

@@ -24,7 +24,7 @@ from isogi_core.kernels.shading.framebuffer import develop_rows
 from isogi_report.cells import PREFIXES
 from isogi_report.journal import Report
 from isogi_report.sections import Column, Curve, Picture, Plot
-from server.inspect.inspection import DASHES, INK, LINE_STAND_IN, SCHEME, SOFT_STAND_IN, STYLE
+from server.inspect.picture import DASHES, INK, LINE_STAND_IN, SCHEME, SOFT_STAND_IN, STYLE
 
 PLOT_WIDTH, PLOT_HEIGHT = 4.6, 3.1
 """Inches of a plot, 72 units of SVG each."""

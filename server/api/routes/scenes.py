@@ -35,8 +35,7 @@ from server.schemas import (
     UploadList,
     UploadSchema,
 )
-from server.uploads.environments import UploadedEnvironment
-from server.uploads.folder import UploadedVolume
+from server.uploads.folder import ENVIRONMENT_KIND, Upload
 from server.uploads.uploads import Uploads
 
 router = APIRouter(prefix="/v1/scenes", tags=["scenes"])
@@ -47,7 +46,7 @@ async def list_scenes(service: ServiceDep) -> SceneList:
     """All scenes, each with the address of its document."""
     links = [SceneLink(id=s.id, name=s.name, href=f"/v1/scenes/{s.id}") for s in service.engine.own_scenes]
     for link in links:
-        link.volume = href(link.id) if link.id in service.uploads.folder.volumes else None
+        link.volume = href(link.id) if link.id in service.uploads.folder.uploads else None
     return SceneList(scenes=links, uploads=limits(service.uploads))
 
 
@@ -140,7 +139,7 @@ async def upload(request: Request, response: Response, params: UploadParamsDep, 
 async def list_volumes(service: ServiceDep) -> UploadList:
     """All uploaded volumes."""
     uploads = service.uploads
-    return UploadList(volumes=[facts(kept) for kept in uploads.folder.volumes.values()], uploads=limits(uploads))
+    return UploadList(volumes=[facts(kept) for kept in uploads.folder.volumes], uploads=limits(uploads))
 
 
 @volume_router.get("/{volume}", dependencies=[NoParamsDep], responses=documented_problems(404, 422))
@@ -177,7 +176,7 @@ async def upload_environment(
     request: Request, response: Response, params: UploadParamsDep, service: ServiceDep
 ) -> EnvironmentSchema:
     """Take the body, a lat-long Radiance picture (.hdr), as light that every scene may be shown in."""
-    kept, new = await service.uploads.take_environment(request, params.name)
+    kept, new = await service.uploads.take(request, params.name, ENVIRONMENT_KIND)
     response.status_code = 201 if new else 200
     response.headers["Location"] = light_href(kept.id)
     return uploaded_light(kept)
@@ -194,16 +193,16 @@ async def list_environments(service: ServiceDep) -> EnvironmentList:
 )
 async def delete_environment(environment: str, service: ServiceDep, bearer: BearerDep) -> None:
     """Delete an uploaded environment; light that was baked in it stays in the store."""
-    await service.uploads.remove_environment(environment, bearer)
+    await service.uploads.remove(environment, bearer, ENVIRONMENT_KIND)
 
 
 def environments(uploads: Uploads) -> list[EnvironmentSchema]:
     """Light that scenes may be shown in besides their own."""
     own = [EnvironmentSchema(id=number, name=name) for number, name in ENVIRONMENTS.items()]
-    return own + [uploaded_light(kept) for kept in uploads.folder.environments.values()]
+    return own + [uploaded_light(kept) for kept in uploads.folder.environments]
 
 
-def uploaded_light(kept: UploadedEnvironment) -> EnvironmentSchema:
+def uploaded_light(kept: Upload) -> EnvironmentSchema:
     """The document of one uploaded environment."""
     return EnvironmentSchema(id=kept.id, name=kept.name, href=light_href(kept.id))
 
@@ -213,10 +212,12 @@ def light_href(number: str) -> str:
     return f"/v1/environments/{number}"
 
 
-def facts(kept: UploadedVolume) -> UploadSchema:
+def facts(kept: Upload) -> UploadSchema:
     """The document of one volume."""
     scene = f"/v1/scenes/{kept.id}"
-    return UploadSchema(id=kept.id, name=kept.name, href=href(kept.id), scene=scene, size=kept.size, bytes=kept.bytes)
+    x, y, z = kept.size
+    size = x, y, z
+    return UploadSchema(id=kept.id, name=kept.name, href=href(kept.id), scene=scene, size=size, bytes=kept.bytes)
 
 
 def limits(uploads: Uploads) -> UploadLimits | None:

@@ -9,7 +9,7 @@ import pytest
 
 from server.cli.command import run
 from server.errors import FullError, UnknownResultError
-from server.exports.folder import ExportFolder
+from server.render.jobs import ExportFolder
 from tests.server.idle import Idle, idle_server
 from tests.server.inline import LONG
 from tests.server.jobs import baking, until_over

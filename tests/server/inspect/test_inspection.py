@@ -4,6 +4,8 @@ import importlib.util
 import json
 import math
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -207,7 +209,7 @@ def test_the_picture(capsys: pytest.CaptureFixture[str], small_scene: Path, tmp_
 
 @needs_matplotlib
 def test_a_volume_without_a_surface_has_a_picture_too(tmp_path: Path) -> None:
-    from server.inspect.inspection import save_picture
+    from server.inspect.picture import save_picture
 
     save_picture(tmp_path / "a.png", inspection_schema(scene_of(np.ones((4, 5, 6)), 1.0)))
     assert (tmp_path / "a.png").stat().st_size > 1000
@@ -225,3 +227,8 @@ def test_without_matplotlib_a_sentence_says_what_to_install(
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     assert run(["inspect", str(small_scene), "--picture", str(tmp_path / "a.png")]) == 1
     assert "isogi[report]" in capsys.readouterr().err
+
+
+def test_an_inspection_without_a_picture_needs_no_matplotlib() -> None:
+    code = "import sys; sys.modules['matplotlib'] = None; import server.inspect.text"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)

@@ -9,8 +9,7 @@ import pytest
 
 from isogi_core.files.radiance import read_hdr, write_hdr
 from isogi_core.model.environment import mean_radiance
-from server.uploads.environments import MAX_PROBE_SHAPE
-from server.uploads.folder import UploadFolder
+from server.uploads.folder import MAX_PROBE_SHAPE, read_environment
 from tests.server.uploads.site import Site
 
 LIGHTS = "/v1/environments"
@@ -100,8 +99,7 @@ def test_a_light_that_is_deleted_is_named_by_no_view(site: Site, tmp_path: Path)
 def test_it_is_found_again_and_counts(site: Site, sent: dict[str, str]) -> None:
     held = site.client.get(LIGHTS).json()["uploads"]
     assert held["free_bytes"] < held["quota_bytes"]
-    folder = UploadFolder(site.folder)
-    assert folder._light(site.folder / f"{sent['id']}.hdr") is not None
+    assert read_environment(site.folder / f"{sent['id']}.hdr") is not None
 
 
 def test_a_server_without_uploads_says_so(live_server: str, tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ def test_a_volume_is_found_again(folder: UploadFolder) -> None:
     folder.close()
     again = UploadFolder(folder.path)
     again.open()
-    assert set(again.volumes) == numbers and again.volumes == folder.volumes
+    assert set(again.uploads) == numbers and again.uploads == folder.uploads
     assert names(folder.path) == {f"{number}.nrrd" for number in numbers}
     again.close()
 
@@ -51,7 +51,7 @@ def test_a_volume_of_an_earlier_version_keeps_its_shorter_id(folder: UploadFolde
     (folder.path / f"{number}.nrrd.nrrd").touch()
     again = UploadFolder(folder.path)
     again.open()
-    assert set(again.volumes) == {number[:20]}
+    assert set(again.uploads) == {number[:20]}
     again.close()
 
 
@@ -63,7 +63,7 @@ def test_it_is_the_owners_alone(folder: UploadFolder) -> None:
 
 def test_what_was_removed_is_gone(folder: UploadFolder) -> None:
     folder.remove(put(folder))
-    assert not folder.volumes and not folder.held and not names(folder.path)
+    assert not folder.uploads and not folder.held and not names(folder.path)
 
 
 def test_unfinished_files_are_deleted_and_foreign_ones_left(folder: UploadFolder, tmp_path: Path) -> None:
@@ -73,7 +73,7 @@ def test_unfinished_files_are_deleted_and_foreign_ones_left(folder: UploadFolder
     (folder.path / "notes.nrrd").write_bytes(b"NRRD0004\n")
     (folder.path / f"{'0' * 20}.nrrd").symlink_to(folder.path / f"{number}.nrrd")
     folder.open()
-    assert set(folder.volumes) == {number}
+    assert set(folder.uploads) == {number}
     assert names(folder.path) == {f"{number}.nrrd", "notes.nrrd", f"{'0' * 20}.nrrd"}
 
 
@@ -103,7 +103,7 @@ def test_a_disk_that_is_full_says_so_and_nothing_is_left(folder: UploadFolder, m
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(FullError, match="disk"):
         put(folder)
-    assert not names(folder.path) and not folder.volumes
+    assert not names(folder.path) and not folder.uploads
 
 
 KILLED = """

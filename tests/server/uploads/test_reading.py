@@ -14,8 +14,8 @@ import pytest
 from fastapi import FastAPI
 
 from isogi_core.files.radiance import encode_rgbe
-from server.uploads.environments import ENVIRONMENT_KIND
-from server.uploads.reading import Reader
+from server.uploads.folder import ENVIRONMENT_KIND
+from server.uploads.uploads import Reader
 from tests.server.uploads import claims
 from tests.server.uploads.files import ball
 from tests.server.uploads.measured import GIGABYTE, read_measured

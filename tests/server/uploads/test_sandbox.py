@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from server.uploads import uploads
-from server.uploads.reading import PYTHON_ROOT
 from server.uploads.sandbox import lacking
+from server.uploads.uploads import PYTHON_ROOT
 from tests.server.uploads.site import opened
 
 ATTEMPTS = """
