@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,9 +11,11 @@ from typing import Any
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from isogi_core.errors import Cancelled
 from isogi_core.plan.scene import Scene
 from server.errors import BusyError, StartingError
 from server.problems import problem
+from server.render.bakes import until
 from server.render.engine import RenderEngine
 
 LATE = 1.0
@@ -82,13 +84,17 @@ class GracefulShutdown:
         with self.closing.admitted() as request:
             answer, incoming = Answer(send, request, self.closing), Incoming(receive, request)
             try:
-                await until(self.app(scope, incoming.receive, answer.send), request.late)
+                with suppress(Cancelled):
+                    await until(self.app(scope, incoming.receive, answer.send), request.late.wait())
             finally:
                 incoming.close()
             if not answer.begun:
                 await problem(503, STOPPED, scope["path"])(scope, receive, answer.send)
             elif request.endless and not answer.whole:
                 await send({"type": "http.response.body", "body": b""})
+
+    async def _answer(self, scope: Scope, incoming: Incoming, answer: Answer) -> None:
+        await self.app(scope, incoming.receive, answer.send)
 
 
 class Incoming:
@@ -148,20 +154,6 @@ class Answer:
 
 
 STOPPED = "The server stops, and this was not done in time: ask again in a while."
-
-
-async def until(work: Awaitable[None], end: asyncio.Event) -> None:
-    """Do the work; give it up where the ``end`` comes first. Raises what it raises."""
-    working, ending = asyncio.ensure_future(work), asyncio.ensure_future(end.wait())
-    both: set[asyncio.Future[Any]] = {working, ending}
-    try:
-        await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
-        if working.done():
-            working.result()
-    finally:
-        working.cancel()
-        ending.cancel()
-        del both, working, ending  # an error in them would hold itself until garbage is looked for
 
 
 LOOK = 0.02

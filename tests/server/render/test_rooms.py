@@ -46,7 +46,7 @@ def test_walls_are_lit_beside_texels(engine: RenderEngine) -> None:
     while heard.get(timeout=LONG) != (CHECK, False):
         pass
     second = engine.survey("orbital", view, target)
-    assert not coarse(second) and second.demands and engine.paths == 0
+    assert not coarse(second) and second.demands and engine.baker.paths == 0
     assert engine.want("orbital", second, target, GUEST_VIEWER) == wanted
     engine.hire()
     frame = awaited(engine, "orbital", view, None, LONG)

@@ -46,7 +46,7 @@ def test_workers_bake_all_sides_and_a_restart_finds_them(make: Callable[..., Ren
     engine.close()
     other = make(hire=False)
     again = other.survey("orbital", view, scene.target_error)
-    assert not again.provisional and other.paths == 0
+    assert not again.provisional and other.baker.paths == 0
     assert (again.radiance == frame.radiance).all() or again.quality.own != frame.quality.own
 
 
