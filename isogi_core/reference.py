@@ -1,8 +1,8 @@
 """References: a view path-traced from each pixel, with what is known of its own noise, grown round by round."""
 
+import io
 import json
 import math
-import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -22,6 +22,7 @@ from isogi_core.model.value_survey import digest_of
 from isogi_core.model.view import View
 from isogi_core.plan.budget import BOUNCES_SHARE, bounces_for, survival_for
 from isogi_core.plan.scene import Scene
+from isogi_core.storage.atomic_file import write_whole
 
 REFERENCE_REPLICAS = 8
 """Independent randomisations of a reference."""
@@ -163,15 +164,9 @@ def save_reference(path: Path, reference: Reference, scene: Scene, view: View) -
         name: value for name, value in asdict(view).items() if name not in ("moving", "smooth", "strip", "orientation")
     }
     about = {"format": REFERENCE_FORMAT, "scene": scene.name, "bounces": scene.bounces, **surface, "view": shown}
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        with partial.open("wb") as file:
-            np.savez(
-                file, about=json.dumps(about), **{each.name: getattr(reference, each.name) for each in REFERENCE_FIELDS}
-            )
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+    file = io.BytesIO()
+    np.savez(file, about=json.dumps(about), **{each.name: getattr(reference, each.name) for each in REFERENCE_FIELDS})
+    write_whole(path, file.getvalue())
 
 
 def load_reference(path: Path, scene: Scene, view: View) -> Reference:

@@ -73,7 +73,6 @@ def report_of(scene: Scene, view: View, exposure: float, request: ReportRequest,
     Raises ViewError where the view shows nothing, and what ``report`` does.
     """
     from isogi_report.bench import Bench  # noqa: PLC0415 (kernels: bad input is refused before they are compiled)
-    from isogi_report.bundle import write_report  # noqa: PLC0415
     from isogi_report.journal import (  # noqa: PLC0415
         Report,
         open_journal,
@@ -81,6 +80,7 @@ def report_of(scene: Scene, view: View, exposure: float, request: ReportRequest,
         workshop,
     )
     from isogi_report.measuring import STUDIES, measure  # noqa: PLC0415
+    from isogi_report.page import write_report  # noqa: PLC0415
 
     wanted = chosen_studies(STUDIES, request.only)
     deadline = math.inf if request.deadline is None else begun + request.deadline

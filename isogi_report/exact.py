@@ -14,8 +14,7 @@ from isogi_core.model.scene_plan import GLOW_KIND, GlowLayer, Layer
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
 from isogi_core.reference import Reference
-from isogi_report.bake import Bake, ViewBake
-from isogi_report.bench import Bench
+from isogi_report.bench import Bake, Bench, ViewBake
 from isogi_report.metrics import luminance_of
 
 OUTSIDE_LATTICE = -1

@@ -12,7 +12,7 @@ from typing import Self
 from tqdm import tqdm
 
 from isogi_core.errors import Cancelled
-from isogi_report import convergence, split, summary
+from isogi_report import studies
 from isogi_report.bench import Bench
 from isogi_report.journal import Entry, Journal
 from isogi_report.sections import Section
@@ -35,9 +35,9 @@ class Study:
 
 
 STUDIES = (
-    Study(summary.SUMMARY_KEY, summary.SUMMARY_TITLE, summary.study, 0.25),
-    Study(split.SPLIT_KEY, split.SPLIT_TITLE, split.study, 0.25),
-    Study(convergence.CONVERGENCE_KEY, convergence.CONVERGENCE_TITLE, convergence.study, 0.5),
+    Study(studies.SUMMARY_KEY, studies.SUMMARY_TITLE, studies.study_summary, 0.25),
+    Study(studies.SPLIT_KEY, studies.SPLIT_TITLE, studies.study_split, 0.25),
+    Study(studies.CONVERGENCE_KEY, studies.CONVERGENCE_TITLE, studies.study_convergence, 0.5),
 )
 """All of them, the most important first. What one makes, such as the reference, the next ones find on the bench."""
 

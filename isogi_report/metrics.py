@@ -110,19 +110,18 @@ def flip(radiance: np.ndarray, best: Reference, exposure: float) -> float | None
         evaluator = importlib.import_module("flip_evaluator")
     except ImportError:
         return None
-    shown = [shown_as(each, best.on, exposure) for each in (best.mean, radiance)]
+    shown = [shown_as(each, best.on, exposure).astype(np.float32) / 255.0 for each in (best.mean, radiance)]
     errors, _, _ = evaluator.evaluate(*shown, "LDR", applyMagma=False, computeMeanError=False)
     on = np.asarray(errors)[..., 0][best.on]
     return float(on.mean()) if len(on) else 0.0
 
 
 def shown_as(radiance: np.ndarray, on: np.ndarray, exposure: float) -> np.ndarray:
-    """The picture on a screen: sRGB (h, w, 3) float32 from 0 to 1."""
-    picture = np.empty(radiance.shape, np.uint8)
-    colours = np.array([BACKGROUND, HATCHING_COLOUR], np.float32)
+    """The picture on a screen, by the curve that frames have, ``on`` (h, w) the surface: sRGB (h, w, 3) uint8."""
+    picture, colours = np.empty(radiance.shape, np.uint8), np.array([BACKGROUND, HATCHING_COLOUR], np.float32)
     light = np.ascontiguousarray(radiance, np.float32)
     develop_rows(light, np.ascontiguousarray(on, np.uint8), 0, exposure, colours, False, tone_table(), picture)
-    return picture.astype(np.float32) / 255.0
+    return picture
 
 
 def score_cells(score: Score) -> tuple[Cell, ...]:

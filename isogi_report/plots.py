@@ -20,10 +20,9 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLoca
 from PIL import Image
 
 from isogi_core.frame.film import BACKGROUND, tone_table
-from isogi_core.kernels.shading.framebuffer import develop_rows
-from isogi_report.cells import PREFIXES
 from isogi_report.journal import Report
-from isogi_report.sections import Column, Curve, Picture, Plot
+from isogi_report.metrics import shown_as
+from isogi_report.sections import PREFIXES, Column, Curve, Picture, Plot
 from server.inspect.picture import DASHES, INK, LINE_STAND_IN, SCHEME, SOFT_STAND_IN, STYLE
 
 PLOT_WIDTH, PLOT_HEIGHT = 4.6, 3.1
@@ -204,18 +203,12 @@ def round_up(error: float) -> float:
 
 def print_picture(picture: Picture, report: Report, scale: float | None) -> bytes:
     """The picture's PNG; ``scale`` is the error at the ends of an error map's colours."""
-    shown = develop(picture.pixels, report) if scale is None else error_colours(picture.pixels, scale)
+    shown = (
+        shown_as(picture.pixels, report.on, report.exposure) if scale is None else error_colours(picture.pixels, scale)
+    )
     file = io.BytesIO()
     Image.fromarray(shown).save(file, "png", optimize=True)
     return file.getvalue()
-
-
-def develop(pixels: np.ndarray, report: Report) -> np.ndarray:
-    """Radiance as (h, w, 3) uint8 sRGB, by the curve that frames have."""
-    radiance, on = np.ascontiguousarray(pixels, np.float32), report.on.astype(np.uint8)
-    shown, colours = np.empty(radiance.shape, np.uint8), np.array([BACKGROUND] * 2, np.float32)
-    develop_rows(radiance, on, 0, report.exposure, colours, False, tone_table(), shown)
-    return shown
 
 
 def error_colours(errors: np.ndarray, scale: float) -> np.ndarray:

@@ -35,7 +35,7 @@ from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.runs import Run, serially
-from isogi_report.bake import UNREACHED_TARGET
+from isogi_report.bench import UNREACHED_TARGET
 from server.parameters import FORMATS
 from server.pictures import encode
 from server.progress import open_scene

@@ -7,14 +7,15 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from isogi_core.files.scene_changes import write_material_text
+from isogi_core.files.grid import Vector, triple
+from isogi_core.files.scene_file import write_material_text
 from isogi_core.frame.card.blocks import CHUNKS, SeenChunk, raw_scale, seen_chunks
 from isogi_core.frame.card.obstacles import BYTES, Obstacle, find_obstacles
 from isogi_core.frame.film import COLOURS, SCALE, ground_of, lit
 from isogi_core.frame.fitting import Stand, fitted_to_all
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import point_at
-from isogi_core.frame.lighting import RotatedLight, triple
+from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import expected_error
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.view_texels import carries_irradiance_ratios
@@ -25,14 +26,14 @@ from isogi_core.model.environment import Lobe
 from isogi_core.model.lights import ENVIRONMENTS, Light
 from isogi_core.model.material import SHINE_KINDS
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.view import IDENTITY, Vec3, View
+from isogi_core.model.view import IDENTITY, View
 from isogi_core.plan.isovalue_presets import front_of
 from isogi_core.plan.left_out import S1_BYTES
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.surfaces import material_settings
 from isogi_core.plan.variants import find_materials
+from isogi_core.prepared.isosurface_mesh import surface_size
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_core.prepared.surface_size import surface_size
 from server.card_schemas import (
     CardChunk,
     CardGrid,
@@ -204,7 +205,7 @@ def camera_schema(
     return CameraSchema(azimuth=azimuth, elevation=elevation, distance=distance, target=target)
 
 
-def fit(renderer: Renderer, stands: Sequence[Stand], projection: str | None) -> tuple[Vec3, float]:
+def fit(renderer: Renderer, stands: Sequence[Stand], projection: str | None) -> tuple[Vector, float]:
     """The target and the distance, rounded, at which cameras see their surfaces whole: see ``fitted_to_all``.
 
     They see the whole volume where none is to be seen.

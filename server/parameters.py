@@ -10,9 +10,10 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator, model_validator
 
 from isogi_core.errors import advice
+from isogi_core.files.grid import Vector
 from isogi_core.frame.card.blocks import CHUNKS, is_inside
 from isogi_core.model.choices import PROJECTIONS
-from isogi_core.model.view import Quaternion, Vec3
+from isogi_core.model.view import Quaternion
 from isogi_core.prepared.prepared_scene import Index
 from server.errors import ParameterError, UnknownPartError
 from server.knobs import KNOBS, LONGEST_SIDE
@@ -64,14 +65,14 @@ class ViewParams(VariantParams):
     distance: float = knob("distance")
     fov: float = knob("fov")
     projection: str | None = knob("projection")
-    eye: Vec3 | None = knob("eye")
-    target: Vec3 | None = knob("target")
-    up: Vec3 | None = knob("up")
+    eye: Vector | None = knob("eye")
+    target: Vector | None = knob("target")
+    up: Vector | None = knob("up")
     light: Quaternion | None = knob("light")
     yaw: float = knob("yaw")
     pitch: float = knob("pitch")
     roll: float = knob("roll")
-    albedo: Vec3 | None = knob("albedo")
+    albedo: Vector | None = knob("albedo")
     shine: str | None = knob("shine")
     roughness: float | None = knob("roughness")
     strength: float | None = knob("strength")
@@ -238,7 +239,7 @@ class ExportParams(VariantParams):
     yaw: float = knob("yaw")
     pitch: float = knob("pitch")
     roll: float = knob("roll")
-    albedo: Vec3 | None = knob("albedo")
+    albedo: Vector | None = knob("albedo")
     exposure: float | None = knob("exposure")
     max_error: float | None = knob("max_error")
     deadline: Annotated[float | None, Span(0, LONGEST_SECONDS)] = Field(
@@ -401,7 +402,7 @@ class FoldParams(TransferParams):
     yaw: float = knob("yaw")
     pitch: float = knob("pitch")
     roll: float = knob("roll")
-    albedo: Vec3 | None = knob("albedo")
+    albedo: Vector | None = knob("albedo")
 
     @property
     def view(self) -> ViewParams:

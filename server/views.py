@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 from isogi_core.errors import ViewError
+from isogi_core.files.grid import Vector
 from isogi_core.model.material import SHINE_KNOBS, Shine
 from isogi_core.model.view import (
     IDENTITY,
     Camera,
     Quaternion,
-    Vec3,
     View,
     light_in_box,
     orbit,
@@ -61,7 +61,7 @@ def isovalue_of(scene: Scene, params: ViewParams) -> float:
         raise ParameterError(f"isovalue {error}", "isovalue") from None
 
 
-def albedo_of(scene: Scene, params: ViewParams) -> Vec3 | None:
+def albedo_of(scene: Scene, params: ViewParams) -> Vector | None:
     """The albedo asked for, None where it is the scene's; ParameterError where the scene's light is not of it."""
     try:
         return None if scene.surfaces.albedo_for(params.albedo) == scene.surfaces.albedo else params.albedo

@@ -1,10 +1,14 @@
-"""Scenes of demos that all tests of a process share, as loading one takes longer than most tests of it."""
+"""Scenes of demos that all tests of a process share, as loading one takes longer than most tests; and NRRD files."""
 
 import json
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from isogi_core.files.formats.nrrd import open_nrrd
+from isogi_core.files.formats.source import Source
 from isogi_core.plan import assembly
 from isogi_core.plan.scene import Scene
 
@@ -23,3 +27,9 @@ def load_scene(target: str | Path, **settings: Any) -> Scene:
 @lru_cache(maxsize=24)
 def _demo(target: str, told: str) -> Scene:
     return assembly.load_scene(target, **json.loads(told))
+
+
+def read_nrrd(path: Path) -> tuple[np.ndarray, tuple[float, ...]]:
+    """The array (z, y, x) of a NRRD file in its own type, and its spacing (x, y, z)."""
+    grid = open_nrrd(Source(str(path), path))
+    return np.concatenate(list(grid.slabs())), tuple(grid.spacing)

@@ -1,6 +1,7 @@
 """A processor's clock that goes on with the samples that are taken, not with time."""
 
 import threading
+import time
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from isogi_core.bake.texel_light import Light
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
-from isogi_report import bake, convergence
+from isogi_report import bench, studies
 
 PACE = 1 << 20
 """Samples of texels and of pixels that take a second; a power of two, so that sums of them are exact."""
@@ -22,6 +23,8 @@ class Toil:
 
     def __init__(self) -> None:
         self._seconds, self._lock = 0.0, threading.Lock()
+
+    monotonic = staticmethod(time.monotonic)
 
     def process_time(self) -> float:
         """Seconds of the processor up to now."""
@@ -35,7 +38,7 @@ class Toil:
 
 def measure_toil(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have bakes in memory and traced pictures take as long as their samples tell, on any machine."""
-    toil, refine, render = Toil(), bake.refine, Renderer.render
+    toil, refine, render = Toil(), bench.refine, Renderer.render
 
     def refined(light: Light, texels: np.ndarray, look: BakeSpec, until: int, target: float) -> None:
         before = taken(light)
@@ -47,9 +50,9 @@ def measure_toil(monkeypatch: pytest.MonkeyPatch) -> None:
             toil.spend(view.samples * view.width * view.height)
         return render(renderer, view, *args, **more)
 
-    monkeypatch.setattr(bake, "time", toil)
-    monkeypatch.setattr(bake, "refine", refined)
-    monkeypatch.setattr(convergence, "time", toil)
+    monkeypatch.setattr(bench, "time", toil)
+    monkeypatch.setattr(bench, "refine", refined)
+    monkeypatch.setattr(studies, "time", toil)
     monkeypatch.setattr(Renderer, "render", rendered)
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from isogi_core.bake.noise import RATE, Effort
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.costs import Costs
 from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES, most_samples
 from isogi_core.prepared.prepared_scene import Index

@@ -15,9 +15,8 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import Effort, efforts, level, standard_error
-from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.bake.refine import Located, Remains, find_kept, keeps, locate, next_samples, refine, some_located
-from isogi_core.bake.texel_light import Light
+from isogi_core.bake.texel_light import FIRST_LEVEL, Light
 from isogi_core.cache.chunk_record import Chunk
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.costs import Cost
@@ -25,8 +24,7 @@ from isogi_core.cache.inventory import Claims
 from isogi_core.cache.scene_assets import SceneAssets, receive_assets, receive_colours, receive_glow_bits
 from isogi_core.errors import SceneError, StoreAwayError
 from isogi_core.files.mappings import budget
-from isogi_core.files.scene_changes import MATERIAL_NUMBERS
-from isogi_core.files.scene_file import VOXEL_SETTINGS, SceneSource
+from isogi_core.files.scene_file import MATERIAL_NUMBERS, VOXEL_SETTINGS, SceneSource
 from isogi_core.kernels._jit import entries_of, load
 from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, number_bricks, pack_bricks
 from isogi_core.kernels.tracing.macrocells import fill_macrocells

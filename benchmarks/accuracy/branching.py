@@ -23,9 +23,8 @@ from benchmarks.common.suite import part
 from benchmarks.speed.paths import view_texels
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.bake.noise import relative_error
-from isogi_core.bake.precision import FIRST_LEVEL, next_level
 from isogi_core.bake.refine import refine
-from isogi_core.bake.texel_light import Light
+from isogi_core.bake.texel_light import FIRST_LEVEL, Light, next_level
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene

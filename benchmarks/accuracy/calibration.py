@@ -27,13 +27,12 @@ from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.suite import part
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import finished
-from isogi_core.bake.precision import FIRST_LEVEL, next_level
-from isogi_core.bake.texel_light import Light
+from isogi_core.bake.texel_light import FIRST_LEVEL, Light, next_level
 from isogi_core.frame.frame import Frame
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import IDENTITY, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
-from isogi_report.bake import ViewBake
+from isogi_report.bench import ViewBake
 from isogi_report.speed import make_renderer
 
 FURTHER = 16

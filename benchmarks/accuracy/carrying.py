@@ -11,8 +11,7 @@ from isogi_core.cache.page_pool import fill_rows, new_rows, reflected_share
 from isogi_core.frame.lighting import RotatedLight, scatter_at, weights_between
 from isogi_core.kernels.shading.lattice import LIGHT_NUMBERS, light_texels
 from isogi_core.kernels.tracing.field import bspline
-from isogi_report.bake import Bake
-from isogi_report.bench import Bench
+from isogi_report.bench import Bake, Bench
 from isogi_report.exact import Lit, own_light, straight_light, unrounded
 from isogi_report.metrics import Spread, luminance_of, mean_of, spread_of
 

@@ -21,8 +21,7 @@ from benchmarks.common.suite import part
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from isogi_report.bake import ViewBake
-from isogi_report.bench import Bench
+from isogi_report.bench import Bench, ViewBake
 from isogi_report.exact import lit_by_frame, lit_by_paths, own_light, reference_difference
 from isogi_report.metrics import mean_of, spread_of
 

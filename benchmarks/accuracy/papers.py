@@ -10,15 +10,14 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.accuracy.carrying import lit_texels
-from isogi_core.bake.precision import next_level
+from isogi_core.bake.texel_light import next_level
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.lattice import Lattice
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from isogi_report.bake import ViewBake
-from isogi_report.bench import Bench, with_plan
+from isogi_report.bench import Bench, ViewBake, with_plan
 
 ORDER = 5
 """Bands of harmonics: 25 coefficients, as S1 keeps (section 3.2)."""

@@ -29,15 +29,15 @@ from benchmarks.accuracy.scenes import PLANNED, load_planned
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.suite import part
 from isogi_core.bake.refine import refine
-from isogi_core.cache.loader import Loader
+from isogi_core.cache.scene_caches import Loader
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, most_samples
 from isogi_core.plan.left_out import S1_BYTES, lattice_bytes
 from isogi_core.plan.reachable_texels import TexelCount
 from isogi_core.plan.scene import Scene
-from isogi_report.convergence import as_s1
 from isogi_report.speed import make_renderer, view_of
+from isogi_report.studies import as_s1
 
 PATHS = 1024
 """Paths from each pixel of the picture that frames are compared with."""

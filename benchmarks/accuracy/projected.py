@@ -20,7 +20,7 @@ from benchmarks.common.scenes import CONSTANT, shared_data
 from benchmarks.common.suite import part
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
-from isogi_report.bake import ViewBake
+from isogi_report.bench import ViewBake
 from isogi_report.metrics import score
 
 DEMOS = ("demo:casting", "demo:orbital")

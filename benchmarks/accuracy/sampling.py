@@ -49,8 +49,7 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.projection import SPACING_KINDS, sample_range
 from isogi_core.plan.scene import Scene
 from isogi_core.reference import trace_reference
-from isogi_report.bake import Bake, ViewBake
-from isogi_report.bench import Bench
+from isogi_report.bench import Bake, Bench, ViewBake
 from isogi_report.exact import Lit, lit_by_paths
 from isogi_report.metrics import luminance_of, mean_of, spread_of
 from isogi_report.speed import view_of

@@ -24,8 +24,7 @@ from isogi_core.frame.rays.pixel_rays import variance_of_mean
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.reference import Reference, trace_reference
-from isogi_report.bake import ViewBake
-from isogi_report.bench import Bench
+from isogi_report.bench import Bench, ViewBake
 from isogi_report.exact import replicas
 from isogi_report.metrics import luminance_of, mean_of, spread_of
 

@@ -7,8 +7,7 @@ from typing import Any
 
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.measurement import markdown as lines_of
-from isogi_report.cells import text_columns
-from isogi_report.sections import Cell, Column, Table, table_of
+from isogi_report.sections import Cell, Column, Table, table_of, text_columns
 
 Data = Mapping[str, Any]
 

@@ -166,14 +166,9 @@ def measure(case: Case, folder: Path, size: int, paths: int) -> None:
 
 def drawn(pictures: Mapping[str, np.ndarray], best: Reference, exposure: float) -> dict[str, np.ndarray]:
     """Pictures (h, w, 3) uint8 sRGB of both methods, the reference, and the methods' errors."""
-    shown = {name: develop(each, best.on, exposure) for name, each in {**pictures, "reference": best.mean}.items()}
+    shown = {name: shown_as(each, best.on, exposure) for name, each in {**pictures, "reference": best.mean}.items()}
     errors = {f"{name} error": error_colours(error_map(each, best), SCALE) for name, each in pictures.items()}
     return {**shown, **errors}
-
-
-def develop(radiance: np.ndarray, on: np.ndarray, exposure: float) -> np.ndarray:
-    """Radiance as frames show it, (h, w, 3) uint8 sRGB."""
-    return np.rint(255.0 * shown_as(radiance, on, exposure)).astype(np.uint8)
 
 
 def keep(folder: Path, found: Measured, shown: Mapping[str, np.ndarray]) -> None:

@@ -27,7 +27,7 @@ from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import shared_data
 from benchmarks.common.suite import part
 from benchmarks.speed.film import isogi
-from isogi_core.files.light_files import srgb_bytes
+from isogi_core.files.grid import srgb_bytes
 from isogi_core.plan.assembly import load_scene
 from server.cli.setting_options import settings_from
 from server.parameters import FrameParams, read

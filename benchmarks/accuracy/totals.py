@@ -35,8 +35,7 @@ from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.reference import Reference
-from isogi_report.bake import ViewBake, dark
-from isogi_report.bench import Bench
+from isogi_report.bench import Bench, ViewBake, dark
 from isogi_report.metrics import score
 
 PLACES = (

@@ -30,8 +30,8 @@ from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.cache.chunk_store import ChunkStore
-from isogi_core.cache.loader import REMOTE_READERS, Loader
 from isogi_core.cache.page_pool import PagePool
+from isogi_core.cache.scene_caches import REMOTE_READERS, Loader
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.object_store import Bucket

@@ -25,7 +25,7 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES
 from isogi_core.model.view import View, Window
 from isogi_core.plan.scene import Scene
-from isogi_report.bake import UNREACHED_TARGET
+from isogi_report.bench import UNREACHED_TARGET
 from isogi_report.speed import (
     LOOSEST_TARGET,
     Candidate,

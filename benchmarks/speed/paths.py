@@ -33,7 +33,7 @@ from isogi_core.model.scene_plan import MAX_SAMPLES, Layer
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_report.bake import UNREACHED_TARGET
+from isogi_report.bench import UNREACHED_TARGET
 from isogi_report.speed import (
     Candidate,
     Rays,

@@ -16,8 +16,7 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import DECAYS, blend_noise, evenness, finished, noise_of_halves
-from isogi_core.bake.precision import VOID, next_level, noise_codes, noise_of, round_light
-from isogi_core.bake.texel_light import Light, Part
+from isogi_core.bake.texel_light import VOID, Light, Part, next_level, noise_codes, noise_of, round_light
 from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.tracing.glow import Glows
 from isogi_core.kernels.tracing.walls import NO_WALL

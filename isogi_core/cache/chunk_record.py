@@ -10,18 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.bake.precision import (
+from isogi_core.bake.texel_light import (
     FIRST_LEVEL,
     LIGHT_OF,
     NOISE_OF,
     SAMPLES_OF,
     VOID_CODE,
+    Light,
+    Part,
     level_codes,
     light_codes,
     light_floats,
     noise_codes,
 )
-from isogi_core.bake.texel_light import Light, Part
 from isogi_core.errors import DamagedChunkError
 from isogi_core.kernels.shading.texel_table import Numbers, Texels, unpack_texels
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, ScenePlan

@@ -1,7 +1,6 @@
 """The light of a bake in the store: its layers, read and written chunk by chunk."""
 
 import logging
-import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
@@ -12,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.precision import VOID
-from isogi_core.bake.texel_light import Part
+from isogi_core.bake.texel_light import VOID, Part
 from isogi_core.cache.chunk_record import Chunk, Chunks
 from isogi_core.cache.inventory import STAMPS_FOLDER
 from isogi_core.cache.layer import LayerStore
@@ -22,6 +20,7 @@ from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.scene_plan import Layer, ScenePlan
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
+from isogi_core.storage.atomic_file import user_cache
 from isogi_core.storage.store import Store, StoreLike
 
 MIN_DIRECT_ORDER = 2
@@ -126,8 +125,8 @@ Objects = tuple[bytes | None, ...]
 
 
 def default_store() -> Path:
-    """The default folder of light: ``$XDG_CACHE_HOME/isogi/light`` or ``~/.cache/isogi/light``."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "isogi" / "light"
+    """The default folder of light."""
+    return user_cache("light")
 
 
 class ChunkStore:

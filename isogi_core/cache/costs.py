@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable
 from functools import reduce
 from typing import Any, NamedTuple
 
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store, StoreLike
 
@@ -112,8 +112,7 @@ class Costs:
             found = self._store.get(self._key)
             if found is None:
                 return
-            kept: Any = json.loads(found.data)["attributes"]["chunks"]
-            chunks = {place(key): Cost(float(s), int(p), int(t), float(f)) for key, (s, p, t, f) in kept.items()}
+            chunks = costs_in(found.data)
         except Exception as error:
             log.info("What the bake took before is unknown: %s", error)
             return
@@ -141,6 +140,12 @@ class Costs:
                 log.warning("What the bake took cannot be kept: %s", error)
                 with self._lock:
                     self._grown = self._clock()
+
+
+def costs_in(stored: bytes) -> dict[Index, Cost]:
+    """The costs of chunks in an object. Raises errors of many kinds where it is damaged."""
+    kept: Any = json.loads(stored)["attributes"]["chunks"]
+    return {place(key): Cost(float(s), int(p), int(t), float(f)) for key, (s, p, t, f) in kept.items()}
 
 
 def place(key: str) -> Index:

@@ -15,8 +15,16 @@ import numpy as np
 import zarr
 from zarr.codecs import BytesCodec, Crc32cCodec, ZstdCodec
 
-from isogi_core.bake.precision import CODES_PER_HALVING, FIRST_LEVEL, NEGATIVE, NOISIEST, SILENT, VOID, VOID_CODE
-from isogi_core.bake.texel_light import Part
+from isogi_core.bake.texel_light import (
+    CODES_PER_HALVING,
+    FIRST_LEVEL,
+    NEGATIVE,
+    NOISIEST,
+    SILENT,
+    VOID,
+    VOID_CODE,
+    Part,
+)
 from isogi_core.cache.chunk_record import belongs, pack, record_type, unpack_all
 from isogi_core.errors import ChangedError, DamagedChunkError, StoreError, StoreFullError, StoreReadOnlyError
 from isogi_core.model.scene_plan import Layer

@@ -13,8 +13,7 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import MIN_LUMINANCE, deviations, least_level, powers, white
-from isogi_core.bake.precision import SAMPLES_OF
-from isogi_core.bake.texel_light import Light
+from isogi_core.bake.texel_light import SAMPLES_OF, Light
 from isogi_core.cache.chunk_record import Chunks
 from isogi_core.errors import NoRoomError
 from isogi_core.kernels.shading.lattice import UNLIT_ROW, Lattice

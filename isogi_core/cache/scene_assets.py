@@ -14,8 +14,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from isogi_core.errors import ChangedError, DamagedChunkError, LightError, StoreError
 from isogi_core.files.scene_file import DEFAULT_DEMO, VOXEL_SETTINGS, SceneSource
-from isogi_core.files.volume_copies import find_copy, get_copy, get_file
-from isogi_core.files.voxel_file import Draft
+from isogi_core.files.volume_copies import Draft, find_copy, get_copy, get_file
 from isogi_core.model.colours import Label, Scale, SurfaceColours
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.orientation import PLAIN_ORIENTATION, Orientation

@@ -1,22 +1,22 @@
 """The upkeep of a store: its census, its audit with repair, and pruning."""
 
-import json
 import logging
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from hashlib import sha256
 from itertools import combinations, permutations
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from isogi_core.bake.precision import VOID
-from isogi_core.bake.texel_light import Part
+from isogi_core.bake.texel_light import VOID, Part
 from isogi_core.cache.chunk_record import LayerFacts, facts_in, find_anomaly, unpack
-from isogi_core.cache.costs import Cost
+from isogi_core.cache.costs import Cost, costs_in
 from isogi_core.cache.inventory import QUARANTINE_FOLDER, Inventory, LayerFiles, inventory_of
 from isogi_core.errors import DamagedChunkError, StoreError
 from isogi_core.model.value_survey import Progress, digest_of, no_progress
@@ -61,68 +61,74 @@ class Audit:
         return not self.damages
 
 
-class Auditor:
-    """Checks the objects of a store. It only reads, so it may run beside servers and workers."""
+def audit_store(
+    store: Store, found: Callable[[Damage], Any] = lambda _: None, progress: Progress = no_progress
+) -> Audit:
+    """Check all objects of a ``store``. It only reads, so it may run beside servers and workers. Raises StoreError.
 
-    def __init__(self, store: Store) -> None:
-        """Read nothing yet."""
-        self.store = store
+    ``found`` is called with each damage as soon as it is known.
+    """
+    result = Audit(inventory_of(store.entries()))
+    _audit_facts(store, result)
+    chunks, done = shared_chunks(result), 0
+    total = sum(len(each.objects) for each in chunks)
+    progress(done, total)
+    with ThreadPoolExecutor(AUDIT_READERS) as pool:
+        checked = pool.map(lambda each: check_chunk(store, each, result.facts), chunks)
+        for each, damages in zip(chunks, checked, strict=True):
+            done += len(each.objects)
+            result.damages += damages
+            for damage in damages:
+                found(damage)
+            progress(done, total)
+    result.whole = total - sum(damage.key.split("/")[1] == "c" for damage in result.damages)
+    return result
 
-    def audit(self, found: Callable[[Damage], Any] = lambda _: None, progress: Progress = no_progress) -> Audit:
-        """Check everything; ``found`` is called with each damage as soon as it is known. Raises StoreError."""
-        audit = Audit(inventory_of(self.store.entries()))
-        self._read_facts(audit)
-        chunks, done = shared_chunks(audit), 0
-        total = sum(len(each.objects) for each in chunks)
-        progress(done, total)
-        with ThreadPoolExecutor(AUDIT_READERS) as pool:
-            for each, damages in zip(chunks, pool.map(lambda each: self.check(each, audit), chunks), strict=True):
-                done += len(each.objects)
-                audit.damages += damages
-                for damage in damages:
-                    found(damage)
-                progress(done, total)
-        audit.whole = total - sum(damage.key.split("/")[1] == "c" for damage in audit.damages)
-        return audit
 
-    def check(self, shared: SharedChunk, audit: Audit) -> list[Damage]:
-        """Check the objects of a chunk: each by itself, and then against each other."""
-        damages, samples = [], {}
-        for digest, found in shared.objects:
-            try:
-                taken = self._samples(audit.facts[digest], digest, shared.chunk, found.key)
-            except DamagedChunkError as error:
-                damages.append(Damage(found.key, str(error)))
-            else:
-                samples[found.key] = taken
-        return list({damage.key: damage for damage in (*damages, *contradictions(samples))}.values())
+def check_chunk(store: Store, shared: SharedChunk, facts: Mapping[str, LayerFacts]) -> list[Damage]:
+    """Check the objects of a chunk: each by itself, and then against each other."""
+    damages, samples = [], {}
+    for digest, found in shared.objects:
+        try:
+            samples[found.key] = _sound_samples(store, facts[digest], digest, shared.chunk, found.key)
+        except DamagedChunkError as error:
+            damages.append(Damage(found.key, str(error)))
+    return list({damage.key: damage for damage in (*damages, *contradictions(samples))}.values())
 
-    def _read_facts(self, audit: Audit) -> None:
-        for digest, files in audit.inventory.layers.items():
-            stored = self.store.read(f"{digest}/zarr.json")
-            try:
-                if stored is None:
-                    raise DamagedChunkError("it is missing")
-                audit.facts[digest] = facts_in(stored)
-            except DamagedChunkError as error:
-                audit.damages.append(Damage(f"{digest}/zarr.json", str(error)))
-                audit.unread += len(files.chunks)
 
-    def _samples(self, facts: LayerFacts, digest: str, index: Index, key: str) -> np.ndarray:
-        """The samples of a chunk's texels in an object, (texels,) int32. Raises DamagedChunkError."""
-        if not facts.holds(index):
-            raise DamagedChunkError("there is no such place in its lattice")
-        samples, stored = np.zeros(facts.chunk_texels, np.int32), self.store.read(key)
-        if stored is None:
-            return samples
-        record = unwrap(stored, facts.record_size)
-        found = unpack(record, facts.layer, facts.chunk_texels, digest, index)
-        if found is None:
-            raise DamagedChunkError("it was baked for another place")
-        if odd := find_anomaly(record, facts.layer, facts.chunk_texels):
-            raise DamagedChunkError(odd)
-        samples[found[0]] = found[1].samples
+def _audit_facts(store: Store, result: Audit) -> None:
+    """Read the metadata of all layers."""
+    for digest, files in result.inventory.layers.items():
+        try:
+            result.facts[digest] = read_facts(store, digest)
+        except DamagedChunkError as error:
+            result.damages.append(Damage(f"{digest}/zarr.json", str(error)))
+            result.unread += len(files.chunks)
+
+
+def read_facts(store: Store, digest: str) -> LayerFacts:
+    """The facts of a layer; DamagedChunkError where its metadata is missing or damaged."""
+    stored = store.read(f"{digest}/zarr.json")
+    if stored is None:
+        raise DamagedChunkError("it is missing")
+    return facts_in(stored)
+
+
+def _sound_samples(store: Store, facts: LayerFacts, digest: str, index: Index, key: str) -> np.ndarray:
+    """The samples of a chunk's texels in an object, (texels,) int32. Raises DamagedChunkError."""
+    if not facts.holds(index):
+        raise DamagedChunkError("there is no such place in its lattice")
+    samples, stored = np.zeros(facts.chunk_texels, np.int32), store.read(key)
+    if stored is None:
         return samples
+    record = unwrap(stored, facts.record_size)
+    found = unpack(record, facts.layer, facts.chunk_texels, digest, index)
+    if found is None:
+        raise DamagedChunkError("it was baked for another place")
+    if odd := find_anomaly(record, facts.layer, facts.chunk_texels):
+        raise DamagedChunkError(odd)
+    samples[found[0]] = found[1].samples
+    return samples
 
 
 def shared_chunks(audit: Audit) -> list[SharedChunk]:
@@ -157,36 +163,31 @@ class Repair:
     removed: list[Entry] = field(default_factory=list)
 
 
-class Repairer:
-    """Audits a store and moves damaged objects to quarantine; with ``delete`` no copy of them is kept."""
+def repair_store(store: Store, delete: bool = False, progress: Progress = no_progress) -> Repair:
+    """Audit a store, and move damaged objects to quarantine; with ``delete`` no copy of them is kept.
 
-    def __init__(self, store: Store, delete: bool = False) -> None:
-        """Do nothing yet."""
-        self.store = store
-        self.delete = delete
-        self._moved: dict[str, str | None] = {}
+    Leftovers are deleted, too. Raises StoreError.
+    """
+    moved: dict[str, str | None] = {}
 
-    def repair(self, progress: Progress = no_progress) -> Repair:
-        """Audit the store, move or delete damaged objects, and delete leftovers. Raises StoreError."""
-        audit = Auditor(self.store).audit(self._put_away, progress)
-        for damage in audit.damages:
-            self._put_away(damage)
-        old = list(leftovers(audit.inventory, self.store.now()))
-        for found in old:
-            self.store.delete(found.key)
-        return Repair(audit, self._moved, old)
-
-    def _put_away(self, damage: Damage) -> None:
-        """Move or delete a damaged object, once."""
-        content = None if damage.key in self._moved else self.store.read(damage.key)
+    def put_away(damage: Damage) -> None:
+        content = None if damage.key in moved else store.read(damage.key)
         if content is None:
             return
-        if self.delete:
-            self._moved[damage.key] = None
-            self.store.delete(damage.key)
+        if delete:
+            moved[damage.key] = None
+            store.delete(damage.key)
             return
-        to = self._moved[damage.key] = f"{QUARANTINE_FOLDER}/{damage.key}.{sha256(content).hexdigest()[:8]}"
-        self.store.move(damage.key, to)
+        to = moved[damage.key] = f"{QUARANTINE_FOLDER}/{damage.key}.{sha256(content).hexdigest()[:8]}"
+        store.move(damage.key, to)
+
+    found = audit_store(store, put_away, progress)
+    for damage in found.damages:
+        put_away(damage)
+    old = list(leftovers(found.inventory, store.now()))
+    for each in old:
+        store.delete(each.key)
+    return Repair(found, moved, old)
 
 
 MOST_LAYERS = 3
@@ -240,11 +241,8 @@ def each_layer(store: Store, inventory: Inventory) -> list[tuple[str, Count]]:
     """The layers with readable metadata."""
     found = []
     for digest, files in inventory.layers.items():
-        stored = store.read(f"{digest}/zarr.json")
-        try:
-            found.append((digest, Count(files, facts_in(stored or b""))))
-        except DamagedChunkError:
-            continue
+        with suppress(DamagedChunkError):
+            found.append((digest, Count(files, read_facts(store, digest))))
     return found
 
 
@@ -301,13 +299,10 @@ def possible_bakes(counts: dict[str, Count]) -> Iterator[tuple[str, ...]]:
 
 def cost_in(stored: bytes) -> Cost:
     """The sum of the costs in an object; zero where it is damaged."""
-    total = Cost()
     try:
-        for s, p, t, f in json.loads(stored)["attributes"]["chunks"].values():
-            total = total.plus(Cost(float(s), int(p), int(t), float(f)))
+        return reduce(Cost.plus, costs_in(stored).values(), Cost())
     except (ValueError, KeyError, TypeError, AttributeError):
         return Cost()
-    return total
 
 
 BUSY_SECONDS = 60.0

@@ -20,8 +20,7 @@ from isogi_core.model.lights import Colour
 from isogi_core.model.scene_plan import Layer
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
-from isogi_core.storage.documents import Documents
-from isogi_core.storage.store import Store
+from isogi_core.storage.store import Documents, Store
 
 log = logging.getLogger("isogi.cache")
 

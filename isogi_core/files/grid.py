@@ -40,8 +40,8 @@ class Affine:
     def of(cls, matrix: Any, letters: str = "") -> "Affine":
         """From an array (3, 4) or (4, 4): the matrix, and the origin as its last column."""
         rows = np.asarray(matrix, np.float64)[:3]
-        x, y, z = (_axis_vector(row) for row in rows[:, :3])
-        return cls((x, y, z), _axis_vector(rows[:, 3]), letters)
+        x, y, z = (triple(row) for row in rows[:, :3])
+        return cls((x, y, z), triple(rows[:, 3]), letters)
 
     @property
     def array(self) -> np.ndarray:
@@ -49,7 +49,8 @@ class Affine:
         return np.column_stack([np.array(self.matrix), np.array(self.origin)])
 
 
-def _axis_vector(row: np.ndarray) -> Vector:
+def triple(row: Any) -> Vector:
+    """Three floats."""
     x, y, z = (float(value) for value in row)
     return x, y, z
 
@@ -64,6 +65,13 @@ class LabelName:
     value: int
     name: str = ""
     colour: str = ""
+
+
+def srgb_bytes(linear: np.ndarray) -> np.ndarray:
+    """Linear RGB as sRGB bytes (IEC 61966-2-1)."""
+    share = np.clip(linear, 0.0, 1.0)
+    curve = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
+    return np.asarray(curve * 255.0 + 0.5, np.uint8)
 
 
 SINGLE_MOMENT = (0, 1)
@@ -303,13 +311,12 @@ def _resampled(grid: Grid, rotation: np.ndarray, skewed: np.ndarray) -> Grid:
     origin = grid.affine.array[:, 3] + rotation[:, :2] @ (first * steps[:2])
     affine = Affine.of(np.column_stack([rotation * steps, origin]), grid.affine.letters)
     note = "The axes are skewed: the layers were resampled onto right angles, linearly."
-    x, y, z = (float(step) for step in steps)
     slabs = partial(_moved, grid, skewed, (int(first[0]), int(first[1])), (height, width), dtype)
     return replace(
         grid,
         shape=(nz, height, width),
         dtype=dtype,
-        spacing=(x, y, z),
+        spacing=triple(steps),
         slabs=slabs,
         affine=affine,
         notes=(*grid.notes, note),

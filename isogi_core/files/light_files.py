@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.grid import srgb_bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,13 +57,6 @@ def obj_bytes(mesh: LitMesh) -> bytes:
     lines += [f"vn {x:.5g} {y:.5g} {z:.5g}" for x, y, z in mesh.normals.tolist()]
     lines += [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in (mesh.triangles + 1).tolist()]
     return "\n".join(["# isogi", *lines, ""]).encode()
-
-
-def srgb_bytes(linear: np.ndarray) -> np.ndarray:
-    """Linear RGB as sRGB bytes (IEC 61966-2-1)."""
-    share = np.clip(linear, 0.0, 1.0)
-    curve = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
-    return np.asarray(curve * 255.0 + 0.5, np.uint8)
 
 
 GLB_MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942

@@ -1,8 +1,6 @@
 """Volumes with values and light, in files of other tools: .vti, .nrrd, .nii.gz and OME-Zarr."""
 
 import gzip
-import os
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +12,8 @@ import zarr
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import library
-from isogi_core.storage.atomic_file import PARTIAL_SUFFIX, write_whole
+from isogi_core.files.ome import UNIT_WORDS
+from isogi_core.storage.atomic_file import whole_folder, write_whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +118,6 @@ def nibabel() -> Any:
     return library("nibabel", "NIfTI")
 
 
-NGFF_UNITS = {"mm": "millimeter", "m": "meter", "µm": "micrometer", "nm": "nanometer", "Å": "angstrom"}
-
-
 def write_zarr(path: Path, lit: LitVolume) -> None:
     """An OME-Zarr image (NGFF 0.5) of one resolution, whose channels are the numbers of each point.
 
@@ -129,7 +125,7 @@ def write_zarr(path: Path, lit: LitVolume) -> None:
     """
     check_zarr(path, lit.affine)
     block, steps, origin = straightened(lit.together, lit.affine)
-    space: dict[str, Any] = {"type": "space", **({"unit": NGFF_UNITS[lit.unit]} if lit.unit in NGFF_UNITS else {})}
+    space: dict[str, Any] = {"type": "space", **({"unit": UNIT_WORDS[lit.unit]} if lit.unit in UNIT_WORDS else {})}
     axes: list[Any] = [{"name": "c", "type": "channel"}, *({"name": name, **space} for name in "zyx")]
     placed: list[Any] = [
         {"type": "scale", "scale": [1.0, *steps[::-1]]},
@@ -140,16 +136,14 @@ def write_zarr(path: Path, lit: LitVolume) -> None:
         "axes": axes,
         "datasets": [{"path": "0", "coordinateTransformations": placed}],
     }
-    half = path.with_name(f"{path.name}{PARTIAL_SUFFIX}")
-    shutil.rmtree(half, ignore_errors=True)
-    group = zarr.open_group(half, mode="w", zarr_format=3)
-    group.attrs["ome"] = {"version": "0.5", "multiscales": [image], "omero": {"channels": channels(lit)}}
     chunks = (1, *(min(n, 128) for n in block.shape[:3]))
-    array = group.create_array(
-        "0", shape=(block.shape[3], *block.shape[:3]), dtype="float32", chunks=chunks, dimension_names=tuple("czyx")
-    )
-    array[:] = np.moveaxis(block, 3, 0)
-    os.replace(half, path)
+    with whole_folder(path) as partial:
+        group = zarr.open_group(partial, mode="w", zarr_format=3)
+        group.attrs["ome"] = {"version": "0.5", "multiscales": [image], "omero": {"channels": channels(lit)}}
+        array = group.create_array(
+            "0", shape=(block.shape[3], *block.shape[:3]), dtype="float32", chunks=chunks, dimension_names=tuple("czyx")
+        )
+        array[:] = np.moveaxis(block, 3, 0)
 
 
 def check_zarr(path: Path, affine: np.ndarray) -> None:

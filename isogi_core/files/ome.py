@@ -3,7 +3,6 @@
 Format: https://ngff.openmicroscopy.org.
 """
 
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ import zarr
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.grid import PATIENT_AXES, Grid, LabelName, on_right_angles
+from isogi_core.storage.atomic_file import whole_folder
 
 SPACE_AXES = ("x", "y", "z")
 
@@ -42,6 +42,8 @@ UNIT_SIGNS = {
 }
 """Signs of units; others are written out."""
 
+UNIT_WORDS = {sign: word for word, sign in UNIT_SIGNS.items()}
+"""What NGFF calls units, by their signs."""
 
 AXIS_ORIENTATIONS = {
     **{"left-to-right": (0, 1.0), "posterior-to-anterior": (1, 1.0), "inferior-to-superior": (2, 1.0)},
@@ -279,14 +281,9 @@ def write_image(grid: Grid, path: Path, progress: Progress) -> tuple[str, ...]:
     if path.exists():
         raise VolumeError(f"There is something at '{path}' already: remove it, or choose another name.")
     grid = on_right_angles(grid)
-    partial = path.with_name(f"{path.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    try:
-        lies = Lying(grid)
+    lies = Lying(grid)
+    with whole_folder(path) as partial:
         _write(grid, lies, partial, progress)
-        partial.rename(path)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
     return (TURNED_AXES_NOTE,) if lies.turned else ()
 
 
@@ -312,8 +309,7 @@ class Lying:
 
     def axes(self, unit: str) -> list[dict[str, Any]]:
         """The axes as NGFF has them."""
-        words = {sign: word for word, sign in UNIT_SIGNS.items()}
-        unit_of = {"unit": words.get(unit, unit)} if unit else {}
+        unit_of = {"unit": UNIT_WORDS.get(unit, unit)} if unit else {}
         return [{"name": name, "type": "space", **unit_of, **self._towards(name)} for name in self.names]
 
     def _towards(self, name: str) -> dict[str, Any]:

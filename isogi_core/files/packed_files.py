@@ -1,11 +1,13 @@
-"""Files packed by gzip or bzip2: their content while it is read, and how they end."""
+"""Files as they lie on the disk: what they hold, also packed by gzip or bzip2, how they end, and their state."""
 
 import bz2
 import errno
 import gzip
+import hashlib
 import os
 import stat
 import zlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import IO, Any
 
@@ -117,3 +119,18 @@ def in_short(value: Any) -> str:
 def reason_of(error: OSError) -> str:
     """What the system, or this module, says of a file that cannot be read."""
     return error.strerror or os.strerror(error.errno or errno.EIO)
+
+
+def line_of(error: Exception) -> str:
+    """An error's type and message, on one short line."""
+    message = " ".join(str(error).split())
+    return f"{type(error).__name__}: {message[:200]}" if message else type(error).__name__
+
+
+def stamp_of(files: Iterable[Path]) -> str:
+    """Digest (hex) of the ``files``' names, sizes and times of change. Raises OSError where one is missing."""
+    digest = hashlib.blake2b(digest_size=16)
+    for path in files:
+        state = path.stat()
+        digest.update(f"{path} {state.st_size} {state.st_mtime_ns} {state.st_ctime_ns}\0".encode())
+    return digest.hexdigest()

@@ -1,16 +1,152 @@
-"""Scene files: the parsed document, and its settings, each checked when it is read."""
+"""Scene files: the parsed document, changes of it that views may ask for, and its settings, each checked when read.
+
+Parameters of views spell changes: what pinned surfaces let pass, which labels are hidden, what the surface is made of.
+"""
 
 import sys
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import unquote
 
 from isogi_core.errors import SceneError, advice
+from isogi_core.files.grid import Vector, triple
 from isogi_core.files.packed_files import in_short, read_small, reason_of
-from isogi_core.files.scene_changes import CHANGING_PARAMETERS, change_document, tables_in
+
+CHANGING_PARAMETERS = ("surfaces", "hide", "material")
+"""Parameters of views that change a scene's document by more than a setting of the same name."""
+
+
+def change_document(
+    document: Mapping[str, Any], surfaces: str | None = None, hide: str | None = None, material: str | None = None
+) -> Mapping[str, Any]:
+    """A scene's ``document`` with the changes that are spelled, and without those of None. Raises SceneError."""
+    if surfaces is not None:
+        pinned = tables_in(document, "surfaces")
+        document = put_clears(document, pinned, read_clears(surfaces, len(pinned)))
+    if hide is not None:
+        document = put_hidden(document, read_hidden(hide))
+    return document if material is None else put_material(document, read_material_text(material))
+
+
+def tables_in(document: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
+    """The tables that a ``document`` lists under a ``key``; other values are left out."""
+    given = document.get(key)
+    return [each for each in given if isinstance(each, Mapping)] if isinstance(given, list) else []
+
+
+HIDDEN_SURFACE = "off"
+"""Stands for a surface that is not shown, in place of the share of rays that passes it."""
+
+Clears = tuple[float | None, ...]
+"""The shares of rays that pass pinned surfaces in turn; None of hidden ones."""
+
+
+def read_clears(text: str, pinned: int) -> Clears:
+    """The shares of rays that pass so many ``pinned`` surfaces, as ``0.4,off`` spells them; None of hidden ones.
+
+    Raises SceneError.
+    """
+    try:
+        found = tuple(None if each.strip() == HIDDEN_SURFACE else float(each) for each in text.split(","))
+    except ValueError:
+        found = ()
+    if not pinned:
+        raise SceneError("surfaces is for scenes with [[surfaces]]: leave it out.")
+    if len(found) != pinned or not all(each is None or 0.0 <= each <= 1.0 for each in found):
+        asked = f"for each of the {pinned} pinned surfaces, in turn" if pinned > 1 else "for the pinned surface"
+        raise SceneError(f"surfaces = '{text[:40]}': give {asked}, a number from 0, opaque, to 1, or {HIDDEN_SURFACE}.")
+    return found
+
+
+def put_clears(document: Mapping[str, Any], pinned: Sequence[Mapping[str, Any]], clears: Clears) -> dict[str, Any]:
+    """A scene's ``document`` whose ``pinned`` surfaces, tables, pass other shares of rays; None leaves one out."""
+    kept = [{**table, "clear": clear} for table, clear in zip(pinned, clears, strict=True) if clear is not None]
+    rest = {key: value for key, value in document.items() if key != "surfaces"}
+    return rest | ({"surfaces": kept} if kept else {})
+
+
+NO_LABEL = "none"
+"""Stands for no label that is hidden."""
+
+Hidden = tuple[int, ...]
+"""The values of labels that are hidden, ascending."""
+
+
+def read_hidden(text: str) -> Hidden:
+    """The labels that are hidden, as ``3,4`` spells them by their values, or ``none``. Raises SceneError."""
+    try:
+        return () if text.strip() == NO_LABEL else tuple(sorted({int(each) for each in text.split(",")}))
+    except ValueError:
+        asked = f"give the values of labels with , between, or {NO_LABEL}"
+        raise SceneError(f"hide = '{text[:40]}': {asked}.") from None
+
+
+def put_hidden(document: Mapping[str, Any], hidden: Hidden) -> dict[str, Any]:
+    """A scene's ``document`` with these labels ``hidden``, and no others. SceneError where it has no labels."""
+    if not document.get("labels"):
+        raise SceneError("hide is for scenes of labels: leave it out.")
+    listed = tables_in(document, "labels")
+    known = [{**table, "hidden": table.get("value") in hidden} for table in listed]
+    values = {table.get("value") for table in listed}
+    found = known + [{"value": value, "hidden": True} for value in hidden if value not in values]
+    return {**document, "labels": found or document["labels"]}
+
+
+MaterialSettings = Mapping[str, Any]
+"""The settings of a scene that say what its surface is made of: its material, and such numbers of it as are given."""
+
+MATERIAL_NUMBERS = {"index": "glass", "absorption": "glass", "mean_free_path": "subsurface"}
+"""Settings that are numbers of a material, and of which."""
+
+REFLECTION_SETTINGS = {"glass": ("albedo", "albedos"), "subsurface": ("albedos",)}
+"""Settings of how a surface reflects; they stay behind where a view asks for one of these materials, without them."""
+
+
+def read_material_text(text: str) -> MaterialSettings:
+    """The settings of a material, as ``glass,index=1.3,absorption=0.1,0.2,0.3`` spells them. Raises SceneError."""
+    kind, *rest = (each.strip() for each in text.split(","))
+    found: dict[str, list[float]] = {}
+    name = ""
+    try:
+        for each in rest:
+            key, _, value = each.rpartition("=")
+            name = key.strip() or name
+            found.setdefault(name, []).append(float(value))
+    except ValueError:
+        name = ""
+    if not kind.isalpha() or (rest and name not in found) or not found.keys() <= MATERIAL_NUMBERS.keys():
+        numbers = ", ".join(MATERIAL_NUMBERS)
+        raise SceneError(f"material = '{text[:40]}': give a word, and {numbers} of it, such as glass,index=1.3.")
+    for name in found:
+        if MATERIAL_NUMBERS[name] != kind:
+            raise SceneError(f"{name} is of {MATERIAL_NUMBERS[name]}, not of {kind}: leave it out.")
+    return {"material": kind, **{name: given if len(given) > 1 else given[0] for name, given in found.items()}}
+
+
+def write_material_text(settings: MaterialSettings) -> str:
+    """The text that ``read_material_text`` reads so; equal settings have the same."""
+    given = {name: settings[name] for name in MATERIAL_NUMBERS if name in settings}
+    listed = {name: value if isinstance(value, list | tuple) else [value] for name, value in given.items()}
+    spelled = [f"{name}={','.join(map(_text_of, numbers))}" for name, numbers in listed.items()]
+    return ",".join([settings["material"], *spelled])
+
+
+def _text_of(number: float) -> str:
+    """A number without a plus, which addresses read as a blank."""
+    return repr(float(number)).replace("+", "")
+
+
+def put_material(document: Mapping[str, Any], settings: MaterialSettings) -> dict[str, Any]:
+    """A scene's ``document`` with another material; with the same one, numbers that are not given stay."""
+    kind = settings["material"]
+    if document.get("material", "diffuse") == kind:
+        return {**document, **{name: value for name, value in settings.items() if name in MATERIAL_NUMBERS}}
+    left = (*MATERIAL_NUMBERS, *REFLECTION_SETTINGS.get(kind, ()))
+    return {**{name: value for name, value in document.items() if name not in left}, **settings}
+
 
 DEFAULT_DEMO = "demo:casting"
 
@@ -237,7 +373,7 @@ class Settings:
         value = self._get(key)
         if value is None:
             return None
-        if not isinstance(value, list | tuple) or len(value) != length or not all(map(is_number, value)):
+        if not are_numbers(value, length):
             raise self._wrong(key, f"a list of {length} numbers")
         return tuple(float(v) for v in value)
 
@@ -278,10 +414,9 @@ class Settings:
         if value is None:
             value = fallback
         listed = [value] * 3 if is_number(value) else value
-        if not isinstance(listed, list) or len(listed) != 3 or not all(is_number(v) and 0 <= v <= 1 for v in listed):
+        if not are_numbers(listed, 3) or not all(0 <= share <= 1 for share in listed):
             raise self._wrong(key, "a number from 0 to 1, or three of them")
-        r, g, b = (float(v) for v in listed)
-        return r, g, b
+        return triple(listed)
 
     def lights(self, others: Sequence[Any] = ()) -> list[Mapping[str, Any]]:
         """The [[lights]] tables; a sky with a sun where the scene has none, nor any ``others`` that are lights."""
@@ -325,3 +460,57 @@ def is_span(value: Any) -> bool:
 def is_number(value: Any) -> bool:
     """Whether ``value`` is a finite real number (and not a bool) that floats hold."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
+TableReaders = Mapping[str, Callable[[str, Any], Any]]
+"""How the values of a table are read, by their keys: from what a message calls the value, and the value."""
+
+
+def read_table(
+    table: Mapping[str, Any], what: str, readers: TableReaders, needed: Iterable[str] = ()
+) -> dict[str, Any]:
+    """The values of a scene's ``table`` by its keys; messages call it ``what`` it describes, such as "A wall".
+
+    SceneError where a key is unknown, one that is ``needed`` is missing, or a value is of the wrong kind.
+    """
+    unknown = next((key for key in table if key not in readers), None)
+    if unknown is not None:
+        raise SceneError(f"{what} has no '{unknown}': {advice(unknown, readers)}")
+    missing = next((key for key in needed if key not in table), None)
+    if missing is not None:
+        raise SceneError(f"{what} lacks its '{missing}': add it to the scene.")
+    return {key: readers[key](f"{what}'s {key}", value) for key, value in table.items()}
+
+
+def read_number(name: str, value: Any) -> float:
+    """A number that floats hold."""
+    if not is_number(value):
+        raise SceneError(f"{name} is {in_short(value)}: give a number.")
+    return float(value)
+
+
+def read_colour(name: str, value: Any) -> Vector:
+    """A number for all three channels, or ``[r, g, b]``."""
+    given = [value] * 3 if is_number(value) else value
+    if not are_numbers(given, 3):
+        raise SceneError(f"{name} is {in_short(value)}: give a number or [r, g, b].")
+    return triple(given)
+
+
+def read_vector(name: str, value: Any) -> Vector:
+    """``[x, y, z]``."""
+    if not are_numbers(value, 3):
+        raise SceneError(f"{name} is {in_short(value)}: give [x, y, z].")
+    return triple(value)
+
+
+def read_name(name: str, value: Any) -> str:
+    """The name of a file."""
+    if not isinstance(value, str) or not value:
+        raise SceneError(f"{name} is {in_short(value)}: give the file by its name.")
+    return value
+
+
+def are_numbers(value: Any, count: int) -> bool:
+    """Whether ``value`` is a list of so many numbers."""
+    return isinstance(value, list | tuple) and len(value) == count and all(map(is_number, value))

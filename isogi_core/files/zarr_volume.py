@@ -4,7 +4,7 @@ import hashlib
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePath
@@ -28,20 +28,11 @@ from isogi_core.files.ome import (
     placed_in_space,
     resolutions_of,
 )
+from isogi_core.files.packed_files import line_of, stamp_of
 from isogi_core.files.packing import Packing, climate_packing
 from isogi_core.files.scene_file import ZARR_METADATA
 from isogi_core.storage.backend import BUCKET_SCHEMES, SECRET_PARTS, StoreUrl
 from isogi_core.storage.object_store import call_options, retry_options
-
-
-def stamp_of(files: Iterable[Path]) -> str:
-    """Digest (hex) of the ``files``' names, sizes and times of change. Raises OSError where one is missing."""
-    digest = hashlib.blake2b(digest_size=16)
-    for path in files:
-        state = path.stat()
-        digest.update(f"{path} {state.st_size} {state.st_mtime_ns} {state.st_ctime_ns}\0".encode())
-    return digest.hexdigest()
-
 
 CALL_SECONDS = 30.0
 """Seconds for one call to a URL."""
@@ -338,7 +329,7 @@ def _open(path: Path | str, among: Hierarchy, inside: str) -> "zarr.Array[Any] |
     except FileNotFoundError as error:
         raise VolumeError(f"'{among.name}' has no array '{inside}': write it again, or choose another.") from error
     except Exception as error:  # of many kinds, for damaged metadata and missing codecs
-        raise VolumeError(f"'{path}' cannot be read as Zarr ({_line(error)}): write it again.") from error
+        raise VolumeError(f"'{path}' cannot be read as Zarr ({line_of(error)}): write it again.") from error
 
 
 def _resolutions(group: zarr.Group, path: Path | str) -> list[Resolution]:
@@ -452,11 +443,5 @@ def _slabs(
         try:
             slab = packing.apply(np.asarray(array[place]))
         except Exception as error:  # of many kinds, from codecs on damage
-            raise VolumeError(f"The chunks of '{path}' are damaged ({_line(error)}): copy it again.") from error
+            raise VolumeError(f"The chunks of '{path}' are damaged ({line_of(error)}): copy it again.") from error
         yield slab if turned is None else slab.transpose(turned)
-
-
-def _line(error: Exception) -> str:
-    """An error's type and message, on one short line."""
-    message = " ".join(str(error).split())
-    return f"{type(error).__name__}: {message[:200]}" if message else type(error).__name__

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from isogi_core.files.grid import Vector, triple
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.glow import Glowing
-from isogi_core.model.orientation import triple
-from isogi_core.model.view import Vec3, View, orbit
+from isogi_core.model.view import View, orbit
 
 SIDE = 96
 """Pixels along each side of the picture that finds the surface."""
@@ -51,14 +51,14 @@ class Cloud(NamedTuple):
 
 def fitted(
     renderer: Renderer, view: View, azimuth: float, elevation: float, projection: str = PROJECTIONS[0]
-) -> tuple[Vec3, float] | None:
+) -> tuple[Vector, float] | None:
     """``fitted_to_all`` of one view."""
     return fitted_to_all(renderer, [Stand(view, azimuth, elevation)], projection)
 
 
 def fitted_to_all(
     renderer: Renderer, stands: Sequence[Stand], projection: str = PROJECTIONS[0]
-) -> tuple[Vec3, float] | None:
+) -> tuple[Vector, float] | None:
     """The world's target and the distance from it, in radii, at which views show their surfaces whole and large, and
     balls and boxes beside these that glow. All views have the same, also where they look from many sides.
 

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 
+from isogi_core.files.grid import Vector, triple
 from isogi_core.frame.film import LEVELS, tone_table
 from isogi_core.frame.frame import STATE_CODES, Frame, PictureState, Quality
 from isogi_core.frame.gbuffer import GBuffer
@@ -21,11 +22,9 @@ from isogi_core.kernels.transport.colours import Colours, fill_albedos
 from isogi_core.kernels.transport.lights import DIRECTIONAL
 from isogi_core.model.colours import linear_of
 from isogi_core.model.environment import LUMINANCE_WEIGHTS, Environment, Lamps, pixel_directions, resample, solid_angles
-from isogi_core.model.orientation import triple
-from isogi_core.model.view import Vec3
 from isogi_core.model.volume import Volume
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.sides import surfaces_of
+from isogi_core.plan.variants import surfaces_of
 
 PAPER = 0.8
 """What the greatest value on the face of a window reflects of the light that a surface turned to it has."""
@@ -171,12 +170,12 @@ class SurfacePoint:
     the relative error of the pixel, whatever its causes.
     """
 
-    position: Vec3
-    normal: Vec3
-    voxel: Vec3
+    position: Vector
+    normal: Vector
+    voxel: Vector
     value: float | None
     wall: int | None
-    radiance: Vec3
+    radiance: Vector
     state: str
     error: float
 

@@ -9,7 +9,7 @@ from functools import cached_property
 from itertools import chain
 from typing import Any, NamedTuple
 
-from isogi_core.cache.loader import Loader
+from isogi_core.cache.scene_caches import Loader
 from isogi_core.lru_cache import LruCache
 from isogi_core.prepared.prepared_scene import Index
 

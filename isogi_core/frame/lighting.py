@@ -8,6 +8,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec, Term, band_of
+from isogi_core.files.grid import triple
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.irradiance_ratio import MIN_UNSHADOWED, Unshadowed
@@ -314,12 +315,6 @@ def shoulder_light(camera: Camera) -> tuple[float, float, float]:
     right, up, forward = camera.basis()
     towards = -forward + 0.5 * up - 0.4 * right
     return triple(towards / np.linalg.norm(towards))
-
-
-def triple(v: np.ndarray) -> tuple[float, float, float]:
-    """Three floats, as the kernels take vectors."""
-    x, y, z = (float(a) for a in v)
-    return x, y, z
 
 
 def version_of(light: RotatedLight, read: bytes) -> str:

@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.cache.loader import Loader
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.page_pool import Held, PagePool
+from isogi_core.cache.scene_caches import Loader
 from isogi_core.errors import StoreError
 from isogi_core.frame.texel_reading import Lacking, Reading, Stage
 from isogi_core.frame.tiles import Tiles

@@ -28,7 +28,7 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import SPECS
 from isogi_core.bake.noise import Until
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.eye_glow import with_glow
 from isogi_core.frame.film import smooth_edges

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from isogi_core.bake.noise import RATE, Until
-from isogi_core.bake.precision import FIRST_LEVEL, next_level
+from isogi_core.bake.texel_light import FIRST_LEVEL, next_level
 from isogi_core.frame.frame import Frame, PictureState
 from isogi_core.frame.gbuffer import GBuffer, surface_key
 from isogi_core.frame.lighting import RotatedLight

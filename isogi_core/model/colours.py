@@ -6,7 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-Colour = tuple[float, float, float]
+from isogi_core.files.grid import srgb_bytes, triple
+from isogi_core.model.lights import Colour
 
 COLOUR_MAPS = {
     "viridis": "440154 48186a 472d7b 424086 3b528b 33638d 2c728e 26828e 21918c"
@@ -33,11 +34,6 @@ VALUES = 255
 def linear_of(code: float) -> float:
     """Linear light of an sRGB code from 0 to 1 (IEC 61966-2-1)."""
     return code / 12.92 if code <= 0.04045 else ((code + 0.055) / 1.055) ** 2.4
-
-
-def code_of(light: float) -> float:
-    """The sRGB code, from 0 to 1, of linear light."""
-    return 12.92 * light if light <= 0.0031308 else 1.055 * light ** (1.0 / 2.4) - 0.055
 
 
 def table_of(name: str) -> np.ndarray:
@@ -88,7 +84,7 @@ class Scale:
 
 def hex_of(albedo: np.ndarray | Colour) -> str:
     """An albedo, linear RGB, as sRGB ``#rrggbb``."""
-    return "#" + bytes(round(255.0 * code_of(float(share))) for share in albedo).hex()
+    return "#" + srgb_bytes(np.asarray(albedo)).tobytes().hex()
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +110,7 @@ class SurfaceColours:
         """The most that any place reflects of each colour."""
         codes = self.places if self.places.ndim == 3 else self.places[..., :2]
         there = np.any([np.bincount(layer.ravel(), minlength=VALUES + 1) > 0 for layer in codes], axis=0)
-        red, green, blue = self.table[there].max(axis=0).tolist()
-        return red, green, blue
+        return triple(self.table[there].max(axis=0))
 
     @property
     def grey(self) -> bool:

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.errors import SceneError, advice
-from isogi_core.files.scene_file import is_number
-from isogi_core.model.lights import LARGEST_LIGHT, Colour, Vector
-from isogi_core.model.orientation import triple
+from isogi_core.errors import SceneError
+from isogi_core.files.grid import Vector, triple
+from isogi_core.files.scene_file import TableReaders, are_numbers, is_number, read_colour, read_name, read_table
+from isogi_core.model.lights import LARGEST_LIGHT, Colour
 from isogi_core.model.volume import Volume
 
 MOST_GLOWS = 8
@@ -191,63 +191,40 @@ def _voxels(values: tuple[float, float], volume: Volume) -> tuple[float, float]:
 
 def glow_from_mapping(table: Mapping[str, Any]) -> Glow:
     """The glow that one ``[[glow]]`` table describes. SceneError where a key is unknown, or has no meaning."""
-    unknown = [key for key in table if key not in GLOW_READERS]
-    if unknown:
-        raise SceneError(f"A glow has no '{unknown[0]}': {advice(unknown[0], GLOW_READERS)}")
-    given: dict[str, Any] = {key: GLOW_READERS[key](value) for key, value in table.items()}
-    return Glow(**given)
+    return Glow(**read_table(table, "A glow", GLOW_READERS))
 
 
-def _listed(value: Any, count: int) -> bool:
-    return isinstance(value, list) and len(value) == count and all(map(is_number, value))
-
-
-def _radiance(value: Any) -> Colour:
-    """A number for all three channels, or ``[r, g, b]``."""
-    given = [value] * 3 if is_number(value) else value
-    if not _listed(given, 3):
-        raise SceneError(f"A glow's radiance is {value!r}: give a number or [r, g, b].")
-    return triple(given)
-
-
-def _box(value: Any) -> tuple[Vector, Vector]:
+def _box(name: str, value: Any) -> tuple[Vector, Vector]:
     """Two corners."""
-    if not isinstance(value, list) or len(value) != 2 or not all(_listed(corner, 3) for corner in value):
-        raise SceneError(f"A glow's box is {value!r}: give two opposite corners, [[x, y, z], [x, y, z]].")
+    if not isinstance(value, list) or len(value) != 2 or not all(are_numbers(corner, 3) for corner in value):
+        raise SceneError(f"{name} is {value!r}: give two opposite corners, [[x, y, z], [x, y, z]].")
     return triple(value[0]), triple(value[1])
 
 
-def _sphere(value: Any) -> tuple[float, float, float, float]:
+def _sphere(name: str, value: Any) -> tuple[float, float, float, float]:
     """A middle and a radius."""
-    if not _listed(value, 4):
-        raise SceneError(f"A glow's sphere is {value!r}: give its middle and radius, [x, y, z, radius].")
+    if not are_numbers(value, 4):
+        raise SceneError(f"{name} is {value!r}: give its middle and radius, [x, y, z, radius].")
     x, y, z, radius = (float(number) for number in value)
     return x, y, z, radius
 
 
-def _values(value: Any) -> tuple[float, float]:
+def _values(name: str, value: Any) -> tuple[float, float]:
     """Two ascending values."""
-    if not _listed(value, 2) or value[0] > value[1]:
-        raise SceneError(f"A glow's values are {value!r}: give the least and the greatest, [low, high].")
+    if not are_numbers(value, 2) or value[0] > value[1]:
+        raise SceneError(f"{name} are {value!r}: give the least and the greatest, [low, high].")
     return float(value[0]), float(value[1])
 
 
-def _mask(value: Any) -> str:
-    """A file's name."""
-    if not isinstance(value, str) or not value:
-        raise SceneError(f"A glow's mask is {value!r}: give the file of a volume.")
-    return value
-
-
-def _labels(value: Any) -> tuple[float, ...]:
+def _labels(name: str, value: Any) -> tuple[float, ...]:
     """Values of a mask."""
     if not isinstance(value, list) or not value or not all(map(is_number, value)):
-        raise SceneError(f"A glow's labels are {value!r}: give a list of the mask's values.")
+        raise SceneError(f"{name} are {value!r}: give a list of the mask's values.")
     return tuple(float(label) for label in value)
 
 
-GLOW_READERS = {
-    **{"box": _box, "sphere": _sphere, "values": _values, "mask": _mask, "labels": _labels},
-    "radiance": _radiance,
+GLOW_READERS: TableReaders = {
+    **{"box": _box, "sphere": _sphere, "values": _values, "mask": read_name, "labels": _labels},
+    "radiance": read_colour,
 }
 """How the keys of a ``[[glow]]`` table are read."""

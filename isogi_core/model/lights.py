@@ -1,18 +1,19 @@
 """Lights that a scene may name, read from its ``[[lights]]`` tables."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from isogi_core.errors import LightError, SceneError, advice
+from isogi_core.files.grid import Vector
+from isogi_core.files.scene_file import TableReaders, read_colour, read_name, read_number, read_table, read_vector
 
 LARGEST_LIGHT = 1e30
 """Largest number of a light: squares and products of such numbers are finite in the kernels."""
 
 Colour = tuple[float, float, float]
-Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -200,71 +201,29 @@ def light_from_mapping(mapping: Mapping[str, Any], base: Path) -> Light:
     if not isinstance(kind, str) or kind not in _KINDS:
         raise SceneError(f"A light has type {kind!r}: {advice(str(kind), _KINDS)}")
     light, readers = _KINDS[kind]
-    unknown = [key for key in mapping if key not in readers and key != "type"]
-    if unknown:
-        raise SceneError(f"A {kind} light has no '{unknown[0]}': {advice(unknown[0], readers)}")
-    missing = [f.name for f in fields(light) if f.default is MISSING and f.name not in mapping]
-    if missing:
-        raise SceneError(f"A {kind} light lacks its '{missing[0]}': add it to the scene.")
-    given = {key: read(key, mapping[key]) for key, read in readers.items() if key in mapping}
-    if "file" in given:
-        given["file"] = base / given["file"]
-    return light(**given)
+    needed = [each.name for each in fields(light) if each.default is MISSING]
+    table = {key: value for key, value in mapping.items() if key != "type"}
+    given = read_table(table, f"A {kind} light", readers, needed)
+    return light(**given | ({"file": base / given["file"]} if "file" in given else {}))
 
 
-def _number(key: str, value: object) -> float:
-    """A TOML integer or float; SceneError for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise SceneError(f"A light's {key} is {value!r}: give a number.")
-    try:
-        return float(value)
-    except OverflowError as error:
-        raise SceneError(f"A light's {key} is {value}: give a number that floats hold.") from error
-
-
-def _colour(key: str, value: object) -> Colour:
-    """A number for all three channels, or ``[r, g, b]``."""
-    if not isinstance(value, list):
-        grey = _number(key, value)
-        return grey, grey, grey
-    if len(value) != 3:
-        raise SceneError(f"A light's {key} is {value!r}: give a number or [r, g, b].")
-    r, g, b = (_number(key, channel) for channel in value)
-    return r, g, b
-
-
-def _vector(key: str, value: object) -> Vector:
-    """``[x, y, z]``."""
-    if not isinstance(value, list) or len(value) != 3:
-        raise SceneError(f"A light's {key} is {value!r}: give [x, y, z].")
-    x, y, z = (_number(key, component) for component in value)
-    return x, y, z
-
-
-def _path(key: str, value: object) -> Path:
-    """A file name that is not empty."""
-    if not isinstance(value, str) or not value:
-        raise SceneError(f"A light's {key} is {value!r}: give the name of a file.")
-    return Path(value)
-
-
-_KINDS: dict[str, tuple[type[Light], dict[str, Callable[[str, object], Any]]]] = {
-    "constant": (ConstantLight, {"radiance": _colour}),
+_KINDS: dict[str, tuple[type[Light], TableReaders]] = {
+    "constant": (ConstantLight, {"radiance": read_colour}),
     "sky": (
         SkyLight,
         {
-            "sun_azimuth": _number,
-            "sun_elevation": _number,
-            "turbidity": _number,
-            "ground": _colour,
-            "scale": _number,
+            "sun_azimuth": read_number,
+            "sun_elevation": read_number,
+            "turbidity": read_number,
+            "ground": read_colour,
+            "scale": read_number,
         },
     ),
-    "probe": (ProbeLight, {"file": _path, "scale": _number}),
+    "probe": (ProbeLight, {"file": read_name, "scale": read_number}),
     "directional": (
         DirectionalLight,
-        {"azimuth": _number, "elevation": _number, "irradiance": _colour, "angle": _number},
+        {"azimuth": read_number, "elevation": read_number, "irradiance": read_colour, "angle": read_number},
     ),
-    "point": (PointLight, {"position": _vector, "intensity": _colour}),
-    "area": (AreaLight, {"corner": _vector, "u": _vector, "v": _vector, "radiance": _colour}),
+    "point": (PointLight, {"position": read_vector, "intensity": read_colour}),
+    "area": (AreaLight, {"corner": read_vector, "u": read_vector, "v": read_vector, "radiance": read_colour}),
 }

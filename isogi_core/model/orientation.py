@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.files.grid import Grid, Vector
+from isogi_core.files.grid import Grid, Vector, triple
 
 Rows = tuple[Vector, Vector, Vector]
 STRAIGHT: Rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -100,9 +100,3 @@ class Orientation:
 
 PLAIN_ORIENTATION = Orientation()
 """The orientation of a volume whose world is its voxels' indices times spacing."""
-
-
-def triple(row: Any) -> Vector:
-    """Three floats."""
-    x, y, z = (float(value) for value in row)
-    return x, y, z

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.errors import SceneError, ViewError, advice
-from isogi_core.files.scene_file import is_number
-from isogi_core.model.lights import LARGEST_LIGHT, AreaLight, Colour, Vector
-from isogi_core.model.orientation import triple
+from isogi_core.errors import SceneError, ViewError
+from isogi_core.files.grid import Vector, triple
+from isogi_core.files.scene_file import TableReaders, read_colour, read_table, read_vector
+from isogi_core.model.lights import LARGEST_LIGHT, AreaLight, Colour
 from isogi_core.model.view import Camera
 from isogi_core.model.volume import Volume
 
@@ -139,50 +139,28 @@ def place_walls(walls: Sequence[Wall], volume: Volume) -> Room:
 
 def wall_from_mapping(table: Mapping[str, Any]) -> Wall:
     """The wall that one ``[[walls]]`` table describes. SceneError where a key is unknown, missing or has no meaning."""
-    unknown = [key for key in table if key not in WALL_READERS]
-    if unknown:
-        raise SceneError(f"A wall has no '{unknown[0]}': {advice(unknown[0], WALL_READERS)}")
-    missing = [key for key in ("corner", "edges") if key not in table]
-    if missing:
-        raise SceneError(f"A wall lacks its '{missing[0]}': add it to the scene.")
-    given: dict[str, Any] = {key: WALL_READERS[key](key, value) for key, value in table.items()}
-    return Wall(**given)
+    return Wall(**read_table(table, "A wall", WALL_READERS, ("corner", "edges")))
 
 
-def _room_vector(key: str, value: Any) -> Vector:
-    """``[x, y, z]``."""
-    if not isinstance(value, list) or len(value) != 3 or not all(map(is_number, value)):
-        raise SceneError(f"A wall's {key} is {value!r}: give [x, y, z].")
-    return triple(value)
-
-
-def _edges(key: str, value: Any) -> tuple[Vector, Vector]:
+def _edges(name: str, value: Any) -> tuple[Vector, Vector]:
     """Two vectors."""
     if not isinstance(value, list) or len(value) != 2:
-        raise SceneError(f"A wall's {key} are {value!r}: give two, [[x, y, z], [x, y, z]].")
-    return _room_vector("edge", value[0]), _room_vector("edge", value[1])
+        raise SceneError(f"{name} are {value!r}: give two, [[x, y, z], [x, y, z]].")
+    return read_vector("A wall's edge", value[0]), read_vector("A wall's edge", value[1])
 
 
-def _wall_colour(key: str, value: Any) -> Colour:
-    """A number for all three channels, or ``[r, g, b]``."""
-    given = [value] * 3 if is_number(value) else value
-    if not isinstance(given, list) or len(given) != 3 or not all(map(is_number, given)):
-        raise SceneError(f"A wall's {key} is {value!r}: give a number or [r, g, b].")
-    return triple(given)
-
-
-def _sides(key: str, value: Any) -> int:
+def _sides(name: str, value: Any) -> int:
     """One or two."""
     if value not in (1, 2) or isinstance(value, bool):
-        raise SceneError(f"A wall's {key} are {value!r}: 1 or 2 of them are lit.")
+        raise SceneError(f"{name} are {value!r}: 1 or 2 of them are lit.")
     return int(value)
 
 
-WALL_READERS = {
-    "corner": _room_vector,
+WALL_READERS: TableReaders = {
+    "corner": read_vector,
     "edges": _edges,
-    "albedo": _wall_colour,
-    "radiance": _wall_colour,
+    "albedo": read_colour,
+    "radiance": read_colour,
     "sides": _sides,
 }
 """How the keys of a ``[[walls]]`` table are read."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from isogi_core.errors import ViewError
-from isogi_core.files.grid import Vector
+from isogi_core.files.grid import Vector, triple
 from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.material import Shine
-from isogi_core.model.orientation import PLAIN_ORIENTATION, Orientation, triple
+from isogi_core.model.orientation import PLAIN_ORIENTATION, Orientation
 
 MAX_WINDOW_PLANES = 12
 """Most planes of a window: six at any angle, and the six of a box."""
@@ -79,7 +79,6 @@ def _read_term(term: str) -> Plane:
     return x, y, z, -sign * limit / length + 0.0
 
 
-Vec3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 ORTHOGRAPHIC_RADII = 1e7
@@ -98,9 +97,9 @@ class Camera:
     reference degenerates: eye at the target, ``up`` along the view, fov outside (0, 180).
     """
 
-    eye: Vec3
-    target: Vec3
-    up: Vec3 = (0.0, 0.0, 1.0)
+    eye: Vector
+    target: Vector
+    up: Vector = (0.0, 0.0, 1.0)
     fov: float = 30.0
 
     def __post_init__(self) -> None:
@@ -138,7 +137,7 @@ class Camera:
         return replace(self, eye=eye, target=target, up=triple(orientation.matrix @ self.up))
 
 
-def orbit(centre: Vec3, radius: float, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
+def orbit(centre: Vector, radius: float, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
     """Camera on a sphere about ``centre``; angles in degrees, ``distance`` in units of ``radius``.
 
     Azimuth 0 looks from +x, 90 from +y; elevation 90 looks straight down (up is then along the azimuth).
@@ -236,7 +235,7 @@ class View:
     height: int = 512
     shading: str = "gi"
     samples: int = field(default=16)
-    albedo: Vec3 | None = None
+    albedo: Vector | None = None
     moving: bool = field(default=False, repr=False)
     smooth: bool = False
     strip: tuple[int, int] | None = None

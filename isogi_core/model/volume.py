@@ -10,8 +10,8 @@ from typing import Any, NewType
 
 import numpy as np
 
-from isogi_core.files.grid import Grid, Vector
-from isogi_core.model.orientation import PLAIN_ORIENTATION, Orientation, triple
+from isogi_core.files.grid import Grid, Vector, triple
+from isogi_core.model.orientation import PLAIN_ORIENTATION, Orientation
 from isogi_core.model.value_survey import COPY_STAGES, Progress, no_progress, normalise, survey
 
 CORE_LIMIT = 4.0

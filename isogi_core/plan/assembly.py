@@ -16,8 +16,8 @@ from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.colours import SurfaceColours
 from isogi_core.model.demo import DEMOS
+from isogi_core.model.material import leaving
 from isogi_core.model.scene_plan import REPRESENTATIONS
-from isogi_core.model.surfaces import leaving
 from isogi_core.model.value_survey import Progress, no_progress
 from isogi_core.model.volume import HISTOGRAM_BINS, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides

@@ -7,9 +7,10 @@ that; its shares are chosen so that it stays about as large as the noise, or sma
 import math
 from dataclasses import replace
 
+from isogi_core.model.lights import Colour
 from isogi_core.model.scene_plan import GLOW_KIND, Layer
 from isogi_core.plan.bands import truncation_error
-from isogi_core.plan.inputs import Colour, PlanInputs
+from isogi_core.plan.inputs import PlanInputs
 
 HARMONICS = math.sqrt(0.5)
 """Share of the target for bands that are cut off, of direct and of reflected light each.

@@ -9,15 +9,13 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from isogi_core.files.grid import Vector, triple
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.environment import LUMINANCE_WEIGHTS, Environment, Lamps, Lobe
-from isogi_core.model.lights import Vector
+from isogi_core.model.lights import Colour
 from isogi_core.model.volume import Volume
 from isogi_core.plan.bands import band_energy, project_environment
 from isogi_core.plan.lobe_choice import energy_beside, find_lobes
-
-Colour = tuple[float, float, float]
-
 
 FOUND: WeakKeyDictionary[Any, dict[Hashable, Any]] = WeakKeyDictionary()
 """What was worked out of the environments and volumes in use, which scenes share that have the same."""
@@ -72,8 +70,7 @@ class PlanInputs:
     @property
     def reflecting(self) -> Colour:
         """The most that anything reflects of each colour, the surface or a wall."""
-        red, green, blue = (max(shares) for shares in zip(self.albedo, *self.walls, strict=True))
-        return red, green, blue
+        return triple(max(shares) for shares in zip(self.albedo, *self.walls, strict=True))
 
     @property
     def grey(self) -> bool:

@@ -9,7 +9,8 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from isogi_core.errors import LightError, SceneError, ViewError
+from isogi_core.errors import LightError, SceneError, ViewError, VolumeError
+from isogi_core.files.mappings import budget
 from isogi_core.files.radiance import read_hdr
 from isogi_core.files.scene_file import Settings
 from isogi_core.model.choices import MAX_GLOW_STRENGTH
@@ -23,7 +24,7 @@ from isogi_core.model.environment import (
     sky_image,
     solid_angles,
 )
-from isogi_core.model.glow import NO_GLOW, Glowing, glow_from_mapping, place_glows
+from isogi_core.model.glow import NO_BITS, NO_GLOW, Glow, Glowing, glow_from_mapping, place_glows
 from isogi_core.model.lights import (
     ConstantLight,
     EnvironmentLight,
@@ -37,7 +38,9 @@ from isogi_core.model.lights import (
 from isogi_core.model.room import NO_ROOM, ROOMS, Room, cornell_room, place_walls, wall_from_mapping
 from isogi_core.model.volume import Volume
 from isogi_core.plan.surfaces import SceneSurfaces, refuse_lamps
-from isogi_core.plan.volumes.glow_masks import read_glow_masks
+from isogi_core.plan.volumes.colours import volume_grids
+from isogi_core.plan.volumes.masks import MaskTable, place
+from isogi_core.plan.volumes.opening import AXES_CHOICES, open_grid
 
 SKY_SIZE = (512, 1024)
 """Rows and columns of the grid on which a sky is laid out."""
@@ -123,6 +126,27 @@ def read_glow(settings: Settings, volume: Volume, bits: np.ndarray | None) -> Gl
     """
     glows = [glow_from_mapping(table) for table in settings.tables("glow")]
     return place_glows(glows, volume, read_glow_masks(glows, settings, volume) if bits is None else bits)
+
+
+def read_glow_masks(glows: Sequence[Glow], settings: Settings, volume: Volume) -> np.ndarray:
+    """Of each voxel of a ``volume`` the numbers of the ``glows`` whose masks take it, a bit each; as ``Glowing.bits``.
+
+    Raises SceneError and VolumeError where a mask cannot be used.
+    """
+    if not any(glow.mask for glow in glows):
+        return NO_BITS
+    if volume.voxels.size > budget():
+        need = f"Masks of glows take a byte a voxel, {volume.voxels.size / 1e6:.0f} MB of memory"
+        raise VolumeError(f"{need}: leave them out, or give more by ISOGI_VOLUME_MB.")
+    base, raw = settings.source.base, settings.choice("axes", AXES_CHOICES) == "raw"
+    whole, straight = volume_grids(settings, base, volume, raw)
+    bits = np.zeros(volume.shape, np.uint8)
+    for number, glow in enumerate(glows):
+        if glow.mask:
+            mask = place(MaskTable(glow.mask, glow.labels), open_grid(base, glow.mask, {}, raw)[0], whole, straight)
+            for z in range(len(bits)):
+                bits[z] |= mask.layer(z, volume.shape).astype(np.uint8) << np.uint8(number)
+    return bits
 
 
 def may_rotate(settings: Settings, lamps: Lamps, room: Room, passed: bool) -> bool:

@@ -27,13 +27,24 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, ViewError
-from isogi_core.files.scene_changes import MATERIAL_NUMBERS, MaterialSettings
-from isogi_core.files.scene_file import Settings
+from isogi_core.files.scene_file import MATERIAL_NUMBERS, MaterialSettings, Settings
 from isogi_core.model.colours import SurfaceColours
 from isogi_core.model.lights import LARGEST_LIGHT, Colour, Lamp, Light
-from isogi_core.model.material import DIFFUSE, INDICES, MATERIALS, WINDOW_GLASS, Material, Shine, shine_from_mapping
+from isogi_core.model.material import (
+    DIFFUSE,
+    INDICES,
+    MATERIALS,
+    OPAQUE,
+    WINDOW_GLASS,
+    Material,
+    PinnedSurface,
+    Shine,
+    leaving,
+    pinned_surfaces,
+    refuse_gain,
+    shine_from_mapping,
+)
 from isogi_core.model.scene_plan import LeftOut, Saving
-from isogi_core.model.surfaces import OPAQUE, PinnedSurface, leaving, pinned_surfaces, refuse_gain
 from isogi_core.model.volume import Volume
 from isogi_core.plan.inputs import PlanOverrides
 from isogi_core.plan.projection import RANGE_BINS, edges_between, extremes_between

@@ -1,6 +1,7 @@
-"""Files that are written whole or not at all."""
+"""Files and folders that are written whole or not at all, and where a user's own are."""
 
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +11,11 @@ from isogi_core.errors import ViewError
 
 PARTIAL_SUFFIX = ".partial"
 """Suffix of a file that is being written. Readers and listings pass over it."""
+
+
+def user_cache(name: str) -> Path:
+    """The folder ``isogi/NAME`` in the user's cache folder, ``$XDG_CACHE_HOME`` or ``~/.cache``."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "isogi" / name
 
 
 def check_folder(output: Path) -> None:
@@ -40,6 +46,18 @@ def partial_file(path: Path, data: bytes, sync: bool = False) -> Iterator[Path]:
         yield written
     finally:
         written.unlink(missing_ok=True)
+
+
+@contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """A new folder beside ``path`` for the block to fill. It gets that name afterwards; one that failed is deleted."""
+    partial = path.with_name(f"{path.name}{PARTIAL_SUFFIX}")
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        yield partial
+        os.replace(partial, path)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def sync_folder(folder: Path) -> None:

@@ -1,19 +1,26 @@
-"""Folders as backends of a store: on a local disk, on a network drive, or behind an fsspec file system."""
+"""Folders as backends of a store: on a local disk, on a network drive, or behind an fsspec file system.
+
+A folder of this machine also keeps copies of a remote store's objects: what is read again is not sent again.
+"""
 
 import fcntl
+import logging
 import math
 import os
+import threading
 from collections.abc import AsyncIterator, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from hashlib import blake2b
 from pathlib import Path
 
+import google_crc32c
 from zarr.abc.store import Store
 from zarr.core.buffer import default_buffer_prototype
 from zarr.core.sync import sync
 from zarr.storage._common import make_store
 
 from isogi_core.errors import ChangedError
-from isogi_core.storage.atomic_file import PARTIAL_SUFFIX, partial_file, sync_folder
+from isogi_core.storage.atomic_file import PARTIAL_SUFFIX, partial_file, sync_folder, user_cache, write_whole
 from isogi_core.storage.backend import Entry, StoredObject, StoreUrl
 
 ABSENT_ERRORS = (FileNotFoundError, NotADirectoryError)
@@ -196,3 +203,73 @@ class FileSystem:
 async def listed(names: AsyncIterator[str]) -> list[str]:
     """Collect the names."""
     return [name async for name in names]
+
+
+log = logging.getLogger("isogi.cache")
+
+ROOM_MADE = 0.9
+"""Share of the room that stays filled when the oldest copies are deleted."""
+
+
+class Copies:
+    """At most ``most`` bytes of objects of the store ``url`` in ``folder``; the oldest of any store are deleted first.
+
+    Several processes may share the folder. A copy that cannot be written is left out, and a damaged one is not used.
+    Safe to use from many threads.
+    """
+
+    def __init__(self, url: str, most: int, folder: Path | None = None) -> None:
+        """Touch nothing yet."""
+        self._url = url
+        self._most = most
+        self._folder = folder or user_cache("chunks")
+        self._lock = threading.Lock()
+        self._grown = most  # as if full: the first put scans the folder
+
+    def get(self, key: str) -> StoredObject | None:
+        """Read the copy of an object; None where there is none."""
+        path = self._path(key)
+        try:
+            kept = path.read_bytes()
+            os.utime(path)
+        except OSError:
+            return None
+        checksum, _, rest = kept.partition(b"\n")
+        tag, _, data = rest.partition(b"\n")
+        return StoredObject(data, tag.decode()) if checksum == checksum_of(rest) else None
+
+    def put(self, key: str, found: StoredObject) -> None:
+        """Write a copy. An object without a tag gets none: it could never be used."""
+        if not found.tag:
+            return
+        rest = found.tag.encode() + b"\n" + found.data
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            write_whole(self._path(key), checksum_of(rest) + b"\n" + rest)
+            self._make_room(len(rest))
+        except OSError as error:
+            log.info("A copy of light cannot be kept at %s: %s", self._folder, error)
+
+    def _path(self, key: str) -> Path:
+        return self._folder / blake2b(f"{self._url}/{key}".encode(), digest_size=16).hexdigest()
+
+    def _make_room(self, size: int) -> None:
+        """Delete the oldest copies, each time that a tenth of the room was filled since the last scan."""
+        with self._lock:
+            self._grown += size
+            if self._grown <= (1.0 - ROOM_MADE) * self._most:
+                return
+            self._grown = 0
+            with os.scandir(self._folder) as entries:
+                files = sorted((entry.stat().st_mtime, entry.stat().st_size, entry.path) for entry in entries)
+            total = sum(kept for _, kept, _ in files)
+            for _, kept, path in files:
+                if total <= ROOM_MADE * self._most:
+                    return
+                Path(path).unlink(missing_ok=True)
+                total -= kept
+
+
+def checksum_of(data: bytes) -> bytes:
+    """The checksum that a copy begins with."""
+    return b"%08x" % google_crc32c.value(data)

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.files.light_volumes import WRITERS
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles

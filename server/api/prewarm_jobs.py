@@ -16,7 +16,7 @@ from datetime import datetime
 from itertools import count
 from typing import TypeVar
 
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.picture_plan import Prices

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled, IsogiError, SceneError
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import at_time

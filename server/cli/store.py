@@ -6,16 +6,16 @@ from typing import Any
 
 from isogi_core.cache.upkeep import (
     Audit,
-    Auditor,
     Census,
     Count,
     PrunePlan,
     PruneRule,
-    Repairer,
+    audit_store,
     census_of,
     delete_layers,
     leftovers,
     plan_prune,
+    repair_store,
 )
 from isogi_core.storage.store import Store
 from server.progress import Progress
@@ -156,7 +156,7 @@ MAX_LISTED_OBJECTS = 20
 def verify(root: Store) -> dict[str, Any]:
     """Check every object of a store. Raises StoreError where it cannot be read."""
     with Progress("checking", "object") as bar:
-        audit = Auditor(root).audit(progress=bar.count)
+        audit = audit_store(root, progress=bar.count)
     return facts_of(audit, root)
 
 
@@ -200,7 +200,7 @@ def more(names: Sequence[Any]) -> list[str]:
 def repair(root: Store, delete: bool) -> dict[str, Any]:
     """Put away what is damaged in a store, and remove what was left over. Raises StoreError."""
     with Progress("checking", "object") as bar:
-        repair = Repairer(root, delete).repair(bar.count)
+        repair = repair_store(root, delete, bar.count)
     moved = [{"key": key, "to": to} for key, to in repair.moved.items()]
     return {
         **facts_of(repair.audit, root),

@@ -12,13 +12,13 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import SceneError, ViewError
+from isogi_core.files.grid import srgb_bytes
 from isogi_core.files.light_files import (
     LitMesh,
     glb_bytes,
     light_texture,
     obj_bytes,
     ply_bytes,
-    srgb_bytes,
     usd_layer,
     usdz_package,
 )

@@ -19,9 +19,8 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import Effort, Until, relative_error
-from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.bake.refine import refine
-from isogi_core.bake.texel_light import Light
+from isogi_core.bake.texel_light import FIRST_LEVEL, Light
 from isogi_core.cache.chunk_record import Chunk
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.costs import Cost

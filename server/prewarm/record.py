@@ -14,11 +14,10 @@ from uuid import uuid4
 
 from pydantic import BaseModel, Field, ValidationError
 
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.errors import Cancelled, StoreError
 from isogi_core.plan.scene import Scene
-from isogi_core.storage.documents import Documents
-from isogi_core.storage.store import StoreLike
+from isogi_core.storage.store import Documents, StoreLike
 from server.prewarm.baking import PrewarmContext, Step
 from server.prewarm.order import PrewarmOrder
 from server.progress import left_text

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.bake.noise import Effort, Until, relative_error
-from isogi_core.bake.precision import FIRST_LEVEL, next_level
+from isogi_core.bake.texel_light import FIRST_LEVEL, next_level
 from isogi_core.cache.costs import Cost
 from isogi_core.errors import ViewError
 from isogi_core.frame.card.blocks import Coding

@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 
 from isogi_core.bake.bake_spec import SPECS, spec_name
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.chunk_store import default_store
 from isogi_core.cache.costs import Cost
 from isogi_core.errors import StoreFullError, StoreReadOnlyError

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from isogi_core.allocation import give_memory_back
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_assets import SceneAssets
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import Cancelled, NoRoomError

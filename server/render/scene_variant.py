@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from isogi_core.errors import SceneError
-from isogi_core.files.scene_changes import (
+from isogi_core.files.scene_file import (
     HIDDEN_SURFACE,
     Clears,
     Hidden,

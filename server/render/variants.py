@@ -16,7 +16,7 @@ from dataclasses import replace
 
 from isogi_core.errors import LightError, SceneError, VolumeError
 from isogi_core.files.mappings import UNMAPPED_SHARE, budget
-from isogi_core.files.scene_changes import Hidden, MaterialSettings
+from isogi_core.files.scene_file import Hidden, MaterialSettings
 from isogi_core.frame.entry_kernels import frame_kernels, other_kernels
 from isogi_core.kernels._compilation import warm
 from isogi_core.kernels._jit import entries_of

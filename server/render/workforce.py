@@ -18,7 +18,7 @@ from isogi_core.kernels._compilation import COMPILER_NICENESS, Compilation, Kern
 from isogi_core.kernels._jit import KERNEL_FOLDER, load
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.backend import StoreUrl
-from isogi_core.storage.local_copies import Copies
+from isogi_core.storage.folder import Copies
 from isogi_core.storage.store import Store, StoreLike
 from server.progress import about_left
 from server.settings import Settings

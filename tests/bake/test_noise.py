@@ -27,8 +27,7 @@ from isogi_core.bake.noise import (
     samples_left,
     samples_needed,
 )
-from isogi_core.bake.precision import VOID
-from isogi_core.bake.texel_light import Light, Part
+from isogi_core.bake.texel_light import VOID, Light, Part
 from isogi_core.kernels.shading.lattice import LEAST_SPREAD, LIGHT_NUMBERS, light_texels
 from isogi_core.model.scene_plan import MIN_SAMPLES, Layer, most_samples, texel_target
 from isogi_core.prepared.prepared_scene import PreparedScene

@@ -7,9 +7,8 @@ import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import DECAYS, blend_noise, finished, most_samples, noise_of_halves, relative_error
-from isogi_core.bake.precision import VOID, noise_codes, noise_of, round_light
 from isogi_core.bake.refine import add_to_mean, climb, locate, next_samples, refine
-from isogi_core.bake.texel_light import Light
+from isogi_core.bake.texel_light import VOID, Light, noise_codes, noise_of, round_light
 from isogi_core.kernels.transport.paths import SampleRange, TransferRules
 from isogi_core.kernels.transport.transfer import bake_texels, locate_texels
 from isogi_core.model.scene_plan import MIN_SAMPLES, texel_target

@@ -20,7 +20,7 @@ from benchmarks.scaling.large import large
 from benchmarks.scaling.public import draw, public
 from benchmarks.scaling.time_left import time_left
 from benchmarks.scaling.watching import altered
-from isogi_core.files.voxel_file import read_voxels
+from isogi_core.files.volume_copies import read_voxels
 from server.cli.prewarm import fields_given
 from server.cli.prewarm import prewarm as prewarm_views
 from server.prewarm.order import order_of

@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks.accuracy.summary import PICTURES, summary_of
 from benchmarks.common.measurement import Measurement
-from isogi_report.bundle import write_report
 from isogi_report.journal import Entry
+from isogi_report.page import write_report
 from isogi_report.sections import Column, Section, Table
 from tests.report.samples import SHARE, report_of, sections
 

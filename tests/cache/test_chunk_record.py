@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from isogi_core.bake.precision import VOID, VOID_CODE, round_light
-from isogi_core.bake.texel_light import Light, Part
+from isogi_core.bake.texel_light import VOID, VOID_CODE, Light, Part, round_light
 from isogi_core.cache.chunk_record import Chunk, Chunks, pack, record_type, unpack
 from isogi_core.model.scene_plan import Layer
 from tests.bake.texels import COLUMNS, same

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.precision import VOID
 from isogi_core.bake.refine import climb, locate
-from isogi_core.bake.texel_light import Light
+from isogi_core.bake.texel_light import VOID, Light
 from isogi_core.cache.chunk_record import Chunk
 from isogi_core.cache.chunk_store import ChunkStore, default_store
 from isogi_core.errors import StoreAwayError

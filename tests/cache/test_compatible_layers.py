@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec, spec_for
-from isogi_core.bake.precision import VOID
-from isogi_core.bake.texel_light import Part
+from isogi_core.bake.texel_light import VOID, Part
 from isogi_core.cache.chunk_store import (
     MIN_DIRECT_ORDER,
     ChunkStore,

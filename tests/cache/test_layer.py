@@ -16,8 +16,7 @@ import zarr
 from numcodecs.zstd import Zstd
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.precision import VOID
-from isogi_core.bake.texel_light import Light, Part
+from isogi_core.bake.texel_light import VOID, Light, Part
 from isogi_core.cache.chunk_record import Chunk, facts_in
 from isogi_core.cache.layer import LayerStore, joined
 from isogi_core.errors import DamagedChunkError, StoreError, StoreReadOnlyError

@@ -16,11 +16,10 @@ import pytest
 
 from isogi_core.bake.bake_spec import SPECS, BakeSpec
 from isogi_core.bake.refine import refine
-from isogi_core.cache import loader as loading
+from isogi_core.cache import scene_caches as loading
 from isogi_core.cache.chunk_store import ChunkStore
-from isogi_core.cache.loader import ASK_AGAIN, MAX_BATCHES_AHEAD, Loader, ahead
 from isogi_core.cache.page_pool import PAGE_TEXELS, PagePool
-from isogi_core.cache.scene_caches import Caches
+from isogi_core.cache.scene_caches import ASK_AGAIN, MAX_BATCHES_AHEAD, Caches, Loader, ahead
 from isogi_core.errors import Cancelled, StoreAwayError, StoreError
 from isogi_core.frame.tiles import Tiles
 from isogi_core.prepared.prepared_scene import Index

@@ -12,8 +12,7 @@ import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import deviations, path_deviation, relative_error, scatter, standard_error
-from isogi_core.bake.precision import VOID, level_codes
-from isogi_core.bake.texel_light import Light, Part
+from isogi_core.bake.texel_light import VOID, Light, Part, level_codes
 from isogi_core.cache.chunk_record import Chunk, Chunks
 from isogi_core.cache.page_pool import (
     FEWEST_CHUNKS,

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.precision import VOID
+from isogi_core.bake.texel_light import VOID
 from isogi_core.cache.chunk_record import Chunk, record_type
 from isogi_core.cache.chunk_store import STAMP_EVERY, ChunkStore, UseStamps
 from isogi_core.cache.costs import SAVE_EVERY, Cost, Costs
@@ -23,12 +23,12 @@ from isogi_core.cache.upkeep import (
     BUSY_SECONDS,
     LEFT_AFTER,
     Audit,
-    Auditor,
     PruneRule,
-    Repairer,
+    audit_store,
     census_of,
     delete_layers,
     plan_prune,
+    repair_store,
 )
 from isogi_core.errors import StoreError
 from isogi_core.prepared.prepared_scene import Index
@@ -57,7 +57,7 @@ def chunk_store(tmp_path: Path, spec: BakeSpec, chunks: list[Chunk]) -> ChunkSto
 
 
 def audit_of(chunk_store: ChunkStore) -> Audit:
-    return Auditor(chunk_store.store).audit()
+    return audit_store(chunk_store.store)
 
 
 def key_of(chunk_store: ChunkStore, index: Index, layer: int = DIRECT) -> str:
@@ -88,8 +88,8 @@ def age(path: Path, seconds: float) -> None:
 
 def test_a_sound_store_is_sound_and_is_left_as_it_is(chunk_store: ChunkStore) -> None:
     before = contents(chunk_store)
-    audit, heard = Auditor(chunk_store.store), []
-    found = audit.audit(progress=lambda done, total: heard.append((done, total)))
+    heard: list[tuple[int, int]] = []
+    found = audit_store(chunk_store.store, progress=lambda done, total: heard.append((done, total)))
     assert found.sound and (found.whole, found.unread, len(found.inventory.layers)) == (8, 0, 2)
     assert heard[0] == (0, 8) and heard[-1] == (8, 8)
     assert contents(chunk_store) == before
@@ -131,7 +131,7 @@ def test_each_damage_is_found_reported_and_moved(chunk_store: ChunkStore, chunks
     audit = audit_of(chunk_store)
     assert [found.key for found in audit.damages] == [key] and why in audit.damages[0].why
     assert audit.whole == 7 and not audit.sound
-    repair = Repairer(chunk_store.store).repair()
+    repair = repair_store(chunk_store.store)
     to = repair.moved[key]
     assert not path.exists() and to is not None and to.startswith(f"quarantine/{key}.")
     assert Path(chunk_store.store.url.folder, to).read_bytes() == content
@@ -147,7 +147,7 @@ def test_layers_that_disagree_on_void_texels_are_both_moved(chunk_store: ChunkSt
     chunk_store.layers[INDIRECT].save(PLACES[1], chunks[1].offsets, wrong)
     keys = {key_of(chunk_store, PLACES[1], layer) for layer in (DIRECT, INDIRECT)}
     assert {damage.key for damage in audit_of(chunk_store).damages} == keys
-    assert set(Repairer(chunk_store.store, delete=True).repair().moved.items()) == {(key, None) for key in keys}
+    assert set(repair_store(chunk_store.store, delete=True).moved.items()) == {(key, None) for key in keys}
     assert chunk_store.read(PLACES[1]) is None
     assert audit_of(chunk_store).sound and not list(chunk_store.store.url.folder.glob("quarantine"))
 
@@ -173,7 +173,7 @@ def test_damaged_metadata_is_reported_and_its_light_is_kept(
     audit = audit_of(chunk_store)
     assert [damage.key for damage in audit.damages] == [f"{chunk_store.layers[INDIRECT].digest}/zarr.json"]
     assert (audit.unread, audit.whole) == (4, 4)
-    Repairer(chunk_store.store).repair()
+    repair_store(chunk_store.store)
     again = ChunkStore(chunk_store.store, chunk_store.spec)
     again.open()
     for chunk in chunks:
@@ -202,7 +202,7 @@ def test_old_leftovers_go_and_foreign_objects_stay(chunk_store: ChunkStore) -> N
     audit = audit_of(chunk_store)
     assert audit.sound and len(audit.inventory.leftovers) == 4
     assert [found.key for found in audit.inventory.foreign] == ["notes.txt"]
-    removed = {found.key for found in Repairer(chunk_store.store).repair().removed}
+    removed = {found.key for found in repair_store(chunk_store.store).removed}
     assert removed == {path.relative_to(store).as_posix() for path in (old, probe, claim)}
     assert not any(path.exists() for path in (old, probe, claim)) and fresh.exists() and (store / "notes.txt").exists()
 

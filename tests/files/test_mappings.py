@@ -12,7 +12,7 @@ import pytest
 
 from isogi_core.files import mappings
 from isogi_core.files.mappings import RESIDENT_MAPPINGS, file_bytes, scratch
-from isogi_core.files.voxel_file import new_voxels
+from isogi_core.files.volume_copies import new_voxels
 
 MIB = 1 << 20
 
@@ -21,7 +21,7 @@ import sys, time
 from pathlib import Path
 import numpy as np
 from isogi_core.files.mappings import file_bytes
-from isogi_core.files.voxel_file import read_voxels
+from isogi_core.files.volume_copies import read_voxels
 from isogi_core.kernels._pages import bound_pages
 getattr(bound_pages, "ready", None)
 voxels, _ = read_voxels(Path(sys.argv[1]))

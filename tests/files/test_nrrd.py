@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.opening import open_file
+from isogi_core.files.formats.nrrd import MAX_HEADER
+from isogi_core.files.formats.opening import open_file, open_upload
 from isogi_core.files.grid import LabelName
-from isogi_core.files.nrrd import MAX_HEADER, read_attached, read_nrrd
 from isogi_core.model.volume import make_volume
+from tests.loaded import read_nrrd
 
 RAMP = np.arange(24).reshape(2, 3, 4)
 TYPES = ["i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"]
@@ -226,7 +227,7 @@ def test_real_volumes_are_what_their_list_says(shared_data: Path) -> None:
 
 def attached(fields: str = PLAIN, body: bytes = bytes(range(24)), most: int = 24) -> np.ndarray:
     """A file that nobody vouches for."""
-    return read_attached(io.BytesIO(f"NRRD0004\n{fields}\n".encode() + body), "v.nrrd", most).whole()
+    return open_upload(io.BytesIO(f"NRRD0004\n{fields}\n".encode() + body), "v.nrrd", most).whole()
 
 
 @pytest.mark.parametrize("pack", [bytes, gzip.compress])

@@ -14,10 +14,9 @@ import zarr
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.opening import open_file
 from isogi_core.files.grid import Grid
-from isogi_core.files.nrrd import read_nrrd
 from isogi_core.files.packing import as_stored, climate_packing, find_fill, without_fill
 from isogi_core.files.zarr_volume import open_zarr
-from tests.loaded import load_scene
+from tests.loaded import load_scene, read_nrrd
 
 BYTES = np.arange(-128, 128, dtype=np.int8).reshape(4, 8, 8)
 NAN = np.nan
@@ -257,7 +256,7 @@ def test_a_damaged_source_is_said_by_its_next_reading() -> None:
 def test_no_shared_volume_has_a_fill_value(shared_data: Path) -> None:
     files = sorted(shared_data.glob("*.nhdr"))
     assert len(files) > 10
-    assert not [file.name for file in files if find_fill(Grid.of(read_nrrd(str(file))[0])) is not None]
+    assert not [file.name for file in files if find_fill(Grid.of(read_nrrd(file)[0])) is not None]
 
 
 def test_a_scene_opens_a_scan_without_its_shell(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 import pytest
 
 from isogi_core.errors import SceneError
-from isogi_core.files.scene_changes import put_material, read_material_text, write_material_text
+from isogi_core.files.scene_file import put_material, read_material_text, write_material_text
 
 SPELLED = [
     ("diffuse", {"material": "diffuse"}),

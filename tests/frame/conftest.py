@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.noise import Until
-from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.bake.refine import refine
-from isogi_core.cache.loader import Loader
-from isogi_core.cache.scene_caches import Caches
+from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.cache.scene_caches import Caches, Loader
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer

@@ -11,11 +11,12 @@ import pytest
 
 from isogi_core.bake import refine as refine_module
 from isogi_core.errors import ViewError
+from isogi_core.files.grid import Vector
 from isogi_core.frame import renderer as renderer_module
 from isogi_core.frame import surface_renderer, texel_shading
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
-from isogi_core.model.view import Vec3, quaternion_from_angles, read_window
+from isogi_core.model.view import quaternion_from_angles, read_window
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.volumes.labels import smooth
 from tests.frame.conftest import (
@@ -159,7 +160,7 @@ TIGHT = {"target_error": 0.015, "bounces": 4}
 SMALL = {"size": 22}
 
 
-def grey(share: float) -> Vec3:
+def grey(share: float) -> Vector:
     return (share, share, share)
 
 
@@ -185,14 +186,14 @@ def fresh_frame(tmp_path_factory: pytest.TempPathFactory) -> Fresh:
     """Frames of scenes of their own with an albedo, each of them baked once."""
 
     @cache
-    def baked(albedo: Vec3, kind: str) -> Workbench:
+    def baked(albedo: Vector, kind: str) -> Workbench:
         light = SKY if kind == "sky" else CONSTANT
         scene = load_scene("demo:orbital", lights=[light], albedo=list(albedo), **TIGHT)
         bench = Workbench(scene, tmp_path_factory.mktemp("fresh"))
         bench.bake(bench.view(**SMALL))
         return bench
 
-    def render(albedo: Vec3, kind: str = "sky", **view: Any) -> Frame:
+    def render(albedo: Vector, kind: str = "sky", **view: Any) -> Frame:
         bench = baked(albedo, kind)
         return bench.renderer.render(bench.view(**SMALL, **view))
 
@@ -206,7 +207,7 @@ def objects(folder: Path) -> dict[Path, bytes]:
 
 @pytest.mark.parametrize("albedo", [grey(0.0), grey(0.05), grey(0.9), ORANGE])
 @pytest.mark.parametrize("shading", ["gi", "vicinity", "path_traced"])
-def test_constant_light_on_a_convex_surface_shows_its_albedo(shading: str, albedo: Vec3, workbench: Make) -> None:
+def test_constant_light_on_a_convex_surface_shows_its_albedo(shading: str, albedo: Vector, workbench: Make) -> None:
     bench = workbench(scene_of(ball(), 0.0, albedo=0.3, albedos=[0.0, 0.9], target_error=LOOSE))
     bench.bake(bench.view(size=40, shading=shading, samples=64))
     frame = bench.renderer.render(bench.view(size=40, shading=shading, samples=64, albedo=albedo))
@@ -220,7 +221,7 @@ def test_constant_light_on_a_convex_surface_shows_its_albedo(shading: str, albed
 @pytest.mark.parametrize("albedo", [grey(0.9), ORANGE], ids=["grey", "orange"])
 @pytest.mark.parametrize("view", [{}, {"light": TURN}], ids=["as it stands", "turned"])
 def test_another_albedo_is_within_1_percent_of_a_fresh_bake(
-    view: dict[str, Any], albedo: Vec3, live: Workbench, fresh_frame: Fresh
+    view: dict[str, Any], albedo: Vector, live: Workbench, fresh_frame: Fresh
 ) -> None:
     frame = live.renderer.render(live.view(**SMALL, albedo=albedo, **view))
     assert not frame.provisional and not frame.demands

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import Cancelled
+from isogi_core.files.grid import triple
 from isogi_core.frame.framing import point_at
 from isogi_core.frame.gbuffer import GBuffer, pinhole, trace
 from isogi_core.frame.tiles import Tiles
-from isogi_core.model.orientation import Orientation, triple
+from isogi_core.model.orientation import Orientation
 from isogi_core.model.view import Camera, View, read_window
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.scene import Scene

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.cache.loader import Loader
+from isogi_core.cache.scene_caches import Loader
 from isogi_core.errors import StoreError
 from isogi_core.frame import projected_texels as room
 from isogi_core.frame.frame import UNREACHABLE

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import SceneError
+from isogi_core.files.grid import triple
 from isogi_core.model.glow import Glow, place_glows
-from isogi_core.model.orientation import Orientation, triple
+from isogi_core.model.orientation import Orientation
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene

@@ -13,8 +13,7 @@ import pytest
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.refine import climb, locate
 from isogi_core.bake.texel_light import Light
-from isogi_core.cache.loader import Loader
-from isogi_core.cache.scene_caches import Caches
+from isogi_core.cache.scene_caches import Caches, Loader
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer

@@ -5,11 +5,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-import isogi_core.prepared.surface_size as module
+import isogi_core.prepared.isosurface_mesh as module
 from isogi_core.model.volume import make_volume
-from isogi_core.prepared.isosurface_mesh import Mesh, isosurface_mesh, vertex_count
+from isogi_core.prepared.isosurface_mesh import Mesh, SurfaceSize, isosurface_mesh, surface_size, vertex_count
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_core.prepared.surface_size import SurfaceSize, surface_size
 from tests.frame.conftest import scene_of
 
 VALUES = np.random.default_rng(4).integers(100, 4000, (9, 10, 11))

@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page
 
-from isogi_report.bundle import write_report
 from isogi_report.journal import Entry
+from isogi_report.page import write_report
 from tests.report.samples import report_of, sections
 from tests.web.visits import BROWSER
 

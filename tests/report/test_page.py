@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from isogi_report.bundle import write_report
 from isogi_report.journal import Entry
-from isogi_report.plots import develop, draw, error_colours, keys, scales_of, standalone
+from isogi_report.metrics import shown_as
+from isogi_report.page import write_report
+from isogi_report.plots import draw, error_colours, keys, scales_of, standalone
 from isogi_report.sections import Curve, Picture, Plot, document_of, section_of
 from tests.report.samples import disc, errors, report_of, sections
 
@@ -141,11 +142,12 @@ def pixels_of(png: bytes) -> np.ndarray:
 def test_radiance_is_shown_at_the_exposure(small_scene: Path) -> None:
     light = np.full((24, 24, 3), 0.25, np.float32)
     reports = [report_of(small_scene, [], exposure=exposure) for exposure in (1.0, 2.0)]
-    assert [int(develop(light, report)[disc()].min()) for report in reports] == [139, 210]  # sRGB
+    assert [int(shown_as(light, report.on, report.exposure)[disc()].min()) for report in reports] == [139, 210]  # sRGB
 
 
 def test_a_black_surface_is_black_and_not_the_background(small_scene: Path) -> None:
-    shown = develop(np.zeros((24, 24, 3), np.float32), report_of(small_scene, []))
+    report = report_of(small_scene, [])
+    shown = shown_as(np.zeros((24, 24, 3), np.float32), report.on, report.exposure)
     assert (shown[disc()] == 0).all()
     assert (shown[~disc()] > 0).all()
 

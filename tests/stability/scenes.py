@@ -28,8 +28,7 @@ from isogi_core.model.volume import Isovalue, Volume, make_volume
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene, make_field
-from isogi_report.bake import UNREACHED_TARGET, ViewBake
-from isogi_report.bench import BENCH_CACHE_BYTES
+from isogi_report.bench import BENCH_CACHE_BYTES, UNREACHED_TARGET, ViewBake
 from isogi_report.metrics import luminance_of
 from tests.loaded import load_scene
 from tests.stability.volumes import Specimen, ball, body, grid, ramp

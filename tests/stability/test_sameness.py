@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import SPECS
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import StoreError
 from isogi_core.frame.frame import Frame
@@ -32,7 +32,7 @@ from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.runs import Run, serially
 from isogi_core.storage.backend import StoreUrl
-from isogi_report.bake import UNREACHED_TARGET
+from isogi_report.bench import UNREACHED_TARGET
 from isogi_report.speed import bake_chunks, wanted_of
 from tests.loaded import load_scene
 from tests.stability.scenes import view_of

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.noise import mean_luminance
-from isogi_core.bake.precision import FIRST_LEVEL, round_light
 from isogi_core.bake.refine import add_to_mean, locate, refine, sample_transfer
-from isogi_core.bake.texel_light import Light
+from isogi_core.bake.texel_light import FIRST_LEVEL, Light, round_light
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer
 from isogi_core.plan.budget import BYTE_ROUNDING, HALF_ONE
-from isogi_report.bake import UNREACHED_TARGET, ViewBake
+from isogi_report.bench import UNREACHED_TARGET, ViewBake
 from tests.stability.scenes import body_volume, is_finite, lit, view_bake, view_of
 
 EXPECTED = {"half floats": HALF_ONE, "bytes": BYTE_ROUNDING, "single floats": 1e-7}

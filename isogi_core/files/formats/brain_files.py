@@ -1,19 +1,173 @@
-"""FreeSurfer's MGH, Analyze 7.5 and AFNI, read by nibabel: what brains were kept in before NIfTI, and beside it."""
+"""Files of brains, read by nibabel: NIfTI-1 and -2, FreeSurfer's MGH, Analyze 7.5, AFNI, and MINC 1 and 2.
+
+NIfTI and Analyze are one file or a pair. Voxels are streamed, as a packed file is read but once.
+"""
 
 import io
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.nifti import field_slabs, frame_of, image_beside, scaling_of
-from isogi_core.files.formats.source import Source, library, reading
-from isogi_core.files.grid import PATIENT_AXES, Affine, Grid, Shape, read_as
+from isogi_core.files.formats.source import (
+    LUMINANCE_NOTE,
+    Source,
+    library,
+    luminance_of_colours,
+    pick,
+    pick_step,
+    raw_slabs,
+    reader,
+)
+from isogi_core.files.grid import PATIENT_AXES, SINGLE_MOMENT, Affine, Grid, Shape, read_as, slab_layers
 from isogi_core.files.packing import Scaling
+
+NIFTI_UNITS = {"mm": "mm", "meter": "m", "micron": "µm"}
+UNPLACED_NOTE = "The file does not say how it lies: its axes are taken as they are."
+
+LABELS = 1002
+"""The intent of files whose values are labels."""
+
+MAX_TRANSFORM_GAP = 0.01
+"""Voxels by which two transforms of a file must differ for this to be told."""
+
+
+def is_nifti(head: bytes) -> bool:
+    """Whether a file begins as NIfTI does: the header's size, and its magic."""
+    size = {head[:4], head[:4][::-1]}
+    one = (348).to_bytes(4, "little") in size and head[344:348] in (b"n+1\0", b"ni1\0")
+    return one or ((540).to_bytes(4, "little") in size and head[4:7] in (b"n+2", b"ni2"))
+
+
+@reader("NIfTI", "time", "channel")
+def open_nifti(source: Source) -> Grid:
+    """Open a NIfTI file as a grid: only the header is read now. Raises VolumeError."""
+    header = _nifti_header(library("nibabel", "NIfTI"), source)
+    voxels = source if header.is_single or source.path is None else replace(source, path=image_beside(source))
+    grid = _grid_of(source, voxels, header, "NIfTI", _placed_by(header))
+    labels = () if int(header["intent_code"]) == LABELS else None
+    unit = NIFTI_UNITS.get(header.get_xyzt_units()[0], "")
+    return _placed_by_header(replace(grid, unit=unit, labels=labels), header)
+
+
+def _nifti_header(nib: Any, source: Source) -> Any:
+    """The header, of whichever version and byte order."""
+    with source.unpacked() as file:
+        head = file.read(348)
+    one, pair = 348 in (int.from_bytes(head[:4], order) for order in ("little", "big")), b"ni" in head[4:8] + head[344:]
+    if pair and source.path is None:
+        raise VolumeError(f"'{source.name}' is a header whose voxels are in another file: save both as one .nii file.")
+    kinds = nib.nifti1.Nifti1PairHeader, nib.nifti1.Nifti1Header, nib.Nifti2Header
+    kind = nib.nifti2.Nifti2PairHeader if pair and not one else kinds[0] if pair else kinds[1] if one else kinds[2]
+    with source.unpacked() as file:
+        whole = file.read(kind.template_dtype.itemsize)
+    return kind.from_fileobj(io.BytesIO(whole + bytes(4)))  # without extensions, which may claim any size
+
+
+PAIR_ENDINGS = re.compile(r"\.(?:hdr|img)(\.gz|\.bz2)?$", re.IGNORECASE)
+"""How the names of a pair of files end: that of the header, and that of the voxels."""
+
+
+def beside(path: Path, end: str) -> Path | None:
+    """The other file of a pair, whose name ends in ``.hdr`` or ``.img``; None where there is none."""
+    stem = PAIR_ENDINGS.sub("", path.name)
+    names = [f"{stem}{case}{packed}" for case in (end, end.upper()) for packed in ("", ".gz", ".bz2")]
+    return next((found for name in names if (found := path.with_name(name)).is_file() and found != path), None)
+
+
+def image_beside(source: Source) -> Path:
+    """The file with the voxels of a header. VolumeError where there is none."""
+    assert source.path is not None, "a pair has paths"
+    found = beside(source.path, ".img")
+    if found is None:
+        wanted = PAIR_ENDINGS.sub("", source.path.name) + ".img"
+        raise VolumeError(f"'{source.name}' is a header, and '{wanted}' with its voxels is not beside it.")
+    return found
+
+
+def _placed_by(header: Any) -> str:
+    """Which of its two transforms says where a file lies: the sform, where there is one."""
+    return "its sform" if int(header["sform_code"]) else "its qform" if int(header["qform_code"]) else ""
+
+
+def _placed_by_header(grid: Grid, header: Any) -> Grid:
+    """The grid with the affine that the header prefers, in a patient's right, anterior, superior."""
+    sform, qform = int(header["sform_code"]), int(header["qform_code"])
+    if not sform and not qform:
+        return replace(grid, notes=(*grid.notes, UNPLACED_NOTE))
+    affine, notes = header.get_best_affine(), grid.notes
+    if sform and qform:
+        apart = np.linalg.solve(affine[:3, :3], (header.get_qform() - affine)[:3])
+        corner = np.abs(apart) @ np.array([*(n - 1 for n in grid.shape[::-1]), 1.0])
+        if corner.max() > MAX_TRANSFORM_GAP:
+            notes = (*notes, f"Its two transforms differ by {corner.max():.3g} voxels: the sform is taken.")
+    return replace(grid, affine=Affine.of(affine, PATIENT_AXES), notes=notes)
+
+
+def _grid_of(
+    source: Source,
+    voxels: Source,
+    header: Any,
+    kind: str,
+    placed: str = "its header",
+    shape: Shape = (),
+    scalings: Sequence[Scaling] = (),
+) -> Grid:
+    """The grid of one of nibabel's headers, whose ``voxels`` may be in another file, without its place in the world.
+
+    It has a ``shape``, and ``scalings`` of its fields, where the header does not say these itself.
+    """
+    shape, dtype = tuple(int(n) for n in shape or header.get_data_shape()), header.get_data_dtype()
+    (time, unchosen), channel, times, (nx, ny, nz) = _frame_of(source, shape)
+    source.check((nz, ny, nx))
+    first, field = int(header.get_data_offset()), time + times * channel
+    start = first + field * nx * ny * nz * dtype.itemsize
+    scaling = scalings[field] if scalings else _scaling_of(header)
+    x, y, z = (abs(float(step)) for step in header.get_zooms()[:3])
+    others = [voxels.path] if voxels.path is not None and voxels.path != source.path else []
+    slabs = partial(_field_slabs, voxels, start, (nz, ny, nx), dtype, scaling)
+    notes: tuple[str, ...] = (LUMINANCE_NOTE,) if dtype.names else ()
+    notes += voxels.cut_notes(first + math.prod(shape) * dtype.itemsize)
+    values = np.dtype(np.float32) if dtype.names else scaling.dtype(dtype)
+    grid = Grid((nz, ny, nx), values, (x, y, z), slabs, partial(source.stamp, *others), notes=notes)
+    known = read_as(kind, dtype, placed, scaling.slope, scaling.intercept)
+    return replace(grid, moment=(time, times), unchosen=unchosen, read_as=known)
+
+
+def _scaling_of(header: Any) -> Scaling:
+    """Slope and intercept of one of nibabel's headers."""
+    slope, intercept = header.get_slope_inter()
+    if slope is None or slope == 0.0:
+        return Scaling()
+    return Scaling(float(slope), float(intercept or 0.0))
+
+
+def _frame_of(source: Source, shape: Shape) -> tuple[tuple[int, bool], int, int, tuple[int, int, int]]:
+    """The step in time, as of ``pick_step``, the channel, how many steps there are, and the size along x, y, z."""
+    nx, ny, nz, *extra = (*shape, *(1,) * (3 - len(shape)))
+    while extra and extra[-1] == 1:
+        extra.pop()
+    times, channels = (*extra[:1], 1)[0], math.prod(extra[1:])
+    return pick_step(source, times), pick(source, "channel", channels, "channels"), times, (nx, ny, nz)
+
+
+def _field_slabs(
+    voxels: Source, start: int, shape: Shape, dtype: np.dtype[Any], scaling: Scaling
+) -> Iterator[np.ndarray]:
+    """The voxels (z, y, x) from a byte on, some layers at a time, scaled; luminance of colours."""
+    for slab in raw_slabs(voxels, start, shape, dtype):
+        if dtype.names:
+            yield luminance_of_colours(np.stack([slab[name] for name in dtype.names], axis=-1))
+        else:
+            yield scaling.apply(slab)
+
 
 MGH, MGH_SUFFIXES = b"\0\0\0\1", (".mgh", ".mgz")
 
@@ -34,25 +188,29 @@ def is_analyze(head: bytes, suffix: str) -> bool:
     return sized and (head[REGULAR_MARK] == b"r" or suffix in (".hdr", ".gz"))
 
 
+@reader("MGH", "time", "channel")
 def open_mgh(source: Source) -> Grid:
     """Open a file of FreeSurfer as a grid: only the header is read now. Raises VolumeError."""
     kind = library("nibabel.freesurfer.mghformat", "MGH").MGHHeader
-    with reading(source.name, "MGH"), source.unpacked() as file:
+    with source.unpacked() as file:
         header = kind(file.read(kind._hdrdtype.itemsize))
-    return _opened(source, source, header, "MGH")
+    grid = _grid_of(source, source, header, "MGH")
+    return replace(grid, affine=Affine.of(header.get_best_affine(), PATIENT_AXES), unit="mm")
 
 
+@reader("Analyze", "time", "channel")
 def open_analyze(source: Source) -> Grid:
     """Open the header of a pair as a grid. Raises VolumeError."""
     if source.path is None:
         raise VolumeError(f"'{source.name}' is a header whose voxels are in another file: save both as one .nii file.")
     kind = library("nibabel", "Analyze").spm2analyze.Spm2AnalyzeHeader
-    with reading(source.name, "Analyze"), source.unpacked() as file:
+    with source.unpacked() as file:
         header = kind.from_fileobj(file)
-    grid = _opened(source, replace(source, path=image_beside(source)), header, "Analyze")
+    grid = _grid_of(source, replace(source, path=image_beside(source)), header, "Analyze")
     placed = source.path.with_suffix(".mat").is_file()
     lost = (f"SPM's '{source.path.stem}.mat' beside it is not read: convert both to NIfTI.",) if placed else ()
-    return replace(grid, notes=(*grid.notes, NO_SIDES, *lost))
+    affine = Affine.of(header.get_best_affine(), PATIENT_AXES)
+    return replace(grid, affine=affine, notes=(*grid.notes, NO_SIDES, *lost))
 
 
 AFNI_ENDINGS = re.compile(r"\.(?:HEAD|BRIK)(\.gz|\.bz2)?$")
@@ -70,6 +228,7 @@ def afni_header(path: Path) -> Path | None:
     return header if ".BRIK" in path.name and header != path and header.is_file() else None
 
 
+@reader("AFNI", "time", "channel")
 def open_afni(source: Source) -> Grid:
     """Open the header of AFNI's pair as a grid: a series in time, or channels, a brick each. Raises VolumeError."""
     if source.path is None:
@@ -80,35 +239,75 @@ def open_afni(source: Source) -> Grid:
     voxels = next((found for name in names if (found := source.path.with_name(name)).is_file()), None)
     if voxels is None:
         raise VolumeError(f"'{source.name}' is a header, and '{names[0]}' with its voxels is not beside it.")
-    with reading(source.name, "AFNI"), source.open() as file:
+    with source.open() as file:
         header = kind.from_fileobj(io.StringIO(file.read().decode("latin-1").replace("\r\n", "\n")))
         nx, ny, nz, bricks = header.get_data_shape()
         slopes = header.get_data_scaling()
     shape = (nx, ny, nz, bricks) if "TAXIS_NUMS" in header.info else (nx, ny, nz, 1, bricks)
     scalings = [Scaling()] * bricks if slopes is None else [Scaling(float(slope)) for slope in slopes]
-    return _opened(source, replace(source, path=voxels), header, "AFNI", shape, scalings)
+    grid = _grid_of(source, replace(source, path=voxels), header, "AFNI", shape=shape, scalings=scalings)
+    return replace(grid, affine=Affine.of(header.get_affine(), PATIENT_AXES), unit="mm")
 
 
-def _opened(
-    source: Source, voxels: Source, header: Any, kind: str, shape: Shape = (), scalings: Sequence[Scaling] = ()
-) -> Grid:
-    """The grid of one of nibabel's headers, of a ``shape`` and with ``scalings`` of its fields where
-    it does not say these itself.
-    """
-    source.refuse_others("time", "channel")
-    with reading(source.name, "a volume"):
-        shape, dtype = tuple(int(n) for n in shape or header.get_data_shape()), header.get_data_dtype()
-        (time, unchosen), channel, times, (nx, ny, nz) = frame_of(source, shape)
-        source.check((nz, ny, nx))
-        first, field = int(header.get_data_offset()), time + times * channel
-        start = first + field * nx * ny * nz * dtype.itemsize
-        scaling = scalings[field] if scalings else scaling_of(header)
-        affine = Affine.of(header.get_affine() if kind == "AFNI" else header.get_best_affine(), PATIENT_AXES)
-        x, y, z = (abs(float(step)) for step in header.get_zooms()[:3])
-    others = [voxels.path] if voxels.path is not None and voxels.path != source.path else []
-    slabs = partial(field_slabs, voxels, start, (nz, ny, nx), dtype, scaling)
-    notes = voxels.cut_notes(first + math.prod(shape) * dtype.itemsize)
-    grid = Grid((nz, ny, nx), scaling.dtype(dtype), (x, y, z), slabs, partial(source.stamp, *others), affine)
-    known = read_as(kind, dtype, "its header", scaling.slope, scaling.intercept)
-    unit = "" if kind == "Analyze" else "mm"
-    return replace(grid, unit=unit, notes=notes, moment=(time, times), unchosen=unchosen, read_as=known)
+MINC1_MAGIC, MINC2_MAGIC, MINC_SUFFIX = b"CDF", b"\x89HDF", ".mnc"
+"""How MINC 1 and MINC 2 begin, as other files do, too, and how both are named."""
+
+SCALED_SLICES = "MINC, each slice of a slope of its own,"
+
+
+def is_minc(head: bytes, suffix: str) -> bool:
+    """Whether a file begins as MINC does, and is named so."""
+    return suffix == MINC_SUFFIX and head.startswith((MINC1_MAGIC, MINC2_MAGIC))
+
+
+@reader("MINC", "time")
+def open_minc(source: Source) -> Grid:
+    """Open a file as a grid: of MINC 2 only its description is read now. Raises VolumeError."""
+    with _image(source) as image:
+        shape, stored = tuple(int(n) for n in image.get_data_shape()), np.dtype(image.get_data_dtype())
+        names = list(map(str, image._dim_names))
+        if not all(name.endswith("space") for name in names[-3:]) or names[:-3] not in ([], ["time"]):
+            raise VolumeError(f"'{source.name}' has the axes {', '.join(names)}: save z, y and x alone, or in time.")
+        source.check(shape[-3:])
+        matrix = image.get_affine()[:3, [2, 1, 0, 3]]
+    times = shape[0] if len(shape) > 3 else 1
+    time, unchosen = pick_step(source, times)
+    picked = (time,) if len(shape) > 3 else ()
+    wide = stored.itemsize > 2 and stored.newbyteorder("=") != np.float32
+    dtype: np.dtype[Any] = np.dtype(np.float64 if wide else np.float32)
+    x, y, z = (float(step) for step in np.linalg.norm(matrix[:, :3], axis=0))
+    return Grid(
+        shape[-3:],
+        dtype,
+        (x, y, z),
+        partial(_image_slabs, source, picked, shape[-3:], dtype),
+        source.stamp,
+        Affine.of(matrix, PATIENT_AXES),
+        "mm",
+        moment=(time, times) if times > 1 else SINGLE_MOMENT,
+        unchosen=unchosen,
+        read_as=read_as("MINC" if stored.kind == "f" else SCALED_SLICES, stored, "its dimensions"),
+    )
+
+
+@contextmanager
+def _image(source: Source) -> Iterator[Any]:
+    """What nibabel makes of the file."""
+    with source.open() as file:
+        begins = file.read(len(MINC1_MAGIC))
+        file.seek(0)
+        if begins == MINC1_MAGIC:
+            classic = library("nibabel.externals.netcdf", "MINC").netcdf_file(file, mmap=False)
+            yield library("nibabel.minc1", "MINC").Minc1File(classic)
+            return
+        kind, h5py = library("nibabel.minc2", "MINC").Minc2File, library("h5py", "MINC")
+        with h5py.File(source.path or file, "r", locking=False) as whole:
+            yield kind(whole)
+
+
+def _image_slabs(source: Source, picked: tuple[int, ...], shape: Shape, dtype: np.dtype[Any]) -> Iterator[np.ndarray]:
+    """Some layers at a time, scaled to the range that each slice says."""
+    with _image(source) as image:
+        step = slab_layers(shape[1] * shape[2] * 8)
+        for z in range(0, shape[0], step):
+            yield image.get_scaled_data((*picked, slice(z, min(z + step, shape[0])))).astype(dtype)

@@ -24,15 +24,13 @@ from isogi_core.files.formats.source import (
     LUMINANCE_NOTE,
     Source,
     library,
-    line_of,
     luminance_of_colours,
     pick,
-    reading,
+    reader,
 )
 from isogi_core.files.grid import PATIENT_AXES, Affine, Grid, read_as
-from isogi_core.files.packed_files import READ_BYTES, open_regular
+from isogi_core.files.packed_files import READ_BYTES, line_of, open_regular, stamp_of
 from isogi_core.files.packing import Packing, Scaling, holed
-from isogi_core.files.zarr_volume import stamp_of
 
 DECODER_PACKAGES = {"JPEG-LS": "pyjpegls", "JPEG 2000": "pylibjpeg pylibjpeg-openjpeg", "JPEG": "python-gdcm"}
 """What to install for pixels packed in some way, by a part of its name; all under free licences without conditions."""
@@ -77,31 +75,30 @@ def is_dicom(head: bytes) -> bool:
     return head[128:132] == b"DICM"
 
 
+@reader("DICOM", "series", "time")
 def open_dicom(source: Source) -> Grid:
     """Open a file, or a folder with a series, as a grid: only headers are read now. Raises VolumeError."""
     library("pydicom", "DICOM")
-    source.refuse_others("series", "time")
-    with reading(source.name, "DICOM"):
-        _check_inflated(source)
-        folder = source.path is not None and source.path.is_dir()
-        headers: Headers = list(_headers(source)) if folder else [(source.path, _read_header(source))]
-        if not headers or "Rows" not in headers[0][1]:
-            raise VolumeError(f"'{source.name}' holds no DICOM image: check the volume's path.")
-        chosen = _series(source, headers)
-        for _, header in chosen:
-            source.check((int(header.get("NumberOfFrames") or 1), int(header.Rows), int(header.Columns)))
-        first, segmented = chosen[0][1], is_segmentation(chosen[0][1])
-        slices = [each for path, header in chosen for each in _slices_of(path, header)]
-        slices = overlaid(slices) if segmented else slices
-        stack, notes = stack_of(source.name, slices, partial(pick, source, "time"), segmented)
-        if len(stack.layers) == 1 and not folder:
-            raise VolumeError(f"'{source.name}' is one slice: give the folder of its series, or a file of many frames.")
-        source.check((len(stack.layers), int(first.Rows), int(first.Columns)))
-        packings = {each.packing for each in slices}
-        coloured = int(first.get("SamplesPerPixel", 1)) > 1
-        if str(first.get("PhotometricInterpretation", "")) == "PALETTE COLOR" and not segmented:
-            raise VolumeError(f"'{source.name}' holds colours of a palette: save its values.")
-        labels = segments_of(first) if segmented else None
+    _check_inflated(source)
+    folder = source.path is not None and source.path.is_dir()
+    headers: Headers = list(_headers(source)) if folder else [(source.path, _read_header(source))]
+    if not headers or "Rows" not in headers[0][1]:
+        raise VolumeError(f"'{source.name}' holds no DICOM image: check the volume's path.")
+    chosen = _series(source, headers)
+    for _, header in chosen:
+        source.check((int(header.get("NumberOfFrames") or 1), int(header.Rows), int(header.Columns)))
+    first, segmented = chosen[0][1], is_segmentation(chosen[0][1])
+    slices = [each for path, header in chosen for each in _slices_of(path, header)]
+    slices = overlaid(slices) if segmented else slices
+    stack, notes = stack_of(source.name, slices, partial(pick, source, "time"), segmented)
+    if len(stack.layers) == 1 and not folder:
+        raise VolumeError(f"'{source.name}' is one slice: give the folder of its series, or a file of many frames.")
+    source.check((len(stack.layers), int(first.Rows), int(first.Columns)))
+    packings = {each.packing for each in slices}
+    coloured = int(first.get("SamplesPerPixel", 1)) > 1
+    if str(first.get("PhotometricInterpretation", "")) == "PALETTE COLOR" and not segmented:
+        raise VolumeError(f"'{source.name}' holds colours of a palette: save its values.")
+    labels = segments_of(first) if segmented else None
     dtype = np.dtype(np.uint16) if segmented else _value_type(packings, coloured or stack.between)
     affine = Affine.of(DICOM_TO_RAS @ stack.affine, PATIENT_AXES) if stack.affine is not None else None
     shape = (len(stack.layers), int(first.Rows), int(first.Columns))
@@ -320,8 +317,7 @@ class Frames:
         """Stored values of a slice, in full signed or unsigned range; luminance of colours."""
         found = next((pixels for known, pixels in self._kept if known == place), None)
         if found is None:
-            with reading(self._source.name, "DICOM"):
-                found = self._decoded(place)
+            found = self._decoded(place)
             self._kept = [*self._kept[-1:], (place, found)]
         return found
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.grid import LabelName
+from isogi_core.files.grid import LabelName, srgb_bytes
 from isogi_core.files.packing import Packing
 
 EVEN_STEP_SHARE = 0.05
@@ -205,9 +205,7 @@ def _colour_of_segment(lab: Any) -> str:
     y = (lightness + 16.0) / 116.0
     curve = np.array([y + a / 500.0, y, y - b / 200.0])
     xyz = D50_WHITE * np.where(curve > 6.0 / 29.0, curve**3, 3.0 * (6.0 / 29.0) ** 2 * (curve - 4.0 / 29.0))
-    linear = np.clip(TO_RED_GREEN_BLUE @ xyz, 0.0, 1.0)
-    coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return "#" + np.rint(255.0 * coded).astype(np.uint8).tobytes().hex()
+    return "#" + srgb_bytes(TO_RED_GREEN_BLUE @ xyz).tobytes().hex()
 
 
 def segment_in(header: Any, groups: list[Any]) -> int:

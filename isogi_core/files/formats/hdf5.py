@@ -1,10 +1,14 @@
-"""HDF5 and NetCDF-4, read by h5py: one dataset, chosen by its path in the file."""
+"""HDF5 and NetCDF-4, read by h5py, and classic NetCDF, CDF-1 and CDF-2, read by nibabel's copy of SciPy's reader.
+
+One dataset, or variable, is chosen by its path in the file.
+"""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from importlib import import_module
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +19,12 @@ from isogi_core.files.formats.source import (
     LAYERED,
     TIME_STEPS,
     Source,
-    is_unchosen,
     library,
-    moment_of,
     pick_axes,
-    reading,
+    reader,
 )
 from isogi_core.files.grid import Affine, Grid, slab_layers
-from isogi_core.files.packing import PACKING_ATTRIBUTES, Packing, climate_packing
+from isogi_core.files.packing import NETCDF_FILL_VALUES, PACKING_ATTRIBUTES, Packing, as_stored, climate_packing
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
@@ -35,26 +37,24 @@ MICROMETRES_ATTRIBUTE = "element_size_um"
 """The attribute by which microscopists' tools give spacing, z first."""
 
 
+@reader("HDF5", "part", "time", "channel")
 def open_hdf5(source: Source) -> Grid:
     """Open a dataset of an HDF5 file as a grid: only its description is read now. Raises VolumeError."""
-    source.refuse_others("part", "time", "channel")
-    with reading(source.name, "HDF5"), _dataset(source) as data:
+    with _dataset(source) as data:
         if data.dtype.kind not in "biufc":
             raise VolumeError(f"'{source.name}#{data.name}' holds {data.dtype} values: choose a dataset of numbers.")
         _check_storage(source, data)
         others = _sources(source, data)
         _check_filters(source, data)
         film = _is_time(data.dims[0])
-        in_time, stacked = data.ndim > 3 and film, data.ndim == 3 and film
-        picked, shape = pick_axes(source, data.shape, in_time), tuple(int(n) for n in data.shape[-3:])
+        picked, moment, first = pick_axes(source, tuple(map(int, data.shape)), film)
+        shape = tuple(int(n) for n in data.shape[-3:])
         source.check(shape)
-        moment = moment_of(source, data.shape[:-3], picked)
-        first = is_unchosen(source, data.shape, in_time)
         minc = (MINC_NOTE,) if "minc-2.0" in data.file else ()
         packing = climate_packing(_climate(data), data.dtype, data.fillvalue)
         spacing, affine, unit, notes = _place(data, shape)
     slabs = partial(_dataset_slabs, source, picked, packing)
-    notes = (*packing.notes, *minc, *layered(stacked), *notes)
+    notes = (*packing.notes, *minc, *layered(film and not picked), *notes)
     stamp = partial(source.stamp, *others)
     placed = "the coordinates of its axes" if affine else f"'{MICROMETRES_ATTRIBUTE}'" if unit else ""
     facts = spacing, slabs, stamp, affine, unit, notes, moment, first
@@ -160,7 +160,7 @@ def _climate(data: Any) -> dict[str, Any]:
 
 def _dataset_slabs(source: Source, picked: tuple[int, ...], packing: Packing) -> Iterator[np.ndarray]:
     """Some layers of chunks at a time."""
-    with reading(source.name, "HDF5"), _dataset(source) as data:
+    with _dataset(source) as data:
         depth, ny, nx = data.shape[-3:]
         deep = data.chunks[-3] if data.chunks else 1
         step = max(slab_layers(ny * nx * data.dtype.itemsize) // deep, 1) * deep
@@ -202,3 +202,84 @@ def _coordinates(data: Any, axis: int) -> tuple[np.ndarray, str] | None:
         if scale.shape == (data.shape[axis],) and scale.dtype.kind in "iuf":
             return np.asarray(scale[()], np.float64), attribute_text(scale.attrs.get("units", ""))
     return None
+
+
+NETCDF_MAGIC, READ_VERSIONS = b"CDF", (1, 2)
+"""How files begin, and the versions that are read, of the byte after that; the fifth has sizes of 64 bits."""
+
+CDF5_REFUSAL = "is NetCDF with sizes of 64 bits (CDF-5): write it as NetCDF-4, by nccopy -k netCDF-4 IN OUT"
+
+
+@reader("NetCDF", "part", "time", "channel")
+def open_netcdf(source: Source) -> Grid:
+    """Open a variable of a classic NetCDF file as a grid. Raises VolumeError.
+
+    The library reads the whole file at once, now and when the voxels are read.
+    """
+    with _variables(source) as variables:
+        data = _chosen(source, variables)
+        stored, names = data.data.dtype, tuple(map(str, data.dimensions))
+        extra, shape = tuple(map(int, data.data.shape[:-3])), tuple(map(int, data.data.shape[-3:]))
+        film = says_time(names[:1], _units(variables, names[0]))
+        picked, moment, first = pick_axes(source, (*extra, *shape), film)
+        source.check(shape)
+        packing = climate_packing(data._attributes, stored, _filled(data.data[picked]))
+        spacing, affine, unit, notes = place_by([_classic_coordinates(variables, name) for name in names[:-4:-1]])
+    slabs, notes = (
+        partial(_variable_slabs, source, picked, packing),
+        (*packing.notes, *layered(film and not extra), *notes),
+    )
+    known = packing.read_as("classic NetCDF", "the coordinates of its axes" if affine else "")
+    return Grid(shape, packing.dtype, spacing, slabs, source.stamp, affine, unit, notes, moment, first, read_as=known)
+
+
+@contextmanager
+def _variables(source: Source) -> Iterator[dict[str, Any]]:
+    """The variables of a file, by their names; of one that ends too early what it has is no more than its bytes."""
+    reader = library("nibabel.externals.netcdf", "NetCDF").netcdf_file
+    with source.open() as file:
+        content = BytesIO(file.read())
+    if content.getbuffer()[len(NETCDF_MAGIC) : len(NETCDF_MAGIC) + 1].tobytes()[0] not in READ_VERSIONS:
+        raise VolumeError(f"'{source.name}' {CDF5_REFUSAL}.")
+    yield reader(content, mmap=False).variables
+
+
+def _chosen(source: Source, variables: dict[str, Any]) -> Any:
+    """The variable that is chosen, the only one of three dimensions or more by default."""
+    fields = {
+        name: each for name, each in variables.items() if len(each.dimensions) > 2 and each.data.dtype.kind in "if"
+    }
+    part = source.chosen.get("part")
+    found = fields.get(part.strip("/")) if part else next(iter(fields.values()), None) if len(fields) == 1 else None
+    if found is None:
+        raise unchosen(source, list(fields))
+    return found
+
+
+def _filled(field: np.ndarray) -> Any:
+    """What NetCDF fills variables of a type with by default, where any voxel of a ``field`` has it; else None."""
+    mark = as_stored(NETCDF_FILL_VALUES.get(field.dtype.str[1:], math.nan), field.dtype)
+    return mark if (field == mark).any() else None
+
+
+def _units(variables: dict[str, Any], name: str) -> list[str]:
+    """The unit of a dimension's coordinates, as a list; empty where it has none."""
+    found = variables.get(name)
+    return [] if found is None else [attribute_text(found._attributes.get("units", ""))]
+
+
+def _classic_coordinates(variables: dict[str, Any], name: str) -> tuple[np.ndarray, str] | None:
+    """The coordinates of a dimension, and their unit; None where the file gives none."""
+    found = variables.get(name)
+    if found is None or found.dimensions != (name,) or found.data.dtype.kind not in "if":
+        return None
+    return np.array(found.data, np.float64), _units(variables, name)[0]
+
+
+def _variable_slabs(source: Source, picked: tuple[int, ...], packing: Packing) -> Iterator[np.ndarray]:
+    """Some layers at a time."""
+    with _variables(source) as variables:
+        field = _chosen(source, variables).data[picked]
+        step = slab_layers(field[0].nbytes)
+        for z in range(0, len(field), step):
+            yield packing.apply(np.array(field[z : z + step]))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import Source, library, pick, pick_step, reading
+from isogi_core.files.formats.source import Source, library, pick, pick_step, reader
 from isogi_core.files.grid import PATIENT_AXES, SINGLE_MOMENT, Affine, Grid, read_as, slab_layers
 
 ITK_SUFFIXES = (".mha", ".mhd", ".vtk", ".gipl", ".hdr", ".img")
@@ -19,25 +19,24 @@ ITK_KINDS = {".mha": "MetaImage", ".mhd": "MetaImage", ".vtk": "legacy VTK", ".g
 ANATOMICAL_SUFFIXES = (".mha", ".mhd", ".gipl")
 
 
+@reader("an image", "time", "channel")
 def open_itk(source: Source) -> Grid:
     """Open an image as a grid: only its header is read now. Raises VolumeError."""
     if source.path is None:
         raise VolumeError(f"'{source.name}' cannot be uploaded in this form: save it as NIfTI or NRRD.")
     if not source.path.is_file():
         raise VolumeError(f"There is no file '{source.path}': check the volume's path.")
-    source.refuse_others("time", "channel")
-    with reading(source.name, "an image"):
-        reader, size = _reader(source)
-        channel = pick(source, "channel", int(reader.GetNumberOfComponents()), "channels")
-        if not 3 <= len(size) <= 4:
-            raise VolumeError(f"'{source.name}' has {len(size)} dimensions, not 3: save one scalar field of it.")
-        time, unchosen = pick_step(source, size[3]) if len(size) == 4 else (None, False)
-        nx, ny, nz = size[:3]
-        source.check((nz, ny, nx))
-        dtype = _block(source, (time, channel), 0, 1).dtype
-        steps = np.array(reader.GetSpacing()[:3])
-        direction = np.array(reader.GetDirection()).reshape(len(size), len(size))[:3, :3]
-        origin = np.array(reader.GetOrigin()[:3])
+    image, size = _reader(source)
+    channel = pick(source, "channel", int(image.GetNumberOfComponents()), "channels")
+    if not 3 <= len(size) <= 4:
+        raise VolumeError(f"'{source.name}' has {len(size)} dimensions, not 3: save one scalar field of it.")
+    time, unchosen = pick_step(source, size[3]) if len(size) == 4 else (None, False)
+    nx, ny, nz = size[:3]
+    source.check((nz, ny, nx))
+    dtype = _block(source, (time, channel), 0, 1).dtype
+    steps = np.array(image.GetSpacing()[:3])
+    direction = np.array(image.GetDirection()).reshape(len(size), len(size))[:3, :3]
+    origin = np.array(image.GetOrigin()[:3])
     anatomical = source.path.suffix.lower() in ANATOMICAL_SUFFIXES
     affine = np.column_stack([direction * steps, origin])
     placed = Affine.of(ITK_TO_RAS @ affine, PATIENT_AXES) if anatomical else Affine.of(affine)
@@ -76,9 +75,7 @@ Chosen = tuple[int | None, int]
 def _itk_slabs(source: Source, chosen: Chosen, shape: tuple[int, ...], itemsize: int) -> Iterator[np.ndarray]:
     step = slab_layers(shape[1] * shape[2] * itemsize)
     for z in range(0, shape[0], step):
-        with reading(source.name, "an image"):
-            slab = _block(source, chosen, z, min(step, shape[0] - z))
-        yield slab
+        yield _block(source, chosen, z, min(step, shape[0] - z))
 
 
 def _block(source: Source, chosen: Chosen, first: int, count: int) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import Source, library, pick, raw_slabs, reading
+from isogi_core.files.formats.source import Source, library, pick, raw_slabs, reader
 from isogi_core.files.grid import Affine, Grid, read_as
 
 MRC_HEADER_BYTES, EXTENDED_SIZE_BYTE = 1024, 92
@@ -20,24 +20,23 @@ def is_mrc(head: bytes) -> bool:
     return head[208:211] == b"MAP"
 
 
+@reader("MRC", "time")
 def open_mrc(source: Source) -> Grid:
     """Open a map as a grid: only the header is read now. Raises VolumeError."""
     library("mrcfile", "MRC")
-    source.refuse_others("time")
-    with reading(source.name, "MRC"):
-        header = _header(source)
-        shape, extended = tuple(int(header[name]) for name in ("nz", "ny", "nx")), int(header["nsymbt"])
-        source.check(shape)
-        if extended < 0:
-            raise VolumeError(f"The extended header of '{source.name}' has {extended} bytes: write it again.")
-        dtype, notes = _dtype(header)
-        volumes = _volumes(header, shape[0])
-        time = pick(source, "time", volumes, "volumes")
-        first = MRC_HEADER_BYTES + extended
-        notes = (*notes, *source.cut_notes(first + math.prod(shape) * dtype.itemsize))
-        shape = (shape[0] // volumes, *shape[1:])
-        start = first + time * math.prod(shape) * dtype.itemsize
-        affine = _affine(header, time * shape[0])
+    header = _header(source)
+    shape, extended = tuple(int(header[name]) for name in ("nz", "ny", "nx")), int(header["nsymbt"])
+    source.check(shape)
+    if extended < 0:
+        raise VolumeError(f"The extended header of '{source.name}' has {extended} bytes: write it again.")
+    dtype, notes = _dtype(header)
+    volumes = _volumes(header, shape[0])
+    time = pick(source, "time", volumes, "volumes")
+    first = MRC_HEADER_BYTES + extended
+    notes = (*notes, *source.cut_notes(first + math.prod(shape) * dtype.itemsize))
+    shape = (shape[0] // volumes, *shape[1:])
+    start = first + time * math.prod(shape) * dtype.itemsize
+    affine = _affine(header, time * shape[0])
     spacing = tuple(math.hypot(*column) for column in affine.array[:, :3].T)
     slabs = partial(raw_slabs, source, start, shape, dtype)
     return Grid(

@@ -1,9 +1,9 @@
 """NumPy's own files: an array in an .npy file, or one of several in an .npz file."""
 
+import math
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from typing import IO, Any
 
@@ -14,13 +14,13 @@ from isogi_core.files.formats.source import (
     LUMINANCE_NOTE,
     Source,
     luminance_of_colours,
-    moment_of,
     pick_axes,
-    read_up_to,
-    reading,
+    read_numbers,
+    reader,
     skip,
+    slabs_in,
 )
-from isogi_core.files.grid import Grid, Shape, read_as, slab_layers
+from isogi_core.files.grid import Grid, Shape, read_as
 from isogi_core.files.packed_files import read_end
 
 NPY_MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK\x03\x04"
@@ -28,28 +28,24 @@ NPY_MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK\x03\x04"
 UNPACK_HINT = "unpack it, and give what is in it, such as a folder of Zarr or of slices"
 
 
+@reader("NumPy", "part", "time", "channel")
 def open_numpy(source: Source) -> Grid:
     """Open an array (z, y, x) as a grid: only its header is read now. Raises VolumeError.
 
     Of four or five dimensions, the first choose; a last one of three or four bytes is a colour.
     """
-    with reading(source.name, "NumPy"), _array(source) as file:
+    with _array(source) as file:
         shape, _, dtype = _array_header(file)
     if dtype.hasobject or dtype.names:
         raise VolumeError(f"'{source.name}' holds {dtype}: save an array of numbers.")
     coloured = len(shape) == 4 and dtype == np.uint8 and shape[-1] in (3, 4)
     field = shape[:-1] if coloured else shape
-    source.refuse_others("part", "time", "channel")
-    picked = pick_axes(source, field)
+    picked, moment, _ = pick_axes(source, field)
     source.check(field[-3:])
     slabs = partial(_array_slabs, source, picked, coloured)
-    grid = Grid(field[-3:], np.dtype(np.float32) if coloured else dtype, (1.0, 1.0, 1.0), slabs, source.stamp)
-    return replace(
-        grid,
-        notes=(LUMINANCE_NOTE,) if coloured else (),
-        moment=moment_of(source, field[:-3], picked),
-        read_as=read_as("NumPy", dtype),
-    )
+    notes, known = (LUMINANCE_NOTE,) if coloured else (), read_as("NumPy", dtype)
+    values = np.dtype(np.float32) if coloured else dtype
+    return Grid(field[-3:], values, (1.0, 1.0, 1.0), slabs, source.stamp, notes=notes, moment=moment, read_as=known)
 
 
 @contextmanager
@@ -82,29 +78,18 @@ def _array_header(file: IO[bytes]) -> tuple[Shape, bool, np.dtype[Any]]:
 
 def _array_slabs(source: Source, picked: tuple[int, ...], coloured: bool) -> Iterator[np.ndarray]:
     """Some layers at a time; the whole at once where the first index is the fastest."""
-    with reading(source.name, "NumPy"), _array(source) as file:
+    with _array(source) as file:
         shape, fortran, dtype = _array_header(file)
-        if fortran:
-            size = int(np.prod(shape)) * dtype.itemsize
-            data = read_up_to(file, size)
-            _check_length(source, data, size)
-            yield _values(np.frombuffer(data, dtype).reshape(shape, order="F")[picked], coloured)
-            return
         inner = shape[len(picked) :]
-        layer = int(np.prod(inner[1:])) * dtype.itemsize
+        if fortran:
+            whole = read_numbers(file, source.name, math.prod(shape), dtype).reshape(shape, order="F")
+            yield _values(whole[picked], coloured)
+            return
         before = int(np.ravel_multi_index(picked, shape[: len(picked)])) if picked else 0
-        skip(file, before * inner[0] * layer)
-        for z in range(0, inner[0], slab_layers(layer)):
-            size = min(slab_layers(layer), inner[0] - z) * layer
-            data = read_up_to(file, size)
-            _check_length(source, data, size)
-            yield _values(np.frombuffer(data, dtype).reshape(-1, *inner[1:]), coloured)
+        skip(file, before * math.prod(inner) * dtype.itemsize)
+        for slab in slabs_in(file, source.name, inner, dtype):
+            yield _values(slab, coloured)
         read_end(file)
-
-
-def _check_length(source: Source, data: bytearray, size: int) -> None:
-    if len(data) < size:
-        raise VolumeError(f"'{source.name}' ends before its last voxel: copy it again.")
 
 
 def _values(slab: np.ndarray, coloured: bool) -> np.ndarray:

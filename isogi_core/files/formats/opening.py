@@ -1,9 +1,8 @@
 """Opening volumes of any kind but Zarr: the kind is told by how a file begins, and then by its name."""
 
 import zlib
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from isogi_core.errors import VolumeError, advice
 from isogi_core.files.formats import (
@@ -11,18 +10,15 @@ from isogi_core.files.formats import (
     dicom,
     hdf5,
     itk,
-    minc,
     mrc,
-    netcdf,
-    nifti,
+    nrrd,
     numpy_file,
     raw_file,
     tiff,
     vti,
 )
-from isogi_core.files.formats.source import FILE_CHOICES, Source
+from isogi_core.files.formats.source import FILE_CHOICES, Reader, Source
 from isogi_core.files.grid import Grid
-from isogi_core.files.nrrd import open_nrrd, read_attached
 
 PICTURE_HINT = "a picture, and a volume is many slices: give the folder of a stack of TIFFs, or one NRRD"
 MESH_HINT = "a mesh of triangles, which has no values inside: give the volume that it was made from"
@@ -66,27 +62,26 @@ def sort_of(head: bytes, suffix: str = "") -> str:
 HEAD_BYTES = 544
 """Bytes by which a kind is told."""
 
-Opener = Callable[[Source], Grid]
-
 KNOWN_KINDS = "NRRD, NIfTI, DICOM, TIFF, MRC, HDF5, NetCDF, NumPy, MGH, Analyze, AFNI, MINC, MetaImage, VTI or Zarr"
 
 
-def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Opener | None:
+def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Reader | None:
     """The function that opens files which begin with ``head``; by their ``suffix`` where that says nothing.
 
     ``unpacked`` is how the content of a packed file begins: NIfTI, MRC and others are read out of such.
     """
-    kinds: list[tuple[bool, Opener]] = [
-        (nifti.is_nifti(unpacked), nifti.open_nifti),
+    kinds: list[tuple[bool, Reader]] = [
+        (head.startswith(b"NRRD") or suffix in (".nrrd", ".nhdr"), nrrd.open_nrrd),
+        (brain_files.is_nifti(unpacked), brain_files.open_nifti),
         (brain_files.is_analyze(unpacked, suffix), brain_files.open_analyze),
         (brain_files.is_mgh(unpacked, suffix), brain_files.open_mgh),
         (brain_files.is_afni(head, suffix), brain_files.open_afni),
         (dicom.is_dicom(head), dicom.open_dicom),
         (tiff.is_tiff(head), tiff.open_tiff),
         (mrc.is_mrc(unpacked), mrc.open_mrc),
-        (minc.is_minc(head, suffix), minc.open_minc),
+        (brain_files.is_minc(head, suffix), brain_files.open_minc),
         (head.startswith(hdf5.HDF5_MAGIC), hdf5.open_hdf5),
-        (head.startswith(netcdf.NETCDF_MAGIC), netcdf.open_netcdf),
+        (head.startswith(hdf5.NETCDF_MAGIC), hdf5.open_netcdf),
         (head.startswith((numpy_file.NPY_MAGIC, numpy_file.ZIP_MAGIC)), numpy_file.open_numpy),
         (b"<VTKFile" in head and b"ImageData" in head, vti.open_vti),
         (b"NDims" in head or b"ObjectType" in head or head.startswith(b"# vtk DataFile"), itk.open_itk),
@@ -105,32 +100,35 @@ def open_file(path: Path, chosen: dict[str, Any]) -> Grid:
         return _open_folder(source)
     if "raw" in source.chosen:
         return raw_file.open_raw(source)
+    return _open_by_head(source)
+
+
+def open_upload(file: IO[bytes], name: str, most: int) -> Grid:
+    """Open an untrusted file as a grid: no other file is opened, and no memory is taken on a header's word.
+
+    Raises VolumeError, also where it has more than ``most`` voxels.
+    """
+    return _open_by_head(Source(name, file=file, voxels=most))
+
+
+def _open_by_head(source: Source) -> Grid:
+    """Open a file as a grid, by how it begins, else by its name. Raises VolumeError."""
+    suffix = Path(source.name).suffix.lower()
     with source.open() as file:
         head = file.read(HEAD_BYTES)
-    refuse_others(str(path), head)
-    if head.startswith(b"NRRD") or path.suffix.lower() in (".nrrd", ".nhdr"):
-        return open_nrrd(path, source.chosen)
-    opener = opener_for(head, _unpacked_head(source), path.suffix.lower()) or by_name(path.name)
+    if sort_of(head):
+        raise unknown(source.name, head)
+    bare = raw_file.open_raw if raw_file.is_raw(source.name) else None
+    opener = opener_for(head, _unpacked_head(source), suffix) or bare
     if opener is None:
-        raise unknown(str(path), head, path.suffix.lower())
+        raise unknown(source.name, head, suffix)
     return opener(source)
-
-
-def by_name(name: str) -> Opener | None:
-    """The function that opens bare voxels, where a file's ``name`` says what they are."""
-    return raw_file.open_raw if raw_file.is_raw(name) else None
 
 
 def _header_of(path: Path) -> Path:
     """The header of a pair of files of which the voxels are named; any other path itself."""
-    voxels = nifti.PAIR_ENDINGS.search(path.name) is not None and ".img" in path.name.lower()
-    return (nifti.beside(path, ".hdr") if voxels else brain_files.afni_header(path)) or path
-
-
-def refuse_others(name: str, head: bytes) -> None:
-    """Raise VolumeError where a file begins as one of another sort does, whatever its name is."""
-    if sort_of(head):
-        raise unknown(name, head)
+    voxels = brain_files.PAIR_ENDINGS.search(path.name) is not None and ".img" in path.name.lower()
+    return (brain_files.beside(path, ".hdr") if voxels else brain_files.afni_header(path)) or path
 
 
 def unknown(name: str, head: bytes, suffix: str = "") -> VolumeError:
@@ -154,23 +152,6 @@ def _open_folder(source: Source) -> Grid:
     """Open a folder of slices: TIFF where it holds such, else DICOM."""
     assert source.path is not None, "a folder has a path"
     return tiff.open_tiff_folder(source) if tiff.slices_in(source.path) else dicom.open_dicom(source)
-
-
-def open_upload(file: Any, name: str, most: int) -> Grid:
-    """Open an untrusted file as a grid: no other file is opened, and no memory is taken on a header's word.
-
-    Raises VolumeError, also where it has more than ``most`` voxels.
-    """
-    source = Source(name, file=file, voxels=most)
-    head = file.read(HEAD_BYTES)
-    refuse_others(name, head)
-    if head.startswith(b"NRRD"):
-        file.seek(0)
-        return read_attached(file, name, most)
-    opener = opener_for(head, _unpacked_head(source), Path(name).suffix.lower()) or by_name(name)
-    if opener is None:
-        raise unknown(name, head, Path(name).suffix.lower())
-    return opener(source)
 
 
 TIFF_CODECS = ("imcd", "zlib", "deflate", "jpeg8", "zstd")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import Source, raw_slabs
+from isogi_core.files.formats.source import Source, raw_slabs, reader
 from isogi_core.files.grid import Grid, Shape, read_as
 
 RAW_SUFFIXES = (".raw", ".bin", ".dat", ".data", ".vol")
@@ -35,9 +35,9 @@ def is_raw(name: str) -> bool:
     return bare.suffix in RAW_SUFFIXES and any(_SIZES.fullmatch(word) for word in _words(name))
 
 
+@reader("bare voxels", "raw")
 def open_raw(source: Source) -> Grid:
     """Open bare voxels as a grid, of the sizes and the type that are given, else in the name. Raises VolumeError."""
-    source.refuse_others("raw")
     given = source.chosen.get("raw")
     shape, dtype = _read(source, given.split(",") if given else _words(source.name), "as given" if given else "")
     source.check(shape)

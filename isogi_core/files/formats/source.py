@@ -2,9 +2,10 @@
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial, wraps
 from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
@@ -12,17 +13,18 @@ from typing import IO, Any
 import numpy as np
 
 from isogi_core.errors import IsogiError, VolumeError
-from isogi_core.files.grid import MAX_VOXELS, SINGLE_MOMENT, Shape, slab_layers
+from isogi_core.files.grid import MAX_VOXELS, SINGLE_MOMENT, Grid, Shape, slab_layers
 from isogi_core.files.packed_files import (
     PACKING_DAMAGE,
     READ_BYTES,
     Content,
     content_of,
     cut_notes,
+    line_of,
     open_regular,
     read_end,
+    stamp_of,
 )
-from isogi_core.files.zarr_volume import stamp_of
 
 FILE_CHOICES = ("level", "channel", "time", "series", "raw", "part")
 """What may be chosen of a file; ``part`` is a path inside it, and ``raw`` says what bare voxels are."""
@@ -117,6 +119,33 @@ LAYERED = "Its planes are {what}: they are shown as layers."
 TIME_STEPS = "steps in time"
 
 
+Reader = Callable[[Source], Grid]
+
+
+def reader(kind: str, *choices: str) -> Callable[[Reader], Reader]:
+    """Decorator: a function that opens sources of a ``kind``, of which the ``choices`` may be chosen, as grids.
+
+    It raises VolumeError for whatever a library makes of a damaged file, and so do the slabs of its grids.
+    """
+
+    def decorate(read: Reader) -> Reader:
+        @wraps(read)
+        def open_source(source: Source) -> Grid:
+            source.refuse_others(*choices)
+            with reading(source.name, kind):
+                grid = read(source)
+            return replace(grid, slabs=partial(_read_slabs, source.name, kind, grid.slabs))
+
+        return open_source
+
+    return decorate
+
+
+def _read_slabs(name: str, kind: str, slabs: Callable[[], Iterator[np.ndarray]]) -> Iterator[np.ndarray]:
+    with reading(name, kind):
+        yield from slabs()
+
+
 @contextmanager
 def reading(name: str, kind: str) -> Iterator[None]:
     """Raise VolumeError for whatever a library makes of a damaged file."""
@@ -131,12 +160,6 @@ def reading(name: str, kind: str) -> Iterator[None]:
         raise VolumeError(f"'{name}' cannot be read as {kind} ({line_of(error)}): copy or write it again.") from error
 
 
-def line_of(error: Exception) -> str:
-    """An error's type and message, on one short line."""
-    message = " ".join(str(error).split())
-    return f"{type(error).__name__}: {message[:200]}" if message else type(error).__name__
-
-
 def raw_slabs(
     source: Source, start: int, shape: Shape, dtype: np.dtype[Any], exact: bool = False
 ) -> Iterator[np.ndarray]:
@@ -145,16 +168,10 @@ def raw_slabs(
     VolumeError where the file ends before the last, or where it should be ``exact`` and does not end with it: no memory
     is taken on a header's word.
     """
-    layer = shape[1] * shape[2] * dtype.itemsize
     with source.unpacked() as file:
         try:
             skip(file, start)
-            for z in range(0, shape[0], slab_layers(layer)):
-                deep = min(slab_layers(layer), shape[0] - z)
-                data = read_up_to(file, deep * layer)
-                if len(data) < deep * layer:
-                    raise VolumeError(f"'{source.name}' ends before its last voxel: copy it again.")
-                yield np.frombuffer(data, dtype).reshape(deep, *shape[1:])
+            yield from slabs_in(file, source.name, shape, dtype)
             if read_end(file) and exact:
                 raise VolumeError(f"'{source.name}' goes on after its last voxel: check its sizes and its type.")
         except PACKING_DAMAGE as error:
@@ -167,12 +184,26 @@ def skip(file: Content, count: int) -> None:
         count -= len(data)
 
 
-def read_up_to(file: Content, count: int) -> bytearray:
-    """The next ``count`` bytes, or as many as there are."""
-    data = bytearray()
-    while len(data) < count and (block := file.read(min(count - len(data), READ_BYTES))):
+def slabs_in(file: Content, name: str, shape: Shape, dtype: np.dtype[Any]) -> Iterator[np.ndarray]:
+    """The next numbers of a file as an array of a ``shape``, some layers at a time. Raises as ``read_numbers``."""
+    layer = math.prod(shape[1:])
+    deep = slab_layers(layer * dtype.itemsize)
+    for z in range(0, shape[0], deep):
+        yield read_numbers(file, name, min(deep, shape[0] - z) * layer, dtype).reshape(-1, *shape[1:])
+
+
+def read_numbers(file: Content, name: str, count: int, dtype: np.dtype[Any]) -> np.ndarray:
+    """The next numbers of a file, (count,). VolumeError, which names the volume, where there are fewer.
+
+    Memory is taken as they are read.
+    """
+    data, size = bytearray(), count * dtype.itemsize
+    while len(data) < size:
+        block = file.read(min(size - len(data), READ_BYTES))
+        if not block:
+            raise VolumeError(f"'{name}' ends before its last voxel: copy it again.")
         data += block
-    return data
+    return np.frombuffer(data, dtype)
 
 
 LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)
@@ -206,30 +237,27 @@ def pick_step(source: Source, length: int) -> tuple[int, bool]:
     return 0 if unchosen else pick(source, "time", length, "time steps"), unchosen
 
 
-def moment_of(source: Source, extra: Shape, picked: Sequence[int]) -> tuple[int, int]:
-    """The moment of what was ``picked`` along axes of the lengths ``extra`` before the last three: ``pick_axes``."""
-    return (
-        SINGLE_MOMENT if not extra or (len(extra) == 1 and "channel" in source.chosen) else (picked[0], int(extra[0]))
-    )
-
-
-def is_unchosen(source: Source, shape: Shape, in_time: bool) -> bool:
-    """Whether the first step is shown of an array whose first axis is said to be ``in_time``, as nobody chose one."""
-    return in_time and len(shape) > 3 and shape[0] > 1 and source.count("time") is None
-
-
-def pick_axes(source: Source, shape: Shape, in_time: bool = False) -> tuple[int, ...]:
+def pick_axes(source: Source, shape: Shape, in_time: bool = False) -> tuple[tuple[int, ...], tuple[int, int], bool]:
     """Which elements are chosen along the axes before the last three of an array: time and then channel, of two.
 
     An only one is chosen by either key, unless the first is said to be ``in_time``: then its first step is taken where
-    none is chosen. Raises VolumeError where there are more.
+    none is chosen. Returns the moment, too, and whether nobody chose a step among several; see ``Grid``. Raises
+    VolumeError where there are more axes.
     """
     extra = shape[:-3]
     if len(extra) > 2:
         raise VolumeError(f"'{source.name}' has {len(shape)} dimensions: save one scalar field of it.")
-    if in_time and extra:
+    if not extra:
+        return (), SINGLE_MOMENT, False
+    if in_time:
+        step, unchosen = pick_step(source, extra[0])
         rest = [pick(source, "channel", n, "elements of channel") for n in extra[1:]]
-        return (pick_step(source, extra[0])[0], *rest)
+        return (step, *rest), (step, extra[0]), unchosen
     if len(extra) == 1:
-        return (pick(source, "channel" if "channel" in source.chosen else "time", extra[0], "fields"),)
-    return tuple(pick(source, key, n, f"elements of {key}") for key, n in zip(("time", "channel"), extra, strict=False))
+        key = "channel" if "channel" in source.chosen else "time"
+        picked = pick(source, key, extra[0], "fields")
+        return (picked,), SINGLE_MOMENT if key == "channel" else (picked, extra[0]), False
+    time, channel = (
+        pick(source, key, n, f"elements of {key}") for key, n in zip(("time", "channel"), extra, strict=True)
+    )
+    return (time, channel), (time, extra[0]), False

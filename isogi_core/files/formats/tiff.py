@@ -12,6 +12,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import (
+    LAYERED,
     LUMINANCE_NOTE,
     TIME_STEPS,
     Source,
@@ -19,11 +20,13 @@ from isogi_core.files.formats.source import (
     luminance_of_colours,
     pick,
     pick_step,
+    read_numbers,
+    reader,
     reading,
 )
 from isogi_core.files.grid import SINGLE_MOMENT, Grid, Shape
+from isogi_core.files.packed_files import stamp_of
 from isogi_core.files.packing import Packing, Scaling, holed
-from isogi_core.files.zarr_volume import stamp_of
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 TIFF_UNITS = {"micron": "µm", "um": "µm", "\\u00B5m": "µm", "µm": "µm", "nm": "nm", "mm": "mm", "cm": "cm", "pixel": ""}
@@ -47,11 +50,11 @@ def is_tiff(head: bytes) -> bool:
     return head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
+@reader("TIFF", "time", "channel", "series")
 def open_tiff(source: Source) -> Grid:
     """Open the first series of a TIFF file as a grid: only its description is read now. Raises VolumeError."""
     tifffile = library("tifffile", "TIFF")
-    source.refuse_others("time", "channel", "series")
-    with reading(source.name, "TIFF"), source.open() as file, tifffile.TiffFile(file, name=source.name) as whole:
+    with source.open() as file, tifffile.TiffFile(file, name=source.name) as whole:
         series = _series(source, whole)
         axes, shape, dtype = series.axes, tuple(int(n) for n in series.shape), series.dtype
         pages, moment = _pages(source, axes, shape)
@@ -82,7 +85,7 @@ def _layers_of(axes: str, shape: Shape) -> tuple[str, tuple[str, ...]]:
     what = PLANE_COUNTS.get(outer[0])
     return (
         "; its planes are taken for depth",
-        () if what is None else (f"Its planes are {what}: they are shown as layers.",),
+        () if what is None else (LAYERED.format(what=what),),
     )
 
 
@@ -178,7 +181,7 @@ def _check_page(source: Source, series: Any, coloured: bool) -> None:
 def _page_slabs(source: Source, pages: list[int], plane: Shape, packing: Packing) -> Iterator[np.ndarray]:
     """The planes of a series, one at a time; (1, ny, nx) each."""
     tifffile = library("tifffile", "TIFF")
-    with reading(source.name, "TIFF"), source.open() as file, tifffile.TiffFile(file, name=source.name) as whole:
+    with source.open() as file, tifffile.TiffFile(file, name=source.name) as whole:
         series = _series(source, whole)
         for number in pages:
             yield packing.apply(_plane(source, whole, series, number, plane))[None]
@@ -191,10 +194,8 @@ def _plane(source: Source, whole: Any, series: Any, number: int, plane: Shape) -
         count = int(np.prod(plane)) * (series.shape[-1] if coloured else 1)
         order = np.dtype(series.dtype).newbyteorder(whole.byteorder)
         whole.filehandle.seek(series.dataoffset + number * count * order.itemsize)
-        data = whole.filehandle.read(count * order.itemsize)
-        if len(data) < count * order.itemsize:
-            raise VolumeError(f"'{source.name}' ends before its last voxel: copy it again.")
-        values = np.frombuffer(data, order).reshape(*plane, *([series.shape[-1]] if coloured else []))
+        values = read_numbers(whole.filehandle, source.name, count, order)
+        values = values.reshape(*plane, *([series.shape[-1]] if coloured else []))
     else:
         page = series.pages[number]
         if page is None:

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import Source, library, pick, reading
+from isogi_core.files.formats.source import Source, library, pick, reader
 from isogi_core.files.grid import Affine, Grid, Shape, read_as, slab_layers
 
 VTK_EXTRA = "'isogi[vtk]'"
@@ -15,18 +15,17 @@ CLOSING_TAG, TAIL_BYTES = b"</VTKFile>", 64
 """How a file ends that is whole, and how many of its last bytes are looked at: VTK reads others as if they were."""
 
 
+@reader("VTI", "part", "channel")
 def open_vti(source: Source) -> Grid:
     """Open an array of an image file as a grid: only its description is read now. Raises VolumeError."""
-    source.refuse_others("part", "channel")
-    with reading(source.name, "VTI"):
-        image = ImageFile(source)
-        name = _name(source, image.names)
-        shape = image.shape(name)
-        source.check(shape)
-        number = pick(source, "channel", image.numbers(name), "channels")
-        dtype = image.layers(name, 0, 1).dtype
-        matrix = image.direction * image.spacing
-        origin = image.origin + matrix @ (np.array(image.extent[::2]) + 0.5 * image.of_cells(name))
+    image = ImageFile(source)
+    name = _name(source, image.names)
+    shape = image.shape(name)
+    source.check(shape)
+    number = pick(source, "channel", image.numbers(name), "channels")
+    dtype = image.layers(name, 0, 1).dtype
+    matrix = image.direction * image.spacing
+    origin = image.origin + matrix @ (np.array(image.extent[::2]) + 0.5 * image.of_cells(name))
     steps = image.spacing
     spacing = (float(steps[0]), float(steps[1]), float(steps[2]))
     slabs = partial(_point_slabs, image, (name, number), shape[0], slab_layers(shape[1] * shape[2] * dtype.itemsize))
@@ -129,6 +128,4 @@ def _name(source: Source, names: list[str]) -> str:
 
 def _point_slabs(image: ImageFile, chosen: tuple[str, int], depth: int, step: int) -> Iterator[np.ndarray]:
     for z in range(0, depth, step):
-        with reading(image.name, "VTI"):
-            slab = image.layers(chosen[0], z, min(step, depth - z))[..., chosen[1]]
-        yield slab
+        yield image.layers(chosen[0], z, min(step, depth - z))[..., chosen[1]]

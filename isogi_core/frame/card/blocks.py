@@ -13,9 +13,9 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec, band_of
 from isogi_core.bake.noise import Until
-from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.cache.loader import Loader
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.page_pool import PagePool
+from isogi_core.cache.scene_caches import Loader
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.known_blocks import Block, Packed

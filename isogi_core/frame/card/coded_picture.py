@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isogi_core.bake.noise import Until
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.card.blocks import Coding, normals_of, raw_numbers, raw_scale
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight

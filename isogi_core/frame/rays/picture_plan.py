@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from isogi_core.bake.precision import FIRST_LEVEL, next_level
+from isogi_core.bake.texel_light import FIRST_LEVEL, next_level
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.control_pixels import MAX_CONTROLS, TotalError
 from isogi_core.frame.rays.own_light import Choice, choose_points

@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
-from isogi_core.bake.precision import round_light
 from isogi_core.bake.refine import add_paths, seeds_of, starts_at, starts_between
+from isogi_core.bake.texel_light import round_light
 from isogi_core.cache.wall_store import Planes, Side, planes_of, wall_layer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import BINOMIAL, PATH_POINTS

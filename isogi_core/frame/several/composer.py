@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from isogi_core.bake.noise import Until
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import NoRoomError
 from isogi_core.frame.eye_glow import EyeGlow, rays_through
@@ -37,8 +37,8 @@ from isogi_core.lru_cache import LruCache
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.sides import OUTER, WALLS_SIDE, Side, scene_of_side, sides_of, surfaces_of
 from isogi_core.plan.surfaces import levels_around
+from isogi_core.plan.variants import OUTER, WALLS_SIDE, Side, scene_of_side, sides_of, surfaces_of
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 MIN_SHOWN_LUMINANCE = 1e-30

@@ -15,20 +15,20 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
-from isogi_core.files.grid import Grid, on_right_angles
+from isogi_core.files.grid import Grid, on_right_angles, triple
 from isogi_core.files.mappings import budget
-from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, is_number
+from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, are_numbers
 from isogi_core.kernels.transport.colours import sample_layer, slope_layer, weigh_labels
 from isogi_core.model.colours import (
     COLOUR_MAPS,
     MAX_ALBEDO,
     VALUES,
-    Colour,
     Scale,
     SurfaceColours,
     spread_colours,
     table_of,
 )
+from isogi_core.model.lights import Colour
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.volumes.labels import SIGMA, SMOOTHING_REACH, LabelTable, Segmentation
 from isogi_core.plan.volumes.masks import matrix_into, nearest_layer
@@ -127,13 +127,12 @@ def own_colours(listed: Any, scene: str) -> tuple[Colour, ...]:
 
 def is_albedo(each: Any) -> bool:
     """Whether this is a list of three shares."""
-    return isinstance(each, list) and len(each) == 3 and all(is_number(share) and 0 <= share <= 1 for share in each)
+    return are_numbers(each, 3) and all(0 <= share <= 1 for share in each)
 
 
 def capped(albedo: Colour | list[float]) -> Colour:
     """An albedo as dark as colours have to be."""
-    red, green, blue = (min(float(share), MAX_ALBEDO) for share in albedo)
-    return red, green, blue
+    return triple(np.minimum(albedo, MAX_ALBEDO))
 
 
 def source_of(table: ColourTable, settings: Settings, base: Path, volume: Volume) -> tuple[str, Layer, float]:

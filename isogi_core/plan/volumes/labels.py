@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
-from isogi_core.files.grid import Grid, LabelName, slab_layers
+from isogi_core.files.grid import Grid, LabelName, slab_layers, triple
 from isogi_core.files.mappings import budget
-from isogi_core.files.scene_changes import tables_in
-from isogi_core.files.scene_file import SceneSource, Settings
-from isogi_core.model.colours import Colour, Label, linear_of
+from isogi_core.files.scene_file import SceneSource, Settings, tables_in
+from isogi_core.model.colours import Label, linear_of
+from isogi_core.model.lights import Colour
 from isogi_core.model.value_survey import check
 from isogi_core.model.volume import Volume
 
@@ -99,8 +99,7 @@ def _hex(code: str, scene: str) -> Colour:
 
 def linear_hex(code: str) -> Colour:
     """The linear colour of sRGB ``rrggbb``."""
-    red, green, blue = (linear_of(byte / 255.0) for byte in bytes.fromhex(code))
-    return red, green, blue
+    return triple(linear_of(byte / 255.0) for byte in bytes.fromhex(code))
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,7 @@ from isogi_core.errors import SceneError, ViewError, VolumeError
 from isogi_core.files.grid import Grid
 from isogi_core.files.mappings import UNMAPPED_SHARE, budget
 from isogi_core.files.scene_file import SceneSource, Settings
-from isogi_core.files.volume_copies import get_copy
-from isogi_core.files.voxel_file import Draft
+from isogi_core.files.volume_copies import Draft, get_copy
 from isogi_core.model.value_survey import check, find_marks, survey, usable, usable_type
 from isogi_core.model.view import Plane, read_window
 from isogi_core.model.volume import UNMEASURED_FIELDS, Volume

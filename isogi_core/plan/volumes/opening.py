@@ -16,8 +16,7 @@ from isogi_core.files.mappings import UNMAPPED_SHARE, budget
 from isogi_core.files.packed_files import in_short, reason_of
 from isogi_core.files.packing import without_fill
 from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, is_zarr, name_of
-from isogi_core.files.volume_copies import get_copy
-from isogi_core.files.voxel_file import Draft
+from isogi_core.files.volume_copies import Draft, get_copy
 from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.orientation import Orientation
 from isogi_core.model.value_survey import Progress, check, checked_spacing, no_progress, survey

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import interp1d
 
-from isogi_core.cache.upkeep import Auditor, PruneRule, census_of, plan_prune
+from isogi_core.cache.upkeep import PruneRule, audit_store, census_of, plan_prune
 from isogi_core.cache.wall_store import WallLayer, WallState, WallStore
 from isogi_core.errors import ViewError
+from isogi_core.files.grid import triple
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.wall_light import RoomLight
@@ -20,9 +21,8 @@ from isogi_core.frame.rays.wall_texels import FINE_WALL_TEXELS, MAX_WALL_TEXELS,
 from isogi_core.frame.several.composer import parts_of
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
-from isogi_core.model.orientation import triple
 from isogi_core.model.view import View
-from isogi_core.plan.sides import WALLS_SIDE
+from isogi_core.plan.variants import WALLS_SIDE
 from isogi_core.storage.store import Store
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
 from tests.frame.several.drawing import bake
@@ -176,11 +176,11 @@ def test_damaged_light_of_walls_is_baked_again(room: Workbench, tmp_path: Path) 
     )
     assert len(objects) == 1
     objects[0].write_bytes(objects[0].read_bytes()[:-9])
-    found = [damage.key for damage in Auditor(copy.caches.store).audit().damages]
+    found = [damage.key for damage in audit_store(copy.caches.store).damages]
     assert found == [objects[0].relative_to(copy.folder).as_posix()], "an audit finds it"
     assert copy.renderer.render(view).quality.waiting
     np.testing.assert_array_equal(*on_walls(copy.settled(view), true))
-    assert Auditor(copy.caches.store).audit().sound
+    assert audit_store(copy.caches.store).sound
 
 
 def test_light_of_walls_is_pruned_with_the_rest(room: Workbench, tmp_path: Path) -> None:

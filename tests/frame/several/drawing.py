@@ -1,6 +1,6 @@
 """Frames of several surfaces, drawn and baked in this process, side by side."""
 
-from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.several.composer import parts_of
 from isogi_core.model.view import View

@@ -16,7 +16,7 @@ from isogi_core.frame.several.composer import parts_of
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.view import read_window
-from isogi_core.plan.sides import OUTER, Side
+from isogi_core.plan.variants import OUTER, Side
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
 from tests.frame.several.drawing import bake, check, drawn
 from tests.loaded import load_scene

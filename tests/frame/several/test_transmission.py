@@ -12,7 +12,7 @@ from isogi_core.frame.several.composer import parts_of
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.plan.bands import evaluate_harmonics
-from isogi_core.plan.sides import OUTER, Side
+from isogi_core.plan.variants import OUTER, Side
 from tests.frame.conftest import SKY, Workbench, ball, relative_rmse, scene_of
 from tests.frame.several.drawing import bake, check, drawn
 from tests.loaded import load_scene

@@ -10,7 +10,7 @@ import pytest
 from isogi_core.cache.scene_assets import receive_assets, receive_colours, send_assets
 from isogi_core.errors import IsogiError, SceneError, VolumeError
 from isogi_core.files import grid as grids
-from isogi_core.files.scene_changes import read_hidden
+from isogi_core.files.scene_file import read_hidden
 from isogi_core.kernels.transport.colours import colours_of as kernel_colours
 from isogi_core.kernels.transport.colours import fill_albedos
 from isogi_core.model.colours import SurfaceColours

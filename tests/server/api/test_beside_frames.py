@@ -9,7 +9,7 @@ import pytest
 from isogi_client import Isogi
 from isogi_core.frame.framing import paint_panorama
 from isogi_core.plan.assembly import load_scene
-from isogi_core.prepared.surface_size import surface_size
+from isogi_core.prepared.isosurface_mesh import surface_size
 from tests.server.asking import final, numbers, pixels
 
 VIEW: dict[str, str | int | float] = {"width": 48, "height": 40, "azimuth": 40}

@@ -11,8 +11,8 @@ import nrrd
 import numpy as np
 import pytest
 
+from isogi_core.files.formats.opening import open_file
 from isogi_core.files.grid import LabelName, on_right_angles
-from isogi_core.files.nrrd import open_nrrd
 from isogi_core.model.orientation import Orientation
 from server.uploads.folder import read_volume
 from server.uploads.uploads import PYTHON_ROOT
@@ -50,7 +50,7 @@ def read_confined(path: Path, folder: Path) -> Path:
 def test_files_of_every_kind_are_read_confined(tmp_path: Path) -> None:
     for path in written(tmp_path / "files"):
         kept = read_confined(path, tmp_path)
-        facts, grid = read_volume(kept), on_right_angles(open_nrrd(kept))
+        facts, grid = read_volume(kept), on_right_angles(open_file(kept, {}))
         assert facts and facts.name == path.name and facts.size == (16, 20, 12)
         np.testing.assert_array_equal(np.sort(grid.whole(), axis=None), np.sort(F, axis=None))
 
@@ -61,13 +61,13 @@ def test_an_uploaded_series_shows_its_first_step(tmp_path: Path) -> None:
     kept = read_confined(tmp_path / "bold.nii", tmp_path)
     facts = read_volume(kept)
     assert facts and facts.name == "bold.nii, first of 3 steps"
-    np.testing.assert_array_equal(np.sort(open_nrrd(kept).whole(), axis=None), np.sort(F, axis=None))
+    np.testing.assert_array_equal(np.sort(open_file(kept, {}).whole(), axis=None), np.sort(F, axis=None))
 
 
 def test_an_uploaded_file_lies_where_it_did(tmp_path: Path) -> None:
     pytest.importorskip("nibabel")
     path = next(path for path in written(tmp_path / "files") if path.name == "f.nii.gz")
-    grid = on_right_angles(open_nrrd(read_confined(path, tmp_path)))
+    grid = on_right_angles(open_file(read_confined(path, tmp_path), {}))
     orientation = Orientation.of(grid)
     assert orientation.letters == "RAS"
     np.testing.assert_array_equal(grid.whole(), F)
@@ -77,11 +77,8 @@ def test_an_uploaded_file_lies_where_it_did(tmp_path: Path) -> None:
 
 PARTS = np.pad(np.array([[[1, 1, 2], [1, 0, 2]], [[1, 2, 2], [1, 2, 2]]], np.uint8), 3)
 SEGMENTS = {
-    "Segment0_Name": "Liver",
-    "Segment0_LabelValue": "1",
-    "Segment0_Color": "1 0.5 0",
-    "Segment1_Name": "Vein",
-    "Segment1_LabelValue": "2",
+    **{"Segment0_Name": "Liver", "Segment0_LabelValue": "1", "Segment0_Color": "1 0.5 0"},
+    **{"Segment1_Name": "Vein", "Segment1_LabelValue": "2"},
 }
 
 
@@ -91,7 +88,7 @@ def test_an_uploaded_segmentation_is_one_of_labels(tmp_path: Path) -> None:
     scene = load_scene(kept)
     assert scene.surfaces.colours is not None and scene.isovalue == 0.5
     assert [label.name for label in scene.surfaces.colours.scale.labels] == ["Liver", "Vein"]
-    assert open_nrrd(kept).labels == (LabelName(1, "Liver", "#ff8000"), LabelName(2, "Vein"))
+    assert open_file(kept, {}).labels == (LabelName(1, "Liver", "#ff8000"), LabelName(2, "Vein"))
 
 
 def test_a_segmentation_without_a_label_is_refused(tmp_path: Path) -> None:
@@ -104,4 +101,4 @@ def test_a_skewed_segmentation_is_uploaded_as_values(tmp_path: Path) -> None:
     """Between two labels is neither."""
     skewed = {"space": "RAS", "space directions": [[1, 0, 0], [0.5, 1, 0], [0, 0, 1]], "space origin": [0, 0, 0]}
     nrrd.write(str(tmp_path / "skew.seg.nrrd"), PARTS, {**SEGMENTS, **skewed}, index_order="C")
-    assert open_nrrd(read_confined(tmp_path / "skew.seg.nrrd", tmp_path)).labels is None
+    assert open_file(read_confined(tmp_path / "skew.seg.nrrd", tmp_path), {}).labels is None

@@ -1,17 +1,14 @@
-"""NRRD volumes: voxels are read here, never more than the header promises.
+"""NRRD: pynrrd parses a header's lines; what they mean, and the voxels, are read here, never more than promised.
 
 Format: https://teem.sourceforge.net/nrrd/format.html. pynrrd does not read the voxels, as it inflates whole files
 before it checks the sizes, and follows a header's data file anywhere on the disk.
-
-Headers of NRRD: pynrrd parses their lines; here they are read, and say which axis is what. Format:
-https://teem.sourceforge.net/nrrd/format.html.
 """
 
 import bz2
 import gzip
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -23,7 +20,7 @@ import nrrd
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import LUMINANCE_NOTE, Source, luminance_of_colours, pick, pick_step, skip
+from isogi_core.files.formats.source import LUMINANCE_NOTE, Source, luminance_of_colours, pick, pick_step, reader, skip
 from isogi_core.files.grid import (
     MAX_VOXELS,
     PATIENT_AXES,
@@ -35,8 +32,15 @@ from isogi_core.files.grid import (
     read_as,
     slab_layers,
 )
-from isogi_core.files.packed_files import PACKING_DAMAGE, READ_BYTES, Content, cut_notes, open_regular, read_end
-from isogi_core.files.zarr_volume import stamp_of
+from isogi_core.files.packed_files import (
+    PACKING_DAMAGE,
+    READ_BYTES,
+    Content,
+    cut_notes,
+    open_regular,
+    read_end,
+    stamp_of,
+)
 
 MAX_HEADER = 1 << 16
 """Most bytes of the header of an untrusted file."""
@@ -340,39 +344,15 @@ def _inside(name: str, data: str) -> str:
 _RAW, _GZIP, _BZIP2 = ("raw",), ("gzip", "gz"), ("bzip2", "bz2")
 
 
-def read_nrrd(path: str | Path) -> tuple[np.ndarray, Vector]:
-    """Read one scalar volume: the array (z, y, x) in the file's own type, and spacing (x, y, z).
+@reader("NRRD", "channel", "time")
+def open_nrrd(source: Source) -> Grid:
+    """Open one scalar volume as a grid; only the header is read now. No memory is taken on its word alone.
 
-    Raises VolumeError as ``open_nrrd`` and the grid's slabs do. No memory is allocated on the header's word alone.
+    Attached or, but for uploads, detached (data files at or below the header's folder); raw, gzip, bzip2 or text; every
+    integer and float type, both byte orders. Spacing is the length of each space direction, else ``spacings``, else 1,
+    as the file gives it, even where that is not positive. Raises VolumeError where the file is missing, not NRRD or not
+    of scalar fields in space; the slabs raise it where the file does not hold exactly the promised voxels.
     """
-    grid = open_nrrd(path)
-    x, y, z = grid.spacing
-    return np.concatenate(list(grid.slabs())), (x, y, z)
-
-
-def open_nrrd(path: str | Path, chosen: Mapping[str, str] | None = None) -> Grid:
-    """Open one scalar volume as a grid; only the header is read now.
-
-    Attached or detached (data files at or below the header's folder); raw, gzip, bzip2 or text; every integer and float
-    type, both byte orders. ``chosen`` are a ``channel`` and a ``time`` where there are several. Spacing is the length
-    of each space direction, else ``spacings``, else 1, as the file gives it, even where that is not positive. Raises
-    VolumeError where the file is missing, not NRRD or not of scalar fields in space; the slabs raise it where the file
-    does not hold exactly the promised voxels.
-    """
-    return _open(Source(str(path), Path(path), chosen=chosen or {}))
-
-
-def read_attached(file: IO[bytes], name: str, most: int) -> Grid:
-    """Open one scalar volume of an open, untrusted file with the display ``name``.
-
-    Like ``open_nrrd``, but no other file is opened, and the header must end within MAX_HEADER bytes and promise at
-    most ``most`` voxels: both are checked before any memory is allocated.
-    """
-    return _open(Source(name, file=file, voxels=most))
-
-
-def _open(source: Source) -> Grid:
-    source.refuse_others("channel", "time")
     with _readable(source), source.open() as file:
         header = read_header(source, file)
         layout, dtype = layout_of(source, header), number_type(source.name, header)
