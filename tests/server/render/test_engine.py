@@ -220,22 +220,6 @@ def test_after_a_restart_the_same_view_is_final_at_once(begin: Begin, store: Pat
     assert chunks_in(store) == kept
 
 
-@pytest.mark.slow
-def test_the_order_of_views_does_not_matter(begin: Begin, scene: Scene, store: Path) -> None:
-    views = [view_of(scene, azimuth, isovalue) for azimuth in (0.0, 130.0) for isovalue in (0.03, 0.06)]
-    engine = begin()
-    frames = [engine.frame(scene.id, view, wait=LONG) for view in views]
-    first = chunks_in(store)
-    shutil.rmtree(store)
-    engine = begin()
-    for view in reversed(views):
-        engine.frame(scene.id, view)
-        engine.frame(scene.id, view, wait=LONG)
-    assert chunks_in(store) == first
-    for view, frame in zip(views, frames, strict=True):
-        assert_same_light(engine.frame(scene.id, view), frame)
-
-
 def test_a_path_traced_frame_lacks_no_light_whatever_its_error(begin: Begin, scene: Scene) -> None:
     engine, view = begin(), replace(view_of(scene), shading="path_traced", samples=16)
     frame = engine.frame(scene.id, view, max_error=0.001, wait=LONG)
