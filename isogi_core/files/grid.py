@@ -1,7 +1,7 @@
 """Grids: the values of a volume at their source, read slab by slab, as they need not fit into memory."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -160,11 +160,16 @@ class Grid:
         if first is not None and first.shape == self.shape and first.dtype == self.dtype:
             next(slabs, None)  # what is wrong with the whole is told at its end
             return first
-        array, z = np.empty(self.shape, self.dtype), 0
-        for slab in chain(() if first is None else (first,), slabs):
-            array[z : z + len(slab)] = slab
-            z += len(slab)
-        return array
+        return gathered(self.shape, self.dtype, chain(() if first is None else (first,), slabs))
+
+
+def gathered(shape: Shape, dtype: Any, slabs: Iterable[np.ndarray]) -> np.ndarray:
+    """The array of a ``shape`` and a type that ``slabs`` make up, one after the other."""
+    array, z = np.empty(shape, dtype), 0
+    for slab in slabs:
+        array[z : z + len(slab)] = slab
+        z += len(slab)
+    return array
 
 
 Region = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]

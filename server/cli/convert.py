@@ -6,7 +6,7 @@ from typing import Any
 from isogi_core.files.ome import size_of, write_image
 from isogi_core.files.scene_file import Settings, find_source
 from isogi_core.model.value_survey import check
-from isogi_core.plan.volumes.opening import chosen_part, open_series
+from isogi_core.plan.volumes.opening import open_own
 from server.errors import ParameterError
 from server.progress import Progress
 
@@ -18,12 +18,11 @@ def convert(target: str, output: Path) -> dict[str, Any]:
     """
     if output.suffix != ".zarr":
         raise ParameterError(f"'{output}' is no name of an OME-Zarr image: give one that ends in .ome.zarr.")
-    source = find_source(target, {})
-    settings = Settings(source)
+    settings = Settings(find_source(target, {}))
     name = settings.text("volume", "")
     if not name or name.startswith("demo:"):
         raise ParameterError(f"'{target}' is no volume of a file: give one.")
-    grid, _ = open_series(source.base, name, chosen_part(settings), settings.text("axes", "") == "raw")
+    grid, _ = open_own(settings)
     check(grid, "above")
     with Progress("converting", "layer") as bar:
         lost = write_image(grid, output, bar.count)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
-from isogi_core.files.grid import Grid, LabelName, slab_layers, triple
-from isogi_core.files.mappings import budget
+from isogi_core.files.grid import Grid, LabelName, gathered, slab_layers, triple
+from isogi_core.files.mappings import require_memory
 from isogi_core.files.scene_file import SceneSource, Settings, tables_in
 from isogi_core.model.colours import Label, linear_of
 from isogi_core.model.lights import Colour
@@ -155,17 +155,12 @@ class Segmentation:
     @cached_property
     def codes(self) -> np.ndarray:
         """The place among the shown labels, from 1 on, of each voxel's, 0 where there is none; (nz, ny, nx) uint8."""
-        if self.grid.size > budget():
-            need = f"The segmentation takes {self.grid.size / 1e6:.0f} MB of memory"
-            raise VolumeError(f"{need}: give a coarser one, or more by ISOGI_VOLUME_MB.")
+        require_memory(self.grid.size, "The segmentation takes", "give a coarser one")
         table = np.zeros(len(self.values), np.uint8)
         shown = [label.value for label in self.labels if label.shown]
         table[np.searchsorted(self.values, shown)] = np.arange(1, len(shown) + 1)
-        codes, z = np.empty(self.grid.shape, np.uint8), 0
-        for slab in self.grid.slabs():
-            codes[z : z + len(slab)] = table[np.searchsorted(self.values, slab)]
-            z += len(slab)
-        return codes
+        coded = (table[np.searchsorted(self.values, slab)] for slab in self.grid.slabs())
+        return gathered(self.grid.shape, np.uint8, coded)
 
     def field(self) -> Iterator[np.ndarray]:
         """The slabs of the field whose surface at LABEL_ISOVALUE is that of the shown labels."""

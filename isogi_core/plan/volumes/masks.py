@@ -9,14 +9,14 @@ import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property, partial, reduce
 from typing import Any
 
 import numpy as np
 
 from isogi_core.errors import SceneError, ViewError, VolumeError
-from isogi_core.files.grid import Grid
-from isogi_core.files.mappings import UNMAPPED_SHARE, budget
+from isogi_core.files.grid import Grid, gathered
+from isogi_core.files.mappings import UNMAPPED_SHARE, budget, require_memory
 from isogi_core.files.scene_file import SceneSource, Settings
 from isogi_core.files.volume_copies import Draft, get_copy
 from isogi_core.model.value_survey import check, find_marks, survey, usable, usable_type
@@ -78,14 +78,9 @@ class Mask:
     @cached_property
     def _inside(self) -> np.ndarray:
         """Whether each of the mask's own voxels is inside, (nz, ny, nx) bool. VolumeError where they are too many."""
-        if self.grid.size > budget():
-            need = f"The mask '{self.table.file}' takes {self.grid.size / 1e6:.0f} MB of memory"
-            raise VolumeError(f"{need}: give a coarser one, or more by ISOGI_VOLUME_MB.")
-        inside, z = np.empty(self.grid.shape, bool), 0
-        for slab in self.grid.slabs():
-            inside[z : z + len(slab)] = is_one_of(slab, self.table.labels) if self.table.labels else _is_something(slab)
-            z += len(slab)
-        return inside
+        require_memory(self.grid.size, f"The mask '{self.table.file}' takes", "give a coarser one")
+        is_inside = partial(is_one_of, labels=self.table.labels) if self.table.labels else _is_something
+        return gathered(self.grid.shape, bool, map(is_inside, self.grid.slabs()))
 
     def layer(self, z: int, shape: Sequence[int]) -> np.ndarray:
         """Whether each voxel of layer ``z`` of a volume is inside, by the mask's nearest voxel; (ny, nx) bool."""
