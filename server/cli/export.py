@@ -8,7 +8,7 @@ from typing import Any
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import ViewError
-from isogi_core.files.light_volumes import WRITERS, check_zarr
+from isogi_core.files.light_files import WRITERS, check_zarr
 from isogi_core.files.ome import size_of
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles

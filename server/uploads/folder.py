@@ -19,7 +19,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from isogi_core.files.grid import PATIENT_AXES, Grid, LabelName
-from isogi_core.model.orientation import Orientation
+from isogi_core.model.volume import Orientation
 from isogi_core.plan.volumes.labels import MAX_LABELS
 from isogi_core.storage.atomic_file import write_whole
 from server.errors import FullError, UploadFolderError

@@ -18,9 +18,8 @@ from isogi_core.files.packing import without_fill
 from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, is_zarr, name_of
 from isogi_core.files.volume_copies import Draft, get_copy
 from isogi_core.model.demo import DEMOS, demo_volume
-from isogi_core.model.orientation import Orientation
 from isogi_core.model.value_survey import Progress, check, checked_spacing, no_progress, survey
-from isogi_core.model.volume import Volume, make_volume
+from isogi_core.model.volume import Orientation, Volume, make_volume
 from isogi_core.plan.volumes.labels import PROPOSED, are_labels, find_labels, look_like_labels, solid_of_labels
 from isogi_core.plan.volumes.masks import cut_out, place, read_tables
 
