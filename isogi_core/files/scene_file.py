@@ -203,12 +203,12 @@ def source_at(text: str, overrides: Mapping[str, Any]) -> SceneSource:
     return SceneSource(path.stem, labels_as_volume({**document, **overrides}, path.stem), path.parent)
 
 
-def split_name(text: str, base: Path = Path()) -> tuple[str, str, str]:
-    """A volume's name, the # after it, and what that chooses; a file of a folder ``base`` may have a # in its name."""
+def split_name(text: str) -> tuple[str, str, str]:
+    """A volume's name, the # after it, and what that chooses; a file may have a # in its name."""
     name, mark, part = text.rpartition("#")
-    if not mark or not name or "://" in text or (base / text).exists():
+    if not mark or not name or "://" in text or Path(text).exists():
         return text, "", ""
-    return (name, mark, part) if (base / name).exists() else text.partition("#")
+    return (name, mark, part) if Path(name).exists() else text.partition("#")
 
 
 MOST_BYTES, MOST_TEXT, MOST_ENTRIES = 1 << 20, 4096, 4096
