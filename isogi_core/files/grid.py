@@ -78,10 +78,6 @@ SINGLE_MOMENT = (0, 1)
 """The moment of what is no series in time."""
 
 
-def _nothing() -> str:
-    return ""
-
-
 @dataclass(frozen=True, eq=False)
 class Grid:
     """One value per voxel, at any source.
@@ -100,7 +96,7 @@ class Grid:
     dtype: np.dtype[Any]
     spacing: Sequence[float]
     slabs: Callable[[], Iterator[np.ndarray]]
-    stamp: Callable[[], str] = _nothing
+    stamp: Callable[[], str] = str
     affine: Affine | None = None
     unit: str = ""
     notes: tuple[str, ...] = ()

@@ -415,6 +415,11 @@ class Settings:
             raise self._wrong(key, f"a list of at most {most} [[{key}]] tables")
         return value
 
+    def nested(self, key: str, most: int | None = None) -> "list[Settings]":
+        """The ``tables`` of a list, each as settings to be read."""
+        name = f"{self.source.name}: [[{key}]]"
+        return [Settings(SceneSource(name, table, self.source.base)) for table in self.tables(key, most)]
+
     def table(self, key: str) -> Mapping[str, Any] | None:
         """A table, or None where it is left out."""
         value: Mapping[str, Any] | None = self._read(key, lambda value: isinstance(value, Mapping), f"a table [{key}]")

@@ -17,7 +17,7 @@ import numpy as np
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.grid import Grid, on_right_angles, triple
 from isogi_core.files.mappings import require_memory
-from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, are_numbers
+from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, are_numbers
 from isogi_core.kernels.transport.colours import sample_layer, slope_layer, weigh_labels
 from isogi_core.model.colours import (
     COLOUR_MAPS,
@@ -77,12 +77,12 @@ class ColourTable:
 
 def find_table(settings: Settings) -> ColourTable | None:
     """The table of a scene's colours, None where it has none. Raises SceneError."""
-    tables = [entry for entry in settings.tables("volumes") if entry.get("use") == "colour"]
+    tables = [table for table in settings.nested("volumes") if table.source.document.get("use") == "colour"]
     if not tables:
         return None
     if len(tables) > 1:
         raise SceneError(f"The scene '{settings.source.name}' has {len(tables)} volumes of colour: give one.")
-    return read_table(SceneSource(f"{settings.source.name}: [[volumes]]", tables[0], settings.source.base))
+    return read_colour_table(tables[0])
 
 
 def read_colours(table: ColourTable, settings: Settings, volume: Volume, isovalue: float) -> SurfaceColours:
@@ -94,9 +94,9 @@ def read_colours(table: ColourTable, settings: Settings, volume: Volume, isovalu
     return coloured(table, name, volume, layer, factor, volume.normalise_isovalue(isovalue))
 
 
-def read_table(source: SceneSource) -> ColourTable:
+def read_colour_table(table: Settings) -> ColourTable:
     """The table of colours. Raises SceneError, also for keys that are unknown in it."""
-    table = Settings(source)
+    source = table.source
     table.choice("use", ("colour",))
     file, of = table.text("file", ""), table.choice("of", OF)
     if bool(file) == (of is not None):

@@ -11,7 +11,7 @@ import numpy as np
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.grid import Grid, LabelName, gathered, slab_layers, triple
 from isogi_core.files.mappings import require_memory
-from isogi_core.files.scene_file import SceneSource, Settings, tables_in
+from isogi_core.files.scene_file import Settings, tables_in
 from isogi_core.model.colours import Label, linear_of
 from isogi_core.model.lights import Colour
 from isogi_core.model.value_survey import check
@@ -64,10 +64,7 @@ def find_labels(settings: Settings) -> tuple[LabelTable, ...] | None:
     settings.known.add("labels")
     if settings.source.document.get("labels") == ALL_LABELS:
         return ()
-    found = tuple(
-        _read_label(SceneSource(f"{settings.source.name}: [[labels]]", entry, settings.source.base))
-        for entry in settings.tables("labels")
-    )
+    found = tuple(map(_read_label, settings.nested("labels")))
     values = [label.value for label in found]
     twice = next((value for value in values if values.count(value) > 1), None)
     if twice is not None:
@@ -75,8 +72,8 @@ def find_labels(settings: Settings) -> tuple[LabelTable, ...] | None:
     return found or None
 
 
-def _read_label(source: SceneSource) -> LabelTable:
-    table = Settings(source)
+def _read_label(table: Settings) -> LabelTable:
+    source = table.source
     value = source.document.get("value")
     if not isinstance(value, int) or isinstance(value, bool) or value == 0:
         raise SceneError(f"value = {value!r} in the scene '{source.name}' is not a whole number other than 0.")

@@ -17,7 +17,7 @@ import numpy as np
 from isogi_core.errors import SceneError, ViewError, VolumeError
 from isogi_core.files.grid import Grid, gathered
 from isogi_core.files.mappings import UNMAPPED_SHARE, budget, require_memory
-from isogi_core.files.scene_file import SceneSource, Settings
+from isogi_core.files.scene_file import Settings
 from isogi_core.files.volume_copies import Draft, get_copy
 from isogi_core.model.value_survey import check, find_marks, survey, usable, usable_type
 from isogi_core.model.view import Plane, read_window
@@ -47,18 +47,19 @@ def read_tables(settings: Settings) -> list[MaskTable]:
     Raises SceneError, also for keys that are unknown in them.
     """
     return [
-        _read_table(SceneSource(f"{settings.source.name}: [[volumes]]", entry, settings.source.base))
-        for entry in settings.tables("volumes", MAX_VOLUME_TABLES)
-        if entry.get("use") != "colour"
+        _read_table(table)
+        for table in settings.nested("volumes", MAX_VOLUME_TABLES)
+        if table.source.document.get("use") != "colour"
     ]
 
 
-def _read_table(source: SceneSource) -> MaskTable:
-    table = Settings(source)
+def _read_table(table: Settings) -> MaskTable:
     file, use, labels = table.text("file", ""), table.choice("use", MASK_USES), table.listed("labels")
     table.refuse_unknown()
     if not file or use is None:
-        raise SceneError(f"A table in the scene '{source.name}' lacks 'file' or use = 'mask' or 'colour': give both.")
+        raise SceneError(
+            f"A table in the scene '{table.source.name}' lacks 'file' or use = 'mask' or 'colour': give both."
+        )
     return MaskTable(file, labels)
 
 
