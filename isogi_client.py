@@ -22,7 +22,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
@@ -55,7 +55,7 @@ UPLOAD_BLOCK_BYTES = 1 << 20
 PROGRESS_BAR_WIDTH = 20
 """Characters of a progress bar."""
 
-PICTURE_PARAMETERS = ("f", "exposure", "overlay", "background", "version")
+PICTURE_PARAMETERS = ("f", "overlay", "exposure", "background", "antialias", "strip", "version")
 """Parameters of a picture, which say nothing of its light."""
 
 FORMAT_SUFFIXES = {"png": (".png",), "jpeg": (".jpg", ".jpeg"), "webp": (".webp",), "npy": (".npy",)}
@@ -160,11 +160,7 @@ class Facts:
     @classmethod
     def of_document(cls, document: Mapping[str, Any]) -> Self:
         """The facts in the server's document of a view's coverage."""
-        left = document["time_left"]
-        names = ("provisional", "coverage", "error", "chunks", "noise", "controls")
-        given = {name: document[name] for name in names} | {"p99": document.get("p99")}
-        given |= {name: tuple(document[name]) for name in ("interval", "p99_interval") if document.get(name)}
-        return cls(**given, time_left=TimeLeft(**left) if left else None)
+        return cls(**known_in(document, cls))
 
     def __str__(self) -> str:
         """For a person, such as ``182 of 240 chunks final, error about 1.8 %, about 40 s``."""
@@ -173,6 +169,14 @@ class Facts:
         count = f"{self.chunks['final']} of {self.chunks['needed']} chunks final, error {about}{error} %"
         left = self.time_left if self.provisional else None
         return count if left is None else f"{count}, about {left.likely:.0f} s"
+
+
+def known_in(document: Mapping[str, Any], kind: type[Any]) -> dict[str, Any]:
+    """The fields of a ``kind`` of facts in a document of the server, whose rows become tuples."""
+    known = {each.name: document[each.name] for each in fields(kind) if each.name in document}
+    known = {name: tuple(value) if isinstance(value, list) else value for name, value in known.items()}
+    left = known.get("time_left")
+    return known | ({"time_left": TimeLeft(**left)} if left else {})
 
 
 def error_of_header(header: str) -> dict[str, Any]:
@@ -288,9 +292,7 @@ class Point:
     @classmethod
     def of_document(cls, document: Mapping[str, Any]) -> Self:
         """The point in the server's document of one."""
-        facts: dict[str, Any] = {name: fact for name, fact in document.items() if name != "hit"}
-        rows = {name: tuple(fact) for name, fact in facts.items() if isinstance(fact, list)}
-        return cls(**{**facts, **rows})
+        return cls(**known_in(document, cls))
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         """``position``, for NumPy."""
@@ -417,9 +419,7 @@ class Progress:
     @classmethod
     def of_document(cls, document: Mapping[str, Any]) -> Self:
         """The server's document of a job."""
-        left = document["time_left"]
-        names = ("status", "message", "progress")
-        return cls(**{name: document[name] for name in names}, time_left=TimeLeft(**left) if left else None)
+        return cls(**known_in(document, cls))
 
     @property
     def over(self) -> bool:
@@ -721,10 +721,8 @@ class Isogi:
         >>> isogi.upload(np.hypot(*np.mgrid[:64, :64, :64][:2]), spacing=(1, 1, 2))
         >>> isogi.frame(volume["id"]).save("engine.png")
         """
-        sent: Any = nrrd_of(volume, spacing) if isinstance(volume, np.ndarray) else Blocks(Path(volume))
-        size = len(sent) if isinstance(sent, bytes) else Path(str(volume)).stat().st_size
-        headers = {"Content-Type": "application/octet-stream", "Content-Length": str(size)}
-        return self._json("POST", "/v1/volumes", params={"name": name} if name else {}, content=sent, headers=headers)
+        sent = nrrd_of(volume, spacing) if isinstance(volume, np.ndarray) else Path(volume)
+        return self._send("/v1/volumes", sent, name)
 
     def upload_environment(self, probe: str | Path, name: str | None = None) -> dict[str, Any]:
         """Send a light probe (.hdr, latitude-longitude) where the server takes uploads; its facts.
@@ -732,10 +730,7 @@ class Isogi:
         >>> light = isogi.upload_environment("grace.hdr")
         >>> isogi.frame("casting", environment=light["id"])
         """
-        size = Path(probe).stat().st_size
-        headers = {"Content-Type": "application/octet-stream", "Content-Length": str(size)}
-        asked = {"name": name} if name else {}
-        return self._json("POST", "/v1/environments", params=asked, content=Blocks(Path(probe)), headers=headers)
+        return self._send("/v1/environments", Path(probe), name)
 
     def delete(self, volume: str) -> None:
         """Delete a volume that was uploaded, and its scene."""
@@ -744,6 +739,12 @@ class Isogi:
     def delete_environment(self, environment: str) -> None:
         """Delete a light probe that was uploaded."""
         self._ask("DELETE", f"/v1/environments/{quote(environment, safe='')}")
+
+    def _send(self, path: str, sent: bytes | Path, name: str | None) -> dict[str, Any]:
+        """What the server says of bytes, or of a file, that it is sent under a ``name``."""
+        size, content = (len(sent), sent) if isinstance(sent, bytes) else (sent.stat().st_size, Blocks(sent))
+        headers = {"Content-Type": "application/octet-stream", "Content-Length": str(size)}
+        return self._json("POST", path, params={"name": name} if name else {}, content=content, headers=headers)
 
     def _waited(
         self, path: str, asked: dict[str, str], seconds: float, progress: Callable[[Facts], object] | None

@@ -2,6 +2,7 @@
 
 from pydantic import BaseModel
 
+from isogi_core.prepared.active_cell_maps import CodeType
 from server.schemas import Triple
 
 Colours = tuple[list[float], list[float], list[float]]
@@ -41,7 +42,7 @@ class CardSlab(BaseModel):
 class CardVolume(BaseModel):
     """Codes of voxels: ``voxel = base + gain · code``, but for the code ``hole`` where a value is missing."""
 
-    type: str
+    type: CodeType
     gain: float
     base: float
     hole: float | None

@@ -114,7 +114,8 @@ GROUPS = {
         Knob(
             "material",
             Words(200, "glass,index=1.3"),
-            "What the surface is made of: diffuse, glass or subsurface, with its index, absorption or mean_free_path",
+            "What the surface is made of: diffuse, glass or subsurface, with its index, absorption or mean_free_path,"
+            " such as glass,index=1.3",
         ),
     ),
     "Options": (

@@ -81,6 +81,12 @@ def pytest_collection() -> Iterator[None]:
     gc.enable()
 
 
+@pytest.fixture
+def anyio_backend() -> str:
+    """What runs tests that are coroutines, each in a loop of its own."""
+    return "asyncio"
+
+
 @pytest.fixture(scope="session", autouse=True)
 def no_uploads_unless_asked_for() -> Iterator[None]:
     """Leave the user's folder of uploads alone: one server has it at a time, and tests start many."""

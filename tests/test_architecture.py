@@ -18,7 +18,6 @@ from isogi_core.errors import IsogiError
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("isogi_core", "worker", "server")
-KERNELS = sorted((ROOT / "isogi_core" / "kernels").rglob("*.py"))
 SOURCES = [path for package in (*PACKAGES, "isogi_report") for path in sorted((ROOT / package).rglob("*.py"))]
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 HEAVY = ("numba", "llvmlite", "zarr", "distributed", "dask", "fastapi", "uvicorn")
@@ -147,56 +146,6 @@ def test_the_search_for_leaning_docstrings_finds_them(tmp_path: Path) -> None:
         "\n".join(f'def f{i}():\n    """{text}"""' for i, text in enumerate(texts)) + '\nX = 1\n"""Those."""\n'
     )
     assert leaning(module) == ["Those.", "The same, held.", "Its middle.", "That of a scene."]
-
-
-def forbidden_options(tree: Iterator[ast.AST]) -> list[str]:
-    """What a kernel module may not ask of Numba: parallel, the whole of fastmath, prange."""
-    found = []
-    for node in tree:
-        if isinstance(node, ast.keyword) and node.arg in ("parallel", "fastmath"):
-            value = node.value
-            if not (isinstance(value, ast.Constant) and value.value is False):
-                found.append(f"{node.arg}={ast.unparse(value)}")
-        elif isinstance(node, ast.Dict):
-            keys = [key.value for key in node.keys if isinstance(key, ast.Constant)]
-            pairs = zip(keys, node.values, strict=False)
-            found += [f"{k}: {ast.unparse(v)}" for k, v in pairs if k == "parallel" or is_true(k, v)]
-        elif isinstance(node, ast.Name | ast.Attribute) and ast.unparse(node).endswith("prange"):
-            found.append("prange")
-    return found
-
-
-def is_true(key: object, value: ast.expr) -> bool:
-    return key == "fastmath" and isinstance(value, ast.Constant) and value.value is True
-
-
-def test_no_kernel_is_parallel_or_takes_all_of_fastmath() -> None:
-    assert len(KERNELS) > 30
-    assert offenders(KERNELS, lambda path: forbidden_options(nodes(path))) == {}
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "@njit(parallel=True)\ndef f(): ...",
-        "njit(fastmath=True)",
-        "o = {'fastmath': True}",
-        "for i in numba.prange(3): ...",
-    ],
-)
-def test_the_search_for_forbidden_options_finds_them(text: str) -> None:
-    assert forbidden_options(ast.walk(ast.parse(text)))
-
-
-def test_the_one_decorator_asks_for_what_is_allowed() -> None:
-    from isogi_core.kernels import _jit
-    from isogi_core.kernels.transport.transfer import bake_texels
-
-    assert not {"nnan", "ninf", "fast"} & _jit.FASTMATH
-    options = bake_texels.targetoptions
-    assert options["nogil"] is True
-    assert options["fastmath"] == _jit.FASTMATH
-    assert not options.get("parallel", False)
 
 
 def test_numba_is_asked_for_kernels_in_one_place_only() -> None:

@@ -28,6 +28,191 @@ export interface CardChunks {
 }
 
 /**
+ * Voxels along x, y, z, and the world: `world = rotation · box + origin`, `box = voxel index · spacing`.
+ *
+ * Shadow rays start `offset` voxels along the normal, which is that of the B-spline's gradient where `smooth`.
+ */
+export interface CardGrid {
+  size: [number, number, number];
+  spacing: [number, number, number];
+  rotation: [[number, number, number], [number, number, number], [number, number, number]];
+  origin: [number, number, number];
+  offset: number;
+  smooth: boolean;
+}
+
+/**
+ * Linear RGB of the backgrounds that have names.
+ */
+export interface CardGrounds {
+  dark: [number, number, number];
+  light: [number, number, number];
+}
+
+/**
+ * The key light of the request's view: radiance is `ambient + max(normal · key, 0) · sun`.
+ */
+export interface CardLambert {
+  key: [number, number, number];
+  sun: [number, number, number];
+  ambient: [number, number, number];
+}
+
+/**
+ * Texels along x, y, z, texels a voxel, and texels along each side of a chunk.
+ */
+export interface CardLattice {
+  size: [number, number, number];
+  density: [number, number, number];
+  chunk: number;
+}
+
+/**
+ * A layer of light that texels keep, and the order of its harmonics.
+ */
+export interface CardLayer {
+  kind: string;
+  order: number;
+}
+
+/**
+ * The unturned light in a `unit` of radiance: the terms, the `sky` without shadows, the least, the lobes.
+ */
+export interface CardLight {
+  unit: number;
+  terms: Array<CardTerm>;
+  sky: [Array<number>, Array<number>, Array<number>];
+  least: [number, number, number];
+  lobes: Array<CardLobe>;
+}
+
+/**
+ * Chunks of one request, and bytes of a volume, at most.
+ */
+export interface CardLimits {
+  chunks: number;
+  bytes: number;
+}
+
+/**
+ * Addresses beside the document: of the list of chunks, and before the names of chunks.
+ */
+export interface CardLinks {
+  chunks: string;
+  light: string;
+  transfer: string;
+}
+
+/**
+ * An unturned lobe of the light: where it is, two radii of its disc, and what it gives from straight above.
+ */
+export interface CardLobe {
+  towards: [number, number, number];
+  edges: [[number, number, number], [number, number, number]];
+  shine: [number, number, number];
+}
+
+/**
+ * What texels keep: `columns` numbers for each channel, from `straight` on of reflected light alone.
+ *
+ * `ratios` is whether light is carried to pixels as irradiance ratios, `whole` whether texels keep direct and
+ * reflected light as one, and `turns` whether the light may be turned.
+ */
+export interface CardPlan {
+  representation: string;
+  channels: number;
+  columns: number;
+  straight: number;
+  ratios: boolean;
+  whole: boolean;
+  turns: boolean;
+  layers: Array<CardLayer>;
+}
+
+/**
+ * A scene as a graphics card draws it.
+ */
+export interface CardScene {
+  grid: CardGrid;
+  values: CardValues;
+  volume: CardVolume;
+  lattice: CardLattice;
+  plan: CardPlan;
+  light: CardLight;
+  lambert: CardLambert;
+  exposure: number;
+  tone: CardTone;
+  grounds: CardGrounds;
+  isovalues: [number, number];
+  target: number;
+  expected: number;
+  limits: CardLimits;
+  links: CardLinks;
+}
+
+/**
+ * Whether a page may draw a view by itself, `because` of what it may not and the `reason`, else its scene.
+ */
+export interface Card {
+  format: number;
+  drawable: boolean;
+  because: Array<string>;
+  reason: string;
+  scene: CardScene | null;
+  version: string;
+}
+
+/**
+ * Layers of voxels from the `first` to before the `last`, and the address of their codes.
+ */
+export interface CardSlab {
+  first: number;
+  last: number;
+  href: string;
+}
+
+/**
+ * The unturned light that some columns meet: harmonics of an order, linear RGB times the albedo, in the unit.
+ *
+ * Those of the square of its luminance say how noisy light is.
+ */
+export interface CardTerm {
+  order: number;
+  light: [Array<number>, Array<number>, Array<number>];
+  square: Array<number>;
+}
+
+/**
+ * Constants of the tone curve.
+ */
+export interface CardTone {
+  gain: number;
+  toe: number;
+  shoulder: number;
+}
+
+/**
+ * A value in the units of the volume's file is `offset + scale · voxel`.
+ */
+export interface CardValues {
+  offset: number;
+  scale: number;
+  core: [number, number];
+}
+
+/**
+ * Codes of voxels: `voxel = base + gain · code`, but for the code `hole` where a value is missing.
+ */
+export interface CardVolume {
+  type: "uint8" | "uint16" | "float32";
+  gain: number;
+  base: number;
+  hole: number | null;
+  bytes: number;
+  slabs: Array<CardSlab>;
+}
+
+/**
  * Chunks that the view reads, and how many of them are final.
  */
 export interface ChunkCounts {

@@ -42,9 +42,7 @@ from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, nu
 from isogi_core.kernels.tracing.camera import (
     read_values,
     trace_pixels,
-    trace_pixels_in_sight,
     trace_places,
-    trace_places_in_sight,
 )
 from isogi_core.kernels.tracing.glow import Glows, gather_from_eye
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
@@ -78,16 +76,14 @@ LOBES = (
 )
 """Kernels that only lights with lobes call."""
 
-ROOM = (trace_pixels_in_sight, trace_places_in_sight, light_walls)
-"""Kernels that only scenes with walls call, in addition; not their ``trace_pixels`` and ``trace_places``. Scenes that
-have several surfaces, too, call ``light_walls`` alone.
-"""
+ROOM = (light_walls,)
+"""Kernels that only scenes with walls call."""
 
 COLOURED = (fill_albedos,)
 """Kernels that only scenes with colours by data call; their paths are those of a room."""
 
 AMONG = (peel_rays,)
-"""Kernels that only scenes with several surfaces call; not their ``trace_pixels`` and ``trace_places``."""
+"""Kernels that only scenes with several surfaces call; they call no ``trace_pixels`` and no ``trace_places``."""
 
 SHINE_KERNELS = (cast_shine, fill_below, fill_energy, pool_noise, filter_shine)
 """Kernels that only scenes with a shine call; and, where lights have lobes, ``light_ends``."""
@@ -147,14 +143,13 @@ KERNELS = tuple(dict.fromkeys((*ROOM, *COLOURED, *GLOW, *MATTER, *AMONG, *SHINE_
 """All kernels of frames, but for those of whole paths; the slowest compile first."""
 
 CALLED_IF: Mapping[Any, Callable[[Scene, bool], bool]] = {
-    **dict.fromkeys((trace_pixels, trace_places), lambda scene, _: not (has_walls(scene) or has_several(scene))),
-    **dict.fromkeys(ROOM, lambda scene, _: has_walls(scene) and not has_several(scene)),
+    **dict.fromkeys((trace_pixels, trace_places), lambda scene, _: not has_several(scene)),
+    **dict.fromkeys(ROOM, lambda scene, _: has_walls(scene)),
     **dict.fromkeys(COLOURED, lambda scene, _: bool(scene.surfaces.colours)),
     **dict.fromkeys(GLOW, lambda scene, _: scene.lighting.glowing.any),
     **dict.fromkeys(MATTER, lambda scene, _: scene.surfaces.material.refracts),
     **dict.fromkeys(AMONG, lambda scene, _: has_several(scene)),
     **dict.fromkeys(SHINE_KERNELS, lambda scene, _: bool(scene.surfaces.shine)),
-    light_walls: lambda scene, _: has_walls(scene),
     light_ends: lambda scene, _: bool(scene.surfaces.shine) and scene.plan.lobes > 0,
     pool_noise: lambda scene, _: bool(scene.surfaces.shine) or scene.surfaces.material.refracts,
     count_stiffness: lambda scene, _: scene.settings.projected is None,
@@ -168,9 +163,7 @@ OTHER_KERNELS = (
     mean_around,
     find_shadows,
     shade_local,
-    trace_pixels_in_sight,
     read_values,
-    trace_places_in_sight,
 )
 """Kernels of pictures without light from texels (local shadings and path-traced ones), of checks of pictures, and of
 views through a window.
@@ -178,7 +171,7 @@ views through a window.
 
 
 FIRST_KERNELS = (
-    *(trace_pixels, trace_pixels_in_sight, light_in_room, light_walls, fill_seeds, peel_rays),
+    *(trace_pixels, light_in_room, light_walls, fill_seeds, peel_rays),
     *(mark_bricks, fill_ranges, pack_bricks, number_bricks, fill_macrocells, count_stiffness),
     *(find_normals, tally, develop_rows, fill_curve),
 )

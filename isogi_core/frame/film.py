@@ -16,7 +16,7 @@ from isogi_core.frame.gbuffer import TILE_RAYS, sight_of, view_pinhole
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.edges import Shown, borrow_light, find_contrasts
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, develop_rows, fill_curve
-from isogi_core.kernels.tracing.camera import trace_places, trace_places_in_sight
+from isogi_core.kernels.tracing.camera import trace_places
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.model.colours import linear_of
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -254,10 +254,7 @@ def sample_edges(
 
     def _piece(a: int, b: int) -> None:
         found, points = np.empty(b - a, np.uint32), np.empty((b - a, 3), np.float32)
-        if sight is None:
-            hits = trace_places(traced, camera, places[a:b], found, points)
-        else:
-            hits = trace_places_in_sight(traced, sight, camera, places[a:b], found, points)
+        hits = trace_places(traced, sight, camera, places[a:b], found, points)
         on[a:b][found[:hits]] = True
         borrow_light(shown, places[a:b], found[:hits], points[:hits], light[a:b])
 

@@ -10,7 +10,7 @@ import numpy as np
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.local_models import find_normals
 from isogi_core.kernels.shading.surface_points import SurfacePoints
-from isogi_core.kernels.tracing.camera import WINDOW_FACE, Pinhole, Sight, trace_pixels, trace_pixels_in_sight
+from isogi_core.kernels.tracing.camera import NO_WALLS, WINDOW_FACE, Pinhole, Sight, trace_pixels
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.kernels.transport.colours import Colours, fill_albedos
 from isogi_core.model.view import Camera, View
@@ -24,9 +24,6 @@ POINTS = 4096
 """Surface points of a tile."""
 
 Vector = tuple[float, float, float]
-
-NO_WALLS = Walls(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2, 3)), np.empty(0))
-"""No walls, as kernels take them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,13 +176,8 @@ def to_index(v: np.ndarray, spacing: Vector) -> Vector:
     return x, y, z
 
 
-def sight_of(view: View, spacing: Vector, walls: Walls | None) -> Sight | None:
-    """What a ``view`` sees beside the surface, as kernels take it; None where there are no ``walls`` and no window."""
-    return None if walls is None and view.window is None else sight_among(view, spacing, walls)
-
-
-def sight_among(view: View, spacing: Vector, walls: Walls | None) -> Sight:
-    """What rays of a view meet besides the surface: ``walls``, if any, and the planes of its window, if any."""
+def sight_of(view: View, spacing: Vector, walls: Walls | None) -> Sight:
+    """What rays of a ``view`` meet besides the surface: ``walls``, if any, and the planes of its window, if any."""
     planes = np.empty((0, 4)) if view.window is None else view.window.in_index(spacing)
     return Sight(NO_WALLS if walls is None else walls, planes)
 
@@ -198,19 +190,14 @@ def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None
     found: dict[int, tuple[np.ndarray, ...]] = {}
 
     def _piece(a: int, b: int) -> None:
-        pixels, points = np.empty(b - a, np.uint32), np.empty((b - a, 3), np.float32)
-        count = trace_pixels(traced, camera, a, view.width, pixels, points)
-        found[a] = pixels[:count], points[:count]
-
-    def _piece_in_sight(a: int, b: int) -> None:
         pixels, points = np.empty((2, b - a), np.uint32), np.empty((2, b - a, 3), np.float32)
         numbers = np.empty(b - a, np.int8)
-        count, beside = trace_pixels_in_sight(traced, sight, camera, a, view.width, pixels, points, numbers)
+        count, beside = trace_pixels(traced, sight, camera, a, view.width, pixels, points, numbers)
         found[a] = pixels[0, :count], points[0, :count], pixels[1, :beside], points[1, :beside], numbers[:beside]
 
-    tiles.run(_piece if sight is None else _piece_in_sight, view.width * view.height, TILE_RAYS)
+    tiles.run(_piece, view.width * view.height, TILE_RAYS)
     pixels, points, *others = (np.concatenate(parts) for parts in zip(*(found[a] for a in sorted(found)), strict=True))
-    seen = PointsBeside(*others) if others else PointsBeside.none()
+    seen = PointsBeside(*others)
     shown = (view.height, view.width), spacing, camera.eye, surface, pixels, points
     if view.window is None:
         return GBuffer(*shown, walls=seen)

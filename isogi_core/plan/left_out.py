@@ -233,7 +233,6 @@ def kernels(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     bakes = ["bake_texels"] if plan.representation == "irradiance" else ["bake_irradiance"]
     bakes += ["bake_irradiance"] if plan.representation == "irradiance" and (inputs.walls or inputs.by_data) else []
     bakes += ["bake_texels"] if plan.representation != "irradiance" and inputs.by_data and plan.bounces else []
-    bakes += ["trace_pixels"] if inputs.walls else []
     idle = (*bakes, *uncalled(inputs.rotating, inputs.environment, inputs.lamps, plan.lobes))
     why = (
         "Neither frames under global illumination nor their bake call them: a server of this scene alone does not"

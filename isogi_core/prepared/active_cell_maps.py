@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain, pairwise
+from typing import Literal
 
 import numpy as np
 
@@ -211,15 +212,20 @@ SLAB_CODE_BYTES = 1 << 22
 """Bytes of codes in a slab at most, but for volumes of which one layer takes more."""
 
 
+CodeType = Literal["uint8", "uint16", "float32"]
+
+INTEGER_CODES: tuple[CodeType, ...] = ("uint8", "uint16")
+
+
 @dataclass(frozen=True)
 class VoxelCodes:
-    """``voxel = base + gain · code`` exactly, with codes of a NumPy ``kind``: uint8, uint16 or float32.
+    """``voxel = base + gain · code`` exactly, with codes of a NumPy type, their ``kind``.
 
     ``gain`` is a power of two, so that order and normals are those of the voxels. Voxels without a value have the code
     ``hole``, None where there are none; ``shape`` are the codes along z, y, x.
     """
 
-    kind: str
+    kind: CodeType
     gain: float
     base: float
     hole: float | None
@@ -259,7 +265,7 @@ def find_codes(volume: Volume) -> VoxelCodes:
     ends = sorted(float(volume.normalise_isovalue(value)) for value in volume.value_range)
     gain = 1.0 / abs(volume.scale)
     if np.issubdtype(np.dtype(volume.dtype), np.integer) and not volume.holes:
-        for kind in ("uint8", "uint16"):
+        for kind in INTEGER_CODES:
             codes = VoxelCodes(kind, gain, ends[0], None, volume.shape)
             if ends[1] - ends[0] <= gain * np.iinfo(kind).max and all(map(codes.holds, volume.slabs())):
                 return codes

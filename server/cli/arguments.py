@@ -30,7 +30,7 @@ COMMAND_MODULES = {
     "publish": "server.cli.publish",
     "publish --interactive": "server.cli.publish_live",
     "inspect": "server.inspect.text",
-    "convert": "server.cli.convert",
+    "convert": "server.cli.export",
     "bench": "isogi_report.speed",
     "store": "server.cli.store",
 }

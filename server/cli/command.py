@@ -34,6 +34,7 @@ from server.cli.arguments import (
     volume_options,
 )
 from server.cli.help import Commands, SettingsCommand
+from server.knobs import KNOBS
 from worker.fork_server import start_fork_server
 
 BAD_INPUT = (SceneError, VolumeError, LightError, ViewError, StoreUrlError)
@@ -238,7 +239,7 @@ def convert(target: str, output: Path, as_json: bool) -> None:
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="Its file.")
 @click.option("--isovalue", "isovalues", multiple=True, help="One; of a volume also more, or first:last.")
 @options({name: GRID_OPTIONS[name] for name in ("albedo", "yaw", "pitch", "roll", "light")})
-@click.option("--exposure", callback=factor, help="Factor on radiance; default: the scene's.")
+@click.option("--exposure", callback=factor, help=KNOBS["exposure"].text)
 @click.option("--target-error", help="Relative error of pictures at which light is final.")
 @click.option("--coefficients", is_flag=True, help="Harmonics of the light too, into a .vti: see docs/export.md.")
 @options(WORK_OPTIONS)
@@ -316,7 +317,7 @@ def publish(scene: str, interactive: bool, as_json: bool, **given: Any) -> None:
 @cli.command()
 @click.argument("target", required=False)
 @volume_options
-@click.option("--isovalue", type=float, help="In the volume's own units; default: the scene's.")
+@click.option("--isovalue", type=float, help=KNOBS["isovalue"].text)
 @click.option("--size", type=click.IntRange(1, 4096), default=512, show_default=True, help="Pixels along each side.")
 @click.option("--repeats", type=click.IntRange(1), default=5, show_default=True, help="Rounds that are timed.")
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")

@@ -1,4 +1,7 @@
-"""``isogi export``: an isosurface or a whole volume with its light, for the tools that people already use."""
+"""``isogi export`` and ``isogi convert``: files for the tools that people already use.
+
+An isosurface or a whole volume with its light; and a volume as an OME-Zarr image, which opens quickly.
+"""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -9,11 +12,15 @@ from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import ViewError
 from isogi_core.files.light_files import WRITERS, check_zarr
-from isogi_core.files.ome import size_of
+from isogi_core.files.ome import size_of, write_image
+from isogi_core.files.scene_file import Settings as SceneSettings
+from isogi_core.files.scene_file import find_source
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene_plan import MAX_SAMPLES
+from isogi_core.model.value_survey import check
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.volumes.opening import open_own
 from isogi_core.prepared.isosurface_mesh import Mesh
 from isogi_core.prepared.prepared_scene import PreparedScene
 from server.cli.prewarm import order_of, prewarm_scene
@@ -130,3 +137,29 @@ def exported(facts: Mapping[str, Any]) -> str:
     files = facts["files"]
     named = files[0] if len(files) == 1 else f"{len(files)} files, {files[0]} to {files[-1]}"
     return f"{named}: {what}, {good}, {facts['bytes'] / 1e6:.1f} MB"
+
+
+def convert(target: str, output: Path) -> dict[str, Any]:
+    """Write the volume of a ``target`` to the folder ``output``, and say what is in it.
+
+    Raises SceneError and VolumeError, and ParameterError where the target or the output cannot be.
+    """
+    if output.suffix != ".zarr":
+        raise ParameterError(f"'{output}' is no name of an OME-Zarr image: give one that ends in .ome.zarr.")
+    settings = SceneSettings(find_source(target, {}))
+    name = settings.text("volume", "")
+    if not name or name.startswith("demo:"):
+        raise ParameterError(f"'{target}' is no volume of a file: give one.")
+    grid, _ = open_own(settings)
+    check(grid, "above")
+    with Progress("converting", "layer") as bar:
+        lost = write_image(grid, output, bar.count)
+    facts = {"file": str(output), "size": grid.shape[::-1], "dtype": grid.dtype.name, "bytes": size_of(output)}
+    return {**facts, "read_as": grid.read_as, "notes": [*grid.notes, *lost]}
+
+
+def converted(facts: dict[str, Any]) -> str:
+    """The facts for a person."""
+    size = " × ".join(map(str, facts["size"]))
+    first = f"{facts['file']}: {size} voxels of {facts['dtype']}, {facts['bytes'] / 1e6:,.1f} MB"
+    return "\n".join([first, f"read as {facts['read_as']}", *facts["notes"]])

@@ -16,10 +16,10 @@ from urllib.parse import quote
 from PIL import Image
 
 from isogi_core.errors import ViewError
-from isogi_core.model.material import SHINE_KNOBS
 from isogi_core.plan.isovalue_presets import front_of
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import check_folder, write_whole
+from server.answers import defaults
 from server.cli.film_path import film_path, steps_in, view_in, views_in
 from server.cli.reel import Reel, ReelRequest, said
 from server.cli.render import is_placed
@@ -130,14 +130,11 @@ def shots_of(
     count = round(request.length * request.fps)
     if not 1 <= count <= MOST_FRAMES:
         raise ParameterError(f"length × fps must be 1 to {MOST_FRAMES:,} frames, not {count:,}.", "length")
-    own = {"isovalue": repr(scene.isovalue), "exposure": repr(scene.default_exposure)}
+    own = {name: str(value) for name, value in defaults(scene).items()}
     if not any(is_placed(view) for view in (knobs, *views)):
         own["azimuth"], own["elevation"] = map(repr, front_of(scene.volume, scene.lighting.room.any))
     if scene.surfaces.colours is None:
         own["albedo"] = ",".join(map(repr, scene.surfaces.albedo))
-    if scene.surfaces.shine is not None:
-        own |= {name: f"{getattr(scene.surfaces.shine, field)}" for name, field in SHINE_KNOBS.items()}
-    own |= {"glow": "1.0"} if scene.lighting.glowing.any else {}
     own |= {"max_error": repr(request.target_error or scene.target_error), "f": "png"}
     path = film_path(knobs, views, own, count, still=request.times is not None)
     if request.times is not None:

@@ -1,4 +1,4 @@
-"""The client against a live server: views and waits, what it does while a server is away, and what it raises."""
+"""The client against a live server: views, waits and jobs, what it does while a server is away, and what it raises."""
 
 import ast
 import io
@@ -23,8 +23,10 @@ from isogi_client import (
     BusyError,
     Facts,
     Isogi,
+    JobError,
     NotFinalError,
     NotFoundError,
+    Progress,
     RefusedError,
     TargetWarning,
     TimeLeft,
@@ -84,7 +86,7 @@ def test_a_frame_comes_at_once_and_says_how_good_it_is(isogi: Isogi) -> None:
 
 def test_a_final_frame_is_the_one_that_the_server_has_in_the_end(isogi: Isogi) -> None:
     told: list[Facts] = []
-    frame = isogi.frame("small", wait="final", progress=told.append, f="npy", azimuth=50, **VIEW)
+    frame = isogi.frame("small", wait="final", progress=told.append, f="npy", antialias="off", azimuth=50, **VIEW)
     assert not frame.facts.provisional
     assert told[-1] == frame.facts
     assert [facts.coverage["final"] for facts in told] == sorted(facts.coverage["final"] for facts in told)
@@ -293,3 +295,52 @@ def test_arrays_are_sent_as_nrrd(tmp_path: Path) -> None:
             nrrd_of(wrong, (1, 1, 1))
     with pytest.raises(ValueError, match="three distances above 0"):
         nrrd_of(np.ones((2, 2, 2)), (1, 0, 1))
+
+
+ORDER: dict[str, Any] = {"isovalues": [0.75, "0.76:0.78:0.02"], "views": 2, "width": 24, "height": 20}
+"""Of isovalues that no other test of this module looks at."""
+
+
+def test_a_prewarm_is_asked_about_and_waited_for(isogi: Isogi) -> None:
+    ahead = isogi.prewarm("small", dry_run=True, **ORDER).wait()
+    assert (ahead["stopped"], ahead["views"], ahead["final"]) == ("dry run", 6, 0.0)
+    told: list[Progress] = []
+    job = isogi.prewarm("small", **ORDER)
+    summary = job.wait(told.append)
+    assert (summary["stopped"], summary["final"], summary["texels"]) == ("target", 1.0, ahead["texels"])
+    assert told[-1] == Progress("successful", "This is done.", 100) and told[-1].over
+    assert isogi.job(job.id).summary() == summary
+    assert job.address.endswith(f"/v1/jobs/{job.id}")
+    assert not isogi.frame("small", isovalue=0.78, azimuth=0.0, elevation=30.0, width=24, height=20).facts.error > 0.5
+
+
+def test_an_export_is_a_file_and_leaves_no_job(isogi: Isogi, tmp_path: Path) -> None:
+    told: list[Progress] = []
+    path = isogi.export("small", tmp_path / "a.glb", isovalue=0.5, yaw=40, progress=told.append)
+    assert path.read_bytes().startswith(b"glTF") and told[-1].status == "successful"
+    assert all(job["processID"] != "export" for job in isogi._json("GET", "/v1/jobs")["jobs"])
+    with pytest.raises(RefusedError, match="glb, usdz"):
+        isogi.export("small", tmp_path / "a.stl")
+
+
+def test_a_prewarm_that_is_refused_says_why(isogi: Isogi) -> None:
+    with pytest.raises(RefusedError, match="no parameter 'paint'") as caught:
+        isogi.prewarm("small", paint=1)
+    assert caught.value.problem["parameter"] == "paint"
+    with pytest.raises(NotFoundError):
+        isogi.prewarm("none")
+    with pytest.raises(NotFoundError):
+        isogi.job("none")
+
+
+def test_a_job_that_is_dismissed_or_fails_says_so(small_scene: Path, tmp_path: Path) -> None:
+    with lab_of(small_scene, tmp_path, bakes=False) as lab, Isogi(lab.url, TOKEN) as isogi:
+        job = isogi.prewarm("small", **ORDER)
+        with pytest.raises(NotFoundError, match="no document"):
+            job.summary()
+        job.dismiss()
+        with pytest.raises(JobError, match="dismissed"):
+            job.wait()
+        lab.baker.employ(cast(WorkerPool, Broken()))
+        with pytest.raises(JobError, match="cursed"):
+            isogi.prewarm("small", **ORDER).wait()

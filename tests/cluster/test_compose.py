@@ -61,35 +61,21 @@ def test_the_store_holds_no_key_of_the_cluster() -> None:
 
 
 def test_no_two_services_write_the_same_volume() -> None:
-    written = [
-        volume.split(":")[0]
-        for service in SERVICES.values()
-        for volume in service.get("volumes", ())
-        if not volume.endswith(":ro")
-    ]
+    volumes = [volume for service in SERVICES.values() for volume in service.get("volumes", ())]
+    written = [volume.split(":")[0] for volume in volumes if not volume.endswith(":ro")]
     assert len(written) == len(set(written)) and set(written) == set(COMPOSE["volumes"])
 
 
-def test_every_temporary_folder_has_a_size() -> None:
-    assert all(re.fullmatch(r"/tmp:size=\d+m", folder) for each in SERVICES.values() for folder in each["tmpfs"])
-
-
-def test_every_service_has_a_health_check_and_comes_again() -> None:
-    for name, service in SERVICES.items():
-        assert service["restart"] == "unless-stopped" and service["healthcheck"], name
-
-
-def test_every_service_has_limits_and_no_rights() -> None:
-    for service in SERVICES.values():
-        assert (
-            service["read_only"] and service["cap_drop"] == ["ALL"] and service["mem_limit"] and service["pids_limit"]
-        )
-        assert service["security_opt"] == ["no-new-privileges:true"]
+@pytest.mark.parametrize("name", SERVICES)
+def test_every_service_has_limits_a_health_check_and_no_rights(name: str) -> None:
+    service = SERVICES[name]
+    assert all(re.fullmatch(r"/tmp:size=\d+m", folder) for folder in service["tmpfs"])
+    assert service["restart"] == "unless-stopped" and service["healthcheck"]
+    assert service["read_only"] and service["mem_limit"] and service["pids_limit"]
+    assert (service["cap_drop"], service["security_opt"]) == (["ALL"], ["no-new-privileges:true"])
 
 
 def test_services_speak_tls_alone_to_each_other() -> None:
-    spoken = [
-        str(part) for each in SERVICES.values() for part in (*each["command"], *each.get("environment", {}).values())
-    ]
-    assert not [part for part in spoken if part.startswith(("tcp://", "http://"))]
+    parts = [part for each in SERVICES.values() for part in (*each["command"], *each.get("environment", {}).values())]
+    assert not [part for part in parts if str(part).startswith(("tcp://", "http://"))]
     assert "--cert" in SERVICES["store"]["command"]

@@ -1,8 +1,7 @@
 """A disk that is full: baking waits for room, frames go on, readiness says so, and light comes once there is room."""
 
 import subprocess
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from server.settings import Settings
 from tests.faults.bench import LONG
 from tests.live import live
 from tests.server.inline import InlinePool
+from tests.server.sockets import wait_for
 from worker import pool
 
 KNOBS: dict[str, Any] = {"width": 40, "height": 40, "azimuth": 20, "elevation": 15, "f": "npy"}
@@ -39,13 +39,6 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         subprocess.run(["umount", "--lazy", str(disk)], check=True)
 
 
-def wait_for(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + LONG
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
-
-
 def test_baking_waits_for_room_and_goes_on_by_itself(small_disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a thread of this process: what a full disk does to a worker process is a fault of ``test_points.py``."""
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
@@ -59,13 +52,13 @@ def test_baking_waits_for_room_and_goes_on_by_itself(small_disk: Path, monkeypat
             assert answer.status_code == 200, answer.text
             return answer
 
-        wait_for(lambda: httpx.get(place, params=KNOBS).status_code == 200)
-        wait_for(lambda: frame() is not None and "full" in httpx.get(f"{url}/readyz").text)
+        assert wait_for(lambda: httpx.get(place, params=KNOBS).status_code == 200, LONG)
+        assert wait_for(lambda: frame() is not None and "full" in httpx.get(f"{url}/readyz").text, LONG)
         assert httpx.get(f"{url}/readyz").status_code == 503
         assert frame(wait=0.5).headers["isogi-provisional"] == "?1"
         assert not list(small_disk.rglob("*.partial"))
         assert mounted("mount", "-o", "remount,size=16m", str(small_disk))
-        wait_for(lambda: frame(wait=1.0).headers["isogi-provisional"] == "?0")
-        wait_for(lambda: httpx.get(f"{url}/readyz").status_code == 200)
+        assert wait_for(lambda: frame(wait=1.0).headers["isogi-provisional"] == "?0", LONG)
+        assert wait_for(lambda: httpx.get(f"{url}/readyz").status_code == 200, LONG)
         lines = httpx.get(f"{url}/metrics").text.splitlines()
         assert "isogi_chunks_given_up 0.0" in lines

@@ -42,11 +42,6 @@ def test_a_speck_afar_does_not_push_the_camera_away() -> None:
     assert with_speck == pytest.approx(near, rel=0.02)
 
 
-def test_an_orbit_aims_where_the_fit_says() -> None:
-    camera = orbit((1.0, 2.0, 3.0), 2.0, 35.0, 25.0, 4.0, 30.0)
-    assert np.linalg.norm(np.subtract(camera.eye, (1.0, 2.0, 3.0))) == pytest.approx(8.0)
-
-
 def test_what_glows_beside_the_surface_is_seen_whole(tmp_path: Path) -> None:
     """A ball at the box's edge, and not a range of values, which may glow anywhere in its box."""
     ball = {"sphere": [85.0, 12.0, 47.0, 8.0]}

@@ -54,23 +54,8 @@ def test_tiles_do_not_wait_for_a_busy_helper() -> None:
         held.result(10)
 
 
-def test_an_error_comes_out_after_other_pieces_have_ended() -> None:
-    tiles, ended = Tiles(3), []
-
-    def piece(a: int, b: int) -> None:
-        if a == 0:
-            raise ValueError("the first")
-        ended.append(a)
-
-    with pytest.raises(ValueError, match="the first"):
-        tiles.run(piece, 6, 1)
-    before = list(ended)
-    tiles.run(lambda a, b: None, 3, 1)
-    assert ended == before
-
-
-@pytest.mark.parametrize("failing", ["tile_0", "tile_1"])
-def test_a_helpers_error_comes_out_after_the_other_pieces(failing: str) -> None:
+@pytest.mark.parametrize("failing", ["tile_0", "tile_1", "MainThread"])
+def test_an_error_of_any_thread_comes_out_after_the_others(failing: str) -> None:
     tiles, together, ended = Tiles(3), threading.Barrier(3), []
 
     def piece(a: int, b: int) -> None:

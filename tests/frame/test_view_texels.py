@@ -77,17 +77,6 @@ def shares(points: np.ndarray, lattice: Lattice) -> Iterator[np.ndarray]:
         yield np.where(upper, inside, 1.0 - inside).prod(axis=1)
 
 
-def test_trilinear_weights_carry_linear_values_to_points() -> None:
-    lattice, points = Lattice.of((9, 7, 5), (0.5, 1.0, 2.0)), RANDOM.uniform(0.0, 1.0, (200, 3)) * (8.0, 6.0, 4.0)
-    place = points * lattice.density
-    base = np.floor(place)
-    corners = [base + ((corner >> np.arange(3)) & 1) for corner in range(8)]
-    weights = list(shares(points, lattice))
-    np.testing.assert_allclose(sum(weights), 1.0)
-    carried = sum(w[:, None] * corner for w, corner in zip(weights, corners, strict=True))
-    np.testing.assert_allclose(carried, place)
-
-
 def test_footprints_predict_the_noise_of_pixels(tmp_path: Path) -> None:
     scene = load_scene("demo:orbital", lattice=0.4)
     renderer, view = make_renderer(scene, str(tmp_path)), view_of(scene, 24)

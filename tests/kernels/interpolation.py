@@ -17,15 +17,14 @@ def smoothed(voxels, p):
     return np.array([np.einsum("kji,k,j,i->", block, *each) for each in factors])
 
 
-def values(voxels, points):
-    """Trilinear values at points (m, 3) or the nearest to them in the box."""
-    inside = np.clip(points, 0.0, np.array(voxels.shape[::-1]) - 1.0)
-    return map_coordinates(voxels.astype(float), inside.T[::-1], order=1)
+def trilinear(voxels, points):
+    """Trilinear values at points (…, 3), x first, or at the nearest to them in the box; float64."""
+    return map_coordinates(voxels.astype(float), np.moveaxis(points, -1, 0)[::-1], order=1, mode="nearest")
 
 
 def search(voxels, p, down, level):
     """The stride (first, last place) along `down` in which the level is crossed; None where it is in none."""
     places = p + np.arange(0.0, MAX_SHIFT_VOXELS + STEP_VOXELS / 2, STEP_VOXELS)[:, None] * down
-    solid = values(voxels, places) > level
+    solid = trilinear(voxels, places) > level
     changes = np.flatnonzero(solid != solid[0])
     return places[changes[0] - 1 : changes[0] + 1] if len(changes) else None

@@ -1,12 +1,14 @@
-"""Rooms of a few walls, and starts of paths on them, as the kernels take them."""
+"""Rooms of a few walls, with one surface or several, and starts of paths in them, as the kernels take them."""
 
 import numpy as np
 
+from isogi_core.kernels.tracing.peels import MAX_SURFACES
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.kernels.transport.colours import NO_COLOURS
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.room_paths import InRoom, Room, light_in_room
+from isogi_core.kernels.transport.surface_paths import Among, Surfaces
 from tests.kernels.fields import cells_of
 
 X, Y, Z = np.eye(3)
@@ -37,6 +39,22 @@ def room_of(walls, spacing=(1.0, 1.0, 1.0), albedo=0.0, colours=NO_COLOURS):
     albedos, radiances = (np.array([np.full(3, each[i]) for each in walls]).reshape(-1, 3) for i in (2, 3))
     twofold = np.array([each[4] for each in walls], float)
     return Room(kept, corners, edges, normals, areas, albedos, radiances, twofold, np.full(3, albedo), colours)
+
+
+def among(field, own, others, albedos, clears, transmissions=None, walls=()):
+    """The surfaces of a ``field`` at ``own`` and some ``others``, with an albedo and a share that passes each.
+
+    They are among ``walls``. Albedos and transmissions are numbers or linear RGB.
+    """
+    maps = [cells_of(field, each) for each in (own, *others)]
+    cells = (*maps, *[maps[0]] * (MAX_SURFACES - len(maps)))
+    back, through = (
+        np.array([np.broadcast_to(each, 3) for each in given], float)
+        for given in (albedos, transmissions or [0.0] * len(albedos))
+    )
+    levels = np.array([own, *others], float)
+    surfaces = Surfaces(cells, levels, back, np.array(clears, float), through)
+    return Among(field, surfaces, room_of(walls, field.spacing))
 
 
 def sky(radiance):

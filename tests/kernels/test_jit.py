@@ -4,8 +4,6 @@ import ast
 import importlib
 import os
 import shutil
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
@@ -132,26 +130,15 @@ sys.stdout.write(f"{entry(1.0)} {sum(entry.ready.stats.cache_hits.values())}")
 
 @pytest.mark.slow
 @COMPILED
-def test_an_edited_helper_is_compiled_anew_an_old_one_loaded(tmp_path):
+def test_an_edited_helper_is_compiled_anew_an_old_one_loaded(house):
     """A house of two files, each run a fresh process: the entry kernel's own file never changes."""
-    kernels = tmp_path / "isogi_core" / "kernels"
-    kernels.mkdir(parents=True)
-    for name in ("_jit.py", "_compiler.py", "_cache_folder.py"):
-        shutil.copy(FOLDER / name, kernels)
-    (kernels.parent / "__init__.py").touch()
-    (kernels / "__init__.py").touch()
-    (kernels / "entry.py").write_text(ENTRY)
-    environment = {**os.environ, "ISOGI_KERNEL_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+    house.write("entry.py", ENTRY)
     answers = []
     for step in (1.0, 1.0, 2.5, 1.0):
-        (kernels / "helper.py").write_text(HELPER.format(step))
-        os.utime(kernels / "helper.py", (step, step))
-        done = subprocess.run(
-            [sys.executable, "-c", ASK], env=environment, cwd=tmp_path, capture_output=True, text=True, check=True
-        )
-        answers.append(done.stdout)
+        house.write("helper.py", HELPER.format(step), step)
+        answers.append(house.ask(ASK))
     assert answers == ["2.0 0", "2.0 1", "3.5 0", "2.0 1"]
-    assert len(list((tmp_path / "cache").iterdir())) == 2
+    assert len(list(house.cache.iterdir())) == 2
 
 
 @COMPILED

@@ -1,11 +1,6 @@
 """Warming up: in a house of two small kernels, each compiled once, in processes of their own."""
 
-import os
-import shutil
-import subprocess
-import sys
 import threading
-from pathlib import Path
 
 import pytest
 from numba import config
@@ -18,7 +13,6 @@ from tests.scale import COMPILED
 
 pytestmark = COMPILED
 
-FOLDER = Path(_jit.__file__).parent
 SMALL = """\
 from isogi_core.kernels._jit import kernel
 
@@ -128,22 +122,9 @@ def test_progress_counts_what_the_machine_lacked(monkeypatch):
 
 
 @pytest.mark.slow
-def test_what_is_missing_is_compiled_by_others_and_loaded_here(tmp_path):
-    kernels = tmp_path / "isogi_core" / "kernels"
-    kernels.mkdir(parents=True)
-    for name in ("_jit.py", "_compilation.py", "_compiler.py", "_cache_folder.py"):
-        shutil.copy(FOLDER / name, kernels)
-    (kernels.parent / "__init__.py").touch()
-    (kernels / "__init__.py").touch()
-    (kernels / "small.py").write_text(SMALL)
-    (tmp_path / "ask.py").write_text(ASK)
-    environment = {**os.environ, "ISOGI_KERNEL_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
-    answers = [
-        subprocess.run(
-            [sys.executable, "ask.py"], env=environment, cwd=tmp_path, capture_output=True, text=True, check=True
-        ).stdout
-        for _ in range(2)
-    ]
+def test_what_is_missing_is_compiled_by_others_and_loaded_here(house):
+    house.write("small.py", SMALL)
+    answers = [house.ask(ASK) for _ in range(2)]
     hits = "[1, 1]" if config.NUMBA_DEFAULT_NUM_THREADS > 1 else "[0, 0]"
     assert answers[0] == f"(False, False) True True {hits} 2.0 3.0 False False"
     assert answers[1] == "(True, True) True True [1, 1] 2.0 3.0 False False"

@@ -23,19 +23,6 @@ def test_bytes_of_a_texel_are_coefficients_noises_and_level(layer: Layer, size: 
     assert layer.bytes_per_texel == size
 
 
-def test_light_that_turns_has_two_noises_and_other_light_one() -> None:
-    assert [Layer("direct", order).noises for order in (1, 2, 5)] == [1, 2, 2]
-
-
-def test_only_direct_light_does_not_depend_on_the_albedo() -> None:
-    assert [Layer(kind).reflected for kind in ("direct", "indirect", "whole", "irradiance")] == [
-        False,
-        True,
-        True,
-        True,
-    ]
-
-
 def test_a_plan_is_as_large_as_its_layers_are_together() -> None:
     plan = ScenePlan("transfer", (Layer("direct", 5), Layer("indirect", 3, 3)), 5, 4, 1.0, 4096)
     assert (plan.order, plan.indirect_order, plan.channels, plan.precision) == (5, 3, 3, "half")

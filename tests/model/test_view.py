@@ -96,11 +96,6 @@ def test_rotation_matrix_is_scipys(quaternion: Quaternion) -> None:
     np.testing.assert_allclose(rotation_matrix(quaternion), expected, atol=1e-15)
 
 
-def test_no_angles_turn_nothing() -> None:
-    assert quaternion_from_angles(0.0, 0.0, 0.0) == IDENTITY
-    assert np.array_equal(rotation_matrix(IDENTITY), np.eye(3))
-
-
 def test_quaternions_are_brought_to_unit_length() -> None:
     assert unit_quaternion((2.0, 0.0, 0.0, 0.0)) == IDENTITY
     assert math.hypot(*unit_quaternion((1.0, 2.0, 3.0, 4.0))) == pytest.approx(1.0, abs=1e-15)

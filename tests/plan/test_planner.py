@@ -249,12 +249,6 @@ def test_the_coarsest_precision_whose_rounding_fits(soft: ProbeLight, target: fl
             assert rounding_error(halved, inputs, plan.lobes) > ROUNDING_SHARE * target
 
 
-@pytest.mark.parametrize("precision", ["bytes", "half", "single"])
-def test_precision_of_the_scene_is_kept(precision: str) -> None:
-    plan = plan_of([SkyLight()], PlanOverrides(precision=precision))
-    assert plan.precision == precision
-
-
 @pytest.mark.parametrize(
     ("lights", "rotating", "overrides", "word"),
     [

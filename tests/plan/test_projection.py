@@ -101,11 +101,6 @@ def test_cells_beside_a_hole_are_counted() -> None:
     assert 0 < whole.cells[0] - found.cells[0] <= 8
 
 
-def test_a_constant_volume_has_no_surface() -> None:
-    found = stiffness(np.ones((5, 5, 5)), 0.5, 1.0)
-    assert not found.cells.any() and shares(found) == (0.0, 0.0, 0.0)
-
-
 def test_levels_ascend_and_threads_do_not_change_counts() -> None:
     voxels = np.random.default_rng(4).random((33, 12, 13))
     tiles = Tiles(3)

@@ -1,7 +1,6 @@
 """Texels that isovalues can show, against loops over cells, real frames and the bake's own normals."""
 
 import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -152,12 +151,6 @@ def test_counting_takes_little_memory_where_all_texels_are_shown() -> None:
 def test_a_constant_volume_shows_nothing() -> None:
     count = count_texels(bare_field(np.zeros((5, 5, 5))), (5, 5, 5), 0.0, 1.0, CHUNK)
     assert (count.total, count.shown, count.void, count.shown_chunks) == (125, 0, 0, 0)
-
-
-@pytest.mark.data
-def test_a_real_volume_is_counted(shared_data: Path) -> None:
-    scene = load_scene(shared_data / "engine_256x256x128_uint8.nhdr", isovalues=[40, 250])
-    assert 0 < scene.texels.shown < scene.texels.total
 
 
 # --- chunk by chunk ---------------------------------------------------------------------------------------------------

@@ -1,6 +1,5 @@
 """Scenes made of scenes: in other light, of another material, finer, and by the sides of several surfaces."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -65,12 +64,6 @@ def test_it_shares_the_volume_and_what_was_surveyed(own: Scene) -> None:
     lit = under(own, "evening", "orbital@evening")
     assert lit.volume is own.volume and lit.texels is own.texels and lit.presets is own.presets
     assert lit.lighting.environment is under(own, "evening", "other").lighting.environment
-
-
-def test_a_layer_of_transfer_depends_on_no_environment(own: Scene) -> None:
-    noon, overcast = (under(own, name, name) for name in ("noon", "overcast"))
-    layer = replace(noon.plan.layers[0], order=4)
-    assert noon.layer_digest(layer) == overcast.layer_digest(layer) == own.layer_digest(layer)
 
 
 def test_it_replaces_lamps_and_turns_then(tmp_path: Path) -> None:

@@ -3,7 +3,8 @@
 import json
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,8 @@ import pytest
 
 from isogi_core.errors import Cancelled, ReportError
 from isogi_core.plan.assembly import load_scene
-from isogi_report import command, measuring
+from isogi_report import command as report
+from isogi_report import measuring
 from isogi_report.bench import Bench
 from isogi_report.journal import Entry, open_journal, subject_of, workshop
 from isogi_report.measuring import STUDIES, Study
@@ -25,27 +27,64 @@ from tests.report.samples import sections
 Run = Callable[[Bench], Section]
 
 
-@pytest.fixture
-def ran(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Keys of the studies that were run, in order: one that gives the samples' first section, one its second."""
-    keys: list[str] = []
+class Command:
+    """``isogi report`` of the small scene into a folder, by studies that cost nothing.
 
-    def study(section: Section) -> Study:
+    ``ran`` has the keys of those that were run, in order: one gives the samples' first section, one their second.
+    """
+
+    def __init__(self, scene: Path, place: Path, patch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+        self.scene, self.place, self.folder = scene, place, place / "a"
+        self.ran: list[str] = []
+        self._patch, self._capsys = patch, capsys
+        plotless = (replace(section, plots=()) for section in sections())
+        patch.setattr(measuring, "STUDIES", tuple(map(self._study, plotless)))
+
+    def _study(self, section: Section) -> Study:
         def work(_: Bench) -> Section:
-            keys.append(section.key)
+            self.ran.append(section.key)
             return section
 
         return Study(section.key, section.title, work, 1.0)
 
-    plotless = (replace(section, plots=()) for section in sections())
-    monkeypatch.setattr(measuring, "STUDIES", tuple(map(study, plotless)))
-    return keys
+    def run(self, *more: object, scene: Path | None = None, folder: Path | None = None) -> tuple[int, str, str]:
+        """Status, output and errors."""
+        words = [str(scene or self.scene), "-o", str(folder or self.folder), "--size", "24", *map(str, more)]
+        status = run(["report", *words])
+        return status, *self._capsys.readouterr()
+
+    def facts(self, *more: object, status: int = 0) -> dict[str, Any]:
+        """What ``--json`` tells of a run that ends with this status."""
+        ended, out, _ = self.run("--json", *more)
+        assert ended == status
+        facts: dict[str, Any] = json.loads(out)
+        return facts
+
+    @contextmanager
+    def having(self, key: str, work: Run) -> Iterator[None]:
+        """Meanwhile the study of this key does some other ``work``."""
+        with self._patch.context() as patch:
+            changed = (replace(each, run=work) if each.key == key else each for each in measuring.STUDIES)
+            patch.setattr(measuring, "STUDIES", tuple(changed))
+            yield
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """The data of the report."""
+        data: dict[str, Any] = json.loads((self.folder / "report.json").read_text(encoding="utf-8"))
+        return data
+
+    @property
+    def keys(self) -> list[str]:
+        """The sections of the report."""
+        return [section["key"] for section in self.data["sections"]]
 
 
-def become(monkeypatch: pytest.MonkeyPatch, key: str, work: Run) -> None:
-    """Have the study of this key do some other ``work``."""
-    changed = (replace(each, run=work) if each.key == key else each for each in measuring.STUDIES)
-    monkeypatch.setattr(measuring, "STUDIES", tuple(changed))
+@pytest.fixture
+def command(
+    small_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Command:
+    return Command(small_scene, tmp_path, monkeypatch, capsys)
 
 
 def check(bench: Bench) -> None:
@@ -54,146 +93,92 @@ def check(bench: Bench) -> None:
         raise Cancelled("The report was stopped.")
 
 
-def report(scene: Path, folder: Path, *more: object) -> int:
-    return run(["report", str(scene), "-o", str(folder), "--size", "24", *map(str, more)])
-
-
-def data_of(folder: Path) -> dict[str, Any]:
-    data: dict[str, Any] = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    return data
-
-
-def keys_of(folder: Path) -> list[str]:
-    return [section["key"] for section in data_of(folder)["sections"]]
-
-
-def test_it_writes_the_page_and_says_where(
-    capsys: pytest.CaptureFixture[str], ran: list[str], small_scene: Path, tmp_path: Path
-) -> None:
-    folder = tmp_path / "new" / "report"
-    assert report(small_scene, folder, "--json", "--yaw", 30) == 0
-    out, error = capsys.readouterr()
+def test_it_writes_the_page_and_says_where(command: Command) -> None:
+    command.folder = command.place / "new" / "report"
+    status, out, error = command.run("--json", "--yaw", 30)
     facts = json.loads(out)
-    assert Path(facts["page"]) == folder / "index.html"
-    assert list(facts["sections"]) == ran == keys_of(folder) == ["split", "none"]
+    assert status == 0 and Path(facts["page"]) == command.folder / "index.html"
+    assert list(facts["sections"]) == command.ran == command.keys == ["split", "none"]
     assert (facts["missing"], facts["found"], facts["stopped"]) == ([], 0, False)
     assert "The error, by cause" in error and "left" in error
-    assert data_of(folder)["view"]["width"] == 24
-    assert data_of(folder)["view"]["light"][0] == pytest.approx(np.cos(np.radians(15)))
+    assert command.data["view"]["width"] == 24
+    assert command.data["view"]["light"][0] == pytest.approx(np.cos(np.radians(15)))
 
 
-def test_what_is_done_is_not_done_again(
-    capsys: pytest.CaptureFixture[str], ran: list[str], small_scene: Path, tmp_path: Path
-) -> None:
-    assert report(small_scene, tmp_path / "a") == 0
-    before = (tmp_path / "a" / "index.html").read_bytes()
-    capsys.readouterr()
-    assert report(small_scene, tmp_path / "a") == 0
-    assert ran == ["split", "none"]
-    assert "2 of them measured before" in capsys.readouterr().out
-    assert (tmp_path / "a" / "index.html").read_bytes() == before
+def test_what_is_done_is_not_done_again(command: Command) -> None:
+    command.run()
+    before = (command.folder / "index.html").read_bytes()
+    status, out, _ = command.run()
+    assert (status, command.ran) == (0, ["split", "none"]) and "2 of them measured before" in out
+    assert (command.folder / "index.html").read_bytes() == before
 
 
-def test_other_code_measures_again(
-    monkeypatch: pytest.MonkeyPatch, ran: list[str], small_scene: Path, tmp_path: Path
-) -> None:
-    assert report(small_scene, tmp_path / "a") == 0
+def test_other_code_measures_again(monkeypatch: pytest.MonkeyPatch, command: Command) -> None:
+    command.run()
     monkeypatch.setattr("isogi_report.journal.code_digest", lambda: "other")
-    assert report(small_scene, tmp_path / "a") == 0
-    assert ran == ["split", "none"] * 2
+    assert command.run()[0] == 0
+    assert command.ran == ["split", "none"] * 2
 
 
-def test_ctrl_c_leaves_a_page_and_the_next_run_goes_on(
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    ran: list[str],
-    small_scene: Path,
-    tmp_path: Path,
-) -> None:
+def test_ctrl_c_leaves_a_page_and_the_next_run_goes_on(command: Command) -> None:
     def stopped(bench: Bench) -> Section:
         signal.raise_signal(signal.SIGINT)
         assert signal.getsignal(signal.SIGINT) is signal.SIG_DFL, "the next one ends the process"
         check(bench)
         raise AssertionError("the work was not cancelled")
 
-    with monkeypatch.context() as patch:
-        become(patch, "none", stopped)
-        assert report(small_scene, tmp_path / "a") == 1
-    assert "Stopped by hand" in capsys.readouterr().out
-    assert keys_of(tmp_path / "a") == ["split"]
-    assert "Missing: Nothing to see" in (tmp_path / "a" / "index.html").read_text(encoding="utf-8")
-    assert report(small_scene, tmp_path / "a") == 0
-    assert ran == ["split", "none"]
-    assert keys_of(tmp_path / "a") == ["split", "none"]
-    assert data_of(tmp_path / "a")["notes"] == []
+    with command.having("none", stopped):
+        status, out, _ = command.run()
+    assert (status, command.keys) == (1, ["split"]) and "Stopped by hand" in out
+    assert "Missing: Nothing to see" in (command.folder / "index.html").read_text(encoding="utf-8")
+    assert command.run()[0] == 0
+    assert command.ran == command.keys == ["split", "none"]
+    assert command.data["notes"] == []
 
 
-def test_what_does_not_fit_is_left_out_and_told(
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    ran: list[str],
-    small_scene: Path,
-    tmp_path: Path,
-) -> None:
+def test_what_does_not_fit_is_left_out_and_told(command: Command) -> None:
     def endless(bench: Bench) -> Section:
         while True:
             check(bench)
             time.sleep(0.01)
 
-    become(monkeypatch, "split", endless)
-    assert report(small_scene, tmp_path / "a", "--deadline", "0.2s") == 0
-    assert keys_of(tmp_path / "a") == []
-    assert "200 ms did not suffice: The error, by cause, Nothing to see" in capsys.readouterr().out
-    assert ran == []
+    with command.having("split", endless):
+        status, out, _ = command.run("--deadline", "0.2s")
+    assert (status, command.keys, command.ran) == (0, [], [])
+    assert "200 ms did not suffice: The error, by cause, Nothing to see" in out
 
 
-def test_what_gave_way_to_time_is_shown_and_measured_anew(
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    ran: list[str],
-    small_scene: Path,
-    tmp_path: Path,
-) -> None:
+def test_what_gave_way_to_time_is_shown_and_measured_anew(command: Command) -> None:
     def hasty(bench: Bench) -> Section:
         bench.hurry.set()
         return sections()[1]
 
-    with monkeypatch.context() as patch:
-        become(patch, "none", hasty)
-        assert report(small_scene, tmp_path / "a", "--json") == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert (facts["hurried"], facts["missing"], keys_of(tmp_path / "a")) == (["none"], [], ["split", "none"])
+    with command.having("none", hasty):
+        facts = command.facts()
+    assert (facts["hurried"], facts["missing"], command.keys) == (["none"], [], ["split", "none"])
     assert "Cut short for want of time: Nothing to see." in facts["notes"][0]
-    assert report(small_scene, tmp_path / "a") == 0
-    assert (ran, data_of(tmp_path / "a")["notes"]) == (["split", "none"], [])
+    assert command.run()[0] == 0
+    assert (command.ran, command.data["notes"]) == (["split", "none"], [])
 
 
-def test_a_study_that_fails_is_told_and_the_rest_is_measured(
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    ran: list[str],
-    small_scene: Path,
-    tmp_path: Path,
-) -> None:
+def test_a_study_that_fails_is_told_and_the_rest_is_measured(command: Command) -> None:
     def broken(_: Bench) -> Section:
         raise ValueError("no light\nat all")
 
-    with monkeypatch.context() as patch:
-        become(patch, "split", broken)
-        assert report(small_scene, tmp_path / "a", "--json") == 1
-    facts = json.loads(capsys.readouterr().out)
-    assert (facts["failed"], facts["missing"], keys_of(tmp_path / "a")) == (["split"], [], ["none"])
+    with command.having("split", broken):
+        facts = command.facts(status=1)
+    assert (facts["failed"], facts["missing"], command.keys) == (["split"], [], ["none"])
     assert facts["notes"] == ["Failed: The error, by cause (ValueError: no light at all)."]
-    assert report(small_scene, tmp_path / "a") == 0
-    assert (ran, keys_of(tmp_path / "a")) == (["none", "split"], ["split", "none"])
+    assert command.run()[0] == 0
+    assert (command.ran, command.keys) == (["none", "split"], ["split", "none"])
 
 
-def test_only_some_are_run_and_the_rest_is_told(ran: list[str], small_scene: Path, tmp_path: Path) -> None:
-    assert report(small_scene, tmp_path / "a", "--only", "none") == 0
-    assert (ran, keys_of(tmp_path / "a")) == (["none"], ["none"])
-    assert data_of(tmp_path / "a")["notes"] == ["Not asked for: The error, by cause."]
-    assert report(small_scene, tmp_path / "a", "--only", "split") == 0
-    assert (ran, keys_of(tmp_path / "a")) == (["none", "split"], ["split", "none"])
+def test_only_some_are_run_and_the_rest_is_told(command: Command) -> None:
+    assert command.run("--only", "none")[0] == 0
+    assert (command.ran, command.keys) == (["none"], ["none"])
+    assert command.data["notes"] == ["Not asked for: The error, by cause."]
+    assert command.run("--only", "split")[0] == 0
+    assert (command.ran, command.keys) == (["none", "split"], ["split", "none"])
 
 
 @pytest.mark.parametrize(
@@ -207,54 +192,45 @@ def test_only_some_are_run_and_the_rest_is_told(ran: list[str], small_scene: Pat
         (["--eye", "900,0,0", "--target", "999,0,0"], "Nothing is to be seen at isovalue 0.5"),
     ],
 )
-def test_wrong_use_is_one_line_and_leaves_no_folder(
-    capsys: pytest.CaptureFixture[str], ran: list[str], small_scene: Path, tmp_path: Path, more: list[str], word: str
-) -> None:
-    assert report(small_scene, tmp_path / "a", *more) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and word in error
-    assert ran == [] and not any(tmp_path.iterdir())
+def test_wrong_use_is_one_line_and_leaves_no_folder(command: Command, more: list[str], word: str) -> None:
+    status, _, error = command.run(*more)
+    assert status == 2 and error.count("\n") == 1 and word in error
+    assert command.ran == [] and not any(command.place.iterdir())
 
 
-def test_a_folder_of_another_report_is_refused(
-    capsys: pytest.CaptureFixture[str], ran: list[str], small_scene: Path, tmp_path: Path
-) -> None:
-    assert report(small_scene, tmp_path / "a") == 0
-    capsys.readouterr()
-    assert report(small_scene, tmp_path / "a", "--isovalue", 0.6) == 1
-    assert "a report of small at 0.5, which is another view (by its isovalue)" in capsys.readouterr().err
-    assert report(small_scene, tmp_path / "a", "--exposure", 3) == 1
-    assert "which is another view (by its exposure)" in capsys.readouterr().err
-    assert report(Path("demo:orbital"), tmp_path / "a") == 1
-    assert "which is another scene: choose another folder" in capsys.readouterr().err
-    assert ran == ["split", "none"]
+def test_a_folder_of_another_report_is_refused(command: Command) -> None:
+    command.run()
+    for more, scene, word in (
+        (["--isovalue", 0.6], None, "a report of small at 0.5, which is another view (by its isovalue)"),
+        (["--exposure", 3], None, "which is another view (by its exposure)"),
+        ([], Path("demo:orbital"), "which is another scene: choose another folder"),
+    ):
+        status, _, error = command.run(*more, scene=scene)
+        assert status == 1 and word in error
+    assert command.ran == ["split", "none"]
 
 
-def test_a_folder_of_something_else_is_refused(
-    capsys: pytest.CaptureFixture[str], ran: list[str], small_scene: Path, tmp_path: Path
-) -> None:
-    (tmp_path / "index.html").write_text("mine")
-    assert report(small_scene, tmp_path) == 1
-    assert "holds no report: choose a new or an empty folder" in capsys.readouterr().err
-    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("index.html", "mine")]
-    assert ran == []
+def test_a_folder_of_something_else_is_refused(command: Command) -> None:
+    (command.place / "index.html").write_text("mine")
+    status, _, error = command.run(folder=command.place)
+    assert status == 1 and "holds no report: choose a new or an empty folder" in error
+    assert [(path.name, path.read_text()) for path in command.place.iterdir()] == [("index.html", "mine")]
+    assert command.ran == []
 
 
-def test_a_missing_library_is_told_before_any_work(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, small_scene: Path, tmp_path: Path
-) -> None:
-    monkeypatch.setattr(command, "PAGE_LIBRARIES", ("json", "no_such_library"))
-    assert report(small_scene, tmp_path / "a") == 1
-    assert capsys.readouterr().err == "isogi: A report is drawn with no_such_library: pip install 'isogi[report]'.\n"
-    assert not any(tmp_path.iterdir())
+def test_a_missing_library_is_told_before_any_work(monkeypatch: pytest.MonkeyPatch, command: Command) -> None:
+    monkeypatch.setattr(report, "PAGE_LIBRARIES", ("json", "no_such_library"))
+    told = "isogi: A report is drawn with no_such_library: pip install 'isogi[report]'.\n"
+    assert command.run() == (1, "", told)
+    assert not any(command.place.iterdir())
 
 
 def test_the_headline_is_the_summarys_first_row() -> None:
     table = sections()[0].tables[0]
-    assert command.headline([replace(sections()[0], key="summary")]) == {
+    assert report.headline([replace(sections()[0], key="summary")]) == {
         column.name: cell for column, cell in list(zip(table.columns, table.rows[0], strict=True))[1:]
     }
-    assert command.headline(sections()) == {}
+    assert report.headline(sections()) == {}
 
 
 @pytest.fixture
@@ -313,24 +289,22 @@ def test_a_damaged_entry_is_measured_again(
         assert journal.find("split") is None
 
 
-def test_one_report_at_a_time_writes_a_folder(
-    capsys: pytest.CaptureFixture[str], ran: list[str], small_scene: Path, tmp_path: Path, subject: dict[str, Any]
-) -> None:
-    with open_journal(tmp_path, subject):
-        assert report(small_scene, tmp_path) == 1
-    assert "is being written by another report: wait for its end" in capsys.readouterr().err
-    assert ran == []
+def test_one_report_at_a_time_writes_a_folder(command: Command, subject: dict[str, Any]) -> None:
+    with open_journal(command.folder, subject):
+        status, _, error = command.run()
+    assert status == 1 and "is being written by another report: wait for its end" in error
+    assert command.ran == []
 
 
 def test_a_report_looks_from_near_unless_told() -> None:
-    assert command.standing({"azimuth": "7"}) == {"azimuth": "7", "elevation": 30.0, "distance": 2.2}
-    assert command.standing({"eye": "1,2,3"}) == {"eye": "1,2,3"}
+    assert report.standing({"azimuth": "7"}) == {"azimuth": "7", "elevation": 30.0, "distance": 2.2}
+    assert report.standing({"eye": "1,2,3"}) == {"eye": "1,2,3"}
 
 
 def test_the_sentence_counts() -> None:
     facts = {"page": "p", "sections": {"a": 1.0}, "found": 0, "headline": {}, "notes": []}
-    assert command.sentence(facts) == "p: 1 section."
-    assert "2 sections, 1 of them" in command.sentence({**facts, "sections": {"a": 1.0, "b": 1.0}, "found": 1})
+    assert report.sentence(facts) == "p: 1 section."
+    assert "2 sections, 1 of them" in report.sentence({**facts, "sections": {"a": 1.0, "b": 1.0}, "found": 1})
 
 
 def test_every_study_has_a_key_that_names_files_and_anchors() -> None:

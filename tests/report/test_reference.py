@@ -1,18 +1,69 @@
-"""References: their bits, their noise, and what they are refused for."""
+"""References: their rounds, their bits, their noise, their files, and what they are refused for."""
 
 import threading
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from isogi_core import reference
 from isogi_core.errors import Cancelled, ReportError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
-from isogi_core.reference import load_reference, save_reference, trace_reference, with_bounces
+from isogi_core.reference import Goal, grow_reference, load_reference, save_reference, trace_reference, with_bounces
 from tests.frame.conftest import CONSTANT, SKY, Workbench, ball, scene_of
 from tests.loaded import load_scene
+
+
+def make(samples: int) -> Any:
+    """A reference whose noise is the inverse of its samples."""
+    return SimpleNamespace(samples=samples, noise=1.0 / samples)
+
+
+@pytest.fixture
+def tracer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tracer that takes a second for each sample, on a clock of its own."""
+    clock = SimpleNamespace(now=0.0)
+
+    def trace(_: Any, __: Any, samples: int, former: Any, *more: Any) -> Any:
+        rounded = -(-samples // 8) * 8
+        clock.now += rounded - (former.samples if former else 0)
+        return make(rounded)
+
+    monkeypatch.setattr(reference, "trace_reference", trace)
+    monkeypatch.setattr(reference, "time", SimpleNamespace(monotonic=lambda: clock.now))
+
+
+@pytest.mark.usefixtures("tracer")
+@pytest.mark.parametrize(
+    ("goal", "former", "expected"),
+    [
+        (Goal(samples=100), None, [16, 32, 64, 104]),
+        (Goal(samples=5), None, [8]),
+        (Goal(noise=1 / 64), None, [16, 32, 64]),
+        (Goal(noise=1 / 65), None, [16, 32, 64, 128]),
+        (Goal(seconds=100.0), None, [16, 32, 64, 96]),
+        (Goal(seconds=0.0), None, [16]),
+        (Goal(samples=64, seconds=1000.0), None, [16, 32, 64]),
+        (Goal(samples=64), 64, []),
+        (Goal(samples=65), 64, [72]),
+        (Goal(seconds=200.0), 64, [128, 256, 264]),
+    ],
+)
+def test_rounds_double_up_to_the_goal(goal: Goal, former: int | None, expected: list[int]) -> None:
+    """From nothing, or from a reference of so many samples."""
+    grown = grow_reference(None, None, goal, former and make(former))  # type: ignore[arg-type]
+    assert [each.samples for each in grown] == expected
+
+
+def test_what_is_still_to_come_is_foreseen() -> None:
+    assert Goal(samples=100).foresee(make(16)) == 100
+    assert Goal(noise=1 / 64).foresee(make(64)) == 64
+    assert Goal(noise=1 / 128).foresee(make(64)) == 256, "64 · 2^1.75, and rounds double"
+    assert Goal(seconds=3.0).foresee(make(64)) is None
 
 
 @pytest.fixture(scope="module")

@@ -1,25 +1,221 @@
-"""All studies of a report, of a picture of a few pixels."""
+"""The studies of a report, of a picture of a few pixels: light baked in memory, the split of an error, its course."""
 
 import math
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from isogi_core.bake.refine import locate
 from isogi_core.bake.texel_light import Light
 from isogi_core.errors import Cancelled, StoreError, ViewError
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.projected_texels import STEEPNESS, find_distances
+from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_report import bench as benches
 from isogi_report import studies
-from isogi_report.bench import Bench, ViewBake
-from isogi_report.exact import CONVERGED_SAMPLE_FACTOR, converged
+from isogi_report.bench import UNREACHED_TARGET, Bench, ViewBake
+from isogi_report.exact import (
+    CONVERGED_SAMPLE_FACTOR,
+    converged,
+    cuts_harmonics,
+    lit_by_paths,
+    own_light,
+    reference_difference,
+    short_paths,
+)
 from isogi_report.journal import Entry
 from isogi_report.measuring import STUDIES, Study, run
-from isogi_report.sections import COLUMN_UNITS, Section
+from isogi_report.metrics import mean_of, spread_of
+from isogi_report.sections import COLUMN_UNITS, Curve, Section
+from isogi_report.speed import bake_view, make_renderer
+from isogi_report.studies import (
+    EQUAL_ERROR_COLUMNS,
+    Split,
+    even,
+    evens,
+    seconds_at,
+    split_error,
+    study_split,
+    true_surface,
+)
+from tests.report.conftest import MakeBench
+from tests.toil import PACE, measure_toil
+
+
+def test_frames_have_the_bits_of_those_from_a_store(under_sky: Bench, tmp_path: Path) -> None:
+    bake = ViewBake(under_sky.renderer(under_sky.scene), under_sky.view)
+    bake.grow(16)
+    bake.frame()
+    frame = Renderer(bake.renderer.caches, under_sky.tiles).render(under_sky.view, UNREACHED_TARGET)
+    stored = bake_view(make_renderer(under_sky.scene, str(tmp_path)), under_sky.view, 16)
+    assert stored.surface > 20
+    assert np.array_equal(frame.radiance, stored.radiance) and np.array_equal(frame.error, stored.error)
+    assert bake.samples == 16.0
+    assert bake.seconds > 0.0
+
+
+def test_texels_far_from_the_surface_are_projected(make_bench: MakeBench) -> None:
+    bench = make_bench(projected=True, lattice=0.5, target_error=0.05)
+    renderer = bench.renderer(bench.scene)
+    bake = ViewBake(renderer, bench.view)
+    bake.grow(256)
+    frame, texels = bake.frame(), len(bake.shown.places)
+    assert frame.quality.projection
+    ways = find_distances(bake.shown, renderer.prepared, renderer.tiles).voxels
+    distant = np.flatnonzero(STEEPNESS * ways > 0.05)
+    np.testing.assert_array_equal(bake.texels[texels:], bake.texels[:texels][distant])
+    projected = frame.quality.projection.reading.projected_rows >= 0
+    assert 0 < projected.sum() <= len(distant) and not np.delete(projected, distant).any()
+    level = frame.gbuffer.isovalue
+    own = bake.light.rows(np.arange(texels, len(bake.texels)))
+    void = locate(bake.texels[texels:], renderer.prepared, level)[1]
+    np.testing.assert_array_equal(own.void, void)
+    assert not projected[distant[void]].any()
+
+
+def test_growing_goes_on_where_it_was(under_sky: Bench) -> None:
+    renderer = under_sky.renderer(under_sky.scene)
+    twice, once = (ViewBake(renderer, under_sky.view) for _ in range(2))
+    twice.grow(16)
+    twice.grow(32)
+    once.grow(32)
+    assert np.array_equal(twice.frame().radiance, once.frame().radiance)
+
+
+TRACED = Curve("paths", (0.01, 0.04, 0.16, 0.64), (0.08, 0.04, 0.02, 0.01))
+"""Seconds are 6.4e-5 over the square of the error."""
+
+
+@pytest.mark.parametrize("error", [0.5, 0.08, 0.05, 0.02, 0.013, 0.01, 0.001])
+def test_seconds_follow_the_law_between_points_and_beyond(error: float) -> None:
+    assert seconds_at(TRACED, error) == pytest.approx(6.4e-5 / error**2)
+
+
+def test_a_curve_that_does_not_get_there_has_no_seconds() -> None:
+    assert seconds_at(Curve("level", (1.0, 2.0), (0.1, 0.1)), 0.05) is None
+    assert seconds_at(Curve("short", (1.0,), (0.1,)), 0.05) is None
+    assert seconds_at(TRACED, 0.0) is None
+
+
+def test_a_bake_counts_at_its_cheapest_good_point() -> None:
+    baked = Curve("baked", (1.0, 3.0, 9.0), (0.1, 0.041, 0.04))
+    name, error, seconds, picture, pictures = even(baked, TRACED)
+    assert (name, error, seconds) == ("baked", 0.041, 3.0)
+    assert picture == pytest.approx(6.4e-5 / 0.041**2)
+    assert pictures == 79
+    table = evens([baked], TRACED, "4 × 4 pixels")
+    assert len(table.rows[0]) == len(EQUAL_ERROR_COLUMNS)
+
+
+@pytest.mark.slow
+def test_curves_fall_with_time(under_sky: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each point of baked light has cost all samples up to its own, each of traced paths its own alone."""
+    measure_toil(monkeypatch)
+    (plot,) = studies.study_convergence(under_sky).plots
+    assert [curve.x for curve in plot.curves[3:]] == [(16 * 12 * 12 / PACE, 64 * 12 * 12 / PACE)]
+    for curve in plot.curves:
+        assert 0 < curve.x[0] == curve.x[1] / 4
+        assert curve.y[1] < 1.2 * curve.y[0]
+
+
+CONSTANT = {"type": "constant", "radiance": 1.0}
+
+
+@pytest.fixture(scope="module")
+def calm(make_bench: Callable[..., Bench]) -> Bench:
+    """The orbital under constant light, in single floats."""
+    return make_bench(lights=[CONSTANT], precision="single")
+
+
+def names(split: Split) -> list[str]:
+    return [part.name for part in split.parts]
+
+
+def test_parts_lead_from_the_frame_to_the_reference(under_sky: Bench) -> None:
+    split = split_error(under_sky)
+    biases = sum(split.spread(part).bias for part in split.parts)
+    assert biases == pytest.approx(split.spread(split.whole).bias, abs=1e-6)
+    assert 0.5 < split.together / split.spread(split.whole).rmse < 2.0
+
+
+def test_each_cause_is_there_where_it_acts(under_sky: Bench) -> None:
+    split = split_error(under_sky)
+    assert names(split) == [
+        "Monte Carlo noise",
+        "quantization",
+        "interpolation",
+        "harmonics cut off",
+        "bounces cut off",
+    ]
+    sizes = dict(zip(names(split), (split.spread(part) for part in split.parts), strict=True))
+    assert 0.0 < sizes["quantization"].rmse < 0.02
+    assert sizes["harmonics cut off"].rmse > 0.02
+    assert sizes["bounces cut off"].bias <= 0.0
+
+
+@pytest.mark.slow
+def test_the_noise_part_is_what_the_frame_tells(make_bench: Callable[..., Bench]) -> None:
+    """At 2 %: where 64 samples are far more than enough, less is left than is told."""
+    bench = make_bench(target_error=0.02)
+    split = split_error(bench)
+    told = bench.planned.frame().noise
+    assert 0.67 < split.spread(split.parts[0]).rmse / told < 1.5
+
+
+def test_what_is_cut_off_beside_a_lobe_is_little(make_bench: Callable[..., Bench]) -> None:
+    """The same view by harmonics alone, and with the sun as a lobe of the same orders."""
+    orders = {"order": 3, "indirect_order": 3, "bounces": 1}
+    cut = {}
+    for lobes in (0, 1):
+        bench = make_bench(lobes=lobes, **orders)
+        own, lights = own_light(bench), lit_by_paths(short_paths(bench))
+        cut[lobes] = spread_of(own.light - lights.light, own.noise + lights.noise, mean_of(lights.light)).rmse
+    assert cut[1] < 0.5 * cut[0] and cut[0] > 0.05
+
+
+@pytest.mark.slow
+def test_what_two_references_share_is_not_noise(make_bench: Callable[..., Bench]) -> None:
+    """Of other normals' pictures with 64 paths, against the same with many more."""
+    bench = make_bench()
+    few, many = ((bench.reference(n), bench.reference(n, true_surface(bench.scene))) for n in (64, 4096))
+    change, exact = reference_difference(*few), reference_difference(*many)
+    met = ((change.light - exact.light) ** 2).mean()
+    assert 0.5 < change.noise.mean() / met < 2.0
+    assert change.noise.mean() < sum(lit_by_paths(each).noise.mean() for each in few)
+
+
+def test_normals_and_offset_are_told_apart(under_sky: Bench) -> None:
+    split = split_error(under_sky)
+    wrong = split.beyond.wrong - split.whole.wrong
+    assert np.allclose(split.surface.wrong, wrong, atol=1e-5)
+    assert split.spread(split.surface).rmse > 0.005
+    assert np.mean(split.surface.noise) < 0.1 * np.mean(split.surface.wrong**2)
+
+
+def test_constant_light_has_no_truncation_and_no_rounding(calm: Bench) -> None:
+    section = study_split(calm)
+    assert names(split_error(calm)) == ["Monte Carlo noise", "interpolation", "bounces cut off"]
+    assert not cuts_harmonics(calm.scene)
+    assert own_light(calm).light is not None
+    assert (own_light(calm).light == lit_by_paths(short_paths(calm)).light).all()
+    assert "single floats" in section.about
+    assert "no harmonics" in section.about
+    assert len(section.pictures) == 5
+
+
+def test_transfer_at_points_agrees_with_paths_under_soft_light(make_bench: Callable[..., Bench]) -> None:
+    """Of two lights in one: order 6 holds a constant whole, and paths meet it as it is."""
+    bench = make_bench(lights=[CONSTANT], representation="transfer", order=2)
+    split = split_error(bench)
+    exact = own_light(bench).light.mean() / lit_by_paths(short_paths(bench)).light.mean()
+    assert exact == pytest.approx(1.0, abs=0.01)
+    assert "harmonics cut off" not in names(split)
 
 
 @pytest.fixture(autouse=True)

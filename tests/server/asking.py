@@ -11,6 +11,15 @@ from PIL import Image
 Ask = Callable[..., httpx.Response]
 """What the fixture ``ask`` is."""
 
+Told = Callable[..., str]
+"""What the fixture ``told`` is."""
+
+UPGRADE = {
+    **{"Connection": "Upgrade", "Upgrade": "websocket"},
+    **{"Sec-WebSocket-Key": "x3JJHMbDL1EzLkh9GBhXDw==", "Sec-WebSocket-Version": "13"},
+}
+"""Headers of a bare request for a web socket, whose answer is read as any other."""
+
 SMALL: dict[str, str | int | float] = {"width": 40, "height": 40, "f": "npy"}
 """A small picture, as numbers."""
 

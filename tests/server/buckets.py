@@ -1,6 +1,9 @@
 """Engines over a bucket, and what they leave in it."""
 
-from collections.abc import Iterator
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from hashlib import sha256
 from pathlib import Path
@@ -8,7 +11,11 @@ from pathlib import Path
 from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.store import Store
 from server.render.engine import RenderEngine
+from tests.cluster.processes import ROOT, end, until
 from tests.server.inline import LONG, view_of
+
+Begin = Callable[..., RenderEngine]
+"""What the fixture ``begin`` is."""
 
 
 @contextmanager
@@ -32,3 +39,13 @@ def chunks_at(url: str) -> dict[str, str]:
     store = Store(url)
     keys = [entry.key for entry in store.entries() if "/c/" in entry.key]
     return {key: sha256(store.read(key) or b"").hexdigest() for key in keys}
+
+
+def killed_when(condition: Callable[[], bool], *command: str) -> None:
+    """Run a command of isogi, and kill it once a condition holds, unless it has ended by itself."""
+    environment, silent = {**os.environ, "PYTHONPATH": str(ROOT)}, subprocess.DEVNULL
+    program = [sys.executable, "-m", "server", *command]
+    process = subprocess.Popen(program, env=environment, stdout=silent, stderr=silent)
+    until(lambda: condition() or process.poll() is not None)
+    if process.poll() is None:
+        end(process)

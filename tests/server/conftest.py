@@ -1,6 +1,7 @@
-"""Asking apps and servers."""
+"""Asking apps and servers, and running commands."""
 
 import asyncio
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -8,7 +9,8 @@ import httpx
 import pytest
 from fastapi import FastAPI
 
-from tests.server.asking import Ask
+from server.cli.command import run
+from tests.server.asking import Ask, Told
 from tests.server.inline import InlinePool
 
 
@@ -35,3 +37,17 @@ def client(live_server: str) -> Iterator[httpx.Client]:
 def inline(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let engines and commands bake on a thread of this process, in place of workers."""
     monkeypatch.setattr("worker.pool.WorkerPool", InlinePool)
+
+
+@pytest.fixture
+def told(capsys: pytest.CaptureFixture[str]) -> Told:
+    """``told(*words, status=0)``: what a command prints that ends so; where it fails, on stderr, but for its bars."""
+
+    def told(*words: object, status: int = 0) -> str:
+        capsys.readouterr()
+        ended = run([str(word) for word in words])
+        out, error = capsys.readouterr()
+        assert ended == status, error
+        return out if status == 0 else re.sub(r"[^\n]*\r", "", error)
+
+    return told

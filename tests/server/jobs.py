@@ -21,10 +21,13 @@ def baking(scene: Path, store: Path) -> Iterator[httpx.Client]:
 
 
 def until_over(client: httpx.Client, address: str) -> dict[str, Any]:
-    """The document of a job once it has ended."""
-    deadline = time.monotonic() + LONG
-    while (facts := client.get(address).json())["status"] in ("accepted", "running"):
+    """The document of a job once it has ended; its progress has not fallen meanwhile."""
+    deadline, seen = time.monotonic() + LONG, [0]
+    while True:
+        facts: dict[str, Any] = client.get(address).json()
+        seen.append(facts["progress"])
+        assert seen == sorted(seen)
+        if facts["status"] not in ("accepted", "running"):
+            return facts
         assert time.monotonic() < deadline
         time.sleep(0.05)
-    answer: dict[str, Any] = facts
-    return answer

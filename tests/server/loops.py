@@ -2,10 +2,8 @@
 
 import asyncio
 import selectors
-from collections.abc import Coroutine
-from typing import Any, TypeVar
 
-Result = TypeVar("Result")
+import pytest
 
 
 class Jumping(selectors.DefaultSelector):
@@ -31,7 +29,5 @@ class IdleLoop(asyncio.SelectorEventLoop):
         return self._jumping.now
 
 
-def played(act: Coroutine[Any, Any, Result]) -> Result:
-    """What comes of a coroutine in such a loop."""
-    with asyncio.Runner(loop_factory=IdleLoop) as runner:
-        return runner.run(act)
+IN_NO_TIME = pytest.mark.parametrize("anyio_backend", [("asyncio", {"loop_factory": IdleLoop})], ids=["in no time"])
+"""Has a coroutine that is a test run in such a loop."""

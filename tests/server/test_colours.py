@@ -10,6 +10,8 @@ import pytest
 
 from isogi_core.plan.assembly import load_scene
 from server.answers import colour_scale, scene_schema
+from tests.live import serving
+from tests.server.asking import final
 
 TABLE: dict[str, Any] = {"use": "colour", "of": "gradient", "map": "magma", "range": [0.0, 0.05], "name": "steepness"}
 
@@ -48,14 +50,10 @@ def coloured(small_scene: Path) -> Path:
 
 @pytest.mark.slow
 def test_a_server_lights_the_colours_and_takes_no_albedo(coloured: Path, tmp_path: Path) -> None:
-    from tests.live import serving_with_a_worker
-
-    with serving_with_a_worker(coloured, tmp_path / "store") as url:
-        assert httpx.get(f"{url}/v1/scenes/coloured").json()["colours"]["name"] == "gradient"
-        place, view = f"{url}/v1/scenes/coloured/frame", {"width": 16, "height": 12, "wait_ms": 5000, "max_error": 0.5}
-        while httpx.get(place, params=view, timeout=90).headers["Isogi-Provisional"] == "?1":
-            pass
-        assert "final=1" in httpx.get(place, params=view).headers["Isogi-Coverage"]
-        refused = httpx.get(place, params={**view, "albedo": 0.5})
+    with serving(coloured, tmp_path / "store") as url, httpx.Client(base_url=url) as client:
+        assert client.get("/v1/scenes/coloured").json()["colours"]["name"] == "gradient"
+        view = {"width": 16, "height": 12, "max_error": 0.5}
+        assert "final=1" in final(client, "coloured", **view).headers["Isogi-Coverage"]
+        refused = client.get("/v1/scenes/coloured/frame", params={**view, "albedo": 0.5})
         assert (refused.status_code, refused.json()["parameter"]) == (422, "albedo")
         assert "has its albedo from 'gradient'" in refused.json()["detail"]

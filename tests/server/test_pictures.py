@@ -13,17 +13,7 @@ from isogi_core.plan.assembly import load_scene
 from server import pictures
 from server.errors import NotAcceptableError, ParameterError
 from server.parameters import FrameParams, read
-from server.pictures import (
-    ENCODER_OPTIONS,
-    encode,
-    format_for,
-    grey,
-    media_range,
-    negotiate,
-    npy_bytes,
-    npy_parts,
-    values_npy,
-)
+from server.pictures import ENCODER_OPTIONS, encode, format_for, grey, media_range, negotiate, npy_bytes, npy_parts
 
 CHROMIUM = "image/avif,image/webp,image/apng,image/svg+xml,image/*,*/*;q=0.8"
 
@@ -31,18 +21,11 @@ CHROMIUM = "image/avif,image/webp,image/apng,image/svg+xml,image/*,*/*;q=0.8"
 @pytest.mark.parametrize(
     ("accept", "form"),
     [
-        (None, "png"),
-        ("", "png"),
-        ("*/*", "png"),
-        ("image/*", "png"),
-        ("image/jpeg", "jpeg"),
-        ("IMAGE/WEBP", "webp"),
-        ("image/png;q=0.5, image/webp", "webp"),
-        ("image/png;q=0, */*", "jpeg"),
+        *[(accept, "png") for accept in (None, "", "*/*", "image/*", CHROMIUM)],
+        *[(accept, "jpeg") for accept in ("image/jpeg", "image/png;q=0, */*")],
+        *[(accept, "webp") for accept in ("IMAGE/WEBP", "image/png;q=0.5, image/webp")],
+        *[(accept, "webp") for accept in ("text/html, image/webp;q=0.1", "image/avif,image/webp,*/*;q=0.8")],
         ("application/x-npy", "npy"),
-        ("text/html, image/webp;q=0.1", "webp"),
-        ("image/avif,image/webp,*/*;q=0.8", "webp"),
-        (CHROMIUM, "png"),
     ],
 )
 def test_accept(accept: str | None, form: str) -> None:
@@ -110,13 +93,8 @@ def test_npy_is_the_same_in_parts_of_any_size(monkeypatch: pytest.MonkeyPatch, b
     assert whole.dtype == np.float32 and whole.flags.c_contiguous
     position = np.zeros((35, 3), np.float32)
     position[pixels] = points * np.float32([1.0, 2.0, 0.5])
-    expected = [
-        radiance,
-        state[..., None] > 0,
-        state[..., None],
-        frame.total_error[..., None],
-        position.reshape(7, 5, 3),
-    ]
+    planes = [state > 0, state, frame.total_error]
+    expected = [radiance, *(each[..., None] for each in planes), position.reshape(7, 5, 3)]
     assert np.array_equal(whole, np.concatenate(expected, axis=-1))
     assert b"".join(parts) == encode(frame, "npy", 1.0)
 
@@ -132,9 +110,7 @@ def test_grey_goes_from_low_to_high_and_holes_are_black() -> None:
 @pytest.mark.parametrize(
     ("values", "near", "form"),
     [
-        ([[0.0, 255.0]], 1e-4, "|u1"),
-        ([[0.0, 256.0]], 1e-4, "<u2"),
-        ([[-1.0, 300.0]], 1e-4, "<i2"),
+        *[([[0.0, 255.0]], 1e-4, "|u1"), ([[0.0, 256.0]], 1e-4, "<u2"), ([[-1.0, 300.0]], 1e-4, "<i2")],
         ([[-1.0, 40000.0]], 1e-2, "<f4"),
         ([[0.5, 0.1]], 1e-6, "<f4"),
         ([[1e9, 1e9 + 0.001]], 1e-9, "<f8"),
@@ -144,6 +120,6 @@ def test_grey_goes_from_low_to_high_and_holes_are_black() -> None:
     ],
 )
 def test_values_take_the_narrowest_numbers(values: list[list[float]], near: float, form: str) -> None:
-    told = np.load(io.BytesIO(values_npy(np.array(values), near)))
+    told = np.load(io.BytesIO(pictures.values_npy(np.array(values), near)))
     assert told.dtype == np.dtype(form)
     np.testing.assert_allclose(told, values, rtol=0, atol=near)

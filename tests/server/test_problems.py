@@ -2,10 +2,8 @@
 
 import asyncio
 import json
-from collections.abc import Callable
 from http import HTTPStatus
 
-import httpx
 import pytest
 from fastapi import FastAPI
 from starlette.requests import Request
@@ -13,6 +11,7 @@ from starlette.requests import Request
 from isogi_core import errors as domain
 from server import errors as service
 from server.problems import domain_problem, install, status_of
+from tests.server.asking import Ask
 from worker import errors as workers
 
 
@@ -23,9 +22,7 @@ class NewError(domain.ViewError):
 @pytest.mark.parametrize(
     ("error", "status"),
     [
-        (domain.ViewError("x"), 422),
-        (NewError("x"), 422),
-        (domain.VolumeError("x"), 422),
+        *[(error("x"), 422) for error in (domain.ViewError, NewError, domain.VolumeError)],
         (domain.DamagedChunkError("x"), 503),
         (domain.IsogiError("x"), 500),
         (service.UnknownSceneError("x"), 404),
@@ -84,9 +81,7 @@ def app() -> FastAPI:
         ("GET", "/things/0", 500, "The server failed on this request"),
     ],
 )
-def test_the_frameworks_own_errors(
-    ask: Callable[..., httpx.Response], app: FastAPI, method: str, path: str, status: int, sentence: str
-) -> None:
+def test_the_frameworks_own_errors(ask: Ask, app: FastAPI, method: str, path: str, status: int, sentence: str) -> None:
     answer = ask(app, method, path)
     assert answer.status_code == status == answer.json()["status"]
     assert answer.headers["content-type"] == "application/problem+json"
@@ -94,7 +89,7 @@ def test_the_frameworks_own_errors(
     assert "ZeroDivision" not in answer.text
 
 
-def test_allow_names_all_methods_of_a_path(ask: Callable[..., httpx.Response], app: FastAPI) -> None:
+def test_allow_names_all_methods_of_a_path(ask: Ask, app: FastAPI) -> None:
     @app.delete("/things/{number}")
     def no_thing(number: int) -> None: ...
 

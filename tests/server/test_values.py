@@ -1,4 +1,4 @@
-"""Numbers, rows of numbers and words as clients write them."""
+"""Numbers, rows of numbers, words and spans of time, as people write them."""
 
 import math
 
@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from server.values import Choice, Row, Span, finite, shown
+from server.values import Choice, Row, Span, finite, seconds_of, seconds_of_age, shown, span
 
 HOSTILE = [
     *("nan", "NaN", "inf", "-inf", "Infinity", "1e999", "-1e999", "1_0", "1__0", "0x10", "1e", "e5", "."),
@@ -76,3 +76,40 @@ def test_a_choice_of_words() -> None:
     assert Choice(("png", "npy")).read("npy") == "npy"
     with pytest.raises(ValueError, match=r"^must be one of png, npy, not 'PNG'\.$"):
         Choice(("png", "npy")).read("PNG")
+
+
+SPANS = {"90": 90, "90s": 90, "10m": 600, "1.5h": 5400, "1h": 3600, "0": 0, "12h": 43200}
+AGES = {"30d": 2592000, "1.5d": 129600, "2w": 1209600, "12h": 43200}
+
+
+@pytest.mark.parametrize("text", SPANS)
+def test_a_span_of_time_is_read(text: str) -> None:
+    assert seconds_of(text) == SPANS[text]
+
+
+@pytest.mark.parametrize("text", AGES)
+def test_ages_may_be_told_in_days_and_weeks(text: str) -> None:
+    assert seconds_of_age(text) == AGES[text]
+
+
+@pytest.mark.parametrize("text", ["", "-1", "soon", "10 m", "1d", "nan", "inf", "1_0s", "m", "9e99h", "1" * 50])
+def test_what_is_no_span_of_time_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="such as 90, 90s, 10m or 1h"):
+        seconds_of(text)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "digits", "text"),
+    [
+        *[(0.0, 3, "0 s"), (1e-5, 3, "0 s"), (0.0176, 3, "17.6 ms"), (0.2, 3, "200 ms"), (1, 3, "1 s")],
+        *[(12.345, 3, "12.3 s"), (90, 3, "1.5 min"), (200, 2, "3.3 min"), (3600, 3, "1 h"), (7.2e6, 3, "2,000 h")],
+    ],
+)
+def test_a_span_of_time_is_told(seconds: float, digits: int, text: str) -> None:
+    assert span(seconds, digits) == text
+
+
+@pytest.mark.parametrize("text", ["", "d", "-1d", "-1h", "1dd", "soon", "1e99999999999d" * 5])
+def test_what_is_no_age_is_told(text: str) -> None:
+    with pytest.raises(ValueError, match="30d"):
+        seconds_of_age(text)

@@ -1,43 +1,29 @@
-"""Extreme settings: albedo, bounces, isovalues, lattices, offsets, exposures and target errors, to and past their ends.
-
-What lies past them is refused in a sentence.
-"""
+"""Extreme settings: albedo, bounces, isovalues, lattices, offsets and target errors, to their ends."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from isogi_core.errors import IsogiError
-from isogi_core.files.radiance import write_hdr
-from isogi_core.frame.film import develop
 from isogi_core.frame.frame import Frame
-from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.scene import Scene
 from server.parameters import ViewParams, read
-from server.views import isovalue_of, light_of
+from server.views import isovalue_of
 from tests.stability.scenes import (
     CONSTANT,
-    HEIGHT,
     ball_volume,
     body_volume,
     frame_of,
     is_finite,
     lit,
-    plane_volume,
-    spot,
     view_of,
 )
 from tests.stability.volumes import grid
-
-SENTENCE = r"\.\Z"
-"""What ends the message of a refusal."""
 
 
 def constant_volume() -> Volume:
@@ -143,19 +129,6 @@ def test_a_range_of_one_isovalue_shows_it_as_a_wide_one_does() -> None:
     assert 0 < narrow.texels.shown < wide.texels.shown
 
 
-@pytest.mark.parametrize("exposure", [0.0, 1e-30, 1e-9, 1.0, 1e9, 1e30])
-def test_brighter_light_is_never_darker_in_the_picture(exposure: float) -> None:
-    """Of every strength from 0, which is black, to 3e38."""
-    strengths = np.concatenate([[0.0], np.geomspace(1e-38, 3e38, 1023)]).astype(np.float32)
-    light = np.repeat(strengths[:, None, None], 3, axis=-1)
-    state = np.full((len(strengths), 1), FINAL, np.uint8)
-    frame = replace(shown(lit(ball_volume(), 0.0, CONSTANT), 16), radiance=light, state=state)
-    levels = develop(frame, exposure)[:, 0, 0].astype(int)
-    assert levels[0] == 0
-    assert (np.diff(levels) >= 0).all()
-    assert levels[-1] == (255 if exposure else 0)
-
-
 @pytest.mark.parametrize("target", [1.0, 0.1, 0.02, 0.002])
 def test_final_light_is_as_good_as_the_target_error(target: float) -> None:
     """A ball in even light: the root mean square of what it is off by, and the frame's own error."""
@@ -167,92 +140,16 @@ def test_final_light_is_as_good_as_the_target_error(target: float) -> None:
     assert frame.noise <= target
 
 
-def senseless_lights() -> list[dict[str, Any]]:
-    """Lights without meaning: no numbers, negative, beyond what frames hold, beyond their ranges."""
-    numbers = (math.nan, math.inf, -1.0, 1e31, 1e300, [1.0, math.nan, 1.0])
-    return [
-        *({"type": "constant", "radiance": value} for value in numbers),
-        *({"type": "directional", "irradiance": value} for value in numbers),
-        *({"type": "point", "position": [0.0, 0.0, 0.0], "intensity": value} for value in numbers),
-        {"type": "constant", "radiance": 1e-40},
-        {"type": "point", "position": [0.0, 0.0, 1e200], "intensity": 1.0},
-        {"type": "area", "corner": [0.0, 0.0, 0.0], "u": [1e200, 0.0, 0.0], "v": [0.0, 1e200, 0.0]},
-        {"type": "area", "corner": [0.0, 0.0, 0.0], "u": [0.0, 0.0, 0.0], "v": [0.0, 1.0, 0.0]},
-        {"type": "sky", "sun_elevation": -0.1},
-        {"type": "sky", "turbidity": 1.8},
-        {"type": "sky", "turbidity": 10.1},
-    ]
-
-
-@pytest.mark.parametrize("light", senseless_lights(), ids=lambda light: " ".join(map(str, light.values())))
-def test_lights_without_meaning_are_refused_in_a_sentence(light: Mapping[str, Any]) -> None:
-    with pytest.raises(IsogiError, match=SENTENCE):
-        lit(plane_volume(), -HEIGHT, light)
-
-
-@pytest.mark.parametrize("radiance", [-1.0, math.nan, math.inf])
-def test_probes_of_senseless_radiance_are_not_written(radiance: float, tmp_path: Path) -> None:
-    """RGBE holds none."""
-    with pytest.raises(IsogiError, match=SENTENCE):
-        write_hdr(tmp_path / "probe.hdr", spot(4, 8, 1, 2, radiance))
-
-
-def test_probes_that_overflow_are_refused_with_a_count_of_pixels(tmp_path: Path) -> None:
-    """Where EXPOSURE in the file makes their radiance infinite."""
-    path = tmp_path / "probe.hdr"
-    write_hdr(path, spot(4, 8, 1, 2, 1e30) + spot(4, 8, 2, 2, 1e30))
-    path.write_bytes(path.read_bytes().replace(b"\n\n", b"\nEXPOSURE=1e-20\n\n", 1))
-    with pytest.raises(IsogiError, match=rf"2 pixels[\s\S]*{SENTENCE}"):
-        lit(plane_volume(), -HEIGHT, {"type": "probe", "file": str(path)})
-
-
-SENSELESS: Mapping[str, tuple[Any, ...]] = {
-    "albedo": (-1e-9, 1.0 + 1e-9, math.nan, [0.5, 0.5], "white"),
-    "albedos": ([0.9, 0.1], [-1e-9, 0.9], [0.0, 1.0 + 1e-9], [0.8, 0.9], [0.5], math.nan),
-    "bounces": (-1, 1001, 2.5, math.inf),
-    "lattice": (0.1249, 4.001, 0.0, -1.0, math.nan),
-    "offset": (-1e-9, 2.1, math.nan),
-    "target_error": (0.0, 9e-5, 1.1, math.nan),
-    "order": (0, 11, 2.5),
-    "isovalues": ([0.7, 0.2], [0.1, 2.0], [0.5], [0.5, math.nan]),
-}
-"""Settings that are no numbers, or a little beyond their ends."""
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [pytest.param(name, value, id=f"{name} {value}") for name, values in SENSELESS.items() for value in values],
-)
-def test_settings_beyond_their_ends_are_refused_in_a_sentence(name: str, value: Any) -> None:
-    with pytest.raises(IsogiError, match=SENTENCE):
-        lit(ball_volume(), 0.0, CONSTANT, **{name: value})
-
-
 @cache
 def ball_scene() -> Scene:
     """A ball in constant light."""
     return lit(ball_volume(), 0.0, CONSTANT)
 
 
-@pytest.mark.parametrize(
-    "isovalue", ["just below", "just above", "-1e300", "1e300", "nan", "inf", "-inf", "1_0", "", "1e999"]
-)
-def test_isovalues_outside_the_range_are_refused_in_a_sentence(isovalue: str) -> None:
-    """Even by a digit."""
+@pytest.mark.parametrize(("end", "beyond"), [(0, -math.inf), (1, math.inf)], ids=["below", "above"])
+def test_isovalues_just_outside_the_range_are_refused(end: int, beyond: float) -> None:
+    """By the least step of a double."""
     scene = ball_scene()
-    low, high = scene.isovalues
-    texts = {"just below": repr(math.nextafter(low, -math.inf)), "just above": repr(math.nextafter(high, math.inf))}
-    with pytest.raises(IsogiError, match=SENTENCE):
-        isovalue_of(scene, read(ViewParams, [("isovalue", texts.get(isovalue, isovalue))]))
-
-
-@pytest.mark.parametrize(
-    "quaternion",
-    [
-        *("0,0,0,0", "nan,0,0,1", "inf,0,0,1", "1e-4,0,0,0", "1e4,0,0,0", "1e300,0,0,0", "1e-300,1e-300,0,0"),
-        *("1,0,0", "1,0,0,0,0", "", ",,,", "1,0,0,x", "-0,0,-0,0", "１,0,0,0"),
-    ],
-)
-def test_rotations_without_meaning_are_refused_in_a_sentence(quaternion: str) -> None:
-    with pytest.raises(IsogiError, match=SENTENCE):
-        light_of(ball_scene(), read(ViewParams, [("light", quaternion)]))
+    isovalue = math.nextafter(scene.isovalues[end], beyond)
+    with pytest.raises(IsogiError, match=r"\.\Z"):
+        isovalue_of(scene, read(ViewParams, [("isovalue", repr(isovalue))]))

@@ -16,7 +16,6 @@ from server.parameters import ViewParams, read
 from server.views import light_of
 from tests.stability.scenes import ball_volume, body_volume, frame_of, grey_levels, lit, view_of
 
-ROTATIONS = 400
 Z = np.array([0.0, 0.0, 1.0])
 
 
@@ -51,12 +50,6 @@ def rotations(count: int) -> Iterator[Quaternion]:
         yield unit_quaternion((w, x, y, z))
 
 
-def pairs(count: int) -> Iterator[tuple[Quaternion, Quaternion]]:
-    """Pairs of rotations."""
-    each = rotations(2 * count)
-    yield from zip(each, each, strict=True)
-
-
 def deviation(matrix: np.ndarray) -> float:
     """The largest element of |M Mᵀ - 1|."""
     transpose = matrix.T.copy()  # beside a view of itself BLAS multiplies ten times as slowly
@@ -66,22 +59,6 @@ def deviation(matrix: np.ndarray) -> float:
 def apart(a: Quaternion, b: Quaternion) -> float:
     """The largest element of |D(a b) - D(a) D(b)|."""
     return float(np.abs(turning(product(a, b)) - turning(a) @ turning(b)).max())
-
-
-def test_rotations_of_harmonics_are_orthogonal() -> None:
-    assert max(deviation(turning(q)) for q in rotations(ROTATIONS)) <= 1e-12
-
-
-def test_rotations_of_harmonics_compose() -> None:
-    assert max(apart(a, b) for a, b in pairs(ROTATIONS)) <= 1e-12
-
-
-def test_rotations_in_single_floats_are_orthogonal_and_compose() -> None:
-    """As frames have them."""
-    for a, b in pairs(ROTATIONS // 2):
-        one, other, both = (turning(q).astype(np.float32) for q in (a, b, product(a, b)))
-        assert deviation(one) <= 1e-5
-        assert float(np.abs(both - one @ other).max()) <= 1e-5
 
 
 @pytest.mark.parametrize("order", range(1, MAX_ORDER + 1))

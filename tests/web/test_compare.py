@@ -1,4 +1,4 @@
-"""Two shadings side by side in a real browser: each shows its own, and nothing old is shown as if it were new."""
+"""Parts of the picture: two shadings side by side, and what cuts take away."""
 
 import re
 
@@ -6,9 +6,23 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.web.visits import BROWSER, FINAL_MS, open_final, pixels, wait_final, written
+from tests.web.visits import (
+    BROWSER,
+    FINAL_MS,
+    drag,
+    middle,
+    open_final,
+    pixels,
+    query_of,
+    slide,
+    stage_of,
+    wait_final,
+    written,
+)
 
 pytestmark = BROWSER
+
+
 SHADING, OTHER = "lambert", "lambert_fog"
 """Two that are final without any light."""
 
@@ -33,12 +47,6 @@ def both_final(page: Page) -> Page:
     return page
 
 
-def centre(page: Page, selector: str) -> tuple[float, float]:
-    box = page.locator(selector).bounding_box()
-    assert box is not None
-    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-
-
 def test_each_side_shows_its_shading_and_they_change_places(compared: Page) -> None:
     left, right = pixels(compared), pixels(compared, "#other")
     assert np.abs(left - right).mean() > 0.3
@@ -53,11 +61,8 @@ def test_each_side_shows_its_shading_and_they_change_places(compared: Page) -> N
 def test_while_the_view_moves_the_right_side_shows_nothing_old(compared: Page) -> None:
     before = pixels(compared, "#other")
     compared.evaluate(WATCH)
-    x, y = centre(compared, "#stage")
-    compared.mouse.move(x - 100, y)
-    compared.mouse.down()
-    compared.mouse.move(x - 160, y, steps=4)
-    compared.mouse.up()
+    x, y = middle(compared.locator("#stage"))
+    drag(compared, (x - 100, y), -60, 0)
     both_final(compared)
     expect(compared.locator("#other")).to_be_visible()
     seen = compared.evaluate("seen")
@@ -68,15 +73,10 @@ def test_while_the_view_moves_the_right_side_shows_nothing_old(compared: Page) -
 
 def test_the_divider_is_moved_by_hand_and_by_keys(compared: Page) -> None:
     address = compared.url
-    divider, (x, y) = compared.locator("#divider"), centre(compared, "#divider")
-    box = compared.locator("#stage").bounding_box()
-    assert box is not None
-    compared.mouse.move(x, y)
-    compared.mouse.down()
-    compared.mouse.move(box["x"] + 0.25 * box["width"], y + 60, steps=4)
-    compared.mouse.up()
+    divider, (left, _, width, _) = compared.locator("#divider"), stage_of(compared)
+    drag(compared, middle(divider), left + 0.25 * width - middle(divider)[0], 60)
     expect(divider).to_have_attribute("aria-valuenow", re.compile(r"^(24|25)(\.\d)?$"))
-    assert centre(compared, "#divider")[0] == pytest.approx(box["x"] + 0.25 * box["width"], abs=2)
+    assert middle(divider)[0] == pytest.approx(left + 0.25 * width, abs=2)
     divider.focus()
     for key, place in (("Home", 0), ("ArrowRight", 2), ("PageUp", 12), ("Shift+ArrowLeft", 2), ("End", 100)):
         compared.keyboard.press(key)
@@ -102,3 +102,63 @@ def test_the_right_side_says_that_it_is_lost_and_comes_back(page: Page, live_ser
     page.unroute("**/frame?*")
     both_final(page)
     expect(page.locator(".side.right")).to_have_text("Diffuse, depth fog")
+
+
+def unfold(page: Page) -> None:
+    page.click("#cuts summary")
+
+
+def test_a_slider_cuts_and_light_comes_in(page: Page, live_server: str) -> None:
+    whole = pixels(open_final(page, live_server))
+    unfold(page)
+    slide(page, "cut-x-to", 0.5)
+    cut = pixels(wait_final(page))
+    assert "cut=x%3E11.5" in page.url
+    assert np.abs(cut - whole).mean() > 2.0
+    page.uncheck("#opened")
+    dark = pixels(wait_final(page))
+    assert "window=x%3E11.5" in page.url
+    assert np.abs(dark - cut).mean() > 0.5
+    page.click("#uncut")
+    again = pixels(wait_final(page))
+    assert "window" not in page.url and "cut" not in page.url
+    assert np.abs(again - whole).mean() < 0.5
+
+
+def test_a_link_opens_with_its_cut(page: Page, live_server: str) -> None:
+    open_final(page, f"{live_server}/?cut=x%3E11.5%3Bz%3C2")
+    expect(page.locator("#cuts")).to_have_attribute("open", "")
+    expect(page.locator("output[for=cut-x-to]")).to_have_text("11.5")
+    expect(page.locator("output[for=cut-z-from]")).to_have_text("2")
+    page.goto(f"{live_server}/?cut=wall")
+    expect(page.locator("#notice")).to_have_text("“wall” is no cut: it is planes such as x>40.")
+
+
+def test_a_slider_is_moved_by_keys_alone(page: Page, live_server: str) -> None:
+    open_final(page, live_server)
+    unfold(page)
+    page.focus("#cut-y-from")
+    page.keyboard.press("PageUp")
+    expect(page.locator("#uncut")).to_be_enabled()
+    wait_final(page)
+    assert "cut=y%3C" in page.url
+
+
+def test_handles_in_the_picture_move_planes(page: Page, live_server: str) -> None:
+    open_final(page, live_server)
+    page.keyboard.press("c")
+    (ax, ay), (bx, by) = (middle(page.get_by_label(f"Cut, x {end}")) for end in ("from", "to"))
+    drag(page, (bx, by), 0.3 * (ax - bx), 0.3 * (ay - by))
+    expect(page.locator("#uncut")).to_be_enabled()
+    turn = float(page.input_value("#azimuth"))
+    page.keyboard.press("ArrowLeft")
+    assert float(page.input_value("#azimuth")) == turn + 5.0, "after a drag arrows turn the object"
+    page.get_by_label("Cut, y from").focus()
+    page.keyboard.press("PageUp")
+    page.click("#add-plane")
+    wait_final(page)
+    query = query_of(page)
+    assert re.fullmatch(r"x>\d+(\.\d+)?;y<\d+(\.\d+)?|y<\d+(\.\d+)?;x>\d+(\.\d+)?", query["cut"]), query
+    assert query["window"].count(",") == 2, "a plane that faces the viewer"
+    page.locator("#oblique").get_by_role("button", name="Remove").click()
+    expect(page.locator(".handle")).to_have_count(6)

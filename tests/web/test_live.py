@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Page, WebSocketRoute, expect
 
-from tests.web.visits import BROWSER, SHOTS, TWO_FRAMES, stage_of, wait_final, written
+from tests.web.visits import BROWSER, TWO_FRAMES, shoot, stage_of, wait_final, written
 
 pytestmark = BROWSER
 DRAWN = "#live:not([hidden])"
@@ -99,10 +99,8 @@ def turn(page: Page, steps: int = 8) -> None:
 def picture_of(page: Page, name: str) -> np.ndarray:
     """The middle of the stage as a person sees it; (h, w, 3) float."""
     left, top, width, height = stage_of(page)
-    SHOTS.mkdir(parents=True, exist_ok=True)
     inside = {"x": left + width / 4, "y": top + 50, "width": width / 2, "height": height - 120}
-    page.screenshot(path=SHOTS / f"live-{name}.png", clip=inside)  # type: ignore[arg-type]
-    return np.asarray(Image.open(SHOTS / f"live-{name}.png").convert("RGB"), float)
+    return np.asarray(Image.open(shoot(page, f"live-{name}", clip=inside)).convert("RGB"), float)
 
 
 def test_the_card_draws_what_moves_and_the_server_what_rests(fresh: Page, wire: Wire, live_server: str) -> None:
@@ -179,11 +177,3 @@ def test_software_is_refused_by_its_name(fresh: Page, wire: Wire, asked: list[st
     wait_final(fresh)
     assert any(each["draft"] for each in wire.pictures)
     assert not of_server(asked) and not any("pictures" in each for each in wire.asked)
-
-
-def test_who_compares_may_have_the_servers_drafts(fresh: Page, wire: Wire, asked: list[str], live_server: str) -> None:
-    open_drawn(fresh, live_server, "draw=server")
-    turn(fresh)
-    fresh.mouse.up()
-    wait_final(fresh)
-    assert not of_server(asked) and any(each["draft"] for each in wire.pictures)

@@ -5,7 +5,7 @@ import re
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.web.visits import BROWSER, VIEWPORTS, open_final, pixels, slide, stage_of, wait_final
+from tests.web.visits import BROWSER, VIEWPORTS, are_apart, box_of, open_final, pixels, slide, stage_of, wait_final
 
 pytestmark = BROWSER
 
@@ -126,10 +126,8 @@ def test_no_panel_covers_the_controls(sketched: Page, width: int, height: int) -
     sketched.set_viewport_size({"width": width, "height": height})
     for name in ("save", "share"):
         sketched.click(f"#{name}-button")
-        panel, controls = sketched.locator(f"#{name}").bounding_box(), sketched.locator("#controls").bounding_box()
-        assert panel is not None and controls is not None
-        beside = panel["x"] + panel["width"] <= controls["x"] or panel["y"] + panel["height"] <= controls["y"]
-        assert beside and panel["x"] >= 0 and panel["y"] + panel["height"] <= height, name
+        panel, controls = (box_of(sketched.locator(f"#{each}")) for each in (name, "controls"))
+        assert are_apart(panel, controls) and panel["x"] >= 0 and panel["y"] + panel["height"] <= height, name
         sketched.keyboard.press("Escape")
 
 
@@ -149,9 +147,6 @@ def test_key_c_brings_its_section_into_sight(sketched: Page, width: int, height:
     sketched.keyboard.press("c")
     summary = sketched.locator("#cuts summary")
     expect(summary).to_be_in_viewport(ratio=1)
-    box, stage = summary.bounding_box(), sketched.locator("#stage").bounding_box()
-    assert box is not None and stage is not None
-    beside = box["x"] >= stage["x"] + stage["width"] or box["y"] >= stage["y"] + stage["height"]
-    assert beside, "the picture does not cover it"
+    assert are_apart(box_of(summary), box_of(sketched.locator("#stage"))), "the picture does not cover it"
     sketched.keyboard.press("c")
     expect(sketched.locator("#cuts")).not_to_have_attribute("open", "")

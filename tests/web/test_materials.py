@@ -1,14 +1,16 @@
-"""Materials on the page: chosen, with numbers that are applied when their slider is let go, and kept in the address."""
+"""What the surface is made of, on the page: materials, albedo and tint, and labels."""
 
 from collections.abc import Iterator
-from urllib.parse import parse_qs, urlsplit
+from pathlib import Path
 
+import nrrd
 import numpy as np
 import pytest
+from PIL import Image
 from playwright.sync_api import Page, expect
 
 from tests.live import serving
-from tests.web.visits import BROWSER, open_final, pixels, slide, wait_final, written
+from tests.web.visits import BROWSER, FINAL_MS, open_final, open_shown, pixels, query_of, shoot, slide, wait_final
 
 pytestmark = BROWSER
 
@@ -27,7 +29,7 @@ def sunlit(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 def material(page: Page) -> str:
     """What the address says of it."""
-    return parse_qs(urlsplit(written(page)).query).get("material", [""])[0]
+    return query_of(page).get("material", "")
 
 
 def test_a_material_is_chosen_and_the_picture_follows(page: Page, live_server: str) -> None:
@@ -90,6 +92,112 @@ def test_a_link_of_a_material_that_there_is_not_is_told(page: Page, live_server:
 
 
 def test_where_a_scene_allows_its_own_alone_there_is_no_choice(page: Page, sunlit: str) -> None:
-    page.goto(sunlit)
-    page.wait_for_selector("#picture:not([hidden])")
+    open_shown(page, sunlit)
     expect(page.locator("#material")).to_be_hidden()
+
+
+@pytest.fixture(scope="module")
+def painted(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A server of the small scene at albedo 0.3, of which views may ask for 0 to 0.9."""
+    scene = small_scene.with_name("paint.toml")
+    scene.write_text(f"albedo = 0.3\nalbedos = [0, 0.9]\n{small_scene.read_text()}")
+    with serving(scene, tmp_path_factory.mktemp("store")) as url:
+        yield url
+
+
+def tint(page: Page, colour: str) -> None:
+    """Choose a colour, as a hand would."""
+    page.eval_on_selector(
+        "#tint",
+        '(input, colour) => { input.value = colour; input.dispatchEvent(new Event("input", { bubbles: true })); }',
+        colour,
+    )
+
+
+def test_the_slider_brightens_and_the_link_keeps_it(page: Page, painted: str) -> None:
+    page.emulate_media(color_scheme="dark")  # or the background is the brightest
+    open_final(page, painted)
+    expect(page.locator("output[for=albedo]")).to_have_text("0.30")
+    expect(page.locator("#tint")).to_have_value("#ffffff")
+    dark = pixels(page)
+    slide(page, "albedo", 1.0)
+    wait_final(page)
+    bright = pixels(page)
+    expect(page.locator("output[for=albedo]")).to_have_text("0.90")
+    assert bright.max() > dark.max() + 40.0
+    assert query_of(page)["albedo"] == "0.9" and "tint" not in query_of(page)
+    again = page.url
+    page.click("#reset")
+    wait_final(page)
+    assert abs(pixels(page) - dark).max() == 0.0
+    assert abs(pixels(open_final(page, again)) - bright).max() == 0.0
+
+
+def test_a_tint_colours_the_surface_and_is_in_the_lines(page: Page, painted: str) -> None:
+    page.emulate_media(color_scheme="dark")
+    open_final(page, f"{painted}/?albedo=0.8")
+    tint(page, "#ff8000")
+    wait_final(page)
+    red, green, blue = (pixels(page)[..., c].max() for c in range(3))
+    assert red > green + 20.0 > blue + 40.0
+    assert query_of(page)["tint"] == "#ff8000"
+    page.click("#share-button")
+    line = page.locator("#share-curl")
+    expect(line).to_contain_text("albedo=0.8%2C0.1727%2C0")
+    shoot(page, "tint")
+
+
+def test_a_surface_of_one_albedo_has_neither(page: Page, live_server: str) -> None:
+    open_final(page, f"{live_server}/?albedo=0.9&tint=%23ff0000&shading=phong")
+    expect(page.locator("#albedo")).to_be_hidden()
+    expect(page.locator("#tint")).to_be_hidden()
+    slide(page, "exposure", 0.6)
+    wait_final(page)
+    assert "exposure" in query_of(page) and not {"albedo", "tint"} & set(query_of(page))
+
+
+@pytest.fixture(scope="module")
+def segmented(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A server of a segmentation of two halves, one red and one green."""
+    folder, parts = tmp_path_factory.mktemp("labels"), np.zeros((12, 12, 12), np.uint8)
+    parts[2:10, 2:10, 2:6], parts[2:10, 2:10, 6:10] = 3, 8
+    nrrd.write(str(folder / "seg.nrrd"), parts, index_order="C")
+    tables = ((3, "liver", "#c02020"), (8, "spleen", "#20a040"))
+    labels = "".join(f'[[labels]]\nvalue = {v}\nname = "{name}"\ncolour = "{code}"\n' for v, name, code in tables)
+    lit = '[[lights]]\ntype = "constant"\nradiance = 1.0\n'
+    plain = 'volume = "seg.nrrd"\nbounces = 0\ntarget_error = 0.3\nprojected = false\n'
+    (folder / "parts.toml").write_text(plain + lit + labels)
+    with serving(folder / "parts.toml", folder / "store") as url:
+        yield url
+
+
+def greenness(path: Path) -> np.ndarray:
+    """Which pixels of a picture are clearly green; (h, w) bool."""
+    with Image.open(path) as picture:
+        red, green, _ = np.moveaxis(np.asarray(picture.convert("RGB"), int), -1, 0)
+    return np.asarray(green > red + 30)
+
+
+def test_a_label_is_hidden_by_keys_and_named_in_a_saved_picture(page: Page, segmented: str, tmp_path: Path) -> None:
+    open_final(page, segmented)
+    page.get_by_label("spleen").focus()
+    page.keyboard.press("Space")
+    expect(page.get_by_label("liver")).to_be_disabled()  # one is always shown
+    wait_final(page)
+    assert "hide=8" in page.url
+    page.click("#save-button")
+    found = []
+    for _ in range(2):
+        with page.expect_download(timeout=FINAL_MS) as download:
+            page.click("#save-start")
+        download.value.save_as(path := tmp_path / f"{len(found)}.png")
+        found.append(np.asarray(Image.open(path).convert("RGB"), int))
+        page.check("#save-legend")
+    assert not greenness(tmp_path / "0.png").any(), "the spleen is gone"
+    rows, columns = np.nonzero(np.abs(found[1] - found[0]).max(axis=-1) > 2)
+    high, wide, _ = found[0].shape
+    assert len(rows) > 500 and rows.min() > 0.8 * high and columns.min() > 0.7 * wide, "a row for the liver"
+    page.keyboard.press("Escape")
+    page.click("#labels-all")
+    wait_final(page)
+    assert "hide" not in page.url

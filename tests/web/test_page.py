@@ -3,8 +3,8 @@
 import json
 import re
 from collections.abc import Callable
-from typing import Any, Literal
-from urllib.parse import parse_qs, urlsplit
+from typing import Any
+from urllib.parse import parse_qs, urljoin, urlsplit
 
 import numpy as np
 import pytest
@@ -13,14 +13,19 @@ from playwright.sync_api import Browser, Page, Route, WebSocket, WebSocketRoute,
 from tests.web.visits import (
     BROWSER,
     FINAL_MS,
-    SHOTS,
+    box_of,
+    drag,
+    middle,
     open_final,
+    open_shown,
     pixels,
+    query_of,
+    shoot,
     slide,
+    stage_of,
     unfold,
     wait_final,
     without_sockets,
-    written,
 )
 
 ROLES = "slider|combobox|switch|button|spinbutton|progressbar"
@@ -55,30 +60,13 @@ def difference(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.abs(a - b).mean())
 
 
-def address_of(page: Page) -> dict[str, str]:
-    """The knobs in the address bar."""
-    return {name: values[0] for name, values in parse_qs(urlsplit(written(page)).query).items()}
-
-
 def numbers_of(page: Page) -> dict[str, float]:
-    return {name: float(value) for name, value in address_of(page).items() if name in KNOBS}
-
-
-def drag(page: Page, right: int, down: int, button: Literal["left", "right"] = "left") -> None:
-    box = page.locator("#stage").bounding_box()
-    assert box is not None
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.mouse.move(x, y)
-    page.mouse.down(button=button)
-    page.mouse.move(x + right, y + down, steps=8)
-    page.mouse.up(button=button)
+    return {name: float(value) for name, value in query_of(page).items() if name in KNOBS}
 
 
 def drag_until_drafts(page: Page, drafts: Callable[[], list[dict[str, Any]]]) -> list[dict[str, Any]]:
     """Drag to and fro until a draft is shown, as a hand does on a machine that is slow to answer."""
-    box = page.locator("#stage").bounding_box()
-    assert box is not None
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    x, y = middle(page.locator("#stage"))
     page.mouse.move(x, y)
     page.mouse.down()
     for step in range(600):
@@ -143,8 +131,7 @@ def test_becomes_final_without_a_reload_and_asks_only_the_server(page: Page, liv
     expect(page.locator("#progress")).to_have_attribute("aria-valuenow", "100")
     expect(page.locator("#badge")).to_be_hidden()
     assert pixels(page).std() > 5.0, "the picture shows nothing"
-    SHOTS.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=SHOTS / "final.png")
+    shoot(page, "final")
 
 
 def test_says_what_the_scene_needs_and_what_was_left_out(shown: Page, live_server: str) -> None:
@@ -160,7 +147,7 @@ def test_says_what_the_scene_needs_and_what_was_left_out(shown: Page, live_serve
         assert all(saved["unit"] in facts for saved in item["saves"])
     assert shown.locator("#plan-left-out li").count() == len(scene["plan"]["left_out"])
     assert shown.evaluate("document.documentElement.scrollWidth <= innerWidth"), "nothing sticks out"
-    shown.screenshot(path=SHOTS / "plan.png", full_page=True)
+    shoot(shown, "plan", full_page=True)
     shown.click("#volume summary")
     assert " × ".join(str(side) for side in scene["volume"]["size"]) in shown.inner_text("#volume")
 
@@ -176,8 +163,7 @@ def test_a_scene_of_one_isovalue_locks_its_slider(page: Page, live_server: str) 
     expect(page.locator("#isovalue")).to_be_disabled()
     expect(page.locator("#isovalue-number")).to_be_disabled()
     expect(page.locator("#isovalue-number")).to_have_value("0.5")
-    box = page.locator("#histogram .bars").first.bounding_box()
-    assert box is not None and box["width"] > 100
+    assert box_of(page.locator("#histogram .bars").first)["width"] > 100
 
 
 @pytest.mark.journey
@@ -205,7 +191,7 @@ def test_isovalue_can_be_typed(sketched: Page) -> None:
 @pytest.mark.journey
 def test_drag_turns_the_object_as_if_held(sketched: Page) -> None:
     before, start = pixels(sketched), scene_angles(sketched)
-    drag(sketched, 90, 40)
+    drag(sketched, middle(sketched.locator("#stage")), 90, 40)
     after = numbers_of(sketched)
     assert -90.0 < turned(after["azimuth"], start["azimuth"]) < -5.0
     assert after["elevation"] > start["elevation"]
@@ -234,7 +220,7 @@ def test_keys(sketched: Page) -> None:
     assert after["distance"] < start["distance"]
     assert after["isovalue"] > start["isovalue"]
     assert turned(after["yaw"], start["yaw"]) == pytest.approx(10.0, abs=0.02)
-    assert address_of(sketched)["overlay"] == "provisional"
+    assert query_of(sketched)["overlay"] == "provisional"
     sketched.keyboard.press("0")
     assert numbers_of(sketched) == pytest.approx(start, rel=1e-3, abs=0.01)
     sketched.keyboard.press("?")
@@ -276,10 +262,10 @@ def test_light_that_turns_in_vain_has_no_knobs(page: Page, live_server: str, rot
     assert page.locator("#globe").is_hidden() == rotating, "fixed light has sides to show"
     expect(page.locator("#yaw")).to_be_hidden()
     before = pixels(page)
-    drag(page, 60, 20, "right")
+    drag(page, middle(page.locator("#stage")), 60, 20, "right")
     wait_final(page)
     assert difference(pixels(page), before) > 0.3, "the object turns instead"
-    assert float(address_of(page).get("yaw", 0.0)) == 0.0
+    assert float(query_of(page).get("yaw", 0.0)) == 0.0
 
 
 def test_shading_choice(shown: Page, live_server: str) -> None:
@@ -287,16 +273,9 @@ def test_shading_choice(shown: Page, live_server: str) -> None:
     offered = shown.eval_on_selector_all("#shading option", "options => options.map(o => o.value)")
     assert offered == scene_of(shown, live_server)["shadings"]
     shown.select_option("#shading", "lambert_fog")
-    assert address_of(shown)["shading"] == "lambert_fog"
+    assert query_of(shown)["shading"] == "lambert_fog"
     wait_final(shown)
     assert difference(pixels(shown), before) > 0.3
-
-
-def test_exposure_brightens(shown: Page) -> None:
-    before = pixels(shown).mean()
-    slide(shown, "exposure", 0.7)
-    wait_final(shown)
-    assert pixels(shown).mean() > before + 2.0
 
 
 def test_overlay_marks_what_is_provisional(page: Page, live_server: str) -> None:
@@ -308,7 +287,7 @@ def test_overlay_marks_what_is_provisional(page: Page, live_server: str) -> None
         page.select_option("#overlay", overlay)
         page.wait_for_timeout(100)
         assert views[-1]["view"]["overlay"] == overlay
-        assert address_of(page).get("overlay", "none") == overlay
+        assert query_of(page).get("overlay", "none") == overlay
         expect(page.locator("#error-scale")).to_be_visible(visible=overlay == "error")  # with the picture
 
 
@@ -323,9 +302,7 @@ def test_moving_shows_small_jpeg_and_rest_the_full_picture(page: Page, live_serv
     last = stream.answers[-1]
     assert (last["media_type"], last["final"], last["id"]) == ("image/png", True, stream.views[-1]["id"])
     assert drafts[0]["width"] < last["width"]
-    box = page.locator("#stage").bounding_box()
-    assert box is not None
-    assert last["width"] == pytest.approx(box["width"], abs=1)
+    assert last["width"] == pytest.approx(stage_of(page)[2], abs=1)
     assert stream.receipts == [answer["id"] for answer in stream.answers]
 
 
@@ -333,24 +310,22 @@ def test_without_sockets_drafts_are_small_jpegs(fresh: Page, live_server: str) -
     shown = open_final(without_sockets(fresh), live_server)
     asked: list[dict[str, list[str]]] = []
     shown.on("request", lambda request: asked.append(parse_qs(urlsplit(request.url).query)))
-    drag(shown, 60, 0)
+    drag(shown, middle(shown.locator("#stage")), 60, 0)
     wait_final(shown)
     frames = [query for query in asked if "isovalue" in query]
     assert frames[0]["f"] == ["jpeg"]
     assert frames[-1]["f"] == ["png"]
     assert int(frames[0]["width"][0]) < int(frames[-1]["width"][0])
-    box = shown.locator("#stage").bounding_box()
-    assert box is not None
-    assert int(frames[-1]["width"][0]) == pytest.approx(box["width"], abs=1)
+    assert int(frames[-1]["width"][0]) == pytest.approx(stage_of(shown)[2], abs=1)
 
 
 def test_reload_restores_the_view(shown: Page) -> None:
     slide(shown, "isovalue", 0.45)
-    drag(shown, -70, -25)
-    drag(shown, 50, 30, button="right")
+    drag(shown, middle(shown.locator("#stage")), -70, -25)
+    drag(shown, middle(shown.locator("#stage")), 50, 30, "right")
     shown.select_option("#shading", "lambert")
     wait_final(shown)
-    address, before = address_of(shown), pixels(shown)
+    address, before = query_of(shown), pixels(shown)
     shown.reload()
     wait_final(shown)
     assert difference(pixels(shown), before) == 0.0
@@ -367,7 +342,6 @@ def test_address_without_meaning_is_put_right(page: Page, live_server: str) -> N
 
 
 def test_narrow_screens_scroll_only_down(browser: Browser, live_server: str) -> None:
-    SHOTS.mkdir(parents=True, exist_ok=True)
     context = browser.new_context(viewport={"width": 320, "height": 844}, has_touch=True)
     page = open_final(context.new_page(), live_server)
     for summary in page.locator("#controls summary").all():
@@ -376,24 +350,20 @@ def test_narrow_screens_scroll_only_down(browser: Browser, live_server: str) -> 
     for width in (320, 390, 768):
         page.set_viewport_size({"width": width, "height": 844})
         wait_final(page).evaluate("scrollTo(0, 0)")
-        stage, controls = page.locator("#stage").bounding_box(), page.locator("#controls").bounding_box()
-        assert stage is not None
-        assert controls is not None
+        stage, controls = (box_of(page.locator(each)) for each in ("#stage", "#controls"))
         assert stage["y"] + stage["height"] <= controls["y"]
         assert page.evaluate("document.documentElement.scrollWidth") <= width
-        page.screenshot(path=SHOTS / f"width-{width}.png", full_page=True)
+        shoot(page, f"width-{width}", full_page=True)
     context.close()
 
 
 @pytest.mark.parametrize(("width", "height", "first"), [(1280, 800, 3), (390, 844, 0)])
 def test_light_and_camera_come_first(browser: Browser, live_server: str, width: int, height: int, first: int) -> None:
     context = browser.new_context(viewport={"width": width, "height": height})
-    page = context.new_page()
-    page.goto(live_server)
-    page.wait_for_selector("#picture:not([hidden])")
-    tops = [page.locator(f"#{name}-title").bounding_box() for name in ("isovalue", "light", "camera")]
-    ends = [box["y"] + box["height"] for box in tops if box is not None]
-    assert ends == sorted(ends) and len(ends) == 3
+    page = open_shown(context.new_page(), live_server)
+    tops = [box_of(page.locator(f"#{name}-title")) for name in ("isovalue", "light", "camera")]
+    ends = [box["y"] + box["height"] for box in tops]
+    assert ends == sorted(ends)
     assert all(end < height for end in ends[:first])
     assert not re.search(r"\b(texels?|chunks?|void|SH|noise|[Mm]arks|provisional)\b", page.inner_text("body"))
     expect(page.locator("#error")).to_be_hidden()
@@ -406,8 +376,7 @@ def test_dark_scheme(browser: Browser, live_server: str) -> None:
     ink, paper = (page.evaluate(f"getComputedStyle(document.body).{what}") for what in ("color", "backgroundColor"))
     assert brightness(ink) > 200
     assert brightness(paper) < 60
-    SHOTS.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=SHOTS / "dark.png")
+    shoot(page, "dark")
     context.close()
 
 
@@ -430,22 +399,10 @@ def test_server_gone_and_back(fresh: Page, live_server: str) -> None:
     fresh.focus("#stage")
     fresh.keyboard.press("ArrowLeft")
     expect(fresh.locator("#status-line")).to_have_text(re.compile("^Not up to date"))
-    SHOTS.mkdir(parents=True, exist_ok=True)
-    fresh.screenshot(path=SHOTS / "gone.png")
+    shoot(fresh, "gone")
     away = False
     expect(fresh.locator("#trouble")).to_be_hidden(timeout=FINAL_MS)
     wait_final(fresh)
-
-
-def test_server_gone_and_back_without_sockets(fresh: Page, live_server: str) -> None:
-    shown = open_final(without_sockets(fresh), live_server)
-    shown.route("**/frame?*", lambda route: route.abort())
-    shown.focus("#stage")
-    shown.keyboard.press("ArrowLeft")
-    expect(shown.locator("#trouble h2")).to_have_text("The server does not answer")
-    shown.unroute("**/frame?*")
-    expect(shown.locator("#trouble")).to_be_hidden(timeout=FINAL_MS)
-    wait_final(shown)
 
 
 def test_server_away_at_the_start(page: Page, live_server: str) -> None:
@@ -466,8 +423,7 @@ def test_every_control_has_a_name(shown: Page) -> None:
 
 def scene_angles(page: Page) -> dict[str, float]:
     """The knobs where the page starts, asked of the server that it came from."""
-    parts = urlsplit(page.url)
-    base = f"{parts.scheme}://{parts.netloc}"
+    base = urljoin(page.url, "/").rstrip("/")
     width, height = page.eval_on_selector("#stage", "stage => [stage.clientWidth, stage.clientHeight]")
     fit = page.request.get(f"{base}/v1/scenes/small/fit", params={"width": width, "height": height}).json()
     start = {**scene_of(page, base)["defaults"], **fit}
@@ -481,10 +437,10 @@ def turn_light(page: Page, hand: str) -> None:
         page.locator("#globe").drag_to(page.locator("#light label").first, source_position={"x": 40, "y": 58})
     elif hand == "shift":
         page.keyboard.down("Shift")
-        drag(page, 120, 0)
+        drag(page, middle(page.locator("#stage")), 120, 0)
         page.keyboard.up("Shift")
     else:
-        drag(page, 120, 0, button="right")
+        drag(page, middle(page.locator("#stage")), 120, 0, "right")
 
 
 def brightness(colour: str) -> float:

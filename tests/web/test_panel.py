@@ -6,11 +6,10 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.web.visits import BROWSER, FINAL_MS, SHOTS, open_final, slide, unfold, wait_final, without_sockets
+from tests.web.visits import BROWSER, open_final, shoot, slide, unfold, wait_final, without_sockets
 
 pytestmark = BROWSER
 
-LEFT = "low=12.0, likely=20.0, high=41.0"
 COURSE = [
     (1.0, "final=0.000, converging=0.000, provisional=1.000"),
     (0.3, "final=0.250, converging=0.500, provisional=0.250"),
@@ -80,7 +79,7 @@ def test_the_drawing_is_to_scale(fresh: Page, live_server: str) -> None:
     fresh.set_viewport_size({"width": 390, "height": 844})
     wait_final(fresh)
     assert max(x for x, _ in course(fresh)) < 390
-    fresh.locator("#error").screenshot(path=SHOTS / "panel-390.png")
+    shoot(fresh.locator("#error"), "panel-390")
 
 
 def test_a_new_view_begins_a_new_history_and_exposure_does_not(fresh: Page, live_server: str) -> None:
@@ -108,16 +107,3 @@ def test_an_error_of_zero_has_no_place_on_a_logarithmic_axis(page: Page, live_se
     assert area(page, "final") > 0.0
     expect(page.locator("#error .value")).to_have_text("0 %")
     expect(page.locator("#error .note")).to_have_text(re.compile("nothing to estimate$"))
-
-
-@pytest.mark.parametrize("time_left", [LEFT, None])
-def test_the_words_follow_the_header(fresh: Page, live_server: str, time_left: str | None) -> None:
-    without_sockets(fresh).route("**/frame?*", staged(time_left, end=False))
-    fresh.goto(live_server)
-    expect(fresh.locator("#error .value")).to_have_text("4 %", timeout=FINAL_MS)
-    line, note = unfold(fresh).inner_text("#status-line"), fresh.inner_text("#error .note")
-    assert line == ("Refining, about 4 % error" if time_left is None else "Refining, about 4 % error, about 20 s left")
-    assert note.endswith(" · about 20 s left (12 s to 41 s)") == (time_left is not None)
-    assert ("left" in note) == (time_left is not None)
-    shares = fresh.locator("#error .legend b").all_inner_texts()
-    assert shares == ["60 %", "40 %", "0 %"]

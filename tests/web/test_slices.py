@@ -2,16 +2,32 @@
 
 import io
 from pathlib import Path
-from urllib.parse import parse_qs, parse_qsl, urlsplit
+from urllib.parse import parse_qsl, urlsplit
 
 import httpx
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, FloatRect, Locator, Page, expect
+from playwright.sync_api import Browser, Locator, Page, expect
 
 from tests.live import serving
-from tests.web.visits import BROWSER, SHOTS, VIEWPORTS, click, findings, position, slide, stage_of, written
+from tests.web.visits import (
+    BROWSER,
+    VIEWPORTS,
+    are_apart,
+    box_of,
+    click,
+    drag,
+    findings,
+    middle,
+    open_shown,
+    position,
+    query_of,
+    shoot,
+    slide,
+    stage_of,
+    written,
+)
 
 ADDRESS = "?shading=lambert&azimuth=25&elevation=15&distance=3"
 SIZE = (24, 20, 16)
@@ -21,16 +37,9 @@ VOXEL = (12, 10, 8)
 pytestmark = BROWSER
 
 
-def opened(page: Page, address: str) -> Page:
-    """The page with its picture, for which nothing is baked."""
-    page.goto(address)
-    page.wait_for_selector("#picture:not([hidden])")
-    return page
-
-
 def sliced(page: Page, address: str, voxel: tuple[int, ...] = VOXEL) -> Page:
     """The page with slices, their values on the screen."""
-    return settled(opened(page, f"{address}&slices={','.join(map(str, voxel))}"))
+    return settled(open_shown(page, f"{address}&slices={','.join(map(str, voxel))}"))
 
 
 def settled(page: Page) -> Page:
@@ -54,17 +63,6 @@ def line(page: Page, axis: str, plane: str) -> Locator:
     return figure(page, axis).get_by_role("slider", name=f"Cut, {plane}")
 
 
-def box_of(locator: Locator) -> FloatRect:
-    box = locator.bounding_box()
-    assert box is not None
-    return box
-
-
-def middle(locator: Locator) -> tuple[float, float]:
-    box = box_of(locator)
-    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-
-
 def place(page: Page, axis: str, right: float, up: float) -> tuple[float, float]:
     """The place on the screen where a slice has a voxel, by its indices along the slice's two axes."""
     box, (wide, high) = box_of(plane(page, axis)), {"z": SIZE[:2], "y": SIZE[::2], "x": SIZE[1:]}[axis]
@@ -76,17 +74,13 @@ def share(line: Locator) -> float:
     return float((line.locator(".line").get_attribute("x1") or "").removesuffix("%")) / 100
 
 
-def query_of(page: Page, name: str) -> str:
-    return parse_qs(urlsplit(written(page)).query).get(name, [""])[0]
-
-
 def cut_of(page: Page) -> str:
-    return query_of(page, "cut")
+    return query_of(page).get("cut", "")
 
 
 def cross_hair(page: Page) -> list[float]:
     """The voxel of the cross hair, and black and white where they were chosen, as a link has them."""
-    return [float(number) for number in query_of(page, "slices").split(",") if number]
+    return [float(number) for number in query_of(page).get("slices", "").split(",") if number]
 
 
 def values_on(url: str, axis: str, at: int) -> np.ndarray:
@@ -128,21 +122,21 @@ def field(x: np.ndarray | float, y: np.ndarray | float, z: np.ndarray | float) -
 
 def marked(page: Page) -> tuple[float, float]:
     """Where a pinhole camera sees the voxel of the cross hair, which looks at the middle of the volume."""
-    left, top, width, height = stage_of(page)
-    azimuth, elevation = np.radians([float(query_of(page, name)) for name in ("azimuth", "elevation")])
+    query, (left, top, width, height) = query_of(page), stage_of(page)
+    azimuth, elevation = np.radians([float(query[name]) for name in ("azimuth", "elevation")])
     out = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     up, length = np.cross(out, right), np.array(SIZE) - 1
     away = np.array(cross_hair(page)[:3]) - length / 2  # this volume's spacing is 1
-    depth = float(query_of(page, "distance")) * np.linalg.norm(length) / 2 - away @ out
-    scale = height / (2 * depth * np.tan(np.radians(float(query_of(page, "fov"))) / 2))
+    depth = float(query["distance"]) * np.linalg.norm(length) / 2 - away @ out
+    scale = height / (2 * depth * np.tan(np.radians(float(query["fov"])) / 2))
     return left + width / 2 + scale * (away @ right), top + height / 2 - scale * (away @ up)
 
 
 def test_a_button_and_a_key_open_slices_where_a_point_is(page: Page, live_server: str) -> None:
     asked: list[str] = []
     page.on("request", lambda request: asked.append(request.url) if "/slice?" in request.url else None)
-    opened(page, f"{live_server}/{ADDRESS}")
+    open_shown(page, f"{live_server}/{ADDRESS}")
     assert asked == [] and page.locator("#slices").is_hidden()
     page.click("#slices-button")
     expect(page.locator("#slices-place")).to_have_text("voxel 12, 10, 8")
@@ -151,7 +145,7 @@ def test_a_button_and_a_key_open_slices_where_a_point_is(page: Page, live_server
     assert {query["axis"]: int(query["at"]) for query in queries} == dict(zip("xyz", VOXEL, strict=True))
     page.keyboard.press("v")
     expect(page.locator("#slices")).to_be_hidden()
-    assert query_of(page, "slices") == ""
+    assert "slices" not in query_of(page)
     *_, width, height = stage_of(page)
     click(page, width // 2 + 20, height // 2 - 10)
     page.click("#point-slices")
@@ -176,14 +170,11 @@ def test_nothing_hides_under_the_fold(page: Page, live_server: str, width: int, 
     for number, box in enumerate(boxes):
         assert box["x"] >= 0 and box["x"] + box["width"] <= width and box["y"] + box["height"] <= height
         assert box["width"] >= 0.3 * min(width, 860) and box["height"] >= 0.2 * height, "large"
-        for other in boxes[:number]:
-            beside = box["x"] >= other["x"] + other["width"] or other["x"] >= box["x"] + box["width"]
-            assert beside or box["y"] >= other["y"] + other["height"], "none lies over another"
+        assert all(are_apart(box, other) for other in boxes[:number]), "none lies over another"
     for part in ("#slices-place", "#slices-level", "#status-line"):
         assert box_of(page.locator(part))["y"] + box_of(page.locator(part))["height"] <= height
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    SHOTS.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=SHOTS / f"slices-{width}.png")
+    shoot(page, f"slices-{width}")
 
 
 def test_slices_are_of_one_scale(page: Page, live_server: str) -> None:
@@ -288,11 +279,7 @@ def test_a_right_drag_sets_window_and_level(page: Page, live_server: str) -> Non
     window, level = (float(page.input_value(f"#slices-{name}")) for name in ("window", "level"))
     before = grey_values(page, "y")
     expect(page.locator("#slices-reset")).to_be_disabled()
-    x, y = middle(plane(page, "y"))
-    page.mouse.move(x, y)
-    page.mouse.down(button="right")
-    page.mouse.move(x - 100, y + 20, steps=4)
-    page.mouse.up(button="right")
+    drag(page, middle(plane(page, "y")), -100, 20, "right")
     expect(page.locator("#slices-reset")).to_be_enabled()
     assert float(page.input_value("#slices-window")) == pytest.approx(window / 2, rel=0.01)
     assert float(page.input_value("#slices-level")) == pytest.approx(level + window / 10, rel=0.01)
@@ -315,12 +302,12 @@ def test_a_right_drag_sets_window_and_level(page: Page, live_server: str) -> Non
 
 def test_keys_move_the_cross_hair_in_a_slice(page: Page, live_server: str) -> None:
     sliced(page, f"{live_server}/{ADDRESS}")
-    azimuth = query_of(page, "azimuth")
+    azimuth = query_of(page)["azimuth"]
     plane(page, "x").focus()
     for key in ("ArrowRight", "ArrowUp", "ArrowUp", "PageDown", "Shift+PageDown", "Shift+ArrowLeft"):
         page.keyboard.press(key)
     expect(page.locator("#slices-place")).to_have_text("voxel 1, 1, 10")
-    assert query_of(page, "azimuth") == azimuth, "arrows turn nothing there"
+    assert query_of(page)["azimuth"] == azimuth, "arrows turn nothing there"
     expect(plane(page, "x")).to_have_attribute(
         "aria-label", "Slice across x. Arrow keys move the cross hair, page keys go through slices, with Shift by ten."
     )
@@ -329,7 +316,7 @@ def test_keys_move_the_cross_hair_in_a_slice(page: Page, live_server: str) -> No
 
 
 def test_a_link_shows_the_same_slices(page: Page, live_server: str) -> None:
-    opened(settled(opened(page, f"{live_server}/{ADDRESS}&slices=3,4,5,0.25,0.75")), written(page))
+    open_shown(settled(open_shown(page, f"{live_server}/{ADDRESS}&slices=3,4,5,0.25,0.75")), written(page))
     settled(page)
     assert cross_hair(page) == [3, 4, 5, 0.25, 0.75]
     assert [page.input_value(f"#slices-{name}") for name in ("window", "level")] == ["0.5", "0.5"]
@@ -341,7 +328,7 @@ def test_a_link_shows_the_same_slices(page: Page, live_server: str) -> None:
 
 def test_slices_that_a_server_owes_come_when_it_is_back(page: Page, live_server: str) -> None:
     page.route("**/slice?*", lambda route: route.abort())
-    opened(page, f"{live_server}/{ADDRESS}&slices=3,4,5")
+    open_shown(page, f"{live_server}/{ADDRESS}&slices=3,4,5")
     expect(page.locator("#slices-voxel")).to_have_text("value …")
     expect(page.locator("#slices figure[data-old]")).to_have_count(3)
     page.unroute("**/slice?*")
@@ -391,7 +378,7 @@ def test_a_line_is_dragged_and_the_cut_follows(page: Page, live_server: str) -> 
 
 def test_keys_move_lines_as_arrows_point(page: Page, live_server: str) -> None:
     sliced(page, f"{live_server}/{ADDRESS}&cut=x%3E14")
-    turned = urlsplit(written(page)).query.split("azimuth=")[1].split("&")[0]
+    turned = query_of(page)["azimuth"]
     line(page, "z", "x to").focus()
     page.keyboard.press("ArrowLeft")
     assert cut_of(page) == "x>13.8"
@@ -402,7 +389,7 @@ def test_keys_move_lines_as_arrows_point(page: Page, live_server: str) -> None:
     assert cut_of(page) == "x>15.8;z<0.1"
     page.keyboard.press("Home")
     assert cut_of(page) == "x>15.8"
-    assert f"azimuth={turned}&" in page.url, "arrows turn nothing there"
+    assert query_of(page)["azimuth"] == turned, "arrows turn nothing there"
     assert cross_hair(page) == list(VOXEL)
 
 
@@ -429,14 +416,13 @@ def test_cut_here_cuts_along_the_slice_on_the_near_side(page: Page, live_server:
 
 def test_a_finger_moves_cross_hair_and_lines_on_a_phone(browser: Browser, live_server: str) -> None:
     context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
-    page = context.new_page()
-    opened(page, f"{live_server}/{ADDRESS}&cut=x%3E14")
+    page = open_shown(context.new_page(), f"{live_server}/{ADDRESS}&cut=x%3E14")
     left, top, width, height = stage_of(page)
     page.touchscreen.tap(left + width / 2, top + 0.45 * height)
     page.locator("#point-slices").tap()
     settled(page)
-    stage, card = page.locator("#stage").bounding_box(), page.locator("#point").bounding_box()
-    assert stage and card and card["x"] >= stage["x"] and card["x"] + card["width"] <= stage["x"] + stage["width"]
+    stage, card = box_of(page.locator("#stage")), box_of(page.locator("#point"))
+    assert card["x"] >= stage["x"] and card["x"] + card["width"] <= stage["x"] + stage["width"]
     assert card["height"] < 0.6 * stage["height"], "the picture can be seen"
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     page.touchscreen.tap(*place(page, "y", 4, 12))
@@ -451,5 +437,5 @@ def test_a_finger_moves_cross_hair_and_lines_on_a_phone(browser: Browser, live_s
     session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
     assert float(cut_of(page).removeprefix("x>")) == pytest.approx(8, abs=0.4)
     assert middle(line(page, "z", "x to"))[1] == pytest.approx(y, abs=1), "the page has not scrolled"
-    page.screenshot(path=SHOTS / "slices-390-cut.png")
+    shoot(page, "slices-390-cut")
     context.close()

@@ -7,7 +7,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.server.uploads.files import ball, headed
 from tests.server.uploads.site import Site
-from tests.web.visits import BROWSER, DROP, FINAL_MS, SHOTS, give
+from tests.web.visits import BROWSER, DROP, FINAL_MS, box_of, give, open_shown, shoot
 
 pytestmark = BROWSER
 
@@ -23,14 +23,11 @@ SENT = """() => {
 
 @pytest.fixture
 def shown(page: Page, site: Site) -> Page:
-    page.goto(str(site.client.base_url))
-    page.wait_for_selector("#picture:not([hidden])", timeout=FINAL_MS)
-    return page
+    return open_shown(page, str(site.client.base_url))
 
 
 def test_without_uploads_the_page_offers_none(page: Page, live_server: str) -> None:
-    page.goto(live_server)
-    page.wait_for_selector("#picture:not([hidden])", timeout=FINAL_MS)
+    open_shown(page, live_server)
     expect(page.locator("#upload-open")).to_be_hidden()
 
 
@@ -73,20 +70,15 @@ def test_what_is_compiled_for_a_file_is_said(shown: Page) -> None:
 
 def test_a_scene_keeps_its_name_on_a_narrow_screen(shown: Page) -> None:
     shown.set_viewport_size({"width": 390, "height": 844})
-    scene, action = shown.locator(".scene").bounding_box(), shown.locator("#upload-open").bounding_box()
-    assert scene is not None
-    assert action is not None
+    scene, action = box_of(shown.locator(".scene")), box_of(shown.locator("#upload-open"))
     assert scene["width"] > 300
     assert scene["y"] >= action["y"] + action["height"]
-    SHOTS.mkdir(parents=True, exist_ok=True)
-    shown.screenshot(path=SHOTS / "upload-390.png")
+    shoot(shown, "upload-390")
 
 
 def test_why_a_file_is_refused_is_said(browser: Browser, site: Site) -> None:
     """On a page of its own: browsers complain of any answer that is a refusal."""
-    page = browser.new_page()
-    page.goto(str(site.client.base_url))
-    page.wait_for_selector("#picture:not([hidden])", timeout=FINAL_MS)
+    page = open_shown(browser.new_page(), str(site.client.base_url))
     give(page, "a.nrrd", headed("type: block\n"))
     expect(page.locator("#upload-note p")).to_contain_text("header of 'a' has no dimension", timeout=FINAL_MS)
     expect(page.locator("#upload-note progress")).to_be_hidden()

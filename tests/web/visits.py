@@ -1,14 +1,18 @@
 """What every visit to the page does."""
 
+import io
 import math
 from base64 import b64decode
 from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import parse_qsl, urljoin, urlsplit
 
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Page
+from playwright.sync_api import FloatRect, Locator, Page
 
+Button = Literal["left", "middle", "right"]
 CHROMIUM = Path("/usr/bin/chromium")
 WITHOUT = [
     *("WebUIOmniboxPopup", "WebUIOmniboxAimPopup", "AimEnabled", "PreconnectToSearch", "NetworkTimeServiceQuerying"),
@@ -41,6 +45,13 @@ TWO_FRAMES = "() => new Promise((done) => requestAnimationFrame(() => requestAni
 """Ends when all that happened before is on the screen."""
 
 FINAL_MS = 180_000  # baking a view for the first time on a small machine
+
+
+def open_shown(page: Page, address: str) -> Page:
+    """The page with a picture, whichever that is."""
+    page.goto(address)
+    page.wait_for_selector("#picture:not([hidden])", timeout=FINAL_MS)
+    return page
 
 
 def open_final(page: Page, address: str) -> Page:
@@ -110,11 +121,61 @@ def pixels(page: Page, picture: str = "#picture", size: int | None = 96) -> np.n
     return flat.reshape(side, side, 4)[..., :3].astype(float)
 
 
+def box_of(locator: Locator) -> FloatRect:
+    """Where something is on the screen."""
+    box = locator.bounding_box()
+    assert box is not None
+    return box
+
+
+def middle(locator: Locator) -> tuple[float, float]:
+    """The middle of something on the screen."""
+    box = box_of(locator)
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def are_apart(one: FloatRect, other: FloatRect) -> bool:
+    """Whether neither of two boxes lies over the other."""
+    pairs = ((one, other), (other, one))
+    return any(a["x"] + a["width"] <= b["x"] or a["y"] + a["height"] <= b["y"] for a, b in pairs)
+
+
 def stage_of(page: Page) -> tuple[float, float, int, int]:
     """Left, top, width and height of the stage."""
-    box = page.locator("#stage").bounding_box()
-    assert box is not None
+    box = box_of(page.locator("#stage"))
     return box["x"], box["y"], round(box["width"]), round(box["height"])
+
+
+def drag(page: Page, place: tuple[float, float], right: float, down: float, button: Button = "left") -> None:
+    """Drag from a place on the screen."""
+    x, y = place
+    page.mouse.move(x, y)
+    page.mouse.down(button=button)
+    page.mouse.move(x + right, y + down, steps=5)
+    page.mouse.up(button=button)
+
+
+def query_of(page: Page) -> dict[str, str]:
+    """The knobs in the address bar, with all that has changed."""
+    return dict(parse_qsl(urlsplit(written(page)).query))
+
+
+def surface_of(page: Page) -> np.ndarray:
+    """World positions (h, w, 3) of the surface that the view of the address shows, NaN where it shows none."""
+    *_, width, height = stage_of(page)
+    view = {name: value for name, value in query_of(page).items() if name not in ("scene", "exposure")}
+    asked: dict[str, Any] = {**view, "f": "npy", "width": width, "height": height}
+    answer = page.request.get(urljoin(page.url, "/v1/scenes/small/frame"), params=asked)
+    assert answer.ok, answer.text()
+    planes: np.ndarray = np.load(io.BytesIO(answer.body()))
+    return np.where(planes[..., 3:4] > 0, planes[..., 6:], np.nan)
+
+
+def shoot(shown: Page | Locator, name: str, **options: Any) -> Path:
+    """A screenshot among those of the page; its file."""
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    shown.screenshot(path=SHOTS / f"{name}.png", **options)
+    return SHOTS / f"{name}.png"
 
 
 def click(page: Page, column: int, row: int) -> None:

@@ -11,7 +11,10 @@ from server.api.app import ROUTERS
 
 TYPES = Path(__file__).parents[2] / "web" / "documents.d.ts"
 
-READ = ("SceneList", "SceneSchema", "CameraSchema", "PointSchema", "SizeSchema", "CardChunks", "JobSchema", "Coverage")
+READ = (
+    *("SceneList", "SceneSchema", "CameraSchema", "PointSchema", "SizeSchema", "Coverage"),
+    *("CardSchema", "CardChunks", "JobSchema"),
+)
 """The documents that the page reads, with all that is in them."""
 
 

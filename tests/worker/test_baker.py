@@ -1,7 +1,7 @@
 import logging
 import threading
-import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES, Layer, ScenePlan
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.backend import StoreUrl
+from tests.server.sockets import wait_for
 from worker.bake_requests import GUEST_VIEWER, MOST_FAILURES, Viewer
 from worker.baker import (
     CLEAR_CORES_SECONDS,
@@ -28,7 +29,7 @@ from worker.baker import (
 )
 from worker.errors import WorkersAwayError
 from worker.pool import AllDone, Done
-from worker.progress import TimeLeft
+from worker.progress import Tally, TimeLeft
 from worker.queue import FORGET_AFTER
 from worker.tasks import BAKED_ELSEWHERE, BakeResult, BakeTask
 
@@ -73,6 +74,9 @@ class FakePool:
         return [task.index[2] for task, _ in self.in_flight]
 
 
+BOTH = frozenset({"direct", "indirect"})
+
+
 class Bench:
     """A baker with one scene, a clock that stands still, and a note of the chunks that arrived."""
 
@@ -81,10 +85,16 @@ class Bench:
         self.arrived: list[Index] = []
         self.baker = Baker(lambda: self.now, workers)
         self.costs = Costs("memory://costs", "digest")
-        layers = frozenset({"direct", "indirect"})
-        self.baker.add(
-            "scene", Bake(SOURCE, PLAN, "digest", layers, StoreUrl("store"), self.arrived.append, self.costs)
-        )
+        self.add("scene")
+
+    def add(
+        self, name: str, digest: str = "digest", layers: frozenset[str] = BOTH, plan: ScenePlan = PLAN
+    ) -> list[Index]:
+        """Add a bake; the chunks of it that arrive from now on, of all that are called ``scene`` in one list."""
+        costs = self.costs if name == "scene" else Costs("memory://costs", name)
+        arrived = self.arrived if name == "scene" else []
+        self.baker.add(name, Bake(SOURCE, plan, digest, layers, StoreUrl("store"), arrived.append, costs))
+        return arrived
 
     def request(self, *chunks: int, scene: str = "scene", viewer: Viewer = GUEST_VIEWER) -> frozenset[Index]:
         texels, seen, effort = np.array([1, 2], np.int32), np.array([1.0, 0.5], np.float32), Effort(2, 0.0, 0.0)
@@ -100,11 +110,6 @@ class Bench:
 @pytest.fixture
 def bench() -> Bench:
     return Bench()
-
-
-def test_requests_wait_for_workers(bench: Bench) -> None:
-    assert bench.request(1, 2)
-    assert bench.employ(4).tasks() == [1, 2]
 
 
 def test_a_task_holds_all_that_a_worker_must_know(bench: Bench) -> None:
@@ -138,19 +143,7 @@ def test_each_chunk_is_reported_and_refined_until_final(bench: Bench) -> None:
 
 
 def test_scenes_share_the_workers(bench: Bench) -> None:
-    others: list[Index] = []
-    bench.baker.add(
-        "other",
-        Bake(
-            SOURCE,
-            PLAN,
-            "other digest",
-            frozenset({"whole"}),
-            StoreUrl("store"),
-            others.append,
-            Costs("memory://costs", "other"),
-        ),
-    )
+    others = bench.add("other", "other digest", frozenset({"whole"}))
     pool = bench.employ(4)
     bench.request(1)
     bench.request(1, scene="other")
@@ -162,18 +155,7 @@ def test_scenes_share_the_workers(bench: Bench) -> None:
 
 
 def test_bakes_that_share_a_layer_take_turns_at_a_chunk(bench: Bench) -> None:
-    bench.baker.add(
-        "near",
-        Bake(
-            SOURCE,
-            NEAR,
-            "near digest",
-            frozenset({"direct"}),
-            StoreUrl("store"),
-            lambda _: None,
-            Costs("memory://costs", "near"),
-        ),
-    )
+    bench.add("near", "near digest", frozenset({"direct"}), NEAR)
     pool = bench.employ(8)
     bench.request(1, 2)
     bench.request(2, 3, scene="near")
@@ -431,8 +413,7 @@ def test_a_scene_that_comes_again_waits_for_the_task_that_flies(bench: Bench) ->
     pool = bench.employ(2)
     bench.request(1)
     bench.baker.forget("scene")
-    layers = frozenset({"direct", "indirect"})
-    bench.baker.add("scene", Bake(SOURCE, PLAN, "digest", layers, StoreUrl("store"), bench.arrived.append, bench.costs))
+    bench.add("scene")
     bench.request(1, 2)
     assert pool.tasks() == [1, 2]
     pool.end(left(2, 0.8))
@@ -441,8 +422,7 @@ def test_a_scene_that_comes_again_waits_for_the_task_that_flies(bench: Bench) ->
 
 @pytest.mark.parametrize("error", [None, RuntimeError("the file is gone")])
 def test_a_result_after_its_scene_was_dropped_does_no_harm(bench: Bench, error: Exception | None) -> None:
-    other = Bake(SOURCE, PLAN, "other", frozenset({"whole"}), StoreUrl("store"), lambda _: None, bench.costs)
-    bench.baker.add("other", other)
+    bench.add("other", "other", frozenset({"whole"}))
     pool = bench.employ(1)
     bench.request(1)
     bench.request(1, scene="other")
@@ -506,17 +486,14 @@ def test_a_poison_chunk_is_given_up_though_the_store_was_away(bench: Bench) -> N
 def test_baking_goes_on_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("worker.baker.SHORTEST_PAUSE", 0.01)
     bench = Bench()
-    baker = bench.baker = Baker()
-    baker.add("scene", Bake(SOURCE, PLAN, "digest", frozenset(), StoreUrl("store"), bench.arrived.append, bench.costs))
+    bench.baker = Baker()
+    bench.add("scene", layers=frozenset())
     pool = bench.employ(1)
     bench.request(1)
     pool.end(None, GONE)
-    deadline = time.monotonic() + 60.0
-    while not pool.tasks():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
+    assert wait_for(lambda: bool(pool.tasks()), 60.0)
     pool.end()
-    assert bench.arrived == [(0, 0, 1)] and baker.paused() == ""
+    assert bench.arrived == [(0, 0, 1)] and bench.baker.paused() == ""
 
 
 def test_no_task_is_tried_after_a_stop_or_without_clients(bench: Bench) -> None:
@@ -541,3 +518,22 @@ def test_chunks_that_are_baked_together_end_each_by_itself(bench: Bench) -> None
     assert bench.arrived == [(0, 0, 1), (0, 0, 2)]
     tally = bench.baker.tally()
     assert (tally.done, tally.failed, tally.in_flight) == (2, 1, 1)
+
+
+def test_counts_of_waiting_requests_and_their_age(bench: Bench) -> None:
+    assert bench.baker.tally() == Tally(0, 0, 0.0, 0, 0, 0, 0, 0, 0, 0, 0)
+    bench.request(1)
+    bench.now += 5.0
+    bench.request(1, 2)
+    bench.now += 2.0
+    assert bench.baker.tally() == Tally(2, 0, 7.0, 0, 0, 0, 0, 0, 0, 0, 0)
+
+
+def test_counts_of_done_failed_and_given_up_tasks(bench: Bench) -> None:
+    pool = bench.employ(1)
+    pool.deaths = 3
+    bench.request(1, 2)
+    pool.end(replace(DONE, healed=True))
+    assert bench.baker.tally() == Tally(1, 0, 0.0, 1, 1, 0, 0, 1, 100, 2, 3)
+    fail(bench, pool, 3)
+    assert bench.baker.tally() == Tally(0, 1, 0.0, 0, 1, 3, 0, 1, 100, 2, 3)

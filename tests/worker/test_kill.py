@@ -26,6 +26,7 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 from server.render.engine import RenderEngine
 from tests.baking import bake_each_texel
 from tests.server.inline import EngineWithoutWorkers, InlinePool
+from tests.server.sockets import wait_for
 from worker import pool
 from worker.fork_server import WORKER_PROCESS_NAME
 
@@ -161,16 +162,6 @@ def serving(store: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
         process.wait()
         reader.join()
         process.stdout.close()
-
-
-def wait_for(condition: object, seconds: float) -> bool:
-    """Whether the condition came true in time."""
-    deadline = time.monotonic() + seconds
-    while not condition():  # type: ignore[operator]
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.05)
-    return True
 
 
 def test_no_worker_outlives_its_server(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 import time
 from collections.abc import Callable
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -48,62 +49,41 @@ class Bench:
         return sorted(self.kernel.changes)
 
 
+def both(tenth: int, niceness: int) -> list[tuple[int, int, int]]:
+    """What is changed of two sessions at once."""
+    return [(tenth, ANNA, niceness), (tenth, BERT, niceness)]
+
+
 def test_each_session_steps_back_and_forward_once() -> None:
-    expected = [
-        (0, ANNA, BACK_NICENESS),
-        (0, BERT, BACK_NICENESS),
-        (5, ANNA, FORWARD_NICENESS),
-        (5, BERT, FORWARD_NICENESS),
-    ]
-    assert Bench().run(0.5) == expected
+    assert Bench().run(0.5) == both(0, BACK_NICENESS) + both(5, FORWARD_NICENESS)
 
 
 def test_a_view_that_moves_on_prolongs_low_priority() -> None:
     bench = Bench()
     bench.plan = {tenth: lambda: bench.sessions.step_back(0.5) for tenth in (3, 6)}
-    assert bench.run(0.5) == [
-        (0, ANNA, BACK_NICENESS),
-        (0, BERT, BACK_NICENESS),
-        (11, ANNA, FORWARD_NICENESS),
-        (11, BERT, FORWARD_NICENESS),
-    ]
+    assert bench.run(0.5) == both(0, BACK_NICENESS) + both(11, FORWARD_NICENESS)
 
 
 def test_a_change_that_is_not_granted_is_tried_again() -> None:
     changes = Bench(every=0.19).run(0.5)
-    assert [(tenth, niceness) for tenth, _, niceness in changes] == [
-        (0, BACK_NICENESS),
-        (2, BACK_NICENESS),
-        (5, FORWARD_NICENESS),
-        (7, FORWARD_NICENESS),
-    ]
+    back, forward = [(tenth, BACK_NICENESS) for tenth in (0, 2)], [(tenth, FORWARD_NICENESS) for tenth in (5, 7)]
+    assert [(tenth, niceness) for tenth, _, niceness in changes] == back + forward
     assert {pid for _, pid, _ in changes[:2]} == {pid for _, pid, _ in changes[2:]} == {ANNA, BERT}
 
 
 def test_a_session_goes_back_when_a_view_moves_again() -> None:
     bench = Bench(every=0.19)
     bench.plan = {6: lambda: bench.sessions.step_back(0.3)}
-    changes = bench.run(0.5)
-    assert [(tenth, niceness) for tenth, _, niceness in changes] == [
-        (0, BACK_NICENESS),
-        (2, BACK_NICENESS),
-        (5, FORWARD_NICENESS),
-        (7, BACK_NICENESS),
-        (9, FORWARD_NICENESS),
-        (11, FORWARD_NICENESS),
-    ]
+    changes = [(tenth, niceness) for tenth, _, niceness in bench.run(0.5)]
+    assert changes[:2] == [(0, BACK_NICENESS), (2, BACK_NICENESS)]
+    assert changes[2:] == [(5, FORWARD_NICENESS), (7, BACK_NICENESS), (9, FORWARD_NICENESS), (11, FORWARD_NICENESS)]
 
 
 def test_a_worker_that_is_started_anew_steps_back_too() -> None:
     bench = Bench()
     bench.plan = {2: lambda: bench.leaders.remove(ANNA), 3: lambda: bench.leaders.append(13)}
-    assert bench.run(0.5) == [
-        (0, ANNA, BACK_NICENESS),
-        (0, BERT, BACK_NICENESS),
-        (3, 13, BACK_NICENESS),
-        (5, BERT, FORWARD_NICENESS),
-        (5, 13, FORWARD_NICENESS),
-    ]
+    forward = [(5, BERT, FORWARD_NICENESS), (5, 13, FORWARD_NICENESS)]
+    assert bench.run(0.5) == [*both(0, BACK_NICENESS), (3, 13, BACK_NICENESS), *forward]
 
 
 def test_closing_has_all_come_forward() -> None:
@@ -133,17 +113,7 @@ def test_a_kernel_that_says_later_is_asked_again(
     monkeypatch: pytest.MonkeyPatch, answer: int | None, done: bool
 ) -> None:
     """An unbuffered write gives None when the kernel says EAGAIN."""
-
-    class File:
-        def __enter__(self) -> "File":
-            return self
-
-        def __exit__(self, *_: object) -> None:
-            pass
-
-        def write(self, said: bytes) -> int | None:
-            assert said == b"10"
-            return answer
-
-    monkeypatch.setattr("builtins.open", lambda path, mode, buffering: File())
+    file = MagicMock()
+    file.__enter__.return_value.write = lambda said: answer if said == b"10" else pytest.fail("another niceness")
+    monkeypatch.setattr("builtins.open", lambda path, mode, buffering: file)
     assert nice.set_session_niceness(ANNA, BACK_NICENESS) is done

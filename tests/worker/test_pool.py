@@ -4,8 +4,8 @@ import os
 import re
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -27,6 +27,7 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
+from tests.server.sockets import wait_for
 from worker.baker import Baker
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.niceness import BACK_NICENESS, FORWARD_NICENESS, WORKER_NICENESS
@@ -38,6 +39,7 @@ SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error
 SPEC = spec_for(PreparedScene(SCENE), "gi")
 BAKE = bake_kernels(PLAIN_LAYER_KINDS)
 TEXELS = np.arange(0, 4096, 40, dtype=np.int32)
+METHOD = "distributed.worker.multiprocessing-method"
 WORKERS = 2
 LONG = 240.0
 """Seconds within which workers have come, baked or gone, also on a slow machine."""
@@ -148,10 +150,7 @@ def session_niceness(pid: int) -> int:
 
 def reach(pids: list[int], niceness: int) -> None:
     """Wait until the sessions of all these processes have a niceness."""
-    deadline = time.monotonic() + LONG
-    while [session_niceness(pid) for pid in pids] != [niceness] * len(pids):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    assert wait_for(lambda: [session_niceness(pid) for pid in pids] == [niceness] * len(pids), LONG)
 
 
 @needs_autogroups
@@ -221,13 +220,10 @@ def test_missing_kernels_are_compiled_by_a_worker_meanwhile(monkeypatch: pytest.
     """Those of the kinds that a pool is made for at once, others with the first task that needs them."""
     missing = set(PLAIN_LAYER_KINDS)
     monkeypatch.setattr("worker.pool.kernels_missing", lambda kinds: bool(missing & set(kinds)))
-    monkeypatch.setitem(
-        CLUSTER_SETTINGS, "distributed.worker.multiprocessing-method", "spawn"
-    )  # none that were stored before
-    fresh = WorkerPool(1, kinds=("irradiance",))
-    try:
+    monkeypatch.setitem(CLUSTER_SETTINGS, METHOD, "spawn")  # none that were stored before
+    with closing(WorkerPool(1, kinds=("irradiance",))) as fresh:
         assert fresh.preparing == "The workers compile their kernels."
-        wait_for(lambda: set(*fresh._client.run(kernels_of_this_process).values()) == named(IRRADIANCE))
+        assert wait_for(lambda: set(*fresh._client.run(kernels_of_this_process).values()) == named(IRRADIANCE), LONG)
         missing.remove("irradiance")
         assert fresh.preparing == ""
         assert {layer.kind for layer in SPEC.plan.layers} <= missing
@@ -236,8 +232,6 @@ def test_missing_kernels_are_compiled_by_a_worker_meanwhile(monkeypatch: pytest.
         assert fresh.preparing == "The workers compile their kernels."
         assert ended.acquire(timeout=LONG)
         assert fresh.preparing == "", "a task has baked: kernels are there, whatever the cache says"
-    finally:
-        fresh.close()
 
 
 def test_joined_workers_have_loaded_kernels_and_stay_as_nice(
@@ -248,7 +242,7 @@ def test_joined_workers_have_loaded_kernels_and_stay_as_nice(
     monkeypatch.setattr("worker.pool.kernels_missing", lambda kinds: True)
     monkeypatch.setattr("worker.pool.fire_and_forget", lambda future: pytest.fail("a job was sent"))
     kwargs: dict[str, Any] = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "preload": preload}
-    spawned = dask.config.set({"distributed.worker.multiprocessing-method": "spawn"})  # as on another machine
+    spawned = dask.config.set({METHOD: "spawn"})  # as on another machine
     with spawned, LocalCluster(n_workers=1, threads_per_worker=1, silence_logs=50, **kwargs) as others:
         joined = WorkerPool(1, others.scheduler_address)
         kernels = list(joined._client.run(kernels_of_this_process).values())
@@ -265,9 +259,8 @@ def test_a_killed_worker_is_replaced_and_its_tasks_are_lost(pool: WorkerPool, tm
     with suppress(LostWorkerError):  # where the death was known before, all tasks go to the other worker
         bake_all(pool, tasks_for(tmp_path))
     assert len(bake_all(pool, tasks_for(tmp_path))) == 4
-    deadline = time.monotonic() + LONG
-    while len(pids := pool.pids()) < WORKERS and time.monotonic() < deadline:
-        time.sleep(0.1)
+    assert wait_for(lambda: len(pool.pids()) == WORKERS, LONG)
+    pids = pool.pids()
     assert len(set(pids) - set(before)) == 1
 
 
@@ -337,9 +330,7 @@ def test_a_pool_that_leaves_a_scheduler_leaves_no_error_there(pool: WorkerPool) 
     with known_to(pool._cluster):
         joined = WorkerPool(1, pool._cluster.scheduler_address)
     joined.close()
-    deadline = time.monotonic() + LONG
-    while set(scheduler.clients) != clients and time.monotonic() < deadline:
-        time.sleep(0.01)
+    assert wait_for(lambda: set(scheduler.clients) == clients, LONG)
     logging.getLogger("distributed.scheduler").removeHandler(handler)
     assert [each.getMessage() for each in reported if each.levelno >= logging.ERROR] == []
 
@@ -368,12 +359,12 @@ def test_a_scheduler_that_was_restarted_unnoticed_is_joined_anew(monkeypatch: py
         client, port = joined._client, int(first.scheduler_address.rpartition(":")[2])
         first.close()
         with lone_scheduler(port) as second:
-            wait_for(lambda: client.scheduler_info().get("id") == second.scheduler.id)
+            assert wait_for(lambda: client.scheduler_info().get("id") == second.scheduler.id, LONG)
             monkeypatch.setattr("worker.pool.CHECK_SECONDS", 0.1)
             joined._moved.set()
-            wait_for(lambda: joined._client is not client and joined.connected)
+            assert wait_for(lambda: joined._client is not client and joined.connected, LONG)
             second.scale(1)
-            wait_for(lambda: joined.trouble == "")
+            assert wait_for(lambda: joined.trouble == "", LONG)
     finally:
         joined.close()
         first.close()
@@ -381,21 +372,9 @@ def test_a_scheduler_that_was_restarted_unnoticed_is_joined_anew(monkeypatch: py
 
 def test_workers_are_counted_without_events(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(WorkerPool, "_on_event", lambda *_: None)
-    with lone_scheduler() as alone:
-        joined = WorkerPool(1, alone.scheduler_address)
-        try:
-            alone.scale(1)
-            wait_for(lambda: joined.trouble == "")
-        finally:
-            joined.close()
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    """Until it is true."""
-    deadline = time.monotonic() + LONG
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    with lone_scheduler() as alone, closing(WorkerPool(1, alone.scheduler_address)) as joined:
+        alone.scale(1)
+        assert wait_for(lambda: joined.trouble == "", LONG)
 
 
 def test_clients_without_a_scheduler_block_no_new_client() -> None:
@@ -411,25 +390,18 @@ def test_clients_without_a_scheduler_block_no_new_client() -> None:
 
 def test_a_worker_that_dies_again_and_again_comes_back_each_time() -> None:
     """Dask looks a while after each death whether the worker is back, and here it never is."""
-    with dask.config.set({"distributed.deploy.lost-worker-timeout": "1 ms"}):
-        fresh = WorkerPool(1)
-        try:
-            dead: set[int] = set()
-            for _ in range(2):
-                (pid,) = fresh.pids()
-                psutil.Process(pid).kill()
-                dead.add(pid)
-                wait_for_others(fresh, dead)
-        finally:
-            fresh.close()
+    patient = dask.config.set({"distributed.deploy.lost-worker-timeout": "1 ms"})
+    with patient, closing(WorkerPool(1)) as fresh:
+        dead: set[int] = set()
 
+        def replaced() -> bool:
+            with suppress(OSError):
+                pids = set(fresh.pids())
+                return bool(pids) and pids.isdisjoint(dead)
+            return False
 
-def wait_for_others(pool: WorkerPool, dead: set[int]) -> None:
-    """Until a worker has come in place of those."""
-    deadline = time.monotonic() + LONG
-    while True:
-        with suppress(OSError):
-            if (pids := set(pool.pids())) and pids.isdisjoint(dead):
-                return
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
+        for _ in range(2):
+            (pid,) = fresh.pids()
+            psutil.Process(pid).kill()
+            dead.add(pid)
+            assert wait_for(replaced, LONG)

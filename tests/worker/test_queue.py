@@ -8,7 +8,15 @@ from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from tests.worker.clock import Clock
 from worker import bake_requests
-from worker.bake_requests import GUEST_VIEWER, LONG_TASK_PATHS, MOST_FAILURES, SHORT_TASK_SECONDS, Key, Viewer
+from worker.bake_requests import (
+    GUEST_VIEWER,
+    LONG_TASK_PATHS,
+    MOST_FAILURES,
+    SHORT_TASK_SECONDS,
+    BakeRequest,
+    Key,
+    Viewer,
+)
 from worker.queue import EXPIRY_CHECK_SECONDS, FORGET_AFTER, BakeQueue
 from worker.tasks import BakeResult
 
@@ -48,6 +56,13 @@ def request(
     """One view that demands chunks (x, weight)."""
     offsets, seen = np.array(texels, np.int32), np.array(texels, np.float32)
     queue.request([(key(x), Demand((0, 0, x), offsets, weight, effort, seen)) for x, weight in demands], target, viewer)
+
+
+def taken_from(queue: BakeQueue) -> BakeRequest:
+    """The request that is next."""
+    taken = queue.take()
+    assert taken is not None
+    return taken
 
 
 def take(queue: BakeQueue) -> int | None:
@@ -116,8 +131,7 @@ def test_each_task_climbs_one_level_until_the_rest_is_short(queue: BakeQueue) ->
     request(queue, (1, 1.0), target=0.1)
     steps = []
     for samples, more in ((16, 2.0 * LONG_TASK_PATHS), (32, LONG_TASK_PATHS + 1.0), (64, LONG_TASK_PATHS), (0, 0.0)):
-        taken = queue.take()
-        assert taken is not None
+        taken = taken_from(queue)
         steps.append(taken.until)
         end(queue, 1, BakeResult(2, 0.5, Effort(0, 2.0 * samples, more, lit=2), Cost(0.01, 100)))
     assert steps == [FIRST_LEVEL, 2 * FIRST_LEVEL, 4 * FIRST_LEVEL, MAX_SAMPLES]
@@ -130,12 +144,12 @@ def test_each_task_climbs_one_level_until_the_rest_is_short(queue: BakeQueue) ->
 def test_more_samples_of_lit_texels_are_one_task(queue: BakeQueue) -> None:
     """Nothing is without light, so no task looks for what is."""
     request(queue, (1, 1.0), target=0.1, effort=Effort(0, 48.0, 48.0, lit=3))
-    taken = queue.take()
-    assert taken is not None and taken.until == MAX_SAMPLES
+    taken = taken_from(queue)
+    assert taken.until == MAX_SAMPLES
     request(queue, (1, 1.0), target=0.05, effort=Effort(0, 48.0, 480.0, lit=3))
     queue.finish(key(1), taken.offsets, 0.1, DONE)
-    taken = queue.take()
-    assert taken is not None and taken.until == MAX_SAMPLES
+    taken = taken_from(queue)
+    assert taken.until == MAX_SAMPLES
 
 
 def test_a_request_in_flight_is_not_taken_twice(queue: BakeQueue) -> None:
@@ -150,8 +164,7 @@ def test_texels_and_targets_of_several_views_are_merged(queue: BakeQueue) -> Non
     request(queue, (1, 1.0), texels=(5, 9), target=0.1)
     request(queue, (1, 7.0), texels=(2, 9, 11), target=0.3)
     request(queue, (1, 3.0), texels=(2,), target=0.05)
-    taken = queue.take()
-    assert taken is not None
+    taken = taken_from(queue)
     assert taken.offsets.tolist() == [2, 5, 9, 11]
     assert taken.footprints.tolist() == [2.0, 5.0, 9.0, 11.0]
     assert (taken.target, taken.priority) == (0.05, 3.0 / (3 * FIRST_LEVEL))
@@ -186,13 +199,12 @@ def test_a_stricter_target_starts_from_the_first_level(queue: BakeQueue) -> None
 @pytest.mark.parametrize(("texels", "target"), [((1, 2, 3, 4), 0.1), ((7,), 0.1), ((1, 2, 3), 0.01)])
 def test_a_request_that_grew_in_flight_stays(queue: BakeQueue, texels: tuple[int, ...], target: float) -> None:
     request(queue, (1, 1.0))
-    flown = queue.take()
-    assert flown is not None
+    flown = taken_from(queue)
     offsets, former = flown.offsets, flown.target
     request(queue, (1, 50.0), (2, 20.0), texels=texels, target=target)
     queue.finish(key(1), offsets, former, DONE)
-    again = queue.take()
-    assert again is not None and again.key == key(1)
+    again = taken_from(queue)
+    assert again.key == key(1)
     assert set(again.offsets.tolist()) == {1, 2, 3, *texels}
     assert again.target == min(0.1, target)
     assert again.until == FIRST_LEVEL
@@ -358,8 +370,7 @@ def test_viewers_take_turns_by_the_seconds_that_they_were_served(queue: BakeQueu
     request(queue, *((x, 1000.0) for x in range(50, 99)), viewer=BERT)
     served = {"Anna": 0.0, "Bert": 0.0}
     for _ in range(30):
-        taken = queue.take()
-        assert taken is not None
+        taken = taken_from(queue)
         (client,) = taken.interests
         cost = 0.3 if client == "Bert" else 0.1
         served[str(client)] += cost
@@ -402,33 +413,29 @@ CHUNK = np.arange(512, dtype=np.int32)
 
 def whole_chunks(queue: BakeQueue, viewer: Viewer, unlit: int = len(CHUNK)) -> None:
     """A view that demands two whole chunks, the first of which looks more wrong."""
-    demands = [
-        Demand((0, 0, x), CHUNK, 9.0 / x, Effort(unlit, 0.0, 0.0), np.ones(512, np.float32), bits=3) for x in (1, 2)
-    ]
-    queue.request([(key(each.index[2]), each) for each in demands], 0.1, viewer)
+    seen, effort = np.ones(len(CHUNK), np.float32), Effort(unlit, 0.0, 0.0)
+    demands = [(key(x), Demand((0, 0, x), CHUNK, 9.0 / x, effort, seen, bits=3)) for x in (1, 2)]
+    queue.request(demands, 0.1, viewer)
 
 
 def test_a_quarter_of_the_texels_has_light_first(queue: BakeQueue) -> None:
     """Of all chunks, before any has the rest; who is patient has all at once, and so has what had some light."""
     whole_chunks(queue, ANNA)
-    for chunks, texels in (((1, 2), 128), ((1, 2), 512)):
-        taken = [queue.take() for _ in chunks]
-        assert [request and request.key[1][2] for request in taken] == list(chunks)
-        for request in taken:
-            assert request is not None and request.until == FIRST_LEVEL
-            offsets, footprints = request.next
-            assert len(offsets) == len(footprints) == texels
-            queue.finish(
-                request.key, offsets, 0.1, BakeResult(texels, 1.0, Effort(0, 48.0, 96.0), Cost(0.1, 48, 3, 0.1))
-            )
+    for texels in (128, 512):
+        taken = [taken_from(queue), taken_from(queue)]
+        assert [each.key for each in taken] == [key(1), key(2)]
+        for each in taken:
+            offsets, footprints = each.next
+            assert each.until == FIRST_LEVEL and len(offsets) == len(footprints) == texels
+            queue.finish(each.key, offsets, 0.1, left(texels, 1.0))
     assert all(request.until == MAX_SAMPLES for request in queue.requests.values())
 
 
 @pytest.mark.parametrize(("viewer", "unlit"), [(PREWARM, 512), (ANNA, 511)])
 def test_all_texels_have_light_at_once(queue: BakeQueue, viewer: Viewer, unlit: int) -> None:
     whole_chunks(queue, viewer, unlit)
-    request = queue.take()
-    assert request is not None and len(request.next[0]) == 512
+    request = taken_from(queue)
+    assert len(request.next[0]) == 512
 
 
 def test_patient_clients_yield_to_others(queue: BakeQueue) -> None:
@@ -454,15 +461,12 @@ def test_what_goes_with_a_request_is_alike_and_not_too_much(clock: Clock) -> Non
     queue = BakeQueue(clock, rate=lambda _: SHORT_TASK_SECONDS / 200.0)
     request(queue, (4, 1.0), target=0.2)
     request(queue, *((x, 1.0) for x in range(4)))
-    first = queue.take()
-    assert first is not None
+    first = taken_from(queue)
     assert len(queue.take_along(first, 7)) == 2  # texels: three each
-    first = queue.take()
-    assert first is not None
+    first = taken_from(queue)
     assert len(queue.take_along(first, 100)) == 2  # the next has another target
     request(queue, *((x, 1.0) for x in range(10, 16)))
-    first = queue.take()
-    assert first is not None
+    first = taken_from(queue)
     assert len(queue.take_along(first, 100)) == 4  # seconds: 48 paths each of 200
 
 
@@ -474,8 +478,8 @@ def test_later_tasks_are_joined_by_what_they_will_take(clock: Clock) -> None:
     assert sum(take(queue) is not None for _ in range(4)) == 4
     for x in range(4):
         end(queue, x, lit)
-    first = queue.take()
-    assert first is not None and first.until == 2 * FIRST_LEVEL
+    first = taken_from(queue)
+    assert first.until == 2 * FIRST_LEVEL
     assert len(queue.take_along(first, 100)) == 3  # 48 paths each of 150
 
 
@@ -484,6 +488,5 @@ def test_what_may_have_killed_a_worker_is_taken_alone(queue: BakeQueue) -> None:
     assert take(queue) is not None and take(queue) is not None
     for x in (1, 2):
         queue.fail(key(x), "It died.", suspect=True)
-    first = queue.take()
-    assert first is not None
+    first = taken_from(queue)
     assert queue.take_along(first, 100) == [first]

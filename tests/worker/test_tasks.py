@@ -1,7 +1,8 @@
 import asyncio
 import pickle
+import shutil
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.bake_spec import spec_for
+from isogi_core.bake.bake_spec import BakeSpec, spec_for
 from isogi_core.bake.noise import Effort, finished, relative_error, standard_error
 from isogi_core.bake.refine import locate
 from isogi_core.cache.chunk_store import ChunkStore
@@ -53,9 +54,21 @@ def made(root: Path) -> StoreUrl:
     return StoreUrl(str(root))
 
 
-def do(root: Path, texels: np.ndarray = TEXELS, until: int = UNTIL, target: float = 0.05) -> BakeResult:
+def task(
+    root: Path,
+    texels: np.ndarray = TEXELS,
+    until: int = UNTIL,
+    target: float = 0.05,
+    spec: BakeSpec = SPEC,
+    **more: Any,
+) -> BakeTask:
+    """A task for a chunk, all of whose texels are seen alike."""
     seen = np.ones(len(texels), np.float32)
-    return bake(BakeTask(SCENE.source, SPEC.plan, SPEC.digest, made(root), INDEX, texels, seen, until, target))
+    return BakeTask(SCENE.source, spec.plan, spec.digest, made(root), INDEX, texels, seen, until, target, **more)
+
+
+def do(root: Path, texels: np.ndarray = TEXELS, **more: Any) -> BakeResult:
+    return bake(task(root, texels, **more))
 
 
 def store_of(root: Path) -> ChunkStore:
@@ -103,7 +116,7 @@ def test_a_finished_task_says_so(tmp_path: Path) -> None:
 def test_a_layer_that_takes_no_samples_is_not_written_again(tmp_path: Path) -> None:
     do(tmp_path, until=64)
     before = stored(tmp_path)
-    bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, made(tmp_path), INDEX, TEXELS, SEEN, 256, 1e-4))
+    do(tmp_path, until=256, target=1e-4, spec=VICINITY)
     ahead = stored(tmp_path)
     assert [now == old for now, old in zip(ahead, before, strict=True)] == [False, True]
     do(tmp_path, until=256, target=1e-4)
@@ -136,51 +149,47 @@ def test_chunks_baked_together_have_the_bytes_of_single_ones(tmp_path: Path) -> 
 
 
 def test_a_chunk_that_fails_harms_none_beside_it(tmp_path: Path) -> None:
-    task = BakeTask(SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path), INDEX, TEXELS, SEEN, 16, 0.05)
-    sound, broken = bake_all([task, replace(task, index=(1, 1))])
+    whole = task(tmp_path, until=16)
+    sound, broken = bake_all([whole, replace(whole, index=(1, 1))])
     assert isinstance(sound, BakeResult) and sound.cost.paths == 16 * len(TEXELS)
     assert isinstance(broken, ValueError)
 
 
 def test_a_baker_claims_chunks_after_contention(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two bake the same at the same time; afterwards each claims its chunks."""
-    what = SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path), INDEX, TEXELS, SEEN
-    task = BakeTask(*what, 16, 0.05, owner="one")
+    one, other = (task(tmp_path, until=16, owner=owner) for owner in ("one", "other"))
     seen: list[list[bytes]] = []
 
     def meanwhile(*arguments: Any) -> None:
         sample_texels(*arguments)
         seen.append([path.read_bytes() for path in (tmp_path / "claims").glob("*")])
         if len(seen) == 1:
-            bake(replace(task, owner="other"))
+            bake(other)
 
     monkeypatch.setattr("worker.tasks.sample_texels", meanwhile)
-    assert not bake(task).elsewhere
-    bake(replace(task, until=64))
+    assert not bake(one).elsewhere
+    bake(replace(one, until=64))
     assert seen[:2] == [[], []]
     assert seen[2] == [b"one"]
     assert not list((tmp_path / "claims").glob("*"))
 
 
 def test_a_chunk_that_another_baker_claimed_is_left(tmp_path: Path) -> None:
-    what = SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path), INDEX, TEXELS, SEEN
-    task = BakeTask(*what, 16, 0.05, owner="one")
-    claims_of(task.store_url).note_contention()
+    one = task(tmp_path, until=16, owner="one")
+    claims_of(one.store_url).note_contention()
     claim = tmp_path / "claims" / ".".join(map(str, (store_of(tmp_path).layers[0].digest, *INDEX)))
     claim.parent.mkdir()
     claim.write_bytes(b"other")
-    assert bake(task) == BAKED_ELSEWHERE and stored(tmp_path) == [None, None]
-    assert bake(replace(task, insists=True)).cost.paths == 16 * len(TEXELS)
+    assert bake(one) == BAKED_ELSEWHERE and stored(tmp_path) == [None, None]
+    assert bake(replace(one, insists=True)).cost.paths == 16 * len(TEXELS)
     assert not claim.exists()
 
 
 def test_in_one_go_or_in_many_is_the_same(tmp_path: Path) -> None:
     do(tmp_path / "a")
-    task = BakeTask(SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path / "b"), INDEX, TEXELS, SEEN, 16, 0.05)
-    until, result = 16, bake(task)
-    while result.unfinished:
+    until = 16
+    while do(tmp_path / "b", until=until).unfinished:
         until *= 2
-        result = bake(replace(task, until=until))
     assert until > 32
     assert stored(tmp_path / "a") == stored(tmp_path / "b")
 
@@ -212,8 +221,7 @@ def test_texels_that_are_not_asked_for_stay_as_they_are(tmp_path: Path) -> None:
 def test_vicinity_shading_reads_the_layer_that_is_there(tmp_path: Path) -> None:
     do(tmp_path)
     before = stored(tmp_path)
-    result = bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, made(tmp_path), INDEX, TEXELS, SEEN, 64, 0.5))
-    assert result.unfinished == 0
+    assert do(tmp_path, until=64, target=0.5, spec=VICINITY).unfinished == 0
     assert stored(tmp_path) == before
     light = open_spec(SCENE.source, VICINITY.plan, VICINITY.digest, made(tmp_path))[1].load(INDEX).light
     assert [part.layer for part in light.parts] == [SCENE.plan.layers[0]]
@@ -221,12 +229,8 @@ def test_vicinity_shading_reads_the_layer_that_is_there(tmp_path: Path) -> None:
 
 
 DAMAGES: list[Callable[[bytes], bytes]] = [
-    lambda b: b"",
-    lambda b: b[: len(b) // 2],
-    lambda b: b[:-1],
-    lambda b: bytes(len(b)),
+    *(lambda b: b"", lambda b: b[: len(b) // 2], lambda b: b[:-1], lambda b: bytes(len(b)), lambda b: b + b"more"),
     lambda b: b[:40] + bytes([b[40] ^ 1]) + b[41:],
-    lambda b: b + b"more",
 ]
 
 
@@ -258,33 +262,29 @@ def test_what_is_void_in_one_layer_is_so_in_all(tmp_path: Path, layer: int, rest
 
 
 def test_a_scene_whose_files_changed_is_refused(tmp_path: Path) -> None:
-    task = BakeTask(SCENE.source, SPEC.plan, "0" * 20, made(tmp_path), INDEX, TEXELS, SEEN, 16, 0.05)
     with pytest.raises(SceneError, match=r"'orbital' have changed since the server began: restart it\.$"):
-        bake(task)
+        bake(replace(task(tmp_path, until=16), digest="0" * 20))
     assert [path.name for path in tmp_path.iterdir()] == [SENTINEL_KEY]
 
 
 def test_a_store_that_no_server_has_made_is_away(tmp_path: Path) -> None:
     """An empty mount point, say: what is baked there would be lost when the disk is back."""
-    task = BakeTask(SCENE.source, SPEC.plan, SPEC.digest, StoreUrl(str(tmp_path)), INDEX, TEXELS, SEEN, 16, 0.05)
+    (tmp_path / "empty").mkdir()
     with pytest.raises(StoreAwayError, match="is gone") as reported:
-        bake(task)
-    assert not list(tmp_path.iterdir())
+        bake(replace(task(tmp_path / "made", until=16), store_url=StoreUrl(str(tmp_path / "empty"))))
+    assert not list((tmp_path / "empty").iterdir())
     assert str(pickle.loads(pickle.dumps(reported.value))) == str(reported.value)
 
 
-def test_a_worker_answers_while_it_loads_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
-    answered = threading.Event()
-    loaded: list[bool] = []
-    monkeypatch.setattr(
-        "worker.tasks.load_kernels", lambda kinds: loaded.append(kinds == PLAIN_LAYER_KINDS and answered.wait(5))
-    )
+async def test_a_worker_answers_while_it_loads_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    answered, loaded = threading.Event(), list[bool]()
 
-    async def start() -> None:
-        asyncio.get_running_loop().call_soon(answered.set)
-        await dask_setup(None)
+    def load(kinds: Collection[str]) -> None:
+        loaded.append(kinds == PLAIN_LAYER_KINDS and answered.wait(5))
 
-    asyncio.run(start())
+    monkeypatch.setattr("worker.tasks.load_kernels", load)
+    asyncio.get_running_loop().call_soon(answered.set)
+    await dask_setup(None)
     assert loaded == [True]
 
 
@@ -300,27 +300,24 @@ def test_a_worker_without_the_files_leaves_the_same_bytes(
 ) -> None:
     """With the scene's folder away, as on another machine: the volume comes from the store, by its digest."""
     monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path / "copies"))
-    (tmp_path / "away").mkdir()
-    for path in small_scene.parent.iterdir():
-        (tmp_path / "away" / path.name).write_bytes(path.read_bytes())
+    shutil.copytree(small_scene.parent, tmp_path / "away")
     scene = load_scene(tmp_path / "away" / small_scene.name)
     spec = spec_for(PreparedScene(scene), "gi")
-    task = BakeTask(
-        scene.source, spec.plan, spec.digest, made(tmp_path / "own"), (0, 0, 0), TEXELS[:40], SEEN[:40], 64, 0.5
-    )
-    bake(task)
+    what = scene.source, spec.plan, spec.digest, made(tmp_path / "own")
+    here = BakeTask(*what, (0, 0, 0), TEXELS[:40], SEEN[:40], 64, 0.5)
+    bake(here)
     assets = send_assets(scene, Store(tmp_path / "other"))
     (tmp_path / "away").rename(tmp_path / "gone")
-    there = replace(task, store_url=made(tmp_path / "other"), assets=assets)
+    there = replace(here, store_url=made(tmp_path / "other"), assets=assets)
     assert bake(there).cost.paths > 0
     own, other = (
-        open_spec(each.source, each.plan, each.digest, each.store_url, each.assets)[1] for each in (task, there)
+        open_spec(each.source, each.plan, each.digest, each.store_url, each.assets)[1] for each in (here, there)
     )
     assert [layer.read((0, 0, 0)) for layer in other.layers] == [layer.read((0, 0, 0)) for layer in own.layers]
     assert all(layer.read((0, 0, 0)) for layer in own.layers)
     OPEN.clear()  # as in a process that has not had them
     with pytest.raises(VolumeError, match="There is no file"):
-        bake(replace(task, store_url=made(tmp_path / "third")))
+        bake(replace(here, store_url=made(tmp_path / "third")))
 
 
 def test_projected_texels_have_the_same_bytes_in_any_order(tmp_path: Path) -> None:
@@ -329,8 +326,7 @@ def test_projected_texels_have_the_same_bytes_in_any_order(tmp_path: Path) -> No
     assert spec.digest not in (SPEC.digest, replace(spec, shown=0.123).digest)
 
     def stored_after(name: str, *untils: int) -> list[bytes | None]:
-        what = SCENE.source, spec.plan, spec.digest, made(tmp_path / name), INDEX, TEXELS, SEEN
-        results = [bake(BakeTask(*what, until, 0.05, shown=spec.shown)) for until in untils]
+        results = [do(tmp_path / name, until=until, spec=spec, shown=spec.shown) for until in untils]
         assert results[-1].unfinished == 0
         return [layer.read(INDEX) for layer in ChunkStore(made(tmp_path / name), spec).layers]
 

@@ -6,7 +6,7 @@ import { Feed } from "./feed.js";
 import { albedoOf, anglesOf, cardView, chunksQuery, documentQuery, lightQuery, viewNear } from "./view.js";
 
 /** @typedef {import("../card/card.js").Card} Card */
-/** @typedef {import("../net/schemas.js").CardFacts} CardFacts */
+/** @typedef {import("../documents.js").Card} CardFacts */
 /** @typedef {import("../net/schemas.js").FrameQuery} FrameQuery */
 /** @typedef {import("../documents.js").CardChunk} CardChunk */
 /** @typedef {import("../net/schemas.js").Scene} Scene */

@@ -87,7 +87,7 @@ export function albedoOf(scene, values) {
 /**
  * The view as a card draws it.
  * @param {Scene} scene
- * @param {CardDocument & {grounds: Record<string, Vec3>}} document
+ * @param {CardDocument} document
  * @param {Knobs} values
  * @param {Vec3} [folded] the albedo that the card's light is for, where views may choose it
  * @returns {import("../card/drawing.js").View}

@@ -240,7 +240,7 @@ export async function readSlice(scene, axis, at, time) {
  * Whether a graphics card can draw a view of a scene, and what it takes.
  * @param {string} scene
  * @param {FrameQuery} query
- * @returns {Promise<import("./schemas.js").CardFacts>}
+ * @returns {Promise<import("../documents.js").Card>}
  */
 export async function readCard(scene, query) {
   return (await ask(sceneAddress(scene, "card", query))).json();

@@ -82,10 +82,10 @@ export function pointQuery({ overlay, background, f, ...view }, right, up) {
 /**
  * What is behind the surface: light or dark, as the page is where the view leaves it to that.
  * @param {Pick<Knobs, "background">} values knobs of the view
- * @returns {string}
+ * @returns {"light"|"dark"}
  */
 export function ground({ background }) {
-  if (background !== "page") return background;
+  if (background !== "page") return /** @type {"light"|"dark"} */ (background);
   return globalThis.matchMedia?.("(prefers-color-scheme: dark)").matches === false ? "light" : "dark";
 }
 

@@ -39,13 +39,6 @@
  */
 
 /**
- * @typedef {object} CardFacts whether a graphics card can draw a view, and what it takes
- * @property {boolean} drawable
- * @property {string} reason in sentences, where it cannot
- * @property {(import("../card/document.js").CardDocument & {grounds: Record<string, Vec3>})|null} scene null where it cannot
- */
-
-/**
  * @typedef {object} StreamMessage the JSON that comes before a picture over a stream
  * @property {number} id of the view that it answers
  * @property {boolean} draft

@@ -12,7 +12,7 @@
  *
  * @typedef {object} Published
  * @property {import("../net/schemas.js").Scene} scene
- * @property {import("../card/document.js").CardDocument & {grounds: Record<string, import("../view/rotation.js").Vec3>}} card
+ * @property {import("../card/document.js").CardDocument} card
  * @property {Light} light
  */
 

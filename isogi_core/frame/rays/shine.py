@@ -13,7 +13,7 @@ import numpy as np
 from isogi_core.bake.bake_spec import path_weights
 from isogi_core.bake.refine import add_paths, seeds_of, starts_at, starts_between
 from isogi_core.files.grid import triple
-from isogi_core.frame.gbuffer import NO_WALLS, GBuffer, PointsBeside
+from isogi_core.frame.gbuffer import GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.point_paths import add_glow
 from isogi_core.frame.tiles import Tiles
@@ -26,6 +26,7 @@ from isogi_core.kernels.shading.shine import (
     fill_below,
 )
 from isogi_core.kernels.shading.surface_points import SurfacePoints
+from isogi_core.kernels.tracing.camera import NO_WALLS
 from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport import streams
 from isogi_core.kernels.transport.colours import NO_COLOURS, fill_albedos

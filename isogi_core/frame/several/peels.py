@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from isogi_core.frame.gbuffer import TILE_RAYS, GBuffer, PointsBeside, sight_among, view_pinhole
+from isogi_core.frame.gbuffer import TILE_RAYS, GBuffer, PointsBeside, sight_of, view_pinhole
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.tracing.camera import WINDOW_FACE, Pinhole, Sight
 from isogi_core.kernels.tracing.peels import FIRST_WALL_SIDE, MAX_PEELED_LAYERS, MAX_SURFACES, Peeled, Shells, peel_rays
@@ -107,7 +107,7 @@ class Peeler:
         clears = np.where([level in levels[:k] for k, level in enumerate(levels)], 1.0, clears)
         maps = [each.cells(tiles.run) for each in surfaces]
         filled = tuple(maps + [maps[0]] * (MAX_SURFACES - len(maps)))
-        sight = sight_among(view, field.spacing, walls)
+        sight = sight_of(view, field.spacing, walls)
         return cls(Shells(field, filled, np.array(levels), clears), view_pinhole(view, field.spacing), sight)
 
     def through(self, x: np.ndarray, y: np.ndarray) -> tuple[Hits, np.ndarray]:

@@ -15,7 +15,7 @@ from isogi_core.kernels.tracing.field import VOXEL_ARRAY, value
 from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, load_columns, madd, put_column
-from isogi_core.kernels.tracing.walls import NO_WALL, WALLS_RECORD, inner, nearest_wall
+from isogi_core.kernels.tracing.walls import NO_WALL, WALLS_RECORD, Walls, inner, nearest_wall
 
 
 class Pinhole(NamedTuple):
@@ -37,53 +37,6 @@ PINHOLE = record(Pinhole, REAL_TRIPLE, REAL_TRIPLE, REAL_TRIPLE, REAL_TRIPLE)
 def pixel_ray(camera, x, y):
     """Direction, in index space per unit of depth, through picture point (x, y); pixel centres at half-integers."""
     return madd(madd(camera.corner, x, camera.right), y, camera.down)
-
-
-@kernel(types.int64(SURFACE, PINHOLE, types.int64, types.int64, types.uint32[::1], types.float32[:, ::1]))
-def trace_pixels(surface, camera, first, width, pixels, points):
-    """Cast the rays of the picture's pixels ``first`` … first + n, row by row; returns how many show the surface.
-
-    Their picture indices are written to ``pixels`` (n,), ascending, and where the surface is there, in
-    index space, to ``points`` (n, 3).
-    """
-    count = pixels.shape[0]
-    directions = np.empty((3, count))
-    for i in range(count):
-        y, x = divmod(first + i, width)
-        put_column(directions, i, pixel_ray(camera, x + 0.5, y + 0.5))
-    return meet_surface(surface, camera, directions, first, pixels, points)
-
-
-@kernel(types.int64(SURFACE, PINHOLE, types.float32[:, ::1], types.uint32[::1], types.float32[:, ::1]))
-def trace_places(surface, camera, places, found, points):
-    """Cast the rays through the ``places`` (n, 2; x, y) of a picture; returns how many show the surface.
-
-    Their rows are written to ``found`` (n,), ascending, and where the surface is there to ``points``, as above.
-    """
-    count = places.shape[0]
-    directions = np.empty((3, count))
-    for i in range(count):
-        put_column(directions, i, pixel_ray(camera, places[i, 0], places[i, 1]))
-    return meet_surface(surface, camera, directions, 0, found, points)
-
-
-@kernel()
-def meet_surface(surface, camera, directions, first, found, points):
-    """Cast rays from the eye; write the numbers, from ``first``, of those that meet the surface, and where."""
-    t = np.empty(directions.shape[1])
-    cast_from_eye(surface, camera.eye, directions, t)
-    return write_hits(camera.eye, directions, t, first, found, points)
-
-
-@kernel()
-def cast_from_eye(surface, eye, directions, t):
-    """Cast rays in ``directions`` (3, n) from the ``eye``: fill ``t`` (n,) with their ways to the surface, or inf."""
-    count = t.shape[0]
-    origins, came = np.empty((3, count)), np.empty(count, np.int8)
-    for i in range(count):
-        put_column(origins, i, eye)
-    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN_SIDE, np.int8))
-    cast_batch(surface.field, surface.cells, rays, t, came)
 
 
 @kernel()
@@ -116,6 +69,10 @@ class Sight(NamedTuple):
 
 
 SIGHT = record(Sight, WALLS_RECORD, REAL_ROWS)
+
+NO_WALLS = Walls(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2, 3)), np.empty(0))
+"""No walls, as kernels take them."""
+
 PIXEL_ROWS, POINT_ROWS = types.uint32[:, ::1], types.float32[:, :, ::1]
 
 
@@ -145,7 +102,10 @@ def is_solid(surface, p):
 
 @kernel()
 def cast_through(surface, window, eye, directions, t, met):
-    """``camera.cast_from_eye`` through a ``window``: ``met`` (n,) is WINDOW_FACE, on one of its faces, or NO_WALL."""
+    """Cast rays in ``directions`` (3, n) from the ``eye`` through a ``window``: fill their ways ``t`` (n,), or inf.
+
+    ``met`` (n,) is WINDOW_FACE, on one of its faces, or NO_WALL.
+    """
     count = t.shape[0]
     origins, came, near, far = np.empty((3, count)), np.empty(count, np.int8), np.empty(count), np.empty(count)
     for i in range(count):
@@ -182,11 +142,12 @@ SEEN_COUNTS = types.UniTuple(types.int64, 2)
 
 
 @kernel(SEEN_COUNTS(SURFACE, SIGHT, PINHOLE, types.int64, types.int64, PIXEL_ROWS, POINT_ROWS, types.int8[::1]))
-def trace_pixels_in_sight(surface, sight, camera, first, width, pixels, points, numbers):
-    """``trace_pixels`` where there are walls or a window: how many pixels show the surface, and how many these.
+def trace_pixels(surface, sight, camera, first, width, pixels, points, numbers):
+    """Cast the rays of the picture's pixels ``first`` … first + n, row by row.
 
-    The first row of ``pixels`` (2, n) and ``points`` (2, n, 3) is of the surface, the second one of walls and faces,
-    of which ``numbers`` (n,) are the walls' or WINDOW_FACE.
+    Returns how many pixels show the surface, and how many show walls or faces of the window. Picture indices go to
+    ``pixels`` (2, n), ascending, and points in index space to ``points`` (2, n, 3): in the first row of the surface, in
+    the second one of walls and faces, whose ``numbers`` (n,) are a wall's or WINDOW_FACE.
     """
     count = pixels.shape[1]
     directions, t, met = np.empty((3, count)), np.empty(count), np.empty(count)
@@ -206,8 +167,11 @@ def trace_pixels_in_sight(surface, sight, camera, first, width, pixels, points, 
 
 
 @kernel(types.int64(SURFACE, SIGHT, PINHOLE, types.float32[:, ::1], types.uint32[::1], types.float32[:, ::1]))
-def trace_places_in_sight(surface, sight, camera, places, found, points):
-    """``trace_places`` where there are walls or a window: these count as the surface does."""
+def trace_places(surface, sight, camera, places, found, points):
+    """Cast the rays through the ``places`` (n, 2; x, y) of a picture; returns how many show anything.
+
+    Their rows are written to ``found`` (n,), ascending, and what is seen there, in index space, to ``points`` (n, 3).
+    """
     count = places.shape[0]
     directions, t, met = np.empty((3, count)), np.empty(count), np.empty(count)
     for i in range(count):

@@ -1,8 +1,10 @@
 """Light of whole chunks for cards: from the bytes alone a twin draws the frame; few bits, and blocks that are known."""
 
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -369,12 +371,19 @@ def test_views_without_a_surface_are_not_measured(workbench: Make) -> None:
 TARGET = 0.02
 
 
-@pytest.fixture
-def bench(workbench: Make) -> Workbench:
+@pytest.fixture(scope="module")
+def grainy(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
     """A scene whose light is grainy, so that blocks depend on chunks beside."""
-    found = workbench(load_scene("demo:orbital", bounces=2, target_error=TARGET, **SCENES["albedos"]))
+    scene = load_scene("demo:orbital", bounces=2, target_error=TARGET, **SCENES["albedos"])
+    found = Workbench(scene, tmp_path_factory.mktemp("grainy"))
     found.bake(found.view(size=40), 0.6)
     return found
+
+
+@pytest.fixture
+def bench(grainy: Workbench, tmp_path: Path) -> Workbench:
+    """The grainy scene on a store that may be baked on."""
+    return Workbench(grainy.scene, Path(shutil.copytree(grainy.folder, tmp_path / "light")))
 
 
 @pytest.fixture

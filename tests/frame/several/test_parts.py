@@ -37,40 +37,6 @@ def peeled(prepared: PreparedScene, levels: tuple[float, ...], clears: list[floa
     return view, *peeler.whole(view, Tiles())
 
 
-def expected(point: np.ndarray, levels: tuple[float, ...], clears: list[float]) -> list[tuple[int, bool, float]]:
-    """The surfaces along the ray from the eye to a ``point``, whether their inner sides are seen, and their weights."""
-    d = (point - EYE) / np.linalg.norm(point - EYE)
-    away = EYE - MIDDLE
-    met = []
-    for number, level in enumerate(levels):
-        root = (away @ d) ** 2 - away @ away + (12.0 - level) ** 2
-        if root > 0.0:
-            met += [(-(away @ d) - np.sqrt(root), number, False), (-(away @ d) + np.sqrt(root), number, True)]
-    left, found = 1.0, []
-    for _, number, inner in sorted(met):
-        if left * (1.0 - clears[number]) > 0.0:
-            found.append((number, inner, left * (1.0 - clears[number])))
-        left *= clears[number]
-    return [*found, (-1, False, left)]
-
-
-def test_rays_meet_spheres_in_order_until_one_is_opaque(prepared: PreparedScene) -> None:
-    clears = [0.5, 0.8, 0.0]
-    _, hits, left = peeled(prepared, LEVELS, clears)
-    rows, seen = np.unique(hits.pixels, return_index=True)
-    assert len(rows) > 100
-    grazing = 0
-    for pixel, first, last in zip(rows, seen, [*seen[1:], len(hits.pixels)], strict=True):
-        *those, (_, _, rest) = expected(hits.points[first].astype(np.float64), LEVELS, clears)
-        mine = [(*divmod(int(hits.sides[i]), 2), hits.weights[i]) for i in range(first, last)]
-        if [each[:2] for each in mine] != [each[:2] for each in those]:
-            grazing += 1  # a sphere of voxels is a little smaller
-            continue
-        np.testing.assert_allclose([each[2] for each in mine], [each[2] for each in those], rtol=1e-5)
-        assert left.flat[pixel] == pytest.approx(rest, abs=1e-6)
-    assert grazing < 0.1 * len(rows)
-
-
 def test_weights_and_what_is_left_make_a_whole(prepared: PreparedScene) -> None:
     _, hits, left = peeled(prepared, LEVELS, [0.3, 0.6, 0.5])
     total = np.bincount(hits.pixels, hits.weights, SIZE * SIZE) + left.ravel()

@@ -1,10 +1,7 @@
 """Direct light carried as ratios to unshadowed light, against plain NumPy and SciPy's harmonics."""
 
-import math
-
 import numpy as np
 import pytest
-from scipy.special import sph_harm_y
 
 from isogi_core.frame.lighting import quadric_of
 from isogi_core.kernels.shading.framebuffer import (
@@ -27,6 +24,7 @@ from isogi_core.kernels.shading.irradiance_ratio import (
 from isogi_core.kernels.shading.lattice import BURIED_GRADE, LIGHT_NUMBERS, PARTIAL_GRADE, UNBAKED_GRADE, VOID_GRADE
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from tests.kernels.shading.lattices import border_points, lattice, lower_texels, view_of
+from tests.kernels.transport.harmonic_bases import scipy_basis
 
 RNG = np.random.default_rng(5)
 LIGHT = RNG.normal(size=(3, 9)) * 0.3 + np.array([4.0] + [0.0] * 8)
@@ -35,25 +33,19 @@ UNSHADOWED = Unshadowed(np.ascontiguousarray(quadric_of(LIGHT), np.float32), LEA
 WEIGHTS = np.array([RED_LUMINANCE, GREEN_LUMINANCE, BLUE_LUMINANCE], np.float64)
 
 
+def unit(vectors):
+    """Vectors (n, 3) at length 1, float64."""
+    return vectors / np.linalg.norm(vectors.astype(float), axis=1, keepdims=True)
+
+
 def some_normals(count):
     """Unit normals (count, 3) float32 that look anywhere."""
-    normals = RNG.normal(size=(count, 3))
-    return (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
-
-
-def harmonics(n):
-    """The nine real harmonics of a unit vector, by SciPy."""
-    theta, phi, found = math.acos(n[2]), math.atan2(n[1], n[0]), []
-    for l in range(3):
-        for m in range(-l, l + 1):
-            y = (-1) ** m * sph_harm_y(l, abs(m), theta, phi) * math.sqrt(2.0 if m else 1.0)
-            found.append(y.imag if m < 0 else y.real)
-    return np.array(found)
+    return unit(RNG.normal(size=(count, 3))).astype(np.float32)
 
 
 def unshadowed_of(normals):
     """Unshadowed light (n, 3) about ``normals``."""
-    return np.maximum([LIGHT @ harmonics(n / np.linalg.norm(n)) for n in normals.astype(float)], LEASTS)
+    return np.maximum(scipy_basis(3, unit(normals)) @ LIGHT.T, LEASTS)
 
 
 def records_of(grade, lit, normals, unshadowed=UNSHADOWED, whole=False):
@@ -113,7 +105,7 @@ def test_the_quadric_is_the_sum_of_harmonics(order):
     normals, light = some_normals(50), LIGHT[:, : order**2]
     x, y, z = normals.T.astype(float)
     terms = np.stack([np.ones(50), y, z, x, x * y, y * z, z * z, x * z, x * x - y * y])
-    expected = [light @ harmonics(n.astype(float))[: order**2] for n in normals]
+    expected = scipy_basis(order, normals.astype(float)) @ light.T
     np.testing.assert_allclose((quadric_of(light) @ terms).T, expected, atol=1e-6)
 
 
@@ -174,31 +166,6 @@ def test_light_that_follows_the_normals_is_right_for_any_normals():
     normals = some_normals(len(points))
     radiance, _, _ = carry(points, records_of(grade, lit, towards), normals)
     np.testing.assert_allclose(radiance, unshadowed_of(normals) + lit[0, 4:], rtol=1e-5)
-
-
-def test_texels_that_face_away_or_nowhere_hardly_count():
-    points, up = np.array([[3.4, 2.2, 5.7]], np.float32), np.array([[0.0, 0.0, 1.0]], np.float32)
-    grade, lit, towards = lit_texels(points)
-    corner = view_of(points)[2][0]
-    towards[corner], towards[corner[0]], towards[corner[3]] = -up, up, 0.0
-    radiance, _, _ = carry(points, records_of(grade, lit, towards), up)
-    np.testing.assert_allclose(radiance[0], lit[corner[0], :3], rtol=1e-6)
-
-
-def test_where_all_texels_face_away_they_count_as_if_none_did():
-    points, up = np.array([[3.4, 2.2, 5.7]], np.float32), np.array([[0.0, 0.0, 1.0]], np.float32)
-    grade, lit, towards = lit_texels(points)
-    towards[:] = -up
-    away, _, _ = carry(points, records_of(grade, lit, towards), up)
-    there, _, _ = carry(points, records_of(grade, lit, towards), -up)
-    own = view_of(points)[2][0]
-    tri = np.prod(
-        np.where(np.array(list(np.ndindex(2, 2, 2))), lower_texels(points)[1][0], 1.0 - lower_texels(points)[1][0]),
-        axis=1,
-    )
-    reflected = tri @ lit[own, 4:]
-    turned = unshadowed_of(up)[0] / unshadowed_of(-up)[0]
-    np.testing.assert_allclose(away[0] - reflected, (there[0] - reflected) * turned, rtol=1e-5)
 
 
 def test_a_colour_that_the_light_lacks_stays_dark():

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
-from scipy.special import sph_harm_y
 
 from isogi_core.kernels.shading.framebuffer import (
     BLUE_LUMINANCE,
@@ -15,7 +14,6 @@ from isogi_core.kernels.shading.framebuffer import (
     PROVISIONAL,
     RED_LUMINANCE,
     Framebuffer,
-    luminance,
 )
 from isogi_core.kernels.shading.lattice import (
     BURIED_GRADE,
@@ -35,7 +33,9 @@ from isogi_core.kernels.shading.lattice import (
 )
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
+from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from tests.kernels.shading.lattices import RNG, SHAPE, STEP, border_points, lattice, lower_texels, some_points, view_of
+from tests.kernels.transport.harmonic_bases import scipy_basis
 
 
 def test_base_texel_is_the_lower_corner_and_the_fractions_in_it():
@@ -140,105 +140,51 @@ def test_light_is_carried_in_units(unit):
     assert all(np.array_equal(*pair) for pair in zip(one[1:], other[1:], strict=True))
 
 
-def test_error_is_the_root_of_weighted_squares_over_luminance():
-    points = np.array([[3.4, 2.2, 5.7]], np.float32)
+def irradiance_over_pi(normals):
+    """E/π (n, 3) of SKY_LIGHT about unit normals (n, 3), by SciPy's harmonics: Σ A_l/π ℓ_lm Y_lm(n)."""
+    lobes = np.repeat([1.0, 2.0 / 3.0, 0.25], [1, 3, 5])
+    return scipy_basis(3, np.asarray(normals, float)) @ (lobes * SKY_LIGHT).T
+
+
+def one_by_one(points, grade, lit, normals):
+    """Light (n, 3), its standard error (n,) and the least grade (n,), by a loop over points.
+
+    Void and buried texels are left out of the mean, and unshadowed light stands in for what is not baked. Where no
+    texel counts it is dark among buried ones, as somebody looked, and else unshadowed.
+    """
+    corners, (_, fractions), under = view_of(points)[2], lower_texels(points), irradiance_over_pi(normals)
+    light, noise, least = np.zeros((len(points), 3)), np.zeros(len(points)), np.zeros(len(points), int)
+    for m, (own, f) in enumerate(zip(corners, fractions, strict=True)):
+        weights = np.prod(np.where(np.array(list(np.ndindex(2, 2, 2))), f, 1.0 - f), axis=1)
+        counts, baked = grade[own] <= FINAL, (grade[own] <= FINAL) & (grade[own] != UNBAKED_GRADE)
+        buried, total = weights[grade[own] == BURIED_GRADE].sum() > 0.0, weights[counts].sum()
+        least[m] = grade[own].min()
+        if total > 0.0:
+            light[m] = weights[baked] @ lit[own[baked], :3] + weights[counts & ~baked].sum() * under[m]
+            light[m] /= total
+            noise[m] = np.sqrt(((weights[baked] * lit[own[baked], 3]) ** 2).sum()) / total
+        elif not buried:
+            light[m] = under[m]
+    return light, noise, least
+
+
+ALL_GRADES = (FINAL, CONVERGING, PARTIAL_GRADE, UNBAKED_GRADE, BURIED_GRADE, VOID_GRADE)
+
+
+@pytest.mark.parametrize(
+    "grades",
+    [*((each,) for each in ALL_GRADES), ALL_GRADES, (FINAL, VOID_GRADE), (BURIED_GRADE, VOID_GRADE), ALL_GRADES[3:]],
+)
+def test_light_is_carried_as_a_loop_over_texels_has_it(grades):
+    points = border_points()
     grade, lit = lit_view(points)
-    radiance, _, error = carry(points, grade, lit)
-    fz, fy, fx = lower_texels(points)[1][0]
-    weights = np.array([trilinear(c, fz, fy, fx) for c in range(8)])
-    own = lit[view_of(points)[2][0], 3]
-    assert error[0] == pytest.approx(np.sqrt(((weights * own) ** 2).sum()) / luminance(*radiance[0].astype(float)))
-
-
-def test_a_point_is_as_good_as_the_least_of_its_texels():
-    points = np.array([[3.4, 2.2, 5.7]], np.float32)
-    grade, lit = lit_view(points)
-    grade[5] = CONVERGING
-    assert carry(points, grade, lit)[1] == [CONVERGING]
-    for grade[2] in (PARTIAL_GRADE, UNBAKED_GRADE):
-        _, state, error = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))
-        assert state == [PROVISIONAL] and error == [1.0]
-
-
-def test_light_of_some_layers_is_shown_as_it_is():
-    points = some_points(40)
-    grade, lit = lit_view(points)
-    whole, _, _ = carry(points, grade, lit)
-    grade[::2] = PARTIAL_GRADE
-    assert np.array_equal(carry(points, grade, lit)[0], whole)
-
-
-@pytest.mark.parametrize("left_out", [[VOID_GRADE], [BURIED_GRADE], [VOID_GRADE, BURIED_GRADE, VOID_GRADE]])
-def test_void_and_buried_texels_are_left_out_of_the_mean(left_out):
-    points = np.array([[3.4, 2.2, 5.7]], np.float32)
-    grade, lit = lit_view(points)
-    corners = view_of(points)[2][0]
-    grade[corners[[0, 3, 7]]] = left_out
-    kept = np.delete(np.arange(8), [0, 3, 7])
-    fz, fy, fx = lower_texels(points)[1][0]
-    weights = np.array([trilinear(c, fz, fy, fx) for c in kept])
-    expected = weights @ lit[corners[kept]] / weights.sum()
-    lit[corners[[0, 3, 7]]] = 1e9
-    radiance, state, error = carry(points, grade, lit)
-    np.testing.assert_allclose(radiance[0], expected[:3], rtol=1e-5)
-    noise = np.sqrt(((weights * lit[corners[kept], 3]) ** 2).sum()) / weights.sum()
-    assert error[0] == pytest.approx(min(noise / luminance(*expected[:3]), 1.0), rel=1e-5)
-    assert state == [FINAL]
-
-
-def test_a_point_among_buried_texels_is_black_and_final():
-    """However many of the eight are void: somebody looked, and no light comes here."""
-    points = np.array([[3.4, 2.2, 5.7], [10.1, 9.9, 13.2]], np.float32)
-    grade, lit = lit_view(points)
-    lit[:] = np.nan
-    grade[:] = BURIED_GRADE
-    grade[view_of(points)[2][1, :7]] = VOID_GRADE
-    radiance, state, error = carry(points, grade, lit, np.full_like(points, 3**-0.5))
-    assert not radiance.any() and not error.any() and (state == FINAL).all()
-
-
-def test_buried_texels_do_not_darken_what_stands_in():
-    points = np.array([[3.4, 2.2, 5.7]], np.float32)
-    grade, lit = lit_view(points)
-    grade[:] = BURIED_GRADE
-    grade[view_of(points)[2][0, 6]] = UNBAKED_GRADE
-    radiance, state, _ = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))
-    np.testing.assert_allclose(radiance[0], irradiance_over_pi((0.0, 0.0, 1.0)), rtol=1e-5)
-    assert state == [PROVISIONAL]
-
-
-def irradiance_over_pi(n):
-    """E/π of SKY_LIGHT about the unit normal n by SciPy's harmonics: Σ A_l/π ℓ_lm Y_lm(n); (3,)."""
-    theta, phi = math.acos(n[2]), math.atan2(n[1], n[0])
-    total = np.zeros(3)
-    for l, lobe in enumerate((1.0, 2.0 / 3.0, 0.25)):
-        for m in range(-l, l + 1):
-            y = (-1) ** m * sph_harm_y(l, abs(m), theta, phi) * math.sqrt(2.0 if m else 1.0)
-            total += lobe * (y.imag if m < 0 else y.real) * SKY_LIGHT[:, l * (l + 1) + m]
-    return total
-
-
-@pytest.mark.parametrize("missing", [UNBAKED_GRADE, VOID_GRADE])
-def test_without_any_lit_texel_unshadowed_light_stands_in(missing):
-    points = some_points(20)
+    grade[:] = np.random.default_rng(2).choice(grades, len(grade))
+    lit[(grade == UNBAKED_GRADE) | (grade > FINAL)] = np.nan
     normals = RNG.normal(size=points.shape)
     normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
-    grade, lit = lit_view(points)
-    grade[:] = missing
-    lit[:] = np.nan
-    radiance, state, _ = carry(points, grade, lit, normals)
-    np.testing.assert_allclose(radiance, [irradiance_over_pi(n.astype(float)) for n in normals], rtol=1e-5)
-    assert (radiance > 0.0).all() and (state == (PROVISIONAL if missing == UNBAKED_GRADE else FINAL)).all()
-
-
-def test_what_is_missing_is_filled_in_proportion():
-    points = np.array([[3.4, 2.2, 5.7]], np.float32)
-    grade, lit = lit_view(points)
-    lit[:, :3] = 0.25
-    corners = view_of(points)[2][0]
-    grade[corners[[1, 6]]] = UNBAKED_GRADE
-    fz, fy, fx = lower_texels(points)[1][0]
-    share = trilinear(1, fz, fy, fx) + trilinear(6, fz, fy, fx)
-    radiance, _, _ = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))
-    expected = (1 - share) * 0.25 + share * irradiance_over_pi((0.0, 0.0, 1.0))
-    np.testing.assert_allclose(radiance[0], expected, rtol=1e-5)
+    light, noise, least = one_by_one(points, grade, lit, normals)
+    radiance, state, error = carry(points, grade, lit, normals)
+    np.testing.assert_allclose(radiance, light, rtol=2e-5, atol=1e-6)
+    assert np.array_equal(state, np.clip(least, PROVISIONAL, FINAL))
+    expected = np.minimum(noise / np.maximum(light @ LUMINANCE_WEIGHTS, 1e-30), 1.0)
+    np.testing.assert_allclose(error, np.where(least <= PARTIAL_GRADE, 1.0, expected), rtol=1e-4, atol=1e-6)

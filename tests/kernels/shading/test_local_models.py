@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numba import njit
 
-from isogi_core.kernels.shading import local_models as shading
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
 from isogi_core.kernels.shading.local_models import (
     LocalModel,
@@ -18,11 +17,10 @@ from isogi_core.kernels.shading.surface_points import SurfacePoints, point_of
 from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, cast, launch
 from isogi_core.kernels.transport.light_paths import Surroundings
-from isogi_core.kernels.transport.lights import fog
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from tests.kernels.fields import field_of, surface_of
 from tests.kernels.transport.lighting import trace_points
-from tests.scale import COMPILED, few
+from tests.scale import few
 
 COUNT = few(2000, 60)
 Z, Y, X = np.mgrid[:41, :41, :41] - 20.0
@@ -107,21 +105,6 @@ def test_local_models_are_those_of_numpy(model, spacing):
     np.testing.assert_allclose(shade(model, points, normals, spacing=spacing), expected, atol=2e-6)
 
 
-def test_ambient_light_is_all_that_the_far_side_has():
-    points, normals = ball_points()
-    away = normals @ KEY < 0
-    assert away.mean() > 0.4
-    for model in (LAMBERT, LAMBERT._replace(shine=0.5), LAMBERT._replace(shadow=True)):
-        np.testing.assert_allclose(shade(model, points, normals)[away], np.broadcast_to(AMBIENT, (away.sum(), 3)))
-
-
-def test_a_convex_body_casts_no_shadow_on_itself():
-    points, normals = ball_points()
-    shadowed = LAMBERT._replace(shadow=True)
-    clear = np.abs(normals @ KEY) > 0.05
-    assert np.array_equal(shade(shadowed, points, normals)[clear], shade(LAMBERT, points, normals)[clear])
-
-
 def test_one_ball_casts_the_shadow_of_a_sphere_on_another():
     """Two balls in line with the light: in shadow is what the cylinder behind the upper one holds."""
     key = (0.0, 0.0, 1.0)
@@ -163,21 +146,6 @@ def test_shadows_of_many_rays_are_those_of_single_ones(spacing):
     assert 0.05 < seen[0].mean() < 0.45
 
 
-@pytest.mark.parametrize(
-    ("depth", "share"),
-    [(0.0, 1.0), (10.0, 1.0), (15.0, math.exp(-1.0)), (20.0, math.exp(-4.0)), (1e9, 0.0), (10.000001, 1.0)],
-)
-def test_fog_thickens_from_near_to_far(depth, share):
-    assert fog(depth, 10.0, 20.0) == pytest.approx(share, abs=1e-12)
-
-
-def test_highlight_is_one_in_the_mirror_direction():
-    n, key = (0.0, 0.0, 1.0), (0.6, 0.0, 0.8)
-    assert shading.highlight(n, key, (-0.6, 0.0, 0.8), 32.0) == pytest.approx(1.0)
-    assert shading.highlight(n, key, (0.8, 0.0, 0.6), 1.0) == pytest.approx(0.0, abs=1e-15)
-    assert shading.highlight(n, key, (0.6, 0.0, -0.8), 3.0) == 0.0
-
-
 def trace(place, light, weights, samples, replicas=2, stream=0):
     """Sums (n, replicas, 3) of `trace_points` over the ball; ``place`` is points, normals and perhaps pixels."""
     points, normals, *pixels = place
@@ -208,13 +176,11 @@ def test_path_tracer_sees_the_turned_environment(axis):
     np.testing.assert_allclose(light, expected, atol=few(0.01, 0.03))
 
 
-def test_paths_belong_to_the_pixel_and_go_on_where_they_stopped():
+def test_paths_belong_to_the_pixel():
     points, normals = ball_points(6)
     light, weights = half_sky(np.eye(3)), np.full((3, 3), 0.5)
     place = points, normals
     whole = trace(place, light, weights, (0, 12))
-    parts = trace(place, light, weights, (0, 5)) + trace(place, light, weights, (5, 7))
-    np.testing.assert_allclose(parts, whole, rtol=1e-12)
     turned = trace((points[::-1].copy(), normals[::-1], np.arange(6)[::-1].copy()), light, weights, (0, 12))
     assert np.array_equal(turned[::-1], whole)
     others = trace((*place, np.arange(6) + 100), light, weights, (0, 12))
@@ -241,21 +207,3 @@ def test_sums_of_any_number_of_goes_have_the_same_bits():
             trace_points(surface, place, light, rules, 0, SampleRange(first, count), into)
             first += count
     assert sums[0].any() and np.array_equal(*sums)
-
-
-@COMPILED
-def test_paths_that_end_by_chance_bring_the_same_light():
-    """Weights over the chance to get there: z-test of two means in a bowl, of 2 × 8 independent replicas."""
-    points, normals = ball_points(20)
-    weights, survival = 0.9 ** np.arange(1.0, 9.0)[:, None] * np.ones(3), 0.6
-    fewer = weights / survival ** np.maximum(np.arange(8) - 1, 0)[:, None]
-    surface = surface_of(field_of(NOISY), 0.0)
-    place = SurfacePoints(points, normals.astype(np.float32), np.arange(20, dtype=np.uint32))
-    sums = np.zeros((2, 20, 8, 3))
-    for into, own, chance, stream in zip(sums, (weights, fewer), (1.0, survival), (0, 8), strict=True):
-        rules = PathRules(own, chance)
-        trace_points(surface, place, half_sky(np.eye(3)), rules, stream, SampleRange(0, 512), into)
-    means = sums[..., 0].mean(axis=1) / 512
-    apart = means[0].mean(axis=-1) - means[1].mean(axis=-1)
-    error = np.sqrt((means.var(axis=-1, ddof=1) / 8).sum(axis=0))
-    assert abs(apart / error) < 4.0

@@ -7,7 +7,6 @@ from isogi_core.kernels.shading.texel_normals import fill_texel_normals
 from isogi_core.kernels.transport.transfer import NO_SURFACE, TEXEL_PROJECTED, TOO_FAR, locate_texels, project_texels
 from tests.kernels.fields import field_of
 
-RNG = np.random.default_rng(12)
 SPACING = (1.0, 0.7, 1.3)
 
 

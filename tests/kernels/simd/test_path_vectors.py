@@ -11,7 +11,7 @@ from isogi_core.kernels.simd.memory import add_to, store
 from isogi_core.kernels.simd.memory import load as load_width
 from isogi_core.kernels.simd.types import PATH_WIDTH
 from isogi_core.kernels.simd.voxels import four
-from isogi_core.kernels.tracing.field import bspline, bspline_slope, smooth_gradient, smooth_gradients, value
+from isogi_core.kernels.tracing.field import smooth_gradient, smooth_gradients, value
 from isogi_core.kernels.tracing.vec import column, load_columns, orthonormal_basis, put_column, store_columns
 from isogi_core.kernels.transport.harmonics import accumulate
 from isogi_core.kernels.transport.rng import point_2d, point_of_words
@@ -214,9 +214,3 @@ def test_cosine_and_sine_are_libms_to_the_next_bit():
         cosine, sine = cosine_and_sine(angle)
         assert abs(cosine - math.cos(angle)) <= 2.0**-53
         assert abs(sine - math.sin(angle)) <= math.ulp(sine)
-
-
-def test_weights_of_the_spline_sum_up():
-    for f in np.linspace(0.0, 1.0, 33).tolist():
-        assert sum(bspline(f)) == pytest.approx(1.0, abs=1e-15)
-        assert sum(bspline_slope(f)) == pytest.approx(0.0, abs=1e-15)

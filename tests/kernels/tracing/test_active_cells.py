@@ -1,4 +1,7 @@
-"""The active-cell map against plain loops: marks and ranges."""
+"""Maps of empty space against plain loops: macrocells, active cells, and the skips of empty bricks."""
+
+import itertools
+from itertools import product
 
 import numpy as np
 import pytest
@@ -9,8 +12,44 @@ from isogi_core.kernels.tracing.active_cells import (
     block_ranges,
     brick_shape,
     make_active_cells,
+    number_bricks,
 )
-from isogi_core.kernels.tracing.macrocells import MACROCELL_SIDE, blocks_along
+from isogi_core.kernels.tracing.macrocells import MACROCELL_SIDE, blocks_along, macrocell_shape
+from isogi_core.kernels.tracing.skips import LONGEST_SKIP, SKIP_BITS
+from tests.kernels.fields import field_of
+
+
+def blocks(shape):
+    """Index of each macrocell and the slices of the voxels that its cells touch, both faces included."""
+    for index in np.ndindex(macrocell_shape(shape)):
+        yield index, tuple(slice(i * MACROCELL_SIDE, i * MACROCELL_SIDE + MACROCELL_SIDE + 1) for i in index)
+
+
+@pytest.mark.parametrize("shape", [(2, 2, 2), (9, 9, 9), (10, 8, 17), (2, 30, 5), (18, 25, 16)])
+def test_low_and_high_are_those_of_voxels_in_and_on_the_block(shape):
+    voxels = np.random.default_rng(1).normal(size=shape).astype(np.float32)
+    field = field_of(voxels)
+    for index, block in blocks(shape):
+        assert field.low[index] == voxels[block].min()
+        assert field.high[index] == voxels[block].max()
+
+
+@pytest.mark.parametrize("n", [2, 8, 9, 10, 16, 17, 18, 257])
+def test_every_cell_is_in_one_macrocell(n):
+    blocks_along = macrocell_shape((n, n, n))[0]
+    assert (blocks_along - 1) * MACROCELL_SIDE < n - 1 <= blocks_along * MACROCELL_SIDE
+
+
+def test_a_hole_opens_the_macrocells_that_touch_it_and_no_other():
+    voxels = np.ones((18, 18, 18), np.float32)
+    voxels[8, 4, 4] = np.nan
+    field = field_of(voxels)
+    touched = [index for index, block in blocks(voxels.shape) if np.isnan(voxels[block]).any()]
+    assert touched == [(0, 0, 0), (1, 0, 0)]
+    for index in itertools.product(range(3), repeat=3):
+        expected = (-np.inf, np.inf) if index in touched else (1.0, 1.0)
+        assert (field.low[index], field.high[index]) == expected
+
 
 BALL = 12.0 - np.linalg.norm(np.indices((41, 41, 41)) - 20.0, axis=0)
 
@@ -83,3 +122,45 @@ def test_pieces_make_the_same_map():
     pieces = make_active_cells(BALL.astype(np.float32), ranges, 0.0, 1.0, run)
     assert np.array_equal(pieces.tops, whole.tops)
     assert np.array_equal(pieces.cells, whole.cells)
+
+
+def largest_cubes(marked: np.ndarray) -> np.ndarray:
+    """Side of the largest cube with no marked brick that begins at each brick and ascends along all axes."""
+    sums = np.pad(marked.astype(int), [(1, LONGEST_SKIP)] * 3).cumsum(0).cumsum(1).cumsum(2)
+    found = np.zeros(marked.shape, int)
+    for side in range(1, LONGEST_SKIP + 1):
+        inside = np.zeros(marked.shape, int)
+        for corner in product((0, side), repeat=3):
+            at = tuple(slice(first, first + n) for first, n in zip(corner, marked.shape, strict=True))
+            inside += (-1) ** corner.count(0) * sums[at]
+        found += inside == 0
+    return found
+
+
+def check(tops: np.ndarray, marked: np.ndarray) -> None:
+    """Each empty brick has its skip, in each octant."""
+    for octant in range(8):
+        turned = tuple(slice(None, None, -1 if octant >> axis & 1 else 1) for axis in (2, 1, 0))
+        skips = (tops.reshape(marked.shape) >> (SKIP_BITS * octant)) & LONGEST_SKIP
+        assert np.array_equal(skips[~marked], largest_cubes(marked[turned])[turned][~marked])
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (17, 18, 19), (3, 2, 63), (2, 4, 64), (2, 3, 65), (18, 20, 130)])
+@pytest.mark.parametrize("share", [0.0, 0.0005, 0.01, 0.2])
+def test_skips_are_the_largest_empty_cubes_ahead(shape: tuple[int, ...], share: float) -> None:
+    """Also across the words that rows of bricks are cut into, and beyond the volume, where nothing stops a ray."""
+    marked = np.random.default_rng(1).random(shape) < share
+    tops = np.empty(marked.size, np.int32)
+    number_bricks(~marked.ravel(), shape, tops)
+    check(tops, marked)
+    assert tops[marked.ravel()].tolist() == list(range(marked.sum())), "a marked brick has its number"
+
+
+def test_maps_of_volumes_hold_them() -> None:
+    voxels = np.zeros((70, 50, 90), np.float32)
+    voxels[10, 40, 7] = voxels[60, 5, 80] = 1.0
+    cells = make_active_cells(voxels, block_ranges(voxels), 0.5, 0.5)
+    assert cells.shape == brick_shape(voxels.shape)
+    marked = ((cells.tops >> 28) == 0).reshape(cells.shape)
+    assert marked.any()
+    check(cells.tops, marked)

@@ -1,4 +1,4 @@
-"""Rays against isosurfaces: one at a time, against dense marching.
+"""Rays against boxes, cells and isosurfaces, one at a time: NumPy's slabs and roots, SciPy's values, dense marching.
 
 Closed surfaces, planes, holes and far origins are among the cases of `tests/stability`.
 """
@@ -7,22 +7,133 @@ import math
 
 import numpy as np
 import pytest
-from scipy.ndimage import map_coordinates
+from numba import njit
 
+from isogi_core.kernels.simd.voxels import cube
 from isogi_core.kernels.tracing import intersect
-from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, SOLID_SIGN, UNKNOWN_SIDE
+from isogi_core.kernels.tracing.cubic import cubic_along, ends_solid, first_crossing, horner, turning_points
+from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, SOLID_SIGN, UNKNOWN_SIDE, less
+from isogi_core.kernels.tracing.slabs import clip_box, cut_cell, longest, reciprocals
 from tests.kernels.fields import cast_each, field_of
-from tests.scale import few
+from tests.kernels.interpolation import trilinear
+from tests.scale import many
 
 
-def many(count):
-    """That many, or few where Numba is switched off."""
-    return few(count, max(count // 1000, 100))
+def test_clip_box_against_numpys_slabs():
+    rng = np.random.default_rng(4)
+    shape = (4, 5, 6)
+    size = np.array(shape[::-1]) - 1.0
+    for o, d in zip(rng.uniform(-4, 9, (many(2000), 3)), rng.normal(size=(many(2000), 3)), strict=True):
+        a, b = -o / d, (size - o) / d
+        near, far = max(np.minimum(a, b).max(), 0.0), np.maximum(a, b).min()
+        found = clip_box(shape, tuple(o), tuple(d))
+        assert found[0] <= found[1] if near <= far else found[0] > found[1]
+        if near <= far:
+            assert found == pytest.approx((near, far))
 
 
-def trilinear(voxels, points):
-    """SciPy's trilinear value, float64, at points (..., 3) x first."""
-    return map_coordinates(voxels.astype(float), np.moveaxis(points, -1, 0)[::-1], order=1, mode="nearest")
+@pytest.mark.parametrize("zero", [0.0, -0.0])
+def test_a_ray_beside_the_box_or_along_its_face(zero):
+    shape = (4, 4, 4)
+    assert clip_box(shape, (1.0, 3.5, 1.0), (1.0, zero, zero)) == (math.inf, -math.inf)
+    assert clip_box(shape, (1.0, 3.0, 0.0), (1.0, zero, zero)) == (0.0, 2.0)
+
+
+def test_a_cell_is_cut_as_a_box_of_its_own():
+    """Along still axes all of the ray is within; a component too small for a reciprocal counts as still."""
+    rng = np.random.default_rng(5)
+    for o, d in zip(rng.uniform(-2, 4, (many(2000), 3)), rng.normal(size=(many(2000), 3)), strict=True):
+        near, far = cut_cell(tuple(o), reciprocals(tuple(d)), (1, 0, 2), -9.0, 9.0)
+        a, b = (np.array([1, 0, 2]) - o) / d, (np.array([2, 1, 3]) - o) / d
+        expected = max(np.minimum(a, b).max(), -9.0), min(np.maximum(a, b).min(), 9.0)
+        assert (near, far) == pytest.approx(expected, rel=1e-12)
+    assert reciprocals((0.0, 5e-324, -4.0)) == (0.0, 0.0, -0.25)
+    assert cut_cell((0.5, 9.0, 9.0), (2.0, 0.0, 0.0), (0, 0, 0), -1.0, 1.0) == (-1.0, 1.0)
+    assert longest((-3.0, 2.0, 1.0)) == 3.0
+
+
+@njit(cache=True)
+def crossing(q, side, blur):
+    """`first_crossing` as t or inf, and the side at the cubic's end."""
+    t, crosses = first_crossing(q, side == SOLID_SIGN, blur, True)
+    return t if crosses else math.inf, SOLID_SIGN if ends_solid(q) else OUTSIDE_SIGN
+
+
+@njit(cache=True)
+def first_crossings(cubics, side):
+    """`crossing` of cubics (n, 4): t (n,) and the last side (n,)."""
+    t, last = np.empty(len(cubics)), np.empty(len(cubics), np.int64)
+    for m in range(len(cubics)):
+        q = (float(cubics[m, 0]), float(cubics[m, 1]), float(cubics[m, 2]), float(cubics[m, 3]))
+        t[m], last[m] = crossing(q, side, 0.0)
+    return t, last
+
+
+def roots(cubics):
+    """`numpy.roots` of many cubics at once: the eigenvalues of their companion matrices, (n, 3) complex."""
+    companion = np.zeros((len(cubics), 3, 3))
+    companion[:, 1, 0] = companion[:, 2, 1] = 1.0
+    companion[:, 0] = -cubics[:, 1:] / cubics[:, :1]
+    return np.linalg.eigvals(companion)
+
+
+def test_cubic_along_a_ray_is_the_trilinear_value():
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        voxels = rng.normal(size=(2, 2, 2)).astype(np.float32)
+        a, b = rng.random((2, 3))
+        q = cubic_along(less(cube(voxels, 0, 0, 0), 0.25), tuple(a), tuple(b - a))
+        t = np.linspace(0, 1, 7)
+        expected = trilinear(voxels, a + t[:, None] * (b - a)) - 0.25
+        np.testing.assert_allclose([horner(q, s) for s in t], expected, atol=1e-14)
+
+
+def test_turning_points_are_the_roots_of_the_slope():
+    rng = np.random.default_rng(2)
+    for q in rng.normal(size=(many(2000), 4)):
+        slope = np.roots([3 * q[0], 2 * q[1], q[2]])
+        expected = sorted(np.clip(slope.real, 0, 1)) if np.isreal(slope).all() else (1.0, 1.0)
+        np.testing.assert_allclose(turning_points(tuple(q)), expected, atol=1e-10)
+
+
+@pytest.mark.parametrize("side", [OUTSIDE_SIGN, SOLID_SIGN])
+def test_first_crossing_against_numpys_roots(side):
+    """1e5 cubics that begin on `side`, less those whose roots nearly meet or lie on an end: both answers are right."""
+    rng = np.random.default_rng(3)
+    cubics = rng.normal(size=(many(100_000), 4)) * 10.0 ** rng.uniform(-3, 3, (many(100_000), 4))
+    cubics[:, 3] = -side * np.abs(cubics[:, 3])
+    found, last = first_crossings(cubics, side)
+    all_roots = roots(cubics)
+    real = np.abs(all_roots.imag) < 1e-9
+    expected = np.where(real & (all_roots.real >= 0) & (all_roots.real <= 1), all_roots.real, math.inf).min(axis=1)
+    delicate = (np.abs(all_roots.imag) < 1e-4) & ~real
+    pairs = np.abs(all_roots - np.roll(all_roots, 1, axis=1)).min(axis=1) < 1e-4
+    ends = np.minimum(np.abs(all_roots), np.abs(all_roots - 1)).min(axis=1) < 1e-9
+    clear = ~(delicate.any(axis=1) | pairs | ends)
+    assert clear.mean() > 0.99
+    assert np.array_equal(found[clear] < math.inf, expected[clear] < math.inf)
+    hit = clear & (expected < math.inf)
+    assert hit.mean() > 0.2
+    assert np.abs(found[hit] - expected[hit]).max() < 2e-8
+    assert np.array_equal(last == SOLID_SIGN, cubics.sum(axis=1) > 0)
+
+
+def test_a_turn_within_the_blur_only_touches():
+    """f = (t - 1/2)² less and more than nothing, seen from either side."""
+    for side in (SOLID_SIGN, OUTSIDE_SIGN):
+        bump = [side * c for c in (0.0, -1.0, 1.0, -0.25)]
+        for depth, met in ((1e-13, True), (1e-15, False), (-1e-15, False), (-1e-13, False)):
+            t, last = crossing((*bump[:3], bump[3] + side * depth), side, 1e-14)
+            assert (t < math.inf) == met and last == side
+
+
+def test_a_cubic_of_nothing_is_outside_and_has_no_crossing():
+    assert crossing((0.0, 0.0, 0.0, 0.0), OUTSIDE_SIGN, 0.0) == (math.inf, OUTSIDE_SIGN)
+
+
+def test_a_root_lost_to_rounding_is_at_the_entry():
+    t, last = crossing((0.0, 0.0, 1.0, 1e-17), OUTSIDE_SIGN, 0.0)
+    assert (t, last) == (pytest.approx(0.0, abs=1e-8), SOLID_SIGN)
 
 
 def test_a_cell_whose_corners_agree_has_only_a_lost_surface():
@@ -33,9 +144,6 @@ def test_a_cell_whose_corners_agree_has_only_a_lost_surface():
         assert intersect.cross_cell(*place, side) == (math.inf, side)
         assert intersect.cross_cell(*place, UNKNOWN_SIDE) == (math.inf, side)
         assert intersect.cross_cell(*place, -side) == (0.5, -side)
-
-
-# --- the walk ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", ["noise", "smooth", "binary"])
@@ -79,11 +187,7 @@ def bisect(voxels, iso, origins, ends, low, width):
     return low
 
 
-# --- a ball --------------------------------------------------------------------------------------------------
-
-N = 41
-Z, Y, X = np.mgrid[:N, :N, :N] - 20.0
-BALL = 12.0 - np.sqrt(X * X + Y * Y + Z * Z)
+BALL = 12.0 - np.linalg.norm(np.indices((41, 41, 41)) - 20.0, axis=0)
 
 
 def inner_rays(rng, count):
@@ -111,13 +215,6 @@ def test_a_block_that_a_ray_only_touches_tells_no_side():
     assert out[0] == math.inf
 
 
-def test_nothing_but_holes_is_an_empty_picture():
-    rng = np.random.default_rng(13)
-    origins = rng.uniform(-5, 15, (100, 3))
-    t, _ = cast_each(field_of(np.full((9, 9, 9), np.nan)), 0.0, origins, 4.0 - origins, UNKNOWN_SIDE)
-    assert np.isinf(t).all()
-
-
 @pytest.mark.parametrize("length", [1e-150, 1e-6, 1.0, 1e6, 1e150])
 def test_a_longer_direction_is_a_shorter_way(length):
     rng = np.random.default_rng(15)
@@ -127,10 +224,9 @@ def test_a_longer_direction_is_a_shorter_way(length):
     np.testing.assert_allclose(scaled * length, t, rtol=1e-8)
 
 
-def test_all_on_one_side_has_no_surface_from_anywhere():
-    rng = np.random.default_rng(16)
-    origins = rng.uniform(-5, 15, (300, 3))
-    for level in (0.0, 1.0):
-        for iso in (0.0, 0.5, 1.0):
-            t, _ = cast_each(field_of(np.full((9, 9, 9), level)), iso, origins, 4.0 - origins, UNKNOWN_SIDE)
-            assert np.isinf(t).all()
+@pytest.mark.parametrize("level", [0.0, 1.0, math.nan])
+@pytest.mark.parametrize("iso", [0.0, 0.5, 1.0])
+def test_one_value_or_holes_alone_have_no_surface_from_anywhere(level, iso):
+    origins = np.random.default_rng(16).uniform(-5, 15, (300, 3))
+    t, _ = cast_each(field_of(np.full((9, 9, 9), level)), iso, origins, 4.0 - origins, UNKNOWN_SIDE)
+    assert np.isinf(t).all()

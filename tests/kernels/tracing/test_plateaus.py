@@ -9,7 +9,7 @@ from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
 from isogi_core.kernels.tracing.stiffness import BEHIND_VOXELS, EDGE_SHARE, FLAT_SHARE
 from isogi_core.kernels.transport.transfer import locate_texels
 from tests.kernels.fields import field_of
-from tests.kernels.interpolation import search, smoothed, values
+from tests.kernels.interpolation import search, smoothed, trilinear
 
 SIDE = 16
 LAYERS = np.arange(SIDE)[:, None, None] + np.zeros((SIDE, SIDE, SIDE))
@@ -34,12 +34,12 @@ def about(voxels, p):
 def lifted(voxels, points, normals):
     """Values RAY_OFFSET_VOXELS above points (m, 3) along their normals in index space, of any length."""
     with np.errstate(invalid="ignore"):
-        return values(voxels, points + RAY_OFFSET_VOXELS * normals / np.linalg.norm(normals, axis=1, keepdims=True))
+        return trilinear(voxels, points + RAY_OFFSET_VOXELS * normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
 def expected(voxels, p):
     """What becomes of a texel at `p`: "own", "kept", "void" or "moved", its isovalue, and the stride that it is in."""
-    block, own = about(voxels, p), values(voxels, p[None])[0]
+    block, own = about(voxels, p), trilinear(voxels, p[None])[0]
     low, high = np.nanmin(block), np.nanmax(block)
     edge, level = EDGE_SHARE * (high - low), (low + high) / 2
     if low + edge < own < high - edge or (abs(block - own) <= edge).mean() < FLAT_SHARE:
@@ -48,7 +48,7 @@ def expected(voxels, p):
     down = uphill / np.linalg.norm(uphill) * (-1.0 if own > level else 1.0)
     found = search(voxels, p, down, level)
     behind = AROUND[AROUND @ down < BEHIND_VOXELS]
-    if own > level and (found is None or (values(voxels, p + behind) <= level).any()):
+    if own > level and (found is None or (trilinear(voxels, p + behind) <= level).any()):
         return "void", own, None
     return ("kept", own, None) if found is None else ("moved", level, found)
 
@@ -72,7 +72,7 @@ def test_texels_are_where_a_search_in_numpy_finds_them(step, spacing):
         assert void[m] or kind != "void"
         assert isovalues[m] == pytest.approx(isovalue)
         assert (points[m] >= within.min(axis=0) - 1e-9).all() and (points[m] <= within.max(axis=0) + 1e-9).all()
-        assert kind != "moved" or values(voxels, points[None, m])[0] == pytest.approx(isovalue)
+        assert kind != "moved" or trilinear(voxels, points[None, m])[0] == pytest.approx(isovalue)
     assert kinds.keys() >= {"own", "moved", "void", "hemmed in"}, kinds
 
 

@@ -1,9 +1,10 @@
-"""The harmonics' basis at many directions, directions to integrate with, and whole rotation matrices."""
+"""The harmonics' basis at many directions, also by SciPy, directions to integrate with, and rotation matrices."""
 
 import math
 
 import numpy as np
 from numba import njit
+from scipy.special import sph_harm_y
 
 from isogi_core.kernels.transport import harmonics
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
@@ -15,6 +16,20 @@ def basis(order, directions):
     out = np.empty((len(directions), order * order))
     for k in range(len(directions)):
         harmonics.evaluate(order, directions[k, 0], directions[k, 1], directions[k, 2], out[k])
+    return out
+
+
+def scipy_basis(order, directions):
+    """Y_i at unit directions (n, 3) by SciPy's complex harmonics, without their Condon-Shortley phase: (n, order²)."""
+    x, y, z = directions.T
+    theta, phi = np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)
+    out = np.empty((len(directions), order * order))
+    for l in range(order):
+        for m in range(l + 1):
+            value = (-1) ** m * sph_harm_y(l, m, theta, phi) * math.sqrt(2.0 if m else 1.0)
+            out[:, l * (l + 1) - m], out[:, l * (l + 1) + m] = value.imag, value.real
+            if m == 0:
+                out[:, l * (l + 1)] = value.real
     return out
 
 

@@ -29,7 +29,7 @@ from isogi_core.kernels.transport.transfer import (
 )
 from tests.kernels.fields import cells_of, field_of, surface_of
 from tests.kernels.glows import ball, block, glows_of
-from tests.kernels.rooms import X, Y, Z, box, room_of, sky, wall
+from tests.kernels.rooms import X, Y, Z, among, box, room_of, sky, wall
 from tests.kernels.transport.lighting import (
     AREA,
     DIRECTIONAL,
@@ -42,7 +42,6 @@ from tests.kernels.transport.lighting import (
     trace_points,
 )
 from tests.kernels.transport.matter.passables import passable
-from tests.kernels.transport.surfaces import among
 from tests.scale import few
 
 FIELD = field_of(NOISY, (1.0, 1.1, 0.9))

@@ -1,31 +1,37 @@
-"""Light of glowing regions against closed forms and brute force."""
+"""Light of glowing regions, in rooms and among surfaces: one ray at a time, closed forms and brute force."""
 
 import numpy as np
 import pytest
 
 from isogi_core.kernels.tracing.glow import gather_from_eye
 from isogi_core.kernels.tracing.walls import NO_WALL
-from isogi_core.kernels.transport.paths import SampleRange
+from isogi_core.kernels.transport.glow_paths import glow_among_surfaces
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from tests.kernels.fields import field_of
 from tests.kernels.glows import ball, block, brute_force, gather_glow, glows_of
-from tests.kernels.rooms import X, Y, Z, box, room_of, starts_in, wall
+from tests.kernels.rooms import X, Y, Z, among, box, room_of, starts_in, wall
 from tests.kernels.transport.lighting import BALL, NOISY, on_ball
-from tests.oracles.paths import DARK, gathered, one_surface
+from tests.oracles.paths import DARK, gathered, one_surface, several_surfaces
 from tests.scale import few
 
 RAMP = field_of(np.broadcast_to(np.linspace(-1.0, -0.2, 9), (9, 9, 9)), (5.0, 5.0, 5.0))
 """A field without a surface at 0, which grows along x over 40 units of the world."""
 
-FLOOR = room_of([wall((0.0, 0.0, 0.0), 40.0 * X, 40.0 * Y)], RAMP.spacing)
+SQUARE = room_of([wall((0.0, 0.0, 0.0), 40.0 * X, 40.0 * Y)], RAMP.spacing)
+FLOOR = wall((-400.0, -400.0, -4.0), 900.0 * X, 900.0 * Y, (0.5, 0.3, 0.9))
+MIDDLE = [20.0, 20.0, 20.0]
 
 
 def test_glow_is_that_of_one_ray_at_a_time() -> None:
-    """Two regions, one of them of some values only, beside a surface on a floor that reflects."""
+    """Two regions, one of them of some values only, beside a surface on a floor of a colour."""
     (samples,) = few((64,), (8,))
     points, normals = on_ball(5)
     starts = [*points.T, [30.0, 12.0, -4.0]], [*normals.T, Z], [*[NO_WALL] * 5, 0]
     glows = glows_of(ball([34.0, 20.0, 20.0], 6.0, high=-3.0), block([6.0, 20.0, 34.0], [2.0, 4.0, 3.0]))
-    field, room = field_of(NOISY), room_of([wall((-400.0, -400.0, -4.0), 900.0 * X, 900.0 * Y, 0.5)], albedo=0.6)
+    field, room = (
+        field_of(NOISY),
+        room_of([FLOOR], albedo=0.6),
+    )
     found = gather_glow(field, room, starts, glows, samples, 3, 0.7)
     given = starts_in(field, *starts), SampleRange(0, samples), 3, DARK, glows
     expected = gathered(one_surface(field, 0.0, 0.6, room), *given, survival=0.7)[:, :, 1:].mean(axis=1)
@@ -39,7 +45,7 @@ def test_a_floor_sees_a_glowing_ball_as_a_lambert_ball() -> None:
     centre, radius = np.array([20.0, 20.0, 12.0]), 3.0
     points = np.array([[20.0, 20.0, 0.0], [8.0, 20.0, 0.0], [39.0, 39.0, 0.0], [20.0, 16.0, 4.5]])
     walls = [0, 0, 0, NO_WALL]
-    found = gather_glow(RAMP, FLOOR, (points, [Z] * 4, walls), glows_of(ball(centre, radius)), samples)[:, 0, 1]
+    found = gather_glow(RAMP, SQUARE, (points, [Z] * 4, walls), glows_of(ball(centre, radius)), samples)[:, 0, 1]
     away = centre - points
     away[3, 2] -= 0.3 * 5.0  # rays from the isosurface start above it
     square = (away**2).sum(axis=1)
@@ -50,7 +56,7 @@ def test_a_glowing_block_is_what_brute_force_says() -> None:
     (samples,) = few((4096,), (64,))
     region = block([20.0, 22.0, 9.0], [6.0, 2.0, 4.0])
     points = np.array([[20.0, 20.0, 0.0], [3.0, 30.0, 0.0]])
-    found = gather_glow(RAMP, FLOOR, (points, [Z] * 2, [0, 0]), glows_of(region), samples)[:, 0, 0]
+    found = gather_glow(RAMP, SQUARE, (points, [Z] * 2, [0, 0]), glows_of(region), samples)[:, 0, 0]
     expected = [brute_force(p, Z, region, lambda q: np.full(len(q), True)) for p in points]
     np.testing.assert_allclose(found, expected, rtol=0.01 if samples > 64 else 0.2)
 
@@ -66,7 +72,7 @@ def test_a_range_of_values_glows_within_its_region(shape: str) -> None:
     def inside(q: np.ndarray) -> np.ndarray:
         return (q[:, 0] >= 20.0) & ((np.linalg.norm(q - middle, axis=1) <= 8.0) | (shape == "block"))
 
-    found = gather_glow(RAMP, FLOOR, (points, [Z] * 2, [0, 0]), glows_of(region), samples)[:, 0, 0]
+    found = gather_glow(RAMP, SQUARE, (points, [Z] * 2, [0, 0]), glows_of(region), samples)[:, 0, 0]
     expected = [brute_force(p, Z, region, inside) for p in points]
     np.testing.assert_allclose(found, expected, rtol=0.01 if samples > 256 else 0.2)
 
@@ -84,7 +90,7 @@ def test_a_mask_glows_by_its_nearest_voxels(high: float) -> None:
     def inside(q: np.ndarray) -> np.ndarray:
         return np.asarray((q[:, 0] >= 17.5) & ((q[:, 0] <= 27.5) | np.isinf(high)))
 
-    found = gather_glow(RAMP, FLOOR, (points, [Z] * 2, [0, 0]), glows_of(region, bits=bits), samples)[:, 0, 0]
+    found = gather_glow(RAMP, SQUARE, (points, [Z] * 2, [0, 0]), glows_of(region, bits=bits), samples)[:, 0, 0]
     expected = [brute_force(p, Z, region, inside) for p in points]
     np.testing.assert_allclose(found, expected, rtol=0.01 if samples > 256 else 0.2)
 
@@ -129,17 +135,6 @@ def test_a_closed_room_keeps_what_glows_in_it(survival: float) -> None:
     assert found.mean() == pytest.approx(expected, rel=0.01 if samples > 8 else 0.1)
 
 
-def test_walls_colour_the_glow_that_they_reflect() -> None:
-    """Of a room whose walls reflect red alone, the other colours are those of the first meeting."""
-    (samples,) = few((64,), (8,))
-    room = room_of(box(40.0), RAMP.spacing)
-    red = room._replace(albedos=np.tile([0.9, 0.0, 0.0], (6, 1)))
-    starts, glows = ([(15.0, 20.0, 0.0)], [Z], [4]), glows_of(ball([20.0, 20.0, 20.0], 4.0))
-    (first,), (more,) = (gather_glow(RAMP, each, starts, glows, samples, 2)[0] for each in (room, red))
-    assert more[0] > 1.1 * first[0]
-    np.testing.assert_allclose(more[1:], first[1:], rtol=1e-12)
-
-
 def test_an_eye_gathers_chords() -> None:
     """Rate times chord, as far as the ray goes: of a ball 2 √(r² - b²), of a box its edge."""
     field = field_of(np.full((3, 3, 3), -1.0), (2.0, 4.0, 5.0))
@@ -150,3 +145,46 @@ def test_an_eye_gathers_chords() -> None:
     expected = 0.15 * np.array([8.0, 4.0, 0.0, 0.0]), glows.rates[1] * np.array([4.0, 2.0, 0.0, 0.0])
     np.testing.assert_allclose(light[:4], np.transpose(expected), atol=1e-12)
     assert light[4, 0] > 1.2 and light[4, 1] > glows.rates[1] * 4.0
+
+
+def gather(scene, starts, glows, samples, bounces=0, survival=1.0):
+    """E/π (g, k, 3) at ``starts``: world points and normals (g, 3), on walls by number or on the first surface (-1)."""
+    given, g, k = starts_in(scene.field, *starts), len(starts[0]), len(glows.rates)
+    rules, sums = PathRules(np.ones((bounces + 1, 3)), survival), np.zeros((g, 3 * k))
+    glow_among_surfaces(scene, given, SampleRange(0, samples), rules, glows, sums)
+    return sums.reshape(g, k, 3) / samples
+
+
+def test_glow_among_surfaces_is_that_of_one_ray_at_a_time() -> None:
+    (samples,) = few((64,), (8,))
+    points, normals = on_ball(5)
+    starts = [*points.T, [30.0, 12.0, -4.0]], [*normals.T, Z], [*[NO_WALL] * 5, 0]
+    glows, thin = glows_of(ball(MIDDLE, 4.0), block([6.0, 20.0, 34.0], [2.0, 4.0, 3.0])), [(0.1, 0.2, 0.3), 0.2]
+    scene = among(field_of(NOISY), 0.0, [3.5], [0.5, 0.7], [0.3, 0.6], thin, [FLOOR])
+    found = gather(scene, starts, glows, samples, 3, 0.7)
+    given = starts_in(scene.field, *starts), SampleRange(0, samples), 3, DARK, glows
+    expected = gathered(several_surfaces(scene), *given, survival=0.7)[:, :, 1:].mean(axis=1)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    assert found.any(axis=(0, 2)).all()
+
+
+@pytest.mark.parametrize("clear", [0.25, 1.0])
+def test_what_glows_in_a_clear_shell_is_dimmed_by_it(clear: float) -> None:
+    """E = c π L (r/d)² cosθ on a floor: each ray passes the black shell once."""
+    (samples,) = few((4096,), (64,))
+    field, glows = field_of(BALL), glows_of(ball(MIDDLE, 4.0))
+    points = np.array([[20.0, 20.0, -4.0], [34.0, 20.0, -4.0]])
+    found = gather(among(field, 0.0, [], [0.0], [clear], walls=[FLOOR]), (points, [Z, Z], [0, 0]), glows, samples)
+    away = MIDDLE - points
+    expected = clear * 16.0 * away[:, 2] / (away**2).sum(axis=1) ** 1.5
+    np.testing.assert_allclose(found[:, 0, 1], expected, rtol=0.01 if samples > 64 else 0.4)
+
+
+def test_what_glows_in_a_closed_sheet_lights_it_from_inside() -> None:
+    """From outside a sheet shows τ E of its inner side, E = π L (r/R)²: its share of that is τ/(ρ + τ)."""
+    (samples,) = few((1024,), (64,))
+    field, (points, normals) = field_of(BALL), on_ball(6)
+    sheet = among(field, 0.0, [], [0.2], [0.0], [0.6])
+    found = gather(sheet, (points.T, normals.T, [NO_WALL] * 6), glows_of(ball(MIDDLE, 4.0)), samples)
+    inside = 12.0 - 0.3  # rays start so far from the sheet
+    np.testing.assert_allclose(found.mean(), 0.75 * (4.0 / inside) ** 2, rtol=0.01 if samples > 64 else 0.3)

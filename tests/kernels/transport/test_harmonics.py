@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scipy.special import eval_legendre, sph_harm_y
+from scipy.special import eval_legendre
 
 from isogi_core.kernels.transport import harmonics
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
-from tests.kernels.transport.harmonic_bases import basis, quadrature, rotation_matrix
-from tests.scale import COMPILED, few
+from tests.kernels.transport.harmonic_bases import basis, quadrature, rotation_matrix, scipy_basis
+from tests.scale import few
 
 COUNT = MAX_ORDER * MAX_ORDER
 AXES = np.array([sign * row for row in np.eye(3) for sign in (1.0, -1.0)])
@@ -21,20 +21,6 @@ def units(seed, count):
     """Random unit vectors (count, 3)."""
     vectors = np.random.default_rng(seed).normal(size=(count, 3))
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-
-
-def scipy_basis(order, directions):
-    """The same from SciPy's complex harmonics; its Condon-Shortley phase is taken out."""
-    x, y, z = directions.T
-    theta, phi = np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)
-    out = np.empty((len(directions), order * order))
-    for l in range(order):
-        for m in range(l + 1):
-            value = (-1) ** m * sph_harm_y(l, m, theta, phi) * math.sqrt(2.0 if m else 1.0)
-            out[:, l * (l + 1) - m], out[:, l * (l + 1) + m] = value.imag, value.real
-            if m == 0:
-                out[:, l * (l + 1)] = value.real
-    return out
 
 
 def rotations(count):
@@ -51,18 +37,6 @@ def test_basis_matches_scipy(order):
     np.testing.assert_allclose(basis(order, directions), scipy_basis(order, directions), rtol=0, atol=1e-12)
 
 
-def test_band_one_is_y_z_x():
-    d = units(4, 5)
-    c = math.sqrt(3.0 / (4.0 * math.pi))
-    np.testing.assert_allclose(basis(2, d)[:, 1:], c * d[:, [1, 2, 0]], rtol=1e-15, atol=1e-16)
-
-
-def test_basis_is_orthonormal():
-    directions, weights = quadrature()
-    table = basis(MAX_ORDER, directions)
-    np.testing.assert_allclose(table.T @ (weights[:, None] * table), np.eye(COUNT), atol=2e-14)
-
-
 @pytest.mark.parametrize("order", range(1, MAX_ORDER + 1))
 def test_accumulate_adds_weighted_bands_and_touches_no_more(order):
     out = np.full(COUNT, 7.0)
@@ -71,18 +45,6 @@ def test_accumulate_adds_weighted_bands_and_touches_no_more(order):
     expected = 7.0 + 0.25 * basis(MAX_ORDER, np.array([[x, y, z]]))[0]
     expected[order * order :] = 7.0
     np.testing.assert_allclose(out, expected, rtol=1e-15)
-
-
-def test_kernels_match_their_python():
-    out, twin = np.empty(COUNT), np.empty(COUNT)
-    harmonics.evaluate(MAX_ORDER, 0.48, -0.6, 0.64, out)
-    getattr(harmonics.evaluate, "py_func", harmonics.evaluate)(MAX_ORDER, 0.48, -0.6, 0.64, twin)
-    np.testing.assert_allclose(out, twin, rtol=1e-13, atol=1e-15)
-
-
-@COMPILED
-def test_entry_kernels_have_one_signature():
-    assert len(harmonics.rotate.ready.signatures) == 1
 
 
 def test_rotation_matches_reprojection():

@@ -111,18 +111,6 @@ def test_white_furnace_texels(body):
 
 
 @COMPILED
-@pytest.mark.parametrize("name", ["ball", "torus", "step", "lumps", "noise"])
-def test_white_furnace_pixels(name):
-    rough = np.random.default_rng(7).normal(size=BALL.shape)
-    bodies = {"ball": BALL, "torus": TORUS, "noise": BALL + 2.0 * rough}
-    bodies |= {"step": (BALL > 0) - 0.5, "lumps": ((BALL > 0) & (rough > -0.5)) - 0.5}
-    field = field_of(bodies[name])
-    light = trace(field, 0.0, surface_points(field, 0.0, 2000), 2.5, np.ones((ENDLESS + 1, 3)), 32)
-    assert len(light) > 300
-    assert abs(light.mean() / 2.5 - 1.0) < 0.005
-
-
-@COMPILED
 @pytest.mark.data
 def test_white_furnace_engine(shared_data: Path):
     """The engine at 70, seen from outside: bores and passages give their light back after many bounces."""
@@ -139,20 +127,6 @@ def test_white_furnace_engine(shared_data: Path):
 
 
 # --- open surfaces -------------------------------------------------------------------------------------------
-
-TILTS = [0.0, 30.0, 60.0, 90.0, 120.0, 180.0]
-
-
-@pytest.mark.parametrize("tilt", TILTS)
-def test_half_lit_sky(tilt):
-    """A plane tilted by t under a sky of radiance 1 above the horizon: E/π = (1 + cos t)/2."""
-    towards = (math.sin(math.radians(tilt)), 0.0, math.cos(math.radians(tilt)))
-    sky = np.zeros((2, 1, 3))
-    sky[0] = 1.0
-    samples = few(1 << 14, 256)
-    light = trace(field_of(slope(towards)), 0.0, [[24, 24, 24]], 0.0, albedo_powers([0.5, 0.7, 1], 3), samples, sky)
-    expected = (1.0 + math.cos(math.radians(tilt))) / 2.0
-    np.testing.assert_allclose(light[0], [expected] * 3, atol=20.0 / samples + 1e-9)
 
 
 def cosine_lobe(order, normal):
@@ -183,17 +157,6 @@ def test_transfer_of_a_ball_is_the_cosine_lobe():
     away = texels[:, ::-1] - 24.0
     lobes = [cosine_lobe(5, n) for n in away / np.linalg.norm(away, axis=1, keepdims=True)]
     assert np.abs(sums[:, :, 0].mean(axis=1) / 2048 - lobes).max() < 0.002
-
-
-@COMPILED
-@pytest.mark.parametrize("body", [BALL, slope((1, 2, 2))], ids=["ball", "plane"])
-def test_convex_body_reflects_its_albedo_of_constant_light(body):
-    albedos = (0.3, 0.7, 1.0)
-    field = field_of(body)
-    points = surface_points(field, 0.0, 800)
-    points = points[(np.abs(points - 24.0) < 17).all(axis=1)]
-    light = trace(field, 0.0, points, 2.0, albedo_powers(albedos, 20, extra=1), 64).mean(axis=0)
-    np.testing.assert_allclose(light, 2.0 * np.array(albedos), rtol=0.005)
 
 
 # --- cavities ------------------------------------------------------------------------------------------------
@@ -291,16 +254,6 @@ def test_rays_without_an_offset_do_not_meet_what_they_start_on():
     np.testing.assert_allclose(light, 1.0, atol=1e-12)
 
 
-def test_samples_go_on_where_they_stopped_bit_for_bit():
-    texels, shares = [[24, 24, 40], [24, 40, 24], [30, 30, 36]], shares_of([0.7], 3)
-    field, count = field_of(TORUS), few(64, 8)
-    whole, _, _ = bake(field, texels, 2 * count, shares, 4)
-    parts = np.zeros_like(whole)
-    for first in (0, count):
-        bake_more(field, texels, SampleRange(first, count), TransferRules(shares, 1.0, 1), parts)
-    assert np.array_equal(whole, parts)
-
-
 @COMPILED
 def test_roulette_ends_paths_and_keeps_their_light():
     """Each path that goes on stands for those that do not: the same means from fewer paths that leave."""
@@ -327,31 +280,6 @@ def test_branches_keep_the_light_and_take_its_noise():
     assert spreads[1][1:].sum() < 0.5 * spreads[0][1:].sum()
     apart, allowed = (four - single).mean(axis=(0, 1))[0], np.sqrt((spreads[0] + spreads[1]) / 2.0 / len(texels))
     assert (np.abs(apart) < 4.0 * allowed).all()
-
-
-def test_shares_say_what_each_path_counts():
-    """Paths by the number of their bounces, apart and together."""
-    texels = np.argwhere(np.abs(TORUS) < 0.2)[:: few(60, 240)]
-    field, count = field_of(TORUS), few(64, 4)
-    left = [bake(field, texels, count, np.eye(5)[None, k + 1], 3)[0] for k in range(4)]
-    assert all(part.any() for part in left[:2]), "a torus sees itself"
-    expected = sum(0.7**k * part for k, part in enumerate(left))
-    np.testing.assert_allclose(bake(field, texels, count, shares_of([0.7], 3), 3)[0], expected, atol=1e-9)
-    three = np.concatenate([shares_of([0.7], 3), shares_of([0.7], 3, 1), shares_of([0.2], 3)])
-    together, _, _ = bake(field, texels, count, three, 3)
-    for channel, shares in enumerate(three):
-        assert np.array_equal(together[:, :, channel : channel + 1], bake(field, texels, count, shares[None], 3)[0])
-
-
-def test_texels_are_lit_alike_in_any_company():
-    texels, shares = np.argwhere(np.abs(TORUS) < 0.2)[:: few(60, 1200)], shares_of([0.3, 0.5, 0.7], 2)
-    field, count = field_of(TORUS), few(16, 2)
-    order = np.random.default_rng(6).permutation(len(texels))
-    together = bake(field, texels[order], count, shares, 3)
-    for place, texel in enumerate(texels):
-        alone = bake(field, texel[None], count, shares, 3)
-        for many, one in zip(together, alone, strict=True):
-            assert np.array_equal(many[order == place], one)
 
 
 def test_texels_without_a_surface_are_void_and_untouched():

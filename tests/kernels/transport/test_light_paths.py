@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.shading.surface_points import SurfacePoints
-from isogi_core.kernels.tracing.field import RAY_OFFSET_VOXELS
 from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.integrator import WAVE_PATHS
-from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, POINT
+from isogi_core.kernels.transport.lights import POINT
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.rng import mix
 from isogi_core.model.environment import cumulative, pixel_directions, solid_angles
@@ -20,7 +19,6 @@ from tests.kernels.transport.lighting import (
     MIDDLE,
     NOISY,
     PLANE,
-    SHELL,
     TURN,
     UP,
     Z,
@@ -72,17 +70,6 @@ def test_points_are_traced_by_the_paths_one_by_one(count, points):
     assert sums[0].any(axis=(1, 2)).mean() > 0.9 and np.array_equal(*sums)
 
 
-def test_a_path_gathers_the_same_bits_in_any_company():
-    texels, count = few((350, 9), (3, 2))
-    weights, light, field = np.full((4, 3), 0.8), LIGHTS["all"], field_of(NOISY)
-    place = place_at(*on_ball(texels))
-    together = gather(field, place, light, weights, count)
-    for some in np.array_split(np.random.default_rng(5).permutation(texels), 3):
-        own = place[0][some], place[1][:, some].copy(), place[2][:, some].copy(), place[3][some]
-        early = gather(field, own, light, weights, 1)
-        assert np.array_equal(gather(field, own, light, weights, (1, count - 1), early), together[some])
-
-
 # --- closed forms ------------------------------------------------------------------------------------------------
 
 
@@ -98,41 +85,6 @@ def test_furnace(table):
     np.testing.assert_allclose(found, 1.0, atol=6.0 / count**0.5 if table else 1e-6)
 
 
-@COMPILED
-@pytest.mark.parametrize("name", ["table", "lamps"])
-def test_no_light_is_made_or_lost_by_bounces_in_the_open(name):
-    points, normals = on_ball(50)
-    convex = [
-        gather(field_of(BALL), place_at(points, normals), LIGHTS[name], np.ones((n, 3)), 32).mean(axis=1)
-        for n in (1, 4)
-    ]
-    np.testing.assert_allclose(convex[1], convex[0], rtol=0.01, atol=1e-3)
-
-
-@pytest.mark.parametrize("degrees", [0.0, 30.0, 75.0, 120.0])
-@pytest.mark.parametrize("angle", [0.0, 20.0])
-def test_a_directional_lamp_over_a_plane(degrees, angle):
-    """E cosθ/π, for a disc that is whole above the plane too; nothing from below."""
-    sine, cosine = math.sin(math.radians(degrees)), math.cos(math.radians(degrees))
-    radius = math.sin(math.radians(angle / 2.0))
-    edges = radius * np.array([(0.0, 1.0, 0.0), (-cosine, 0.0, sine)])
-    light = surroundings(lamps=lamps((DIRECTIONAL, (sine, 0.0, cosine), edges, (3.0, 2.0, 1.0))))
-    count = few(1024, 64)
-    found = gather(field_of(PLANE), place_at(MIDDLE, UP), light, np.full((1, 3), 0.5), count // 2).mean(axis=1)
-    np.testing.assert_allclose(found[0], 0.5 * max(cosine, 0.0) * np.array([3.0, 2.0, 1.0]), rtol=2e-3)
-
-
-@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 2.0, 3.0)])
-def test_a_point_lamp_over_a_plane_and_under_it(spacing):
-    """I cosθ/(π r²), above where rays start; a lamp below the plane is behind it."""
-    start = (np.array([20.0, 20.0, 20.0 + RAY_OFFSET_VOXELS])) * spacing
-    for away in np.array([(0.0, 0.0, 6.0), (4.0, -3.0, 5.0), (4.0, 3.0, -5.0)]):
-        light = surroundings(lamps=lamps((POINT, start + away, None, (1.0, 2.0, 3.0))))
-        found = gather(field_of(PLANE, spacing), place_at(MIDDLE, UP), light, np.ones((1, 3)), 1)[0, 0]
-        share = max(away[2], 0.0) / np.linalg.norm(away) ** 3
-        np.testing.assert_allclose(found, share * np.array([1.0, 2.0, 3.0]), rtol=1e-9)
-
-
 def test_a_lamp_is_hidden_by_what_is_nearer_only():
     """A floor under a slab: a lamp between the two is seen, one within or above the slab is not."""
     slab = np.maximum(PLANE - 10.0, 2.0 - np.abs(Z - 5.0))
@@ -141,33 +93,6 @@ def test_a_lamp_is_hidden_by_what_is_nearer_only():
         light = surroundings(lamps=lamps((POINT, (22.0, 20.0, height), None, (1.0, 1.0, 1.0))))
         found = gather(field_of(slab), place_at(floor, UP), light, np.ones((1, 3)), 1)
         assert (found > 0.0).all() == seen and found.any() == seen
-
-
-@pytest.mark.parametrize(("a", "b", "h"), [(4.0, 7.0, 5.0), (12.0, 12.0, 3.0)])
-def test_a_rectangle_over_its_corner_has_its_form_factor(a, b, h):
-    """E/π = L F of a parallel rectangle with a corner above the point (Howell's catalogue, C-11); its back is dark."""
-    corner = np.array([20.0, 20.0, 20.0 + RAY_OFFSET_VOXELS + h])
-    s, t = math.hypot(a, h), math.hypot(b, h)
-    form = (a / s * math.atan(b / s) + b / t * math.atan(a / t)) / (2.0 * math.pi)
-    edges = np.array([(0.0, b, 0.0), (a, 0.0, 0.0)])
-    count = few(4096, 1000)
-    for turned in (False, True):
-        light = surroundings(lamps=lamps((AREA, corner, edges[::-1] if turned else edges, np.ones(3) / math.pi)))
-        found = gather(field_of(PLANE), place_at(MIDDLE, UP), light, np.ones((1, 3)), count // 2).mean(axis=1)
-        np.testing.assert_allclose(found[0], 0.0 if turned else form, rtol=few(0.003, 0.1))
-
-
-@COMPILED
-@pytest.mark.parametrize("bounces", [0, 1, 6])
-def test_a_lamp_in_a_hollow_ball(bounces):
-    """Its wall is lit evenly, also by what it reflects, I/(π a²) Σ R^k: a wall behind a lamp does not hide it."""
-    inward = np.random.default_rng(4).normal(size=(3, 200))
-    inward /= np.linalg.norm(inward, axis=0)
-    albedo = np.array([0.3, 0.6, 0.9])
-    weights = albedo ** np.arange(bounces + 1.0)[:, None]
-    light = surroundings(lamps=lamps((POINT, (20.0, 20.0, 20.0), None, (1.0, 1.0, 1.0))))
-    found = gather(field_of(SHELL), place_at(20.0 - 13.0 * inward, inward), light, weights, 32).mean(axis=(0, 1))
-    np.testing.assert_allclose(found * (13.0 - RAY_OFFSET_VOXELS) ** 2, weights.sum(axis=0), rtol=0.02)
 
 
 # --- statistics ----------------------------------------------------------------------------------------------------

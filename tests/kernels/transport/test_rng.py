@@ -1,13 +1,16 @@
-"""Hashes that mix, points that are stratified and independent, and both bit for bit the same everywhere."""
+"""Random numbers: hashes that mix, points that are stratified, the same bits everywhere, and no stream drawn twice."""
 
+import ast
 from math import comb
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numba import njit
 from scipy.stats import norm, qmc
 
-from isogi_core.kernels.transport import rng
+import isogi_core
+from isogi_core.kernels.transport import rng, streams
 from tests.kernels.transport.chi2 import ChiSquare
 from tests.scale import few
 
@@ -165,15 +168,6 @@ def test_dimensions_of_one_seed_are_uncorrelated():
     assert np.abs(across).max() < bound * np.sqrt(9.0 / 7.0 / n)
 
 
-def test_integrates_better_than_independent_points():
-    """RMSE of a smooth integral, 256 points and 64 seeds: far below the 1/√N of independent ones, no bias."""
-    n = 256
-    errors = np.array([np.prod(prefix(np.uint64(s), 0, 0, n) * 2, axis=1).mean() - 1.0 for s in range(64)])
-    independent = np.sqrt((16.0 / 9.0 - 1.0) / n)
-    assert np.sqrt(np.mean(errors**2)) < 0.05 * independent
-    assert abs(errors.mean()) < 3.5 * errors.std() / 8.0
-
-
 def test_same_bits_compiled_and_not():
     for seed in SEEDS:
         for index in (0, 1, 77, 2**32 - 1):
@@ -186,3 +180,46 @@ def test_bits_never_change():
     assert hex(rng.mix(3, np.uint64(2**63))) == "0xb11cc5d3d4b19cc0"
     assert rng.point_2d(7, 0, 0) == (0.7686002785339952, 0.930833769030869)
     assert rng.point_2d(7, 1, 0) == (0.41148134833201766, 0.42537907022051513)
+
+
+TABLE = Path(streams.__file__)
+WORD = 1 << 32
+
+
+def test_no_two_purposes_of_a_path_draw_the_same_pair() -> None:
+    last = 0
+    for first, count in streams.PURPOSES:
+        assert first >= last and count >= streams.PAIRS_PER_PURPOSE
+        last = first + count
+    assert last <= WORD
+
+
+def test_streams_lie_apart_by_all_their_replicas() -> None:
+    """A control's halves, a wall's sides and a reference's replicas are numbered from the stream's number on."""
+    gaps = [b - a for a, b in zip(streams.STREAMS, streams.STREAMS[1:], strict=False)]
+    assert min(gaps) >= 1 << 16 and max(streams.STREAMS) < WORD
+
+
+def test_every_stream_and_purpose_is_in_its_list() -> None:
+    """What a new line of the table forgets to list is not checked by the tests above."""
+    sizes = {"PAIRS_PER_PURPOSE", "MAX_CROSSINGS", "MAX_STEPS"}
+    given = {name: number for name, number in vars(streams).items() if isinstance(number, int) and name not in sizes}
+    purposes = {first for first, _ in streams.PURPOSES}
+    shine = {name for name in given if name.startswith("SHINE_") and name != "SHINE_STREAM"}
+    assert {number for name, number in given.items() if name not in shine} == purposes | {*streams.STREAMS}
+
+
+def test_numbers_that_stored_light_was_drawn_by_never_change() -> None:
+    assert streams.STREAMS == (0, 1 << 16, 1 << 17, 1 << 18, 1 << 19, 1 << 20, 1 << 21, 1 << 24)
+    firsts = [0, 1, 0x7FFF - 65, 0x7FFF - 64, 0x7FFF, 0x8000]
+    assert [first / (1 << 16) for first, _ in streams.PURPOSES] == firsts
+
+
+def test_streams_are_numbered_in_one_file() -> None:
+    """No module gives a number to a stream: who adds one sees all others."""
+    found = []
+    for path in Path(isogi_core.__file__).parent.rglob("*.py"):
+        for node in ast.parse(path.read_text()).body:
+            names = [each.id for each in getattr(node, "targets", []) if isinstance(each, ast.Name)]
+            found += [(path.name, name) for name in names if "STREAM" in name and path != TABLE]
+    assert not found

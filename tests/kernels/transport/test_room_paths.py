@@ -5,23 +5,15 @@ import pytest
 
 from isogi_core.kernels.tracing.walls import NO_WALL
 from isogi_core.kernels.transport.colours import NO_COLOURS, colours_of
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.room_paths import InRoom, light_in_room
-from tests.kernels.fields import cells_of, field_of
+from isogi_core.kernels.transport.paths import SampleRange
+from tests.kernels.fields import field_of
 from tests.kernels.rooms import X, Y, Z, box, gather, room_of, sky, starts_in, wall
-from tests.kernels.transport.lighting import BALL, LIGHTS, NOISY, halves_of, on_ball, place_at
-from tests.kernels.transport.lighting import gather as gather_without
+from tests.kernels.transport.lighting import BALL, LIGHTS, NOISY, on_ball
 from tests.oracles.paths import gathered, one_surface
 from tests.scale import few
 
 EMPTY = field_of(np.full((3, 3, 3), -1.0) + np.linspace(0.0, 0.5, 3))
 """A field without a surface at 0."""
-
-
-def grid(count):
-    """Middles of count² squares of the unit square, (count², 2)."""
-    places = (np.arange(count) + 0.5) / count
-    return np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
 
 
 @pytest.mark.slow
@@ -102,30 +94,3 @@ def test_a_black_ball_over_a_floor_under_a_sky() -> None:
     floor = room_of([wall((-400.0, -400.0, -4.0), 900.0 * X, 900.0 * Y, 0.5)])
     found = gather(field_of(BALL), floor, ([(20.0, 20.0, -4.0)], [Z], [0]), samples, light=sky(2.0))
     np.testing.assert_allclose(found, 2.0 * (1.0 - (12.0 / 24.0) ** 2), rtol=0.005 if samples > 64 else 0.2)
-
-
-@pytest.mark.parametrize(("number", "factor"), [(1, 0.1998), (2, 0.2000), (4, 0.2000)])
-def test_walls_of_a_cube_see_each_other_by_their_factors(number: int, factor: float) -> None:
-    """What a wall that shines gives the others: F = 0.2000 adjacent, 0.1998 opposite."""
-    across, samples = few((16, 256), (4, 8))
-    walls = box(10.0)
-    walls[0] = wall(*(walls[0][0], *walls[0][1]), radiance=1.0)
-    room = room_of(walls)
-    corner, (u, v), normal = room.corners[number], room.edges[number], room.normals[number]
-    points = corner + grid(across) @ np.stack([u, v])
-    found = gather(EMPTY, room, (points, [normal] * len(points), [number] * len(points)), samples)[:, 0]
-    np.testing.assert_allclose(found.mean(), factor, rtol=0.005 if across > 4 else 0.2)
-
-
-@pytest.mark.parametrize("name", ["table", "all"])
-def test_a_room_without_walls_is_no_room(name: str) -> None:
-    """The very paths that are traced without a room, to the last bit."""
-    texels, samples = few((40, 20), (5, 2))
-    field, place, light = field_of(NOISY), place_at(*on_ball(texels)), LIGHTS[name]
-    weights = np.array([0.9, 0.7, 0.5]) ** np.arange(4.0)[:, None]
-    expected = gather_without(field, place, light, weights, samples)
-    starts = halves_of(place)
-    room, sums = room_of([])._replace(albedo=np.array([0.9, 0.7, 0.5])), np.zeros((2 * texels, 3))
-    rules = PathRules(np.ones((4, 3)), 1.0)
-    light_in_room(InRoom(field, cells_of(field, 0.0), room), starts, SampleRange(0, samples), rules, light, sums)
-    np.testing.assert_allclose(sums.reshape(texels, 2, 3) / samples, expected, rtol=1e-12, atol=1e-14)

@@ -18,11 +18,6 @@ EDGES = [0.0, 2.0**-32, 0.5, 1.0 - 2.0**-32]
 AXES = [tuple(sign * row) for row in np.eye(3) for sign in (1.0, -1.0)]
 
 
-def python(function):
-    """The Python function behind a kernel, or itself where Numba is switched off."""
-    return getattr(function, "py_func", function)
-
-
 def over(function, width):
     """A loop that applies a kernel of (u, v) to the rows of an array (n, 2) and gives (n, width)."""
 
@@ -244,11 +239,3 @@ def test_latlong_jacobian_is_the_area_of_a_small_patch():
         )
         area = np.linalg.norm(np.cross(right - corner, down - corner)) / h**2
         assert sampling.latlong_jacobian(row) == pytest.approx(area, rel=1e-3, abs=5e-3)
-
-
-@pytest.mark.parametrize(
-    "kernel", [sampling.sample_disc, sampling.sample_cosine_hemisphere, sampling.sample_uniform_sphere]
-)
-def test_same_samples_compiled_and_not(kernel):
-    for u, v in squares(12, 100):
-        np.testing.assert_allclose(kernel(u, v), python(kernel)(u, v), rtol=0, atol=1e-15)

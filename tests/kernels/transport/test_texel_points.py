@@ -19,7 +19,7 @@ from isogi_core.kernels.transport.transfer import (
     project_texels,
 )
 from tests.kernels.fields import field_of
-from tests.kernels.interpolation import search, smoothed, values
+from tests.kernels.interpolation import search, smoothed, trilinear
 
 
 def projected(voxels, level, texels, step=(1.0, 1.0, 1.0), spacing=(1.0, 1.0, 1.0)):
@@ -41,14 +41,14 @@ def expected(voxels, level, p, spacing):
     """What becomes of a texel at `p`: verdict, and the stride of its way that the level is crossed in."""
     if np.abs(smoothed(voxels, p)).max() < 1e-9:
         return NO_SURFACE, None
-    own, n = values(voxels, p[None])[0], outward(voxels, p, spacing)
+    own, n = trilinear(voxels, p[None])[0], outward(voxels, p, spacing)
     down = n * spacing * (1.0 if own > level else -1.0)
     down /= np.linalg.norm(down)
     within = search(voxels, p, down, level)
     if within is None:
         return TOO_FAR, None
     reach = np.linalg.norm(within[1] - p)
-    away = np.abs(values(voxels, p + np.arange(0.0, reach - 1e-9, STEP_VOXELS)[:, None] * down) - level)
+    away = np.abs(trilinear(voxels, p + np.arange(0.0, reach - 1e-9, STEP_VOXELS)[:, None] * down) - level)
     there = within.mean(axis=0)
     m = outward(voxels, there, spacing)
     if (away - np.minimum.accumulate(away)).max() > MAX_BACKTRACK * abs(own - level):
@@ -56,7 +56,7 @@ def expected(voxels, level, p, spacing):
     if n @ m <= 0.0:
         return NORMAL_TURNED, within
     up = m / spacing
-    above = values(voxels, there[None] + RAY_OFFSET_VOXELS * up / np.linalg.norm(up))[0]
+    above = trilinear(voxels, there[None] + RAY_OFFSET_VOXELS * up / np.linalg.norm(up))[0]
     return (TEXEL_HEMMED if above > level else TEXEL_PROJECTED), within
 
 
@@ -77,7 +77,7 @@ def test_texels_go_where_a_search_in_numpy_finds_them(step, spacing):
         elif kind == TEXEL_PROJECTED:
             inside = np.clip(within, 0.0, 8.0)
             assert (points[m] >= inside.min(axis=0) - 1e-9).all() and (points[m] <= inside.max(axis=0) + 1e-9).all()
-            assert values(voxels, points[None, m])[0] == pytest.approx(level)
+            assert trilinear(voxels, points[None, m])[0] == pytest.approx(level)
             np.testing.assert_allclose(normals[m], outward(voxels, points[m], spacing), atol=1e-9)
         else:
             np.testing.assert_array_equal(points[m], p)
@@ -137,7 +137,7 @@ def test_ways_are_estimated_to_first_order():
     measure_distances(field_of(voxels), np.full(3, 0.5), 0.4, np.ascontiguousarray(texels, np.int32), ways)
     places = texels[:, ::-1] * 0.5
     slopes = np.array([np.linalg.norm(smoothed(voxels, p)) for p in places])
-    np.testing.assert_allclose(ways, np.abs(values(voxels, places) - 0.4) / slopes, rtol=1e-9)
+    np.testing.assert_allclose(ways, np.abs(trilinear(voxels, places) - 0.4) / slopes, rtol=1e-9)
 
 
 def test_ways_from_flat_places_and_holes_are_endless():

@@ -94,62 +94,56 @@ def crowded(request: pytest.FixtureRequest, small_scene: Path, tmp_path: Path) -
         yield idle.url
 
 
-def test_eight_people_each_see_the_cut_of_their_own(crowded: str, small_scene: Path) -> None:
+async def test_eight_people_each_see_the_cut_of_their_own(crowded: str, small_scene: Path) -> None:
     """Each cut makes way for the next while it is drawn, or its light is requested."""
     x, views = middle(small_scene), 3
 
-    async def person(client: httpx.AsyncClient, number: int) -> list[httpx.Response]:
+    async def person(number: int) -> list[httpx.Response]:
         view = {"cut": f"x>{x + number / 2}", "width": 24, "height": 24, "f": "npy"}
         return [await client.get(f"{SCENE}/frame", params=view | {"azimuth": 10 * n}) for n in range(views)]
 
-    async def people() -> list[list[httpx.Response]]:
-        async with httpx.AsyncClient(base_url=crowded, timeout=60) as client:
-            return await asyncio.gather(*(person(client, number) for number in range(8)))
-
-    answers = [answer for each in asyncio.run(people()) for answer in each]
+    async with httpx.AsyncClient(base_url=crowded, timeout=60) as client:
+        answers = [answer for each in await asyncio.gather(*map(person, range(8))) for answer in each]
     assert {answer.status_code for answer in answers} == {200}
     edges = [numbers(answer)[..., 6].max() for answer in answers[::views]]
     assert edges == sorted(edges) and edges[0] < edges[-1] - 2, "everybody has the cut that was asked for"
 
 
 @pytest.mark.parametrize("crowded", [1.2], indirect=True)
-def test_a_cut_that_waits_too_long_for_others_is_429(crowded: str, small_scene: Path, monkeypatch: Any) -> None:
+async def test_a_cut_that_waits_too_long_for_others_is_429(crowded: str, small_scene: Path, monkeypatch: Any) -> None:
     make = Variants.make
 
     def slowly(*given: Any) -> Scene:
         time.sleep(0.5)
         return make(*given)
 
-    async def people() -> list[httpx.Response]:
-        async with httpx.AsyncClient(base_url=crowded, timeout=60) as client:
-            cuts = [f"x>{middle(small_scene) + number / 7}" for number in range(6)]
-            views = [{"cut": cut, "width": 16, "height": 16, "shading": "lambert"} for cut in cuts]
-            return await asyncio.gather(*(client.get(f"{SCENE}/frame", params=view) for view in views))
-
     monkeypatch.setattr(Variants, "make", slowly)
-    answers = asyncio.run(people())
+    async with httpx.AsyncClient(base_url=crowded, timeout=60) as client:
+        cuts = [f"x>{middle(small_scene) + number / 7}" for number in range(6)]
+        views = [{"cut": cut, "width": 16, "height": 16, "shading": "lambert"} for cut in cuts]
+        answers = await asyncio.gather(*(client.get(f"{SCENE}/frame", params=view) for view in views))
     assert {answer.status_code for answer in answers} == {200, 429}
     assert all("Retry-After" in answer.headers for answer in answers if answer.status_code == 429)
 
 
-def test_a_stream_goes_on_when_its_cut_made_way(crowded: str, small_scene: Path) -> None:
+async def test_a_stream_goes_on_when_its_cut_made_way(crowded: str, small_scene: Path) -> None:
     x = middle(small_scene)
     views = [{"cut": f"x>{x}"}, {"cut": f"x>{x + 2}"}, {"cut": f"x>{x}"}, {"cut": f"x>{x + 2}"}]
-    pictures = asyncio.run(pictures_on(f"{crowded}{SCENE}/stream", views))
+    pictures = await pictures_on(f"{crowded}{SCENE}/stream", views)
     assert pictures[0] == pictures[2] != pictures[1] == pictures[3]
 
 
-def test_a_cut_that_is_gone_with_its_scene_has_no_inner_name(engine: RenderEngine) -> None:
-    cut = asyncio.run(Variants(engine, lambda name: None).of(engine.scenes["small"], Change(cut="x>12")))
+async def test_a_cut_that_is_gone_with_its_scene_has_no_inner_name(engine: RenderEngine) -> None:
+    cut = await Variants(engine, lambda name: None).of(engine.scenes["small"], Change(cut="x>12"))
     engine.dismiss("small")
     with pytest.raises(UnknownSceneError, match=r"^The scene 'small' is not"):
         engine.renderer(cut.id)
 
 
-def test_many_small_cuts_are_kept(engine: RenderEngine) -> None:
+async def test_many_small_cuts_are_kept(engine: RenderEngine) -> None:
     own, variants = engine.scenes["small"], Variants(engine, lambda name: None)
     for number in range(20):
-        asyncio.run(variants.of(own, Change(cut=f"x>{5 + number / 2}")))
+        await variants.of(own, Change(cut=f"x>{5 + number / 2}"))
     assert len(engine.scenes) == 21
 
 
@@ -162,14 +156,14 @@ def test_cuts_whose_48_bits_were_alike_have_names_of_their_own(small_scene: Path
         assert ends[0] == ends[1], "else this test shows nothing"
 
 
-def test_few_cuts_are_kept_and_share_their_voxels(engine: RenderEngine) -> None:
+async def test_few_cuts_are_kept_and_share_their_voxels(engine: RenderEngine) -> None:
     own, place = engine.scenes["small"], {name: name for name in ENVIRONMENTS}.get
     variants, x = Variants(engine, place, most=3, most_cuts=2, room=0), own.volume.world_centre[0]
-    one = asyncio.run(variants.of(own, Change(cut=f"x>{x}")))
-    lit = asyncio.run(variants.of(own, Change("noon", f"x> {x}")))
+    one = await variants.of(own, Change(cut=f"x>{x}"))
+    lit = await variants.of(own, Change("noon", f"x> {x}"))
     assert lit.volume is one.volume and lit.lighting.environment is not one.lighting.environment
-    assert asyncio.run(variants.of(own, Change(cut=f" x>{x}"))) is one
-    asyncio.run(variants.of(own, Change("studio")))
-    asyncio.run(variants.of(own, Change(cut=f"x>{x + 1}")))
+    assert await variants.of(own, Change(cut=f" x>{x}")) is one
+    await variants.of(own, Change("studio"))
+    await variants.of(own, Change(cut=f"x>{x + 1}"))
     left = set(engine.scenes) - {"small", "small@studio"}
     assert len(left) == 2 and lit.id not in left and one.id in left

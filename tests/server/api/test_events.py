@@ -70,17 +70,15 @@ def test_a_path_traced_view_ends_with_its_samples(client: httpx.Client) -> None:
     assert "All samples are taken (8 per pixel)" in json.loads(last["data"])["detail"]
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "status"), [("isovalue", "nan", 422), ("wait_ms", "5", 422), ("f", "png", 422)]
-)
-def test_bad_input_is_a_problem_and_no_event(client: httpx.Client, name: str, text: str, status: int) -> None:
+@pytest.mark.parametrize(("name", "text"), [("isovalue", "nan"), ("wait_ms", "5"), ("f", "png")])
+def test_bad_input_is_a_problem_and_no_event(client: httpx.Client, name: str, text: str) -> None:
     answer = client.get(PATH, params={**VIEW, name: text})
-    assert answer.status_code == status
+    assert answer.status_code == 422
     assert answer.headers["content-type"] == "application/problem+json"
     assert name in answer.json()["detail"]
 
 
-def test_a_cancelled_listener_closes_its_refinements() -> None:
+async def test_a_cancelled_listener_closes_its_refinements() -> None:
     """As a cancelled scope does, until whoever is in it has left."""
     closed: list[str] = []
 
@@ -97,12 +95,9 @@ def test_a_cancelled_listener_closes_its_refinements() -> None:
         async for _ in answers(service, None, None):  # type: ignore[arg-type]
             pass
 
-    async def leave() -> None:
-        listener = asyncio.create_task(listen())
-        await asyncio.sleep(0.05)
-        while not listener.done():
-            listener.cancel()
-            await asyncio.sleep(0)
-
-    asyncio.run(leave())
+    listener = asyncio.create_task(listen())
+    await asyncio.sleep(0.05)
+    while not listener.done():
+        listener.cancel()
+        await asyncio.sleep(0)
     assert closed == ["in order"]

@@ -1,7 +1,6 @@
 """Jobs: how they begin, what becomes of them, and that who dismisses one has nothing more baked."""
 
 import asyncio
-import time
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -18,12 +17,13 @@ from server.errors import BusyError, UnknownJobError
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs, Result, Status
 from server.settings import Settings
+from tests.client.lab import Broken
 from tests.live import live, serving
 from tests.server.idle import Idle, idle_server
 from tests.server.inline import LONG
+from tests.server.jobs import until_over
 from worker.baker import Baker
-from worker.pool import Done, WorkerPool
-from worker.tasks import BakeTask
+from worker.pool import WorkerPool
 
 SOON = 2.0
 ASYNC = {"Prefer": "respond-async"}
@@ -47,34 +47,27 @@ async def settle() -> None:
         await asyncio.sleep(0)
 
 
-def test_a_job_runs_from_accepted_to_successful() -> None:
-    async def live() -> None:
-        jobs = Jobs(1)
-        job = jobs.begin("test", "A test", nothing)
-        assert (job.status, job.progress, job.started, job.expires) == (Status.ACCEPTED, 0, None, None)
-        await settle()
-        assert (job.status, job.progress, job.results) == (Status.SUCCESSFUL, 100, (RESULT,))
-        assert job.started and job.finished and job.created <= job.started <= job.finished
-        assert jobs.find(job.id) is job
-
-    asyncio.run(live())
+async def test_a_job_runs_from_accepted_to_successful() -> None:
+    jobs = Jobs(1)
+    job = jobs.begin("test", "A test", nothing)
+    assert (job.status, job.progress, job.started, job.expires) == (Status.ACCEPTED, 0, None, None)
+    await settle()
+    assert (job.status, job.progress, job.results) == (Status.SUCCESSFUL, 100, (RESULT,))
+    assert job.started and job.finished and job.created <= job.started <= job.finished
+    assert jobs.find(job.id) is job
 
 
 @pytest.mark.parametrize(
     ("error", "message"),
     [(StoreError("The store is full."), "The store is full."), (KeyError("secret"), "its log says why")],
 )
-def test_a_job_that_fails_says_why_and_no_more_than_that(error: Exception, message: str) -> None:
+async def test_a_job_that_fails_says_why_and_no_more_than_that(error: Exception, message: str) -> None:
     async def fail(job: Job) -> list[Result]:
         job.report(0.5, "Half of it.")
         raise error
 
-    async def live() -> Job:
-        job = Jobs(1).begin("test", "A test", fail)
-        await settle()
-        return job
-
-    job = asyncio.run(live())
+    job = Jobs(1).begin("test", "A test", fail)
+    await settle()
     assert (job.status, job.progress) == (Status.FAILED, 50)
     assert message in job.message
     assert "secret" not in job.message
@@ -89,32 +82,26 @@ def test_progress_never_falls() -> None:
     assert shares == [10, 50, 50, 99]
 
 
-def test_jobs_are_limited_and_a_dismissed_one_makes_room() -> None:
-    async def live() -> None:
-        jobs = Jobs(2)
-        first, _ = (jobs.begin("test", "A test", endless) for _ in range(2))
-        await settle()
-        with pytest.raises(BusyError, match="2 jobs are at work"):
-            jobs.begin("test", "A test", nothing)
-        assert (await jobs.dismiss(first.id)).status is Status.DISMISSED
-        await settle()
+async def test_jobs_are_limited_and_a_dismissed_one_makes_room() -> None:
+    jobs = Jobs(2)
+    first, _ = (jobs.begin("test", "A test", endless) for _ in range(2))
+    await settle()
+    with pytest.raises(BusyError, match="2 jobs are at work"):
         jobs.begin("test", "A test", nothing)
-        await jobs.close()
-
-    asyncio.run(live())
-
-
-def test_a_job_is_dismissed_before_it_begins_too() -> None:
-    async def live() -> None:
-        jobs = Jobs(1)
-        job = jobs.begin("test", "A test", endless)
-        await jobs.dismiss(job.id)
-        assert (job.status, job.started) == (Status.DISMISSED, None)
-
-    asyncio.run(live())
+    assert (await jobs.dismiss(first.id)).status is Status.DISMISSED
+    await settle()
+    jobs.begin("test", "A test", nothing)
+    await jobs.close()
 
 
-def test_what_a_job_says_after_its_end_does_not_count() -> None:
+async def test_a_job_is_dismissed_before_it_begins_too() -> None:
+    jobs = Jobs(1)
+    job = jobs.begin("test", "A test", endless)
+    await jobs.dismiss(job.id)
+    assert (job.status, job.started) == (Status.DISMISSED, None)
+
+
+async def test_what_a_job_says_after_its_end_does_not_count() -> None:
     async def stubborn(job: Job) -> list[Result]:
         try:
             await asyncio.Event().wait()
@@ -122,59 +109,35 @@ def test_what_a_job_says_after_its_end_does_not_count() -> None:
             return [RESULT]
         return []
 
-    async def live() -> Job:
-        jobs = Jobs(1)
-        job = jobs.begin("test", "A test", stubborn)
-        await settle()
-        return await jobs.dismiss(job.id)
-
-    job = asyncio.run(live())
+    jobs = Jobs(1)
+    job = jobs.begin("test", "A test", stubborn)
+    await settle()
+    job = await jobs.dismiss(job.id)
     assert (job.status, job.progress, job.results) == (Status.DISMISSED, 0, ())
 
 
-def test_all_jobs_end_as_dismissed_where_the_server_stops() -> None:
-    async def live() -> list[Job]:
-        jobs = Jobs(2)
-        begun = [jobs.begin("test", "A test", endless), jobs.begin("test", "A test", nothing)]
-        await settle()
-        await jobs.close()
-        return begun
-
-    running, over = asyncio.run(live())
+async def test_all_jobs_end_as_dismissed_where_the_server_stops() -> None:
+    jobs = Jobs(2)
+    running, over = (jobs.begin("test", "A test", work) for work in (endless, nothing))
+    await settle()
+    await jobs.close()
     assert (running.status, running.progress) == (Status.DISMISSED, 25)
     assert "stopped" in running.message
     assert over.status is Status.SUCCESSFUL
 
 
-def test_ended_jobs_are_forgotten_by_age_and_number(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_ended_jobs_are_forgotten_by_age_and_number(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("server.render.jobs.MOST_KEPT", 3)
-
-    async def live() -> None:
-        jobs = Jobs(9)
-        running = jobs.begin("test", "A test", endless)
-        over = [jobs.begin("test", "A test", nothing) for _ in range(5)]
-        await settle()
-        assert jobs.all() == [*reversed(over[2:]), running]
-        monkeypatch.setattr("server.render.jobs.now", lambda: datetime.now(UTC) + timedelta(minutes=61))
-        assert jobs.all() == [running]
-        with pytest.raises(UnknownJobError):
-            jobs.find(over[-1].id)
-        await jobs.close()
-
-    asyncio.run(live())
-
-
-def until_over(client: httpx.Client, address: str) -> dict[str, Any]:
-    """The document of a job once it has ended; its progress has not fallen meanwhile."""
-    deadline, seen = time.monotonic() + LONG, [0]
-    while True:
-        facts: dict[str, Any] = client.get(address).json()
-        seen.append(facts["progress"])
-        assert seen == sorted(seen)
-        if facts["status"] not in ("accepted", "running"):
-            return facts
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    jobs = Jobs(9)
+    running = jobs.begin("test", "A test", endless)
+    over = [jobs.begin("test", "A test", nothing) for _ in range(5)]
+    await settle()
+    assert jobs.all() == [*reversed(over[2:]), running]
+    monkeypatch.setattr("server.render.jobs.now", lambda: datetime.now(UTC) + timedelta(minutes=61))
+    assert jobs.all() == [running]
+    with pytest.raises(UnknownJobError):
+        jobs.find(over[-1].id)
+    await jobs.close()
 
 
 def test_a_provisional_frame_is_answered_with_a_job_for_it(small_scene: Path, tmp_path: Path) -> None:
@@ -238,36 +201,21 @@ def idle(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterato
         yield idle
 
 
-def test_a_dismissed_job_has_nothing_more_baked(idle: Idle) -> None:
-    async def visit() -> None:
-        async with httpx.AsyncClient(base_url=idle.url, timeout=60) as client:
-            begun = await client.get(FRAME, params=VIEW, headers=ASYNC)
-            address = begun.headers["location"]
-            await idle.until(lambda: bool(idle.wanted), LONG)
-            await asyncio.sleep(0.2)
-            wants = idle.baker._queue.requests.values()
-            viewers = {each.viewer for request in wants for each in request.interests.values()}
-            assert [viewer.patient for viewer in viewers] == [True]
-            assert (await client.get(address)).json()["status"] == "running"
-            other = await client.get(FRAME, params=VIEW | {"azimuth": 30}, headers=ASYNC)
-            assert (await client.get(FRAME, params=VIEW, headers=ASYNC)).status_code == 429
-            for each in (address, other.headers["location"]):
-                assert (await client.delete(each)).json()["status"] == "dismissed"
-            await idle.until(lambda: not idle.wanted, SOON)
-
-    asyncio.run(visit())
-
-
-class Broken:
-    """A pool whose tasks all fail."""
-
-    room, together, workers, trouble = 2, 1, 1, ""
-
-    def submit(self, task: BakeTask, done: Done) -> None:
-        done(None, RuntimeError("The texels are cursed."))
-
-    def close(self) -> None:
-        pass
+async def test_a_dismissed_job_has_nothing_more_baked(idle: Idle) -> None:
+    async with httpx.AsyncClient(base_url=idle.url, timeout=60) as client:
+        begun = await client.get(FRAME, params=VIEW, headers=ASYNC)
+        address = begun.headers["location"]
+        await idle.until(lambda: bool(idle.wanted), LONG)
+        await asyncio.sleep(0.2)
+        wants = idle.baker._queue.requests.values()
+        viewers = {each.viewer for request in wants for each in request.interests.values()}
+        assert [viewer.patient for viewer in viewers] == [True]
+        assert (await client.get(address)).json()["status"] == "running"
+        other = await client.get(FRAME, params=VIEW | {"azimuth": 30}, headers=ASYNC)
+        assert (await client.get(FRAME, params=VIEW, headers=ASYNC)).status_code == 429
+        for each in (address, other.headers["location"]):
+            assert (await client.delete(each)).json()["status"] == "dismissed"
+        await idle.until(lambda: not idle.wanted, SOON)
 
 
 def test_a_job_fails_where_its_light_cannot_be_baked(small_scene: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import httpx
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
+from tests.server.asking import UPGRADE
 from tests.server.idle import Idle, idle_server
 
 SOON = 20.0
@@ -47,36 +48,27 @@ async def watching(idle: Idle, azimuth: int = 77) -> AsyncIterator[ClientConnect
         yield socket
 
 
-def test_a_stream_that_is_closed_wants_nothing_more(idle: Idle) -> None:
-    async def visit() -> None:
-        async with watching(idle):
-            pass
+async def test_a_stream_that_is_closed_wants_nothing_more(idle: Idle) -> None:
+    async with watching(idle):
+        pass
+    await idle.until(lambda: not idle.wanted, SOON)
+
+
+async def test_a_stream_that_is_torn_wants_nothing_more(idle: Idle) -> None:
+    async with watching(idle) as socket:
+        socket.transport.abort()
         await idle.until(lambda: not idle.wanted, SOON)
 
-    asyncio.run(visit())
 
-
-def test_a_stream_that_is_torn_wants_nothing_more(idle: Idle) -> None:
-    async def visit() -> None:
-        async with watching(idle) as socket:
-            socket.transport.abort()
-            await idle.until(lambda: not idle.wanted, SOON)
-
-    asyncio.run(visit())
-
-
-def test_a_stream_that_looks_elsewhere_wants_that_alone(idle: Idle) -> None:
-    async def visit() -> None:
-        async with watching(idle) as socket:
-            away = {"width": 9, "height": 9, "eye": "500,0,0", "target": "900,0,0"}
-            await socket.send(json.dumps({"id": 2, "view": away}))
-            await idle.until(lambda: not idle.wanted, SOON)
-
-    asyncio.run(visit())
+async def test_a_stream_that_looks_elsewhere_wants_that_alone(idle: Idle) -> None:
+    async with watching(idle) as socket:
+        away = {"width": 9, "height": 9, "eye": "500,0,0", "target": "900,0,0"}
+        await socket.send(json.dumps({"id": 2, "view": away}))
+        await idle.until(lambda: not idle.wanted, SOON)
 
 
 @pytest.mark.parametrize("path", ["/frame", "/events"])
-def test_a_request_that_is_aborted_wants_nothing_more(idle: Idle, path: str) -> None:
+async def test_a_request_that_is_aborted_wants_nothing_more(idle: Idle, path: str) -> None:
     query = VIEW | ({"wait_ms": 10_000} if path == "/frame" else {})
 
     async def ask() -> None:
@@ -86,52 +78,38 @@ def test_a_request_that_is_aborted_wants_nothing_more(idle: Idle, path: str) -> 
         ):
             await answer.aread()
 
-    async def visit() -> None:
-        asking = asyncio.create_task(ask())
-        await idle.until(lambda: bool(idle.wanted), 60)
-        await asyncio.sleep(0.1)
-        asking.cancel()
-        with suppress(asyncio.CancelledError):
-            await asking
-        await idle.until(lambda: not idle.wanted, SOON)
-
-    asyncio.run(visit())
+    asking = asyncio.create_task(ask())
+    await idle.until(lambda: bool(idle.wanted), 60)
+    await asyncio.sleep(0.1)
+    asking.cancel()
+    with suppress(asyncio.CancelledError):
+        await asking
+    await idle.until(lambda: not idle.wanted, SOON)
 
 
-def test_what_one_viewer_leaves_another_still_wants(idle: Idle) -> None:
-    async def visit() -> None:
-        async with watching(idle):
-            wanted = idle.wanted
-            async with watching(idle, azimuth=190):
-                pass
-            await idle.until(lambda: idle.wanted == wanted, SOON)
-
-    asyncio.run(visit())
+async def test_what_one_viewer_leaves_another_still_wants(idle: Idle) -> None:
+    async with watching(idle):
+        wanted = idle.wanted
+        async with watching(idle, azimuth=190):
+            pass
+        await idle.until(lambda: idle.wanted == wanted, SOON)
 
 
-def test_hundred_clients_that_abort_leave_nothing(idle: Idle) -> None:
-    async def visit() -> None:
-        async def abort(number: int) -> None:
-            query = VIEW | {"azimuth": 3 * number, "wait_ms": 5000}
-            async with httpx.AsyncClient() as client:
-                with suppress(httpx.ReadTimeout):
-                    await client.get(f"{idle.url}{PATH}/frame", params=query, timeout=httpx.Timeout(30, read=0.3))
+async def test_hundred_clients_that_abort_leave_nothing(idle: Idle) -> None:
+    before = asyncio.all_tasks()
 
-        await asyncio.gather(*map(abort, range(100)))
-        await idle.until(lambda: not idle.wanted, SOON)
-        assert len([task for task in asyncio.all_tasks() if not task.done()]) == 1
+    async def abort(number: int) -> None:
+        query = VIEW | {"azimuth": 3 * number, "wait_ms": 5000}
+        async with httpx.AsyncClient() as client:
+            with suppress(httpx.ReadTimeout):
+                await client.get(f"{idle.url}{PATH}/frame", params=query, timeout=httpx.Timeout(30, read=0.3))
 
-    asyncio.run(visit())
+    await asyncio.gather(*map(abort, range(100)))
+    await idle.until(lambda: not idle.wanted, SOON)
+    assert asyncio.all_tasks() == before
 
 
-def test_more_streams_than_are_allowed_are_told_to_come_back(idle: Idle) -> None:
-    async def visit() -> tuple[int, int]:
-        async with stream_of(idle), stream_of(idle):
-            async with httpx.AsyncClient() as client:
-                events = await client.get(f"{idle.url}{PATH}/events", params=VIEW, timeout=60)
-                switching = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
-                key = {"Sec-WebSocket-Key": "x3JJHMbDL1EzLkh9GBhXDw=="}
-                stream = await client.get(f"{idle.url}{PATH}/stream", headers=switching | key, timeout=60)
-            return events.status_code, stream.status_code
-
-    assert asyncio.run(visit()) == (429, 429)
+async def test_more_streams_than_are_allowed_are_told_to_come_back(idle: Idle) -> None:
+    async with stream_of(idle), stream_of(idle), httpx.AsyncClient(base_url=idle.url + PATH, timeout=60) as client:
+        assert (await client.get("/events", params=VIEW)).status_code == 429
+        assert (await client.get("/stream", headers=UPGRADE)).status_code == 429

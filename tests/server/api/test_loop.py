@@ -49,7 +49,7 @@ def test_workers_make_way_off_the_event_loop(
     assert not on_loop
 
 
-def test_checks_of_jobs_leave_threads_to_others() -> None:
+async def test_checks_of_jobs_leave_threads_to_others() -> None:
     """However many jobs have their pictures checked, and however long a step takes."""
     release, begun = threading.Event(), list[object]()
 
@@ -57,20 +57,17 @@ def test_checks_of_jobs_leave_threads_to_others() -> None:
         begun.append(what)
         return release.wait(30.0)
 
-    async def served() -> None:
-        asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(2))
-        service: Any = SimpleNamespace(engine=SimpleNamespace(check=check), threads=RenderThreads(1))
-        pictures: Any = [PictureRequest("a", number, 0.1) for number in range(8)]  # type: ignore[arg-type]
-        checks = [asyncio.create_task(Service.check(service, each)) for each in pictures]
-        await asyncio.sleep(0.1)
-        async with asyncio.timeout(5.0):
-            assert await asyncio.to_thread(lambda: len(begun)) == 1
-        checks[0].cancel()
-        release.set()
-        await asyncio.gather(*checks, return_exceptions=True)
-        service.threads.close()
-
-    asyncio.run(served())
+    asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(2))
+    service: Any = SimpleNamespace(engine=SimpleNamespace(check=check), threads=RenderThreads(1))
+    pictures: Any = [PictureRequest("a", number, 0.1) for number in range(8)]  # type: ignore[arg-type]
+    checks = [asyncio.create_task(Service.check(service, each)) for each in pictures]
+    await asyncio.sleep(0.1)
+    async with asyncio.timeout(5.0):
+        assert await asyncio.to_thread(lambda: len(begun)) == 1
+    checks[0].cancel()
+    release.set()
+    await asyncio.gather(*checks, return_exceptions=True)
+    service.threads.close()
     assert len(begun) == 8
     assert begun[0][-1].is_set()  # type: ignore[index]
 

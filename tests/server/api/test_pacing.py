@@ -23,7 +23,7 @@ from server.api.stream import (
 from server.errors import StreamError
 from server.render.scheduling import Place
 from server.settings import Settings
-from tests.server.loops import played
+from tests.server.loops import IN_NO_TIME
 
 
 def settle(cost: Callable[[float], float], drafts: Drafts | None = None, shown: float = 0.0) -> list[float]:
@@ -63,49 +63,43 @@ def test_a_single_slow_draft_does_not_shrink_the_next_for_long() -> None:
     assert settle(lambda scale: 0.03 * scale, drafts)[-1] == before
 
 
-def test_a_third_picture_waits_until_the_first_is_shown() -> None:
-    async def play() -> list[bool]:
-        window, full = Window(), []
-        for wish in range(MAX_PICTURES_AHEAD):
-            await asyncio.wait_for(window.room(), 0.1)
-            window.sent(wish)
-        waiting = asyncio.create_task(window.room())
-        await asyncio.sleep(0.05)
-        full.append(waiting.done())
-        window.shown(7)
-        await asyncio.sleep(0.05)
-        full.append(waiting.done())
-        window.shown(0)
-        await asyncio.sleep(0.05)
-        full.append(waiting.done())
-        return full
-
-    assert played(play()) == [False, False, True]
+@IN_NO_TIME
+async def test_a_third_picture_waits_until_the_first_is_shown() -> None:
+    window, full = Window(), []
+    for wish in range(MAX_PICTURES_AHEAD):
+        await asyncio.wait_for(window.room(), 0.1)
+        window.sent(wish)
+    waiting = asyncio.create_task(window.room())
+    await asyncio.sleep(0.05)
+    full.append(waiting.done())
+    window.shown(7)
+    await asyncio.sleep(0.05)
+    full.append(waiting.done())
+    window.shown(0)
+    await asyncio.sleep(0.05)
+    full.append(waiting.done())
+    assert full == [False, False, True]
 
 
-def test_a_receipt_counts_for_all_pictures_before_it() -> None:
-    async def play() -> None:
-        window = Window()
-        for wish in (4, 5):
-            window.sent(wish)
-        window.shown(5)
-        for wish in (6, 6):
-            await asyncio.wait_for(window.room(), 0.1)
-            window.sent(wish)
-
-    played(play())
+@IN_NO_TIME
+async def test_a_receipt_counts_for_all_pictures_before_it() -> None:
+    window = Window()
+    for wish in (4, 5):
+        window.sent(wish)
+    window.shown(5)
+    for wish in (6, 6):
+        await asyncio.wait_for(window.room(), 0.1)
+        window.sent(wish)
 
 
-def test_a_client_that_says_nothing_is_waited_for_a_second() -> None:
-    async def play() -> float:
-        window, loop = Window(), asyncio.get_running_loop()
-        begun = loop.time()
-        for wish in range(MAX_PICTURES_AHEAD + 1):
-            await window.room()
-            window.sent(wish)
-        return loop.time() - begun
-
-    assert played(play()) == pytest.approx(RECEIPT_SECONDS)
+@IN_NO_TIME
+async def test_a_client_that_says_nothing_is_waited_for_a_second() -> None:
+    window, loop = Window(), asyncio.get_running_loop()
+    begun = loop.time()
+    for wish in range(MAX_PICTURES_AHEAD + 1):
+        await window.room()
+        window.sent(wish)
+    assert loop.time() - begun == pytest.approx(RECEIPT_SECONDS)
 
 
 class Socket:
@@ -124,24 +118,22 @@ def text(message: str) -> dict[str, Any]:
     return {"type": "websocket.receive", "text": message}
 
 
-def read(*messages: dict[str, Any]) -> list[str | None]:
+async def read(*messages: dict[str, Any]) -> list[str | None]:
     """All that an inbox lets through, which holds to small limits."""
     settings = Settings(stream_bytes=256, stream_rate=5, stream_idle_seconds=0.2)
     inbox = Inbox(Socket(*messages), settings, Place("one", 0.0))  # type: ignore[arg-type]
-
-    async def play() -> list[str | None]:
-        read: list[str | None] = []
-        while not read or read[-1] is not None:
-            read.append(await inbox.next())
-        return read
-
-    return played(play())
+    read: list[str | None] = []
+    while not read or read[-1] is not None:
+        read.append(await inbox.next())
+    return read
 
 
-def test_messages_are_read_until_the_client_leaves() -> None:
-    assert read(text("a"), text("é" * 128), {"type": "websocket.disconnect"}) == ["a", "é" * 128, None]
+@IN_NO_TIME
+async def test_messages_are_read_until_the_client_leaves() -> None:
+    assert await read(text("a"), text("é" * 128), {"type": "websocket.disconnect"}) == ["a", "é" * 128, None]
 
 
+@IN_NO_TIME
 @pytest.mark.parametrize(
     ("messages", "code"),
     [
@@ -151,7 +143,7 @@ def test_messages_are_read_until_the_client_leaves() -> None:
         ([text("a")], CLOSE_IDLE),
     ],
 )
-def test_what_breaks_a_limit_ends_the_stream(messages: list[dict[str, Any]], code: int) -> None:
+async def test_what_breaks_a_limit_ends_the_stream(messages: list[dict[str, Any]], code: int) -> None:
     with pytest.raises(StreamError) as broken:
-        read(*messages)
+        await read(*messages)
     assert broken.value.code == code

@@ -181,16 +181,12 @@ async def asking(app: FastAPI) -> AsyncIterator[httpx.AsyncClient]:
         yield client
 
 
-def started(app: FastAPI, *queries: dict[str, Any]) -> list[httpx.Response]:
+async def started(app: FastAPI, *queries: dict[str, Any]) -> list[httpx.Response]:
     """Answers to frame requests sent at the same time."""
-
-    async def gather() -> list[httpx.Response]:
-        async with asking(app) as client:
-            answers = await asyncio.gather(*(client.get(FRAME, params={"width": 4, **q}) for q in queries))
-        app.state.service.engine.kernels.compiled.set()  # or the loop waits at its end for who compiles
-        return answers
-
-    return asyncio.run(gather())
+    async with asking(app) as client:
+        answers = await asyncio.gather(*(client.get(FRAME, params={"width": 4, **q}) for q in queries))
+    app.state.service.engine.kernels.compiled.set()  # or the loop waits at its end for who compiles
+    return answers
 
 
 def test_until_the_engine_is_up_frames_are_503_and_scenes_listed(
@@ -205,9 +201,9 @@ def test_until_the_engine_is_up_frames_are_503_and_scenes_listed(
     assert ask(app, "GET", "/v1/scenes").json()["scenes"][0]["id"] == "orbital"
 
 
-def test_a_engine_that_does_not_start_is_told_and_never_asked(engine: FakeEngine, app: FastAPI) -> None:
+async def test_a_engine_that_does_not_start_is_told_and_never_asked(engine: FakeEngine, app: FastAPI) -> None:
     engine.startable = StoreError("The store is full.")
-    (answer,) = started(app, {})
+    (answer,) = await started(app, {})
     assert answer.status_code == 503
     assert answer.json()["detail"] == "isogi did not start: The store is full."
     assert not engine.views
@@ -219,8 +215,8 @@ def test_what_the_engine_misses_is_told(ask: Callable[..., httpx.Response], app:
     assert (answer.status_code, answer.json()["detail"]) == (503, "No worker is alive.")
 
 
-def test_a_frame_reaches_the_engine_as_a_view(engine: FakeEngine, app: FastAPI) -> None:
-    (answer,) = started(app, {"height": 3, "isovalue": 0.3, "wait_ms": 250, "max_error": 0.1, "f": "npy"})
+async def test_a_frame_reaches_the_engine_as_a_view(engine: FakeEngine, app: FastAPI) -> None:
+    (answer,) = await started(app, {"height": 3, "isovalue": 0.3, "wait_ms": 250, "max_error": 0.1, "f": "npy"})
     assert answer.status_code == 200, answer.text
     view, target = engine.views[0]
     assert (view.width, view.height, view.isovalue, target) == (4, 3, 0.3, 0.1)
@@ -232,8 +228,8 @@ def test_a_frame_reaches_the_engine_as_a_view(engine: FakeEngine, app: FastAPI) 
     assert answer.headers["cache-control"] == "no-cache"
 
 
-def test_each_overlay_is_a_picture_of_its_own(app: FastAPI) -> None:
-    plain, *marked = answers = started(app, {}, {"overlay": "provisional"}, {"overlay": "error"})
+async def test_each_overlay_is_a_picture_of_its_own(app: FastAPI) -> None:
+    plain, *marked = answers = await started(app, {}, {"overlay": "provisional"}, {"overlay": "error"})
     assert all(answer.content != plain.content for answer in marked)
     assert len({answer.headers["etag"] for answer in answers}) == 3
 
@@ -242,31 +238,31 @@ def test_each_overlay_is_a_picture_of_its_own(app: FastAPI) -> None:
     "query",
     [{"isovalue": "nan"}, {"width": 0}, {"colour": 1}, {"yaw": 5}, {"light": "0,1,0,0"}, {"up": "0,0,0"}],
 )
-def test_a_refused_view_never_reaches_the_engine(engine: FakeEngine, app: FastAPI, query: dict[str, Any]) -> None:
-    (answer,) = started(app, query)
+async def test_a_refused_view_never_reaches_the_engine(engine: FakeEngine, app: FastAPI, query: dict[str, Any]) -> None:
+    (answer,) = await started(app, query)
     assert answer.status_code == 422, answer.text
     assert not engine.views
 
 
-def test_a_light_that_does_not_turn_may_be_told_so(engine: FakeEngine, app: FastAPI) -> None:
-    (answer,) = started(app, {"yaw": 0, "pitch": 0, "roll": 360})
+async def test_a_light_that_does_not_turn_may_be_told_so(engine: FakeEngine, app: FastAPI) -> None:
+    (answer,) = await started(app, {"yaw": 0, "pitch": 0, "roll": 360})
     assert answer.status_code == 200, answer.text
     assert engine.views[0][0].light == (1, 0, 0, 0)
 
 
-def test_errors_at_work_are_problems(engine: FakeEngine, app: FastAPI) -> None:
+async def test_errors_at_work_are_problems(engine: FakeEngine, app: FastAPI) -> None:
     def fail(_: threading.Event) -> None:
         raise StoreError("The store does not answer.")
 
     engine.doing = fail
-    (answer,) = started(app, {})
+    (answer,) = await started(app, {})
     assert (answer.status_code, answer.json()["detail"]) == (503, "The store does not answer.")
 
 
-def test_beyond_the_queue_is_429_and_the_rest_is_served(engine: FakeEngine, app: FastAPI) -> None:
+async def test_beyond_the_queue_is_429_and_the_rest_is_served(engine: FakeEngine, app: FastAPI) -> None:
     release = threading.Event()
     engine.doing = lambda _: None if release.wait(10) else pytest.fail("nobody was refused")
-    answers = asyncio.run(crowd(app, 14, release))
+    answers = await crowd(app, 14, release)
     assert [answer.status_code for answer in answers] == [429] * 6 + [200] * 8
     assert answers[0].headers["retry-after"] == "1"
 
@@ -282,7 +278,7 @@ async def crowd(app: FastAPI, clients: int, release: threading.Event) -> list[ht
         return answers
 
 
-def test_a_client_that_leaves_stops_its_frame(engine: FakeEngine, app: FastAPI) -> None:
+async def test_a_client_that_leaves_stops_its_frame(engine: FakeEngine, app: FastAPI) -> None:
     begun, seen = threading.Event(), threading.Event()
 
     def work(cancelled: threading.Event) -> None:
@@ -292,22 +288,22 @@ def test_a_client_that_leaves_stops_its_frame(engine: FakeEngine, app: FastAPI) 
             raise Cancelled("Nobody waits.")
 
     engine.doing = work
-    asyncio.run(leave(app, begun))
+    await leave(app, begun)
     assert seen.wait(10)
     assert engine.wants == []
     assert len(engine.left) == 1
 
 
-def test_a_client_that_leaves_has_no_light_baked_any_more(engine: FakeEngine, app: FastAPI) -> None:
+async def test_a_client_that_leaves_has_no_light_baked_any_more(engine: FakeEngine, app: FastAPI) -> None:
     engine.coming = frozenset({(0, 0, 1)})
     begun = threading.Event()
     engine.doing = lambda _: begun.set()
-    asyncio.run(leave(app, begun, wait_ms=10_000))
+    await leave(app, begun, wait_ms=10_000)
     assert engine.left == engine.wants
     assert len(engine.wants) == 1
 
 
-def test_requests_for_the_same_at_the_same_time_share_one_render(engine: FakeEngine, app: FastAPI) -> None:
+async def test_requests_for_the_same_at_the_same_time_share_one_render(engine: FakeEngine, app: FastAPI) -> None:
     renders = app.state.service.threads.pictures
     together = threading.Event()
 
@@ -317,14 +313,14 @@ def test_requests_for_the_same_at_the_same_time_share_one_render(engine: FakeEng
             together.set()
 
     engine.doing = work
-    answers = started(app, {}, {"f": "jpeg"}, {"azimuth": 7}, {})
+    answers = await started(app, {}, {"f": "jpeg"}, {"azimuth": 7}, {})
     assert [answer.status_code for answer in answers] == [200] * 4
     assert len(engine.views) == 2
     assert len(engine.wants) == 4
     assert answers[0].content == answers[3].content
 
 
-def test_leaving_a_shared_render_does_not_end_it_for_others(engine: FakeEngine, app: FastAPI) -> None:
+async def test_leaving_a_shared_render_does_not_end_it_for_others(engine: FakeEngine, app: FastAPI) -> None:
     begun, release = threading.Event(), threading.Event()
 
     def work(cancelled: threading.Event) -> None:
@@ -333,21 +329,18 @@ def test_leaving_a_shared_render_does_not_end_it_for_others(engine: FakeEngine, 
         if cancelled.is_set():
             raise Cancelled("Nobody waits.")
 
-    async def both() -> httpx.Response:
-        async with asking(app) as client:
-            staying = asyncio.create_task(client.get(FRAME, params={"width": 4}))
-            await leave(app, begun)
-            release.set()
-            return await staying
-
     engine.doing = work
-    assert asyncio.run(both()).status_code == 200
+    async with asking(app) as client:
+        staying = asyncio.create_task(client.get(FRAME, params={"width": 4}))
+        await leave(app, begun)
+        release.set()
+        assert (await staying).status_code == 200
     assert len(engine.views) == 1
     assert len(engine.left) == 1
 
 
 @pytest.mark.slow
-def test_a_frame_is_drawn_again_once_all_its_light_is_there(engine: FakeEngine, app: FastAPI) -> None:
+async def test_a_frame_is_drawn_again_once_all_its_light_is_there(engine: FakeEngine, app: FastAPI) -> None:
     engine.coming = frozenset({(0, 0, 1), (0, 0, 2)})
 
     def bake(_: threading.Event) -> None:
@@ -361,14 +354,14 @@ def test_a_frame_is_drawn_again_once_all_its_light_is_there(engine: FakeEngine, 
         engine.publish("orbital", (0, 0, 2), False)
 
     engine.doing = bake
-    (answer,) = started(app, {"wait_ms": 10_000})
+    (answer,) = await started(app, {"wait_ms": 10_000})
     assert answer.status_code == 200
     assert len(engine.views) == 2
     bake_ms = float(re.findall(r"bake;dur=([\d.]+)", answer.headers["server-timing"])[0])
     assert 100.0 < bake_ms < 5000.0
 
 
-def test_pictures_are_drawn_while_asking_for_light_takes_long(engine: FakeEngine, app: FastAPI) -> None:
+async def test_pictures_are_drawn_while_asking_for_light_takes_long(engine: FakeEngine, app: FastAPI) -> None:
     """The queue of bakes may be busy for as many requests as there are threads that render."""
     drawn = threading.Event()
 
@@ -381,11 +374,11 @@ def test_pictures_are_drawn_while_asking_for_light_takes_long(engine: FakeEngine
             drawn.set()
 
     engine.want, engine.doing = want, work  # type: ignore[method-assign]
-    answers = started(app, *({"azimuth": azimuth} for azimuth in range(8)))
+    answers = await started(app, *({"azimuth": azimuth} for azimuth in range(8)))
     assert [answer.status_code for answer in answers] == [200] * 8
 
 
-def test_large_pictures_are_drawn_one_at_a_time(
+async def test_large_pictures_are_drawn_one_at_a_time(
     engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each takes memory besides what is kept."""
@@ -399,7 +392,7 @@ def test_large_pictures_are_drawn_one_at_a_time(
         drawing.discard(threading.get_ident())
 
     engine.doing = work
-    answers = started(app, *({"azimuth": azimuth, "height": 64} for azimuth in range(4)))
+    answers = await started(app, *({"azimuth": azimuth, "height": 64} for azimuth in range(4)))
     assert [answer.status_code for answer in answers] == [200] * 4
     assert len(engine.views) == 4 and most == [1]
 
@@ -450,16 +443,18 @@ async def second_after(engine: FakeEngine, service: Service, rest: float = 0.0) 
 
 
 @pytest.mark.parametrize(("state", "at_once"), [(PROVISIONAL, True), (CONVERGING, False)])
-def test_first_light_is_shown_as_soon_as_it_comes(engine: FakeEngine, app: FastAPI, state: int, at_once: bool) -> None:
+async def test_first_light_is_shown_as_soon_as_it_comes(
+    engine: FakeEngine, app: FastAPI, state: int, at_once: bool
+) -> None:
     """A picture of a quarter of a second is drawn again after three; without any light in it, at once."""
     engine.coming, engine.doing, engine.state = frozenset({(0, 0, 1), (0, 0, 2)}), engine.grow, state
     engine.took = {"shade": 0.25, "primary": 60.0}  # the latter is kept
-    took = asyncio.run(second_after(engine, app.state.service))
+    took = await second_after(engine, app.state.service)
     assert took < 0.7 if at_once else 0.7 < took < 30.0
 
 
 @pytest.mark.parametrize("younger", [0.0, 4.0])
-def test_pictures_of_a_view_that_has_long_been_shown_come_rarely(
+async def test_pictures_of_a_view_that_has_long_been_shown_come_rarely(
     younger: float, engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A light takes as long to become visibly better as it has been baked for, times a share; not longer, though."""
@@ -467,11 +462,11 @@ def test_pictures_of_a_view_that_has_long_been_shown_come_rarely(
     engine.took = {"shade": 1e-3}
     monkeypatch.setattr(service_module, "YOUNGER", younger)
     monkeypatch.setattr(service_module, "LONGEST_PAUSE", 0.9)
-    took = asyncio.run(second_after(engine, app.state.service, rest=0.3))
+    took = await second_after(engine, app.state.service, rest=0.3)
     assert 0.9 <= took < 30.0 if younger else took < 0.7
 
 
-def test_light_of_a_new_view_is_requested_before_it_is_drawn(
+async def test_light_of_a_new_view_is_requested_before_it_is_drawn(
     engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For a viewer that may have light baked, and for no other; nor where others wait for their turn."""
@@ -483,28 +478,25 @@ def test_light_of_a_new_view_is_requested_before_it_is_drawn(
 
     engine.doing = lambda _: drawn.append(len(engine.wants))
     monkeypatch.setattr(engine, "unlit_frame", lambda _scene, view, *_: engine.picture(view, Stopwatch()))
-    asyncio.run(first(Viewer("a")))
+    await first(Viewer("a"))
     assert drawn == [1] and engine.wants == [Viewer("a"), Viewer("a")]
-    asyncio.run(first(Viewer("b", bakes=False)))
+    await first(Viewer("b", bakes=False))
     assert drawn == [1, 2] and len(engine.wants) == 2
     monkeypatch.setattr(Renders, "crowded", True)
-    asyncio.run(first(Viewer("c")))
+    await first(Viewer("c"))
     assert drawn == [1, 2, 2] and engine.wants[2:] == [Viewer("c")]
 
 
-def test_the_lifespan_starts_and_closes_the_engine(engine: FakeEngine, app: FastAPI) -> None:
-    async def live() -> bool:
-        async with app.router.lifespan_context(app):
-            await asyncio.wait_for(app.state.service.startup.settled.wait(), 10)
-            return engine.closed
-
-    assert asyncio.run(live()) is False
+async def test_the_lifespan_starts_and_closes_the_engine(engine: FakeEngine, app: FastAPI) -> None:
+    async with app.router.lifespan_context(app):
+        await asyncio.wait_for(app.state.service.startup.settled.wait(), 10)
+        assert engine.closed is False
     assert engine.closed
 
 
-def test_while_kernels_are_compiled_pictures_have_no_light(engine: FakeEngine, app: FastAPI) -> None:
+async def test_while_kernels_are_compiled_pictures_have_no_light(engine: FakeEngine, app: FastAPI) -> None:
     engine.kernels.compiled.clear()
-    lit, plain = started(app, {"f": "png"}, {"shading": "phong"})
+    lit, plain = await started(app, {"f": "png"}, {"shading": "phong"})
     assert [answer.status_code for answer in (lit, plain)] == [200, 200]
     assert lit.headers["isogi-provisional"] == "?1"
     assert [(view.shading, view.smooth) for view, _ in engine.views] == [("lambert", False), ("phong", False)]
@@ -526,32 +518,28 @@ def test_a_store_is_not_read_only_while_kernels_are_compiled(engine: FakeEngine,
     assert facts.plan.notes[-1] == engine.kernels.compiling and not facts.read_only
 
 
-def test_a_view_at_rest_is_lit_once_kernels_are_there(engine: FakeEngine, app: FastAPI) -> None:
+async def test_a_view_at_rest_is_lit_once_kernels_are_there(engine: FakeEngine, app: FastAPI) -> None:
     engine.kernels.compiled.clear()
-
-    async def two() -> list[str]:
-        async with watching(app.state.service, Viewer("a")) as refinements:
-            engine.kernels.compiled.set()
-            await anext(refinements)
-        return [view.shading for view, _ in engine.views]
-
-    assert asyncio.run(two()) == ["lambert", "gi"]
+    async with watching(app.state.service, Viewer("a")) as refinements:
+        engine.kernels.compiled.set()
+        await anext(refinements)
+    assert [view.shading for view, _ in engine.views] == ["lambert", "gi"]
 
 
-def test_a_picture_whose_kernels_are_compiled_does_not_hang(engine: FakeEngine) -> None:
+async def test_a_picture_whose_kernels_are_compiled_does_not_hang(engine: FakeEngine) -> None:
     service: Any = Service(engine, Settings(queue_seconds=0.01))  # type: ignore[arg-type]
     picture: Any = SimpleNamespace(view=SimpleNamespace(shading="path_traced"))
     with pytest.raises(BusyError, match="path_traced pictures is being compiled"):
-        asyncio.run(service.frame(picture, Rank(0.0), Stopwatch()))
+        await service.frame(picture, Rank(0.0), Stopwatch())
 
 
-def test_a_view_whose_light_does_not_fit_is_shown_without(engine: FakeEngine, app: FastAPI) -> None:
+async def test_a_view_whose_light_does_not_fit_is_shown_without(engine: FakeEngine, app: FastAPI) -> None:
     def refuse(_: threading.Event) -> None:
         if engine.views[-1][0].shading == "gi":
             raise NoRoomError("The light of this view does not fit the memory.")
 
     engine.doing = refuse
-    (answer,) = started(app, {})
+    (answer,) = await started(app, {})
     assert (answer.status_code, answer.headers["isogi-provisional"]) == (200, "?1")
     assert [view.shading for view, _ in engine.views] == ["gi", "lambert"]
 
@@ -573,31 +561,24 @@ def startup(did: list[str]) -> Startup:
     return Startup(engine)
 
 
-def test_what_visitors_ask_for_is_surveyed_once_there_is_light(startup: Startup, did: list[str]) -> None:
-    async def start() -> None:
-        await startup.run(lambda: did.append("prepare"), did.append)  # type: ignore[arg-type]
-        assert startup.lit.is_set() and not startup.failure
-        await startup.others("phong", 5.0)
-        await startup.close()
-
-    asyncio.run(start())
+async def test_what_visitors_ask_for_is_surveyed_once_there_is_light(startup: Startup, did: list[str]) -> None:
+    await startup.run(lambda: did.append("prepare"), did.append)  # type: ignore[arg-type]
+    assert startup.lit.is_set() and not startup.failure
+    await startup.others("phong", 5.0)
+    await startup.close()
     assert did == ["open", "prepare", "light", "a scene", "another", "others"]
 
 
-def test_scenes_are_not_surveyed_once_it_is_to_stop(startup: Startup, did: list[str]) -> None:
+async def test_scenes_are_not_surveyed_once_it_is_to_stop(startup: Startup, did: list[str]) -> None:
     """A server of many scenes would stop late."""
+    surveyed, loop = asyncio.Event(), asyncio.get_running_loop()
 
-    async def start_and_stop() -> None:
-        surveyed, loop = asyncio.Event(), asyncio.get_running_loop()
+    def survey(scene: str) -> None:
+        did.append(scene)
+        loop.call_soon_threadsafe(surveyed.set)
+        time.sleep(0.2)
 
-        def survey(scene: str) -> None:
-            did.append(scene)
-            loop.call_soon_threadsafe(surveyed.set)
-            time.sleep(0.2)
-
-        await startup.run(lambda: None, survey)  # type: ignore[arg-type]
-        await surveyed.wait()
-        await startup.close()
-
-    asyncio.run(start_and_stop())
+    await startup.run(lambda: None, survey)  # type: ignore[arg-type]
+    await surveyed.wait()
+    await startup.close()
     assert "a scene" in did and "another" not in did

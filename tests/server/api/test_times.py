@@ -1,6 +1,5 @@
 """A series in time over HTTP: its steps are views of one scene, and the light of one stands in for that of the next."""
 
-import asyncio
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -96,13 +95,13 @@ def error_of(found: Frame, wanted: Frame) -> float:
     return float(np.sqrt(((found.radiance - wanted.radiance)[on] ** 2).mean()) / wanted.radiance[on].mean())
 
 
-def test_the_light_of_the_step_before_stands_in(series: RenderEngine, inline: None) -> None:
+async def test_the_light_of_the_step_before_stands_in(series: RenderEngine, inline: None) -> None:
     series.start()
     variants, own, view = Variants(series, lambda name: None), series.scenes["series"], view_of(series)
-    bare = series.survey(asyncio.run(variants.of(own, Change(time=1))).id, view, 0.5)
+    bare = series.survey((await variants.of(own, Change(time=1))).id, view, 0.5)
     assert not series.frame("series", view, wait=LONG).provisional
     series.dismiss("series@+1")
-    lent = series.survey(asyncio.run(variants.of(own, Change(time=1))).id, view, 0.5)
+    lent = series.survey((await variants.of(own, Change(time=1))).id, view, 0.5)
     assert set(np.unique(lent.state)) == {0, PROVISIONAL}, "what stands in is told as provisional"
     assert len(lent.demands) == len(bare.demands), "and all of it is still to be baked"
     wanted = series.frame("series@+1", view, wait=LONG)
@@ -110,13 +109,13 @@ def test_the_light_of_the_step_before_stands_in(series: RenderEngine, inline: No
     assert error_of(lent, wanted) < 0.7 * error_of(bare, wanted)
 
 
-def test_few_steps_are_in_memory(series: RenderEngine) -> None:
+async def test_few_steps_are_in_memory(series: RenderEngine) -> None:
     variants, own = Variants(series, lambda name: name, room=0), series.scenes["series"]
     for time in (1, 2, 3):
-        asyncio.run(variants.of(own, Change(time=time)))
+        await variants.of(own, Change(time=time))
     assert set(series.scenes) == {"series", "series@+2", "series@+3"}
-    lit = asyncio.run(variants.of(own, Change("studio", time=3)))
+    lit = await variants.of(own, Change("studio", time=3))
     assert lit.volume is series.scenes["series@+3"].volume
-    assert asyncio.run(variants.of(own, Change(time=0))) is own
-    asyncio.run(variants.of(own, Change(time=1)))
+    assert await variants.of(own, Change(time=0)) is own
+    await variants.of(own, Change(time=1))
     assert set(series.scenes) == {"series", "series@+1", "series@studio+3", "series@+3"}

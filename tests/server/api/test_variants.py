@@ -1,6 +1,5 @@
 """Light and materials that a view names, over a real socket: frames, documents, skies, streams, and what is refused."""
 
-import asyncio
 from contextlib import closing
 from pathlib import Path
 
@@ -129,16 +128,16 @@ def test_a_job_for_a_variant_leads_to_its_picture(client: httpx.Client) -> None:
         assert client.get(href).headers["isogi-provisional"] == "?0"
 
 
-def test_a_stream_changes_light_and_material(live_server: str) -> None:
+async def test_a_stream_changes_light_and_material(live_server: str) -> None:
     lights = [{"environment": each} for each in ("studio", "evening")]
     materials = [{"material": each} for each in ("diffuse", "glass", "glass,index=2")]
-    assert len(set(asyncio.run(pictures_on(f"{live_server}{SCENE}/stream", [*lights, *materials])))) == 5
+    assert len(set(await pictures_on(f"{live_server}{SCENE}/stream", [*lights, *materials]))) == 5
 
 
-def test_few_variants_are_kept(engine: RenderEngine) -> None:
+async def test_few_variants_are_kept(engine: RenderEngine) -> None:
     variants = Variants(engine, lambda name: name if name in ENVIRONMENTS else None, most=2)
     for name in ("studio", "noon", "studio", "evening"):
-        asyncio.run(variants.of(engine.scenes["small"], Change(name)))
+        await variants.of(engine.scenes["small"], Change(name))
     assert set(engine.scenes) == {"small", "small@studio", "small@evening"}
     engine.dismiss("small")
     assert engine.scenes == {}, "variants go with their scene"

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
@@ -22,18 +22,9 @@ from server.cli.command import VIEW_OPTIONS, WORK_OPTIONS, run
 from server.cli.render import rendered
 from server.parameters import FrameParams
 from server.settings import Settings
+from tests.server.asking import Told
 
 SIZE = ["--width", "24", "--height", "20"]
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """The line on stderr of a command that ends with status 2."""
-    assert run([str(argument) for argument in arguments]) == 2
-    out, error = capsys.readouterr()
-    assert out == ""
-    assert error.count("\n") == 1
-    assert error.startswith("isogi: ")
-    return error
 
 
 def test_help_is_quick_to_import() -> None:
@@ -52,36 +43,6 @@ def test_options_are_those_of_http_and_of_the_settings() -> None:
     assert set(WORK_OPTIONS) <= set(Settings.model_fields)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["paint"],
-        ["render"],
-        ["render", "demo:orbital"],
-        ["serve", "--frob"],
-        ["inspect"],
-        ["serve", "a", "b"],
-    ],
-)
-def test_wrong_use(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
-    refused(capsys, *arguments)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "answer"),
-    [
-        (["exprot", "demo:casting"], "There is no command 'exprot': did you mean 'export'?"),
-        (["render", "demo:casting", "--isovlaue", "3"], "There is no option '--isovlaue': did you mean '--isovalue'?"),
-        (["serve", "--prot", "3"], "There is no option '--prot': did you mean '--port'?"),
-        (["serve", "--qqqqqqqq"], "There is no option '--qqqqqqqq': --help lists all."),
-    ],
-)
-def test_a_misspelt_word_is_answered_with_the_nearest(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], answer: str
-) -> None:
-    assert refused(capsys, *arguments) == f"isogi: {answer}\n"
-
-
 @pytest.mark.parametrize("target", ["none.nhdr", "demo:none", "small.zarr#time=3"])
 def test_a_file_in_place_of_a_command_is_served(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, target: str) -> None:
     served: list[str] = []
@@ -92,78 +53,10 @@ def test_a_file_in_place_of_a_command_is_served(monkeypatch: pytest.MonkeyPatch,
     assert served == [f"{target} 8123"]
 
 
-@pytest.mark.parametrize("command", ["inspect", "prewarm", "render", "serve", "reference"])
-@pytest.mark.parametrize("target", ["none.nrrd", "none.nhdr", "none.toml", "demo:none", "folder"])
-def test_a_missing_target(capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str, target: str) -> None:
-    (tmp_path / "folder").mkdir()
-    path = target if target.startswith("demo:") else str(tmp_path / target)
-    output = {"render": "a.png", "reference": "a.npz"}.get(command)
-    more = ["-o", str(tmp_path / output)] if output else []
-    assert Path(path).name in refused(capsys, command, path, *more)
-    assert [each.name for each in tmp_path.iterdir()] == ["folder"]
-
-
-HEADER = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: {sizes}\nencoding: raw\n\n"
-
-
-@pytest.mark.parametrize(
-    ("sizes", "held"),
-    [("8 8 8", 100), ("8 8 8", 0), ("100000 100000 100000", 512), ("0 8 8", 0), ("-8 8 8", 512)],
-)
-def test_a_truncated_or_lying_volume(capsys: pytest.CaptureFixture[str], tmp_path: Path, sizes: str, held: int) -> None:
-    volume = tmp_path / "lie.nrrd"
-    volume.write_bytes(HEADER.format(sizes=sizes).encode() + b"\x07" * held)
-    assert "lie.nrrd" in refused(capsys, "inspect", volume)
-    refused(capsys, "render", volume, "-o", tmp_path / "lie.png")
-    assert not (tmp_path / "lie.png").exists()
-
-
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [
-        *[("--isovalue", text) for text in ("nan", "inf", "0.9", "x", "0_5", "")],
-        *[("--width", text) for text in ("0", "-1", "1.5", "99999")],
-        *[("--target-error", text) for text in ("0", "nan", "2")],
-        *[("--time", text) for text in ("-1", "nan", "soon")],
-        *[("--shading", "oil"), ("--samples", "4"), ("--fov", "180"), ("--eye", "1,2"), ("--workers", "0")],
-    ],
-)
-def test_bad_options_write_nothing(
-    capsys: pytest.CaptureFixture[str], small_scene: Path, tmp_path: Path, option: str, value: str
-) -> None:
-    line = refused(capsys, "render", small_scene, "-o", tmp_path / "a.png", option, value)
-    assert option.strip("-") in line
-    assert not any(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("name", ["a.gif", "a", "none/a.png"])
-def test_bad_outputs(capsys: pytest.CaptureFixture[str], small_scene: Path, tmp_path: Path, name: str) -> None:
-    assert name.rpartition("/")[2] in refused(capsys, "render", small_scene, "-o", tmp_path / name)
-
-
-def test_a_bad_setting_in_the_environment(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, small_scene: Path
-) -> None:
-    monkeypatch.setenv("ISOGI_PORT", "many")
-    assert "port" in refused(capsys, "serve", small_scene)
-
-
-def test_a_port_in_use_is_a_failure(capsys: pytest.CaptureFixture[str], small_scene: Path, live_server: str) -> None:
-    port = live_server.rpartition(":")[2]
-    assert run(["serve", str(small_scene), "--port", port]) == 1
-    assert capsys.readouterr().err == f"isogi: Cannot listen on 127.0.0.1 port {port}: Address already in use.\n"
-
-
-def test_inspect(capsys: pytest.CaptureFixture[str], small_scene: Path) -> None:
-    assert run(["inspect", str(small_scene), "--plan"]) == 0
-    text = capsys.readouterr().out
+def test_inspect_tells_facts_the_plan_and_what_it_saves(told: Told, small_scene: Path) -> None:
+    lines = told("inspect", small_scene, "--plan").splitlines()
     for fact in ("24 × 20 × 16 voxels of float32", "0.5, from 0.2 to 0.8", "constant, sky", "left out", "█"):
-        assert fact in text
-
-
-def test_inspect_tells_the_plan_and_what_it_saves(capsys: pytest.CaptureFixture[str], small_scene: Path) -> None:
-    assert run(["inspect", str(small_scene), "--plan"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+        assert any(fact in line for line in lines), fact
     scene = load_scene(small_scene)
     plan, texels = scene.plan, scene.texels
     assert f"texel         {plan.bytes_per_texel} bytes, beside 300 for any scene in S1" in lines
@@ -176,23 +69,19 @@ def test_inspect_tells_the_plan_and_what_it_saves(capsys: pytest.CaptureFixture[
         assert lines[line + 1].strip() == each.why
 
 
-def test_inspect_as_json_is_what_http_says(
-    capsys: pytest.CaptureFixture[str], small_scene: Path, live_server: str
-) -> None:
+def test_inspect_as_json_is_what_http_says(told: Told, small_scene: Path, live_server: str) -> None:
     while "compiling" in httpx.get(f"{live_server}/readyz").json():  # which is a note of the plan
         time.sleep(0.1)
-    assert run(["inspect", str(small_scene), "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+    document = json.loads(told("inspect", small_scene, "--json"))
     assert document.pop("stiffness")
     assert document == httpx.get(f"{live_server}/v1/scenes/small").json()
 
 
-def test_a_command_is_given_other_light(capsys: pytest.CaptureFixture[str], small_scene: Path, tmp_path: Path) -> None:
+def test_a_command_is_given_other_light(told: Told, small_scene: Path, tmp_path: Path) -> None:
     write_hdr(tmp_path / "a&b.hdr", np.ones((4, 8, 3)))
     for given, light in (("overcast", "Overcast sky"), (tmp_path / "a&b.hdr", "probe a&b.hdr")):
-        assert run(["inspect", str(small_scene), "--environment", str(given), "--json"]) == 0
-        assert [each["name"] for each in json.loads(capsys.readouterr().out)["lights"]] == [light]
-    assert "no environment 'moon'" in refused(capsys, "inspect", small_scene, "--environment", "moon")
+        facts = json.loads(told("inspect", small_scene, "--environment", given, "--json"))
+        assert [each["name"] for each in facts["lights"]] == [light]
 
 
 @pytest.fixture(scope="module")
@@ -200,29 +89,14 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("store")
 
 
-@pytest.fixture
-def told(inline: None, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """What a command prints that succeeds in this process, which bakes by itself."""
-
-    def told(*arguments: object) -> str:
-        capsys.readouterr()
-        status = run([str(argument) for argument in arguments])
-        out, error = capsys.readouterr()
-        assert status == 0, error
-        return out
-
-    return told
-
-
-def isogi(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """The command in a process of its own."""
-    command = [sys.executable, "-m", "server", *map(str, arguments)]
+def python(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Python in a process of its own, which has ended."""
+    command = [sys.executable, *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
-def test_another_albedo_is_rendered_of_the_same_light(
-    told: Callable[..., str], small_scene: Path, tmp_path: Path
-) -> None:
+@pytest.mark.usefixtures("inline")
+def test_another_albedo_is_rendered_of_the_same_light(told: Told, small_scene: Path, tmp_path: Path) -> None:
     scene = small_scene.with_name("dyed.toml")
     scene.write_text(f"albedo = 0.3\nalbedos = [0, 0.9]\n{small_scene.read_text()}")
     work, pictures = ("--workers", 1, "--store", tmp_path / "store", "--json"), []
@@ -235,7 +109,9 @@ def test_another_albedo_is_rendered_of_the_same_light(
 
 def test_render_writes_a_final_picture_and_tells_so(small_scene: Path, store: Path, tmp_path: Path) -> None:
     output = tmp_path / "a.npy"
-    done = isogi("render", small_scene, "-o", output, *SIZE, "--workers", 1, "--store", store, "--json")
+    done = python(
+        "-m", "server", "render", small_scene, "-o", output, *SIZE, "--workers", 1, "--store", store, "--json"
+    )
     assert done.returncode == 0, done.stderr
     facts = json.loads(done.stdout)
     planes = np.load(output)
@@ -250,8 +126,9 @@ def test_render_writes_a_final_picture_and_tells_so(small_scene: Path, store: Pa
     assert any("/c/" in path.as_posix() for path in store.rglob("*"))
 
 
+@pytest.mark.usefixtures("inline")
 def test_path_traced_is_answered_with_its_samples_and_error(
-    told: Callable[..., str], small_scene: Path, store: Path, tmp_path: Path
+    told: Told, small_scene: Path, store: Path, tmp_path: Path
 ) -> None:
     output, traced = tmp_path / "a.png", ("--shading", "path_traced", "--samples", "16", "--target-error", "0.0001")
     line = told("render", small_scene, "-o", output, *SIZE, *traced, "--workers", 1, "--store", store, "--json")
@@ -261,9 +138,8 @@ def test_path_traced_is_answered_with_its_samples_and_error(
     assert rendered(facts).startswith(f"{output}: 24 × 20, all samples taken, error {facts['error']:.4f}")
 
 
-def test_render_in_no_time_says_how_far_it_came(
-    told: Callable[..., str], small_scene: Path, store: Path, tmp_path: Path
-) -> None:
+@pytest.mark.usefixtures("inline")
+def test_render_in_no_time_says_how_far_it_came(told: Told, small_scene: Path, store: Path, tmp_path: Path) -> None:
     output = tmp_path / "a.jpg"
     line = told("render", small_scene, "-o", output, *SIZE, "--time", 0, "--workers", 1, "--store", store)
     assert line.startswith(f"{output}: 24 × 20, ")
@@ -305,38 +181,55 @@ def test_serve_is_ready_when_it_says_so_and_stops_cleanly(serving: tuple[subproc
     assert (process.returncode, out, error) == (0, "", "")
 
 
-def test_a_reference_is_grown_in_its_file(
-    capsys: pytest.CaptureFixture[str], small_scene: Path, tmp_path: Path
-) -> None:
-    path, told = tmp_path / "a.npz", []
-    for samples in ("16", "64", "32"):
-        assert run(["reference", str(small_scene), "-o", str(path), *SIZE, "--samples", samples, "--json"]) == 0
-        told.append(json.loads(capsys.readouterr().out))
-    assert [each["samples"] for each in told] == [16, 64, 64] and told[1] == told[2]
-    assert told[0]["noise"] > told[1]["noise"] > 0.0 and told[0]["bounces"] == 19
+def test_a_reference_is_grown_in_its_file(told: Told, small_scene: Path, tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    command = ["reference", small_scene, "-o", path, *SIZE, "--json", "--samples"]
+    first, second, third = (json.loads(told(*command, samples)) for samples in (16, 64, 32))
+    assert [each["samples"] for each in (first, second, third)] == [16, 64, 64] and second == third
+    assert first["noise"] > second["noise"] > 0.0 and first["bounces"] == 19
     with np.load(path) as file:
-        assert file["mean"].shape == (20, 24, 3) and int(file["on"].sum()) == told[0]["surface"]
+        assert file["mean"].shape == (20, 24, 3) and int(file["on"].sum()) == first["surface"]
     assert [each.name for each in tmp_path.iterdir()] == ["a.npz"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (["-o", "a.png"], "end it in .npz"),
-        (["-o", "gone/a.npz"], "gone"),
-        (["-o", "a.npz", "--samples", "8", "--target-error", "0.1"], "keep one"),
-        (["-o", "a.npz", "--isovalue", "9"], "isovalue"),
-        (["-o", "a.npz", "--shading", "gi"], "shading"),
-    ],
-)
-def test_a_reference_that_cannot_be(
-    capsys: pytest.CaptureFixture[str],
-    small_scene: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    arguments: list[str],
-    word: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert word in refused(capsys, "reference", small_scene, *arguments)
-    assert not list(tmp_path.iterdir())
+STOPPED_WHILE_IT_STARTS = """
+import errno, os, signal, sys, time
+from server.cli.command import run
+from server.render.engine import RenderEngine
+
+def start(engine, *_):
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(1.0)
+    raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+
+RenderEngine.open = RenderEngine.start = start
+RenderEngine.hire = lambda engine: None
+sys.exit(run(["serve", sys.argv[1], "--port", "0", "--store", sys.argv[2]]))
+"""
+
+INTERRUPTED = """
+import os, signal, sys
+from importlib import import_module
+from worker.fork_server import PRELOADED_MODULES
+
+class Interrupt:
+    def find_spec(self, name, *_):
+        if name == "worker.tasks":
+            os.kill(os.getpid(), signal.SIGINT)
+            print("interrupted")
+
+sys.meta_path.insert(0, Interrupt())
+for name in PRELOADED_MODULES:
+    import_module(name)
+"""
+
+
+def test_a_server_that_is_stopped_early_says_one_line(small_scene: Path, tmp_path: Path) -> None:
+    done = python("-c", STOPPED_WHILE_IT_STARTS, str(small_scene), str(tmp_path))
+    said = [line for line in done.stderr.splitlines() if line and "compiling" not in line]  # a bar may be there
+    assert (done.returncode, done.stdout, said) == (0, "", ["isogi: stopped before it was ready"])
+
+
+def test_an_interrupt_does_not_end_the_fork_server() -> None:
+    done = python("-c", INTERRUPTED)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from server.cli.command import run
 from server.cli.film_path import film_path, view_in, views_in
 from server.cli.reel import ReelRequest
 from server.errors import ParameterError
 from tests.loaded import load_scene
+from tests.server.asking import Told
 
 SIZE = ["--width", "24", "--height", "20"]
 
@@ -88,19 +88,19 @@ def test_paths_that_make_no_sense(given: dict[str, str], views: list[dict[str, s
         film_path(given, views, {}, 3)
 
 
-def test_views_of_the_page_are_filmed_as_it_shows_them(small_scene: Path, tmp_path: Path) -> None:
+def test_views_of_the_page_are_filmed_as_it_shows_them(small_scene: Path, tmp_path: Path, told: Told) -> None:
     views = [{"isovalue": 0.5, "azimuth": azimuth, "exposure": 2, "background": "light"} for azimuth in (10, 50)]
     shown = {"environment": "studio", "cut": "x>16", "material": "glass,index=1.3"}
     (tmp_path / "lit.json").write_text(json.dumps({"views": [{**view, **shown} for view in views]}))
     (tmp_path / "own.json").write_text(json.dumps({"views": views}))
-    options = ["--store", str(tmp_path / "store"), "--length", "1", "--fps", "2", *SIZE]
-    told = [f"--{name}={text}" for name, text in shown.items()]
-    for name, more in (("lit", []), ("own", []), ("told", told)):
-        keys = str(tmp_path / f"{name.replace('told', 'own')}.json")
-        assert run(["film", str(small_scene), "-o", str(tmp_path / name), "--views-file", keys, *options, *more]) == 0
-    lit, own, same = (sorted((tmp_path / name).glob("*.png")) for name in ("lit", "own", "told"))
-    for number in range(2):
-        assert lit[number].read_bytes() == same[number].read_bytes() != own[number].read_bytes()
+    options, given = ["--store", tmp_path / "store", "--length", "1", "--fps", "2", *SIZE], shown.items()
+    pictures = []
+    for name, keys, more in (("a", "lit", []), ("b", "own", []), ("c", "own", [f"--{x}={text}" for x, text in given])):
+        keys_file = tmp_path / f"{keys}.json"
+        told("film", small_scene, "-o", tmp_path / name, "--views-file", keys_file, *options, *more)
+        pictures.append([path.read_bytes() for path in sorted((tmp_path / name).glob("*.png"))])
+    lit, own, same = pictures
+    assert len(lit) == 2 and lit == same and lit[0] != own[0] and lit[1] != own[1]
 
 
 def test_the_tint_of_a_link_colours_the_albedo() -> None:
@@ -119,13 +119,10 @@ def test_budgets_share_what_is_left() -> None:
         assert ReelRequest(Path(), None, each, whole, lambda: 110.0, 100.0).share(5) == share
 
 
-def test_a_film_goes_on_and_becomes_a_movie(
-    small_scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def film(name: str, *more: str) -> dict[str, object]:
-        arguments = ["film", small_scene, "-o", tmp_path / name, "--store", tmp_path / "store", "--json", *SIZE, *more]
-        assert run([*map(str, arguments), "--length", "1", "--fps", "4"]) == 0
-        return dict(json.loads(capsys.readouterr().out))
+def test_a_film_goes_on_and_becomes_a_movie(small_scene: Path, tmp_path: Path, told: Told) -> None:
+    def film(name: str) -> dict[str, object]:
+        options = ["--store", tmp_path / "store", "--json", *SIZE, "--length", "1", "--fps", "4"]
+        return dict(json.loads(told("film", small_scene, "-o", tmp_path / name, *options)))
 
     facts = film("turn")
     assert (facts["pictures"], facts["kept"], facts["final"]) == (4, 0, 1.0)
@@ -140,16 +137,15 @@ def test_a_film_goes_on_and_becomes_a_movie(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["store", "turn.gif"]
 
 
-def test_a_film_and_a_grid_show_what_render_shows(small_scene: Path, tmp_path: Path) -> None:
+def test_a_film_and_a_grid_show_what_render_shows(small_scene: Path, tmp_path: Path, told: Told) -> None:
     """The same camera, ground and exposure, to the byte, where one view of each is the same."""
     level = float(load_scene(small_scene).isovalue)
-    options = ["--store", str(tmp_path / "store"), "--elevation", "40", *SIZE]
+    options = ["--store", tmp_path / "store", "--elevation", "40", *SIZE]
     for name in ("a.png", "a.webp"):
-        assert run(["render", str(small_scene), "-o", str(tmp_path / name), *options]) == 0
+        told("render", small_scene, "-o", tmp_path / name, *options)
     sweep = ["--isovalue", f"{level}:{level}", "--length", "1", "--fps", "1"]
-    assert run(["film", str(small_scene), "-o", str(tmp_path / "film"), *sweep, *options]) == 0
-    grid = ["--isovalue", f"{level}:{level}:1"]
-    assert run(["publish", str(small_scene), "-o", str(tmp_path / "grid"), *grid, *options]) == 0
+    told("film", small_scene, "-o", tmp_path / "film", *sweep, *options)
+    told("publish", small_scene, "-o", tmp_path / "grid", "--isovalue", f"{level}:{level}:1", *options)
     assert (tmp_path / "film" / "frame-00001.png").read_bytes() == (tmp_path / "a.png").read_bytes()
     assert (tmp_path / "grid" / "pictures" / "0.webp").read_bytes() == (tmp_path / "a.webp").read_bytes()
 
@@ -162,12 +158,12 @@ def covered(picture: Path) -> np.ndarray:
     return np.array([[place[0], place[-1]] for place in places])
 
 
-def test_a_film_sees_all_of_what_it_goes_round(small_scene: Path, tmp_path: Path) -> None:
+def test_a_film_sees_all_of_what_it_goes_round(small_scene: Path, tmp_path: Path, told: Told) -> None:
     """Unless the camera is placed: then it is as far away as it was told."""
-    options = ["--store", str(tmp_path / "store"), "--length", "1", "--fps", "4", "--background", "transparent"]
+    options = ["--store", tmp_path / "store", "--length", "1", "--fps", "4", "--background", "transparent"]
     options += ["--time", "1", "--width", "60", "--height", "60"]
     for name, more in (("whole", []), ("near", ["--distance", "2"]), ("far", ["--distance", "9"])):
-        assert run(["film", str(small_scene), "-o", str(tmp_path / name), *options, *more]) == 0
+        told("film", small_scene, "-o", tmp_path / name, *options, *more)
     reach = {}
     for name in ("whole", "near", "far"):
         ends = np.array([covered(path) for path in sorted((tmp_path / name).glob("*.png"))])
@@ -176,25 +172,17 @@ def test_a_film_sees_all_of_what_it_goes_round(small_scene: Path, tmp_path: Path
     assert reach["near"] == 1.0 and reach["far"] < 0.6
 
 
-def test_other_films_and_odd_names_are_refused(
-    small_scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_of_another_film_is_left(small_scene: Path, tmp_path: Path, told: Told) -> None:
     (tmp_path / "turn").mkdir()
     (tmp_path / "turn" / "pictures.json").write_text('{"asked": "another", "pictures": {}}')
-    for name, sentence in (
-        ("turn", "something else"),
-        ("a.avi", "end it in .gif, .webp, .mp4"),
-        ("no/a.gif", "folder"),
-    ):
-        assert run(["film", str(small_scene), "-o", str(tmp_path / name), *SIZE]) == 2
-        assert sentence in capsys.readouterr().err
+    assert "something else" in told("film", small_scene, "-o", tmp_path / "turn", *SIZE, status=2)
 
 
-def test_mp4_is_what_players_read(small_scene: Path, tmp_path: Path) -> None:
+def test_mp4_is_what_players_read(small_scene: Path, tmp_path: Path, told: Told) -> None:
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     more = ["--length", "1", "--fps", "4", "--store", str(tmp_path / "store"), *SIZE]
     for name in ("a.mp4", "a.webm"):
-        assert run(["film", str(small_scene), "-o", str(tmp_path / name), *more]) == 0
+        told("film", small_scene, "-o", tmp_path / name, *more)
         reading = [ffmpeg.get_ffmpeg_exe(), "-i", tmp_path / name, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
         pixels = subprocess.run(reading, capture_output=True, check=True).stdout
         frames = np.frombuffer(pixels, np.uint8).reshape(4, 20, 24, 3)

@@ -1,13 +1,40 @@
-"""Help: each command shows examples, and these are lines that it takes."""
+"""Help: one list of settings, options and documentation; each command shows examples, which it takes."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import click
 import pytest
 
 from server.cli.command import cli, run
-from server.cli.help import EXAMPLES
+from server.cli.help import EXAMPLES, FIRST_HEADING, group_of
+from server.cli.setting_options import SECRET_SETTINGS, flag, rows, variable
+from server.settings import Settings
 from tests.server.cli.lines import parsed
+
+DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "settings.md"
+
+
+def test_the_help_lists_every_setting(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["serve", "--help"]) == 0
+    words = capsys.readouterr().out.replace("[", " ").replace("]", " ").split()
+    for name in Settings.model_fields:
+        assert variable(name) in words
+        assert (flag(name) in words) is (name not in SECRET_SETTINGS)
+    assert "--config" in words
+
+
+def test_only_where_to_listen_is_in_no_group() -> None:
+    """Where it fails: a new setting belongs into a group of ``server.cli.help``."""
+    ungrouped = [name for name in Settings.model_fields if group_of(name) == FIRST_HEADING]
+    assert ungrouped == ["host", "port", *SECRET_SETTINGS]
+
+
+def test_the_document_has_a_row_for_each_setting() -> None:
+    """Where it fails: the rows of docs/settings.md are those that ``server.cli.setting_options.rows`` gives."""
+    lines = DOCUMENT.read_text(encoding="utf-8").splitlines()
+    assert [line for line in lines if "`ISOGI_" in line and line.startswith("| ")] == rows()
+
 
 LINES = [(path, line) for path, rows in EXAMPLES.items() for line, _ in rows]
 

@@ -8,23 +8,20 @@ import pytest
 from PIL import Image
 
 from isogi_core.plan.isovalue_presets import front_of
-from server.cli.command import run
 from server.cli.publish import first_place, ground_colour, sliders_of, values_in
 from server.errors import ParameterError
 from tests.loaded import load_scene
+from tests.server.asking import Told
 
 pytestmark = pytest.mark.usefixtures("inline")
 
 
-def test_a_grid_is_published_and_gone_on_with(
-    small_scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    size = ["--width", "24", "--height", "20", "--store", str(tmp_path / "store")]
+def test_a_grid_is_published_and_gone_on_with(small_scene: Path, tmp_path: Path, told: Told) -> None:
+    size = ["--width", "24", "--height", "20", "--store", tmp_path / "store"]
     grid = ["--azimuth", "0:270:90", "--isovalue", "0.4:0.6:0.1", "--json"]
     folder = tmp_path / "out"
     for kept in (0, 11):
-        assert run(["publish", str(small_scene), "-o", str(folder), *grid, *size]) == 0
-        facts = json.loads(capsys.readouterr().out)
+        facts = json.loads(told("publish", small_scene, "-o", folder, *grid, *size))
         assert (facts["pictures"], facts["kept"], facts["final"]) == (12, kept, 1.0)
         (folder / "pictures" / "2-1.webp").unlink()
     page = (folder / "index.html").read_text()

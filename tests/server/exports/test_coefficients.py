@@ -37,9 +37,8 @@ def arrays_in(file: Path) -> dict[str, np.ndarray]:
     for kind, name, parts, offset in ARRAY.findall(head.decode()):
         start = int(offset)
         (size,) = struct.unpack_from("<Q", data, start)
-        values = np.frombuffer(
-            data, "u1" if kind == "UInt8" else "<f4", size // (1 if kind == "UInt8" else 4), start + 8
-        )
+        dtype = np.dtype("u1" if kind == "UInt8" else "<f4")
+        values = np.frombuffer(data, dtype, size // dtype.itemsize, start + 8)
         found[name] = values.reshape(-1, int(parts))
     return found
 
@@ -96,11 +95,8 @@ def test_coefficients_make_the_light_beside_them(scene: Path, tmp_path: Path, in
     error = np.sqrt(((made - light)[lit] ** 2).mean()) / light[lit].mean()
     assert error < 0.01, error
     reflected = found["environment_reflected"]
-    own = (
-        2.0
-        * np.array([[0.7], [0.5], [0.3]])
-        * turned_environment(scene, math.radians(40), math.isqrt(reflected.shape[1]))
-    )
+    turned = turned_environment(scene, math.radians(40), math.isqrt(reflected.shape[1]))
+    own = 2.0 * np.array([[0.7], [0.5], [0.3]]) * turned
     assert np.abs(reflected - own).max() < 0.01 * np.abs(own).max()
 
 

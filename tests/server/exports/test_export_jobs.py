@@ -7,12 +7,13 @@ from pathlib import Path
 import httpx
 import pytest
 
-from server.cli.command import run
 from server.errors import FullError, UnknownResultError
 from server.exports.folder import ExportFolder
+from tests.server.asking import Told
 from tests.server.idle import Idle, idle_server
 from tests.server.inline import LONG
 from tests.server.jobs import baking, until_over
+from tests.server.sockets import wait_for
 
 SCENE = """\
 volume = "small.nrrd"
@@ -33,7 +34,7 @@ def scene(small_scene: Path) -> Path:
     return path
 
 
-def test_files_are_those_of_the_command(scene: Path, tmp_path: Path, inline: None) -> None:
+def test_files_are_those_of_the_command(scene: Path, tmp_path: Path, inline: None, told: Told) -> None:
     fetched = {}
     with baking(scene, tmp_path / "store") as client:
         for kind in ("glb", "usdz", "vti"):
@@ -52,7 +53,7 @@ def test_files_are_those_of_the_command(scene: Path, tmp_path: Path, inline: Non
     options = [text for name, value in VIEW.items() for text in (f"--{name}", value)]
     for kind, content in fetched.items():
         output = tmp_path / f"a.{kind}"
-        assert run(["export", str(scene), "-o", str(output), "--store", str(tmp_path / "store"), *options]) == 0
+        told("export", scene, "-o", output, "--store", tmp_path / "store", *options)
         assert output.read_bytes() == content
 
 
@@ -80,10 +81,7 @@ def test_what_makes_no_sense_is_422_and_begins_nothing(idle: Idle, asked: dict[s
 
 def test_a_dismissed_export_wants_no_light_and_has_no_file(idle: Idle) -> None:
     address = httpx.post(f"{idle.url}{EXPORT}").headers["location"]
-    deadline = time.monotonic() + LONG
-    while not idle.wanted:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    assert wait_for(lambda: bool(idle.wanted), LONG)
     assert httpx.get(f"{idle.url}{address}/file").status_code == 404
     assert httpx.delete(f"{idle.url}{address}").json()["status"] == "dismissed"
     assert idle.wanted == set()

@@ -1,13 +1,15 @@
-"""``isogi inspect``: how stiff a volume is, as a document, as text and as a picture."""
+"""``isogi inspect``: how stiff a volume is, as document, text and picture, and the lines that a person needs first."""
 
 import importlib.util
 import json
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import nrrd
 import numpy as np
 import pytest
 from PIL import Image
@@ -15,7 +17,6 @@ from PIL import Image
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
-from server.cli.command import run
 from server.inspect.inspection import (
     ISOVALUES,
     InspectionSchema,
@@ -28,7 +29,8 @@ from server.inspect.inspection import (
     percent,
     remarks,
 )
-from server.inspect.text import full_text, inspect, shown_places
+from server.inspect.text import LEAD_COLUMNS, full_text, inspect, shown_places
+from tests.server.asking import Told
 
 needs_matplotlib = pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="needs matplotlib")
 
@@ -165,15 +167,12 @@ def test_percent(share: float, text: str) -> None:
     assert percent(share) == text
 
 
-def test_the_text_fits_a_terminal_and_marks_the_scenes_isovalue(
-    capsys: pytest.CaptureFixture[str], small_scene: Path
-) -> None:
-    assert run(["inspect", str(small_scene), "--plan"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    told = lines[next(i for i, line in enumerate(lines) if line.startswith("stiffness")) :]
-    assert max(map(len, told)) <= 100
-    assert sum(bool(re.match(r">\s+0\.5 ", line)) for line in told) == 1
-    assert any(line.startswith("  error ") for line in told)
+def test_the_text_fits_a_terminal_and_marks_the_scenes_isovalue(told: Told, small_scene: Path) -> None:
+    lines = told("inspect", small_scene, "--plan").splitlines()
+    stiffness = lines[next(i for i, line in enumerate(lines) if line.startswith("stiffness")) :]
+    assert max(map(len, stiffness)) <= 100
+    assert sum(bool(re.match(r">\s+0\.5 ", line)) for line in stiffness) == 1
+    assert any(line.startswith("  error ") for line in stiffness)
 
 
 def test_the_table_is_short_and_has_the_ends_and_the_stiffest() -> None:
@@ -196,10 +195,9 @@ def test_the_document_is_finite(small_scene: Path) -> None:
 
 
 @needs_matplotlib
-def test_the_picture(capsys: pytest.CaptureFixture[str], small_scene: Path, tmp_path: Path) -> None:
+def test_the_picture(told: Told, small_scene: Path, tmp_path: Path) -> None:
     output = tmp_path / "stiffness.png"
-    assert run(["inspect", str(small_scene), "--picture", str(output)]) == 0
-    assert "stiffness" in capsys.readouterr().out
+    assert "stiffness" in told("inspect", small_scene, "--picture", output)
     with Image.open(output) as picture:
         assert picture.format == "PNG" and min(picture.size) > 500
         assert len(picture.convert("RGB").getcolors(1 << 20) or []) > 50
@@ -214,14 +212,72 @@ def test_a_volume_without_a_surface_has_a_picture_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.svg", "a", "none/a.png"])
-def test_bad_pictures(capsys: pytest.CaptureFixture[str], small_scene: Path, tmp_path: Path, name: str) -> None:
-    assert run(["inspect", str(small_scene), "--picture", str(tmp_path / name)]) == 2
-    assert name.rpartition("/")[2] in capsys.readouterr().err
+def test_bad_pictures(told: Told, small_scene: Path, tmp_path: Path, name: str) -> None:
+    assert name.rpartition("/")[2] in told("inspect", small_scene, "--picture", tmp_path / name, status=2)
 
 
 def test_without_matplotlib_a_sentence_says_what_to_install(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, small_scene: Path, tmp_path: Path
+    told: Told, monkeypatch: pytest.MonkeyPatch, small_scene: Path, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    assert run(["inspect", str(small_scene), "--picture", str(tmp_path / "a.png")]) == 1
-    assert "isogi[report]" in capsys.readouterr().err
+    assert "isogi[report]" in told("inspect", small_scene, "--picture", tmp_path / "a.png", status=1)
+
+
+Brief = Callable[[Path], dict[str, str]]
+
+
+@pytest.fixture
+def brief_of(told: Told) -> Brief:
+    """Gives the lines of a brief inspection, by their names."""
+
+    def brief_of(target: Path) -> dict[str, str]:
+        *lines, last = told("inspect", target).splitlines()
+        assert last.startswith("--plan shows") and len(lines) <= 12 and max(map(len, lines)) <= 100
+        return {line[:LEAD_COLUMNS].strip(): line[LEAD_COLUMNS:] for line in lines}
+
+    return brief_of
+
+
+def test_ten_lines_say_what_matters(brief_of: Brief, small_scene: Path) -> None:
+    told = brief_of(small_scene)
+    scene = load_scene(small_scene)
+    own = next(each for each in inspection_schema(scene).stiffness.surfaces if each.isovalue == 0.5)
+    light = 2 * own.cells * 0.5**2 * scene.plan.bytes_per_texel / 1e6
+    assert told["volume"] == "small, 24 × 20 × 16 voxels of float32, spacing 1 × 1 × 1"
+    assert told["values"].endswith(", no holes")
+    assert told["isovalue"].startswith("0.5, as the scene says") and told["isovalue"].endswith("solid above")
+    assert told["surface"].startswith(f"{own.cells:,} cells at 0.5")
+    assert told["light"].startswith("constant, sky;")
+    assert told["cost"].startswith(f"about {light:.2g} MB of light for this surface")
+
+
+def test_ten_lines_tell_of_holes_and_marks(brief_of: Brief, tmp_path: Path) -> None:
+    array = np.random.default_rng(3).random((12,) * 3).astype(np.float32)
+    array[:2], array[5:7, 5:7, 5:7] = -9999.0, np.nan
+    nrrd.write(str(tmp_path / "a.nrrd"), array, index_order="C")
+    told = brief_of(tmp_path / "a.nrrd")
+    assert told["values"].endswith("8 voxels are no numbers: holes")
+    assert "proposed from the values" in told["isovalue"]
+    assert told["missing"].startswith("Many voxels have the value -9999")
+
+
+def test_ten_lines_tell_of_no_surface(brief_of: Brief, tmp_path: Path) -> None:
+    nrrd.write(str(tmp_path / "a.nrrd"), np.ones((4, 5, 6), np.float32), index_order="C")
+    told = brief_of(tmp_path / "a.nrrd")
+    assert told["surface"] == "0 cells at 1"
+    assert told["nothing"].startswith("No surface passes any cell at 1")
+    assert "0 MB of light for this surface" in told["cost"]
+
+
+def test_series_and_segmentations_have_no_more_lines(brief_of: Brief, tmp_path: Path) -> None:
+    z, y, x = np.indices((12,) * 3)
+    series = np.stack([np.hypot(z - 5, y - 5) + x, z + y + 0.0]).astype(np.float32)
+    np.save(tmp_path / "a.npy", series)
+    (tmp_path / "a.toml").write_text('volume = "a.npy#time=0"\n')
+    assert brief_of(tmp_path / "a.toml")["volume"].endswith(", step 0 of 0 to 1")
+    parts = np.zeros((12,) * 3, np.uint8)
+    parts[2:10, 2:10, 2:10] = np.arange(1, 9)[:, None, None]
+    named = {f"Segment{n}_LabelValue": str(n + 1) for n in range(8)}
+    named |= {f"Segment{n}_Name": f"a part with a long name, number {n}" for n in range(8)}
+    nrrd.write(str(tmp_path / "parts.seg.nrrd"), parts, named, index_order="C")
+    assert "number 0" in brief_of(tmp_path / "parts.seg.nrrd")["light"]

@@ -1,8 +1,11 @@
 """A scene of several chunks with one layer of light, which is baked in seconds."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tests.server.inline import InlinePool
 
 SCENE = """\
 volume = "small.nrrd"
@@ -22,3 +25,11 @@ def blocks(small_scene: Path) -> Path:
     path = small_scene.with_name("blocks.toml")
     path.write_text(SCENE)
     return path
+
+
+@pytest.fixture(scope="module")
+def all_inline() -> Iterator[None]:
+    """Have all bakes of a module run on a thread of this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("worker.pool.WorkerPool", InlinePool)
+        yield

@@ -18,15 +18,16 @@ from isogi_core.frame.rays.picture_plan import SHARED_PRICES
 from isogi_core.kernels.shading.framebuffer import CONVERGING
 from isogi_core.plan.assembly import load_scene
 from server.api.prewarm_jobs import Silence
-from server.cli.command import run
 from server.cli.prewarm import prewarm
 from server.prewarm.order import Views, order_of
 from server.prewarm.record import Record, RecordDocument, Summary
 from server.render.engine import RenderEngine
 from server.settings import Settings
+from tests.server.asking import Told
 from tests.server.inline import InlinePool, chunks_in, view_of, weigh_at
 from worker import pool
 from worker.errors import WorkersError
+from worker.pool import Done
 from worker.tasks import BakeTask
 
 SIZE = {"width": 24, "height": 20}
@@ -116,14 +117,13 @@ def test_projected_texels_are_prewarmed_too(
         for view in Views(order_of({"isovalues": ["0.4", "0.5"], "views": 3, **SIZE}), scene, Settings()):
             frame = engine.survey("projected", view, 0.1)
             assert not frame.provisional and frame.quality.projection
-            assert (
-                frame.quality.projection.shares["projected"] > 0.2 and frame.quality.projection.shares["pending"] == 0.0
-            )
+            shares = frame.quality.projection.shares
+            assert shares["projected"] > 0.2 and shares["pending"] == 0.0
     assert prewarm(str(path), order, settings).paths == 0
 
 
 def test_a_dry_run_bakes_nothing_and_tells_what_there_is(
-    blocks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    blocks: Path, tmp_path: Path, told: Told, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     weigh_at(SHARED_PRICES, monkeypatch)
     dry = warmed(blocks, tmp_path, "0.5", dry=True)
@@ -134,19 +134,16 @@ def test_a_dry_run_bakes_nothing_and_tells_what_there_is(
     came = warmed(blocks, tmp_path, "0.5", target_error=0.4)
     assert (came.texels, came.chunks) == (dry.texels, dry.chunks)
     assert came.stored_bytes == pytest.approx(dry.stored_bytes, rel=0.3)
-    place = ["--store", str(tmp_path), "--width", "144", "--height", "120", "--views", "3"]
-    larger, fine = ["prewarm", str(blocks), "--isovalue", "0.5", *place], ["--target-error", "0.002"]
-    assert run([*larger, "--target-error", "0.4"]) == 0
-    capsys.readouterr()
-    assert run([*larger, *fine, "--dry-run", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["texels"] == told["bytes"] == 0
-    assert told["refined"] > 0
-    assert 0.0 < told["time_left"]["low"] < told["time_left"]["high"]
+    larger = ["prewarm", blocks, "--isovalue", "0.5", "--views", "3", "--store", tmp_path]
+    larger += ["--width", "144", "--height", "120", "--target-error"]
+    told(*larger, "0.4")
+    ahead = Summary.model_validate_json(told(*larger, "0.002", "--dry-run", "--json"))
+    assert ahead.texels == ahead.bytes == 0 and ahead.refined > 0
+    assert 0.0 < ahead.time_left.low < ahead.time_left.high
 
 
 def test_it_ends_with_its_deadline_and_goes_on(
-    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: Told
 ) -> None:
     asked: list[BakeTask] = []
     with monkeypatch.context() as patch:
@@ -154,34 +151,10 @@ def test_it_ends_with_its_deadline_and_goes_on(
         summary = warmed(blocks, tmp_path, "0.5", deadline=0)
     assert (summary.stopped, summary.paths, summary.final, asked) == ("deadline", 0, 0.0, [])
     assert document_of(summary).unfinished
-    place = ["--store", str(tmp_path), "--workers", "1", "--json"]
-    assert run(["prewarm", str(blocks), "--continue", *place]) == 0
-    again = Summary.model_validate_json(capsys.readouterr().out)
+    command = ["prewarm", blocks, "--continue", "--store", tmp_path, "--workers", "1", "--json"]
+    again = Summary.model_validate_json(told(*command))
     assert (again.stopped, again.final, again.file) == ("target", 1.0, summary.file)
-    assert run(["prewarm", str(blocks), "--continue", *place]) == 2
-    assert "no unfinished prewarm of blocks" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "more",
-    [
-        ["--continue", "--views", "3"],
-        ["--continue", "--dry-run"],
-        ["--detach"],
-        ["--server", "http://127.0.0.1:1", "--workers", "2"],
-        ["--isovalue", "0.4:0.9:0.1"],
-        ["--isovalue", "0.4:0.5"],
-        ["--views", "none"],
-        ["--deadline", "soon"],
-    ],
-)
-def test_wrong_use_is_told_and_bakes_nothing(
-    blocks: Path, tmp_path: Path, more: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    store = [] if "--server" in more else ["--store", str(tmp_path)]
-    assert run(["prewarm", str(blocks), *store, *more]) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1
-    assert not any(tmp_path.iterdir())
+    assert "no unfinished prewarm of blocks" in told(*command, status=2)
 
 
 def test_workers_that_fail_end_it(blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -195,20 +168,18 @@ def test_workers_that_fail_end_it(blocks: Path, tmp_path: Path, monkeypatch: pyt
     assert json.loads(record.read_text())["status"] == "failed"
 
 
-class Cursed(InlinePool):
-    """A pool that cannot bake one of the chunks."""
+def test_a_chunk_that_cannot_be_baked_is_told_and_the_others_are(
+    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    submit = InlinePool.submit
 
-    def submit(self, task: Any, done: Any) -> None:
+    def cursed(workers: InlinePool, task: BakeTask, done: Done) -> None:
         if task.index == (0, 1, 1):
             done(None, RuntimeError("The texels are cursed."))
         else:
-            super().submit(task, done)
+            submit(workers, task, done)
 
-
-def test_a_chunk_that_cannot_be_baked_is_told_and_the_others_are(
-    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(pool, "WorkerPool", Cursed)
+    monkeypatch.setattr(InlinePool, "submit", cursed)
     summary = warmed(blocks, tmp_path, "0.5")
     assert (summary.stopped, summary.failed) == ("failures", 1)
     assert summary.failures[0].chunk == (0, 1, 1)
@@ -234,15 +205,14 @@ def test_it_says_at_once_what_it_does(
 
 
 def test_who_interrupts_it_is_told_how_to_go_on(
-    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: Told
 ) -> None:
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    with monkeypatch.context() as patch:
-        patch.setattr("server.prewarm.baking.Baking.run", interrupted)
-        assert run(["prewarm", str(blocks), "--views", "3", "--store", str(tmp_path), "--workers", "1"]) == 1
-    assert "--continue goes on" in capsys.readouterr().err
+    monkeypatch.setattr("server.prewarm.baking.Baking.run", interrupted)
+    said = told("prewarm", blocks, "--views", "3", "--store", tmp_path, "--workers", "1", status=1)
+    assert "--continue goes on" in said
     (record,) = (tmp_path / "jobs").glob("*.json")
     assert json.loads(record.read_text())["status"] == "dismissed"
 

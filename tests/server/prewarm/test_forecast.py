@@ -16,21 +16,10 @@ from isogi_core.plan.assembly import load_scene
 from server.prewarm.baking import FEWEST_TRIED, MOST_TRIED, forecast, rehearse, stratified
 from server.render.engine import RenderEngine
 from tests.server.inline import LONG, InlinePool, view_of
-from worker import bake_requests, pool
+from worker import bake_requests
 from worker.bake_requests import Viewer
-from worker.pool import Done
 from worker.progress import ChunkCost, extrapolated
 from worker.tasks import BakeTask
-
-
-class Counting(InlinePool):
-    """A pool that counts its tasks."""
-
-    tasks = 0
-
-    def submit(self, task: BakeTask, done: Done) -> None:
-        Counting.tasks += 1
-        super().submit(task, done)
 
 
 def demand(number: int, texels: int) -> Demand:
@@ -44,12 +33,12 @@ def rehearsal(texels: int, seconds: float) -> ChunkCost:
 
 @pytest.mark.parametrize("long", [0.0, math.inf], ids=["in steps", "at once"])
 def test_a_rehearsal_does_the_tasks_of_a_bake_and_keeps_nothing(
-    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, long: float
+    blocks: Path, tmp_path: Path, inline: None, monkeypatch: pytest.MonkeyPatch, long: float
 ) -> None:
     """What is long is split: here all that is left of a chunk is, or nothing."""
-    monkeypatch.setattr(pool, "WorkerPool", Counting)
     monkeypatch.setattr(bake_requests, "LONG_TASK_PATHS", long)
-    monkeypatch.setattr(Counting, "tasks", 0)
+    tasks, submit = list[BakeTask](), InlinePool.submit
+    monkeypatch.setattr(InlinePool, "submit", lambda self, task, done: (tasks.append(task), submit(self, task, done)))
     scene = load_scene(blocks)
     with closing(RenderEngine([scene], str(tmp_path), workers=1)) as engine:
         engine.start()
@@ -61,7 +50,7 @@ def test_a_rehearsal_does_the_tasks_of_a_bake_and_keeps_nothing(
         before = engine.survey("blocks", view, 0.1, enough=MAX_SAMPLES)
         assert before.counts["provisional"] == before.surface > 0
         engine.bake("blocks", Stage(demands, 0.1, 128), patient).wait(LONG)
-        assert sum(one.tasks for one in tried) == Counting.tasks
+        assert sum(one.tasks for one in tried) == len(tasks)
         stored = sum(path.stat().st_size for path in tmp_path.glob("*/c/**/*") if path.is_file())
         assert sum(one.stored for one in tried) == stored
         assert all(one.seconds > 0.0 for one in tried)

@@ -5,8 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
@@ -17,16 +16,16 @@ from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from server.cli.command import run
 from server.cli.prewarm import prewarm
 from server.prewarm.order import order_of
 from server.prewarm.record import Summary, recorded_prewarms
 from server.settings import Settings
-from tests.server.inline import LONG, InlinePool, chunks_in
-from worker import pool
+from tests.server.asking import Told
+from tests.server.inline import LONG, chunks_in
+from tests.server.sockets import wait_for
 
 ROOT = Path(__file__).resolve().parents[3]
-TARGET = "0.003"
+TARGET = "0.004"
 
 
 def paths_in(scene: Path, store: Path) -> int:
@@ -52,22 +51,11 @@ def kill_once(reached: Callable[[Path], bool], scene: Path, store: Path) -> None
     command = [sys.executable, "-m", "server", "prewarm", str(scene), "--store", str(store), "--workers", "1"]
     order = ["--isovalue", "0.5", "--all-directions", "--target-error", TARGET]
     process = subprocess.Popen([*command, *order], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + LONG
-    while not reached(store) and time.monotonic() < deadline:
-        assert process.poll() is None
-        time.sleep(0.02)
+    assert wait_for(lambda: process.poll() is not None or reached(store), LONG) and process.poll() is None
     family = psutil.Process(process.pid).children(recursive=True)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     assert psutil.wait_procs(family, timeout=LONG)[1] == []
-
-
-@pytest.fixture(scope="module")
-def inline() -> Iterator[None]:
-    """Bake in this process."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pool, "WorkerPool", InlinePool)
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +68,7 @@ def scene(blocks: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def whole(scene: Path, inline: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summary]:
+def whole(scene: Path, all_inline: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summary]:
     """A store that a prewarm has filled undisturbed, and how that ended."""
     store = tmp_path_factory.mktemp("whole")
     order = order_of({"isovalues": ["0.5"], "all_directions": True, "target_error": TARGET})
@@ -90,11 +78,7 @@ def whole(scene: Path, inline: None, tmp_path_factory: pytest.TempPathFactory) -
 @pytest.mark.kill
 @pytest.mark.parametrize("reached", [has_begun, has_climbed])
 def test_a_prewarm_that_is_killed_goes_on(
-    scene: Path,
-    whole: tuple[Path, Summary],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    reached: Callable[[Path], bool],
+    scene: Path, whole: tuple[Path, Summary], tmp_path: Path, told: Told, reached: Callable[[Path], bool]
 ) -> None:
     store, undisturbed = whole
     assert undisturbed.paths == paths_in(scene, store)
@@ -104,9 +88,9 @@ def test_a_prewarm_that_is_killed_goes_on(
     assert 0 < before < undisturbed.paths
     (record,) = (killed / "jobs").glob("*.json")
     assert json.loads(record.read_text())["status"] == "running"
-    capsys.readouterr()
-    assert run(["prewarm", str(scene), "--continue", "--store", str(killed), "--workers", "1", "--json"]) == 0
-    rest = Summary.model_validate_json(capsys.readouterr().out)
+    rest = Summary.model_validate_json(
+        told("prewarm", scene, "--continue", "--store", killed, "--workers", "1", "--json")
+    )
     assert (rest.final, rest.stopped) == (1.0, "target")
     assert before + rest.paths == undisturbed.paths
     assert chunks_in(killed) == chunks_in(store)

@@ -1,15 +1,14 @@
 """Admission: who is let in, and whose place goes to a newcomer."""
 
 import asyncio
-from collections.abc import Coroutine, Hashable
+from collections.abc import Hashable
 from contextlib import suppress
-from typing import Any
 
 import pytest
 
 from server.errors import BusyError
 from server.render.scheduling import AdmissionLimit, Place
-from tests.server.loops import played
+from tests.server.loops import IN_NO_TIME
 
 
 async def lost_of(*owners: Hashable, most: int, work: bool = False) -> list[int]:
@@ -23,7 +22,8 @@ async def lost_of(*owners: Hashable, most: int, work: bool = False) -> list[int]
     return [number for number, place in enumerate(places) if place.lost]
 
 
-async def turned_away() -> None:
+@IN_NO_TIME
+async def test_no_more_are_let_in_than_may_be() -> None:
     limit = AdmissionLimit(1, "guests are in")
     with limit.admitted("a"):
         with pytest.raises(BusyError, match=r"^1 guests are in already: ask again in a second\.$"), limit.admitted("b"):
@@ -32,10 +32,7 @@ async def turned_away() -> None:
     assert limit.open == 0
 
 
-def test_no_more_are_let_in_than_may_be() -> None:
-    played(turned_away())
-
-
+@IN_NO_TIME
 @pytest.mark.parametrize(
     ("owners", "work", "lost"),
     [
@@ -51,25 +48,23 @@ def test_no_more_are_let_in_than_may_be() -> None:
         ("aaaabb", True, [2, 3]),
     ],
 )
-def test_a_newcomer_takes_a_place_of_who_has_most(owners: str, work: bool, lost: list[int]) -> None:
-    assert played(lost_of(*owners, most=4, work=work)) == lost
+async def test_a_newcomer_takes_a_place_of_who_has_most(owners: str, work: bool, lost: list[int]) -> None:
+    assert await lost_of(*owners, most=4, work=work) == lost
 
 
-async def idlest() -> list[bool]:
+@IN_NO_TIME
+async def test_the_place_that_goes_is_the_idlest() -> None:
     limit = AdmissionLimit(3, "guests are in")
     places = [limit.enter("a") for _ in range(3)]
     for place in (places[2], places[0]):
         await asyncio.sleep(1)
         place.use()
     limit.enter("b")
-    return [place.lost for place in places]
+    assert [place.lost for place in places] == [False, True, False]
 
 
-def test_the_place_that_goes_is_the_idlest() -> None:
-    assert played(idlest()) == [False, True, False]
-
-
-async def one_greedy_client_and_63_others() -> int:
+@IN_NO_TIME
+async def test_63_others_have_a_place_beside_a_greedy_client() -> None:
     limit = AdmissionLimit(64, "guests are in")
     for _ in range(64):
         limit.enter("greedy")
@@ -77,27 +72,7 @@ async def one_greedy_client_and_63_others() -> int:
         limit.enter(other)
         with suppress(BusyError):
             limit.enter("greedy")
-    return limit.open
-
-
-def test_63_others_have_a_place_beside_a_greedy_client() -> None:
-    assert played(one_greedy_client_and_63_others()) == 64
-
-
-def after(work: Coroutine[Any, Any, str], lost: float) -> tuple[str, float]:
-    """What comes of work whose place is lost after so many seconds, and when."""
-
-    async def play() -> tuple[str, float]:
-        loop = asyncio.get_running_loop()
-        limit = AdmissionLimit(2, "guests are in", work=True)
-        _, place = limit.enter("a"), limit.enter("a")
-        loop.call_later(lost, limit.enter, "b")
-        try:
-            return await place.keep(work), loop.time()
-        except BusyError as error:
-            return str(error), loop.time()
-
-    return played(play())
+    assert limit.open == 64
 
 
 ENDED: list[str] = []
@@ -111,33 +86,37 @@ async def three_seconds() -> str:
     return "done"
 
 
+@IN_NO_TIME
 @pytest.mark.parametrize(("lost", "said", "seconds"), [(5, "done", 3), (1, "Another client needed", 1)])
-def test_work_ends_when_its_place_is_lost(lost: float, said: str, seconds: float) -> None:
+async def test_work_ends_when_its_place_is_lost(lost: float, said: str, seconds: float) -> None:
     ENDED.clear()
-    came, when = after(three_seconds(), lost)
-    assert (came[: len(said)], round(when, 6), ENDED) == (said, seconds, ["work"])
+    loop, limit = asyncio.get_running_loop(), AdmissionLimit(2, "guests are in", work=True)
+    _, place = limit.enter("a"), limit.enter("a")
+    begun = loop.time()
+    loop.call_later(lost, limit.enter, "b")
+    try:
+        came = await place.keep(three_seconds())
+    except BusyError as error:
+        came = str(error)
+    assert (came[: len(said)], round(loop.time() - begun, 6), ENDED) == (said, seconds, ["work"])
 
 
-def test_work_that_is_cancelled_besides_stays_cancelled() -> None:
-    async def play() -> None:
-        place = AdmissionLimit(1, "guests are in").enter("a")
-        task = asyncio.create_task(place.keep(three_seconds()))
-        await asyncio.sleep(1)
-        place.lose(1)
-        task.cancel()
-        await asyncio.wait({task})
-        assert task.cancelled()
-
-    played(play())
+@IN_NO_TIME
+async def test_work_that_is_cancelled_besides_stays_cancelled() -> None:
+    place = AdmissionLimit(1, "guests are in").enter("a")
+    task = asyncio.create_task(place.keep(three_seconds()))
+    await asyncio.sleep(1)
+    place.lose(1)
+    task.cancel()
+    await asyncio.wait({task})
+    assert task.cancelled()
 
 
-def test_work_without_a_place_does_not_begin() -> None:
-    async def play() -> None:
-        ENDED.clear()
-        place = AdmissionLimit(1, "guests are in").enter("a")
-        place.lose(0)
-        with pytest.raises(BusyError):
-            await place.keep(three_seconds())
-        assert not ENDED
-
-    played(play())
+@IN_NO_TIME
+async def test_work_without_a_place_does_not_begin() -> None:
+    ENDED.clear()
+    place = AdmissionLimit(1, "guests are in").enter("a")
+    place.lose(0)
+    with pytest.raises(BusyError):
+        await place.keep(three_seconds())
+    assert not ENDED

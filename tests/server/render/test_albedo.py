@@ -1,20 +1,18 @@
 """The albedo of a view over a real socket: parameters, refusals, tags and the scene's document."""
 
-import io
-import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
 import numpy as np
 import pytest
-from websockets.sync.client import connect
 
 from tests.live import serving
+from tests.server.asking import Ask, final, numbers
+from tests.server.sockets import pictures_on
 
 VIEW: dict[str, str | int | float] = {"width": 24, "height": 20, "azimuth": 40, "f": "npy"}
-Ask = Callable[..., httpx.Response]
 
 
 @pytest.fixture(scope="module")
@@ -30,18 +28,12 @@ def server(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Itera
 def ask(server: str) -> Iterator[Ask]:
     """Asks for a final frame; its light is baked once, at the scene's own albedo."""
     with httpx.Client(base_url=server, timeout=180) as client:
-
-        def frame(**more: str | float) -> httpx.Response:
-            return client.get("/v1/scenes/live/frame", params={**VIEW, **more})
-
-        while frame(wait_ms=5000).headers["isogi-provisional"] == "?1":
-            pass
-        yield frame
+        final(client, "live", **VIEW)
+        yield lambda **more: client.get("/v1/scenes/live/frame", params={**VIEW, **more})
 
 
 def picture(answer: httpx.Response) -> np.ndarray:
-    assert answer.status_code == 200, answer.text
-    return np.load(io.BytesIO(answer.content))[..., :3]
+    return numbers(answer)[..., :3]
 
 
 def test_another_albedo_is_final_at_once_and_brighter(ask: Ask) -> None:
@@ -88,9 +80,8 @@ def test_the_document_has_the_range_the_default_and_what_is_kept(server: str) ->
 
 @pytest.mark.slow
 def test_coverage_and_the_interface_know_the_parameter(server: str) -> None:
-    covered = httpx.get(
-        f"{server}/v1/scenes/live/coverage", params={"albedo": "0.9,0.5,0.1", "width": 24, "height": 20}
-    )
+    view = {"albedo": "0.9,0.5,0.1", "width": 24, "height": 20}
+    covered = httpx.get(f"{server}/v1/scenes/live/coverage", params=view)
     assert covered.status_code == 200 and covered.json()["pixels"]["surface"] > 0
     paths = httpx.get(f"{server}/openapi.json").json()["paths"]
     for way in ("frame", "coverage"):
@@ -98,12 +89,7 @@ def test_coverage_and_the_interface_know_the_parameter(server: str) -> None:
         assert any(each["name"] == "albedo" for each in parameters)
 
 
-def test_a_stream_takes_numbers_and_lists(server: str, ask: Ask) -> None:
-    view = {name: value for name, value in VIEW.items() if name != "f"}
-    with connect(f"{server.replace('http', 'ws')}/v1/scenes/live/stream") as socket:
-        for number, albedo in enumerate((0.9, [0.9, 0.5, 0.1], "0.9")):
-            socket.send(json.dumps({"id": number, "view": {**view, "albedo": albedo}}))
-            told = json.loads(socket.recv(timeout=60))
-            assert told.get("problem") is None and told["id"] == number and not told["draft"]
-            socket.recv(timeout=60)
-            socket.send(json.dumps({"shown": number}))
+async def test_a_stream_takes_numbers_and_lists(server: str, ask: Ask) -> None:
+    views = [{"width": 24, "height": 20, "albedo": albedo} for albedo in (0.9, [0.9, 0.5, 0.1], "0.9")]
+    grey, warm, spelt = await pictures_on(f"{server}/v1/scenes/live/stream", views)
+    assert grey == spelt != warm

@@ -1,7 +1,6 @@
 """Servers whose way to a standard S3 delays, drops, resets and says nothing: no light is lost, and nothing hangs."""
 
 import os
-import subprocess
 import sys
 import threading
 import time
@@ -18,11 +17,10 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.backend import StoreUrl
 from isogi_core.storage.store import Store
 from server.render.engine import RenderEngine
-from tests.cluster.processes import ROOT, end, until
+from tests.cluster.processes import until
 from tests.proxy import Harm, Proxy
-from tests.server.buckets import chunks_at
-from tests.server.inline import LONG, InlinePool, view_of
-from worker import pool
+from tests.server.buckets import chunks_at, killed_when
+from tests.server.inline import LONG, view_of
 
 BAD: tuple[Harm, ...] = (*("pass",) * 7, "delay", "delay", "drop", "reset", "cut")
 CALL = 1.0
@@ -30,15 +28,11 @@ CALL = 1.0
 
 
 @pytest.fixture(autouse=True)
-def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bake on a thread of this process, look often whether the store is back, and soon try again what was given up."""
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+def forgiving(hasty: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Soon try again what was given up."""
     monkeypatch.setattr("worker.queue.FORGET_AFTER", 2.0)
     monkeypatch.setattr("worker.queue.EXPIRY_CHECK_SECONDS", 0.1)
     monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.05)
-    monkeypatch.setattr("isogi_core.cache.scene_caches.ASK_AGAIN", 0.0)
-    monkeypatch.setattr("worker.baker.SHORTEST_PAUSE", 0.05)
-    monkeypatch.setattr("worker.baker.LONGEST_PAUSE", 0.2)
 
 
 @pytest.fixture
@@ -132,16 +126,8 @@ def test_a_prewarm_that_is_killed_on_a_bad_network_is_mended(
     small_scene: Path, standard_s3: str, proxy: Proxy, whole: tuple[bytes, dict[str, str]], tmp_path: Path
 ) -> None:
     proxy.harms = BAD
-    command = [sys.executable, "-m", "server", "prewarm", str(small_scene), "--store", standard_s3, "--workers", "1"]
-    killed = subprocess.Popen(
-        [*command, "--views", "2"],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    until(lambda: len(proxy.suffered) > 40 or killed.poll() is not None)
-    if killed.poll() is None:
-        end(killed)
+    command = ["prewarm", str(small_scene), "--store", standard_s3, "--workers", "1"]
+    killed_when(lambda: len(proxy.suffered) > 40, *command, "--views", "2")
     with closing(started(small_scene, standard_s3)) as engine:
         assert drawn(engine) == whole[0]
     proxy.harms = ("pass",)

@@ -5,9 +5,8 @@ import shutil
 import subprocess
 import sys
 import threading
-import time
 import tracemalloc
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
@@ -40,13 +39,13 @@ from server.render.engine import RenderEngine
 from server.render.loaded_scene import next_values
 from server.render.workforce import StoreProbe, whereabouts
 from tests.scale import COMPILED
+from tests.server.buckets import Begin
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of
+from tests.server.sockets import wait_for
 from worker import pool
 from worker.errors import WorkersAwayError, WorkersError
 
 ROOT = Path(__file__).resolve().parents[3]
-
-
 pytestmark = pytest.mark.usefixtures("inline")
 
 
@@ -55,14 +54,6 @@ def scene() -> Scene:
     """A scene whose texels keep two layers."""
     light = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
     return load_scene("demo:orbital", order=2, lattice=0.5, bounces=1, target_error=0.3, lights=[light])
-
-
-Open = Callable[..., RenderEngine]
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Path:
-    return tmp_path / "light"
 
 
 @pytest.fixture(scope="module")
@@ -83,21 +74,6 @@ def whole(baked: tuple[Frame, Path], store: Path) -> Frame:
     return frame
 
 
-@pytest.fixture
-def begin(scene: Scene, store: Path) -> Iterator[Open]:
-    """Begins an engine on the store; it is closed when the test ends."""
-    begun: list[RenderEngine] = []
-
-    def begin(**more: Any) -> RenderEngine:
-        begun.append(RenderEngine([scene], str(store), **more))
-        begun[-1].start()
-        return begun[-1]
-
-    yield begin
-    for engine in begun:
-        engine.close()
-
-
 def assert_same(a: Frame, b: Frame) -> None:
     assert a.version == b.version
     assert_same_light(a, b)
@@ -115,7 +91,7 @@ def assert_unlit(frame: Frame) -> None:
     assert (frame.radiance[frame.state > 0] > 0.0).all()
 
 
-def test_a_frame_comes_at_once_and_becomes_final(begin: Open, scene: Scene) -> None:
+def test_a_frame_comes_at_once_and_becomes_final(begin: Begin, scene: Scene) -> None:
     engine = begin()
     first = engine.frame(scene.id, view_of(scene))
     assert first.surface > 100
@@ -131,16 +107,13 @@ def test_a_frame_comes_at_once_and_becomes_final(begin: Open, scene: Scene) -> N
 
 
 @pytest.mark.slow
-def test_asking_again_and_again_is_enough(begin: Open, scene: Scene) -> None:
+def test_asking_again_and_again_is_enough(begin: Begin, scene: Scene) -> None:
     engine = begin()
-    deadline = time.monotonic() + LONG
-    while (frame := engine.frame(scene.id, view_of(scene))).provisional:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    assert not frame.demands
+    assert wait_for(lambda: not engine.frame(scene.id, view_of(scene)).provisional, LONG)
+    assert not engine.frame(scene.id, view_of(scene)).demands
 
 
-def test_workers_come_after_the_start(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_come_after_the_start(begin: Begin, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     come = threading.Event()
 
     def hire(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
@@ -156,7 +129,7 @@ def test_workers_come_after_the_start(begin: Open, scene: Scene, monkeypatch: py
     assert engine.unready() == [] and engine.workforce.preparing == ""
 
 
-def test_workers_are_hired_once(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_are_hired_once(begin: Begin, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     hired = []
 
     def hire(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
@@ -171,7 +144,7 @@ def test_workers_are_hired_once(begin: Open, scene: Scene, monkeypatch: pytest.M
 
 
 def test_maps_of_the_next_isovalues_are_made_while_nobody_waits(
-    begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch
+    begin: Begin, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: Queue[float] = Queue()
     covering = ActiveCellMaps.covering
@@ -190,19 +163,8 @@ def test_maps_of_the_next_isovalues_are_made_while_nobody_waits(
     assert [made.get(timeout=LONG) for _ in range(2)] == next_values(before, now, find_levels(scene.volume.voxels))
 
 
-def test_workers_that_cannot_be_had_are_told(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(workers: int, scheduler: str | None, kinds: Collection[str]) -> None:
-        raise WorkersError("No workers today.")
-
-    monkeypatch.setattr(pool, "WorkerPool", refuse)
-    engine = begin()
-    assert_unlit(engine.frame(scene.id, view_of(scene), wait=0.1))
-    assert engine.unready() == [engine.trouble()] == ["No workers today."]
-    assert engine.workforce.preparing == "", "nothing is to come"
-
-
 def test_a_scheduler_that_comes_later_is_joined_then(
-    begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch
+    begin: Begin, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tries = iter((True, True, False))
 
@@ -218,9 +180,16 @@ def test_a_scheduler_that_comes_later_is_joined_then(
     assert engine.unready() == []
 
 
-@pytest.mark.parametrize("error", [ImportError("No module named 'distributed'"), OSError("No such file")])
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (WorkersError("No workers today."), "No workers today."),
+        (ImportError("No module 'distributed'"), "Cannot start the workers: No module 'distributed'"),
+        (OSError("No such file"), "Cannot start the workers: No such file"),
+    ],
+)
 def test_anything_that_keeps_workers_from_coming_is_told(
-    begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch, error: Exception
+    begin: Begin, scene: Scene, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
 ) -> None:
     def fail(workers: int, scheduler: str | None, kinds: Collection[str]) -> None:
         raise error
@@ -228,17 +197,18 @@ def test_anything_that_keeps_workers_from_coming_is_told(
     monkeypatch.setattr(pool, "WorkerPool", fail)
     engine = begin()
     assert_unlit(engine.frame(scene.id, view_of(scene), wait=0.1))
-    assert engine.unready() == [f"Cannot start the workers: {error}"]
+    assert engine.unready() == [engine.trouble()] == [told]
+    assert engine.workforce.preparing == "", "nothing is to come"
 
 
-def test_workers_that_are_lost_are_told(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_that_are_lost_are_told(begin: Begin, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     engine = begin()
     assert not engine.frame(scene.id, view_of(scene), wait=LONG).provisional
     monkeypatch.setattr(InlinePool, "trouble", "The workers are on strike.")
     assert engine.unready() == ["The workers are on strike."]
 
 
-def test_after_a_restart_the_same_view_is_final_at_once(begin: Open, scene: Scene, store: Path, whole: Frame) -> None:
+def test_after_a_restart_the_same_view_is_final_at_once(begin: Begin, scene: Scene, store: Path, whole: Frame) -> None:
     kept = chunks_in(store)
     after = begin().frame(scene.id, view_of(scene))
     assert not after.provisional
@@ -247,7 +217,7 @@ def test_after_a_restart_the_same_view_is_final_at_once(begin: Open, scene: Scen
 
 
 @pytest.mark.slow
-def test_the_order_of_views_does_not_matter(begin: Open, scene: Scene, store: Path) -> None:
+def test_the_order_of_views_does_not_matter(begin: Begin, scene: Scene, store: Path) -> None:
     views = [view_of(scene, azimuth, isovalue) for azimuth in (0.0, 130.0) for isovalue in (0.03, 0.06)]
     engine = begin()
     frames = [engine.frame(scene.id, view, wait=LONG) for view in views]
@@ -262,7 +232,7 @@ def test_the_order_of_views_does_not_matter(begin: Open, scene: Scene, store: Pa
         assert_same_light(engine.frame(scene.id, view), frame)
 
 
-def test_a_path_traced_frame_lacks_no_light_whatever_its_error(begin: Open, scene: Scene) -> None:
+def test_a_path_traced_frame_lacks_no_light_whatever_its_error(begin: Begin, scene: Scene) -> None:
     engine, view = begin(), replace(view_of(scene), shading="path_traced", samples=16)
     frame = engine.frame(scene.id, view, max_error=0.001, wait=LONG)
     assert frame.provisional and frame.noise > 0.001
@@ -271,7 +241,7 @@ def test_a_path_traced_frame_lacks_no_light_whatever_its_error(begin: Open, scen
 
 
 @pytest.mark.slow
-def test_a_stricter_error_is_worked_for(begin: Open, scene: Scene) -> None:
+def test_a_stricter_error_is_worked_for(begin: Begin, scene: Scene) -> None:
     engine = begin()
     loose = engine.frame(scene.id, view_of(scene), wait=LONG)
     strict = engine.frame(scene.id, view_of(scene), max_error=0.02)
@@ -285,7 +255,7 @@ DAMAGES: list[Callable[[bytes], bytes]] = [lambda b: b"", lambda b: b[:-1], lamb
 
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_damage_on_disk_heals_to_the_same_bytes(
-    begin: Open, scene: Scene, store: Path, whole: Frame, damage: Callable[[bytes], bytes]
+    begin: Begin, scene: Scene, store: Path, whole: Frame, damage: Callable[[bytes], bytes]
 ) -> None:
     kept = chunks_in(store)
     for name in kept:
@@ -296,7 +266,7 @@ def test_damage_on_disk_heals_to_the_same_bytes(
     assert chunks_in(store) == kept
 
 
-def test_swapped_chunks_heal(begin: Open, scene: Scene, store: Path, whole: Frame) -> None:
+def test_swapped_chunks_heal(begin: Begin, scene: Scene, store: Path, whole: Frame) -> None:
     kept = chunks_in(store)
     names = sorted(kept)
     contents = [(store / name).read_bytes() for name in names]
@@ -307,7 +277,7 @@ def test_swapped_chunks_heal(begin: Open, scene: Scene, store: Path, whole: Fram
 
 
 @pytest.mark.slow
-def test_layers_deleted_while_running_are_baked_again(begin: Open, scene: Scene, store: Path) -> None:
+def test_layers_deleted_while_running_are_baked_again(begin: Begin, scene: Scene, store: Path) -> None:
     engine = begin()
     views = view_of(scene), view_of(scene, isovalue=0.06)
     frames = [engine.frame(scene.id, view, wait=LONG) for view in views]
@@ -327,7 +297,7 @@ def test_layers_deleted_while_running_are_baked_again(begin: Open, scene: Scene,
     assert chunks_in(store) == kept
 
 
-def test_a_chunk_deleted_while_running_is_baked_again(begin: Open, scene: Scene, store: Path, whole: Frame) -> None:
+def test_a_chunk_deleted_while_running_is_baked_again(begin: Begin, scene: Scene, store: Path, whole: Frame) -> None:
     kept = chunks_in(store)
     engine = begin()
     lost = sorted(kept)[:3]
@@ -341,7 +311,7 @@ def test_a_chunk_deleted_while_running_is_baked_again(begin: Open, scene: Scene,
     assert chunks_in(store) == kept
 
 
-def test_cut_metadata_stops_the_start(begin: Open, store: Path) -> None:
+def test_cut_metadata_stops_the_start(begin: Begin, store: Path) -> None:
     begin()
     metadata = next(store.glob("*/zarr.json"))
     metadata.write_text(metadata.read_text()[:100])
@@ -353,7 +323,7 @@ def test_cut_metadata_stops_the_start(begin: Open, store: Path) -> None:
 
 
 def test_a_full_disk_leaves_frames_provisional_and_is_told(
-    begin: Open, scene: Scene, whole: Frame, monkeypatch: pytest.MonkeyPatch
+    begin: Begin, scene: Scene, whole: Frame, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as full:
         full.setattr(folder, "partial_file", no_room)
@@ -363,7 +333,7 @@ def test_a_full_disk_leaves_frames_provisional_and_is_told(
         frame = engine.frame(scene.id, other, wait=0.2)
         assert frame.provisional
         assert (frame.radiance[frame.state > 0] > 0.0).all()
-        until(lambda: engine.unready() != [])
+        assert wait_for(lambda: engine.unready() != [], LONG)
         assert "No space left on device; the store is full" in engine.unready()[0]
         assert engine.trouble() == "" == StoreProbe(engine.store).reasons()[0].partition("Cannot write to the store")[0]
         assert engine.tally().given_up == engine.tally().failed == 0
@@ -375,22 +345,14 @@ def no_room(*_: Any, **__: Any) -> None:
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
-def until(condition: Callable[[], bool]) -> None:
-    """Wait for it, as long as any bake of these tests takes."""
-    deadline = time.monotonic() + LONG
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
-def test_a_view_that_does_not_fit_the_memory_is_an_error(begin: Open, scene: Scene) -> None:
+def test_a_view_that_does_not_fit_the_memory_is_an_error(begin: Begin, scene: Scene) -> None:
     engine = begin(memory=20_000)
     with pytest.raises(StoreError, match="does not fit the memory"):
         engine.frame(scene.id, view_of(scene), wait=LONG)
 
 
 @pytest.mark.slow
-def test_little_memory_serves_one_view_after_the_other(begin: Open, scene: Scene) -> None:
+def test_little_memory_serves_one_view_after_the_other(begin: Begin, scene: Scene) -> None:
     views = [view_of(scene, isovalue=isovalue) for isovalue in (0.03, 0.3, 0.5)]
     engine = begin()
     frames = [engine.frame(scene.id, view, wait=LONG) for view in views]
@@ -400,7 +362,7 @@ def test_little_memory_serves_one_view_after_the_other(begin: Open, scene: Scene
 
 
 @pytest.mark.slow
-def test_views_from_many_threads(begin: Open, scene: Scene) -> None:
+def test_views_from_many_threads(begin: Begin, scene: Scene) -> None:
     views = [view_of(scene, azimuth) for azimuth in range(0, 360, 60)]
     engine = begin()
     with ThreadPoolExecutor(len(views)) as threads:
@@ -416,7 +378,7 @@ def test_views_from_many_threads(begin: Open, scene: Scene) -> None:
 
 
 def test_memory_is_set_aside_for_what_requests_read_alone(
-    begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch
+    begin: Begin, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(InlinePool, "submit", lambda *_: None)
     budget, shadings = 64 << 20, ("lambert", "phong_shadow", "vicinity", "gi")
@@ -433,7 +395,9 @@ def test_memory_is_set_aside_for_what_requests_read_alone(
 
 
 @pytest.mark.slow
-def test_what_a_scene_keeps_stays_within_its_memory(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_scene_keeps_stays_within_its_memory(
+    begin: Begin, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(InlinePool, "submit", lambda *_: None)
     memory, grown = 8 << 20, []
     views = [view_of(scene, azimuth, isovalue=0.2 + azimuth / 1000) for azimuth in range(0, 360, 6)]
@@ -447,7 +411,7 @@ def test_what_a_scene_keeps_stays_within_its_memory(begin: Open, scene: Scene, m
     assert max(grown) < 1.1 * memory
 
 
-def test_nobody_waits_for_a_cancelled_frame(begin: Open, scene: Scene) -> None:
+def test_nobody_waits_for_a_cancelled_frame(begin: Begin, scene: Scene) -> None:
     cancelled = threading.Event()
     cancelled.set()
     with pytest.raises(Cancelled):
@@ -485,6 +449,7 @@ from isogi_core.model.view import View, quaternion_from_angles
 from server.render.workforce import StoreProbe
 from server.render.engine import RenderEngine
 from tests.compile_kernels import entry_kernels
+from tests.server.buckets import Begin
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of
 from worker import pool
 
@@ -514,9 +479,8 @@ def test_kernels_that_a_scene_never_calls_are_never_loaded(tmp_path: Path, light
     (tmp_path / "start.py").write_text(START)
     settings = json.dumps({"lights": [{"type": light}], "projected": False})
     command = [sys.executable, str(tmp_path / "start.py"), settings, str(tmp_path)]
-    done = subprocess.run(
-        command, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True, capture_output=True, text=True
-    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
     uncalled = {carry_ratios, rotate, *LOBES} if light == "constant" else {carry_light}
     called = {*FRAME} - uncalled - {project_lamps, measure_distances, count_stiffness}
     assert set(json.loads(done.stdout)) == {kernel.name for kernel in with_callees([*called, shade_local])}

@@ -18,24 +18,12 @@ from isogi_core.plan.scene import Scene
 from isogi_core.storage.store import Store
 from server.render.engine import RenderEngine
 from tests.server.failing import Failing, failing_bucket, failing_folder
-from tests.server.inline import LONG, InlinePool, view_of
-from worker import pool
-
-AWAY = 12
-"""Calls that fail in a row: those of several tasks and frames."""
+from tests.server.inline import LONG, view_of
 
 StoreMaker = Callable[[], AbstractContextManager[Failing]]
 
 
-@pytest.fixture(autouse=True)
-def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bake on a thread of this process, and try again at once what failed."""
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
-    monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.0)
-    monkeypatch.setattr("isogi_core.storage.store.WRITE_RETRY_SECONDS", 0.0)
-    monkeypatch.setattr("isogi_core.cache.scene_caches.ASK_AGAIN", 0.0)
-    monkeypatch.setattr("worker.baker.SHORTEST_PAUSE", 0.01)
-    monkeypatch.setattr("worker.baker.LONGEST_PAUSE", 0.01)
+pytestmark = pytest.mark.usefixtures("hasty")
 
 
 @pytest.fixture(scope="module")
@@ -102,22 +90,13 @@ def endure(scene: Scene, failing: Failing, reference: Frame) -> dict[str, bytes]
 
 
 @pytest.mark.slow
-def test_a_store_that_fails_once_costs_no_light(scene: Scene, store: StoreMaker) -> None:
+@pytest.mark.parametrize(("row", "step"), [(1, 1), (12, 3)], ids=["once", "for a while"])
+def test_a_store_that_fails_costs_no_light(scene: Scene, store: StoreMaker, row: int, step: int) -> None:
+    """At each call alone, and from each third call on for as many as several tasks and frames make."""
     reference, kept, calls = whole(scene, store)
     assert calls > 10 and [key.partition("/")[2] for key in kept if "/c/" in key] == ["c/0/0/0/0"]
-    for n in range(1, calls + 1):
+    for n in range(1, calls + 1, step):
         with store() as failing:
-            failing.fails = lambda number, n=n: number == n  # type: ignore[misc]
-            assert endure(scene, failing, reference) == kept, n
-            assert failing.calls >= n
-
-
-@pytest.mark.slow
-def test_a_store_that_is_away_for_a_while_is_waited_for(scene: Scene, store: StoreMaker) -> None:
-    """From each third call on: the test above has each of them fail alone."""
-    reference, kept, calls = whole(scene, store)
-    for n in range(1, calls + 1, 3):
-        with store() as failing:
-            failing.fails = lambda number, n=n: n <= number < n + AWAY  # type: ignore[misc]
+            failing.fails = lambda number, n=n: n <= number < n + row  # type: ignore[misc]
             assert endure(scene, failing, reference) == kept, n
             assert failing.calls >= n

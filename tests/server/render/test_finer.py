@@ -1,13 +1,13 @@
 """Finer texels where control pixels ask for them: baked, shown once they are final, and left where there is no room."""
 
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
+from typing import Any
 
 import pytest
 
 from isogi_core.cache.upkeep import census_of
 from isogi_core.errors import NoRoomError
+from isogi_core.frame.frame import Frame
 from isogi_core.frame.rays.picture_plan import COUNTED_TEXEL_SHARE, Prices
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
@@ -16,9 +16,8 @@ from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import finer
 from server.api.headers import refined_header
 from server.render.engine import RenderEngine
-from tests.server.inline import LONG, InlinePool, weigh_at
+from tests.server.inline import LONG, weigh_at
 from tests.server.inline import view_of as small_view_of
-from worker import pool
 from worker.bake_requests import GUEST_VIEWER
 
 TARGET = 0.05
@@ -33,9 +32,8 @@ FREE = Prices(COUNTED_TEXEL_SHARE, 0.0, 0.0)
 
 
 @pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Workers of this process, and no price for opening finer texels: small pictures would not pay it."""
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+def free(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No price for opening finer texels: small pictures would not pay it."""
     weigh_at(FREE, monkeypatch)
 
 
@@ -44,14 +42,6 @@ def scene() -> Scene:
     """So few texels that light between them is wrong by far more than its noise."""
     constant = [{"type": "constant"}]
     return load_scene("demo:casting", lights=constant, lattice=0.125, bounces=1, projected=False, target_error=TARGET)
-
-
-@pytest.fixture
-def engine(scene: Scene, tmp_path: Path) -> Iterator[RenderEngine]:
-    engine = RenderEngine([scene], str(tmp_path / "light"))
-    engine.start()
-    yield engine
-    engine.close()
 
 
 @pytest.mark.slow
@@ -82,15 +72,14 @@ def test_what_is_coming_is_asked_for_and_not_shown(engine: RenderEngine, scene: 
 def test_without_room_for_them_pixels_get_light_of_their_own(
     engine: RenderEngine, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(self: Renderer, *given: object) -> None:
-        raise NoRoomError("The light of a view does not fit.")
-
     plain = Renderer.render
-    monkeypatch.setattr(
-        Renderer,
-        "render",
-        lambda self, *given: (full if self.prepared.scene.settings.lattice > 0.125 else plain)(self, *given),
-    )
+
+    def render(self: Renderer, *given: Any) -> Frame:
+        if self.prepared.scene.settings.lattice > 0.125:
+            raise NoRoomError("The light of a view does not fit.")
+        return plain(self, *given)
+
+    monkeypatch.setattr(Renderer, "render", render)
     frame = engine.frame(scene.id, view_of(scene), wait=LONG)
     assert frame.final and frame.quality.fineness == 0 and 0 < frame.quality.own <= frame.surface
 

@@ -3,7 +3,7 @@
 import gc
 import threading
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,12 +11,14 @@ from typing import Any
 
 import pytest
 
-from isogi_core.plan.assembly import load_scene
+from isogi_core.kernels._compilation import KernelProgress
 from isogi_core.plan.scene import Scene
 from server.errors import UnknownSceneError
-from server.render import loaded_scene
+from server.render import loaded_scene, workforce
 from server.render.engine import RenderEngine
 from server.render.loaded_scene import IDLE_SCENE_SECONDS, LoadedScenes
+from server.render.workforce import SceneKernels
+from tests.loaded import load_scene
 from tests.server.inline import LONG, InlinePool, view_of
 from worker import pool
 
@@ -108,3 +110,43 @@ def test_what_nobody_looks_at_is_dropped_and_given_back(monkeypatch: pytest.Monk
     kept.drop_idle()
     assert closed == ["first"] and len(trimmed) == 1
     assert kept.held("first") is None and kept.held("second") is not None
+
+
+FAR = KernelProgress(1, 3, 4.0)
+
+
+class Slow:
+    """In place of a Compilation: nothing is compiled but what ``go`` lets go, of the one scene that is admitted."""
+
+    go = threading.Event()
+    waiting = threading.Event()
+
+    def __init__(self, *stages: Iterable[Any]) -> None:
+        self.begun = False
+
+    def begin(self, _stopped: threading.Event, _niceness: int = 0) -> None:
+        self.begun = True
+
+    def wait(self, _kernels: Iterable[Any]) -> None:
+        self.waiting.set()
+        assert self.go.wait(LONG)
+
+    def progress(self, kernels: Iterable[Any]) -> KernelProgress | None:
+        assert list(kernels)
+        return FAR if self.begun and not self.go.is_set() else None
+
+
+def test_what_an_admitted_scene_lacks_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workforce, "Compilation", Slow)
+    monkeypatch.setattr(workforce, "load", lambda *_: None)
+    scene = load_scene("demo:orbital")
+    known = SceneKernels(lambda: [scene], threading.Event())
+    assert known.progress is None
+    work = threading.Thread(target=known.admit, args=[scene])
+    work.start()
+    assert Slow.waiting.wait(LONG)
+    assert known.progress == FAR
+    assert known.compiling == "Compiling, once on this machine: 1 of 3, about 4 s left."
+    Slow.go.set()
+    work.join(LONG)
+    assert known.progress is None and known.compiling == ""

@@ -1,6 +1,5 @@
 """What is counted, and what /metrics tells of it."""
 
-import asyncio
 import json
 import logging
 import re
@@ -74,21 +73,17 @@ def test_a_frame_and_its_baking_are_told(live_server: str) -> None:
     assert after["process_resident_memory_bytes"] > 1e6
 
 
-def test_pictures_of_a_stream_are_counted_as_those_of_requests(live_server: str) -> None:
+async def test_pictures_of_a_stream_are_counted_as_those_of_requests(live_server: str) -> None:
     view, address = {"width": 16, "height": 16}, live_server.replace("http", "ws") + "/v1/scenes/small/stream"
-
-    async def watch() -> None:
-        async with connect(address) as socket:
-            for number, moving in enumerate((True, False)):
-                await socket.send(json.dumps({"id": number, "view": view, "moving": moving}))
-                final = False
-                while not final:
-                    final = json.loads(await socket.recv())["final"] or moving
-                    await socket.recv()
-                    await socket.send(json.dumps({"shown": number}))
-
     before = read(live_server)
-    asyncio.run(watch())
+    async with connect(address) as socket:
+        for number, moving in enumerate((True, False)):
+            await socket.send(json.dumps({"id": number, "view": view, "moving": moving}))
+            final = False
+            while not final:
+                final = json.loads(await socket.recv())["final"] or moving
+                await socket.recv()
+                await socket.send(json.dumps({"shown": number}))
     after = read(live_server)
 
     def more(name: str) -> float:

@@ -1,8 +1,6 @@
 """The time left counts the paths that pixels take of their own."""
 
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -23,14 +21,6 @@ def scene() -> Scene:
     """So few texels that light between them is wrong by far more than its noise."""
     constant = [{"type": "constant"}]
     return load_scene("demo:casting", lights=constant, lattice=0.3, bounces=1, projected=False, target_error=TARGET)
-
-
-@pytest.fixture
-def engine(scene: Scene, tmp_path: Path, inline: None) -> Iterator[RenderEngine]:
-    engine = RenderEngine([scene], str(tmp_path / "light"))
-    engine.start()
-    yield engine
-    engine.close()
 
 
 def test_a_path_takes_a_share_of_those_of_texels_at_first() -> None:

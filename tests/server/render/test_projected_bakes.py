@@ -1,7 +1,6 @@
 """Bakes of projected texels: added on demand, the oldest forgotten; and an engine whose views at rest have them."""
 
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,11 +24,8 @@ from server.pictures import planes
 from server.render import bakes as room
 from server.render.bakes import SideBakes
 from server.render.engine import RenderEngine
-from tests.server.inline import LONG, InlinePool, view_of
-from worker import pool
+from tests.server.inline import LONG, view_of
 from worker.bake_requests import GUEST_VIEWER
-
-Open = Callable[..., RenderEngine]
 
 
 class FakeBaker:
@@ -46,29 +42,13 @@ class FakeBaker:
 
 
 @pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+def steep(inline: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(projected_texels, "STEEPNESS", 2.0)
 
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     return load_scene("demo:orbital", lattice=0.5, bounces=1, target_error=0.3, projected=True)
-
-
-@pytest.fixture
-def begin(scene: Scene, tmp_path: Path) -> Iterator[Open]:
-    """Begins an engine on the store; it is closed when the test ends."""
-    begun: list[RenderEngine] = []
-
-    def begin(**more: Any) -> RenderEngine:
-        begun.append(RenderEngine([scene], str(tmp_path / "light"), **more))
-        begun[-1].start()
-        return begun[-1]
-
-    yield begin
-    for engine in begun:
-        engine.close()
 
 
 def test_a_bake_is_made_once_and_the_oldest_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,8 +97,8 @@ def test_light_is_trimmed_when_an_isovalue_is_new(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.slow
-def test_a_view_at_rest_has_projected_texels(begin: Open, scene: Scene) -> None:
-    engine, news = begin(), []
+def test_a_view_at_rest_has_projected_texels(engine: RenderEngine, scene: Scene) -> None:
+    news = []
     engine.listen(lambda bake, index, more: news.append((bake, index)))
     frame = engine.frame(scene.id, view_of(scene), wait=LONG)
     assert not frame.provisional and frame.quality.projection
@@ -135,8 +115,7 @@ def test_a_view_at_rest_has_projected_texels(begin: Open, scene: Scene) -> None:
 
 
 @pytest.mark.slow
-def test_projected_texels_have_a_bake_and_a_time_left(begin: Open, scene: Scene) -> None:
-    engine = begin()
+def test_projected_texels_have_a_bake_and_a_time_left(engine: RenderEngine, scene: Scene) -> None:
     view, name, target = view_of(scene), scene.id, scene.target_error
     while (frame := engine.survey(name, view, target)).stages[0].shown is None:
         assert engine.lacking(name, frame)[0] == name and frame.stages[0].target >= target
@@ -157,9 +136,9 @@ def places_of(demands: tuple[Demand, ...]) -> list[tuple[Index, bytes]]:
 
 
 @pytest.mark.slow
-def test_light_that_is_replaced_is_not_brought_to_the_target(begin: Open, scene: Scene) -> None:
+def test_light_that_is_replaced_is_not_brought_to_the_target(engine: RenderEngine, scene: Scene) -> None:
     """Light on texels' own isosurfaces that only stands in stays as it is."""
-    engine, view, strict = begin(), view_of(scene), 0.025
+    view, strict = view_of(scene), 0.025
     lazy = engine.frame(scene.id, view, max_error=strict, wait=LONG)
     assert not lazy.provisional and lazy.quality.projection
     wanted, base = lazy.quality.projection.reading.wanted, lazy.quality.projection.reading.base
@@ -168,8 +147,9 @@ def test_light_that_is_replaced_is_not_brought_to_the_target(begin: Open, scene:
 
 
 @pytest.mark.slow
-def test_a_store_keeps_a_bounded_part_of_them(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    engine = begin()
+def test_a_store_keeps_a_bounded_part_of_them(
+    engine: RenderEngine, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
     levels = [scene.isovalue, 1.2 * scene.isovalue]
     for isovalue in levels:
         engine.frame(scene.id, view_of(scene, isovalue=isovalue), wait=LONG)

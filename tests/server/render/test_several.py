@@ -1,18 +1,26 @@
-"""Several surfaces in a server's engine: workers bake the light of every side that is seen."""
+"""Several surfaces, and rooms, in an engine: the light of every side that is seen, and walls that lag."""
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
+from queue import Queue
+from typing import Any
 
 import pytest
 
 from isogi_core.errors import ReportError
+from isogi_core.frame.frame import Frame
 from isogi_core.frame.several.composer import parts_of
+from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_report.bench import Bench
 from server.answers import scene_schema
 from server.cli.render import awaited
+from server.render.bakes import CHECK
 from server.render.engine import RenderEngine
+from tests.server.inline import LONG
+from worker.bake_requests import GUEST_VIEWER
 
 HALO = {"isovalue": 0.012, "clear": 0.6, "albedo": [0.4, 0.6, 0.9], "name": "halo"}
 SCENE = {"surfaces": [HALO], "isovalue": 0.06, "bounces": 1, "target_error": 0.2, "projected": False}
@@ -20,22 +28,21 @@ SCENE = {"surfaces": [HALO], "isovalue": 0.06, "bounces": 1, "target_error": 0.2
 
 @pytest.fixture
 def make(tmp_path: Path, inline: None) -> Iterator[Callable[..., RenderEngine]]:
-    """Make engines over one store, with a worker to ``hire``, on a thread of this process, or without."""
-    made: list[RenderEngine] = []
+    """Make engines of an orbital over one store, with a worker to ``hire``, on a thread of this process, or without."""
+    with ExitStack() as engines:
 
-    def _engine(hire: bool) -> RenderEngine:
-        made.append(RenderEngine([load_scene("demo:orbital", **SCENE)], tmp_path / "store", workers=1))
-        made[-1].start(hire)
-        return made[-1]
+        def make(hire: bool, **settings: Any) -> RenderEngine:
+            scene = load_scene("demo:orbital", **settings)
+            engine = engines.enter_context(closing(RenderEngine([scene], tmp_path / "store", workers=1)))
+            engine.start(hire)
+            return engine
 
-    yield _engine
-    for each in made:
-        each.close()
+        yield make
 
 
 @pytest.mark.slow
 def test_workers_bake_all_sides_and_a_restart_finds_them(make: Callable[..., RenderEngine]) -> None:
-    engine = make(hire=True)
+    engine = make(True, **SCENE)
     scene = engine.scenes["orbital"]
     view = View(0.06, scene.camera(40.0, 20.0, 3.0, 30.0), width=24, height=24)
     heard: list[str] = []
@@ -44,7 +51,7 @@ def test_workers_bake_all_sides_and_a_restart_finds_them(make: Callable[..., Ren
     assert parts_of(frame) and frame.final
     assert len(parts_of(frame)) > 2 and set(heard) == {"orbital"}
     engine.close()
-    other = make(hire=False)
+    other = make(False, **SCENE)
     again = other.survey("orbital", view, scene.target_error)
     assert not again.provisional and other.paths == 0
     assert (again.radiance == frame.radiance).all() or again.quality.own != frame.quality.own
@@ -60,3 +67,30 @@ def test_a_report_of_several_surfaces_is_refused(tmp_path: Path) -> None:
     scene = load_scene("demo:orbital", **SCENE)
     with pytest.raises(ReportError, match="path_traced"):
         Bench(scene, View(0.06, scene.camera(40.0, 20.0, 3.0, 30.0)), tmp_path)
+
+
+def coarse(frame: Frame) -> bool:
+    """Whether walls in a frame are provisional."""
+    return bool((frame.state.ravel()[frame.gbuffer.walls.pixels] == PROVISIONAL).any())
+
+
+def test_walls_are_lit_beside_texels(make: Callable[..., RenderEngine]) -> None:
+    """A view asks for both at once: its walls are fine before anybody bakes."""
+    engine = make(False, room="cornell", bounces=1, target_error=0.2, projected=False)
+    scene = engine.scenes["orbital"]
+    camera, target = scene.camera(90.0, 0.0, 4.0, 30.0), scene.target_error
+    view = View(scene.isovalue, camera, width=24, height=24)
+    heard: Queue[tuple[tuple[int, ...], bool]] = Queue()
+    engine.listen(lambda bake, index, more: heard.put((index, more)))
+    first = engine.survey("orbital", view, target)
+    assert coarse(first) and first.demands
+    wanted = {demand.index for demand in first.demands}
+    assert engine.want("orbital", first, target, GUEST_VIEWER) == wanted | {CHECK}
+    while heard.get(timeout=LONG) != (CHECK, False):
+        pass
+    second = engine.survey("orbital", view, target)
+    assert not coarse(second) and second.demands and engine.paths == 0
+    assert engine.want("orbital", second, target, GUEST_VIEWER) == wanted
+    engine.hire()
+    frame = awaited(engine, "orbital", view, None, LONG)
+    assert frame.final and not frame.quality.waiting

@@ -1,16 +1,12 @@
 """Servers on a bucket of a standard S3: the bytes of a folder, whoever bakes, is killed, or spoils an object."""
 
-import os
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from isogi_core.storage.store import Store
-from tests.cluster.processes import ROOT, end, until
-from tests.server.buckets import chunks_at, engine_at, picture
+from tests.server.buckets import chunks_at, engine_at, killed_when, picture
 
 pytestmark = pytest.mark.usefixtures("inline")
 
@@ -30,17 +26,9 @@ def test_what_a_killed_server_left_is_mended(
     small_scene: Path, standard_s3: str, whole: tuple[bytes, dict[str, str]], tmp_path: Path
 ) -> None:
     """And an object that was spoilt, and one that was lost."""
-    command = [sys.executable, "-m", "server", "render", str(small_scene), "-o", str(tmp_path / "frame.png")]
-    settings = ["--store", standard_s3, "--workers", "1", "--azimuth", "30", "--elevation", "20", "--distance", "3"]
-    killed = subprocess.Popen(
-        [*command, *settings, "--fov", "30", "--width", "40", "--height", "40"],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    until(lambda: len(chunks_at(standard_s3)) > 0 or killed.poll() is not None)
-    if killed.poll() is None:
-        end(killed)
+    command = ["render", str(small_scene), "-o", str(tmp_path / "frame.png"), "--store", standard_s3, "--workers", "1"]
+    view = ["--azimuth", "30", "--elevation", "20", "--distance", "3", "--fov", "30", "--width", "40", "--height", "40"]
+    killed_when(lambda: len(chunks_at(standard_s3)) > 0, *command, *view)
     store = Store(standard_s3)
     spoilt, *rest = sorted(chunks_at(standard_s3))
     store.put(spoilt, b"spoilt", store.get(spoilt))

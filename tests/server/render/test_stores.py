@@ -1,15 +1,15 @@
 """A server over an object store: while that is there, while it is away, and where it may only be read."""
 
-import asyncio
 import json
 import logging
 import os
 import pickle
+import shutil
 import subprocess
 import sys
 import time
-from collections.abc import AsyncGenerator, Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncGenerator, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -29,7 +29,8 @@ from server.render.engine import RenderEngine
 from server.settings import Settings
 from tests.live import live
 from tests.s3 import ACCESS_KEY, SECRET_KEY, S3Server
-from tests.server.inline import LONG, InlinePool
+from tests.server.inline import LONG, InlinePool, chunks_in, view_of
+from tests.server.sockets import wait_for
 from worker import pool
 from worker.pool import Done
 from worker.tasks import BakeTask
@@ -39,27 +40,18 @@ VIEW = {"width": 40, "height": 40}
 OTHER = {**VIEW, "isovalue": 0.3}
 
 
-class Watched(InlinePool):
-    """An inline pool that notes what a task is when it travels."""
-
-    sent: list[bytes]
-
-    def submit(self, task: BakeTask, done: Done) -> None:
-        """Bake, and note."""
-        Watched.sent.append(pickle.dumps(task))
-        super().submit(task, done)
-
-
 @pytest.fixture(autouse=True)
-def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bake on a thread of this process, and look often whether the store is back."""
-    Watched.sent = []
-    monkeypatch.setattr(pool, "WorkerPool", Watched)
-    monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.0)
-    monkeypatch.setattr("isogi_core.cache.scene_caches.ASK_AGAIN", 0.0)
+def sent(hasty: None, monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
+    """What travels to the workers; and the probe's findings stand for no time."""
+    tasks, submit = list[bytes](), InlinePool.submit
+
+    def noted(workers: InlinePool, task: BakeTask, done: Done) -> None:
+        tasks.append(pickle.dumps(task))
+        submit(workers, task, done)
+
+    monkeypatch.setattr(InlinePool, "submit", noted)
     monkeypatch.setattr("server.render.workforce.FINDING_SECONDS", 0.0)
-    monkeypatch.setattr("worker.baker.SHORTEST_PAUSE", 0.05)
-    monkeypatch.setattr("worker.baker.LONGEST_PAUSE", 0.05)
+    return tasks
 
 
 @contextmanager
@@ -81,16 +73,8 @@ def frame(client: httpx.Client, view: dict[str, Any], wait: float = 0.0) -> http
 
 def final(client: httpx.Client, view: dict[str, Any]) -> bytes:
     """The frame once it is final; the store may be away at first."""
-    until(lambda: (answer := frame(client, view, wait=5.0)).headers.get("isogi-provisional") == "?0" and answer)
+    assert wait_for(lambda: frame(client, view, wait=5.0).headers.get("isogi-provisional") == "?0", LONG)
     return frame(client, view).content
-
-
-def until(condition: Callable[[], Any]) -> None:
-    """Wait for it, as long as any bake of these tests takes."""
-    deadline = time.monotonic() + LONG
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +113,7 @@ def test_a_store_that_is_away_is_not_empty_and_baking_waits(
         assert frame(client, OTHER).headers["isogi-provisional"] == "?1"
         s3.fault = lambda call: None
         assert final(client, OTHER) == pictures[1]
-        until(lambda: client.get("/readyz").status_code == 200)
+        assert wait_for(lambda: client.get("/readyz").status_code == 200, LONG)
 
 
 def test_a_store_that_hangs_holds_a_frame_for_one_call(
@@ -140,7 +124,7 @@ def test_a_store_that_hangs_holds_a_frame_for_one_call(
     opened = Store(StoreUrl(s3.url, seconds=2.0, retries=2))
     app = create_app(RenderEngine([load_scene(small_scene)], opened), Settings())
     with live(app) as url, httpx.Client(base_url=url, timeout=LONG) as client:
-        until(lambda: client.get("/readyz").status_code == 200)
+        assert wait_for(lambda: client.get("/readyz").status_code == 200, LONG)
         s3.fault = lambda call: "hang"
         begun = time.monotonic()
         answers = [frame(client, VIEW) for _ in range(3)]
@@ -157,7 +141,7 @@ def test_a_bake_that_loses_its_store_waits_and_goes_on_by_itself(
     with server(small_scene, s3.url) as client:
         s3.fault = lambda call: 503 if call.method == "PUT" else None
         assert frame(client, VIEW).headers["isogi-provisional"] == "?1"
-        until(lambda: len([call for call in s3.calls if call.method == "PUT"]) > 12)
+        assert wait_for(lambda: len([call for call in s3.calls if call.method == "PUT"]) > 12, LONG)
         assert "503 Service Unavailable" in client.get("/readyz").json()["reasons"][0]
         assert "isogi_chunks_given_up 0.0" in client.get("/metrics").text
         s3.fault = lambda call: None
@@ -165,11 +149,12 @@ def test_a_bake_that_loses_its_store_waits_and_goes_on_by_itself(
 
 
 def test_a_store_that_may_only_be_read_shows_what_it_has(
-    small_scene: Path, s3: S3Server, pictures: list[bytes]
+    small_scene: Path, s3: S3Server, pictures: list[bytes], sent: list[bytes]
 ) -> None:
     with server(small_scene, s3.url) as client:
         final(client, VIEW)
-    kept, Watched.sent = dict(s3.objects), []
+    kept = dict(s3.objects)
+    sent.clear()
     s3.fault = lambda call: 403 if call.method in ("PUT", "DELETE", "POST") else None
     with server(small_scene, s3.url) as client:
         assert final(client, VIEW) == pictures[0]
@@ -180,27 +165,23 @@ def test_a_store_that_may_only_be_read_shows_what_it_has(
         assert "can only be read" in reason and facts["read_only"] and facts["plan"]["notes"][-1] == reason
         events = client.get("/v1/scenes/small/events", params=OTHER).text
         assert "event: failed" in events and "can only be read" in events
-        link = client.get("/v1/scenes/small/frame", params=OTHER, headers={"Prefer": "respond-async"}).headers[
-            "location"
-        ]
-        until(lambda: client.get(link).json()["status"] == "failed")
+        begun = client.get("/v1/scenes/small/frame", params=OTHER, headers={"Prefer": "respond-async"})
+        link = begun.headers["location"]
+        assert wait_for(lambda: client.get(link).json()["status"] == "failed", LONG)
         assert "can only be read" in client.get(link).json()["message"]
-    assert s3.objects == kept and Watched.sent == []
+    assert s3.objects == kept and sent == []
 
 
-def test_listeners_are_told_that_light_cannot_be_read() -> None:
+async def test_listeners_are_told_that_light_cannot_be_read() -> None:
     async def rest() -> AsyncGenerator[bytes, None]:
         yield b"second"
         raise StoreAwayError("The store is gone.")
 
-    async def all_of() -> list[bytes]:
-        return [each async for each in resumed(b"first", rest())]
-
-    *events, last = asyncio.run(all_of())
+    *events, last = [each async for each in resumed(b"first", rest())]
     assert events == [b"first", b"second"] and b"event: failed" in last and b"The store is gone." in last
 
 
-def test_a_job_waits_for_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_job_waits_for_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(completion, "AWAY", 0.0)
     told: list[str] = []
     shown: list[Any] = [StoreAwayError("The store is gone."), SimpleNamespace(final=True)]
@@ -210,21 +191,18 @@ def test_a_job_waits_for_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
             raise next_one
         return next_one
 
-    engine = SimpleNamespace(bake_of=lambda *_: "bake")
-    service: Any = SimpleNamespace(
-        engine=engine,
-        updates=SimpleNamespace(newest=lambda _: 0),
-        rank=lambda *_: None,
-        frame=draw,
-        leave=lambda _: None,
-    )
+    engine, updates = SimpleNamespace(bake_of=lambda *_: "bake"), SimpleNamespace(newest=lambda _: 0)
+    nothing = {"rank": lambda *_: None, "leave": lambda _: None}
+    service: Any = SimpleNamespace(engine=engine, updates=updates, frame=draw, **nothing)
     job: Any = SimpleNamespace(report=lambda share, message: told.append(message))
     order: Any = SimpleNamespace(scene="small", view=None)
-    frame = asyncio.run(completion.complete(service, order, job))
+    frame = await completion.complete(service, order, job)
     assert frame.final and told == ["The store is gone."]
 
 
-def test_secrets_are_told_to_nobody(small_scene: Path, s3: S3Server, caplog: pytest.LogCaptureFixture) -> None:
+def test_secrets_are_told_to_nobody(
+    small_scene: Path, s3: S3Server, sent: list[bytes], caplog: pytest.LogCaptureFixture
+) -> None:
     told = []
     with caplog.at_level(logging.DEBUG), server(small_scene, s3.url) as client:
         final(client, VIEW)
@@ -232,8 +210,8 @@ def test_secrets_are_told_to_nobody(small_scene: Path, s3: S3Server, caplog: pyt
             s3.fault = lambda call, fault=fault: fault  # type: ignore[misc]
             paths = ("/readyz", "/metrics", "/v1/scenes/small", "/v1/scenes/small/frame?width=9&height=9&isovalue=0.4")
             told += [client.get(path).text for path in paths]
-    assert len(Watched.sent) > 0 and len(caplog.records) > 0
-    told += [str(sent) for sent in Watched.sent] + [record.getMessage() for record in caplog.records]
+    assert len(sent) > 0 and len(caplog.records) > 0
+    told += [str(task) for task in sent] + [record.getMessage() for record in caplog.records]
     told += [json.dumps(call.__dict__) for call in s3.calls] + [data.decode("latin-1") for data in s3.objects.values()]
     for secret in (SECRET_KEY, ACCESS_KEY):
         assert not [text for text in told if secret in text]
@@ -270,3 +248,29 @@ def test_a_store_that_is_not_there_is_told_in_one_line(tmp_path: Path, small_sce
     s3.fault = lambda call: "no-bucket"
     with pytest.raises(StoreAwayError, match=r"^Cannot make a place for light at the store at s3://.*404 Not Found\.$"):
         RenderEngine([load_scene(small_scene)], Store(StoreUrl(s3.url, seconds=1.0, retries=0))).start(hire=False)
+
+
+def baked(scene: Path, store: Path, scheduler: str | None) -> dict[str, str]:
+    """The chunks of a view, baked after the scene's folder went away where workers are joined."""
+    shown = load_scene(scene)
+    with closing(RenderEngine([shown], str(store), scheduler=scheduler)) as engine:
+        engine.start(hire=False)
+        if scheduler:
+            scene.parent.rename(scene.parent.with_name("gone"))
+        engine.hire()
+        assert not engine.frame(shown.id, view_of(shown), wait=LONG).provisional
+    return {name: digest for name, digest in chunks_in(store).items() if not name.startswith(("volumes", "files"))}
+
+
+def test_workers_elsewhere_bake_the_same_without_the_files(
+    small_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the scene was made of goes through the store."""
+    monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path / "copies"))
+    shutil.copytree(small_scene.parent, tmp_path / "scene")
+    own = baked(small_scene, tmp_path / "own", None)
+    joined = baked(tmp_path / "scene" / small_scene.name, tmp_path / "joined", "tcp://elsewhere:8786")
+    assert own and joined == own
+    assert not (tmp_path / "own" / "volumes").exists()
+    assert len(list((tmp_path / "joined" / "volumes").iterdir())) == 1
+    assert len(list((tmp_path / "copies").glob("*.voxels"))) == 1

@@ -1,6 +1,7 @@
 """An app that takes uploads, around an engine that shows them to nobody."""
 
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,6 @@ from fastapi import FastAPI
 
 from server.api.app import create_app
 from server.settings import Settings
-from server.uploads.uploads import Uploads
 from tests.server.uploads.site import (
     PATIENT,
     Open,
@@ -26,15 +26,13 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def open_app(folder: Path) -> Iterator[Open]:
     """Makes an app with these settings that has found what is in the folder."""
-    opened: list[Uploads] = []
+    with ExitStack() as opened:
 
-    def open_app(engine: Poster | None = None, **settings: Any) -> FastAPI:
-        told = Settings(**{"uploads_mb": 64, "uploads": str(folder), **PATIENT, **settings})
-        app = create_app(engine or Poster(), told)  # type: ignore[arg-type]
-        opened.append(app.state.service.uploads)
-        opened[-1].open()
-        return app
+        def open_app(engine: Poster | None = None, **settings: Any) -> FastAPI:
+            told = Settings(**{"uploads_mb": 64, "uploads": str(folder), **PATIENT, **settings})
+            app = create_app(engine or Poster(), told)  # type: ignore[arg-type]
+            opened.callback(app.state.service.uploads.close)
+            app.state.service.uploads.open()
+            return app
 
-    yield open_app
-    for uploads in opened:
-        uploads.close()
+        yield open_app

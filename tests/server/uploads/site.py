@@ -23,6 +23,12 @@ from worker import pool
 Open = Callable[..., FastAPI]
 """Makes an app that takes uploads, with the settings that it is given."""
 
+
+def client_of(app: FastAPI) -> httpx.AsyncClient:
+    """A client of an app, without a socket."""
+    return httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost", timeout=120)
+
+
 PATIENT = {"reading_seconds": 120}
 """For machines that are busy with other tests."""
 

@@ -1,11 +1,9 @@
 """Tokens with names and scopes: what they allow, whose jobs and volumes are, and files that hold them."""
 
 import asyncio
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 from fastapi import FastAPI
 from pydantic import ValidationError
@@ -16,10 +14,10 @@ from server.api.service import Service
 from server.bearers import BEARER_SCOPE_KEY, Bearer, read_bearers
 from server.render.bakes import request_viewer, stream_viewer
 from server.settings import Settings
+from tests.server.asking import Ask
 from tests.server.uploads.files import ball, names
 from tests.server.uploads.site import Poster
 
-Ask = Callable[..., httpx.Response]
 ANNA, BEN, EVE, ROOT = (f"the token of {name}, a long one" for name in ("anna", "ben", "eve", "root"))
 FILE = f"""\
 [anna]
@@ -55,11 +53,8 @@ def shown(token: str) -> dict[str, str]:
         *[("http", "GET", "/v1/scenes/a/frame", "look"), ("websocket", "", "/v1/scenes/a/stream", "look")],
         *[("http", "GET", "/v1/volumes", "look"), ("http", "POST", "/v1/volumes", "upload")],
         *[("http", "DELETE", "/v1/volumes/a", "upload"), ("http", "POST", "/v1/scenes/a/prewarm", "bake")],
-        *[
-            ("http", "DELETE", "/v1/jobs/a", "bake"),
-            ("http", "PATCH", "/", "bake"),
-            ("http", "GET", "/metrics", "admin"),
-        ],
+        *[("http", "DELETE", "/v1/jobs/a", "bake"), ("http", "PATCH", "/", "bake")],
+        ("http", "GET", "/metrics", "admin"),
     ],
 )
 def test_what_a_request_needs(kind: str, method: str, path: str, scope: str) -> None:
@@ -77,14 +72,13 @@ def test_a_token_allows_what_its_scopes_say(ask: Ask, open_app: Any, tokens: Pat
     assert ask(app, "GET", "/v1/scenes").status_code == ask(app, "GET", "/", headers=shown("!")).status_code == 401
 
 
-def test_who_may_only_look_has_nothing_baked() -> None:
+async def test_who_may_only_look_has_nothing_baked() -> None:
     scope = {"type": "http", "client": ("10.0.0.1", 80), BEARER_SCOPE_KEY: Bearer(EVE, "eve", frozenset({"look"}))}
     viewers = request_viewer(Request(scope)), stream_viewer(Request(scope))
     assert not any(viewer.bakes for viewer in viewers)
     assert request_viewer(Request({"type": "http", "client": None})).bakes
     for viewer in viewers:
-        asked = Service.request_light(None, None, None, viewer)  # type: ignore[arg-type]
-        assert asyncio.run(asked) == frozenset()
+        assert await Service.request_light(None, None, None, viewer) == frozenset()  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

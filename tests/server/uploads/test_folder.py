@@ -1,6 +1,8 @@
-"""The folder of uploads: what it holds is whole."""
+"""The folder of uploads: what it holds is whole, what goes in comes out, and what isogi did not write is none."""
 
+import dataclasses
 import errno
+import io
 import os
 import signal
 import subprocess
@@ -11,9 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isogi_core.files.grid import Grid
-from server.errors import FullError, UploadFolderError
-from server.uploads.folder import UploadFolder, default_folder, write
+from isogi_core.files.formats.opening import open_file
+from isogi_core.files.grid import Grid, LabelName
+from server.errors import FullError
+from server.uploads.folder import NRRD_TYPES, SCENE_BYTES, UploadFolder, default_folder, read_facts, write
+from tests.loaded import read_nrrd
 from tests.server.uploads.files import names
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -61,11 +65,6 @@ def test_it_is_the_owners_alone(folder: UploadFolder) -> None:
     assert all(path.stat().st_mode & 0o077 == 0 for path in folder.path.glob("*.nrrd"))
 
 
-def test_what_was_removed_is_gone(folder: UploadFolder) -> None:
-    folder.remove(put(folder))
-    assert not folder.volumes and not folder.held and not names(folder.path)
-
-
 def test_unfinished_files_are_deleted_and_foreign_ones_left(folder: UploadFolder, tmp_path: Path) -> None:
     number = put(folder)
     folder.close()
@@ -75,11 +74,8 @@ def test_unfinished_files_are_deleted_and_foreign_ones_left(folder: UploadFolder
     folder.open()
     assert set(folder.volumes) == {number}
     assert names(folder.path) == {f"{number}.nrrd", "notes.nrrd", f"{'0' * 20}.nrrd"}
-
-
-def test_a_folder_has_one_server(folder: UploadFolder) -> None:
-    with pytest.raises(UploadFolderError, match=r"Another server .* --uploads"):
-        UploadFolder(folder.path).open()
+    folder.remove(number)
+    assert not folder.volumes and not folder.held
 
 
 def test_a_file_is_on_the_disk_before_its_name_is(folder: UploadFolder, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,3 +131,82 @@ def test_a_kill_in_the_middle_leaves_nothing(folder: UploadFolder) -> None:
 def test_the_users_own_folder_is_taken_where_none_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     assert default_folder() == tmp_path / "isogi" / "volumes"
+
+
+RAMP = np.arange(24).reshape(2, 3, 4)
+
+
+def kept(folder: Path, array: np.ndarray, name: str = "a", labels: tuple[LabelName, ...] | None = None) -> Path:
+    """The canonical file of an array, under its id."""
+    file = io.BytesIO()
+    number = write(file, dataclasses.replace(Grid.of(array, (1.0, 2.0, 0.1)), labels=labels), name)
+    path = folder / f"{number}.nrrd"
+    path.write_bytes(file.getvalue())
+    return path
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("kind", NRRD_TYPES)
+def test_a_volume_is_read_as_it_was(tmp_path: Path, kind: str, order: str) -> None:
+    path = kept(tmp_path, RAMP.astype(np.dtype(kind).newbyteorder(order)))
+    array, spacing = read_nrrd(path)
+    np.testing.assert_array_equal(array, RAMP)
+    assert (array.dtype.newbyteorder("="), spacing) == (np.dtype(kind), (1.0, 2.0, 0.1))
+    facts = read_facts(path)
+    assert facts and (facts.id, facts.size, facts.bytes) == (path.stem, (4, 3, 2), path.stat().st_size)
+
+
+def test_the_id_is_of_the_voxels_and_not_of_order_layout_or_name(tmp_path: Path) -> None:
+    same = [RAMP.astype("<i2"), RAMP.astype(">i2"), np.asfortranarray(RAMP.astype("<i2"))]
+    assert len({kept(tmp_path, array, name).stem for array, name in zip(same, "abc", strict=True)}) == 1
+    assert kept(tmp_path, RAMP.astype("<i4")).stem != kept(tmp_path, same[0]).stem
+
+
+@pytest.mark.parametrize("name", ["Zwei Kugeln é 球", "a\\nb: c", "<script>", "sizes: 1 1 1", "%41", "x" * 80])
+def test_a_name_is_kept_whatever_is_in_it(tmp_path: Path, name: str) -> None:
+    facts = read_facts(kept(tmp_path, RAMP.astype("u1"), name))
+    assert facts and facts.name == name
+
+
+def test_what_has_no_name_is_called_after_its_id(tmp_path: Path) -> None:
+    facts = read_facts(kept(tmp_path, RAMP.astype("u1"), ""))
+    assert facts and facts.name == f"volume {facts.id[:6]}"
+
+
+def test_the_quota_counts_what_the_server_holds(tmp_path: Path) -> None:
+    ramp = np.arange(1000).reshape(10, 10, 10)
+    small, wide = (read_facts(kept(tmp_path, ramp.astype(kind))) for kind in ("u1", "f8"))
+    assert small and small.held == SCENE_BYTES + 4 * 1000
+    assert wide and wide.held - SCENE_BYTES == wide.bytes > 8 * 1000
+
+
+LABELS = (
+    LabelName(1, "Leber é", "#dd8265"),
+    LabelName(2, "odd\nSegment7_Name:=x\\ne", ""),
+    LabelName(9, "x" * 300, "#000001"),
+)
+
+
+MARKED = RAMP.astype("u1")
+
+
+def test_labels_keep_their_names_and_colours(tmp_path: Path) -> None:
+    """What a name may not hold is left out of it: it makes no line of its own."""
+    path = kept(tmp_path, MARKED, "a", LABELS)
+    assert read_facts(path)
+    odd = LabelName(2, "oddSegment7_Name:=xne", "")
+    assert open_file(path, {}).labels == (LABELS[0], odd, LabelName(9, "x" * 64, "#000001"))
+    bare = kept(tmp_path, MARKED)
+    assert open_file(bare, {}).labels is None and bare.stem != path.stem
+    assert open_file(kept(tmp_path, MARKED, "a", ()), {}).labels is not None
+    many = kept(tmp_path, MARKED, "a", tuple(LabelName(n, "ä" * 64, "#123456") for n in range(1, 400)))
+    assert read_facts(many) and len(open_file(many, {}).labels or ()) == 255
+
+
+def test_what_isogi_did_not_write_is_none(tmp_path: Path) -> None:
+    whole = kept(tmp_path, RAMP.astype("u1")).read_bytes()
+    others = [whole[:-1], whole + b"x", whole.replace(b"raw", b"gzip"), b"", whole.replace(b"uint8", b"uint9")]
+    detached = whole.replace(b"name:=a", b"data file: /etc/passwd")
+    for text in (*others, detached):
+        (tmp_path / "a.nrrd").write_bytes(text)
+        assert read_facts(tmp_path / "a.nrrd") is None, text

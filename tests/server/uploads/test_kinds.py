@@ -77,11 +77,8 @@ def test_an_uploaded_file_lies_where_it_did(tmp_path: Path) -> None:
 
 PARTS = np.pad(np.array([[[1, 1, 2], [1, 0, 2]], [[1, 2, 2], [1, 2, 2]]], np.uint8), 3)
 SEGMENTS = {
-    "Segment0_Name": "Liver",
-    "Segment0_LabelValue": "1",
-    "Segment0_Color": "1 0.5 0",
-    "Segment1_Name": "Vein",
-    "Segment1_LabelValue": "2",
+    **{"Segment0_Name": "Liver", "Segment0_LabelValue": "1", "Segment0_Color": "1 0.5 0"},
+    **{"Segment1_Name": "Vein", "Segment1_LabelValue": "2"},
 }
 
 

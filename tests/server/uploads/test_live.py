@@ -7,10 +7,11 @@ import weakref
 import httpx
 import pytest
 
+from tests.server.asking import final
 from tests.server.uploads.files import names
 from tests.server.uploads.site import Site
 
-VIEW = {"width": 48, "height": 48, "wait_ms": 10_000, "max_error": 0.5}
+VIEW = {"width": 48, "height": 48, "max_error": 0.5}
 
 
 @pytest.mark.slow
@@ -19,14 +20,12 @@ def test_an_upload_is_a_scene_like_any_other(site: Site) -> None:
     scene = site.client.get(facts["scene"]).raise_for_status().json()
     assert (scene["id"], scene["volume"]["size"]) == (facts["id"], facts["size"])
     assert scene["plan"]["left_out"]
-    frame = site.client.get(f"{facts['scene']}/frame", params=VIEW)
-    while frame.headers["isogi-provisional"] == "?1":
-        frame = site.client.get(f"{facts['scene']}/frame", params=VIEW)
+    frame = final(site.client, facts["id"], **VIEW)
     assert float(frame.headers["isogi-error"].partition(";")[0]) < 0.5
     assert site.client.delete(facts["href"]).status_code == 204
     again = site.send(12)
     assert again["id"] == facts["id"]
-    shown = site.client.get(f"{facts['scene']}/frame", params=VIEW | {"wait_ms": 0})
+    shown = site.client.get(f"{facts['scene']}/frame", params=VIEW)
     assert "provisional=0.000" in shown.headers["isogi-coverage"], "the light of what came again is found in the store"
 
 

@@ -1,25 +1,29 @@
-"""The reader's limits: of the processor and not of the clock, of memory, and one reader at a time."""
+"""The reader's limits: the processor's time, memory, one at a time; and what a hole in a library could do inside."""
 
 import asyncio
+import json
 import signal
+import socket
+import subprocess
+import sys
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import httpx
 import numpy as np
 import pytest
-from fastapi import FastAPI
 
 from isogi_core.files.radiance import encode_rgbe
+from server.uploads import uploads
 from server.uploads.environments import ENVIRONMENT_KIND
-from server.uploads.reading import Reader
+from server.uploads.reading import PYTHON_ROOT, Reader
+from server.uploads.sandbox import lacking
+from tests.server.asking import Ask
 from tests.server.uploads import claims
 from tests.server.uploads.files import ball
 from tests.server.uploads.measured import GIGABYTE, read_measured
-from tests.server.uploads.site import Open
+from tests.server.uploads.site import Open, client_of, opened
 
 
 def nrrd_of(kind: str, side: int, data: bytes) -> bytes:
@@ -49,7 +53,7 @@ def test_the_largest_probe_is_read_within_a_gigabyte(tmp_path: Path) -> None:
 
 
 def test_a_start_that_takes_long_is_no_reason_to_refuse(
-    ask: Callable[..., httpx.Response], open_app: Open, monkeypatch: pytest.MonkeyPatch
+    ask: Ask, open_app: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As on a machine with other work: the reader has no processor for a while."""
     read = Reader.read
@@ -67,8 +71,7 @@ def test_a_start_that_takes_long_is_no_reason_to_refuse(
     assert answer.status_code == 201, answer.text
 
 
-def test_one_upload_is_read_at_a_time(open_app: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    app: FastAPI = open_app()
+async def test_one_upload_is_read_at_a_time(open_app: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     at_once, most, read = [0], [0], Reader.read
 
     async def counted(reader: Reader, seconds: float) -> str:
@@ -80,27 +83,19 @@ def test_one_upload_is_read_at_a_time(open_app: Open, monkeypatch: pytest.Monkey
         finally:
             at_once[0] -= 1
 
-    async def two() -> list[int]:
-        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost") as client:
-            sent = [client.post("/v1/volumes", content=ball(side), timeout=120) for side in (8, 9)]
-            return [answer.status_code for answer in await asyncio.gather(*sent)]
-
     monkeypatch.setattr(Reader, "read", counted)
-    assert asyncio.run(two()) == [201, 201]
-    assert most == [1]
+    async with client_of(open_app()) as client:
+        answers = await asyncio.gather(*(client.post("/v1/volumes", content=ball(side)) for side in (8, 9)))
+    assert [answer.status_code for answer in answers] == [201, 201] and most == [1]
 
 
-def test_a_reader_that_is_not_needed_any_more_is_gone() -> None:
+async def test_a_reader_that_is_not_needed_any_more_is_gone() -> None:
     """Its upload never came to its end."""
-
-    async def part() -> int:
-        with tempfile.TemporaryFile() as body, tempfile.TemporaryFile() as out:
-            async with Reader.started(body, out, "a", 8) as reader:
-                process = reader._process
-                assert process.returncode is None
-        return process.returncode or 0
-
-    assert asyncio.run(part()) == -signal.SIGKILL
+    with tempfile.TemporaryFile() as body, tempfile.TemporaryFile() as out:
+        async with Reader.started(body, out, "a", 8) as reader:
+            process = reader._process
+            assert process.returncode is None
+    assert process.returncode == -signal.SIGKILL
 
 
 REFUSALS = {
@@ -138,3 +133,69 @@ def test_a_picture_of_microscopes_may_be_sent(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "a.ome.tif", values, photometric="minisblack", metadata={"axes": "ZYX"})
     answer, _ = read_measured(tmp_path / "a.ome.tif")
     assert "id" in answer, answer
+
+
+ATTEMPTS = """
+import ctypes, json, os, socket, sys, threading
+from server.uploads import sandbox
+
+def succeeds(attempt):
+    try:
+        attempt()
+    except (OSError, RuntimeError):
+        return False
+    return True
+
+def fork():
+    if not os.fork():
+        os._exit(0)
+
+folder, port, victim = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+plain = socket.socket()
+attempts = {
+    "open": lambda: open(folder + "/secret"),
+    "make": lambda: os.mkdir(folder + "/made"),
+    "rename": lambda: os.rename(folder + "/secret", folder + "/moved"),
+    "unlink": lambda: os.unlink(folder + "/other"),
+    "connect": lambda: plain.connect(("127.0.0.1", port)),
+    "kill": lambda: os.kill(victim, 0),
+    "fork": fork,
+    "thread": threading.Thread(target=int).start,
+    "socket": socket.socket,
+    "pipe": os.pipe,
+}
+"""
+PATHS = {"open", "make", "rename", "unlink"}
+
+
+def allowed(give_up: str, folder: Path) -> set[str]:
+    """The attempts that succeed in a process which ran ``give_up`` of the sandbox."""
+    for name in ("secret", "other"):
+        (folder / name).write_text("x")
+    script = f"{ATTEMPTS}\n{give_up}\nprint(json.dumps([name for name, each in attempts.items() if succeeds(each)]))"
+    with subprocess.Popen(["sleep", "600"]) as victim, socket.create_server(("127.0.0.1", 0)) as listener:
+        arguments = [str(folder), str(listener.getsockname()[1]), str(victim.pid)]
+        command, given = [sys.executable, "-c", script, *arguments], {"PYTHONPATH": str(PYTHON_ROOT)}
+        done = subprocess.run(command, env=given, capture_output=True, text=True, check=False)
+        victim.kill()
+    assert done.returncode == 0, done.stderr
+    return set(json.loads(done.stdout))
+
+
+@pytest.mark.skipif("seccomp" in lacking(), reason="no seccomp here")
+def test_nothing_can_be_done_from_inside_the_reader(tmp_path: Path) -> None:
+    assert allowed("", tmp_path) == {*PATHS, "connect", "kill", "fork", "thread", "socket", "pipe"}
+    assert allowed("sandbox.give_up_calls()", tmp_path) == set()
+    assert allowed("sandbox.confine()", tmp_path) == set()
+
+
+@pytest.mark.skipif("Landlock" in lacking(), reason="no Landlock here")
+def test_landlock_alone_keeps_files_out_of_reach(tmp_path: Path) -> None:
+    assert not allowed("sandbox.give_up_paths()", tmp_path) & PATHS
+
+
+def test_readyz_says_what_the_sandbox_lacks(small_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uploads, "lacking", lambda: "Uploads are read without Landlock.")
+    with opened(small_scene, tmp_path) as site:
+        answer = site.client.get("/readyz").json()
+    assert answer == {"ready": True, "reasons": ["Uploads are read without Landlock."]}

@@ -4,23 +4,20 @@ import asyncio
 import gzip
 import re
 import socket
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
-import httpx
 import numpy as np
 import pytest
-from fastapi import FastAPI
 
 from isogi_core.errors import StoreError
 from server.errors import UploadFolderError
 from server.settings import Settings
 from server.uploads.folder import SCENE_BYTES, UploadFolder
+from tests.server.asking import Ask
 from tests.server.uploads.files import FIELDS, ball, headed, names
-from tests.server.uploads.site import Open, Poster
-
-Ask = Callable[..., httpx.Response]
+from tests.server.uploads.site import Open, Poster, client_of
 
 
 def test_a_server_takes_none_unless_told(ask: Ask, open_app: Open, folder: Path) -> None:
@@ -71,10 +68,8 @@ def test_a_volume_is_taken_shown_listed_found_again_and_deleted(ask: Ask, open_a
 
     listed = ask(app, "GET", "/v1/volumes").json()
     assert listed["volumes"] == [facts] == [ask(app, "GET", facts["href"]).json()]
-    assert listed["uploads"] == {
-        **{"limit_bytes": 256 << 20, "quota_bytes": 64 << 20},
-        "free_bytes": (64 << 20) - facts["bytes"] - SCENE_BYTES,
-    }
+    free = (64 << 20) - facts["bytes"] - SCENE_BYTES
+    assert listed["uploads"] == {"limit_bytes": 256 << 20, "quota_bytes": 64 << 20, "free_bytes": free}
     (link,) = ask(app, "GET", "/v1/scenes").json()["scenes"]
     assert link == {key: facts[key] for key in ("id", "name")} | {"href": facts["scene"], "volume": facts["href"]}
     scene = engine.scenes[facts["id"]]
@@ -193,63 +188,32 @@ def test_an_id_is_looked_up_and_never_a_path(ask: Ask, open_app: Open, folder: P
     assert (folder / "lock").exists()
 
 
-@pytest.mark.parametrize("header", [("Origin", "https://evil.example"), ("Sec-Fetch-Site", "cross-site")])
-def test_foreign_pages_neither_send_nor_delete(ask: Ask, open_app: Open, folder: Path, header: tuple[str, str]) -> None:
-    app = open_app()
-    kept = ask(app, "POST", "/v1/volumes", content=ball()).json()
-    for method, path in (("POST", "/v1/volumes"), ("DELETE", kept["href"])):
-        assert ask(app, method, path, content=ball(20), headers=dict([header])).status_code == 403
-    assert names(folder) == {f"{kept['id']}.nrrd"}
-
-
-def test_without_the_token_nothing_is_taken(ask: Ask, open_app: Open, folder: Path) -> None:
-    app = open_app(token="a token of some length")
-    assert ask(app, "POST", "/v1/volumes", content=ball()).status_code == 401
-    bearer = {"Authorization": "Bearer a token of some length"}
-    assert ask(app, "POST", "/v1/volumes", content=ball(), headers=bearer).status_code == 201
-
-
 @pytest.mark.slow
-def test_a_third_upload_at_once_comes_back_later(open_app: Open, folder: Path) -> None:
-    app = open_app()
-    answers = asyncio.run(crowd(app))
-    assert sorted(answer.status_code for answer in answers) == [201, 201, 429]
-    refused = next(answer for answer in answers if answer.status_code == 429)
-    assert refused.headers["retry-after"] == "1"
-    assert len(names(folder)) == 2
-
-
-async def crowd(app: FastAPI) -> list[httpx.Response]:
-    """Three uploads whose ends come when all have begun."""
-    begun, together = 0, asyncio.Event()
+async def test_a_third_upload_at_once_comes_back_later(open_app: Open, folder: Path) -> None:
+    """Ends of the bodies come when two have begun."""
+    begun, together = list[int](), asyncio.Event()
 
     async def body(side: int) -> AsyncIterator[bytes]:
-        nonlocal begun
-        begun += 1
-        if begun == 2:
+        begun.append(side)
+        if len(begun) == 2:
             together.set()
         await together.wait()
         yield ball(side)
 
-    async def slowly(client: httpx.AsyncClient, side: int) -> httpx.Response:
-        return await client.post("/v1/volumes", content=body(side), timeout=120)
+    async with client_of(open_app()) as client:
+        answers = await asyncio.gather(*(client.post("/v1/volumes", content=body(side)) for side in (8, 9, 10)))
+    assert sorted(answer.status_code for answer in answers) == [201, 201, 429]
+    assert [answer.headers["retry-after"] for answer in answers if answer.status_code == 429] == ["1"]
+    assert len(names(folder)) == 2
 
-    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost") as client:
-        return await asyncio.gather(*(slowly(client, side) for side in (8, 9, 10)))
 
-
-def test_an_upload_that_stands_still_is_408(open_app: Open, folder: Path) -> None:
-    app = open_app(body_seconds=1)
-
+async def test_an_upload_that_stands_still_is_408(open_app: Open, folder: Path) -> None:
     async def half() -> AsyncIterator[bytes]:
         yield ball()[:100]
         await asyncio.sleep(60)
 
-    async def stall() -> httpx.Response:
-        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost") as client:
-            return await client.post("/v1/volumes", content=half(), timeout=120)
-
-    assert asyncio.run(stall()).status_code == 408
+    async with client_of(open_app(body_seconds=1)) as client:
+        assert (await client.post("/v1/volumes", content=half())).status_code == 408
     assert not names(folder)
 
 

@@ -16,6 +16,7 @@ from playwright.sync_api import Browser, Page
 from isogi_client import Isogi
 from tests.live import serving
 from tests.web.card.lab import lab_in
+from tests.web.visits import middle
 
 pytest.importorskip("anywidget", reason="anywidget is not installed")
 
@@ -103,9 +104,7 @@ class Notebook:
 
     def drag(self, right: int, down: int) -> None:
         """Drag the picture."""
-        box = self.page.locator(".stage").bounding_box()
-        assert box is not None
-        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        x, y = middle(self.page.locator(".stage"))
         self.page.mouse.move(x, y)
         self.page.mouse.down()
         self.page.mouse.move(x + right, y + down, steps=4)

@@ -26,6 +26,7 @@ from server.parameters import FrameParams, read
 from server.settings import Settings
 from server.views import view_of
 from tests.server.inline import InlinePool
+from tests.web.visits import box_of, drag, middle
 from worker import pool
 
 SCENE = """\
@@ -162,13 +163,7 @@ def test_what_slides_is_drawn_without_a_request(
 
 
 def test_a_drag_turns_the_object_and_the_exposure_lightens(page: Page, first: np.ndarray, tmp_path: Path) -> None:
-    box = page.locator("canvas").bounding_box()
-    assert box is not None
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.mouse.move(x, y)
-    page.mouse.down()
-    page.mouse.move(x + 40, y + 10, steps=3)
-    page.mouse.up()
+    drag(page, middle(page.locator("canvas")), 40, 10)
     turned = seen(page, tmp_path)
     assert (np.abs(turned - first).max(axis=2) > 8).mean() > 0.05
     slider = page.locator("input[name=exposure]")
@@ -182,8 +177,8 @@ def test_the_page_fits_windows_of_all_sizes(page: Page) -> None:
     for width, height in ((1280, 800), (390, 844), (844, 390)):
         page.set_viewport_size({"width": width, "height": height})
         for what in ("h1", "#stage", "input", "output", "[role=status]"):
-            for box in (each.bounding_box() for each in page.locator(what).all()):
-                assert box is not None and box["width"] > 0 and min(box["x"], box["y"]) >= 0
+            for box in map(box_of, page.locator(what).all()):
+                assert box["width"] > 0 and min(box["x"], box["y"]) >= 0
                 assert box["x"] + box["width"] <= width and box["y"] + box["height"] <= height, what
 
 

@@ -10,11 +10,7 @@ import { SAMPLES, discOf, jitterOf } from "../../../web/card/picture.js";
 import { joined } from "../../../web/card/programs.js";
 import { pinhole, raysOf, windowOf } from "../../../web/card/rays.js";
 import { fromAngles, turnVector } from "../../../web/view/rotation.js";
-
-function close(actual, expected, within = 1e-9) {
-  assert.equal(actual.length, expected.length);
-  actual.forEach((x, i) => assert.ok(Math.abs(x - expected[i]) <= within, `[${actual}] is not [${expected}]`));
-}
+import { close } from "./fixtures.mjs";
 
 /** Numbers that look random and are the same in every run. */
 function* numbers(seed = 1) {

@@ -1,5 +1,13 @@
 /** A scene, a clock and a page for modules that are tested without a browser. */
 
+import assert from "node:assert/strict";
+
+/** Asserts that two rows of numbers are one within so much. */
+export function close(actual, expected, within = 1e-12) {
+  assert.equal(actual.length, expected.length);
+  actual.forEach((x, i) => assert.ok(Math.abs(x - expected[i]) <= within, `[${actual}] is not [${expected}]`));
+}
+
 /** A scene of 11 × 21 × 31 voxels, 10 × 10 × 10 world units between the outermost, whose light turns. */
 export const SCENE = {
   id: "small", name: "Small", solid: "above", rotating: true, turns: true, target_error: 0.02,

@@ -130,15 +130,6 @@ test("a view keeps a tint in small letters, an albedo in range", () => {
   assert.deepEqual([view.values.tint, view.values.albedo], ["#ff8000", 0.9]);
 });
 
-test("plus and minus undo each other", () => {
-  const view = new ViewModel(SCENE);
-  const keys = keyActions(SCENE, view, () => {});
-  keys["+"]();
-  assert.equal(view.values.distance, Number((3 / 1.12).toPrecision(4)));
-  keys["−"]();
-  assert.ok(Math.abs(view.values.distance - 3) < 2e-3);
-});
-
 test("brackets go to the next stop of the isovalue, braces a hundredth of its range", () => {
   const view = new ViewModel(SCENE);
   const keys = keyActions(SCENE, view, () => {});
@@ -159,22 +150,4 @@ test("o goes round the marks, also as a capital", () => {
   const keys = keyActions(SCENE, view, () => {});
   const seen = ["o", "O", "o"].map((key) => (keys[key](), view.values.overlay));
   assert.deepEqual(seen, ["provisional", "error", "none"]);
-});
-
-test("x looks from plus x, and shift x from minus x", () => {
-  const view = new ViewModel(SCENE);
-  const keys = keyActions(SCENE, view, () => {});
-  keys.x();
-  assert.deepEqual([view.values.azimuth, view.values.elevation], [0, 0]);
-  keys.X();
-  assert.deepEqual([view.values.azimuth, view.values.elevation], [180, 0]);
-});
-
-test("0 brings back the start, and ? the help", () => {
-  let help = 0;
-  const view = new ViewModel(SCENE, { azimuth: 99 });
-  const keys = keyActions(SCENE, view, () => { help += 1; });
-  keys[0]();
-  keys["?"]();
-  assert.deepEqual([view.values.azimuth, help], [30, 1]);
 });

@@ -243,11 +243,6 @@ test("only failures of the server can be asked for again", () => {
   assert.equal(troubleOf({ status: 500, detail: { no: "text" } }).detail, "It answered with status 500.");
 });
 
-test("waits grow with the failures, and the last is kept", () => {
-  const waits = [0, 1, 2, 3, 9].map((failures) => retryDelay(troubleOf({ status: 503 }), failures, [300, 600, 1200]));
-  assert.deepEqual(waits, [300, 600, 1200, 1200, 1200]);
-});
-
 test("the server's own wait goes before the page's", () => {
   assert.equal(retryDelay(troubleOf({ status: 429 }, 7), 0, [300]), 7000);
 });

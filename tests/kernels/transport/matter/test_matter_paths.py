@@ -1,14 +1,52 @@
-"""Paths through glass and clouds: closed forms, and an analytic ball traced by NumPy."""
+"""Paths at interfaces, through glass and in clouds: Snell, Fresnel, Beer, Chandrasekhar, and an analytic ball."""
 
 import math
 
 import numpy as np
 import pytest
 
-from isogi_core.kernels.transport.matter.matter_paths import ALONG_RAY
+from isogi_core.kernels.transport.matter.matter_paths import ALONG_RAY, INWARD
+from isogi_core.kernels.transport.sampling import fresnel, mirror, refract
+from tests.kernels.fields import field_of
 from tests.kernels.rooms import sky, wall
 from tests.kernels.transport.matter.passables import ball, gather, passable, slab
 from tests.scale import COMPILED, few
+
+NORMAL = (0.0, 0.0, 1.0)
+
+
+def coming(angle):
+    """A ray that comes down at an ``angle`` to the normal."""
+    return math.sin(angle), 0.0, -math.cos(angle)
+
+
+@pytest.mark.parametrize("ratio", [1.5, 1 / 1.5, 2.4])
+def test_a_refracted_ray_obeys_snells_law(ratio):
+    for angle in (0.0, 0.2, 0.5, 0.7):
+        w = refract(coming(angle), NORMAL, math.cos(angle), ratio)
+        assert np.linalg.norm(w) == pytest.approx(1.0)
+        assert w[2] < 0.0
+        assert ratio * w[0] == pytest.approx(math.sin(angle), abs=1e-12)
+        x, y, z = coming(angle)
+        assert mirror((x, y, z), NORMAL, math.cos(angle)) == pytest.approx((x, y, -z))
+
+
+def test_fresnel_at_brewsters_and_the_critical_angle():
+    assert fresnel(1.0, 1.5) == pytest.approx((0.5 / 2.5) ** 2)
+    brewster = math.atan(1.5)
+    across = ((1.5**2 - 1.0) / (1.5**2 + 1.0)) ** 2
+    assert fresnel(math.cos(brewster), 1.5) == pytest.approx(0.5 * across)
+    critical = math.asin(1 / 1.5)
+    assert fresnel(math.cos(critical + 1e-9), 1 / 1.5) == 1.0
+    assert fresnel(math.cos(critical - 1e-3), 1 / 1.5) < 0.9
+    assert fresnel(1e-9, 1.5) == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, 1.0, 1.5])
+def test_as_much_is_mirrored_the_other_way(angle):
+    w = refract(coming(angle), NORMAL, math.cos(angle), 1.5)
+    assert fresnel(-w[2], 1 / 1.5) == pytest.approx(fresnel(math.cos(angle), 1.5))
+
 
 MIDDLE, RADIUS, SIDE = 11.5, 8.0, 24
 
@@ -90,3 +128,51 @@ def test_a_caustic_is_that_of_an_analytic_ball():
     noise = np.sqrt(true * (1.0 - true) * (1.0 / samples + 1.0 / rays))
     assert (np.abs(found - true) < 0.02 * true + 4.0 * noise).all(), (found, true)
     assert found[0] > 4.0 * found[3]
+
+
+LEFT = 0.8
+"""The albedo of single scattering, ϖ."""
+
+
+def half_space():
+    """H at Gauss points of (0, 1), and as a function, by iteration: 1/H = √(1-ϖ) + ϖ/2 ∫ x H(x)/(μ + x) dx."""
+    x, weights = np.polynomial.legendre.leggauss(64)
+    x, weights, h = (x + 1.0) / 2.0, weights / 2.0, np.ones(64)
+
+    def at(mu):
+        return 1.0 / (math.sqrt(1.0 - LEFT) + LEFT / 2.0 * (weights * h * x / (np.add.outer(mu, x))).sum(axis=-1))
+
+    for _ in range(200):
+        h = at(x)
+    return x, weights, h, at
+
+
+@COMPILED
+def test_a_half_space_sends_back_what_chandrasekhar_says():
+    """1 - H(μ)√(1-ϖ) of an even sky, to the eye at μ; in the mean over a cosine from the inside."""
+    x, weights, h, at = half_space()
+    cosines, dark = np.array([1.0, 0.5, 0.25]), math.sqrt(1.0 - LEFT)
+    ways = np.column_stack([np.sqrt(1.0 - cosines**2), np.zeros(3), -cosines])
+    field = field_of(3.5 - np.mgrid[:8, :8, :8][0])
+    met = passable(index=1.0, extinction=50.0, albedo=LEFT)
+    points = [*(np.array([3.5, 3.5, 3.5]) - 1.0 * ways), (3.5, 3.5, 3.5)]
+    starts = points, [*ways, (0, 0, 1.0)], [ALONG_RAY] * 3 + [INWARD]
+    found = gather(field, met, starts, 1 << 16, sky(1.0))[:, 0]
+    true = [*(1.0 - at(cosines) * dark), 2.0 * (weights * x * (1.0 - h * dark)).sum()]
+    np.testing.assert_allclose(found, true, rtol=0.01)
+
+
+def test_nothing_is_lost_where_nothing_is_absorbed():
+    """A ball of many mean free paths under an even sky, and a floor that is as bright, give what they get."""
+    floor = wall((0, 0, 0.0), (12, 0, 0), (0, 12, 0), 0.0, 1.0)
+    met = passable([floor], index=1.0, extinction=few(2.0, 0.5))
+    starts = [(5.5, 5.5, 9.5), (5.5, 1.5, 5.5), (5.5, 5.5, 0.0)], [(0, 0, 1.0), (0, -1.0, 0), (0, 0, 1.0)]
+    found = gather(ball(4.0, 12), met, (*starts, [INWARD, INWARD, 0]), few(256, 4), sky(1.0))
+    np.testing.assert_allclose(found, 1.0, rtol=1e-9)
+
+
+def test_rays_pass_where_the_mean_free_path_is_long():
+    """Then a surface is not seen: what comes from inside is what lies behind."""
+    met = passable([wall((-50, -50, -5.0), (100, 0, 0), (0, 100, 0), 0.0, 3.0, twofold=True)], 1.0, 1e-9)
+    found = gather(ball(4.0, 12), met, ([(5.5, 5.5, 20.0)], [(0, 0, -1.0)], [ALONG_RAY]), 16)
+    np.testing.assert_allclose(found, 3.0)

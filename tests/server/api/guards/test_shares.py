@@ -52,76 +52,63 @@ async def closed(socket: ClientConnection) -> tuple[int | None, str | None]:
     return socket.close_code, socket.close_reason
 
 
-def test_a_newcomer_takes_the_idlest_stream_of_the_greediest(server: Idle) -> None:
-    async def play() -> None:
-        async with AsyncExitStack() as stack:
-            greedy = [await opened(server, GREEDY, stack) for _ in range(PLACES)]
-            with pytest.raises(InvalidStatus, match="429"):
-                await opened(server, GREEDY, stack)
-            await greedy[0].send(json.dumps({"id": 1, "view": {**FRAME, "shading": "lambert"}}))
-            await asyncio.wait_for(greedy[0].recv(), SOON)
-            others = [await opened(server, OTHER, stack) for _ in range(2)]
-            assert [await closed(each) for each in greedy[1:3]] == [
-                (1013, f"Another client needed this place, and you have {more} more: ask again in a while.")
-                for more in (3, 2)
-            ]
-            with pytest.raises(InvalidStatus, match="429"):
-                await opened(server, GREEDY, stack)
-            for each in (greedy[0], greedy[3], *others):
-                await each.send(json.dumps({"id": 2, "view": {**FRAME, "shading": "lambert"}}))
-                await asyncio.wait_for(each.recv(), SOON)
-
-    asyncio.run(play())
+async def test_a_newcomer_takes_the_idlest_stream_of_the_greediest(server: Idle) -> None:
+    async with AsyncExitStack() as stack:
+        greedy = [await opened(server, GREEDY, stack) for _ in range(PLACES)]
+        with pytest.raises(InvalidStatus, match="429"):
+            await opened(server, GREEDY, stack)
+        await greedy[0].send(json.dumps({"id": 1, "view": {**FRAME, "shading": "lambert"}}))
+        await asyncio.wait_for(greedy[0].recv(), SOON)
+        others = [await opened(server, OTHER, stack) for _ in range(2)]
+        assert [await closed(each) for each in greedy[1:3]] == [
+            (1013, f"Another client needed this place, and you have {more} more: ask again in a while.")
+            for more in (3, 2)
+        ]
+        with pytest.raises(InvalidStatus, match="429"):
+            await opened(server, GREEDY, stack)
+        for each in (greedy[0], greedy[3], *others):
+            await each.send(json.dumps({"id": 2, "view": {**FRAME, "shading": "lambert"}}))
+            await asyncio.wait_for(each.recv(), SOON)
 
 
-def test_a_newcomer_takes_the_newest_frame_of_the_greediest(server: Idle) -> None:
+async def test_a_newcomer_takes_the_newest_frame_of_the_greediest(server: Idle) -> None:
     waiting = {**FRAME, "wait_ms": 4000}
-
-    async def play() -> None:
-        async with asking(server, GREEDY) as greedy, asking(server, OTHER) as other:
-            begun = []
-            for number in range(PLACES):
-                begun.append(asyncio.create_task(greedy.get("/scenes/small/frame", params=waiting | {"yaw": number})))
-                await asyncio.sleep(0.2)
-            asked = await other.get("/scenes/small/frame", params={**FRAME, "shading": "lambert"})
-            assert asked.status_code == 200
-            answers = [each.status_code for each in await asyncio.gather(*begun)]
-            assert answers == [200] * (PLACES - 1) + [429]
-
-    asyncio.run(play())
+    async with asking(server, GREEDY) as greedy, asking(server, OTHER) as other:
+        begun = []
+        for number in range(PLACES):
+            begun.append(asyncio.create_task(greedy.get("/scenes/small/frame", params=waiting | {"yaw": number})))
+            await asyncio.sleep(0.2)
+        asked = await other.get("/scenes/small/frame", params={**FRAME, "shading": "lambert"})
+        assert asked.status_code == 200
+        answers = [each.status_code for each in await asyncio.gather(*begun)]
+        assert answers == [200] * (PLACES - 1) + [429]
 
 
-def test_a_newcomer_takes_the_newest_job_of_the_greediest(server: Idle) -> None:
-    async def play() -> None:
-        later = {"headers": {"Prefer": "respond-async"}}
-        async with asking(server, GREEDY) as greedy, asking(server, OTHER) as other:
-            asked = [await greedy.get("/scenes/small/frame", params={"yaw": n}, **later) for n in range(PLACES + 1)]
-            assert [each.status_code for each in asked] == [202] * PLACES + [429]
-            assert (await other.get("/scenes/small/frame", params={"yaw": 60}, **later)).status_code == 202
-            jobs = (await other.get("/jobs")).json()["jobs"]
-            ended = {job["jobID"]: job["message"] for job in jobs if job["status"] == "dismissed"}
-            assert list(ended) == [asked[PLACES - 1].json()["jobID"]]
-            assert "Another client needed this place" in str(ended)
-            for job in jobs:
-                await other.delete(f"/jobs/{job['jobID']}")
-
-    asyncio.run(play())
+async def test_a_newcomer_takes_the_newest_job_of_the_greediest(server: Idle) -> None:
+    later = {"headers": {"Prefer": "respond-async"}}
+    async with asking(server, GREEDY) as greedy, asking(server, OTHER) as other:
+        asked = [await greedy.get("/scenes/small/frame", params={"yaw": n}, **later) for n in range(PLACES + 1)]
+        assert [each.status_code for each in asked] == [202] * PLACES + [429]
+        assert (await other.get("/scenes/small/frame", params={"yaw": 60}, **later)).status_code == 202
+        jobs = (await other.get("/jobs")).json()["jobs"]
+        ended = {job["jobID"]: job["message"] for job in jobs if job["status"] == "dismissed"}
+        assert list(ended) == [asked[PLACES - 1].json()["jobID"]]
+        assert "Another client needed this place" in str(ended)
+        for job in jobs:
+            await other.delete(f"/jobs/{job['jobID']}")
 
 
-def test_an_event_listener_loses_its_place_too(server: Idle) -> None:
-    async def play() -> None:
-        async with asking(server, GREEDY) as greedy, AsyncExitStack() as stack:
-            events = greedy.stream("GET", "/scenes/small/events", params=FRAME)
-            heard = (await stack.enter_async_context(events)).aiter_lines()
-            await anext(heard)
-            for _ in range(PLACES - 1):
-                await opened(server, GREEDY, stack)
-            await opened(server, OTHER, stack)
-            lines = [line async for line in heard]
-            assert any("Another client needed this place" in line for line in lines)
-            assert "event: failed" in lines
-
-    asyncio.run(play())
+async def test_an_event_listener_loses_its_place_too(server: Idle) -> None:
+    async with asking(server, GREEDY) as greedy, AsyncExitStack() as stack:
+        events = greedy.stream("GET", "/scenes/small/events", params=FRAME)
+        heard = (await stack.enter_async_context(events)).aiter_lines()
+        await anext(heard)
+        for _ in range(PLACES - 1):
+            await opened(server, GREEDY, stack)
+        await opened(server, OTHER, stack)
+        lines = [line async for line in heard]
+        assert any("Another client needed this place" in line for line in lines)
+        assert "event: failed" in lines
 
 
 def test_the_address_with_most_connections_makes_room() -> None:
