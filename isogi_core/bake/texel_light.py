@@ -152,7 +152,7 @@ class Part:
         return Part(self.layer, self.samples[which], self.noise[which], self.coefficients[which])
 
     def among(self, own: np.ndarray, places: np.ndarray) -> "Part":
-        """These texels, at their ``own`` places, among all at ``places``, which ascend; the others are dark."""
+        """The texels, which lie at ``own`` places, among all at ``places``, which ascend; the others are dark."""
         whole = Part.dark(self.layer, len(places))
         whole.put(np.searchsorted(places, own), self)
         return whole
