@@ -32,8 +32,7 @@ from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
 from tests.frame.conftest import Workbench
-from tests.web.card.lab import CARD_FLAGS, Lab, lab_in
-from tests.web.card.scenes import CardScene, difference, orthographic_camera, plain_light
+from tests.web.card.lab import CARD_FLAGS, CardScene, Lab, difference, lab_in, orthographic_camera, plain_light
 
 VOLUMES = {
     "engine": "engine_256x256x128_uint8.nhdr",

@@ -2,6 +2,7 @@
 
 import errno
 import json
+import logging
 import os
 import shutil
 import time
@@ -514,12 +515,15 @@ def test_what_is_damaged_counts_as_unknown(tmp_path: Path, text: str) -> None:
     assert read(tmp_path).total == Cost()
 
 
-def test_what_could_not_be_kept_is_kept_later(tmp_path: Path) -> None:
+def test_what_could_not_be_kept_is_logged_and_kept_later(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     now, place = 0.0, tmp_path / "light"
     place.write_text("not a folder")
     costs = Costs(Store(place, clock=lambda: now), "digest", lambda: now)
+    costs.read()
     costs.add((0, 0, 1), Cost(1.0, 100, 5, 0.5))
-    costs.save()
+    with caplog.at_level(logging.WARNING, "isogi.cache"):
+        costs.save()
+    assert "What the bake took cannot be kept" in caplog.text
     place.unlink()
     costs.save(at_once=False)
     assert not place.exists()

@@ -1,15 +1,36 @@
-"""Schedulers, workers and servers come and go; what is asked for is baked all the same."""
+"""Processes of a cluster come and go, and refuse strangers; however many bake, the bytes are the same."""
 
+from contextlib import closing
 from pathlib import Path
 
 import pytest
+from distributed import LocalCluster
 
+from isogi_core.plan.assembly import load_scene
+from server.render.engine import RenderEngine
 from tests.cluster.intruder import fallen, ports_of
-from tests.cluster.processes import Cluster, end, final, metric, reasons, status, until
+from tests.cluster.processes import (
+    DASK,
+    DOCUMENTED,
+    HEALTH,
+    LONG,
+    OWN,
+    QUIET,
+    Cluster,
+    end,
+    final,
+    metric,
+    named,
+    reasons,
+    status,
+    until,
+    write_certificates,
+)
+from tests.server.inline import InlinePool, chunks_in, view_of
+from worker import pool
 
-pytestmark = pytest.mark.cluster
 
-
+@pytest.mark.cluster
 def test_scheduler_workers_and_servers_come_and_go(small_scene: Path, tmp_path: Path) -> None:
     """And no port of theirs lets another user in."""
     with Cluster() as running:
@@ -50,3 +71,46 @@ def test_scheduler_workers_and_servers_come_and_go(small_scene: Path, tmp_path: 
 
         end(one)
         assert final(second, azimuth=210.0)
+
+
+def test_the_commands_of_the_documentation_name_them_all() -> None:
+    started = [line for line in DOCUMENTED.splitlines() if line.startswith(("dask ", "isogi serve"))]
+    assert len(started) == 3
+    assert all(f"export {name}='{value}'" in DOCUMENTED for name, value in HEALTH.items())
+    for line, options in zip(started, (DASK, DASK, OWN), strict=True):
+        assert " ".join(named(options, Path())) in line
+
+
+@pytest.mark.cluster
+def test_a_scheduler_refuses_strangers(tmp_path: Path) -> None:
+    """A worker with the certificates of another authority, and one without any."""
+    write_certificates(tmp_path)
+    with Cluster() as running:
+        running.scheduler()
+        strangers = [running.worker(*known) for known in (named(DASK, tmp_path), QUIET)]
+        assert all(stranger.wait(LONG) != 0 for stranger in strangers)
+
+
+WORKERS = 2
+
+
+def baked(scene_file: Path, store: Path, scheduler: str | None = None) -> dict[str, str]:
+    """The digests of the chunks that a view leaves in an empty store."""
+    scene = load_scene(scene_file)
+    with closing(RenderEngine([scene], str(store), 1, scheduler)) as engine:
+        engine.start()
+        assert not engine.frame(scene.id, view_of(scene), wait=LONG).provisional
+    return chunks_in(store)
+
+
+@pytest.mark.cluster
+def test_however_many_bake_the_bytes_are_the_same(
+    small_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(pool, "WorkerPool", InlinePool)
+        alone = baked(small_scene, tmp_path / "alone")
+    assert alone
+    address = "127.0.0.1:0"
+    with LocalCluster(n_workers=WORKERS, threads_per_worker=1, dashboard_address=address, silence_logs=50) as others:
+        assert baked(small_scene, tmp_path / "joined", others.scheduler_address) == alone

@@ -23,9 +23,9 @@ ELSEWHERE = {
     "curl -LO https://raw": "needs the network: the tests have a file of this name",
     "make serve": "serves until it is stopped: the server of these tests stands for it",
     "make test": "runs these tests",
-    "isogi serve": "serves until it is stopped: tests/cluster/test_tls.py holds its options",
-    "dask scheduler": "runs until it is stopped: tests/cluster/test_tls.py holds its options",
-    "dask worker": "runs until it is stopped: tests/cluster/test_tls.py holds its options",
+    "isogi serve": "serves until it is stopped: tests/cluster/test_coming_and_going.py holds its options",
+    "dask scheduler": "runs until it is stopped: tests/cluster/test_coming_and_going.py holds its options",
+    "dask worker": "runs until it is stopped: tests/cluster/test_coming_and_going.py holds its options",
     "isogi prewarm engine.toml --continue": "needs one that was stopped: tests/server/prewarm/test_kill.py kills some",
     "docker compose": "needs Docker: tests/cluster/test_compose.py holds its services",
 }

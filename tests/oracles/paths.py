@@ -87,7 +87,7 @@ def several_surfaces(scene):
     return World(scene.field, surfaces.isovalues, *each, scene.room)
 
 
-@njit
+@njit(cache=True)
 def crossings(world, levels, on, side, o, d):
     """What a ray o + t·d crosses, in order, up to the first thing that is opaque: (t, surface, side it came from) each.
 
@@ -112,7 +112,7 @@ def crossings(world, levels, on, side, o, d):
     return found
 
 
-@njit
+@njit(cache=True)
 def first_met(world, found, draws, bounce):
     """What stops a ray that passes surfaces by chance: (t, surface, side it came from); t is inf where nothing does."""
     seed, sample = draws
@@ -124,7 +124,7 @@ def first_met(world, found, draws, bounce):
     return math.inf, 0, UNKNOWN_SIDE
 
 
-@njit
+@njit(cache=True)
 def passing(world, found, reach):
     """The share of a shadow ray's light that reaches a source at ``reach``."""
     share = 1.0
@@ -134,7 +134,7 @@ def passing(world, found, reach):
     return share
 
 
-@njit
+@njit(cache=True)
 def choose_way(world, on, carried, draws, vertex, chance):
     """Leave surface ``on`` by its albedo or its transmission: (carried, whether by that).
 
@@ -147,7 +147,7 @@ def choose_way(world, on, carried, draws, vertex, chance):
     return carried * (albedo / (chance * (1.0 - share))), False
 
 
-@njit
+@njit(cache=True)
 def reflect(world, on, p, carried, draws, vertex, chance):
     """What is carried on from ``p`` on a surface or a wall ``on``, and whether from the other side of it."""
     if on < 0:
@@ -158,7 +158,7 @@ def reflect(world, on, p, carried, draws, vertex, chance):
     return choose_way(world, on, carried, draws, vertex, chance)
 
 
-@njit
+@njit(cache=True)
 def draw_source(world, light, source, on, o, n, draws, bounce):
     """Direction, reach and E/π of a ray towards a ``source``: bright sky, a lamp, or a luminaire."""
     u, v = point_2d(draws[0], draws[1], streams.FIRST_SOURCE_PAIR + source * streams.PAIRS_PER_PURPOSE + bounce)
@@ -169,7 +169,7 @@ def draw_source(world, light, source, on, o, n, draws, bounce):
     return w, reach, shine if on != -1 - k else (0.0, 0.0, 0.0)
 
 
-@njit
+@njit(cache=True)
 def gather_sent(world, levels, light, vertex, carried, draws, bounce):
     """What sources send straight to a vertex, (3,)."""
     on, side, o, n = vertex
@@ -182,7 +182,7 @@ def gather_sent(world, levels, light, vertex, carried, draws, bounce):
     return total
 
 
-@njit
+@njit(cache=True)
 def gather_end(world, light, n, w, t, on):
     """What a ray drawn by the cosine brings from its end, the sky or a luminaire, (3,); whether its path goes on."""
     if not t < math.inf:
@@ -195,14 +195,14 @@ def gather_end(world, light, n, w, t, on):
     return world.room.radiances[-1 - on] * balance_area(world.room, -1 - on, dot(n, w), slope, t), True
 
 
-@njit
+@njit(cache=True)
 def glow_on_way(world, glows, k, o, n, w, t):
     """What a ray of either sort adds to E/π of region ``k``: its share of the radiance on its way."""
     p = to_world(o, world.field.spacing)
     return gather_on_way(world.field, glows, k, p, w, t) * balance_cone(glows, k, p, w, dot(n, w))
 
 
-@njit
+@njit(cache=True)
 def aimed_glow(world, levels, glows, k, vertex, draws, bounce):
     """What a ray towards region ``k`` gathers, share by share of what passes the surfaces that it crosses."""
     on, side, o, n = vertex
@@ -222,7 +222,7 @@ def aimed_glow(world, levels, glows, k, vertex, draws, bounce):
     return total + passed * glow_on_way(world, glows, k, o, n, w, math.inf)
 
 
-@njit
+@njit(cache=True)
 def stand(world, on, o, t, d, w, came):
     """The point that a ray met, and the normal there towards the side that it came from."""
     p = madd(o, t, d)
@@ -232,7 +232,7 @@ def stand(world, on, o, t, d, w, came):
     return p, scale(n, 1.0 if dot(n, w) < 0.0 else -1.0)
 
 
-@njit
+@njit(cache=True)
 def begin(world, start, carried):
     """The first vertex of a path, on a wall or on either side of the first surface: (on, side, normal, carried)."""
     if start.wall != NO_WALL:
@@ -244,7 +244,7 @@ def begin(world, start, carried):
     return (0, -OUTSIDE_SIGN, scale(start.normal, -1.0), carried) if other else (0, OUTSIDE_SIGN, start.normal, carried)
 
 
-@njit
+@njit(cache=True)
 def trace(world, sources, start, tree, branch, weight, box):
     """Trace one path of a ``PathTree`` from its ``start``, which carries ``weight`` (3,): its ``Path``.
 
@@ -287,7 +287,7 @@ def trace(world, sources, start, tree, branch, weight, box):
     return Path(left, way, carried, total, glow, strayed)
 
 
-@njit
+@njit(cache=True)
 def trace_all(world, sources, starts, samples, tree, weight, paths):
     """Fill ``paths`` (3 + 3 k, g · count) with the light and the glow that a ``SampleRange`` of paths brings.
 

@@ -3,13 +3,14 @@
 import math
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.refine import locate
 from isogi_core.bake.texel_light import Light
 from isogi_core.errors import Cancelled, StoreError, ViewError
@@ -17,6 +18,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.projected_texels import STEEPNESS, find_distances
 from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
+from isogi_core.model.view import View
 from isogi_report import bench as benches
 from isogi_report import studies
 from isogi_report.bench import UNREACHED_TARGET, Bench, ViewBake
@@ -44,8 +46,7 @@ from isogi_report.studies import (
     study_split,
     true_surface,
 )
-from tests.report.conftest import MakeBench
-from tests.toil import PACE, measure_toil
+from tests.report.conftest import CONSTANT, MakeBench
 
 
 def test_frames_have_the_bits_of_those_from_a_store(under_sky: Bench, tmp_path: Path) -> None:
@@ -113,6 +114,53 @@ def test_a_bake_counts_at_its_cheapest_good_point() -> None:
     assert len(table.rows[0]) == len(EQUAL_ERROR_COLUMNS)
 
 
+PACE = 1 << 20
+"""Samples of texels and of pixels that take a second; a power of two, so that sums of them are exact."""
+
+
+class Toil:
+    """Stands for the ``time`` of a module that measures its work."""
+
+    def __init__(self) -> None:
+        self._seconds, self._lock = 0.0, threading.Lock()
+
+    monotonic = staticmethod(time.monotonic)
+
+    def process_time(self) -> float:
+        """Seconds of the processor up to now."""
+        return self._seconds
+
+    def spend(self, samples: int) -> None:
+        """Go on by so many samples."""
+        with self._lock:
+            self._seconds += samples / PACE
+
+
+def measure_toil(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have bakes in memory and traced pictures take as long as their samples tell, on any machine."""
+    toil, refine, render = Toil(), benches.refine, Renderer.render
+
+    def refined(light: Light, texels: np.ndarray, look: BakeSpec, until: int, target: float) -> None:
+        before = taken(light)
+        refine(light, texels, look, until, target)
+        toil.spend(taken(light) - before)
+
+    def rendered(renderer: Renderer, view: View, *args: Any, **more: Any) -> Frame:
+        if view.shading == "path_traced":
+            toil.spend(view.samples * view.width * view.height)
+        return render(renderer, view, *args, **more)
+
+    monkeypatch.setattr(benches, "time", toil)
+    monkeypatch.setattr(benches, "refine", refined)
+    monkeypatch.setattr(studies, "time", toil)
+    monkeypatch.setattr(Renderer, "render", rendered)
+
+
+def taken(light: Light) -> int:
+    """The samples of all texels that can hold light."""
+    return int(np.maximum(light.samples, 0).sum())
+
+
 @pytest.mark.slow
 def test_curves_fall_with_time(under_sky: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each point of baked light has cost all samples up to its own, each of traced paths its own alone."""
@@ -124,11 +172,8 @@ def test_curves_fall_with_time(under_sky: Bench, monkeypatch: pytest.MonkeyPatch
         assert curve.y[1] < 1.2 * curve.y[0]
 
 
-CONSTANT = {"type": "constant", "radiance": 1.0}
-
-
 @pytest.fixture(scope="module")
-def calm(make_bench: Callable[..., Bench]) -> Bench:
+def calm(make_bench: MakeBench) -> Bench:
     """The orbital under constant light, in single floats."""
     return make_bench(lights=[CONSTANT], precision="single")
 
@@ -160,7 +205,7 @@ def test_each_cause_is_there_where_it_acts(under_sky: Bench) -> None:
 
 
 @pytest.mark.slow
-def test_the_noise_part_is_what_the_frame_tells(make_bench: Callable[..., Bench]) -> None:
+def test_the_noise_part_is_what_the_frame_tells(make_bench: MakeBench) -> None:
     """At 2 %: where 64 samples are far more than enough, less is left than is told."""
     bench = make_bench(target_error=0.02)
     split = split_error(bench)
@@ -168,7 +213,7 @@ def test_the_noise_part_is_what_the_frame_tells(make_bench: Callable[..., Bench]
     assert 0.67 < split.spread(split.parts[0]).rmse / told < 1.5
 
 
-def test_what_is_cut_off_beside_a_lobe_is_little(make_bench: Callable[..., Bench]) -> None:
+def test_what_is_cut_off_beside_a_lobe_is_little(make_bench: MakeBench) -> None:
     """The same view by harmonics alone, and with the sun as a lobe of the same orders."""
     orders = {"order": 3, "indirect_order": 3, "bounces": 1}
     cut = {}
@@ -180,7 +225,7 @@ def test_what_is_cut_off_beside_a_lobe_is_little(make_bench: Callable[..., Bench
 
 
 @pytest.mark.slow
-def test_what_two_references_share_is_not_noise(make_bench: Callable[..., Bench]) -> None:
+def test_what_two_references_share_is_not_noise(make_bench: MakeBench) -> None:
     """Of other normals' pictures with 64 paths, against the same with many more."""
     bench = make_bench()
     few, many = ((bench.reference(n), bench.reference(n, true_surface(bench.scene))) for n in (64, 4096))
@@ -209,7 +254,7 @@ def test_constant_light_has_no_truncation_and_no_rounding(calm: Bench) -> None:
     assert len(section.pictures) == 5
 
 
-def test_transfer_at_points_agrees_with_paths_under_soft_light(make_bench: Callable[..., Bench]) -> None:
+def test_transfer_at_points_agrees_with_paths_under_soft_light(make_bench: MakeBench) -> None:
     """Of two lights in one: order 6 holds a constant whole, and paths meet it as it is."""
     bench = make_bench(lights=[CONSTANT], representation="transfer", order=2)
     split = split_error(bench)
@@ -258,7 +303,7 @@ def test_each_study_answers(study: Study, under_sky: Bench, frames: list[Frame])
     assert not under_sky.hurried
 
 
-def test_what_gives_way_to_time_is_told(make_bench: Callable[..., Bench]) -> None:
+def test_what_gives_way_to_time_is_told(make_bench: MakeBench) -> None:
     bench = make_bench()
     assert not bench.hurried
     late = replace(bench, deadline=time.monotonic() + 1e-3, hurry=threading.Event(), _made={})
@@ -270,9 +315,7 @@ def test_what_gives_way_to_time_is_told(make_bench: Callable[..., Bench]) -> Non
     assert not late.hurried
 
 
-def test_light_that_does_not_fit_is_not_shown(
-    make_bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_light_that_does_not_fit_is_not_shown(make_bench: MakeBench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benches, "BENCH_CACHE_BYTES", 1 << 14)
     bench = make_bench()
     with pytest.raises(StoreError, match="does not fit"):
@@ -291,7 +334,7 @@ def test_references_are_kept_in_the_folder(under_sky: Bench) -> None:
     assert np.array_equal(again.mean, under_sky.reference(again.samples).mean)
 
 
-def test_a_stopped_report_and_an_empty_view_say_so(make_bench: Callable[..., Bench]) -> None:
+def test_a_stopped_report_and_an_empty_view_say_so(make_bench: MakeBench) -> None:
     bench = make_bench()
     bench.cancelled.set()
     with pytest.raises(Cancelled):

@@ -18,14 +18,13 @@ import pytest
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.frame.frame import Frame
-from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from server.render.engine import RenderEngine
 from tests.baking import bake_each_texel
-from tests.server.inline import EngineWithoutWorkers, InlinePool
+from tests.server.inline import InlinePool
 from tests.server.sockets import wait_for
 from worker import pool
 from worker.fork_server import WORKER_PROCESS_NAME
@@ -94,56 +93,20 @@ class Killing:
         os.kill(min(worker_pids() - others), signal.SIGKILL)
 
 
-@dataclass(frozen=True)
-class Undisturbed:
-    """What one thread leaves that nothing disturbs: the ``store``, its ``light``, and the ``frames``."""
-
-    store: Path
-    light: dict[str, str]
-    frames: list[Frame]
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory, scene: Scene, views: list[View]) -> Undisturbed:
-    """The light and the frames that one thread makes in this process, undisturbed."""
-    store = tmp_path_factory.mktemp("undisturbed")
+def test_killed_workers_cost_time_and_nothing_else(tmp_path: Path, scene: Scene, views: list[View]) -> None:
+    """More workers, another order of the views, and deaths on the way leave the bytes of one thread, undisturbed."""
+    alone, disturbed = tmp_path / "alone", tmp_path / "disturbed"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pool, "WorkerPool", InlinePool)
-        frames = bake_views(RenderEngine([scene], str(store), workers=1), store, views)
-    light = light_in(store)
+        expected = bake_views(RenderEngine([scene], alone, workers=1), alone, views)
+    light = light_in(alone)
     levels = (None, *(scene.volume.normalise_isovalue(view.isovalue) for view in views))
     layers = [scene.layer_digest(layer, level) for layer in scene.plan.layers for level in levels]
-    assert all(any(f"{layer}/c/" in key for key in light) for layer in layers)
-    assert len(light) > 20
-    return Undisturbed(store, light, frames)
-
-
-def assert_same_light(frames: list[Frame], expected: list[Frame]) -> None:
-    for a, b in zip(frames, expected, strict=True):
-        assert a.radiance.tobytes() == b.radiance.tobytes()
-
-
-def test_killed_workers_cost_time_and_nothing_else(
-    tmp_path: Path, scene: Scene, views: list[View], undisturbed: Undisturbed
-) -> None:
-    """More workers, another order of the views, and deaths on the way leave the same bytes."""
+    assert len(light) > 20 and all(any(f"{layer}/c/" in key for key in light) for layer in layers)
     killings = [Killing(chunks) for chunks in (2, 8)]
-    frames = bake_views(RenderEngine([scene], str(tmp_path), workers=2), tmp_path, views[::-1], killings)
-    assert all(killing.light != undisturbed.light for killing in killings)
-    assert light_in(tmp_path) == undisturbed.light
-    assert_same_light(frames[::-1], undisturbed.frames)
-
-
-def test_after_a_restart_the_same_view_is_final_at_once(
-    scene: Scene, views: list[View], undisturbed: Undisturbed
-) -> None:
-    with closing(EngineWithoutWorkers([scene], str(undisturbed.store))) as engine:
-        engine.start()
-        after = engine.survey(scene.id, views[0], scene.target_error, enough=MAX_SAMPLES)
-    assert not after.provisional
-    assert after.version == undisturbed.frames[0].version
-    assert after.radiance.tobytes() == undisturbed.frames[0].radiance.tobytes()
-    assert light_in(undisturbed.store) == undisturbed.light
+    frames = bake_views(RenderEngine([scene], disturbed, workers=2), disturbed, views[::-1], killings)
+    assert all(killing.light != light for killing in killings) and light_in(disturbed) == light
+    assert [each.radiance.tobytes() for each in frames[::-1]] == [each.radiance.tobytes() for each in expected]
 
 
 @contextmanager

@@ -63,7 +63,7 @@ def baked(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Frame
     with pytest.MonkeyPatch.context() as patch, closing(RenderEngine([scene], str(folder))) as engine:
         patch.setattr(pool, "WorkerPool", InlinePool)
         engine.start()
-        return engine.frame(scene.id, view_of(scene), wait=LONG), folder
+        return look(engine, wait=LONG), folder
 
 
 @pytest.fixture
@@ -72,6 +72,12 @@ def whole(baked: tuple[Frame, Path], store: Path) -> Frame:
     frame, folder = baked
     shutil.copytree(folder, store)
     return frame
+
+
+def look(engine: RenderEngine, azimuth: float = 30.0, isovalue: float | None = None, **more: Any) -> Frame:
+    """A frame of an engine's scene."""
+    (scene,) = engine.scenes.values()
+    return engine.frame(scene.id, view_of(scene, azimuth, isovalue), **more)
 
 
 def assert_same(a: Frame, b: Frame) -> None:
@@ -93,12 +99,12 @@ def assert_unlit(frame: Frame) -> None:
 
 def test_a_frame_comes_at_once_and_becomes_final(begin: Begin, scene: Scene) -> None:
     engine = begin()
-    first = engine.frame(scene.id, view_of(scene))
+    first = look(engine)
     assert first.surface > 100
     assert_unlit(first)
     assert len(first.demands) == first.chunks_needed > 4
     assert len(scene.plan.layers) == 2
-    final = engine.frame(scene.id, view_of(scene), wait=LONG)
+    final = look(engine, wait=LONG)
     assert final.coverage["final"] == 1.0
     assert (final.demands, final.chunks_final) == ((), final.chunks_needed)
     assert final.version != first.version
@@ -107,13 +113,13 @@ def test_a_frame_comes_at_once_and_becomes_final(begin: Begin, scene: Scene) -> 
 
 
 @pytest.mark.slow
-def test_asking_again_and_again_is_enough(begin: Begin, scene: Scene) -> None:
+def test_asking_again_and_again_is_enough(begin: Begin) -> None:
     engine = begin()
-    assert wait_for(lambda: not engine.frame(scene.id, view_of(scene)).provisional, LONG)
-    assert not engine.frame(scene.id, view_of(scene)).demands
+    assert wait_for(lambda: not look(engine).provisional, LONG)
+    assert not look(engine).demands
 
 
-def test_workers_come_after_the_start(begin: Begin, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_come_after_the_start(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
     come = threading.Event()
 
     def hire(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
@@ -123,13 +129,13 @@ def test_workers_come_after_the_start(begin: Begin, scene: Scene, monkeypatch: p
     monkeypatch.setattr(pool, "WorkerPool", hire)
     engine = begin()
     assert engine.unready() == [engine.workforce.preparing] == ["The workers are starting."]
-    assert_unlit(engine.frame(scene.id, view_of(scene)))
+    assert_unlit(look(engine))
     come.set()
-    assert not engine.frame(scene.id, view_of(scene), wait=LONG).provisional
+    assert not look(engine, wait=LONG).provisional
     assert engine.unready() == [] and engine.workforce.preparing == ""
 
 
-def test_workers_are_hired_once(begin: Begin, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_are_hired_once(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
     hired = []
 
     def hire(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
@@ -139,7 +145,7 @@ def test_workers_are_hired_once(begin: Begin, scene: Scene, monkeypatch: pytest.
     monkeypatch.setattr(pool, "WorkerPool", hire)
     engine = begin()
     engine.hire()
-    assert not engine.frame(scene.id, view_of(scene), wait=LONG).provisional
+    assert not look(engine, wait=LONG).provisional
     assert len(hired) == 1
 
 
@@ -158,14 +164,12 @@ def test_maps_of_the_next_isovalues_are_made_while_nobody_waits(
     monkeypatch.setattr(ActiveCellMaps, "covering", noted)
     engine = begin()
     for isovalue in (0.3, 0.31):
-        engine.frame(scene.id, view_of(scene, isovalue=isovalue))
+        look(engine, isovalue=isovalue)
     before, now = (scene.volume.normalise_isovalue(v) for v in (0.3, 0.31))
     assert [made.get(timeout=LONG) for _ in range(2)] == next_values(before, now, find_levels(scene.volume.voxels))
 
 
-def test_a_scheduler_that_comes_later_is_joined_then(
-    begin: Begin, scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scheduler_that_comes_later_is_joined_then(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
     tries = iter((True, True, False))
 
     def join(*given: Any) -> InlinePool:
@@ -176,7 +180,7 @@ def test_a_scheduler_that_comes_later_is_joined_then(
     monkeypatch.setattr("server.render.workforce.SCHEDULER_RETRY_SECONDS", 0.01)
     monkeypatch.setattr(pool, "WorkerPool", join)
     engine = begin()
-    assert not engine.frame(scene.id, view_of(scene), wait=LONG).provisional
+    assert not look(engine, wait=LONG).provisional
     assert engine.unready() == []
 
 
@@ -189,47 +193,31 @@ def test_a_scheduler_that_comes_later_is_joined_then(
     ],
 )
 def test_anything_that_keeps_workers_from_coming_is_told(
-    begin: Begin, scene: Scene, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
+    begin: Begin, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
 ) -> None:
     def fail(workers: int, scheduler: str | None, kinds: Collection[str]) -> None:
         raise error
 
     monkeypatch.setattr(pool, "WorkerPool", fail)
     engine = begin()
-    assert_unlit(engine.frame(scene.id, view_of(scene), wait=0.1))
+    assert_unlit(look(engine, wait=0.1))
     assert engine.unready() == [engine.trouble()] == [told]
     assert engine.workforce.preparing == "", "nothing is to come"
 
 
-def test_workers_that_are_lost_are_told(begin: Begin, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_that_are_lost_are_told(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
     engine = begin()
-    assert not engine.frame(scene.id, view_of(scene), wait=LONG).provisional
+    assert not look(engine, wait=LONG).provisional
     monkeypatch.setattr(InlinePool, "trouble", "The workers are on strike.")
     assert engine.unready() == ["The workers are on strike."]
 
 
-def test_after_a_restart_the_same_view_is_final_at_once(begin: Begin, scene: Scene, store: Path, whole: Frame) -> None:
+def test_after_a_restart_the_same_view_is_final_at_once(begin: Begin, store: Path, whole: Frame) -> None:
     kept = chunks_in(store)
-    after = begin().frame(scene.id, view_of(scene))
+    after = look(begin())
     assert not after.provisional
     assert_same(after, whole)
     assert chunks_in(store) == kept
-
-
-@pytest.mark.slow
-def test_the_order_of_views_does_not_matter(begin: Begin, scene: Scene, store: Path) -> None:
-    views = [view_of(scene, azimuth, isovalue) for azimuth in (0.0, 130.0) for isovalue in (0.03, 0.06)]
-    engine = begin()
-    frames = [engine.frame(scene.id, view, wait=LONG) for view in views]
-    first = chunks_in(store)
-    shutil.rmtree(store)
-    engine = begin()
-    for view in reversed(views):
-        engine.frame(scene.id, view)
-        engine.frame(scene.id, view, wait=LONG)
-    assert chunks_in(store) == first
-    for view, frame in zip(views, frames, strict=True):
-        assert_same_light(engine.frame(scene.id, view), frame)
 
 
 def test_a_path_traced_frame_lacks_no_light_whatever_its_error(begin: Begin, scene: Scene) -> None:
@@ -241,38 +229,33 @@ def test_a_path_traced_frame_lacks_no_light_whatever_its_error(begin: Begin, sce
 
 
 @pytest.mark.slow
-def test_a_stricter_error_is_worked_for(begin: Begin, scene: Scene) -> None:
+def test_a_stricter_error_is_worked_for(begin: Begin) -> None:
     engine = begin()
-    loose = engine.frame(scene.id, view_of(scene), wait=LONG)
-    strict = engine.frame(scene.id, view_of(scene), max_error=0.02)
+    loose = look(engine, wait=LONG)
+    strict = look(engine, max_error=0.02)
     assert loose.final and not strict.final
-    strict = engine.frame(scene.id, view_of(scene), max_error=0.02, wait=LONG)
+    strict = look(engine, max_error=0.02, wait=LONG)
     assert strict.final and strict.total.likely < loose.total.likely
 
 
-DAMAGES: list[Callable[[bytes], bytes]] = [lambda b: b"", lambda b: b[:-1], lambda b: bytes(len(b)), lambda b: b + b"!"]
+DAMAGES: list[Callable[[list[bytes]], list[bytes]]] = [
+    *(lambda chunks: [b"" for _ in chunks], lambda chunks: [each[:-1] for each in chunks]),
+    *(lambda chunks: [bytes(len(each)) for each in chunks], lambda chunks: [each + b"!" for each in chunks]),
+    lambda chunks: chunks[1:] + chunks[:1],
+]
 
 
-@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("damage", DAMAGES, ids=["emptied", "cut", "zeros", "longer", "swapped"])
 def test_damage_on_disk_heals_to_the_same_bytes(
-    begin: Begin, scene: Scene, store: Path, whole: Frame, damage: Callable[[bytes], bytes]
+    begin: Begin, store: Path, whole: Frame, damage: Callable[[list[bytes]], list[bytes]]
 ) -> None:
     kept = chunks_in(store)
-    for name in kept:
-        (store / name).write_bytes(damage((store / name).read_bytes()))
+    paths = [store / name for name in sorted(kept)]
+    for path, content in zip(paths, damage([path.read_bytes() for path in paths]), strict=True):
+        path.write_bytes(content)
     engine = begin()
-    assert_unlit(engine.frame(scene.id, view_of(scene)))
-    assert_same(engine.frame(scene.id, view_of(scene), wait=LONG), whole)
-    assert chunks_in(store) == kept
-
-
-def test_swapped_chunks_heal(begin: Begin, scene: Scene, store: Path, whole: Frame) -> None:
-    kept = chunks_in(store)
-    names = sorted(kept)
-    contents = [(store / name).read_bytes() for name in names]
-    for name, content in zip(names, contents[1:] + contents[:1], strict=True):
-        (store / name).write_bytes(content)
-    assert_same(begin().frame(scene.id, view_of(scene), wait=LONG), whole)
+    assert_unlit(look(engine))
+    assert_same(look(engine, wait=LONG), whole)
     assert chunks_in(store) == kept
 
 
@@ -297,17 +280,17 @@ def test_layers_deleted_while_running_are_baked_again(begin: Begin, scene: Scene
     assert chunks_in(store) == kept
 
 
-def test_a_chunk_deleted_while_running_is_baked_again(begin: Begin, scene: Scene, store: Path, whole: Frame) -> None:
+def test_a_chunk_deleted_while_running_is_baked_again(begin: Begin, store: Path, whole: Frame) -> None:
     kept = chunks_in(store)
     engine = begin()
     lost = sorted(kept)[:3]
     for name in lost:
         (store / name).unlink()
-    part = engine.frame(scene.id, view_of(scene))
+    part = look(engine)
     assert part.chunks_final == part.chunks_needed - len(lost)
     assert 0.0 < part.coverage["provisional"] < 1.0
     assert (part.radiance[part.state > 0] > 0.0).all()
-    assert_same(engine.frame(scene.id, view_of(scene), wait=LONG), whole)
+    assert_same(look(engine, wait=LONG), whole)
     assert chunks_in(store) == kept
 
 
@@ -329,7 +312,7 @@ def test_a_full_disk_leaves_frames_provisional_and_is_told(
         full.setattr(folder, "partial_file", no_room)
         engine = begin()
         other = view_of(scene, isovalue=0.06)
-        assert_same(engine.frame(scene.id, view_of(scene)), whole)
+        assert_same(look(engine), whole)
         frame = engine.frame(scene.id, other, wait=0.2)
         assert frame.provisional
         assert (frame.radiance[frame.state > 0] > 0.0).all()
@@ -345,10 +328,10 @@ def no_room(*_: Any, **__: Any) -> None:
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
-def test_a_view_that_does_not_fit_the_memory_is_an_error(begin: Begin, scene: Scene) -> None:
+def test_a_view_that_does_not_fit_the_memory_is_an_error(begin: Begin) -> None:
     engine = begin(memory=20_000)
     with pytest.raises(StoreError, match="does not fit the memory"):
-        engine.frame(scene.id, view_of(scene), wait=LONG)
+        look(engine, wait=LONG)
 
 
 @pytest.mark.slow
@@ -411,11 +394,11 @@ def test_what_a_scene_keeps_stays_within_its_memory(
     assert max(grown) < 1.1 * memory
 
 
-def test_nobody_waits_for_a_cancelled_frame(begin: Begin, scene: Scene) -> None:
+def test_nobody_waits_for_a_cancelled_frame(begin: Begin) -> None:
     cancelled = threading.Event()
     cancelled.set()
     with pytest.raises(Cancelled):
-        begin().frame(scene.id, view_of(scene), cancelled=cancelled)
+        look(begin(), cancelled=cancelled)
 
 
 def test_a_engine_can_be_closed_before_it_began(scene: Scene, store: Path) -> None:

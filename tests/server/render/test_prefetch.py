@@ -1,6 +1,9 @@
+"""What is prepared ahead of a slider, and makes way for frames."""
+
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -14,10 +17,10 @@ LONG = 30.0
 
 
 class Preparing:
-    """Prepares values at once, or waits at each until it is told to go on or is cancelled."""
+    """Prepares values at once, or, ``halting``, waits at each until it is told to go on or is cancelled."""
 
-    def __init__(self, halting: bool = False) -> None:
-        self.halting = halting
+    def __init__(self) -> None:
+        self.halting = False
         self.begun: list[float] = []
         self.done: list[float] = []
         self.dropped: list[float] = []
@@ -48,6 +51,27 @@ def show(prefetch: Prefetch, *isovalues: float) -> None:
             pass
 
 
+@pytest.fixture
+def prepare() -> Preparing:
+    return Preparing()
+
+
+@pytest.fixture
+def prefetch(prepare: Preparing) -> Iterator[Prefetch]:
+    """What prepares for a slider from 0 to 1."""
+    with closing(Prefetch(prepare, LEVELS, (0.0, 1.0))) as prefetch:
+        yield prefetch
+
+
+@pytest.fixture
+def halted(prepare: Preparing, prefetch: Prefetch) -> Preparing:
+    """Preparations that a slider has begun, and that wait."""
+    prepare.halting = True
+    show(prefetch, 0.5, 0.51)
+    prepare.wait_for(lambda: len(prepare.begun) == 1)
+    return prepare
+
+
 @pytest.mark.parametrize(("before", "now"), [(0.5, 0.55), (0.5, 0.58), (0.5, 0.3)])
 def test_next_values_go_on_as_the_slider_moves(before: float, now: float) -> None:
     assert next_values(before, now, LEVELS) == pytest.approx([now + (now - before) * n for n in (1, 2)])
@@ -70,107 +94,73 @@ def test_no_value_lies_beyond_the_first_or_last_group() -> None:
     assert next_values(0.0, -1e300, LEVELS) == next_values(2.0, 1.7e308, LEVELS) == []
 
 
-def test_a_slider_that_moves_is_prepared_for() -> None:
-    prepare = Preparing()
-    prefetch = Prefetch(prepare, LEVELS, (0.0, 1.0))
+def test_a_slider_that_moves_is_prepared_for(prepare: Preparing, prefetch: Prefetch) -> None:
     show(prefetch, 0.5, 0.51)
     prepare.wait_for(lambda: len(prepare.done) == VALUES_AHEAD)
     prefetch.close()
     assert prepare.done == next_values(0.5, 0.51, LEVELS)
 
 
-def test_values_that_cannot_be_asked_for_are_left_out() -> None:
-    prepare = Preparing()
-    prefetch = Prefetch(prepare, LEVELS, (0.0, 0.53))
-    show(prefetch, 0.5, 0.51)
-    prepare.wait_for(lambda: len(prepare.done) == 1)
-    show(prefetch, 0.53)
-    prefetch.close()
+def test_values_that_cannot_be_asked_for_are_left_out(prepare: Preparing) -> None:
+    with closing(Prefetch(prepare, LEVELS, (0.0, 0.53))) as prefetch:
+        show(prefetch, 0.5, 0.51)
+        prepare.wait_for(lambda: len(prepare.done) == 1)
+        show(prefetch, 0.53)
     assert prepare.done == [pytest.approx(0.52)]
 
 
-def test_one_that_stands_is_not() -> None:
-    prepare = Preparing()
-    prefetch = Prefetch(prepare, LEVELS, (0.0, 1.0))
+def test_one_that_stands_is_not(prepare: Preparing, prefetch: Prefetch) -> None:
     show(prefetch, 0.5, 0.5, 0.5)
     prefetch.close()
     assert not prepare.begun
 
 
-def test_nothing_is_prepared_while_a_frame_is_worked_on() -> None:
-    prepare = Preparing()
-    prefetch = Prefetch(prepare, LEVELS, (0.0, 1.0))
+def test_nothing_is_prepared_while_a_frame_is_worked_on(prepare: Preparing, prefetch: Prefetch) -> None:
     with prefetch.frame(0.4):
         show(prefetch, 0.5, 0.51)
         assert not prepare.begun
     prepare.wait_for(lambda: len(prepare.done) == VALUES_AHEAD)
-    prefetch.close()
 
 
-def test_a_frame_drops_what_is_prepared_and_it_is_taken_up_again() -> None:
-    prepare = Preparing(halting=True)
-    prefetch = Prefetch(prepare, LEVELS, (0.0, 1.0))
-    show(prefetch, 0.5, 0.51)
+def test_a_frame_drops_what_is_prepared_and_it_is_taken_up_again(halted: Preparing, prefetch: Prefetch) -> None:
     first, second = next_values(0.5, 0.51, LEVELS)
-    prepare.wait_for(lambda: prepare.begun == [first])
+    assert halted.begun == [first]
     with prefetch.frame(0.51):
-        prepare.wait_for(lambda: prepare.dropped == [first])
-    prepare.wait_for(lambda: prepare.begun == [first, first])
-    prepare.go.set()
-    prepare.wait_for(lambda: prepare.done == [first, second])
-    prefetch.close()
+        halted.wait_for(lambda: halted.dropped == [first])
+    halted.wait_for(lambda: halted.begun == [first, first])
+    halted.go.set()
+    halted.wait_for(lambda: halted.done == [first, second])
 
 
-def test_a_turn_of_the_slider_changes_what_is_coming() -> None:
-    prepare = Preparing(halting=True)
-    prefetch = Prefetch(prepare, LEVELS, (0.0, 1.0))
-    show(prefetch, 0.5, 0.51)
-    prepare.wait_for(lambda: len(prepare.begun) == 1)
+def test_a_turn_of_the_slider_changes_what_is_coming(halted: Preparing, prefetch: Prefetch) -> None:
     show(prefetch, 0.505)
-    prepare.go.set()
+    halted.go.set()
     expected = next_values(0.51, 0.505, LEVELS)
-    prepare.wait_for(lambda: prepare.done[-2:] == expected)
+    halted.wait_for(lambda: halted.done[-2:] == expected)
+
+
+def test_closing_drops_what_is_prepared(halted: Preparing, prefetch: Prefetch) -> None:
     prefetch.close()
+    assert len(halted.dropped) == 1 and not halted.done
 
 
-def test_closing_drops_what_is_prepared() -> None:
-    prepare = Preparing(halting=True)
-    prefetch = Prefetch(prepare, LEVELS, (0.0, 1.0))
-    show(prefetch, 0.5, 0.51)
-    prepare.wait_for(lambda: len(prepare.begun) == 1)
-    prefetch.close()
-    assert len(prepare.dropped) == 1
-    assert not prepare.done
-
-
-def test_preparations_for_the_frame_itself_are_not_cancelled() -> None:
-    prepare = Preparing(halting=True)
-    prefetch = Prefetch(prepare, LEVELS, (0.0, 1.0))
-    show(prefetch, 0.5, 0.51)
-    prepare.wait_for(lambda: len(prepare.begun) == 1)
+def test_preparations_for_the_frame_itself_are_not_cancelled(halted: Preparing, prefetch: Prefetch) -> None:
     with prefetch.frame(0.535):
         time.sleep(0.05)  # long enough to be dropped
-        prepare.go.set()
-        prepare.wait_for(lambda: len(prepare.done) == 1)
-        assert not prepare.dropped
+        halted.go.set()
+        halted.wait_for(lambda: len(halted.done) == 1)
+        assert not halted.dropped
     expected = next_values(0.51, 0.535, LEVELS)
-    prepare.wait_for(lambda: prepare.done[-2:] == expected)
-    prefetch.close()
+    halted.wait_for(lambda: halted.done[-2:] == expected)
 
 
-def test_what_was_kept_going_is_still_dropped_by_a_later_frame() -> None:
-    prepare = Preparing(halting=True)
-    prefetch = Prefetch(prepare, LEVELS, (0.0, 1.0))
-    show(prefetch, 0.5, 0.51)
-    prepare.wait_for(lambda: len(prepare.begun) == 1)
+def test_what_was_kept_going_is_still_dropped_by_a_later_frame(halted: Preparing, prefetch: Prefetch) -> None:
     show(prefetch, 0.535)
     with prefetch.frame(0.9):
-        prepare.wait_for(lambda: len(prepare.dropped) == 1)
-    prefetch.close()
+        halted.wait_for(lambda: len(halted.dropped) == 1)
 
 
-def test_a_frame_that_ends_after_closing_keeps_its_own_result() -> None:
-    prefetch = Prefetch(Preparing(), LEVELS, (0.0, 1.0))
+def test_a_frame_that_ends_after_closing_keeps_its_own_result(prefetch: Prefetch) -> None:
     show(prefetch, 0.5)
     with prefetch.frame(0.51):
         prefetch.close()

@@ -1,16 +1,27 @@
-"""A page with a card to test: Chromium's WebGL 2 in software, and a server of the page's files and of data."""
+"""A page with a card to test: WebGL 2 in software, a server of files and of data, and scenes as a card gets them."""
 
+import gzip
 import http.server
 import json
 import threading
 from base64 import b64decode, b64encode
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from playwright.sync_api import Browser, Page
+
+from isogi_core.bake.noise import Until
+from isogi_core.frame.card.blocks import CHUNKS, fold_chunks, seen_chunks, transfer_chunks
+from isogi_core.frame.known_blocks import LEVEL
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.tiles import Stopwatch
+from isogi_core.model.view import Camera, Quaternion, View, quaternion_from_angles
+from server.answers import card_scene
 
 WEB = Path(__file__).resolve().parents[3] / "web"
 HERE = Path(__file__).resolve().parent
@@ -93,3 +104,122 @@ def lab_in(browser: Browser) -> Iterator[Lab]:
         yield Lab(page, address, data)
         page.close()
     assert complaints == []
+
+
+IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+TURN = quaternion_from_angles(70.0, -20.0, 15.0)
+
+
+def view_of(view: View, exposure: float = 1.0, **more: Any) -> dict[str, Any]:
+    """A view as a card takes it: camera and light in the world."""
+    camera = {"eye": view.camera.eye, "target": view.camera.target, "up": view.camera.up, "fov": view.camera.fov}
+    shown = {"isovalue": view.isovalue, "camera": camera, "light": view.light, "ground": [0.01, 0.01, 0.02]}
+    planes = view.window.planes if view.window else ()
+    shown["window"] = [{"normal": [-x, -y, -z], "limit": w} for x, y, z, w in planes]
+    return {**shown, "exposure": exposure, "lambert": view.shading == "lambert", **more}
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A card's picture: linear ``light`` (h, w, 3), and how much of each pixel the surface ``covers`` (h, w)."""
+
+    light: np.ndarray
+    covers: np.ndarray
+
+
+class CardScene:
+    """A scene in a lab: the voxels, and what light the ``renderer`` has for views; with its ``lobes`` or without."""
+
+    def __init__(self, lab: Lab, renderer: Renderer, view: View, size: tuple[int, int], lobes: bool = False) -> None:
+        self.lab, self.renderer, self.size = lab, renderer, size
+        codes = renderer.prepared.voxel_codes
+        slabs = [codes.code(renderer.prepared.scene.volume.voxels[a:b]).tobytes() for a, b in codes.slabs]
+        scene = card_scene(renderer, view, ()).model_dump(mode="json")
+        if not lobes:
+            scene["light"]["lobes"] = []
+        document = lab.put("document", scene)
+        names = [lab.put(f"slab{i}", slab) for i, slab in enumerate(slabs)]
+        given = {"files": {"document": document, "slabs": names}, "size": size}
+        lab.ask("window.card = await bench.loaded(given.files, given.size);", given)
+
+    def light(self, view: View, target: float, raw: bool = False) -> int:
+        """Give the card the folded light, and the ``raw`` transfer, of all chunks of a view.
+
+        Returns the bytes, as a server compresses them.
+        """
+        tiles, sent = self.renderer.tiles, 0
+        seen = [each.at for each in seen_chunks(self.renderer, view, target, tiles)]
+        for first in range(0, len(seen), CHUNKS):
+            some = seen[first : first + CHUNKS]
+            answers = [fold_chunks(self.renderer, view, some, target, tiles)]
+            answers += [transfer_chunks(self.renderer, some, target, tiles)] if raw else []
+            for answer in answers:
+                name = self.lab.put("answer", b"".join(each.data for each in answer.blocks))
+                sent += len(gzip.compress(self.lab.data[name], LEVEL))
+                self.lab.ask("card.take(await bench.bytes('answer'), given);", view.light)
+        return sent
+
+    def picture(self, view: View, rest: bool = False, **more: Any) -> Shown:
+        """What the card draws of a view; at ``rest`` with all its samples."""
+        given = {"view": view_of(view, **more), "rest": {"rest": rest}}
+        found = self.lab.floats("return bench.pictureOf(card, given.view, given.rest);", given)
+        found = found.reshape(self.size[1], self.size[0], 4)
+        return Shown(found[..., :3], found[..., 3])
+
+
+def plain_light(renderer: Renderer, view: View, target: float) -> tuple[np.ndarray, np.ndarray]:
+    """What isogi's frame has before lobes and own light: radiance (h, w, 3), and where the surface is seen (h, w)."""
+    gbuffer, light = renderer.gbuffer(view), renderer._light(view)
+    texels = renderer.texels(view, gbuffer)
+    _, framebuffer = renderer._texels.picture(texels, light, Until(target), renderer.tiles, Stopwatch())
+    size = (view.height, view.width)
+    return framebuffer.radiance.reshape(*size, 3), framebuffer.state.reshape(size) > 0
+
+
+def light_of(renderer: Renderer, view: View) -> RotatedLight:
+    """The light of a view."""
+    return renderer._light(view)
+
+
+def orthographic_camera(camera: Camera) -> dict[str, Any]:
+    """A camera of parallel rays as a card takes it."""
+    return {"eye": camera.eye, "target": camera.target, "up": camera.up, "fov": camera.fov, "parallel": True}
+
+
+def toned(light: np.ndarray, exposure: float = 1.0) -> np.ndarray:
+    """Linear light through isogi's curve, without a table; (h, w, 3) float64."""
+    light = light.astype(np.float64) * exposure
+    peak = light.max(axis=-1, keepdims=True)
+    y = 1.7 * peak * (peak / (peak + 0.16))
+    y = np.where(y <= 0.6, y, 1.0 - 0.4 * np.exp((0.6 - y) / 0.4))
+    return np.asarray(np.where(peak > 0.0, light * y / np.maximum(peak, 1e-30), 0.0))
+
+
+def developed(light: np.ndarray, covers: np.ndarray, exposure: float) -> np.ndarray:
+    """sRGB codes of linear light through isogi's curve, without a table; (h, w, 3) float64."""
+    shown = np.where(covers[..., None], toned(light, exposure), 0.0)
+    return np.rint(
+        255.0 * np.where(shown <= 0.0031308, 12.92 * shown, 1.055 * np.maximum(shown, 1e-12) ** (1 / 2.4) - 0.055)
+    )
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far a card's picture is from isogi's: the share of surface pixels ``within`` 2/255, and the relative RMSE of
+    the radiance; pixels of the ``surface``, and those that show it in one of both pictures alone (``torn``).
+    """
+
+    within: float
+    rmse: float
+    surface: int
+    torn: int
+
+
+def difference(shown: Shown, light: np.ndarray, on: np.ndarray, exposure: float = 1.0) -> Difference:
+    """How far the card's picture is from the ``light`` (h, w, 3) of isogi's, which shows the surface where ``on``."""
+    covers = shown.covers > 0.5
+    apart = np.abs(developed(shown.light, covers, exposure) - developed(light, on, exposure)).max(axis=-1)
+    either, both = covers | on, covers & on
+    wrong = (shown.light - light)[both]
+    rmse = float(np.sqrt((wrong**2).mean()) / light[on].mean())
+    return Difference(float((apart[either] <= 2).mean()), rmse, int(on.sum()), int((covers != on).sum()))

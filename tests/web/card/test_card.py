@@ -12,8 +12,7 @@ from isogi_core.model.view import View
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench
 from tests.loaded import load_scene
 from tests.web.card.conftest import Make
-from tests.web.card.lab import Lab, lab_in
-from tests.web.card.scenes import IDENTITY, TURN, CardScene, difference, plain_light, toned, view_of
+from tests.web.card.lab import IDENTITY, TURN, CardScene, Lab, difference, lab_in, plain_light, toned, view_of
 
 SIZE = (48, 48)
 

@@ -7,8 +7,7 @@ import pytest
 from tests.frame.conftest import SKY, Workbench
 from tests.loaded import load_scene
 from tests.web.card.conftest import Make
-from tests.web.card.lab import Lab
-from tests.web.card.scenes import TURN, CardScene, difference, plain_light
+from tests.web.card.lab import TURN, CardScene, Lab, difference, plain_light
 
 SIZE = (72, 56)
 TARGET = 0.1

@@ -12,11 +12,11 @@ from isogi_core.model.volume import make_volume
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, scene_of
 from tests.loaded import load_scene
 from tests.web.card.conftest import Make
-from tests.web.card.lab import Lab
-from tests.web.card.scenes import (
+from tests.web.card.lab import (
     TURN,
     CardScene,
     Difference,
+    Lab,
     Shown,
     developed,
     difference,

@@ -16,8 +16,7 @@ from isogi_core.plan.scene import Scene
 from tests.frame.conftest import Workbench
 from tests.loaded import load_scene
 from tests.web.card.conftest import Make
-from tests.web.card.lab import Lab, packed
-from tests.web.card.scenes import CardScene
+from tests.web.card.lab import CardScene, Lab, packed
 
 PLAIN = {"VOXELS": "highp usampler3D", "SMOOTH": 1, "RATIOS": 1, "LOBES": 1, "SHADING": 0}
 RNG = np.random.default_rng(51)

@@ -78,6 +78,12 @@ async function ready(values = {}) {
   return live;
 }
 
+/** Show a view for one frame of the screen. */
+async function see(view) {
+  live.show(view);
+  await clock.pass(16);
+}
+
 beforeEach(() => {
   [clock, card, asked, said, canvas, listed] = [new FakeClock(), new FakeCard(), [], [], new FakeCanvas(), []];
   globalThis.requestAnimationFrame = (run) => clock.after(16, run);
@@ -111,8 +117,7 @@ test("a card that is busy draws the newest view a frame later", async () => {
   await clock.pass(48);
   assert.deepEqual([card.drawn.length, canvas.hidden], [0, true]);
   card.busy = false;
-  live.show(B);
-  await clock.pass(16);
+  await see(B);
   assert.deepEqual([card.drawn.length, canvas.hidden], [1, false]);
 });
 
@@ -129,22 +134,19 @@ test("a view at rest becomes smooth, until it is", async () => {
 
 test("the server's picture is laid open where it is lit all over", async () => {
   await ready();
-  live.show(B);
-  await clock.pass(16);
+  await see(B);
   live.rest(B, { coverage: { provisional: 0.1 } }, []);
   assert.equal(live.shows, true);
   live.rest(B, LIT, []);
   assert.deepEqual([live.shows, canvas.hidden], [false, false]);
-  live.show(A);
-  await clock.pass(16);
+  await see(A);
   assert.equal(live.shows, true, "what moves again is there at once");
 });
 
 test("marks that the server draws are shown before all is lit", async () => {
   await ready();
   const marked = knobs({ overlay: "error" });
-  live.show(marked);
-  await clock.pass(16);
+  await see(marked);
   live.rest(marked, { coverage: { provisional: 1 } }, []);
   assert.equal(live.shows, false);
 });
@@ -209,15 +211,13 @@ test("views that move are listed by one nearby", () => {
 
 test("a card that is lost leaves what moves to the server", async () => {
   await ready();
-  live.show(A);
-  await clock.pass(16);
+  await see(A);
   card.lost = true;
   card.onlost();
   assert.deepEqual([said.at(-1), canvas.hidden, live.draws(B)], ["lost", true, false]);
   card.lost = false;
   card.onrestored();
-  live.show(B);
-  await clock.pass(16);
+  await see(B);
   assert.deepEqual([live.draws(B), canvas.hidden], [true, false]);
 });
 
@@ -236,8 +236,7 @@ test("a card that is slow leaves all to the server", async () => {
 
 test("a card that takes no more light leaves all to the server", async () => {
   await ready();
-  live.show(A);
-  await clock.pass(16);
+  await see(A);
   card.lacking = () => { throw new Error("The graphics card takes no more texels."); };
   live.rest(A, { coverage: { provisional: 0.5 } }, []);
   await settled();
@@ -261,20 +260,17 @@ test("another albedo is drawn at once, and its light brought at rest", async () 
   await settled();
   asked.length = 0;
   live.move(true);
-  live.show(grey);
-  await clock.pass(16);
+  await see(grey);
   live.show(dark);
   await clock.pass(2000);
-  live.show(dark);
-  await clock.pass(16);
+  await see(dark);
   assert.deepEqual(card.drawn.map(({ albedo }) => albedo), [[1, 1, 1], [0.5, 0.5, 0.5], [0.5, 0.5, 0.5]]);
   assert.deepEqual([live.draws(dark), live.predicted, kinds().filter((kind) => kind !== "chunks")], [true, null, []]);
   live.move(false);
   live.rest(dark, LIT, []);
   await settled();
   assert.deepEqual([card.loaded.length, asked.find(([kind]) => kind === "document")[1].albedo], [2, 0.35]);
-  live.show(dark);
-  await clock.pass(16);
+  await see(dark);
   assert.deepEqual(card.drawn.at(-1).albedo, [1, 1, 1]);
 });
 
@@ -291,8 +287,7 @@ test("a black surface tells nothing of another albedo", async () => {
 test("another light is drawn by the server, until the card has it", async () => {
   await ready();
   const other = { ...A, environment: "studio" };
-  live.show(A);
-  await clock.pass(16);
+  await see(A);
   live.show(other);
   assert.deepEqual([live.draws(other), canvas.hidden], [false, true]);
   live.rest(other, LIT, []);

@@ -259,6 +259,14 @@ function streaming(view = () => VIEW) {
   return { sockets, stream: new Streaming(open, view, hooks(), refused, clock) };
 }
 
+/** A stream that is open and has sent its view. */
+function connected(view) {
+  const made = streaming(view);
+  made.stream.show(false);
+  made.sockets[0].connect();
+  return made;
+}
+
 test("a stream sends the view once it is open", () => {
   const { sockets, stream } = streaming();
   stream.show(false);
@@ -268,18 +276,14 @@ test("a stream sends the view once it is open", () => {
 });
 
 test("a moving view is sent once for each frame of the screen", async () => {
-  const { sockets, stream } = streaming();
-  stream.show(false);
-  sockets[0].connect();
+  const { sockets, stream } = connected();
   for (let i = 0; i < 10; i++) stream.show(true);
   await clock.pass(16);
   assert.deepEqual(sockets[0].sent.map(({ moving }) => moving), [false, true]);
 });
 
 test("a picture is shown, and acknowledged", async () => {
-  const { sockets, stream } = streaming();
-  stream.show(false);
-  sockets[0].connect();
+  const { sockets, stream } = connected();
   await sockets[0].picture({ id: 1 });
   assert.equal(frames.shown[0].draft, false);
   assert.deepEqual(sockets[0].sent.at(-1), { shown: 1, took: 0 });
@@ -287,18 +291,14 @@ test("a picture is shown, and acknowledged", async () => {
 
 test("a picture carries the view that it was asked for", async () => {
   let count = 0;
-  const { sockets, stream } = streaming(() => ({ query: {}, of: { key: `view ${++count}` } }));
-  stream.show(false);
-  sockets[0].connect();
+  const { sockets, stream } = connected(() => ({ query: {}, of: { key: `view ${++count}` } }));
   for (let i = 0; i < 3; i++) stream.show(false);
   for (const id of [1, 3, 3, 4]) await sockets[0].picture({ id });
   assert.deepEqual(frames.shown.map(({ of }) => of.key), ["view 1", "view 3", "view 3", "view 4"]);
 });
 
 test("a problem with an earlier view is none of the newest", async () => {
-  const { sockets, stream } = streaming();
-  stream.show(false);
-  sockets[0].connect();
+  const { sockets, stream } = connected();
   stream.show(false);
   const problem = { status: 422, detail: "out of range" };
   sockets[0].onmessage({ data: JSON.stringify({ id: 1, problem }) });
@@ -308,9 +308,7 @@ test("a problem with an earlier view is none of the newest", async () => {
 });
 
 test("a lost stream is opened again, later each time", async () => {
-  const { sockets, stream } = streaming();
-  stream.show(false);
-  sockets[0].connect();
+  const { sockets, stream } = connected();
   const waits = [];
   for (let i = 0; i < 3; i++) {
     sockets.at(-1).close(1006);
@@ -321,9 +319,7 @@ test("a lost stream is opened again, later each time", async () => {
 });
 
 test("a stream that was idle is opened by the next view alone", () => {
-  const { sockets, stream } = streaming();
-  stream.show(false);
-  sockets[0].connect();
+  const { sockets, stream } = connected();
   sockets[0].close(4000);
   assert.deepEqual([clock.waits, frames.troubles], [[], []]);
   stream.show(false);
@@ -331,17 +327,13 @@ test("a stream that was idle is opened by the next view alone", () => {
 });
 
 test("a stream that another client needs says so, and comes back", () => {
-  const { sockets, stream } = streaming();
-  stream.show(false);
-  sockets[0].connect();
+  const { sockets, stream } = connected();
   sockets[0].close(1013, "Another client needed this place.");
   assert.deepEqual([frames.troubles[0].detail, clock.waits], ["Another client needed this place.", [300]]);
 });
 
 test("a problem on the stream is reported", () => {
-  const { sockets, stream } = streaming();
-  stream.show(false);
-  sockets[0].connect();
+  const { sockets, stream } = connected();
   sockets[0].onmessage({ data: JSON.stringify({ problem: { status: 422, detail: "out of range" } }) });
   assert.deepEqual([frames.troubles[0].detail, clock.waits], ["out of range", []]);
 });
@@ -411,9 +403,7 @@ test("without a stream no drafts are asked for either", async () => {
 });
 
 test("the chunks that a picture reads come with it", async () => {
-  const { sockets, stream } = streaming(() => ({ ...VIEW, chunks: true }));
-  stream.show(false);
-  sockets[0].connect();
+  const { sockets, stream } = connected(() => ({ ...VIEW, chunks: true }));
   const chunks = [{ at: "0.1.2", version: "a1", final: true }];
   await sockets[0].picture({ id: 1, chunks });
   assert.deepEqual(frames.shown[0].chunks, chunks);
