@@ -30,7 +30,7 @@ from isogi_report.sections import (
     text_column,
     text_columns,
 )
-from server.inspect.inspection import SCHEME
+from server.inspect.picture import SCHEME
 from server.values import span
 
 REPORT_FOLDER = Path(__file__).parent

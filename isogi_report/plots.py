@@ -23,7 +23,7 @@ from isogi_core.frame.film import BACKGROUND, tone_table
 from isogi_report.journal import Report
 from isogi_report.metrics import shown_as
 from isogi_report.sections import PREFIXES, Column, Curve, Picture, Plot
-from server.inspect.inspection import DASHES, INK, LINE_STAND_IN, SCHEME, SOFT_STAND_IN, STYLE
+from server.inspect.picture import DASHES, INK, LINE_STAND_IN, SCHEME, SOFT_STAND_IN, STYLE
 
 PLOT_WIDTH, PLOT_HEIGHT = 4.6, 3.1
 """Inches of a plot, 72 units of SVG each."""

@@ -100,18 +100,21 @@ def status_of(error: Exception) -> int:
     return next((STATUS[kind] for kind in type(error).__mro__ if kind in STATUS), 500)
 
 
+def problem_document(status: int, detail: str, instance: str, **more: Any) -> dict[str, Any]:
+    """A problem document; ``more`` are its extension members."""
+    title = HTTPStatus(status).phrase
+    return Problem(type="about:blank", title=title, status=status, detail=detail, instance=instance).model_dump() | more
+
+
+def parameter_named(error: Exception) -> dict[str, str]:
+    """The extension member that names the parameter that an error is about; none where it is about no single one."""
+    return {"parameter": error.parameter} if isinstance(error, ParameterError) and error.parameter else {}
+
+
 def problem(status: int, detail: str, instance: str, **more: Any) -> JSONResponse:
-    """A problem document; ``more`` are its extension members. It names the request that is worked on."""
+    """The answer with a ``problem_document``, which names the request that is worked on."""
     number = REQUEST_ID.get()
-    body = {
-        "type": "about:blank",
-        "title": HTTPStatus(status).phrase,
-        "status": status,
-        "detail": detail,
-        "instance": instance,
-        **({"request_id": number} if number else {}),
-        **more,
-    }
+    body = problem_document(status, detail, instance, **({"request_id": number} if number else {}), **more)
     headers = {"X-Content-Type-Options": "nosniff"} | (
         {"Retry-After": RETRY_AFTER_SECONDS[status]} if status in RETRY_AFTER_SECONDS else {}
     )
@@ -123,8 +126,7 @@ async def domain_problem(request: Request, error: Exception) -> JSONResponse:
     """A domain error as a problem; a parameter's error names the parameter, and what is not the client's is logged."""
     if isinstance(error, StoreError | WorkersError) or status_of(error) == HTTPStatus.INTERNAL_SERVER_ERROR:
         log.error("%s", error)
-    more = {"parameter": error.parameter} if isinstance(error, ParameterError) and error.parameter else {}
-    return problem(status_of(error), str(error), request.url.path, **more)
+    return problem(status_of(error), str(error), request.url.path, **parameter_named(error))
 
 
 async def http_problem(request: Request, error: Exception) -> JSONResponse:

@@ -46,7 +46,7 @@ class Pause:
         self.reason = ""
         self._stumbled = False
         self._clock = clock
-        self._resume = resume
+        self.stir = resume
         self._seconds = SHORTEST_PAUSE
         self._until = 0.0
         self._timer: threading.Timer | None = None
@@ -65,7 +65,7 @@ class Pause:
             return
         self._seconds = min(2.0 * self._seconds, LONGEST_PAUSE) if self.reason else SHORTEST_PAUSE
         self.reason, self._until = reason, self._clock() + self._seconds
-        self._timer = threading.Timer(self._seconds, self._resume)
+        self._timer = threading.Timer(self._seconds, self.stir)
         self._timer.daemon = True
         self._timer.start()
 
@@ -112,7 +112,7 @@ class Bake:
 
 
 class Baker:
-    """One queue and one pool for all scenes. Safe to use from many threads."""
+    """One queue and one pool for all scenes; ``paths`` counts those baked. Safe to use from many threads."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic, workers: int | None = 1) -> None:
         """Begin without a pool: requests wait until ``employ``. ``workers`` is the expected number, None if unknown."""
@@ -126,9 +126,9 @@ class Baker:
         self._in_flight = 0
         self._done_tasks = self._failed_tasks = 0
         self._duplicate = self._healed = self._kept = 0
-        self._paths, self._seconds = 0, 0.0
+        self.paths, self._seconds = 0, 0.0
         self._way = -CLEAR_CORES_SECONDS
-        self._pause = Pause(clock, self._resume)
+        self._pause = Pause(clock, self.stir)
         self._changed = threading.Condition()
         self._listeners: list[Listener] = []
 
@@ -159,7 +159,7 @@ class Baker:
             pool.prepare(partial(open_spec, bake.source, bake.plan, bake.digest, bake.store_url, bake.assets))
 
     def stir(self) -> None:
-        """Hand out the tasks that there is room for: workers have come, or can be reached again."""
+        """Hand out the tasks that there is room for: workers have come, can be reached again, or a pause is over."""
         with self._changed:
             self._feed()
 
@@ -258,11 +258,6 @@ class Baker:
             left = max(sum(seconds) / workers, *seconds, 0.0)
             return self._estimator.estimate(subject, left, self._seconds / workers).times(self._pace.value)
 
-    @property
-    def paths(self) -> int:
-        """Number of paths baked, of all scenes."""
-        return self._paths
-
     def trouble(self) -> str:
         """Why requested light is not baked; empty where all is well."""
         with self._changed:
@@ -278,7 +273,7 @@ class Baker:
             pool, counts = self._pool, self._queue.counts()
             tasks = (self._in_flight, self._done_tasks, self._failed_tasks, self._duplicate, self._healed)
             people = (0, 0) if pool is None else (pool.workers, pool.deaths)
-            return Tally(*counts, *tasks, self._paths, *people, self._kept)
+            return Tally(*counts, *tasks, self.paths, *people, self._kept)
 
     def stop(self) -> None:
         """Hand out no more tasks, and save the measured costs."""
@@ -360,7 +355,7 @@ class Baker:
         if isinstance(outcome, BakeResult) and outcome.elsewhere:
             self._postpone(key)
         elif isinstance(outcome, BakeResult):
-            self._paths += outcome.cost.paths
+            self.paths += outcome.cost.paths
             self._seconds += outcome.cost.seconds
             self._pace.spent(outcome.cost.seconds)
             self._done_tasks += 1
@@ -388,12 +383,7 @@ class Baker:
     def _postpone(self, key: Key) -> None:
         """Postpone a chunk that another baker has claimed; other chunks come first."""
         self._queue.put_off(key, POSTPONE_SECONDS)
-        after(POSTPONE_SECONDS, self._resume)
-
-    def _resume(self) -> None:
-        """Hand out tasks again after a pause."""
-        with self._changed:
-            self._feed()
+        after(POSTPONE_SECONDS, self.stir)
 
     def _notify(self, scene: str, index: Index, more: bool) -> None:
         for listener in self._listeners:

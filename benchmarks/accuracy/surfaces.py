@@ -155,14 +155,14 @@ def shown(engine: RenderEngine, scene: Scene, isovalue: int, size: int, paths: i
     """Bake the picture of an isovalue, and hold it against the truth."""
     view = replace(view_of(scene, size, camera=scene.camera(**DEFAULT_VIEWPOINT, fov=30.0)), isovalue=float(isovalue))
     folder, begun = engine.store.url.folder, time.monotonic()
-    before, full, taken = samples_in(folder), stored(folder), engine.paths
+    before, full, taken = samples_in(folder), stored(folder), engine.baker.paths
     frame = awaited(engine, scene.id, view, scene.target_error, PATIENCE)
     seconds, after = time.monotonic() - begun, samples_in(folder)
     traced = replace(view, shading="path_traced", samples=paths)
     rmse, p99 = beside(frame, engine.survey(scene.id, traced, scene.target_error))
     counts = baked({scene.layer_digest(layer) for layer in scene.plan.layers}, before, after)
     grown = stored(folder) - full
-    return Found("", rmse, p99, frame.total.likely, frame.final, *counts, grown, engine.paths - taken, seconds)
+    return Found("", rmse, p99, frame.total.likely, frame.final, *counts, grown, engine.baker.paths - taken, seconds)
 
 
 def stored(folder: Path) -> int:

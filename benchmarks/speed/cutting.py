@@ -56,7 +56,7 @@ def cutting(size: int, workers: int) -> Measurement:
     view = view_of(scene, size, camera=scene.camera(**DEFAULT_VIEWPOINT, fov=30.0))
     with tempfile.TemporaryDirectory() as folder, closing(RenderEngine([scene], folder, workers=workers)) as engine:
         engine.start()
-        while engine.workforce.preparing or not engine.tally().workers:
+        while engine.workforce.preparing or not engine.baker.tally().workers:
             time.sleep(STEP)
         variants, first = Variants(engine, str), baked(engine, scene.id, view, scene.target_error, time.monotonic())
         found = {"none": first}
@@ -94,7 +94,7 @@ def cuts_of(scene: Scene) -> Iterator[str]:
 
 def baked(engine: RenderEngine, scene: str, view: View, target: float, begun: float) -> Bake:
     """Watch the picture of a view from when it was ``begun`` until it is final."""
-    before, shown = engine.tally(), None
+    before, shown = engine.baker.tally(), None
     while True:
         frame = engine.frame(scene, view, max_error=target, wait=STEP)
         passed = time.monotonic() - begun
@@ -103,6 +103,6 @@ def baked(engine: RenderEngine, scene: str, view: View, target: float, begun: fl
         coming = frame.checkable or engine.lacking(scene, frame)[1].demands
         if frame.final or not coming or passed > PATIENCE:
             break
-    after, renderer = engine.tally(), engine.renderer(scene)
+    after, renderer = engine.baker.tally(), engine.renderer(scene)
     texels = len(renderer.texels(view, renderer.gbuffer(view)).places)
     return Bake(shown or passed, passed, (after.kept - before.kept) / max(texels, 1), after.paths - before.paths)

@@ -16,6 +16,7 @@ from isogi_core.frame.tiles import Stopwatch
 from isogi_core.plan.variants import FINER_FACTOR
 from server.knobs import LONGEST_WAIT
 from server.parameters import FrameParams, ViewParams
+from server.pictures import media_range
 from worker.progress import TimeLeft
 
 FOR_EVER = "max-age=31536000, immutable"
@@ -138,6 +139,12 @@ def matches(if_none_match: str | None, tag: str) -> bool:
         return False
     named = {part.strip().removeprefix("W/") for part in if_none_match.split(",")}
     return tag in named or "*" in named
+
+
+def takes_gzip(accepted: str) -> bool:
+    """Whether an Accept-Encoding header allows gzip (RFC 9110, 12.5.3)."""
+    weights = dict(map(media_range, accepted.split(",")))
+    return weights.get("gzip", weights.get("*", 0.0)) > 0.0
 
 
 def server_timing(watch: Stopwatch) -> str:

@@ -3,30 +3,22 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
 from typing import Any
 
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from isogi_core.errors import Cancelled
 from isogi_core.plan.scene import Scene
 from server.errors import BusyError, StartingError
 from server.problems import problem
+from server.render.bakes import until
 from server.render.engine import RenderEngine
 
 LATE = 1.0
 """Seconds that a route has to answer after it read that its client left; then it is answered with 503."""
-
-
-@dataclass(eq=False)
-class OpenRequest:
-    """A request: whether its answer is ``endless``; events that its route shall end, and that it is too late."""
-
-    endless: bool = False
-    ending: asyncio.Event = field(default_factory=asyncio.Event)
-    late: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class Closing:
@@ -57,14 +49,69 @@ class Closing:
             request.late.set()
 
     @contextmanager
-    def admitted(self) -> Iterator[OpenRequest]:
+    def admitted(self, receive: Receive, send: Send) -> Iterator[OpenRequest]:
         """Keep a request among the open ones while it is worked on."""
-        request = OpenRequest()
+        request = OpenRequest(receive, send, self)
         self._open.add(request)
         try:
             yield request
         finally:
             self._open.discard(request)
+            request.close()
+
+
+class OpenRequest:
+    """A request that is worked on, and its answer: whether that has ``begun``, is ``endless``, and is ``whole``.
+
+    Its route reads that the client left once ``ending`` is set, and is given up once it is ``late``.
+    """
+
+    def __init__(self, receive: Receive, send: Send, closing: Closing) -> None:
+        """Read what the client sends by ``receive``, and answer by ``send``."""
+        self.begun = self.endless = self.whole = False
+        self.ending, self.late = asyncio.Event(), asyncio.Event()
+        self._receive, self._send, self._closing = receive, send, closing
+        self._next: asyncio.Future[Message] | None = None
+
+    async def receive(self) -> Message:
+        """The next message; a disconnect once the request shall end.
+
+        A cancelled wait loses nothing: the next call has the message.
+        """
+        if self._next is None:
+            self._next = asyncio.ensure_future(self._receive())
+        if not self._next.done() and not self.ending.is_set():
+            leave = asyncio.ensure_future(self.ending.wait())
+            both: set[asyncio.Future[Any]] = {self._next, leave}
+            try:
+                await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                leave.cancel()
+        if not self._next.done():
+            return {"type": "http.disconnect"}
+        message, self._next = self._next.result(), None
+        return message
+
+    async def send(self, message: Message) -> None:
+        """Send a message on; the first says that the connection closes where the server stops."""
+        if message["type"] == "http.response.start":
+            self._begin(MutableHeaders(scope=message))
+        elif message["type"] == "http.response.body":
+            self.whole = not message.get("more_body", False)
+        await self._send(message)
+
+    def close(self) -> None:
+        """Read no more."""
+        if self._next is not None:
+            self._next.cancel()
+
+    def _begin(self, headers: MutableHeaders) -> None:
+        self.begun = True
+        self.endless = headers.get("content-type", "").startswith("text/event-stream")
+        if self._closing.begun:
+            headers["Connection"] = "close"
+            if self.endless:
+                self.ending.set()
 
 
 class GracefulShutdown:
@@ -79,89 +126,16 @@ class GracefulShutdown:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        with self.closing.admitted() as request:
-            answer, incoming = Answer(send, request, self.closing), Incoming(receive, request)
-            try:
-                await until(self.app(scope, incoming.receive, answer.send), request.late)
-            finally:
-                incoming.close()
-            if not answer.begun:
-                await problem(503, STOPPED, scope["path"])(scope, receive, answer.send)
-            elif request.endless and not answer.whole:
+        with self.closing.admitted(receive, send) as request:
+            with suppress(Cancelled):
+                await until(self.app(scope, request.receive, request.send), request.late.wait())
+            if not request.begun:
+                await problem(503, STOPPED, scope["path"])(scope, receive, request.send)
+            elif request.endless and not request.whole:
                 await send({"type": "http.response.body", "body": b""})
 
 
-class Incoming:
-    """What a client sends, until its request shall end."""
-
-    def __init__(self, receive: Receive, request: OpenRequest) -> None:
-        self._receive, self._request = receive, request
-        self._next: asyncio.Future[Message] | None = None
-
-    async def receive(self) -> Message:
-        """The next message; a disconnect once the request shall end.
-
-        A cancelled wait loses nothing: the next call has the message.
-        """
-        if self._next is None:
-            self._next = asyncio.ensure_future(self._receive())
-        if not self._next.done() and not self._request.ending.is_set():
-            leave = asyncio.ensure_future(self._request.ending.wait())
-            both: set[asyncio.Future[Any]] = {self._next, leave}
-            try:
-                await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                leave.cancel()
-        if not self._next.done():
-            return {"type": "http.disconnect"}
-        message, self._next = self._next.result(), None
-        return message
-
-    def close(self) -> None:
-        """Read no more."""
-        if self._next is not None:
-            self._next.cancel()
-
-
-class Answer:
-    """The answer to a request: whether it has ``begun``, and is ``whole``."""
-
-    def __init__(self, send: Send, request: OpenRequest, closing: Closing) -> None:
-        self.begun = self.whole = False
-        self._send, self._request, self._closing = send, request, closing
-
-    async def send(self, message: Message) -> None:
-        """Send a message on; the first says that the connection closes where the server stops."""
-        if message["type"] == "http.response.start":
-            self._begin(MutableHeaders(scope=message))
-        elif message["type"] == "http.response.body":
-            self.whole = not message.get("more_body", False)
-        await self._send(message)
-
-    def _begin(self, headers: MutableHeaders) -> None:
-        self.begun = True
-        self._request.endless = headers.get("content-type", "").startswith("text/event-stream")
-        if self._closing.begun:
-            headers["Connection"] = "close"
-            if self._request.endless:
-                self._request.ending.set()
-
-
 STOPPED = "The server stops, and this was not done in time: ask again in a while."
-
-
-async def until(work: Awaitable[None], end: asyncio.Event) -> None:
-    """Do the work; give it up where the ``end`` comes first. Raises what it raises."""
-    working, ending = asyncio.ensure_future(work), asyncio.ensure_future(end.wait())
-    both: set[asyncio.Future[Any]] = {working, ending}
-    try:
-        await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
-        if working.done():
-            working.result()
-    finally:
-        working.cancel()
-        ending.cancel()
-        del both, working, ending  # an error in them would hold itself until garbage is looked for
 
 
 LOOK = 0.02

@@ -27,11 +27,10 @@ from server.answers import scene_schema
 from server.api.lifespan import Startup, within
 from server.bearers import Bearer, bearer_of, client_of
 from server.errors import ForbiddenError, StartingError, UnknownJobError, UnknownSceneError
-from server.exports.folder import ExportFolder
 from server.parameters import LightParams, VariantParams, ViewParams
 from server.render.bakes import UpdateBus, attended, request_viewer
 from server.render.engine import RenderEngine
-from server.render.jobs import Job, Jobs
+from server.render.jobs import ExportFolder, Job, Jobs
 from server.render.scene_variant import Change
 from server.render.scheduling import (
     DRAFT,
@@ -313,7 +312,7 @@ class Service:
 
     def make_way(self) -> None:
         """Have the workers make way for a view that moves. Does not wait for that: a thread may have to be started."""
-        asyncio.get_running_loop().run_in_executor(None, self.engine.make_way)
+        asyncio.get_running_loop().run_in_executor(None, self.engine.baker.make_way)
 
     async def check(self, picture: PictureRequest) -> None:
         """Check a picture that nobody looks at, one step further. Raises as ``render`` does.

@@ -6,7 +6,6 @@ import asyncio
 import json
 from collections import deque
 from contextlib import aclosing, suppress
-from http import HTTPStatus
 from typing import Annotated, Any, NoReturn
 
 from fastapi import APIRouter, WebSocket
@@ -17,13 +16,14 @@ from isogi_core.errors import IsogiError
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.plan.scene import Scene
 from server.answers import chunks_in, coverage_schema
+from server.api.lifespan import within
 from server.api.service import PictureRequest, Service, ServiceDep, Shown
 from server.bearers import client_of
 from server.card_schemas import CardChunk
 from server.errors import BusyError, ParameterError, StreamError
 from server.parameters import FrameParams, NoParams, read
 from server.pictures import MEDIA_TYPES, encode, format_for, smoothed
-from server.problems import Problem, problem, status_of
+from server.problems import parameter_named, problem, problem_document, status_of
 from server.render.bakes import stream_viewer
 from server.render.metrics import Metrics
 from server.render.scheduling import DRAFT, Place, Rank
@@ -107,10 +107,7 @@ class Window:
                 self._sent.popleft()
                 continue
             self._moved.clear()
-            try:
-                await asyncio.wait_for(self._moved.wait(), left)
-            except TimeoutError:
-                continue
+            await within(left, self._moved)
 
 
 GAP = 1.0
@@ -246,13 +243,8 @@ def answer(request: int, shown: Shown, form: str, draft: bool, chunks: list[Card
 
 def complaint(request: Any, error: IsogiError, path: str) -> str:
     """A problem with the message of this id, null where it has none."""
-    status = status_of(error)
-    problem_document = Problem(
-        type="about:blank", title=HTTPStatus(status).phrase, status=status, detail=str(error), instance=path
-    ).model_dump()
-    if isinstance(error, ParameterError) and error.parameter:
-        problem_document["parameter"] = error.parameter
-    return json.dumps({"id": request if isinstance(request, int) else None, "problem": problem_document})
+    document = problem_document(status_of(error), str(error), path, **parameter_named(error))
+    return json.dumps({"id": request if isinstance(request, int) else None, "problem": document})
 
 
 def _refuse(constant: str) -> NoReturn:

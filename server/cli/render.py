@@ -72,7 +72,7 @@ def render(
             [params] = seen_whole(engine.renderer(scene.id), [params], settings)
         view = view_of(scene, params, settings)
         frame = draw_refined(engine, scene.id, view, params.max_error, seconds)
-        left, paths = engine.time_left(scene.id, frame, params.max_error), engine.paths
+        left, paths = engine.time_left(scene.id, frame, params.max_error), engine.baker.paths
     exposure = scene.default_exposure if params.exposure is None else params.exposure
     write_whole(output, encode(frame, form, exposure, params))
     return {

@@ -190,7 +190,7 @@ def inspect(target: str, picture: Path | None = None, as_json: bool = False, pla
     scene = open_scene(target)
     facts = inspection_schema(scene)
     if picture is not None:
-        from server.inspect.inspection import save_picture  # noqa: PLC0415 (matplotlib is an extra)
+        from server.inspect.picture import save_picture  # noqa: PLC0415 (matplotlib is an extra)
 
         save_picture(picture, facts)
     if as_json:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -201,7 +202,7 @@ class Baking:
         self._estimator, self._pace = TimeEstimator(prior=ASSUMED_TIME_RATIOS), Pace(time.monotonic)
         self._worked = 0.0
         self._open: list[tuple[Batch, BackgroundBake]] = []
-        self._held: tuple[Batch, list[Demand]] | None = None
+        self._waiting: deque[tuple[Batch, list[Demand]]] = deque()
         self._patience = Patience(context.patience)
         self._before = self._cost()
 
@@ -218,9 +219,9 @@ class Baking:
 
     def run(self) -> None:
         """Bake until all is, or the time is over; nothing more is wanted then. Raises WorkersError, and Cancelled."""
-        parts = self._parts()
+        self._waiting.extend(self._parts())
         try:
-            while not self.late and self._filled(parts):
+            while not self.late and self._filled():
                 self._report()
                 self._wait()
                 self._settle()
@@ -229,21 +230,22 @@ class Baking:
             self._context.engine.leave(self._context.viewer)
 
     def _parts(self) -> Iterator[tuple[Batch, list[Demand]]]:
-        size = max(CHUNKS_PER_PART, 2 * self._context.engine.workers)
+        size = max(CHUNKS_PER_PART, 2 * self._context.engine.baker.workers)
         for batch, group in groupby(self.wishes, lambda wish: wish[0]):
             while part := [demand for _, demand in islice(group, size)]:
                 yield batch, part
 
-    def _filled(self, parts: Iterator[tuple[Batch, list[Demand]]]) -> bool:
+    def _filled(self) -> bool:
         """Ask for more where there is room; whether anything is asked for.
 
         A batch begins when the one before has ended: together, texels of a chunk would be taken to the samples of that
         which wants more.
         """
-        context = self._context
-        while len(self._open) < PARTS_AT_ONCE and (part := self._next(parts)):
-            bake, stage = context.bake_of(*part)
-            self._open.append((part[0], context.engine.bake(bake, stage, context.viewer)))
+        context, waiting = self._context, self._waiting
+        while waiting and len(self._open) < PARTS_AT_ONCE and all(batch == waiting[0][0] for batch, _ in self._open):
+            batch, demands = waiting.popleft()
+            bake, stage = context.bake_of(batch, demands)
+            self._open.append((batch, context.engine.bake(bake, stage, context.viewer)))
         return bool(self._open)
 
     def _wait(self) -> None:
@@ -253,15 +255,8 @@ class Baking:
         engine = context.engine
         if engine.workforce.missing:
             raise WorkersError(engine.workforce.missing)
-        self._patience.check(engine.paths, engine.workforce.preparing, engine.unready())
+        self._patience.check(engine.baker.paths, engine.workforce.preparing, engine.unready())
         self._open[0][1].wait(max(min(REPORT_SECONDS, self._end - now), 0.0))
-
-    def _next(self, parts: Iterator[tuple[Batch, list[Demand]]]) -> tuple[Batch, list[Demand]] | None:
-        """The part to ask for next; None where it is of another batch than those at work, or there is none."""
-        part = self._held or next(parts, None)
-        waits = part is not None and bool(self._open) and part[0] != self._open[0][0]
-        self._held = part if waits else None
-        return None if waits else part
 
     def _settle(self) -> None:
         """Count what is baked or given up."""
@@ -279,7 +274,7 @@ class Baking:
 
     def _left(self, share: float) -> TimeLeft:
         """The time that the rest takes once a ``share`` is done, at the pace of late."""
-        workers = self._context.engine.workers
+        workers = self._context.engine.baker.workers
         round_seconds, later = self._expected.seconds / workers, self._expected.later / workers
         worked = share * round_seconds
         self._pace.working(1)
@@ -295,7 +290,7 @@ class Baking:
             chunks.setdefault(bake, set()).update(each.index for each in demands)
         total = Cost()
         for bake, indices in chunks.items():
-            total = total.plus(self._context.engine.spent(bake, indices))
+            total = total.plus(self._context.engine.baker.spent(bake, indices))
         return total
 
 

@@ -205,7 +205,7 @@ class Record:
 
     @property
     def place(self) -> str:
-        """StoreLike it is."""
+        """The path of its file in the store."""
         return self._documents.path_of(self.document.id)
 
     def follow(self, context: PrewarmContext) -> None:

@@ -406,21 +406,21 @@ def look_ahead(rounds: Rounds, found: Survey, looked: float, budget: float) -> t
     usual = [demand for batch, demand in found.wishes if batch.usual]
     passed, rung = context.seconds, rung_ahead(context, found)
     context.report(Step("Trying", "chunk", 0, len(usual), SURVEY_SHARES[1]))
-    workers, until = context.engine.workers, Until(context.target, rung)
+    workers, until = context.engine.baker.workers, Until(context.target, rung)
     ahead = forecast(context.renderer, usual, until, workers, budget, context.cancelled)
     texels, others = (sum(len(demand.offsets) for demand in each) for each in (usual, found.demands.values()))
     ahead = ahead.times(others / max(texels, 1))
     rounds.checks = CHECKING * ahead.seconds * max(rounds.pictures.read / max(others, 1), float(rounds.what.whole))
     context.check()
     around = passed + min(context.seconds - passed, TRIAL_SECONDS) + looked if found.demands else passed
-    around += WORKER_START_SECONDS if found.demands and not context.engine.manned else 0.0
+    around += WORKER_START_SECONDS if found.demands and not context.engine.baker.manned else 0.0
     return summary_of(rounds, found, ahead, around + rounds.checks / workers), ahead
 
 
 def summary_of(rounds: Rounds, found: Survey, ahead: CostEstimate, around: float) -> Summary:
     """What is known before the baking; so many seconds are spent ``around`` it."""
     context, what = rounds.context, rounds.what
-    workers = context.engine.workers
+    workers = context.engine.baker.workers
     left = ahead.time_left(workers, around)
     return Summary(
         scene=context.scene.id,
@@ -541,7 +541,7 @@ def bake_rung(context: PrewarmContext, found: Survey, rung: int) -> None:
     if not found.demands:
         return
     demands = [demand for _, demand in found.wishes]
-    until, workers = Until(context.target, rung), context.engine.workers
+    until, workers = Until(context.target, rung), context.engine.baker.workers
     ahead = forecast(context.renderer, demands, until, workers, TRIAL_SECONDS, context.cancelled)
     baking = Baking(context, found.wishes, Expected(ahead.seconds, 0.0, (0.0, 1.0)), context.deadline)
     baking.run()

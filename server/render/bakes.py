@@ -9,10 +9,9 @@ import threading
 import time
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Coroutine, Iterable, Iterator
+from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any, TypeVar
 
 from fastapi import Request
@@ -72,13 +71,11 @@ def make_bake(
     layers = frozenset(scene.layer_digest(layer, shown) for layer in plan.layers)
     costs = Costs(store, spec.digest)
     costs.read()
-    note = partial(note_light, arrived, name, shown)
+
+    def note(index: Index) -> None:
+        arrived(name, index, shown)
+
     return Bake(scene.source, plan, spec.digest, layers, store.url, note, costs, assets, shown, whole)
-
-
-def note_light(arrived: Arrived, name: str, shown: Isovalue | None, index: Index) -> None:
-    """Tell that a chunk of a bake has new light."""
-    arrived(name, index, shown)
 
 
 BACKGROUND_VIEWER = Viewer("background", patient=True)
@@ -335,16 +332,21 @@ def background_viewer() -> Viewer:
 
 async def attended(request: Request, answer: Coroutine[Any, Any, Result]) -> Result:
     """The answer to a request. Once its client has left, the answer is cancelled and Cancelled raised."""
-    working, leaving = asyncio.create_task(answer), asyncio.create_task(gone(request))
+    return await until(answer, gone(request))
+
+
+async def until(work: Awaitable[Result], end: Awaitable[object]) -> Result:
+    """What some work comes to, or raises; where the ``end`` comes first, it is cancelled and Cancelled raised."""
+    working, ending = asyncio.ensure_future(work), asyncio.ensure_future(end)
     try:
-        await asyncio.wait({working, leaving}, return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait({working, ending}, return_when=asyncio.FIRST_COMPLETED)
         if not working.done():
-            raise Cancelled("Nobody waits for this frame any more.")
+            raise Cancelled("Nobody waits for this any more.")
         return await working
     finally:
         working.cancel()
-        leaving.cancel()
-        del working, leaving  # an error in them would hold itself until garbage is looked for
+        ending.cancel()
+        del working, ending  # an error in them would hold itself until garbage is looked for
 
 
 async def gone(request: Request) -> None:
@@ -362,18 +364,14 @@ MAX_WAITING_PICTURES = 64
 """Pictures that wait to be checked: those asked for last."""
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True)
 class Picture:
     """A view of a scene whose total error is to reach a ``target``; nobody wants it once it is ``cancelled``."""
 
     scene: str
     view: View
     target: float
-    cancelled: threading.Event = field(default_factory=threading.Event)
-
-    def same(self, scene: str, view: View, target: float) -> bool:
-        """Whether it is this one."""
-        return (self.scene, self.view, self.target) == (scene, view, target)
+    cancelled: threading.Event = field(default_factory=threading.Event, compare=False)
 
 
 Step = Callable[[str, View, float, threading.Event], bool]
@@ -394,11 +392,11 @@ class PictureChecks:
     def request(self, scene: str, view: View, target: float, viewer: Viewer) -> None:
         """Have a picture checked for a ``viewer``, in place of the one that it looked at before."""
         with self._changed:
-            former = self._wanted.get(viewer)
-            if self._closed or (former is not None and former.same(scene, view, target)):
+            picture = Picture(scene, view, target)
+            if self._closed or self._wanted.get(viewer) == picture:
                 return
             self._drop(viewer)
-            self._wanted[viewer] = Picture(scene, view, target)
+            self._wanted[viewer] = picture
             if len(self._wanted) > MAX_WAITING_PICTURES:
                 self._drop(next(iter(self._wanted)))
             if self._thread is None:

@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -34,7 +34,7 @@ from server.render.workforce import SceneKernels, Workforce, root_of, scheduler_
 from server.settings import Settings
 from worker.bake_requests import GUEST_VIEWER, Viewer
 from worker.baker import Baker, Listener
-from worker.progress import ASSUMED_WORK_RATIOS, UNREHEARSED_SPREAD, Tally, TimeLeft, log_normal_ratios
+from worker.progress import ASSUMED_WORK_RATIOS, UNREHEARSED_SPREAD, TimeLeft, log_normal_ratios
 
 WAITING_STAGES = ("queue", "bake", "check", "demand")
 """Stages of a frame in which it is not drawn."""
@@ -93,7 +93,7 @@ PROJECTED_TEXEL_BYTES = 4 << 30
 
 
 class RenderEngine:
-    """Renders frames of its scenes and has the workers bake what they lack. Safe to use from many threads."""
+    """Renders frames of its scenes and has a ``baker`` bake what they lack. Safe to use from many threads."""
 
     def __init__(
         self,
@@ -118,9 +118,9 @@ class RenderEngine:
         self._variants: OrderedDict[str, SceneVariant] = OrderedDict()
         self._changing = threading.RLock()
         self._tiles = Tiles()
-        self._baker = baker or Baker(workers=None if scheduler else workers)
-        self.workforce = Workforce(self._baker, self.store.url, workers, scheduler)
-        self._beside = SideBakes(self._baker, self.store, projected)
+        self.baker = baker or Baker(workers=None if scheduler else workers)
+        self.workforce = Workforce(self.baker, self.store.url, workers, scheduler)
+        self._beside = SideBakes(self.baker, self.store, projected)
         self._checks = PictureChecks(self.check, self._checked)
         self._checking = Tiles()
         self._promises = Promises()
@@ -205,7 +205,7 @@ class RenderEngine:
             self.scenes = {name: each for name, each in self.scenes.items() if name != scene}
             known = [bake for spec in SPECS if self._bakes.pop(bake := bake_name(scene, spec), None)]
         for bake in known:
-            self._baker.forget(bake)
+            self.baker.forget(bake)
         self._beside.forget(scene)
         self._loaded.drop(scene)
 
@@ -235,7 +235,7 @@ class RenderEngine:
                 if frame.checkable:
                     self.check(scene, view, target, cancelled)
                 else:
-                    self._baker.wait(*self._chunks(scene, frame), left)
+                    self.baker.wait(*self._chunks(scene, frame), left)
             frame = self.survey(scene, view, target, cancelled, watch)
         return frame
 
@@ -287,7 +287,7 @@ class RenderEngine:
             return beside
         self._find(scene)
         bake, stage = self.lacking(scene, frame)
-        return beside | self._baker.request(bake, stage.demands, stage.target, viewer, stage.enough)
+        return beside | self.baker.request(bake, stage.demands, stage.target, viewer, stage.enough)
 
     def lacking(self, scene: str, frame: Frame) -> tuple[str, Stage]:
         """The bake that a ``frame`` lacks light of next, and what of it: see ``Frame.stages``.
@@ -315,16 +315,12 @@ class RenderEngine:
 
     def waiting(self, scene: str, frame: Frame, viewer: Viewer) -> int:
         """How many chunks that a ``frame`` lacks are still to be baked; what the ``viewer`` wants stays wanted."""
-        return self._baker.open(*self._chunks(scene, frame), viewer)
-
-    def make_way(self) -> None:
-        """Have the workers make way for a view that moves."""
-        self._baker.make_way()
+        return self.baker.open(*self._chunks(scene, frame), viewer)
 
     def leave(self, viewer: Viewer) -> None:
         """Have nothing more baked, and no picture checked, for a ``viewer`` that has gone."""
         self._checks.leave(viewer)
-        self._baker.leave(viewer)
+        self.baker.leave(viewer)
 
     def listen(self, listener: Listener) -> None:
         """Call ``listener`` for every chunk of a bake that has new light, or whose task failed; see ``bake_of``.
@@ -332,7 +328,7 @@ class RenderEngine:
         Projected and finer texels are reported as the scene's own, and the check of a picture as CHECK.
         """
         self._listeners.append(listener)
-        self._baker.listen(lambda bake, index, more: listener(self._beside.scene(bake), index, more))
+        self.baker.listen(lambda bake, index, more: listener(self._beside.scene(bake), index, more))
 
     def time_left(self, scene: str, frame: Frame, max_error: float | None = None) -> TimeLeft | None:
         """Seconds until the view of a ``frame`` is final; None where that is unknown, or no worker is at it."""
@@ -341,46 +337,27 @@ class RenderEngine:
         loaded = self._find(scene)
         target, (bake, chunks) = max_error or loaded.scene.target_error, self._chunks(scene, frame)
         subject, later = (scene, surface_key(frame.view), target), (frame.quality.finer or frame).stages[1:]
-        baking = self._baker.time_left(bake, subject, chunks, later)
+        baking = self.baker.time_left(bake, subject, chunks, later)
         if baking is None:
             return None
         left = loaded.level(frame.quality.fineness).renderer.checks.left(frame, target)
         if lacking := frame.quality.lacking:
-            spent = self.spent(bake, lacking.texels.chunks)
+            spent = self.baker.spent(bake, lacking.texels.chunks)
             baking = baking.plus(time_of_paths(left, spent, self._checking.threads, frame.seconds))
         return self._promises.kept((scene, frame.view, target), baking) if baking.high > 0.0 else None
 
     def bake(self, bake: str, stage: Stage, viewer: Viewer = BACKGROUND_VIEWER) -> BackgroundBake:
         """Have what a ``stage`` demands of a ``bake`` baked for a ``viewer``; nothing where the store is only read."""
         wanted = replace(stage, demands=()) if self.store.only_read() else stage
-        return BackgroundBake(self._baker, bake, wanted, viewer)
-
-    def spent(self, bake: str, indices: Iterable[Index]) -> Cost:
-        """What tasks at these chunks of a bake took so far."""
-        return self._baker.spent(bake, indices)
+        return BackgroundBake(self.baker, bake, wanted, viewer)
 
     def renderer(self, scene: str, fineness: int = 0) -> Renderer:
         """The renderer of a scene, its texels finer by ``fineness`` steps; UnknownSceneError where it was dismissed."""
         return self._find(scene).level(fineness).renderer
 
-    @property
-    def workers(self) -> int:
-        """How many workers there are, or are to come."""
-        return self._baker.workers
-
-    @property
-    def manned(self) -> bool:
-        """Whether there are workers."""
-        return self._baker.manned
-
     def bake_of(self, scene: str, view: View) -> str:
         """The name of the bake that a view of a scene reads."""
         return bake_name(scene, spec_name(view.shading))
-
-    @property
-    def paths(self) -> int:
-        """Paths that were baked, of all scenes."""
-        return self._baker.paths
 
     def trouble(self) -> str:
         """Why light will not be baked: the store is only read, there are no workers, or a chunk was given up.
@@ -389,17 +366,13 @@ class RenderEngine:
         """
         if self.store.read_only:
             return READ_ONLY.format(store=self.store.url)
-        return self.workforce.missing or self._baker.trouble()
-
-    def tally(self) -> Tally:
-        """What baking has to do, has done, and has lost."""
-        return self._baker.tally()
+        return self.workforce.missing or self.baker.trouble()
 
     def unready(self) -> list[str]:
         """Reasons why frames would not become final; none when all is well, or nothing is baked on purpose."""
         if self.store.read_only:
             return []
-        why = self.trouble() or self._baker.paused() or self.workforce.trouble
+        why = self.trouble() or self.baker.paused() or self.workforce.trouble
         return [why] if why else []
 
     def notes(self) -> list[str]:
@@ -410,7 +383,7 @@ class RenderEngine:
         """Stop the workers; what they were at is baked again when it is next wanted."""
         self._stopped.set()
         self._checks.close()
-        self._baker.stop()
+        self.baker.stop()
         self.workforce.close()
         self._loaded.close()
         self._tiles.close()
@@ -459,9 +432,9 @@ class RenderEngine:
                 new = {name: bake for name, bake in bakes if self._bakes.get(name) != bake.digest}
                 self._bakes |= {name: bake.digest for name, bake in new.items()}
                 for name, bake in new.items():
-                    self._baker.add(name, bake)
+                    self.baker.add(name, bake)
                 if bake_name(scene.id, "gi") in new:
-                    self._baker.prepare(bake_name(scene.id, "gi"))
+                    self.baker.prepare(bake_name(scene.id, "gi"))
                 self.scenes = {**self.scenes, scene.id: loaded.scene}
         return loaded
 

@@ -135,7 +135,7 @@ class BakingCollector(Collector):
 
     def collect(self) -> Iterable[Metric]:
         """The queue, what was baked, and the workers."""
-        tally = self._engine.tally()
+        tally = self._engine.baker.tally()
         yield GaugeMetricFamily("isogi_queue_chunks", "Chunks that wait to be baked.", tally.waiting)
         yield GaugeMetricFamily("isogi_queue_age_seconds", "How long the oldest of these waits.", tally.age)
         yield GaugeMetricFamily("isogi_tasks_in_flight", "Tasks that workers are at.", tally.in_flight)

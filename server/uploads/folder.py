@@ -1,4 +1,4 @@
-"""The folder of uploaded volumes, and the one form in which they are kept."""
+"""The folder of uploads, volumes and light probes, and the one form in which each kind is kept."""
 
 import errno
 import fcntl
@@ -18,12 +18,111 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 
+from isogi_core.errors import LightError
 from isogi_core.files.grid import PATIENT_AXES, Grid, LabelName
-from isogi_core.model.orientation import Orientation
+from isogi_core.files.radiance import encode_rgbe, parse_hdr
+from isogi_core.model.environment import resample
+from isogi_core.model.volume import Orientation
 from isogi_core.plan.volumes.labels import MAX_LABELS
 from isogi_core.storage.atomic_file import write_whole
 from server.errors import FullError, UploadFolderError
-from server.uploads.environments import UploadedEnvironment, read_environment
+
+VOLUME_KIND, ENVIRONMENT_KIND = "volume", "environment"
+"""Kinds of files that may be uploaded."""
+
+SUFFIXES = {VOLUME_KIND: ".nrrd", ENVIRONMENT_KIND: ".hdr"}
+"""Endings of the names of canonical files, by their kinds."""
+
+MAX_HEADER_BYTES = 1 << 17
+"""Bytes that no header is longer than."""
+
+VOXEL_BYTES = 4
+"""Bytes of a voxel in the server's memory, where all are float32."""
+
+SCENE_BYTES = 256 << 10
+"""Bytes that the scene of a volume takes in the server's memory besides its voxels, while nobody looks at it: 10 to 30
+kB were measured."""
+
+PIXEL_BYTES = 64
+"""Bytes of a pixel in the server's memory: its radiance, and tables to sample it by."""
+
+
+@dataclass(frozen=True)
+class Upload:
+    """An upload of a ``kind`` in its canonical file: its ``id``, its ``name`` for a person, and ``bytes``.
+
+    ``size`` is a volume's voxels along x, y, z, or a probe's columns and rows.
+    """
+
+    kind: str
+    id: str
+    name: str
+    size: tuple[int, ...]
+    bytes: int
+
+    @property
+    def held(self) -> int:
+        """Bytes that the quota counts: of a volume those on disk or in memory, whichever are more, and of its scene; of
+        a probe both."""
+        if self.kind == ENVIRONMENT_KIND:
+            return self.bytes + PIXEL_BYTES * math.prod(self.size)
+        return SCENE_BYTES + max(self.bytes, VOXEL_BYTES * math.prod(self.size))
+
+
+MAX_PROBE_SHAPE = (512, 1024)
+"""Rows and columns that are kept of a probe: what is finer is averaged by solid angle, without change of energy."""
+
+ROWS_PER_BLOCK = 256
+"""Rows of a finer one that are averaged at once."""
+
+MOST_PIXELS = 1 << 25
+"""Pixels that a probe may have: 8192 × 4096."""
+
+PROBE_HEADER = "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\nNAME={name}\n\n-Y {height} +X {width}\n"
+PROBE_HEADER_PATTERN = re.compile(
+    rb"#\?RADIANCE\nFORMAT=32-bit_rle_rgbe\nNAME=([!-~]*)\n\n-Y (\d+) \+X (\d+)\n", re.ASCII
+)
+
+
+def write_environment(file: IO[bytes], data: bytes, name: str) -> str:
+    """Write a Radiance picture, as it came, as a canonical file; gives its id, a digest of all but the name.
+
+    Raises LightError where it is no lat-long picture of light: not twice as wide as high, black, or damaged.
+    """
+    image = parse_hdr(data, name or "the file", MOST_PIXELS)
+    height, width, _ = image.shape
+    if width != 2 * height:
+        raise LightError(f"The picture has {width} × {height} pixels: a probe is twice as wide as high, all around.")
+    if not image.any():
+        raise LightError("The picture is black: give one with light in it.")
+    if height > MAX_PROBE_SHAPE[0]:
+        image = made_small(image)
+    pixels = encode_rgbe(np.asarray(image, np.float64))
+    height, width, _ = image.shape
+    number = hashlib.blake2b(f"probe {width} {height}".encode() + pixels, digest_size=16).hexdigest()
+    named = quote(name or f"light {number[:6]}", safe="")
+    file.write(PROBE_HEADER.format(name=named, height=height, width=width).encode() + pixels)
+    return number
+
+
+def made_small(image: np.ndarray) -> np.ndarray:
+    """The image in MAX_PROBE_SHAPE pixels: made narrow some rows at a time, so few 64-bit numbers are in memory."""
+    height, width = MAX_PROBE_SHAPE
+    blocks = (image[row : row + ROWS_PER_BLOCK] for row in range(0, len(image), ROWS_PER_BLOCK))
+    narrow = np.concatenate([resample(block, len(block), width) for block in blocks])
+    return resample(narrow, height, width).astype(np.float32)
+
+
+def read_environment(path: Path) -> Upload | None:
+    """What a file whose name is its id says of itself; None where it is not as ``write_environment`` left it."""
+    with path.open("rb") as file:
+        head = PROBE_HEADER_PATTERN.match(file.read(MAX_HEADER_BYTES))
+    if head is None:
+        return None
+    name, height, width = (part.decode() for part in head.groups())
+    kept = Upload(ENVIRONMENT_KIND, path.stem, unquote(name), (int(width), int(height)), path.stat().st_size)
+    return kept if kept.bytes == head.end() + 4 * int(width) * int(height) else None
+
 
 NRRD_TYPES = {
     **{f"{kind}{size}": f"{name}{8 * size}" for kind, name in (("i", "int"), ("u", "uint")) for size in (1, 2, 4, 8)},
@@ -52,33 +151,8 @@ VOLUME_HEADER_PATTERN = re.compile(
     rb"(?:Segment\d+_(?:LabelValue|Name|Color):=[^\n]*\n)*\n",
     re.ASCII,
 )
-MAX_HEADER_BYTES = 1 << 17
-"""Bytes that no header is longer than."""
-
 LABEL_NAME = 64
 """Characters of a label's name that are kept, at most."""
-
-VOXEL_BYTES = 4
-"""Bytes of a voxel in the server's memory, where all are float32."""
-
-SCENE_BYTES = 256 << 10
-"""Bytes that the scene of a volume takes in the server's memory besides its voxels, while nobody looks at it: 10 to 30
-kB were measured."""
-
-
-@dataclass(frozen=True)
-class UploadedVolume:
-    """A volume in its canonical file: its ``id``, its ``name`` for a person, voxels along x, y, z, and bytes."""
-
-    id: str
-    name: str
-    size: tuple[int, int, int]
-    bytes: int
-
-    @property
-    def held(self) -> int:
-        """Bytes that the quota counts: those on disk or in memory, whichever are more, and those of its scene."""
-        return SCENE_BYTES + max(self.bytes, VOXEL_BYTES * math.prod(self.size))
 
 
 def write(file: IO[bytes], grid: Grid, name: str) -> str:
@@ -140,7 +214,7 @@ def vector(row: Sequence[float]) -> str:
     return f"({','.join(repr(float(value)) for value in row)})"
 
 
-def read_facts(path: Path) -> UploadedVolume | None:
+def read_volume(path: Path) -> Upload | None:
     """What a file whose name is its id says of itself; None where it is not as ``write`` left it."""
     with path.open("rb") as file:
         head = VOLUME_HEADER_PATTERN.match(file.read(MAX_HEADER_BYTES))
@@ -148,10 +222,14 @@ def read_facts(path: Path) -> UploadedVolume | None:
         return None
     kind, *sizes, name = (part.decode() for part in head.groups())
     x, y, z = map(int, sizes)
-    kept = UploadedVolume(path.stem, unquote(name), (x, y, z), path.stat().st_size)
+    kept = Upload(VOLUME_KIND, path.stem, unquote(name), (x, y, z), path.stat().st_size)
     widths = {name: int(code[1]) for code, name in NRRD_TYPES.items()}
     whole = head.end() + widths.get(kind, 0) * math.prod(kept.size)
     return kept if kept.bytes == whole else None
+
+
+READERS = {VOLUME_KIND: read_volume, ENVIRONMENT_KIND: read_environment}
+"""What reads canonical files, by their kinds."""
 
 
 log = logging.getLogger("isogi.uploads")
@@ -181,7 +259,7 @@ def default_folder() -> Path:
 
 
 class UploadFolder:
-    """The volumes in a folder of one server, in a table by their ids. Raises UploadFolderError, and FullError.
+    """The uploads in a folder of one server, in a table by their ids. Raises UploadFolderError, and FullError.
 
     The table is replaced and never changed: iterations over the former one go on.
     """
@@ -189,16 +267,24 @@ class UploadFolder:
     def __init__(self, path: Path) -> None:
         """Name the folder; nothing is opened yet."""
         self.path = path
-        self.volumes: dict[str, UploadedVolume] = {}
-        self.environments: dict[str, UploadedEnvironment] = {}
+        self.uploads: dict[str, Upload] = {}
         self._owners: dict[str, list[str]] = {}
         self._lock: IO[bytes] | None = None
 
     @property
     def held(self) -> int:
         """Bytes that count towards the quota."""
-        volumes, environments = self.volumes.values(), self.environments.values()
-        return sum(kept.held for kept in volumes) + sum(kept.held for kept in environments)
+        return sum(kept.held for kept in self.uploads.values())
+
+    @property
+    def volumes(self) -> list[Upload]:
+        """The volumes."""
+        return self._all(VOLUME_KIND)
+
+    @property
+    def environments(self) -> list[Upload]:
+        """The light probes."""
+        return self._all(ENVIRONMENT_KIND)
 
     def open(self) -> None:
         """Take the folder, for its owner alone; throw away what was half-written, and find what is whole."""
@@ -209,8 +295,10 @@ class UploadFolder:
             for path in self.path.glob(f"*{UNFINISHED_SUFFIX}"):
                 path.unlink()
             self._owners = read_owners(self.path / OWNERS_FILE)
-            self.volumes = {kept.id: kept for kept in map(self._read, sorted(self.path.glob("*.nrrd"))) if kept}
-            self.environments = {kept.id: kept for kept in map(self._light, sorted(self.path.glob("*.hdr"))) if kept}
+            found = [
+                self._read(kind, path) for kind in SUFFIXES for path in sorted(self.path.glob(f"*{SUFFIXES[kind]}"))
+            ]
+            self.uploads = {kept.id: kept for kept in found if kept}
 
     def close(self) -> None:
         """Leave the folder to others."""
@@ -218,8 +306,8 @@ class UploadFolder:
             self._lock.close()
 
     def place(self, number: str) -> Path:
-        """The file of a volume, or of an environment, in the folder."""
-        return self.path / (f"{number}.nrrd" if number in self.volumes else f"{self.environments[number].id}.hdr")
+        """The file of an upload in the folder."""
+        return self.path / f"{number}{SUFFIXES[self.uploads[number].kind]}"
 
     @contextmanager
     def drafts(self) -> Iterator[tuple[IO[bytes], IO[bytes]]]:
@@ -233,45 +321,31 @@ class UploadFolder:
         finally:
             Path(draft.name).unlink(missing_ok=True)
 
-    def put(self, draft: IO[bytes], number: str) -> UploadedVolume:
-        """Keep a canonical draft of a volume under its id: once this returns no power cut takes it away."""
-        place = self.path / f"{number}.nrrd"
-        self._move(draft, place)
-        kept = self._read(place)
-        if kept is None:
-            raise UploadFolderError(f"The volume in {place} did not come out as it went in: check the disk.")
-        self.volumes = {**self.volumes, number: kept}
-        return kept
-
-    def put_environment(self, draft: IO[bytes], number: str) -> UploadedEnvironment:
-        """Keep a canonical draft of an environment likewise."""
-        place = self.path / f"{number}.hdr"
-        self._move(draft, place)
-        kept = self._light(place)
-        if kept is None:
-            raise UploadFolderError(f"The light in {place} did not come out as it went in: check the disk.")
-        self.environments = {**self.environments, number: kept}
-        return kept
-
-    def _move(self, draft: IO[bytes], place: Path) -> None:
-        """Give a draft its name, for good."""
+    def put(self, draft: IO[bytes], number: str, kind: str = VOLUME_KIND) -> Upload:
+        """Keep a canonical draft of a ``kind`` under its id: once this returns no power cut takes it away."""
+        place = self.path / f"{number}{SUFFIXES[kind]}"
         with name_folder_in_errors(self.path):
             draft.flush()
             os.fsync(draft.fileno())
             os.replace(draft.name, place)
             self._settle()
+        kept = self._read(kind, place)
+        if kept is None:
+            raise UploadFolderError(f"The {kind} in {place} did not come out as it went in: check the disk.")
+        self.uploads = {**self.uploads, number: kept}
+        return kept
 
     def owners_of(self, number: str) -> list[str]:
-        """The names of those whom a volume belongs to; none where nobody is named."""
+        """The names of those whom an upload belongs to; none where nobody is named."""
         return self._owners.get(number, [])
 
     def give(self, number: str, owner: str) -> None:
         """Have an upload belong to one more, unless that is nobody."""
-        if owner and (number in self.volumes or number in self.environments) and owner not in self.owners_of(number):
+        if owner and number in self.uploads and owner not in self.owners_of(number):
             self._own({**self._owners, number: [*self.owners_of(number), owner]})
 
     def take_back(self, number: str, owner: str) -> None:
-        """Have a volume belong to one less."""
+        """Have an upload belong to one less."""
         self._own({**self._owners, number: [each for each in self.owners_of(number) if each != owner]})
 
     def _own(self, owners: dict[str, list[str]]) -> None:
@@ -281,13 +355,12 @@ class UploadFolder:
         self._owners = owners
 
     def remove(self, number: str) -> None:
-        """Delete a volume, or an environment."""
+        """Delete an upload."""
         if number in self._owners:
             self._own({key: owners for key, owners in self._owners.items() if key != number})
         with name_folder_in_errors(self.path):
             self.place(number).unlink(missing_ok=True)
-            self.volumes = {key: kept for key, kept in self.volumes.items() if key != number}
-            self.environments = {key: kept for key, kept in self.environments.items() if key != number}
+            self.uploads = {key: kept for key, kept in self.uploads.items() if key != number}
             self._settle()
 
     def _take(self) -> IO[bytes]:
@@ -309,16 +382,13 @@ class UploadFolder:
         finally:
             os.close(folder)
 
-    def _read(self, path: Path) -> UploadedVolume | None:
-        kept = read_facts(path) if UPLOAD_ID.fullmatch(path.stem) and not path.is_symlink() else None
-        if kept is None:
-            log.warning("%s is no volume that isogi has kept: it is left alone", path)
-        return kept
+    def _all(self, kind: str) -> list[Upload]:
+        return [kept for kept in self.uploads.values() if kept.kind == kind]
 
-    def _light(self, path: Path) -> UploadedEnvironment | None:
-        kept = read_environment(path) if UPLOAD_ID.fullmatch(path.stem) and not path.is_symlink() else None
+    def _read(self, kind: str, path: Path) -> Upload | None:
+        kept = READERS[kind](path) if UPLOAD_ID.fullmatch(path.stem) and not path.is_symlink() else None
         if kept is None:
-            log.warning("%s is no light that isogi has kept: it is left alone", path)
+            log.warning("%s is no %s that isogi has kept: it is left alone", path, kind)
         return kept
 
 

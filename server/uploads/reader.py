@@ -28,8 +28,7 @@ from isogi_core.files.grid import Grid, on_right_angles
 from isogi_core.model.environment import resample
 from isogi_core.model.value_survey import survey
 from isogi_core.plan.volumes.labels import Segmentation
-from server.uploads.environments import ENVIRONMENT_KIND, write_environment
-from server.uploads.folder import MAX_HEADER_BYTES, write
+from server.uploads.folder import ENVIRONMENT_KIND, MAX_HEADER_BYTES, write, write_environment
 from server.uploads.sandbox import confine
 
 LIBRARY_BYTES = 128 << 20

@@ -1,17 +1,24 @@
-"""Uploads: from a request's body, through a confined reader, to a volume that is shown as a scene."""
+"""Uploads: from a request's body, through a confined reader, to a volume that is shown as a scene, or to light.
+
+Each has a reader, a process that starts while the body arrives; one at a time reads.
+"""
 
 import asyncio
+import json
 import logging
-from collections.abc import AsyncGenerator, AsyncIterator, Callable
-from contextlib import aclosing
+import os
+import sys
+from asyncio.subprocess import DEVNULL, PIPE, Process
+from collections.abc import AsyncGenerator, AsyncIterator
+from contextlib import aclosing, asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, TypeVar
+from typing import IO
 
 from fastapi import Request
 from starlette.requests import ClientDisconnect
 
-from isogi_core.errors import Cancelled, IsogiError
+from isogi_core.errors import Cancelled, IsogiError, VolumeError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.assembly import build_scene
@@ -20,6 +27,7 @@ from server.bearers import ANY_BEARER, Bearer, bearer_of, client_of
 from server.errors import (
     ForbiddenError,
     FullError,
+    LateError,
     SlowUploadError,
     StartingError,
     UnknownVolumeError,
@@ -30,20 +38,98 @@ from server.render.bakes import attended
 from server.render.engine import RenderEngine
 from server.render.scheduling import AdmissionLimit
 from server.settings import Settings
-from server.uploads.environments import ENVIRONMENT_KIND, VOLUME_KIND, UploadedEnvironment, read_environment
 from server.uploads.folder import (
+    ENVIRONMENT_KIND,
+    READERS,
     SCENE_BYTES,
+    VOLUME_KIND,
     VOXEL_BYTES,
-    UploadedVolume,
+    Upload,
     UploadFolder,
     default_folder,
     name_folder_in_errors,
-    read_facts,
 )
-from server.uploads.reading import Reader
 from server.uploads.sandbox import lacking
 
-Kept = TypeVar("Kept")
+PYTHON_ROOT = Path(__file__).resolve().parents[2]
+"""Where Python finds the reader."""
+
+BYTES_PER_CPU_SECOND = 8 << 20
+"""Bytes of an upload for which the reader has a second more of the processor."""
+
+CLOCK_SECONDS_PER_CPU_SECOND, READER_SECONDS = 10.0, 60.0
+"""Seconds on the clock for each of the processor, and besides, after which a reader is given up: others compute."""
+
+READER_ENVIRONMENT = {
+    "PYTHONPATH": str(PYTHON_ROOT),
+    "OPENBLAS_NUM_THREADS": "1",
+    "PYTHONDONTWRITEBYTECODE": "1",
+    "PYTHONUTF8": "1",
+}
+"""What a reader has of an environment: nothing of the server's."""
+
+LIMITS_EXCEEDED = "The file takes more time or memory to read than it may: save it raw, or a smaller part."
+
+
+class Reader:
+    """A child that reads one upload, of a ``kind``, VOLUME_KIND or ENVIRONMENT_KIND: see ``server.uploads.reader``."""
+
+    def __init__(self, process: Process, upload: IO[bytes]) -> None:
+        self._process, self._upload = process, upload
+
+    @classmethod
+    @asynccontextmanager
+    async def started(
+        cls, upload: IO[bytes], into: IO[bytes], name: str, voxels: int, kind: str = VOLUME_KIND
+    ) -> AsyncIterator["Reader"]:
+        """A reader of ``upload``, of at most so many ``voxels``, which writes a canonical file ``into`` another.
+
+        It starts at once, and is gone at the end.
+        """
+        files = upload.fileno(), into.fileno()
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-P", "-m", "server.uploads.reader", name, *map(str, files), kind, str(voxels)),
+            stdin=PIPE,
+            stdout=PIPE,
+            stderr=DEVNULL,
+            pass_fds=files,
+            cwd="/",
+            env=READER_ENVIRONMENT,
+        )
+        try:
+            yield cls(process, upload)
+        finally:
+            if process.returncode is None:
+                process.kill()
+                await process.wait()
+
+    async def read(self, seconds: float) -> str:
+        """Have the upload read, now that it is whole; its id.
+
+        That may take so many processor ``seconds``, besides those for its size. Raises VolumeError, with the child's
+        own sentence or one about its end, and LateError.
+        """
+        patience = seconds + os.fstat(self._upload.fileno()).st_size / BYTES_PER_CPU_SECOND
+        try:
+            async with asyncio.timeout(READER_SECONDS + CLOCK_SECONDS_PER_CPU_SECOND * patience):
+                return await self._answer(patience)
+        except TimeoutError:
+            raise LateError("The machine is too busy to read the file: send it again in a while.") from None
+
+    async def _answer(self, seconds: float) -> str:
+        """The id that the child answers; VolumeError where it refuses the file, or ends without an answer."""
+        assert self._process.stdin and self._process.stdout
+        self._process.stdin.write(f"{seconds}\n".encode())
+        line = await self._process.stdout.readline()
+        status = await self._process.wait()
+        if not line:
+            log.warning("the reader of an upload ended with status %d", status)
+            raise VolumeError(LIMITS_EXCEEDED)
+        answer: dict[str, str] = json.loads(line)
+        if "refused" in answer:
+            raise VolumeError(answer["refused"])
+        return answer["id"]
+
 
 WRITE_BLOCK_BYTES = 1 << 20
 """Bytes that are written at once."""
@@ -125,7 +211,7 @@ class Uploads:
             return
         self._lacking = lacking()
         left = self.quota
-        for kept in self.folder.volumes.values():
+        for kept in self.folder.volumes:
             try:
                 left -= kept.held
                 if left < 0:
@@ -148,30 +234,21 @@ class Uploads:
         """Bytes that the quota has left."""
         return max(self.quota - self.folder.held, 0)
 
-    def find(self, number: str) -> UploadedVolume:
-        """The volume with this id; UnknownVolumeError where there is none."""
-        if number not in self.folder.volumes:
-            raise UnknownVolumeError(f"There is no volume '{number[:64]}': /v1/volumes lists them all.")
-        return self.folder.volumes[number]
+    def find(self, number: str, kind: str = VOLUME_KIND) -> Upload:
+        """The upload of a ``kind`` with this id; UnknownVolumeError where there is none."""
+        kept = self.folder.uploads.get(number)
+        if kept is None or kept.kind != kind:
+            raise UnknownVolumeError(f"There is no {kind} '{number[:64]}': /v1/{kind}s lists them all.")
+        return kept
 
-    async def take(self, request: Request, name: str) -> tuple[UploadedVolume, bool]:
-        """Take the body of a request as a volume and show it; the volume, and whether it is new.
+    async def take(self, request: Request, name: str, kind: str = VOLUME_KIND) -> tuple[Upload, bool]:
+        """Take the body of a request as an upload of a ``kind``, and show a volume; the upload, and whether it is new.
 
         It belongs to all who have sent it by name.
 
         Raises UploadsOffError, StartingError, BusyError, SlowUploadError, VolumeError, LateError, FullError,
         UploadFolderError, and Cancelled where the client has left.
         """
-        return await self._take(request, name, VOLUME_KIND, self._keep)
-
-    async def take_environment(self, request: Request, name: str) -> tuple[UploadedEnvironment, bool]:
-        """Take the body of a request as light, a Radiance picture; see ``take``, which this does likewise."""
-        return await self._take(request, name, ENVIRONMENT_KIND, self._keep_environment)
-
-    async def _take(
-        self, request: Request, name: str, kind: str, keep: Callable[[IO[bytes], str], tuple[Kept, bool]]
-    ) -> tuple[Kept, bool]:
-        """Take the body of a request as a file of a ``kind``, and ``keep`` its canonical form."""
         if not self.on:
             raise UploadsOffError(self._off)
         self._check_ready()
@@ -182,7 +259,7 @@ class Uploads:
                     await place.keep(receive(request, body, self._settings.body_seconds))
                 number = await attended(request, place.keep(self._read(reader)))
             async with self._changing:
-                kept = await asyncio.to_thread(keep, draft, number)
+                kept = await asyncio.to_thread(self._keep, draft, number, kind)
                 if kept[1] or self.folder.owners_of(number):
                     await asyncio.to_thread(self.folder.give, number, bearer_of(request.scope).name)
                 return kept
@@ -192,66 +269,48 @@ class Uploads:
         async with self._reading:
             return await reader.read(self._settings.reading_seconds)
 
-    async def remove(self, number: str, bearer: Bearer = ANY_BEARER) -> None:
-        """Show a volume no more, and have its file gone. Its light is left in the store: it may come again.
+    async def remove(self, number: str, bearer: Bearer = ANY_BEARER, kind: str = VOLUME_KIND) -> None:
+        """Have an upload's file gone, and what is shown of it. Light is left in the store: the upload may come again.
 
         It stays where it belongs to others besides this bearer. Raises UnknownVolumeError, ForbiddenError,
         StartingError and UploadFolderError.
         """
-        self.find(number)
-        if await self._remove(number, bearer) and number in self._engine.scenes:
-            await asyncio.to_thread(self._engine.dismiss, number)
-
-    async def remove_environment(self, number: str, bearer: Bearer = ANY_BEARER) -> None:
-        """Have an environment gone, and what is shown in it; see ``remove``."""
-        if number not in self.folder.environments:
-            raise UnknownVolumeError(f"There is no environment '{number[:64]}': /v1/environments lists them all.")
-        if await self._remove(number, bearer):
-            for lit in [each for each in self._engine.scenes if self._engine.variant(each).environment == number]:
-                await asyncio.to_thread(self._engine.dismiss, lit)
-
-    async def _remove(self, number: str, bearer: Bearer) -> bool:
-        """Have an upload's file gone, unless it belongs to others besides; whether it is."""
+        self.find(number, kind)
         self._check_ready()
         async with self._changing:
-            if number not in self.folder.volumes and number not in self.folder.environments:
-                raise UnknownVolumeError(f"There is no upload '{number}' any more.")
+            self.find(number, kind)
             owners = self.folder.owners_of(number)
             if not any(map(bearer.owns, owners or [""])):
                 raise ForbiddenError(f"The upload '{number}' belongs to another: its sender or an admin may delete it.")
             if not bearer.may("admin") and len(owners) > 1:
                 await asyncio.to_thread(self.folder.take_back, number, bearer.name)
-                return False
+                return
             await asyncio.to_thread(self.folder.remove, number)
-            return True
+        for each in list(self._engine.scenes):
+            if number in (each, self._engine.variant(each).environment):
+                await asyncio.to_thread(self._engine.dismiss, each)
 
     def environment_at(self, name: str) -> str | None:
         """An environment as a scene file names it, by its name or the id of an uploaded one; None where none is."""
         if name in ENVIRONMENTS:
             return name
-        return str(self.folder.place(name).resolve()) if name in self.folder.environments else None
+        kept = self.folder.uploads.get(name)
+        return str(self.folder.place(name).resolve()) if kept and kept.kind == ENVIRONMENT_KIND else None
 
-    def _keep(self, draft: IO[bytes], number: str) -> tuple[UploadedVolume, bool]:
-        """Keep a volume in the folder and show it, unless it is there already; all or nothing."""
-        if number in self.folder.volumes:
-            return self.folder.volumes[number], False
-        drafted = read_facts(Path(draft.name))
+    def _keep(self, draft: IO[bytes], number: str, kind: str) -> tuple[Upload, bool]:
+        """Keep an upload in the folder, and show a volume, unless it is there already; all or nothing."""
+        if number in self.folder.uploads:
+            return self.folder.uploads[number], False
+        drafted = READERS[kind](Path(draft.name))
         self._check_room(drafted.held if drafted else 0)
-        kept = self.folder.put(draft, number)
-        try:
-            self._engine.admit(self._scene(kept))
-        except Exception:
-            self.folder.remove(number)
-            raise
+        kept = self.folder.put(draft, number, kind)
+        if kind == VOLUME_KIND:
+            try:
+                self._engine.admit(self._scene(kept))
+            except Exception:
+                self.folder.remove(number)
+                raise
         return kept, True
-
-    def _keep_environment(self, draft: IO[bytes], number: str) -> tuple[UploadedEnvironment, bool]:
-        """Keep an environment in the folder, unless it is there already."""
-        if number in self.folder.environments:
-            return self.folder.environments[number], False
-        drafted = read_environment(Path(draft.name))
-        self._check_room(drafted.held if drafted else 0)
-        return self.folder.put_environment(draft, number), True
 
     def _check_ready(self) -> None:
         if not self._ready:
@@ -263,7 +322,7 @@ class Uploads:
             room = f"{size} bytes are wanted and {self.free} free"
             raise FullError(f"Uploads may take {self.quota >> 20} MB, {room}: delete volumes first.")
 
-    def _scene(self, kept: UploadedVolume) -> Scene:
+    def _scene(self, kept: Upload) -> Scene:
         """The scene of a volume: in default light, and found by the volume's id."""
         source = SceneSource(kept.name, {"volume": f"{kept.id}.nrrd"}, self.folder.path.resolve())
         return replace(build_scene(source), id=kept.id)

@@ -31,7 +31,7 @@ def test_every_fault_at_every_point_costs_time_and_nothing_else(bench: Bench, tm
         assert not [token.name for token in tokens if token.exists()], "they were not reached"
         assert not frame.provisional, f"{point}: {bench.engine.trouble()}"
         bake_here(bench, demands, tmp_path)
-    tally = bench.engine.tally()
+    tally = bench.engine.baker.tally()
     assert (tally.given_up, tally.waiting) == (0, 0)
     assert tally.deaths >= len(POINTS)
     assert objects_in(bench.store) == objects_in(tmp_path)
@@ -43,7 +43,7 @@ def metric(bench: Bench, name: str) -> float:
 
 
 def test_a_chunk_that_kills_its_workers_fails_alone(bench: Bench) -> None:
-    view, before = bench.view(), bench.engine.tally()
+    view, before = bench.view(), bench.engine.baker.tally()
     kept = set(objects_in(bench.store))
     demands = {demand.index: demand for demand in bench.demands(view)}
     poison = max(demands, key=lambda index: demands[index].weight)
@@ -56,7 +56,7 @@ def test_a_chunk_that_kills_its_workers_fails_alone(bench: Bench) -> None:
     arm.unlink()
     told = f"Chunk {poison} of orbital cannot be baked: the process that was to bake it died."
     assert "event: failed" in last and told in json.loads(last.split("data: ")[1].splitlines()[0])["detail"]
-    tally = bench.engine.tally()
+    tally = bench.engine.baker.tally()
     assert (tally.given_up, tally.waiting) == (1, 0)
     beside = len(demands)  # chunks of the same task fail once, and are tried alone
     assert MOST_FAILURES <= tally.failed - before.failed <= MOST_FAILURES + beside

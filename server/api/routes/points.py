@@ -10,7 +10,7 @@ from fastapi import APIRouter, Request, Response
 
 from isogi_core.plan.scene import Scene
 from server.answers import point_schema, size_schema
-from server.api.headers import PreferencesDep, matches, tag_of
+from server.api.headers import PreferencesDep, matches, tag_of, takes_gzip
 from server.api.service import SceneDep, ServiceDep
 from server.errors import ParameterError
 from server.parameters import (
@@ -24,7 +24,7 @@ from server.parameters import (
     VariantParams,
     documented,
 )
-from server.pictures import MEDIA_TYPES, compress, grey, media_range, quality, values_npy
+from server.pictures import MEDIA_TYPES, compress, grey, values_npy
 from server.problems import documented_problems
 from server.schemas import PointSchema, SizeSchema
 
@@ -102,7 +102,7 @@ def sliced(request: Request, scene: Scene, params: SliceParams) -> Response:
         beyond = f"at={params.at:g} is outside the volume: {params.axis} goes from 0 to {volume.size[axis] - 1}."
         raise ParameterError(beyond, "at")
     window = params.window(volume.core) if params.is_picture else ()
-    packed = not params.is_picture and accepts_gzip(request.headers.get("accept-encoding", ""))
+    packed = not params.is_picture and takes_gzip(request.headers.get("accept-encoding", ""))
     tag = tag_of(DRAWN, volume.digest, axis, params.at, *window, packed)
     headers = {"ETag": tag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}
     if matches(request.headers.get("if-none-match"), tag):
@@ -114,8 +114,3 @@ def sliced(request: Request, scene: Scene, params: SliceParams) -> Response:
     if packed:
         values, headers = gzip.compress(values, GZIP_LEVEL), headers | {"Content-Encoding": "gzip"}
     return Response(values, 200, headers, MEDIA_TYPES["npy"])
-
-
-def accepts_gzip(header: str) -> bool:
-    """Whether an Accept-Encoding header takes gzip."""
-    return quality("gzip", dict(map(media_range, header.split(",")))) > 0

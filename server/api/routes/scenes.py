@@ -35,8 +35,7 @@ from server.schemas import (
     UploadList,
     UploadSchema,
 )
-from server.uploads.environments import UploadedEnvironment
-from server.uploads.folder import UploadedVolume
+from server.uploads.folder import ENVIRONMENT_KIND, VOLUME_KIND, Upload
 from server.uploads.uploads import Uploads
 
 router = APIRouter(prefix="/v1/scenes", tags=["scenes"])
@@ -47,7 +46,8 @@ async def list_scenes(service: ServiceDep) -> SceneList:
     """All scenes, each with the address of its document."""
     links = [SceneLink(id=s.id, name=s.name, href=f"/v1/scenes/{s.id}") for s in service.engine.own_scenes]
     for link in links:
-        link.volume = href(link.id) if link.id in service.uploads.folder.volumes else None
+        kept = service.uploads.folder.uploads.get(link.id)
+        link.volume = href(kept) if kept else None
     return SceneList(scenes=links, uploads=limits(service.uploads))
 
 
@@ -130,17 +130,22 @@ TAKEN: dict[int | str, dict[str, Any]] = {
 )
 async def upload(request: Request, response: Response, params: UploadParamsDep, service: ServiceDep) -> UploadSchema:
     """Take the body, a file with its data in it, as a volume, and show it as a scene of the same id."""
-    kept, new = await service.uploads.take(request, params.name)
+    return facts(await taken(request, response, params, service, VOLUME_KIND))
+
+
+async def taken(request: Request, response: Response, params: UploadParams, service: Service, kind: str) -> Upload:
+    """The upload of a ``kind`` that a request's body is; the ``response`` says whether it is new, and where it is."""
+    kept, new = await service.uploads.take(request, params.name, kind)
     response.status_code = 201 if new else 200
-    response.headers["Location"] = href(kept.id)
-    return facts(kept)
+    response.headers["Location"] = href(kept)
+    return kept
 
 
 @volume_router.get("", dependencies=[NoParamsDep], responses=documented_problems(422))
 async def list_volumes(service: ServiceDep) -> UploadList:
     """All uploaded volumes."""
     uploads = service.uploads
-    return UploadList(volumes=[facts(kept) for kept in uploads.folder.volumes.values()], uploads=limits(uploads))
+    return UploadList(volumes=[facts(kept) for kept in uploads.folder.volumes], uploads=limits(uploads))
 
 
 @volume_router.get("/{volume}", dependencies=[NoParamsDep], responses=documented_problems(404, 422))
@@ -177,10 +182,7 @@ async def upload_environment(
     request: Request, response: Response, params: UploadParamsDep, service: ServiceDep
 ) -> EnvironmentSchema:
     """Take the body, a lat-long Radiance picture (.hdr), as light that every scene may be shown in."""
-    kept, new = await service.uploads.take_environment(request, params.name)
-    response.status_code = 201 if new else 200
-    response.headers["Location"] = light_href(kept.id)
-    return uploaded_light(kept)
+    return uploaded_light(await taken(request, response, params, service, ENVIRONMENT_KIND))
 
 
 @environment_router.get("", dependencies=[NoParamsDep], responses=documented_problems(422))
@@ -194,29 +196,26 @@ async def list_environments(service: ServiceDep) -> EnvironmentList:
 )
 async def delete_environment(environment: str, service: ServiceDep, bearer: BearerDep) -> None:
     """Delete an uploaded environment; light that was baked in it stays in the store."""
-    await service.uploads.remove_environment(environment, bearer)
+    await service.uploads.remove(environment, bearer, ENVIRONMENT_KIND)
 
 
 def environments(uploads: Uploads) -> list[EnvironmentSchema]:
     """Light that scenes may be shown in besides their own."""
     own = [EnvironmentSchema(id=number, name=name) for number, name in ENVIRONMENTS.items()]
-    return own + [uploaded_light(kept) for kept in uploads.folder.environments.values()]
+    return own + [uploaded_light(kept) for kept in uploads.folder.environments]
 
 
-def uploaded_light(kept: UploadedEnvironment) -> EnvironmentSchema:
+def uploaded_light(kept: Upload) -> EnvironmentSchema:
     """The document of one uploaded environment."""
-    return EnvironmentSchema(id=kept.id, name=kept.name, href=light_href(kept.id))
+    return EnvironmentSchema(id=kept.id, name=kept.name, href=href(kept))
 
 
-def light_href(number: str) -> str:
-    """The address of the environment with this id."""
-    return f"/v1/environments/{number}"
-
-
-def facts(kept: UploadedVolume) -> UploadSchema:
+def facts(kept: Upload) -> UploadSchema:
     """The document of one volume."""
     scene = f"/v1/scenes/{kept.id}"
-    return UploadSchema(id=kept.id, name=kept.name, href=href(kept.id), scene=scene, size=kept.size, bytes=kept.bytes)
+    x, y, z = kept.size
+    size = x, y, z
+    return UploadSchema(id=kept.id, name=kept.name, href=href(kept), scene=scene, size=size, bytes=kept.bytes)
 
 
 def limits(uploads: Uploads) -> UploadLimits | None:
@@ -226,6 +225,6 @@ def limits(uploads: Uploads) -> UploadLimits | None:
     return UploadLimits(limit_bytes=uploads.limit, quota_bytes=uploads.quota, free_bytes=uploads.free)
 
 
-def href(number: str) -> str:
-    """The address of the volume with this id."""
-    return f"/v1/volumes/{number}"
+def href(kept: Upload) -> str:
+    """The address of an upload."""
+    return f"/v1/{kept.kind}s/{kept.id}"

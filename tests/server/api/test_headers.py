@@ -10,7 +10,6 @@ import pytest
 
 from isogi_core.frame.known_blocks import Part
 from isogi_core.frame.tiles import Stopwatch
-from server.api.binary import gzipped
 from server.api.headers import (
     STAGES,
     Preferences,
@@ -21,6 +20,7 @@ from server.api.headers import (
     server_timing,
     time_left_header,
 )
+from server.api.routes.card import gzipped
 from server.parameters import FrameParams
 from worker.progress import TimeLeft
 

@@ -8,7 +8,7 @@ import httpx
 import pytest
 
 from server.errors import FullError, UnknownResultError
-from server.exports.folder import ExportFolder
+from server.render.jobs import ExportFolder
 from tests.server.asking import Told
 from tests.server.idle import Idle, idle_server
 from tests.server.inline import LONG

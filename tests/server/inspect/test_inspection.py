@@ -4,6 +4,8 @@ import importlib.util
 import json
 import math
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -205,7 +207,7 @@ def test_the_picture(told: Told, small_scene: Path, tmp_path: Path) -> None:
 
 @needs_matplotlib
 def test_a_volume_without_a_surface_has_a_picture_too(tmp_path: Path) -> None:
-    from server.inspect.inspection import save_picture
+    from server.inspect.picture import save_picture
 
     save_picture(tmp_path / "a.png", inspection_schema(scene_of(np.ones((4, 5, 6)), 1.0)))
     assert (tmp_path / "a.png").stat().st_size > 1000
@@ -221,6 +223,11 @@ def test_without_matplotlib_a_sentence_says_what_to_install(
 ) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     assert "isogi[report]" in told("inspect", small_scene, "--picture", tmp_path / "a.png", status=1)
+
+
+def test_an_inspection_without_a_picture_needs_no_matplotlib() -> None:
+    code = "import sys; sys.modules['matplotlib'] = None; import server.inspect.text"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 
 
 Brief = Callable[[Path], dict[str, str]]

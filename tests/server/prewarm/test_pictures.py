@@ -133,7 +133,7 @@ def test_views_are_final_without_a_texel_baked(lit: Path, viewed: Warm, tmp_path
     with engine_of(lit, tmp_path / "each", hire=True) as engine:
         for view in views:
             bake_each_texel(engine, "lit", view)
-        assert summary.paths < 0.7 * engine.paths
+        assert summary.paths < 0.7 * engine.baker.paths
 
 
 def test_whole_isosurfaces_have_the_samples_pictures_need(lit: Path, whole: Warm) -> None:

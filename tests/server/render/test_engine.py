@@ -319,7 +319,7 @@ def test_a_full_disk_leaves_frames_provisional_and_is_told(
         assert wait_for(lambda: engine.unready() != [], LONG)
         assert "No space left on device; the store is full" in engine.unready()[0]
         assert engine.trouble() == "" == StoreProbe(engine.store).reasons()[0].partition("Cannot write to the store")[0]
-        assert engine.tally().given_up == engine.tally().failed == 0
+        assert engine.baker.tally().given_up == engine.baker.tally().failed == 0
     assert not engine.frame(scene.id, other, wait=LONG).provisional
     assert engine.unready() == StoreProbe(engine.store).reasons() == []
 

@@ -85,7 +85,7 @@ def endure(scene: Scene, failing: Failing, reference: Frame) -> dict[str, bytes]
         for frame in frames(engine, scene):
             final = frame.state == FINAL
             np.testing.assert_array_equal(frame.radiance[final], reference.radiance[final])
-        assert engine.tally().given_up == 0
+        assert engine.baker.tally().given_up == 0
     return failing.objects()
 
 

@@ -53,7 +53,7 @@ def test_workers_bake_all_sides_and_a_restart_finds_them(make: Callable[..., Ren
     engine.close()
     other = make(False, **SCENE)
     again = other.survey("orbital", view, scene.target_error)
-    assert not again.provisional and other.paths == 0
+    assert not again.provisional and other.baker.paths == 0
     assert (again.radiance == frame.radiance).all() or again.quality.own != frame.quality.own
 
 
@@ -89,7 +89,7 @@ def test_walls_are_lit_beside_texels(make: Callable[..., RenderEngine]) -> None:
     while heard.get(timeout=LONG) != (CHECK, False):
         pass
     second = engine.survey("orbital", view, target)
-    assert not coarse(second) and second.demands and engine.paths == 0
+    assert not coarse(second) and second.demands and engine.baker.paths == 0
     assert engine.want("orbital", second, target, GUEST_VIEWER) == wanted
     engine.hire()
     frame = awaited(engine, "orbital", view, None, LONG)

@@ -6,8 +6,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from server.uploads.environments import VOLUME_KIND
-from server.uploads.reading import READER_ENVIRONMENT
+from server.uploads.folder import VOLUME_KIND
+from server.uploads.uploads import READER_ENVIRONMENT
 
 CODE = """
 import json, sys, warnings

@@ -10,8 +10,7 @@ import pytest
 
 from isogi_core.files.radiance import read_hdr, write_hdr
 from isogi_core.model.environment import mean_radiance
-from server.uploads.environments import MAX_PROBE_SHAPE
-from server.uploads.folder import UploadFolder
+from server.uploads.folder import MAX_PROBE_SHAPE, read_environment
 from tests.server.uploads.site import Site
 
 LIGHTS = "/v1/environments"
@@ -56,7 +55,7 @@ def test_it_is_kept_once_as_it_was_sent_and_counts(site: Site, sent: dict[str, s
     assert (again.status_code, again.json()["id"]) == (200, sent["id"])
     held = site.client.get(LIGHTS).json()["uploads"]
     assert held["free_bytes"] < held["quota_bytes"]
-    assert UploadFolder(site.folder)._light(file) is not None, "it is found again"
+    assert read_environment(file) is not None, "it is found again"
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ import pytest
 from isogi_core.files.formats.opening import open_file
 from isogi_core.files.grid import Grid, LabelName
 from server.errors import FullError
-from server.uploads.folder import NRRD_TYPES, SCENE_BYTES, UploadFolder, default_folder, read_facts, write
+from server.uploads.folder import NRRD_TYPES, SCENE_BYTES, UploadFolder, default_folder, read_volume, write
 from tests.loaded import read_nrrd
 from tests.server.uploads.files import names
 
@@ -42,7 +42,7 @@ def test_a_volume_is_found_again(folder: UploadFolder) -> None:
     folder.close()
     again = UploadFolder(folder.path)
     again.open()
-    assert set(again.volumes) == numbers and again.volumes == folder.volumes
+    assert set(again.uploads) == numbers and again.uploads == folder.uploads
     assert names(folder.path) == {f"{number}.nrrd" for number in numbers}
     again.close()
 
@@ -55,7 +55,7 @@ def test_a_volume_of_an_earlier_version_keeps_its_shorter_id(folder: UploadFolde
     (folder.path / f"{number}.nrrd.nrrd").touch()
     again = UploadFolder(folder.path)
     again.open()
-    assert set(again.volumes) == {number[:20]}
+    assert set(again.uploads) == {number[:20]}
     again.close()
 
 
@@ -72,10 +72,10 @@ def test_unfinished_files_are_deleted_and_foreign_ones_left(folder: UploadFolder
     (folder.path / "notes.nrrd").write_bytes(b"NRRD0004\n")
     (folder.path / f"{'0' * 20}.nrrd").symlink_to(folder.path / f"{number}.nrrd")
     folder.open()
-    assert set(folder.volumes) == {number}
+    assert set(folder.uploads) == {number}
     assert names(folder.path) == {f"{number}.nrrd", "notes.nrrd", f"{'0' * 20}.nrrd"}
     folder.remove(number)
-    assert not folder.volumes and not folder.held
+    assert not folder.uploads and not folder.held
 
 
 def test_a_file_is_on_the_disk_before_its_name_is(folder: UploadFolder, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,7 +99,7 @@ def test_a_disk_that_is_full_says_so_and_nothing_is_left(folder: UploadFolder, m
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(FullError, match="disk"):
         put(folder)
-    assert not names(folder.path) and not folder.volumes
+    assert not names(folder.path) and not folder.uploads
 
 
 KILLED = """
@@ -152,7 +152,7 @@ def test_a_volume_is_read_as_it_was(tmp_path: Path, kind: str, order: str) -> No
     array, spacing = read_nrrd(path)
     np.testing.assert_array_equal(array, RAMP)
     assert (array.dtype.newbyteorder("="), spacing) == (np.dtype(kind), (1.0, 2.0, 0.1))
-    facts = read_facts(path)
+    facts = read_volume(path)
     assert facts and (facts.id, facts.size, facts.bytes) == (path.stem, (4, 3, 2), path.stat().st_size)
 
 
@@ -164,18 +164,18 @@ def test_the_id_is_of_the_voxels_and_not_of_order_layout_or_name(tmp_path: Path)
 
 @pytest.mark.parametrize("name", ["Zwei Kugeln é 球", "a\\nb: c", "<script>", "sizes: 1 1 1", "%41", "x" * 80])
 def test_a_name_is_kept_whatever_is_in_it(tmp_path: Path, name: str) -> None:
-    facts = read_facts(kept(tmp_path, RAMP.astype("u1"), name))
+    facts = read_volume(kept(tmp_path, RAMP.astype("u1"), name))
     assert facts and facts.name == name
 
 
 def test_what_has_no_name_is_called_after_its_id(tmp_path: Path) -> None:
-    facts = read_facts(kept(tmp_path, RAMP.astype("u1"), ""))
+    facts = read_volume(kept(tmp_path, RAMP.astype("u1"), ""))
     assert facts and facts.name == f"volume {facts.id[:6]}"
 
 
 def test_the_quota_counts_what_the_server_holds(tmp_path: Path) -> None:
     ramp = np.arange(1000).reshape(10, 10, 10)
-    small, wide = (read_facts(kept(tmp_path, ramp.astype(kind))) for kind in ("u1", "f8"))
+    small, wide = (read_volume(kept(tmp_path, ramp.astype(kind))) for kind in ("u1", "f8"))
     assert small and small.held == SCENE_BYTES + 4 * 1000
     assert wide and wide.held - SCENE_BYTES == wide.bytes > 8 * 1000
 
@@ -193,14 +193,14 @@ MARKED = RAMP.astype("u1")
 def test_labels_keep_their_names_and_colours(tmp_path: Path) -> None:
     """What a name may not hold is left out of it: it makes no line of its own."""
     path = kept(tmp_path, MARKED, "a", LABELS)
-    assert read_facts(path)
+    assert read_volume(path)
     odd = LabelName(2, "oddSegment7_Name:=xne", "")
     assert open_file(path, {}).labels == (LABELS[0], odd, LabelName(9, "x" * 64, "#000001"))
     bare = kept(tmp_path, MARKED)
     assert open_file(bare, {}).labels is None and bare.stem != path.stem
     assert open_file(kept(tmp_path, MARKED, "a", ()), {}).labels is not None
     many = kept(tmp_path, MARKED, "a", tuple(LabelName(n, "ä" * 64, "#123456") for n in range(1, 400)))
-    assert read_facts(many) and len(open_file(many, {}).labels or ()) == 255
+    assert read_volume(many) and len(open_file(many, {}).labels or ()) == 255
 
 
 def test_what_isogi_did_not_write_is_none(tmp_path: Path) -> None:
@@ -209,4 +209,4 @@ def test_what_isogi_did_not_write_is_none(tmp_path: Path) -> None:
     detached = whole.replace(b"name:=a", b"data file: /etc/passwd")
     for text in (*others, detached):
         (tmp_path / "a.nrrd").write_bytes(text)
-        assert read_facts(tmp_path / "a.nrrd") is None, text
+        assert read_volume(tmp_path / "a.nrrd") is None, text

@@ -13,9 +13,9 @@ import pytest
 
 from isogi_core.files.formats.opening import open_file
 from isogi_core.files.grid import LabelName, on_right_angles
-from isogi_core.model.orientation import Orientation
-from server.uploads.folder import read_facts
-from server.uploads.reading import PYTHON_ROOT
+from isogi_core.model.volume import Orientation
+from server.uploads.folder import read_volume
+from server.uploads.uploads import PYTHON_ROOT
 from tests.files.formats.every_kind import F, written
 from tests.files.formats.phantom import ORIGIN, STEPS
 from tests.loaded import load_scene
@@ -50,7 +50,7 @@ def read_confined(path: Path, folder: Path) -> Path:
 def test_files_of_every_kind_are_read_confined(tmp_path: Path) -> None:
     for path in written(tmp_path / "files"):
         kept = read_confined(path, tmp_path)
-        facts, grid = read_facts(kept), on_right_angles(open_file(kept, {}))
+        facts, grid = read_volume(kept), on_right_angles(open_file(kept, {}))
         assert facts and facts.name == path.name and facts.size == (16, 20, 12)
         np.testing.assert_array_equal(np.sort(grid.whole(), axis=None), np.sort(F, axis=None))
 
@@ -59,7 +59,7 @@ def test_an_uploaded_series_shows_its_first_step(tmp_path: Path) -> None:
     nib = pytest.importorskip("nibabel")
     nib.save(nib.Nifti1Image(np.stack([F.T, F.T + 1, F.T + 2], axis=-1), np.eye(4)), tmp_path / "bold.nii")
     kept = read_confined(tmp_path / "bold.nii", tmp_path)
-    facts = read_facts(kept)
+    facts = read_volume(kept)
     assert facts and facts.name == "bold.nii, first of 3 steps"
     np.testing.assert_array_equal(np.sort(open_file(kept, {}).whole(), axis=None), np.sort(F, axis=None))
 

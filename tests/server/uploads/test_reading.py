@@ -16,9 +16,9 @@ import pytest
 
 from isogi_core.files.radiance import encode_rgbe
 from server.uploads import uploads
-from server.uploads.environments import ENVIRONMENT_KIND
-from server.uploads.reading import PYTHON_ROOT, Reader
+from server.uploads.folder import ENVIRONMENT_KIND
 from server.uploads.sandbox import lacking
+from server.uploads.uploads import PYTHON_ROOT, Reader
 from tests.server.asking import Ask
 from tests.server.uploads import claims
 from tests.server.uploads.files import ball
