@@ -63,7 +63,7 @@ class Knob:
         return self.default if self.own is None else self.own(scene)
 
 
-XYZ, ANGLE, SIDE = Row(("x", "y", "z")), Span(-360, 360), Span(1, LONGEST_SIDE, whole=True)
+XYZ, ANGLE, PICTURE_SIDE = Row(("x", "y", "z")), Span(-360, 360), Span(1, LONGEST_SIDE, whole=True)
 
 
 def _none(_: Scene) -> None:
@@ -82,7 +82,7 @@ def _shine(name: str) -> Callable[[Scene], Any]:
     return lambda scene: getattr(scene.surfaces.shine, SHINE_KNOBS[name], None)
 
 
-GROUPS = {
+KNOB_GROUPS = {
     "Volume": (
         Knob(
             "environment",
@@ -178,8 +178,8 @@ GROUPS = {
             1.0,
             own=lambda scene: 1.0 if scene.lighting.glowing.any else None,
         ),
-        Knob("width", SIDE, "Width of the picture", 512, "pixels"),
-        Knob("height", SIDE, "Height of the picture", 512, "pixels"),
+        Knob("width", PICTURE_SIDE, "Width of the picture", 512, "pixels"),
+        Knob("height", PICTURE_SIDE, "Height of the picture", 512, "pixels"),
         Knob("shading", Choice(VIEW_SHADINGS), "How the surface is lit: gi by light from all around", "gi"),
         Knob(
             "exposure",
@@ -222,4 +222,4 @@ GROUPS = {
 }
 """The knobs by what they are of: headings of help, but for the volume's and the work's, which have options apart."""
 
-KNOBS = {knob.name: knob for group in GROUPS.values() for knob in group}
+KNOBS = {knob.name: knob for group in KNOB_GROUPS.values() for knob in group}

@@ -14,7 +14,7 @@ from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.glow import Glowing
 from isogi_core.model.view import View, orbit
 
-SIDE = 96
+FITTED_SIDE = 96
 """Pixels along each side of the picture that finds the surface."""
 
 FILLED = 0.9
@@ -81,8 +81,8 @@ def cloud_of(renderer: Renderer, stand: Stand) -> Cloud | None:
     across = math.tan(math.radians(fov) / 2.0) * min(1.0, view.width / view.height)
     away = math.hypot(1.0, 1.0 / across)
     afar = orbit(volume.world_centre, volume.radius, stand.azimuth, stand.elevation, away, fov)
-    high = max(SIDE, round(SIDE * view.height / view.width))
-    wide = max(SIDE, round(SIDE * view.width / view.height))
+    high = max(FITTED_SIDE, round(FITTED_SIDE * view.height / view.width))
+    wide = max(FITTED_SIDE, round(FITTED_SIDE * view.width / view.height))
     seen = renderer.gbuffer(replace(view, camera=afar.in_box(orientation), width=wide, height=high))
     if len(seen.points) < MIN_SURFACE_PIXELS:
         return None

@@ -12,7 +12,7 @@ from urllib.parse import quote
 import click
 
 from isogi_core.model.lights import ENVIRONMENTS
-from server.knobs import GROUPS, KNOBS
+from server.knobs import KNOB_GROUPS, KNOBS
 from server.values import Span, seconds_of, seconds_of_age
 
 if TYPE_CHECKING:
@@ -48,7 +48,8 @@ FIRST_HEADING = "Options"
 """The heading of options of no group."""
 
 VIEW_GROUPS = {
-    heading: tuple(knob.name for knob in GROUPS[heading]) for heading in (FIRST_HEADING, "Camera", "Light", "Picture")
+    heading: tuple(knob.name for knob in KNOB_GROUPS[heading])
+    for heading in (FIRST_HEADING, "Camera", "Light", "Picture")
 }
 """The knobs that are options of a view, by the headings of help."""
 

@@ -66,7 +66,7 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
 """Each command, by its words after ``isogi``: lines to type, and what each is for."""
 
 
-GROUPS = {
+HELP_GROUPS = {
     **{title: names for title, names in VIEW_GROUPS.items() if title != FIRST_HEADING},
     "Light that is kept": (
         *("store", "store_seconds", "store_retries", "store_cache_mb", "projected_mb", "memory_mb"),
@@ -110,7 +110,7 @@ class GroupedCommand(WithExamples):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, group by group."""
-        rows: dict[str, list[tuple[str, str]]] = {FIRST_HEADING: [], **{title: [] for title in GROUPS}}
+        rows: dict[str, list[tuple[str, str]]] = {FIRST_HEADING: [], **{title: [] for title in HELP_GROUPS}}
         for param in self.get_params(ctx):
             record = param.get_help_record(ctx)
             if record is not None and isinstance(param, click.Option):
@@ -123,7 +123,7 @@ class GroupedCommand(WithExamples):
 
 def group_of(name: str) -> str:
     """The group that an option is in."""
-    return next((title for title, names in GROUPS.items() if name in names), FIRST_HEADING)
+    return next((title for title, names in HELP_GROUPS.items() if name in names), FIRST_HEADING)
 
 
 class Group(WithExamples, click.Group):
