@@ -40,7 +40,6 @@ from isogi_core.model.scene_plan import GLOW_KIND, MAX_SAMPLES, Layer, most_samp
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.volumes.masks import CUT_AWAY_VALUE, Ranges, box_left, is_within, values_beyond
 from isogi_core.prepared.prepared_scene import Met, PreparedScene
-from isogi_core.runs import Run, serially
 
 
 def starts_at(
@@ -100,13 +99,12 @@ def add_glow_paths(
     samples: SampleRange,
     rules: PathRules,
     sums: np.ndarray,
-    run: Run = serially,
 ) -> None:
     """Add what a ``SampleRange`` of paths gathers of what glows, of radiance 1, at g ``starts`` to ``sums`` (g, 3 k).
 
     The surface has this ``albedo``, and is the first of several where there are others.
     """
-    add_paths(prepared.met_by_glow(albedo, cells, run), starts, samples, rules, prepared.glows, sums)
+    add_paths(prepared.met_by_glow(albedo, cells), starts, samples, rules, prepared.glows, sums)
 
 
 NOISE_ORDER = 2

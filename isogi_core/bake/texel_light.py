@@ -151,6 +151,12 @@ class Part:
         """A copy of some rows."""
         return Part(self.layer, self.samples[which], self.noise[which], self.coefficients[which])
 
+    def among(self, own: np.ndarray, places: np.ndarray) -> "Part":
+        """The texels, which lie at ``own`` places, among all at ``places``, which ascend; the others are dark."""
+        whole = Part.dark(self.layer, len(places))
+        whole.put(np.searchsorted(places, own), self)
+        return whole
+
     def channel(self, number: int) -> "Part":
         """The texels with channel ``number`` of their coefficients alone."""
         own = np.ascontiguousarray(self.coefficients[:, number : number + 1])

@@ -215,16 +215,14 @@ class Chunk:
         return cls(index, np.empty(0, np.int32), Light.dark(plan, 0))
 
     @classmethod
-    def of_parts(cls, index: Index, layers: Sequence[Layer], found: Sequence[tuple[np.ndarray, Part]]) -> "Chunk":
+    def of_parts(cls, index: Index, found: Sequence[tuple[np.ndarray, Part]]) -> "Chunk":
         """The chunk of the offsets and the part that were ``found`` in each layer."""
-        return cls(index, *united(layers, found))
+        return cls(index, *united(found))
 
     def with_texels(self, offsets: np.ndarray) -> "Chunk":
         """This chunk with the texels at ``offsets`` added where it lacks them; added texels are dark."""
         union = np.union1d(self.offsets, offsets).astype(np.int32)
-        light = Light(tuple(Part.dark(part.layer, len(union)) for part in self.light.parts))
-        light.put(np.searchsorted(union, self.offsets), self.light)
-        return Chunk(self.index, union, light)
+        return Chunk(self.index, union, Light(tuple(part.among(self.offsets, union) for part in self.light.parts)))
 
     def rows_of(self, offsets: np.ndarray) -> np.ndarray:
         """Rows of ``light`` for texels at ``offsets``, all of which the chunk must have."""
@@ -249,26 +247,21 @@ class Chunks:
         return cls((chunk.index,), np.array([0, len(chunk.offsets)]), chunk.offsets, chunk.light)
 
     @classmethod
-    def of_parts(
-        cls, indices: Sequence[Index], texels: int, layers: Sequence[Layer], found: Sequence[tuple[np.ndarray, Part]]
-    ) -> "Chunks":
+    def of_parts(cls, indices: Sequence[Index], texels: int, found: Sequence[tuple[np.ndarray, Part]]) -> "Chunks":
         """The chunks that have texels, of the places and the part that were ``found`` in each layer.
 
         A place is the number of the chunk among ``indices`` times the ``texels`` of one plus the offset in it.
         """
-        places, light = united(layers, found)
+        places, light = united(found)
         bounds = np.searchsorted(places, np.arange(len(indices) + 1, dtype=np.int32) * np.int32(texels))
         there = tuple(compress(indices, (np.diff(bounds) > 0).tolist()))
         return cls(there, np.unique(bounds), places % np.int32(texels), light)
 
 
-def united(layers: Sequence[Layer], found: Sequence[tuple[np.ndarray, Part]]) -> tuple[np.ndarray, Light]:
+def united(found: Sequence[tuple[np.ndarray, Part]]) -> tuple[np.ndarray, Light]:
     """The places ``found`` in any of the layers, ascending, and their light; a part is dark where it lacks a place."""
     first, parts = found[0][0], [part for _, part in found]
     if all(np.array_equal(own, first) for own, _ in found):
         return first.astype(np.int32), Light(tuple(parts))
     places = reduce(np.union1d, [own for own, _ in found]).astype(np.int32)
-    wholes = [Part.dark(layer, len(places)) for layer in layers]
-    for whole, (own, part) in zip(wholes, found, strict=True):
-        whole.put(np.searchsorted(places, own), part)
-    return places, Light(tuple(wholes))
+    return places, Light(tuple(part.among(own, places) for own, part in found))

@@ -185,11 +185,11 @@ class ChunkStore:
             layer.decode_all(indices, stored_parts, self._report_damage)
             for layer, stored_parts in zip(self.layers, stored, strict=False)
         ]
-        for number, (layer, other) in enumerate(zip(self.layers, self.fallbacks, strict=True)):
+        for number, other in enumerate(self.fallbacks):
             if other is not None:
-                smaller_layers = other.decode_all(indices, stored[len(self.layers) + number], self._report_damage)
-                found[number] = completed(*found[number], *smaller_layers, layer.layer)
-        return Chunks.of_parts(indices, self.spec.prepared.lattice.texels, self.spec.plan.layers, found)
+                smaller = other.decode_all(indices, stored[len(self.layers) + number], self._report_damage)
+                found[number] = completed(*found[number], *smaller)
+        return Chunks.of_parts(indices, self.spec.prepared.lattice.texels, found)
 
     def load(self, index: Index) -> Chunk:
         """Read a chunk; it is empty where it is absent or damaged, and is baked again then."""
@@ -209,7 +209,7 @@ class ChunkStore:
     def _chunk(self, index: Index, found: Sequence[tuple[np.ndarray, Part]]) -> Chunk | None:
         if not any(len(offsets) for offsets, _ in found):
             return None
-        return Chunk.of_parts(index, self.spec.plan.layers, found)
+        return Chunk.of_parts(index, found)
 
     def _decoded(self, layer: LayerStore, index: Index, stored: bytes | None) -> tuple[np.ndarray, Part]:
         try:
@@ -225,14 +225,11 @@ class ChunkStore:
             log.warning("%s", error)
 
 
-def completed(
-    offsets: np.ndarray, part: Part, others: np.ndarray, other: Part, layer: Layer
-) -> tuple[np.ndarray, Part]:
+def completed(offsets: np.ndarray, part: Part, others: np.ndarray, other: Part) -> tuple[np.ndarray, Part]:
     """A ``part`` of texels at ``offsets``, and the light of ``other`` for further texels: void, or no samples."""
     lacking = ~np.isin(others, offsets)
     union = np.union1d(offsets, others[lacking]).astype(np.int32)
-    whole, rows = Part.dark(layer, len(union)), np.searchsorted(union, others[lacking])
+    whole, rows = part.among(offsets, union), np.searchsorted(union, others[lacking])
     whole.coefficients[rows, :, : other.layer.order**2] = other.coefficients[lacking]
     whole.samples[rows] = np.where(other.samples[lacking] == VOID, VOID, 0)
-    whole.put(np.searchsorted(union, offsets), part)
     return union, whole

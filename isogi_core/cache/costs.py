@@ -16,13 +16,11 @@ from functools import reduce
 from typing import Any, NamedTuple
 
 from isogi_core.bake.texel_light import FIRST_LEVEL
+from isogi_core.cache.inventory import COSTS_FOLDER
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store, StoreLike
 
 log = logging.getLogger("isogi.cache")
-
-ALL_COSTS_FOLDER = "costs"
-"""The folder of all costs at the top of a store."""
 
 SAVE_EVERY = 30.0
 """Seconds after which changed costs are written again."""
@@ -56,7 +54,7 @@ class Costs:
     def __init__(self, store: StoreLike, digest: str, clock: Callable[[], float] = time.monotonic) -> None:
         """Know nothing yet."""
         self._store = Store.of(store)
-        self._key = f"{ALL_COSTS_FOLDER}/{digest}/zarr.json"
+        self._key = f"{COSTS_FOLDER}/{digest}/zarr.json"
         self._clock = clock
         self._chunks: dict[Index, Cost] = {}
         self._rates: list[float] = []

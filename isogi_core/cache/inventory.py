@@ -29,7 +29,7 @@ COSTS_FOLDER = "costs"
 """Folder of costs: see ``cache.costs``."""
 
 CLAIMS_FOLDER = "claims"
-"""Folder of claims: see ``cache.claims``."""
+"""Folder of claims."""
 
 CHUNK_KEY = re.compile(r"([0-9a-f]{20})/c/(\d+)/(\d+)/(\d+)/0")
 LAYER_KEY = re.compile(r"([0-9a-f]{20})/zarr\.json")

@@ -272,9 +272,7 @@ def joined(offsets: np.ndarray, part: Part, others: np.ndarray, other: Part) -> 
     if not len(others):
         return offsets, part
     union = np.union1d(offsets, others).astype(np.int32)
-    whole = Part.dark(part.layer, len(union))
-    whole.put(np.searchsorted(union, offsets), part)
-    rows = np.searchsorted(union, others)
+    whole, rows = part.among(offsets, union), np.searchsorted(union, others)
     better = (whole.samples[rows] != VOID) & ((other.samples > whole.samples[rows]) | (other.samples == VOID))
     whole.put(rows[better], other.rows(better))
     return union, whole

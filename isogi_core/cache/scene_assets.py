@@ -17,9 +17,8 @@ from isogi_core.files.scene_file import DEFAULT_DEMO, VOXEL_SETTINGS, SceneSourc
 from isogi_core.files.volume_copies import Draft, find_copy, get_copy, get_file
 from isogi_core.model.colours import Label, Scale, SurfaceColours
 from isogi_core.model.lights import ENVIRONMENTS
-from isogi_core.model.orientation import PLAIN_ORIENTATION, Orientation
 from isogi_core.model.value_survey import begin_digest
-from isogi_core.model.volume import UNMEASURED_FIELDS, Volume
+from isogi_core.model.volume import PLAIN_ORIENTATION, UNMEASURED_FIELDS, Orientation, Volume
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.backend import one_line
 from isogi_core.storage.store import METADATA_KEY, ZSTD_LEVEL, Store, described_array, description, unwrap, wrap

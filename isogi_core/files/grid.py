@@ -1,7 +1,7 @@
 """Grids: the values of a volume at their source, read slab by slab, as they need not fit into memory."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -78,10 +78,6 @@ SINGLE_MOMENT = (0, 1)
 """The moment of what is no series in time."""
 
 
-def _nothing() -> str:
-    return ""
-
-
 @dataclass(frozen=True, eq=False)
 class Grid:
     """One value per voxel, at any source.
@@ -100,7 +96,7 @@ class Grid:
     dtype: np.dtype[Any]
     spacing: Sequence[float]
     slabs: Callable[[], Iterator[np.ndarray]]
-    stamp: Callable[[], str] = _nothing
+    stamp: Callable[[], str] = str
     affine: Affine | None = None
     unit: str = ""
     notes: tuple[str, ...] = ()
@@ -160,11 +156,16 @@ class Grid:
         if first is not None and first.shape == self.shape and first.dtype == self.dtype:
             next(slabs, None)  # what is wrong with the whole is told at its end
             return first
-        array, z = np.empty(self.shape, self.dtype), 0
-        for slab in chain(() if first is None else (first,), slabs):
-            array[z : z + len(slab)] = slab
-            z += len(slab)
-        return array
+        return gathered(self.shape, self.dtype, chain(() if first is None else (first,), slabs))
+
+
+def gathered(shape: Shape, dtype: Any, slabs: Iterable[np.ndarray]) -> np.ndarray:
+    """The array of a ``shape`` and a type that ``slabs`` make up, one after the other."""
+    array, z = np.empty(shape, dtype), 0
+    for slab in slabs:
+        array[z : z + len(slab)] = slab
+        z += len(slab)
+    return array
 
 
 Region = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]

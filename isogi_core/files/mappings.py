@@ -115,6 +115,12 @@ def budget() -> int:
     return int(given) << 20
 
 
+def require_memory(size: int, what: str, otherwise: str) -> None:
+    """Raise VolumeError where ``size`` bytes are more than the budget: ``what`` takes them, and what to do instead."""
+    if size > budget():
+        raise VolumeError(f"{what} {size / 1e6:.0f} MB of memory: {otherwise}, or give more by ISOGI_VOLUME_MB.")
+
+
 def file_bytes() -> int:
     """Bytes of files in this process's memory; 0 where the system does not report them."""
     try:

@@ -203,12 +203,12 @@ def source_at(text: str, overrides: Mapping[str, Any]) -> SceneSource:
     return SceneSource(path.stem, labels_as_volume({**document, **overrides}, path.stem), path.parent)
 
 
-def split_name(text: str, base: Path = Path()) -> tuple[str, str, str]:
-    """A volume's name, the # after it, and what that chooses; a file of a folder ``base`` may have a # in its name."""
+def split_name(text: str) -> tuple[str, str, str]:
+    """A volume's name, the # after it, and what that chooses; a file may have a # in its name."""
     name, mark, part = text.rpartition("#")
-    if not mark or not name or "://" in text or (base / text).exists():
+    if not mark or not name or "://" in text or Path(text).exists():
         return text, "", ""
-    return (name, mark, part) if (base / name).exists() else text.partition("#")
+    return (name, mark, part) if Path(name).exists() else text.partition("#")
 
 
 MOST_BYTES, MOST_TEXT, MOST_ENTRIES = 1 << 20, 4096, 4096
@@ -318,41 +318,33 @@ class Settings:
         given = in_short(self.source.document.get(key))
         return SceneError(f"{key} = {given} in the scene '{self.source.name}' is not {wanted}.")
 
+    def _read(self, key: str, fits: Callable[[Any], bool], wanted: str) -> Any:
+        """A value that ``fits`` what is ``wanted``, or None where it is left out."""
+        value = self._get(key)
+        if value is not None and not fits(value):
+            raise self._wrong(key, wanted)
+        return value
+
     def text(self, key: str, fallback: str) -> str:
         """A string."""
-        value = self._get(key)
-        if value is None:
-            return fallback
-        if not isinstance(value, str):
-            raise self._wrong(key, "a string")
-        return value
+        value: str | None = self._read(key, lambda value: isinstance(value, str), "a string")
+        return fallback if value is None else value
 
     def choice(self, key: str, among: Sequence[Word]) -> Word | None:
         """One of some words or numbers, or None where the scene leaves it to the plan."""
-        value = self._get(key)
-        if value is None:
-            return None
-        if value not in among:
-            raise self._wrong(key, f"one of {', '.join(map(str, among))}")
-        return among[among.index(value)]
+        value = self._read(key, lambda value: value in among, f"one of {', '.join(map(str, among))}")
+        return None if value is None else among[among.index(value)]
 
     def flag(self, key: str, fallback: Fallback) -> bool | Fallback:
         """True or false."""
-        value = self._get(key)
-        if value is None:
-            return fallback
-        if not isinstance(value, bool):
-            raise self._wrong(key, "true or false")
-        return value
+        value: bool | None = self._read(key, lambda value: isinstance(value, bool), "true or false")
+        return fallback if value is None else value
 
     def number(self, key: str, fallback: float, low: float, high: float) -> float:
         """A number in [low, high]."""
-        value = self._get(key)
-        if value is None:
-            return float(fallback)
-        if not is_number(value) or not low <= value <= high:
-            raise self._wrong(key, f"a number from {low:g} to {high:g}")
-        return float(value)
+        wanted = f"a number from {low:g} to {high:g}"
+        value = self._read(key, lambda value: is_number(value) and low <= value <= high, wanted)
+        return float(fallback if value is None else value)
 
     @property
     def target_error(self) -> float:
@@ -361,30 +353,20 @@ class Settings:
 
     def count(self, key: str, high: int, low: int = 0) -> int | None:
         """A whole number in [low, high], or None where the scene leaves it to the plan."""
-        value = self._get(key)
-        if value is None:
-            return None
-        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            raise self._wrong(key, f"a whole number from {low} to {high}")
+        wanted = f"a whole number from {low} to {high}"
+        value: int | None = self._read(key, lambda value: type(value) is int and low <= value <= high, wanted)
         return value
 
     def numbers(self, key: str, length: int) -> tuple[float, ...] | None:
         """A list of ``length`` finite numbers, or None."""
-        value = self._get(key)
-        if value is None:
-            return None
-        if not are_numbers(value, length):
-            raise self._wrong(key, f"a list of {length} numbers")
-        return tuple(float(v) for v in value)
+        value = self._read(key, lambda value: are_numbers(value, length), f"a list of {length} numbers")
+        return None if value is None else tuple(map(float, value))
 
     def spans(self, key: str, length: int) -> tuple[tuple[int, int], ...] | None:
         """A list of ``length`` pairs of ascending whole numbers from 0 on, or None."""
-        value = self._get(key)
-        if value is None:
-            return None
-        if not isinstance(value, list | tuple) or len(value) != length or not all(map(is_span, value)):
-            raise self._wrong(key, f"a list of {length} pairs of ascending whole numbers from 0 on, such as [0, 64]")
-        return tuple((low, high) for low, high in value)
+        wanted = f"a list of {length} pairs of ascending whole numbers from 0 on, such as [0, 64]"
+        value = self._read(key, lambda value: _is_list(value, length) and all(map(is_span, value)), wanted)
+        return None if value is None else tuple((low, high) for low, high in value)
 
     def listed(self, key: str) -> tuple[float, ...]:
         """A number or a list of numbers, as written (integers stay integers); empty where it is left out."""
@@ -433,11 +415,14 @@ class Settings:
             raise self._wrong(key, f"a list of at most {most} [[{key}]] tables")
         return value
 
+    def nested(self, key: str, most: int | None = None) -> "list[Settings]":
+        """The ``tables`` of a list, each as settings to be read."""
+        name = f"{self.source.name}: [[{key}]]"
+        return [Settings(SceneSource(name, table, self.source.base)) for table in self.tables(key, most)]
+
     def table(self, key: str) -> Mapping[str, Any] | None:
         """A table, or None where it is left out."""
-        value = self._get(key)
-        if value is not None and not isinstance(value, Mapping):
-            raise self._wrong(key, f"a table [{key}]")
+        value: Mapping[str, Any] | None = self._read(key, lambda value: isinstance(value, Mapping), f"a table [{key}]")
         return value
 
     def refuse_unknown(self) -> None:
@@ -453,8 +438,7 @@ class Settings:
 
 def is_span(value: Any) -> bool:
     """Whether ``value`` is a pair of ascending whole numbers from 0 on."""
-    pair = isinstance(value, list | tuple) and len(value) == 2 and all(type(each) is int for each in value)
-    return pair and 0 <= value[0] < value[1]
+    return _is_list(value, 2) and all(type(each) is int for each in value) and 0 <= value[0] < value[1]
 
 
 def is_number(value: Any) -> bool:
@@ -513,4 +497,8 @@ def read_name(name: str, value: Any) -> str:
 
 def are_numbers(value: Any, count: int) -> bool:
     """Whether ``value`` is a list of so many numbers."""
-    return isinstance(value, list | tuple) and len(value) == count and all(map(is_number, value))
+    return _is_list(value, count) and all(map(is_number, value))
+
+
+def _is_list(value: Any, count: int) -> bool:
+    return isinstance(value, list | tuple) and len(value) == count

@@ -31,7 +31,7 @@ from isogi_core.model.lights import (
     PointLight,
     SkyLight,
 )
-from isogi_core.model.orientation import PLAIN_ORIENTATION, Orientation
+from isogi_core.model.volume import PLAIN_ORIENTATION, Orientation
 
 SUN_RADIUS = math.radians(0.2665)
 SUN_ILLUMINANCE = 128.0

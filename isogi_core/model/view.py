@@ -10,7 +10,7 @@ from isogi_core.errors import ViewError
 from isogi_core.files.grid import Vector, triple
 from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.material import Shine
-from isogi_core.model.orientation import PLAIN_ORIENTATION, Orientation
+from isogi_core.model.volume import PLAIN_ORIENTATION, Orientation
 
 MAX_WINDOW_PLANES = 12
 """Most planes of a window: six at any angle, and the six of a box."""

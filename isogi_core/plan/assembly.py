@@ -76,9 +76,9 @@ def build_scene(
 
 def open_whole(settings: Settings, progress: Progress) -> tuple[Settings, Volume]:
     """The volume that a scene names, before it is cut, and the settings, which say where its file holds labels."""
-    whole = open_volume(settings, settings.source.base, progress)
+    whole = open_volume(settings, progress)
     settings = with_labels(settings, whole)
-    return settings, right_side_out(settings, whole, settings.source.base, progress)
+    return settings, right_side_out(settings, whole, progress)
 
 
 def scene_around(
@@ -174,13 +174,13 @@ def plan_overrides(settings: Settings) -> PlanOverrides:
     )
 
 
-def right_side_out(settings: Settings, volume: Volume, base: Path, progress: Progress) -> Volume:
+def right_side_out(settings: Settings, volume: Volume, progress: Progress) -> Volume:
     """The volume, solid below where the scene does not say and its object is low: a distance field, pores."""
     given = settings.text("solid", "") or find_labels(settings) is not None
     if given or settings.text("volume", DEFAULT_DEMO).startswith("demo:"):
         return volume
     outside = border_above(volume, start_isovalue(settings, volume, volume.value_range))
-    return open_volume(settings, base, progress, "below") if outside > INSIDE_OUT else volume
+    return open_volume(settings, progress, "below") if outside > INSIDE_OUT else volume
 
 
 def border_above(volume: Volume, isovalue: float) -> float:

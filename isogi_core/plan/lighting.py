@@ -9,8 +9,8 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from isogi_core.errors import LightError, SceneError, ViewError, VolumeError
-from isogi_core.files.mappings import budget
+from isogi_core.errors import LightError, SceneError, ViewError
+from isogi_core.files.mappings import require_memory
 from isogi_core.files.radiance import read_hdr
 from isogi_core.files.scene_file import Settings
 from isogi_core.model.choices import MAX_GLOW_STRENGTH
@@ -40,7 +40,7 @@ from isogi_core.model.volume import Volume
 from isogi_core.plan.surfaces import SceneSurfaces, refuse_lamps
 from isogi_core.plan.volumes.colours import volume_grids
 from isogi_core.plan.volumes.masks import MaskTable, place
-from isogi_core.plan.volumes.opening import AXES_CHOICES, open_grid
+from isogi_core.plan.volumes.opening import open_beside
 
 SKY_SIZE = (512, 1024)
 """Rows and columns of the grid on which a sky is laid out."""
@@ -135,15 +135,12 @@ def read_glow_masks(glows: Sequence[Glow], settings: Settings, volume: Volume) -
     """
     if not any(glow.mask for glow in glows):
         return NO_BITS
-    if volume.voxels.size > budget():
-        need = f"Masks of glows take a byte a voxel, {volume.voxels.size / 1e6:.0f} MB of memory"
-        raise VolumeError(f"{need}: leave them out, or give more by ISOGI_VOLUME_MB.")
-    base, raw = settings.source.base, settings.choice("axes", AXES_CHOICES) == "raw"
-    whole, straight = volume_grids(settings, base, volume, raw)
+    require_memory(volume.voxels.size, "Masks of glows take a byte a voxel,", "leave them out")
+    whole, straight = volume_grids(settings, volume)
     bits = np.zeros(volume.shape, np.uint8)
     for number, glow in enumerate(glows):
         if glow.mask:
-            mask = place(MaskTable(glow.mask, glow.labels), open_grid(base, glow.mask, {}, raw)[0], whole, straight)
+            mask = place(MaskTable(glow.mask, glow.labels), open_beside(settings, glow.mask), whole, straight)
             for z in range(len(bits)):
                 bits[z] |= mask.layer(z, volume.shape).astype(np.uint8) << np.uint8(number)
     return bits

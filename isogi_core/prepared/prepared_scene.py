@@ -148,12 +148,12 @@ class PreparedScene:
             return Among(self.field, self.company(cells, run), self._room)
         return InRoom(self.field, cells, self.room(albedo)) if self.scene.meets is InRoom else Open(self.field, cells)
 
-    def met_by_glow(self, albedo: Colour, cells: ActiveCells, run: Run = serially) -> InRoom | Among:
+    def met_by_glow(self, albedo: Colour, cells: ActiveCells) -> InRoom | Among:
         """What paths ``met`` that gather glow alone: walls give off no light."""
         room = self.room(albedo)
         dark = room._replace(radiances=np.zeros_like(room.radiances))
         if self.scene.glow_meets is Among:
-            return Among(self.field, self.company(cells, run), dark)
+            return Among(self.field, self.company(cells), dark)
         return InRoom(self.field, cells, dark)
 
     @cached_property

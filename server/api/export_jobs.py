@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from isogi_core.bake.texel_light import FIRST_LEVEL
-from isogi_core.files.light_volumes import WRITERS
+from isogi_core.files.light_files import WRITERS
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene_plan import MAX_SAMPLES

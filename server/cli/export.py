@@ -11,7 +11,7 @@ from typing import Any
 from isogi_core.bake.texel_light import FIRST_LEVEL
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import ViewError
-from isogi_core.files.light_volumes import WRITERS, check_zarr
+from isogi_core.files.light_files import WRITERS, check_zarr
 from isogi_core.files.ome import size_of, write_image
 from isogi_core.files.scene_file import Settings as SceneSettings
 from isogi_core.files.scene_file import find_source
@@ -20,7 +20,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene_plan import MAX_SAMPLES
 from isogi_core.model.value_survey import check
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.volumes.opening import chosen_part, open_series
+from isogi_core.plan.volumes.opening import open_own
 from isogi_core.prepared.isosurface_mesh import Mesh
 from isogi_core.prepared.prepared_scene import PreparedScene
 from server.cli.prewarm import order_of, prewarm_scene
@@ -146,12 +146,11 @@ def convert(target: str, output: Path) -> dict[str, Any]:
     """
     if output.suffix != ".zarr":
         raise ParameterError(f"'{output}' is no name of an OME-Zarr image: give one that ends in .ome.zarr.")
-    source = find_source(target, {})
-    settings = SceneSettings(source)
+    settings = SceneSettings(find_source(target, {}))
     name = settings.text("volume", "")
     if not name or name.startswith("demo:"):
         raise ParameterError(f"'{target}' is no volume of a file: give one.")
-    grid, _ = open_series(source.base, name, chosen_part(settings), settings.text("axes", "") == "raw")
+    grid, _ = open_own(settings)
     check(grid, "above")
     with Progress("converting", "layer") as bar:
         lost = write_image(grid, output, bar.count)

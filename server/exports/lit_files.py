@@ -14,15 +14,17 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import SceneError, ViewError
 from isogi_core.files.grid import srgb_bytes
 from isogi_core.files.light_files import (
+    WRITERS,
     LitMesh,
+    LitVolume,
     glb_bytes,
     light_texture,
+    nibabel,
     obj_bytes,
     ply_bytes,
     usd_layer,
     usdz_package,
 )
-from isogi_core.files.light_volumes import WRITERS, LitVolume, nibabel
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer

@@ -22,7 +22,7 @@ from isogi_core.errors import LightError
 from isogi_core.files.grid import PATIENT_AXES, Grid, LabelName
 from isogi_core.files.radiance import encode_rgbe, parse_hdr
 from isogi_core.model.environment import resample
-from isogi_core.model.orientation import Orientation
+from isogi_core.model.volume import Orientation
 from isogi_core.plan.volumes.labels import MAX_LABELS
 from isogi_core.storage.atomic_file import write_whole
 from server.errors import FullError, UploadFolderError

@@ -146,7 +146,7 @@ def test_layers_meet_texel_by_texel() -> None:
     direct, indirect = filled([3, 8, 11]).light.parts
     indirect.samples[1] = VOID
     found = [(np.array([3, 8, 11]), direct), (np.array([2, 8, 40]), indirect)]
-    chunk = Chunk.of_parts((0, 1, 2), PLAN.layers, found)
+    chunk = Chunk.of_parts((0, 1, 2), found)
     assert chunk.index == (0, 1, 2) and chunk.offsets.tolist() == [2, 3, 8, 11, 40] and chunk.offsets.dtype == np.int32
     for (own, part), whole in zip(found, chunk.light.parts, strict=True):
         rows = chunk.rows_of(own)
@@ -159,7 +159,7 @@ def test_layers_meet_texel_by_texel() -> None:
 def test_layers_without_texels_make_an_empty_chunk() -> None:
     nothing = np.empty(0, np.int32)
     found = [(nothing, part) for part in Light.dark(PLAN, 0).parts]
-    chunk = Chunk.of_parts((0, 0, 0), PLAN.layers, found)
+    chunk = Chunk.of_parts((0, 0, 0), found)
     assert chunk.offsets.size == 0 and len(chunk.light) == 0
     assert same(chunk.light, Chunk.empty((0, 0, 0), PLAN).light)
 
@@ -169,7 +169,7 @@ def test_texels_of_many_chunks_are_sorted_by_their_places() -> None:
     direct, indirect = filled([3, 8, 2 * 64 + 1, 3 * 64]).light.parts
     found = [(np.array([3, 8, 129, 192], np.int32), direct), (np.array([3, 9, 192, 255], np.int32), indirect)]
     indices = ((0, 0, 0), (0, 0, 1), (0, 0, 2), (5, 4, 3))
-    chunks = Chunks.of_parts(indices, 64, PLAN.layers, found)
+    chunks = Chunks.of_parts(indices, 64, found)
     assert chunks.indices == ((0, 0, 0), (0, 0, 2), (5, 4, 3))
     assert chunks.bounds.tolist() == [0, 3, 4, 6] and chunks.bounds.dtype == np.int64
     assert chunks.offsets.tolist() == [3, 8, 9, 1, 0, 63] and chunks.offsets.dtype == np.int32
@@ -177,7 +177,7 @@ def test_texels_of_many_chunks_are_sorted_by_their_places() -> None:
     assert same(Light(chunks.light.parts[1:]).rows(np.array([0, 2, 4, 5])), Light((indirect,)))
     assert chunks.light.parts[0].samples.tolist() == [16, 16, 0, 16, 16, 0]
     nothing = [(np.empty(0, np.int32), part) for part in Light.dark(PLAN, 0).parts]
-    none = Chunks.of_parts(indices, 64, PLAN.layers, nothing)
+    none = Chunks.of_parts(indices, 64, nothing)
     assert none.indices == () and none.bounds.tolist() == [0] and len(none.light) == 0
 
 

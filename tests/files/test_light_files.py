@@ -17,14 +17,18 @@ from isogi_core.files.light_files import (
     BLOCK_TEXELS,
     MAX_TEXTURE_SIDE,
     LitMesh,
+    LitVolume,
     glb_bytes,
     light_texture,
+    nifti_bytes,
+    nrrd_bytes,
     obj_bytes,
     ply_bytes,
     texture_places,
     usdz_package,
+    vti_bytes,
+    write_zarr,
 )
-from isogi_core.files.light_volumes import LitVolume, nifti_bytes, nrrd_bytes, vti_bytes, write_zarr
 from isogi_core.files.zarr_volume import open_zarr
 from server.exports.lit_files import usdz_bytes
 

@@ -12,8 +12,8 @@ from isogi_core.errors import VolumeError
 from isogi_core.files.grid import Affine, Grid, LabelName, on_right_angles
 from isogi_core.files.ome import TURNED_AXES_NOTE, halved, write_image
 from isogi_core.files.zarr_volume import open_zarr
-from isogi_core.model.orientation import Orientation
 from isogi_core.model.value_survey import no_progress
+from isogi_core.model.volume import Orientation
 from tests.files.formats.phantom import WAYS, landmarks, letter, lying, world
 from tests.loaded import load_scene
 

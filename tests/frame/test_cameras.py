@@ -11,9 +11,8 @@ from isogi_core.files.grid import Vector
 from isogi_core.frame.fitting import FILLED, Stand, fitted, fitted_to_all, nearest
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.model.choices import PROJECTIONS
-from isogi_core.model.orientation import Orientation
 from isogi_core.model.view import Camera, View, orbit, orthographic
-from isogi_core.model.volume import make_volume
+from isogi_core.model.volume import Orientation, make_volume
 from isogi_core.plan.isovalue_presets import FRONT, SKEW_AZIMUTHS, front_of
 from isogi_core.plan.scene import Scene
 from tests.frame.conftest import Workbench, ball, scene_of

@@ -13,9 +13,8 @@ from isogi_core.files.grid import triple
 from isogi_core.frame.framing import point_at
 from isogi_core.frame.gbuffer import GBuffer, pinhole, trace
 from isogi_core.frame.tiles import Tiles
-from isogi_core.model.orientation import Orientation
 from isogi_core.model.view import Camera, View, read_window
-from isogi_core.model.volume import Volume, make_volume
+from isogi_core.model.volume import Orientation, Volume, make_volume
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import MIDDLE, Workbench, ball, scene_of, shell

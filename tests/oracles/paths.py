@@ -2,6 +2,9 @@
 
 Source: Kajiya 1986, with splitting and Russian roulette by Arvo and Kirk 1990, and multiple importance sampling by
 Veach and Guibas 1995. Nothing is in waves or vectors here, and nothing is left out for speed.
+
+Its code is cached beside the kernels that it is of, and so must call nothing compiled that stands in another file of
+tests: a change there would not be seen.
 """
 
 import math

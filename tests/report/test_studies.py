@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.refine import locate
+from isogi_core.bake.refine import locate, refine
 from isogi_core.bake.texel_light import Light
 from isogi_core.errors import Cancelled, StoreError, ViewError
 from isogi_core.frame.frame import Frame
@@ -138,7 +138,7 @@ class Toil:
 
 def measure_toil(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have bakes in memory and traced pictures take as long as their samples tell, on any machine."""
-    toil, refine, render = Toil(), benches.refine, Renderer.render
+    toil, render = Toil(), Renderer.render
 
     def refined(light: Light, texels: np.ndarray, look: BakeSpec, until: int, target: float) -> None:
         before = taken(light)

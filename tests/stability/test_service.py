@@ -1,4 +1,4 @@
-"""Hard volumes through the service: every endpoint, numbers that are none, and what ``isogi inspect`` says of them."""
+"""Hard volumes through the service: every endpoint, and what ``isogi inspect`` says of them."""
 
 import asyncio
 import io
@@ -24,7 +24,6 @@ from tests.loaded import load_scene
 from tests.server.inline import EngineWithoutWorkers, InlinePool
 from tests.stability.scenes import CONSTANT
 from tests.stability.volumes import REFUSED, VOLUMES, Specimen
-from worker import pool
 from worker.baker import Baker
 from worker.pool import WorkerPool
 
@@ -128,16 +127,3 @@ def test_inspect_refuses_what_is_no_volume_in_a_line(
     said = capsys.readouterr().err.strip()
     assert is_sentence(said)
     assert REFUSED[name].refused in said
-
-
-@pytest.mark.slow
-def test_render_writes_files_of_finite_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the command line."""
-    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
-    specimen, output = VOLUMES["mask"], tmp_path / "frame.npy"
-    where = ["--store", str(tmp_path / "light"), "--workers", "1", "--width", "32", "--height", "32"]
-    file = str(save(specimen, tmp_path / "s.nrrd"))
-    assert run(["render", file, "-o", str(output), f"--isovalue={specimen.isovalues[1]!r}", *where]) == 0
-    pixels = np.load(output)
-    assert pixels[..., 3].any()
-    assert np.isfinite(pixels).all()

@@ -133,12 +133,12 @@ def _grid_of(
     x, y, z = (abs(float(step)) for step in header.get_zooms()[:3])
     others = [voxels.path] if voxels.path is not None and voxels.path != source.path else []
     slabs = partial(_field_slabs, voxels, start, (nz, ny, nx), dtype, scaling)
-    notes: tuple[str, ...] = (LUMINANCE_NOTE,) if dtype.names else ()
-    notes += voxels.cut_notes(first + math.prod(shape) * dtype.itemsize)
+    cut = voxels.cut_notes(first + math.prod(shape) * dtype.itemsize)
     values = np.dtype(np.float32) if dtype.names else scaling.dtype(dtype)
-    grid = Grid((nz, ny, nx), values, (x, y, z), slabs, partial(source.stamp, *others), notes=notes)
+    grid = Grid((nz, ny, nx), values, (x, y, z), slabs, partial(source.stamp, *others))
     known = read_as(kind, dtype, placed, scaling.slope, scaling.intercept)
-    return replace(grid, moment=(time, times), unchosen=unchosen, read_as=known)
+    notes = (LUMINANCE_NOTE, *cut) if dtype.names else cut
+    return replace(grid, notes=notes, moment=(time, times), unchosen=unchosen, read_as=known)
 
 
 def _scaling_of(header: Any) -> Scaling:

@@ -5,18 +5,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from isogi_core.errors import VolumeError, advice
-from isogi_core.files.formats import (
-    brain_files,
-    dicom,
-    hdf5,
-    itk,
-    mrc,
-    nrrd,
-    numpy_file,
-    raw_file,
-    tiff,
-    vti,
-)
+from isogi_core.files.formats import array_files, brain_files, dicom, hdf5, image_files, mrc, nrrd, tiff
 from isogi_core.files.formats.source import FILE_CHOICES, Reader, Source
 from isogi_core.files.grid import Grid
 
@@ -82,12 +71,12 @@ def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Reader | None:
         (brain_files.is_minc(head, suffix), brain_files.open_minc),
         (head.startswith(hdf5.HDF5_MAGIC), hdf5.open_hdf5),
         (head.startswith(hdf5.NETCDF_MAGIC), hdf5.open_netcdf),
-        (head.startswith((numpy_file.NPY_MAGIC, numpy_file.ZIP_MAGIC)), numpy_file.open_numpy),
-        (b"<VTKFile" in head and b"ImageData" in head, vti.open_vti),
-        (b"NDims" in head or b"ObjectType" in head or head.startswith(b"# vtk DataFile"), itk.open_itk),
+        (head.startswith((array_files.NPY_MAGIC, array_files.ZIP_MAGIC)), array_files.open_numpy),
+        (b"<VTKFile" in head and b"ImageData" in head, image_files.open_vti),
+        (b"NDims" in head or b"ObjectType" in head or head.startswith(b"# vtk DataFile"), image_files.open_itk),
         (suffix in (".dcm", ".ima"), dicom.open_dicom),
-        (suffix == ".vti", vti.open_vti),
-        (suffix in itk.ITK_SUFFIXES, itk.open_itk),
+        (suffix == ".vti", image_files.open_vti),
+        (suffix in image_files.ITK_SUFFIXES, image_files.open_itk),
     ]
     return next((opener for fits, opener in kinds if fits), None)
 
@@ -99,7 +88,7 @@ def open_file(path: Path, chosen: dict[str, Any]) -> Grid:
     if path.is_dir():
         return _open_folder(source)
     if "raw" in source.chosen:
-        return raw_file.open_raw(source)
+        return array_files.open_raw(source)
     return _open_by_head(source)
 
 
@@ -118,7 +107,7 @@ def _open_by_head(source: Source) -> Grid:
         head = file.read(HEAD_BYTES)
     if sort_of(head):
         raise unknown(source.name, head)
-    bare = raw_file.open_raw if raw_file.is_raw(source.name) else None
+    bare = array_files.open_raw if array_files.is_raw(source.name) else None
     opener = opener_for(head, _unpacked_head(source), suffix) or bare
     if opener is None:
         raise unknown(source.name, head, suffix)

@@ -16,8 +16,8 @@ import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.grid import Grid, on_right_angles, triple
-from isogi_core.files.mappings import budget
-from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, are_numbers
+from isogi_core.files.mappings import require_memory
+from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, are_numbers
 from isogi_core.kernels.transport.colours import sample_layer, slope_layer, weigh_labels
 from isogi_core.model.colours import (
     COLOUR_MAPS,
@@ -32,7 +32,7 @@ from isogi_core.model.lights import Colour
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.volumes.labels import SIGMA, SMOOTHING_REACH, LabelTable, Segmentation
 from isogi_core.plan.volumes.masks import matrix_into, nearest_layer
-from isogi_core.plan.volumes.opening import AXES_CHOICES, chosen_part, open_grid, open_series, stem_of
+from isogi_core.plan.volumes.opening import open_beside, open_own, stem_of
 
 OF = ("gradient", "curvature")
 """What of the scene's own volume colours can be of."""
@@ -77,12 +77,12 @@ class ColourTable:
 
 def find_table(settings: Settings) -> ColourTable | None:
     """The table of a scene's colours, None where it has none. Raises SceneError."""
-    tables = [entry for entry in settings.tables("volumes") if entry.get("use") == "colour"]
+    tables = [table for table in settings.nested("volumes") if table.source.document.get("use") == "colour"]
     if not tables:
         return None
     if len(tables) > 1:
         raise SceneError(f"The scene '{settings.source.name}' has {len(tables)} volumes of colour: give one.")
-    return read_table(SceneSource(f"{settings.source.name}: [[volumes]]", tables[0], settings.source.base))
+    return read_colour_table(tables[0])
 
 
 def read_colours(table: ColourTable, settings: Settings, volume: Volume, isovalue: float) -> SurfaceColours:
@@ -90,13 +90,13 @@ def read_colours(table: ColourTable, settings: Settings, volume: Volume, isovalu
 
     Raises SceneError, and VolumeError where a file cannot be read.
     """
-    name, layer, factor = source_of(table, settings, settings.source.base, volume)
+    name, layer, factor = source_of(table, settings, volume)
     return coloured(table, name, volume, layer, factor, volume.normalise_isovalue(isovalue))
 
 
-def read_table(source: SceneSource) -> ColourTable:
+def read_colour_table(table: Settings) -> ColourTable:
     """The table of colours. Raises SceneError, also for keys that are unknown in it."""
-    table = Settings(source)
+    source = table.source
     table.choice("use", ("colour",))
     file, of = table.text("file", ""), table.choice("of", OF)
     if bool(file) == (of is not None):
@@ -135,11 +135,11 @@ def capped(albedo: Colour | list[float]) -> Colour:
     return triple(np.minimum(albedo, MAX_ALBEDO))
 
 
-def source_of(table: ColourTable, settings: Settings, base: Path, volume: Volume) -> tuple[str, Layer, float]:
+def source_of(table: ColourTable, settings: Settings, volume: Volume) -> tuple[str, Layer, float]:
     """Where values come from: their name, how a layer is filled, and what filled values are multiplied by."""
     if table.of is not None:
         return table.of, *own_layers(table.of, volume)
-    voxels, matrix = placed_file(table.file, settings, base, volume)
+    voxels, matrix = placed_file(table.file, settings, volume)
 
     def _sample(z: float, step: np.ndarray, values: np.ndarray) -> None:
         sample_layer(voxels, matrix, z, step, values)
@@ -208,27 +208,24 @@ def combine_rows(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return np.asarray(sum(weight * padded[i : i + count] for i, weight in enumerate(weights.tolist())))
 
 
-def placed_file(file: str, settings: Settings, base: Path, volume: Volume) -> tuple[np.ndarray, np.ndarray]:
+def placed_file(file: str, settings: Settings, volume: Volume) -> tuple[np.ndarray, np.ndarray]:
     """The values (nz, ny, nx) float32 in a file of colours, and the matrix (3, 4) into its voxels' indices."""
-    raw = settings.choice("axes", AXES_CHOICES) == "raw"
-    grid, _ = open_grid(base, file, {}, raw)
-    whole, straight = volume_grids(settings, base, volume, raw)
+    grid = open_beside(settings, file)
+    whole, straight = volume_grids(settings, volume)
     matrix = np.ascontiguousarray(matrix_into(f"volume of colour '{file}'", grid, whole, straight))
-    if 4 * grid.size > budget():
-        need = f"The volume of colour '{file}' takes {4e-6 * grid.size:.0f} MB of memory"
-        raise VolumeError(f"{need}: give a coarser one, or more by ISOGI_VOLUME_MB.")
+    require_memory(4 * grid.size, f"The volume of colour '{file}' takes", "give a coarser one")
     with np.errstate(over="ignore"):
         values = np.ascontiguousarray(grid.whole(), np.float32)
     return np.where(np.isfinite(values), values, np.float32(np.nan)), matrix
 
 
-def volume_grids(settings: Settings, base: Path, volume: Volume, raw: bool) -> tuple[Grid, Grid]:
+def volume_grids(settings: Settings, volume: Volume) -> tuple[Grid, Grid]:
     """The grid of the scene's volume as its file says, and on right angles."""
-    name, spacing = settings.text("volume", DEFAULT_DEMO), settings.numbers("spacing", 3)
-    if name.startswith("demo:"):
+    spacing = settings.numbers("spacing", 3)
+    if settings.text("volume", DEFAULT_DEMO).startswith("demo:"):
         grid = Grid.of(volume.voxels, volume.spacing)
         return grid, grid
-    grid, _ = open_series(base, name, chosen_part(settings), raw)
+    grid, _ = open_own(settings)
     if spacing and grid.affine is not None:
         raise SceneError("spacing moves the volume away from its colours: leave it out, or add axes = 'raw'.")
     return grid, on_right_angles(grid, spacing)
@@ -294,8 +291,7 @@ MIDDLE_WEIGHT = 1024
 
 def colours_of_labels(listed: tuple[LabelTable, ...], settings: Settings, volume: Volume) -> SurfaceColours:
     """The colours of a scene's ``volume``, a segmentation. Raises SceneError and VolumeError."""
-    raw = settings.text("axes", "") == "raw"
-    grid, straight = volume_grids(settings, settings.source.base, volume, raw)
+    grid, straight = volume_grids(settings, volume)
     if straight.shape != volume.shape:
         raise VolumeError(f"The volume '{volume.name}' changed while it was read: try again once it is written.")
     found = Segmentation(grid, listed)

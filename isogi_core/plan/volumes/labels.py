@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
-from isogi_core.files.grid import Grid, LabelName, slab_layers, triple
-from isogi_core.files.mappings import budget
-from isogi_core.files.scene_file import SceneSource, Settings, tables_in
+from isogi_core.files.grid import Grid, LabelName, gathered, slab_layers, triple
+from isogi_core.files.mappings import require_memory
+from isogi_core.files.scene_file import Settings, tables_in
 from isogi_core.model.colours import Label, linear_of
 from isogi_core.model.lights import Colour
 from isogi_core.model.value_survey import check
@@ -64,10 +64,7 @@ def find_labels(settings: Settings) -> tuple[LabelTable, ...] | None:
     settings.known.add("labels")
     if settings.source.document.get("labels") == ALL_LABELS:
         return ()
-    found = tuple(
-        _read_label(SceneSource(f"{settings.source.name}: [[labels]]", entry, settings.source.base))
-        for entry in settings.tables("labels")
-    )
+    found = tuple(map(_read_label, settings.nested("labels")))
     values = [label.value for label in found]
     twice = next((value for value in values if values.count(value) > 1), None)
     if twice is not None:
@@ -75,8 +72,8 @@ def find_labels(settings: Settings) -> tuple[LabelTable, ...] | None:
     return found or None
 
 
-def _read_label(source: SceneSource) -> LabelTable:
-    table = Settings(source)
+def _read_label(table: Settings) -> LabelTable:
+    source = table.source
     value = source.document.get("value")
     if not isinstance(value, int) or isinstance(value, bool) or value == 0:
         raise SceneError(f"value = {value!r} in the scene '{source.name}' is not a whole number other than 0.")
@@ -155,17 +152,12 @@ class Segmentation:
     @cached_property
     def codes(self) -> np.ndarray:
         """The place among the shown labels, from 1 on, of each voxel's, 0 where there is none; (nz, ny, nx) uint8."""
-        if self.grid.size > budget():
-            need = f"The segmentation takes {self.grid.size / 1e6:.0f} MB of memory"
-            raise VolumeError(f"{need}: give a coarser one, or more by ISOGI_VOLUME_MB.")
+        require_memory(self.grid.size, "The segmentation takes", "give a coarser one")
         table = np.zeros(len(self.values), np.uint8)
         shown = [label.value for label in self.labels if label.shown]
         table[np.searchsorted(self.values, shown)] = np.arange(1, len(shown) + 1)
-        codes, z = np.empty(self.grid.shape, np.uint8), 0
-        for slab in self.grid.slabs():
-            codes[z : z + len(slab)] = table[np.searchsorted(self.values, slab)]
-            z += len(slab)
-        return codes
+        coded = (table[np.searchsorted(self.values, slab)] for slab in self.grid.slabs())
+        return gathered(self.grid.shape, np.uint8, coded)
 
     def field(self) -> Iterator[np.ndarray]:
         """The slabs of the field whose surface at LABEL_ISOVALUE is that of the shown labels."""

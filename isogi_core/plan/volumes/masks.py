@@ -9,15 +9,15 @@ import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property, partial, reduce
 from typing import Any
 
 import numpy as np
 
 from isogi_core.errors import SceneError, ViewError, VolumeError
-from isogi_core.files.grid import Grid
-from isogi_core.files.mappings import UNMAPPED_SHARE, budget
-from isogi_core.files.scene_file import SceneSource, Settings
+from isogi_core.files.grid import Grid, gathered
+from isogi_core.files.mappings import UNMAPPED_SHARE, budget, require_memory
+from isogi_core.files.scene_file import Settings
 from isogi_core.files.volume_copies import Draft, get_copy
 from isogi_core.model.value_survey import check, find_marks, survey, usable, usable_type
 from isogi_core.model.view import Plane, read_window
@@ -47,18 +47,19 @@ def read_tables(settings: Settings) -> list[MaskTable]:
     Raises SceneError, also for keys that are unknown in them.
     """
     return [
-        _read_table(SceneSource(f"{settings.source.name}: [[volumes]]", entry, settings.source.base))
-        for entry in settings.tables("volumes", MAX_VOLUME_TABLES)
-        if entry.get("use") != "colour"
+        _read_table(table)
+        for table in settings.nested("volumes", MAX_VOLUME_TABLES)
+        if table.source.document.get("use") != "colour"
     ]
 
 
-def _read_table(source: SceneSource) -> MaskTable:
-    table = Settings(source)
+def _read_table(table: Settings) -> MaskTable:
     file, use, labels = table.text("file", ""), table.choice("use", MASK_USES), table.listed("labels")
     table.refuse_unknown()
     if not file or use is None:
-        raise SceneError(f"A table in the scene '{source.name}' lacks 'file' or use = 'mask' or 'colour': give both.")
+        raise SceneError(
+            f"A table in the scene '{table.source.name}' lacks 'file' or use = 'mask' or 'colour': give both."
+        )
     return MaskTable(file, labels)
 
 
@@ -78,14 +79,9 @@ class Mask:
     @cached_property
     def _inside(self) -> np.ndarray:
         """Whether each of the mask's own voxels is inside, (nz, ny, nx) bool. VolumeError where they are too many."""
-        if self.grid.size > budget():
-            need = f"The mask '{self.table.file}' takes {self.grid.size / 1e6:.0f} MB of memory"
-            raise VolumeError(f"{need}: give a coarser one, or more by ISOGI_VOLUME_MB.")
-        inside, z = np.empty(self.grid.shape, bool), 0
-        for slab in self.grid.slabs():
-            inside[z : z + len(slab)] = is_one_of(slab, self.table.labels) if self.table.labels else _is_something(slab)
-            z += len(slab)
-        return inside
+        require_memory(self.grid.size, f"The mask '{self.table.file}' takes", "give a coarser one")
+        is_inside = partial(is_one_of, labels=self.table.labels) if self.table.labels else _is_something
+        return gathered(self.grid.shape, bool, map(is_inside, self.grid.slabs()))
 
     def layer(self, z: int, shape: Sequence[int]) -> np.ndarray:
         """Whether each voxel of layer ``z`` of a volume is inside, by the mask's nearest voxel; (ny, nx) bool."""

@@ -18,9 +18,8 @@ from isogi_core.files.packing import without_fill
 from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, is_zarr, name_of
 from isogi_core.files.volume_copies import Draft, get_copy
 from isogi_core.model.demo import DEMOS, demo_volume
-from isogi_core.model.orientation import Orientation
 from isogi_core.model.value_survey import Progress, check, checked_spacing, no_progress, survey
-from isogi_core.model.volume import Volume, make_volume
+from isogi_core.model.volume import Orientation, Volume, make_volume
 from isogi_core.plan.volumes.labels import PROPOSED, are_labels, find_labels, look_like_labels, solid_of_labels
 from isogi_core.plan.volumes.masks import cut_out, place, read_tables
 
@@ -37,7 +36,7 @@ AXES_CHOICES = ("world", "raw")
 """What a scene's ``axes`` may be: as the volume's file says, or voxel indices times spacing."""
 
 
-def open_volume(settings: Settings, base: Path, progress: Progress = no_progress, fallback: str = "above") -> Volume:
+def open_volume(settings: Settings, progress: Progress = no_progress, fallback: str = "above") -> Volume:
     """Open the volume that the scene names, a demo or a file, with the scene's spacing, solid side and missing values.
 
     Outside of the scene's masks it has no surface. A segmentation, as the scene says or the file, is made a field of
@@ -46,12 +45,11 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
     """
     name = settings.text("volume", DEFAULT_DEMO)
     solid = settings.text("solid", fallback)
-    raw = settings.choice("axes", AXES_CHOICES) == "raw"
+    raw, chosen = is_raw(settings), chosen_part(settings)
     spacing, missing = settings.numbers("spacing", 3), settings.listed("missing")
-    chosen = chosen_part(settings)
     tables, labels = read_tables(settings), find_labels(settings)
     if not name.startswith("demo:"):
-        grid, stem = open_series(base, name, chosen, raw)
+        grid, stem = open_own(settings)
         moment, segmented = grid.moment, labels is not None or are_labels(grid, settings)
         if segmented:
             grid = solid_of_labels(grid, labels or (), settings)
@@ -60,7 +58,7 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
         straight = on_right_angles(grid, spacing)
         if tables and spacing and grid.affine is not None:
             raise SceneError("spacing moves the volume away from its masks: leave it out, or add axes = 'raw'.")
-        masks = [place(table, open_grid(base, table.file, {}, raw)[0], grid, straight) for table in tables]
+        masks = [place(table, open_beside(settings, table.file), grid, straight) for table in tables]
         straight = cut_out(straight, masks, solid, missing) if masks else straight
         volume = volume_of(straight, solid, stem, missing, progress)
         count = 0 if segmented else look_like_labels(volume)
@@ -85,25 +83,33 @@ def chosen_part(settings: Settings) -> dict[str, Any]:
 FIRST_STEP_NOTE = "The file holds {steps} steps in time: the first is shown, and time = 0 to {last} chooses another."
 
 
-def open_series(base: Path, name: str, chosen: dict[str, Any], raw: bool = False) -> tuple[Grid, str]:
-    """Open a grid as ``open_grid`` does; of a series in time of which no step is chosen the first one, with a note."""
-    grid, stem = _open_placed(base, name, chosen)
+def is_raw(settings: Settings) -> bool:
+    """Whether volumes of a scene lie as their voxels do, whatever their files say. Raises SceneError."""
+    return settings.choice("axes", AXES_CHOICES) == "raw"
+
+
+def open_own(settings: Settings) -> tuple[Grid, str]:
+    """The grid of the volume that a scene names, a file, and its display name.
+
+    Of a series in time of which no step is chosen it is the first one, with a note. Raises VolumeError and SceneError.
+    """
+    chosen = chosen_part(settings)
+    grid, stem = _open_placed(settings.source.base, settings.text("volume", DEFAULT_DEMO), chosen)
     steps = grid.moment[1]
     notes = (FIRST_STEP_NOTE.format(steps=steps, last=steps - 1),) if grid.unchosen else ()
     grid = replace(grid, notes=(*grid.notes, *notes))
-    return grid.raw(chosen.get("region")) if raw else grid, stem
+    return grid.raw(chosen.get("region")) if is_raw(settings) else grid, stem
 
 
-def open_grid(base: Path, name: str, chosen: dict[str, Any], raw: bool = False) -> tuple[Grid, str]:
-    """The grid at a path or a URL, and its display name; what follows a # in the name chooses too.
+def open_beside(settings: Settings, name: str) -> Grid:
+    """The grid of another volume of a scene, at a path or a URL; what follows a # in its ``name`` chooses too.
 
-    Where the file says that it lies in the world is left out of a ``raw`` one. Raises VolumeError for a series in time
-    of which no step is chosen.
+    Raises SceneError, and VolumeError, for a series in time of which no step is chosen, too.
     """
-    grid, stem = _open_placed(base, name, chosen)
+    grid, _ = _open_placed(settings.source.base, name, {})
     if grid.unchosen:
         raise VolumeError(f"'{name}' has {grid.moment[1]} time steps: choose one, such as '{name}#time=0'.")
-    return grid.raw(chosen.get("region")) if raw else grid, stem
+    return grid.raw(None) if is_raw(settings) else grid
 
 
 def _open_placed(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]:

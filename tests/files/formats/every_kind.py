@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.files.light_volumes import LitVolume, vti_bytes
+from isogi_core.files.light_files import LitVolume, vti_bytes
 from tests.files.formats.dicom_files import dataset
 from tests.files.formats.phantom import affine, letter
 

@@ -11,7 +11,7 @@ import pytest
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.opening import open_file, open_upload
 from isogi_core.files.grid import Grid, on_right_angles
-from isogi_core.model.orientation import Orientation
+from isogi_core.model.volume import Orientation
 from tests.files.formats.phantom import WAYS, affine, letter, lying
 
 nib = pytest.importorskip("nibabel")

@@ -9,7 +9,7 @@ import pytest
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.opening import open_file, open_upload
 from isogi_core.files.grid import on_right_angles
-from isogi_core.model.orientation import Orientation
+from isogi_core.model.volume import Orientation
 
 h5py = pytest.importorskip("h5py")
 nibabel = pytest.importorskip("nibabel")

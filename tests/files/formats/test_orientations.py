@@ -11,7 +11,7 @@ from isogi_core.files.formats.opening import open_file
 from isogi_core.files.grid import on_right_angles
 from isogi_core.files.radiance import write_hdr
 from isogi_core.model.environment import pixel_directions
-from isogi_core.model.orientation import Orientation
+from isogi_core.model.volume import Orientation
 from isogi_report.speed import make_renderer
 from server.parameters import ViewParams, read
 from server.settings import Settings

@@ -124,7 +124,7 @@ def test_one_ball_casts_the_shadow_of_a_sphere_on_another():
 NOISY = BALL + np.random.default_rng(7).normal(size=BALL.shape) * 2.0
 
 
-@njit
+@njit(cache=True)
 def shadows_one_by_one(field, iso, points, normals, key, seen):
     for m in range(len(points)):
         p, n = point_of(points, m), point_of(normals, m)

@@ -52,7 +52,7 @@ def seen(position):
     return np.isfinite(position).all(axis=-1)
 
 
-@njit
+@njit(cache=True)
 def one_by_one(field, iso, camera, position):
     """The same picture by the scalar caster."""
     for y in range(position.shape[0]):

@@ -27,13 +27,13 @@ from tests.scale import few
 SPACING = (0.5, 1.0, 2.0)
 
 
-@njit
+@njit(cache=True)
 def one_by_one(walls, origins, directions, own, t, met):
     for m in range(len(t)):
         t[m], met[m] = nearest_wall(walls, column(origins, m), column(directions, m), own[m], t[m])
 
 
-@njit
+@njit(cache=True)
 def together(walls, origins, directions, own, t, met):
     meet_walls(walls, origins, directions, own, t, met)
 
@@ -95,7 +95,7 @@ BETWEEN = [BACK, wall((10.0, 0.0, 15.0), 20.0 * X + 22.0 * Y, 15.0 * Z), wall((1
 """No walls; one behind all; and with it one through the surfaces, and one before them."""
 
 
-@njit
+@njit(cache=True)
 def crossings(field, isovalue, eye, d, near, far):
     """All crossings of a ray with a surface between ``near`` and ``far``: (way, side) each."""
     found, t, side = [(math.inf, 0) for _ in range(0)], near, UNKNOWN_SIDE

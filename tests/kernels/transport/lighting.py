@@ -18,7 +18,6 @@ DISTANCE = np.sqrt(X * X + Y * Y + Z * Z)
 BALL = 12.0 - DISTANCE
 NOISY = BALL + np.random.default_rng(7).normal(size=BALL.shape) * 2.0
 PLANE = -Z
-SHELL = 3.0 - np.abs(DISTANCE - 16.0)
 TORUS = 5.0 - np.hypot(np.hypot(X, Y) - 12.0, Z)
 DARK = np.zeros((1, 1, 3), np.float32)
 UP = np.array([[0.0], [0.0], [1.0]])

@@ -21,7 +21,7 @@ def lamp(kind, place, edges=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))):
     return LampArrays(np.array([DIRECTIONAL, kind], np.int8), places, both, np.array([(0.0, 0.0, 0.0), COLOUR]))
 
 
-@njit
+@njit(cache=True)
 def shine(lamps, p, n, numbers, towards, distances, light):
     """`illuminate` of lamp 1 for each pair of numbers."""
     for i in range(len(numbers)):

@@ -25,7 +25,7 @@ ALPHAS = (0.01, 0.09, 0.36, 1.0)
 MANY = few(400_000, 4_000)
 
 
-@njit
+@njit(cache=True)
 def drawn(alpha, v, points):
     """``sample_reflected`` of points (n, 2) of the square; (n, 3)."""
     out = np.empty((len(points), 3))
@@ -34,7 +34,7 @@ def drawn(alpha, v, points):
     return out
 
 
-@njit
+@njit(cache=True)
 def densities(alpha, v, ways):
     """``reflected_pdf`` of directions (n, 3); (n,)."""
     out = np.empty(len(ways))

@@ -10,6 +10,7 @@ import pytest
 from isogi_core.cache.scene_assets import receive_assets, receive_colours, send_assets
 from isogi_core.errors import IsogiError, SceneError, VolumeError
 from isogi_core.files import grid as grids
+from isogi_core.files import mappings
 from isogi_core.files.scene_file import read_hidden
 from isogi_core.kernels.transport.colours import colours_of as kernel_colours
 from isogi_core.kernels.transport.colours import fill_albedos
@@ -251,7 +252,7 @@ def test_labels_need_a_file_and_no_other_colours(tmp_path: Path) -> None:
 
 
 def test_large_segmentations_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "budget", lambda: 100)
+    monkeypatch.setattr(mappings, "budget", lambda: 100)
     with pytest.raises(VolumeError, match=r"The segmentation takes .* give a coarser one"):
         scene_of(tmp_path)
 

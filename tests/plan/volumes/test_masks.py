@@ -12,10 +12,9 @@ from isogi_core.cache.scene_assets import receive_assets, receive_glow_bits, sen
 from isogi_core.errors import IsogiError, SceneError, VolumeError
 from isogi_core.frame.gbuffer import trace
 from isogi_core.frame.tiles import Tiles
-from isogi_core.model.orientation import Orientation
 from isogi_core.model.value_survey import no_progress
 from isogi_core.model.view import View
-from isogi_core.model.volume import Volume
+from isogi_core.model.volume import Orientation, Volume
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.variants import cut_open

@@ -278,7 +278,7 @@ async def crowd(app: FastAPI, clients: int, release: threading.Event) -> list[ht
         return answers
 
 
-async def test_a_client_that_leaves_stops_its_frame(engine: FakeEngine, app: FastAPI) -> None:
+def test_a_client_that_leaves_stops_its_frame(engine: FakeEngine, app: FastAPI) -> None:
     begun, seen = threading.Event(), threading.Event()
 
     def work(cancelled: threading.Event) -> None:
@@ -288,17 +288,17 @@ async def test_a_client_that_leaves_stops_its_frame(engine: FakeEngine, app: Fas
             raise Cancelled("Nobody waits.")
 
     engine.doing = work
-    await leave(app, begun)
+    asyncio.run(leave(app, begun))
     assert seen.wait(10)
     assert engine.wants == []
-    assert len(engine.left) == 1
+    assert wait_for(lambda: len(engine.left) == 1)
 
 
-async def test_a_client_that_leaves_has_no_light_baked_any_more(engine: FakeEngine, app: FastAPI) -> None:
+def test_a_client_that_leaves_has_no_light_baked_any_more(engine: FakeEngine, app: FastAPI) -> None:
     engine.coming = frozenset({(0, 0, 1)})
     begun = threading.Event()
     engine.doing = lambda _: begun.set()
-    await leave(app, begun, wait_ms=10_000)
+    asyncio.run(leave(app, begun, wait_ms=10_000))
     assert engine.left == engine.wants
     assert len(engine.wants) == 1
 
@@ -320,7 +320,7 @@ async def test_requests_for_the_same_at_the_same_time_share_one_render(engine: F
     assert answers[0].content == answers[3].content
 
 
-async def test_leaving_a_shared_render_does_not_end_it_for_others(engine: FakeEngine, app: FastAPI) -> None:
+def test_leaving_a_shared_render_does_not_end_it_for_others(engine: FakeEngine, app: FastAPI) -> None:
     begun, release = threading.Event(), threading.Event()
 
     def work(cancelled: threading.Event) -> None:
@@ -329,12 +329,15 @@ async def test_leaving_a_shared_render_does_not_end_it_for_others(engine: FakeEn
         if cancelled.is_set():
             raise Cancelled("Nobody waits.")
 
+    async def both() -> httpx.Response:
+        async with asking(app) as client:
+            staying = asyncio.create_task(client.get(FRAME, params={"width": 4}))
+            await leave(app, begun)
+            release.set()
+            return await staying
+
     engine.doing = work
-    async with asking(app) as client:
-        staying = asyncio.create_task(client.get(FRAME, params={"width": 4}))
-        await leave(app, begun)
-        release.set()
-        assert (await staying).status_code == 200
+    assert asyncio.run(both()).status_code == 200
     assert len(engine.views) == 1
     assert len(engine.left) == 1
 
@@ -398,7 +401,7 @@ async def test_large_pictures_are_drawn_one_at_a_time(
 
 
 async def leave(app: FastAPI, begun: threading.Event, wait_ms: int = 0) -> None:
-    """Ask for a frame and disconnect once its work has begun."""
+    """Ask for a frame and disconnect once its work has begun; it has been left when the loop has ended."""
     await app.state.service.start()
 
     async def receive() -> dict[str, Any]:

@@ -13,7 +13,7 @@ import pytest
 
 from isogi_core.files.formats.opening import open_file
 from isogi_core.files.grid import LabelName, on_right_angles
-from isogi_core.model.orientation import Orientation
+from isogi_core.model.volume import Orientation
 from server.uploads.folder import read_volume
 from server.uploads.uploads import PYTHON_ROOT
 from tests.files.formats.every_kind import F, written
