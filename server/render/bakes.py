@@ -124,7 +124,6 @@ class SideBakes:
         self._readers = weakref.WeakValueDictionary[str, Caches]()
         self._lit: set[tuple[str, float]] = set()
         self._lock = threading.Lock()
-        self._trimming = threading.Lock()
         self._trimmer: threading.Thread | None = None
 
     def name(self, scene: str, shown: Isovalue | None, fineness: int, make: Callable[[], Bake]) -> str:
@@ -176,9 +175,12 @@ class SideBakes:
             self._trim()
 
     def _trim(self) -> None:
-        """Have a thread trim the store: there is light for one isovalue more."""
-        self._trimmer = threading.Thread(target=self._trim_once, name="trimming", daemon=True)
-        self._trimmer.start()
+        """Have a thread trim the store, unless one does: there is light for one isovalue more."""
+        with self._lock:
+            if self._trimmer is None or not self._trimmer.is_alive():
+                trimmed = self._store, self._most
+                self._trimmer = threading.Thread(target=trim_projected, args=trimmed, name="trimming", daemon=True)
+                self._trimmer.start()
 
     def settle(self) -> None:
         """Returns when nothing is being trimmed."""
@@ -198,14 +200,6 @@ class SideBakes:
                 del self._names[name]
         for name in gone:
             self._baker.forget(name)
-
-    def _trim_once(self) -> None:
-        """Trim, unless that is being done."""
-        if self._trimming.acquire(blocking=False):
-            try:
-                trim_projected(self._store, self._most)
-            finally:
-                self._trimming.release()
 
 
 STALLED_SECONDS = 120.0

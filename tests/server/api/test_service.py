@@ -291,7 +291,7 @@ def test_a_client_that_leaves_stops_its_frame(engine: FakeEngine, app: FastAPI) 
     asyncio.run(leave(app, begun))
     assert seen.wait(10)
     assert engine.wants == []
-    assert len(engine.left) == 1
+    assert wait_for(lambda: len(engine.left) == 1)
 
 
 def test_a_client_that_leaves_has_no_light_baked_any_more(engine: FakeEngine, app: FastAPI) -> None:
