@@ -1,4 +1,4 @@
-"""A card's life in a page: what it refuses, how it is lost and comes back, and what it does while it is slow."""
+"""A card in a page: what it refuses, how it is lost and comes back, what it does while it is slow, what it filters."""
 
 from dataclasses import replace
 from typing import Any
@@ -250,3 +250,40 @@ def test_the_screen_shows_what_isogi_develops(lab: Lab, make_bench: Make) -> Non
         shown = lab.floats(script).reshape(48, 48, 4)[..., :3]
         plain = replace(frame, radiance=plain_light(bench.renderer, view, LOOSE)[0], edges=None)
         assert np.abs(shown - develop(plain, exposure, background=ground)).max() <= 2
+
+
+WIDE = (72, 56)
+TENTH = 0.1
+
+
+def noisy_bench(make_bench: Make, lattice: dict[str, float]) -> Workbench:
+    """A view of the orbital, baked to a tenth."""
+    settings = {"lights": [SKY], "albedo": [0.8, 0.6, 0.4], "bounces": 2, "target_error": TENTH, "projected": False}
+    bench = make_bench(load_scene("demo:orbital", **settings, **lattice))
+    bench.bake(replace(bench.view(), width=WIDE[0], height=WIDE[1]))
+    return bench
+
+
+@pytest.mark.parametrize("lattice", [{}, {"lattice": 1.5, "chunk": 8}], ids=["plain", "fine"])
+def test_a_turned_light_is_filtered_on_the_card(lab: Lab, make_bench: Make, lattice: dict[str, float]) -> None:
+    bench = noisy_bench(make_bench, lattice)
+    view = replace(bench.view(), width=WIDE[0], height=WIDE[1])
+    card = CardScene(lab, bench.renderer, view, WIDE)
+    card.light(view, TENTH, raw=True)
+    turned = replace(view, light=TURN)
+    light, on = plain_light(bench.renderer, turned, TENTH)
+    found = difference(card.picture(turned), light, on)
+    assert found.surface > 500 and found.within >= 0.999 and found.rmse <= 0.002, found
+    lab.ask(
+        """card.drawing.refold();
+      for (const run of card.drawing.texels.runs) run.raw.forEach((each) => { each.grainy = false; });"""
+    )
+    assert difference(card.picture(turned), light, on).rmse > 10 * found.rmse, "the filter makes a difference"
+
+
+@pytest.mark.usefixtures("unfiltered")
+def test_final_light_is_not_filtered(lab: Lab, make_bench: Make) -> None:
+    bench = noisy_bench(make_bench, {})
+    view = replace(bench.view(), width=WIDE[0], height=WIDE[1])
+    CardScene(lab, bench.renderer, view, WIDE).light(view, TENTH, raw=True)
+    assert lab.ask("return [card.drawing.texels.grainy, card.drawing.texels.runs.length > 0];") == [False, True]
