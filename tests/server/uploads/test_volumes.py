@@ -89,7 +89,7 @@ def test_a_volume_is_taken_shown_listed_found_again_and_deleted(ask: Ask, open_a
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"", "no volume that is known"),
+        (b"", "is not a NRRD file"),
         (headed(FIELDS.replace("4 3 2", "4 3 9")), "fewer than the 108 bytes"),
         (headed(FIELDS.replace("raw", "gzip"), gzip.compress(bytes(1 << 20))), "more than the 24 bytes"),
         (headed(FIELDS.replace("4 3 2", f"{2**31} {2**31} 2")), "cannot be"),
