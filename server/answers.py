@@ -7,8 +7,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from isogi_core.files.grid import Vector, triple
 from isogi_core.files.scene_file import write_material_text
+from isogi_core.files.vector import Vector, triple
 from isogi_core.frame.card.blocks import CHUNKS, SeenChunk, raw_scale, seen_chunks
 from isogi_core.frame.card.obstacles import BYTES, Obstacle, find_obstacles
 from isogi_core.frame.film import COLOURS, SCALE, ground_of, lit

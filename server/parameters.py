@@ -10,7 +10,7 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator, model_validator
 
 from isogi_core.errors import advice
-from isogi_core.files.grid import Vector
+from isogi_core.files.vector import Vector
 from isogi_core.frame.card.blocks import CHUNKS, is_inside
 from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.view import Quaternion

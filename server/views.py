@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from isogi_core.errors import ViewError
-from isogi_core.files.grid import Vector
+from isogi_core.files.vector import Vector
 from isogi_core.model.material import SHINE_KNOBS, Shine
 from isogi_core.model.view import (
     IDENTITY,

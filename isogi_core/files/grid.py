@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.vector import Vector, triple
 
 Shape = tuple[int, ...]
-Vector = tuple[float, float, float]
 
 MAX_VOXELS = 2**33
 """Most voxels: more mean a damaged header (32 GiB as float32)."""
@@ -47,12 +47,6 @@ class Affine:
     def array(self) -> np.ndarray:
         """The matrix with the origin as its last column, (3, 4) float64."""
         return np.column_stack([np.array(self.matrix), np.array(self.origin)])
-
-
-def triple(row: Any) -> Vector:
-    """Three floats."""
-    x, y, z = (float(value) for value in row)
-    return x, y, z
 
 
 @dataclass(frozen=True)

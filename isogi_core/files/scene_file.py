@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 from urllib.parse import unquote
 
 from isogi_core.errors import SceneError, advice
-from isogi_core.files.grid import Vector, triple
 from isogi_core.files.packed_files import in_short, read_small, reason_of
+from isogi_core.files.vector import Vector, triple
 
 CHANGING_PARAMETERS = ("surfaces", "hide", "material")
 """Parameters of views that change a scene's document by more than a setting of the same name."""

@@ -16,7 +16,7 @@ from zarr.abc.store import Store
 from zarr.storage import LocalStore, ObjectStore
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.grid import MAX_VOXELS, SINGLE_MOMENT, Affine, Grid, LabelName, Region, Shape, Vector, slab_layers
+from isogi_core.files.grid import MAX_VOXELS, SINGLE_MOMENT, Affine, Grid, LabelName, Region, Shape, slab_layers
 from isogi_core.files.mappings import budget
 from isogi_core.files.ome import (
     SPACE_AXES,
@@ -31,6 +31,7 @@ from isogi_core.files.ome import (
 from isogi_core.files.packed_files import line_of, stamp_of
 from isogi_core.files.packing import Packing, climate_packing
 from isogi_core.files.scene_file import ZARR_METADATA
+from isogi_core.files.vector import Vector
 from isogi_core.storage.backend import BUCKET_SCHEMES, SECRET_PARTS, StoreUrl
 from isogi_core.storage.object_store import call_options, retry_options
 

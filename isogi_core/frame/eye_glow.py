@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from isogi_core.files.vector import Vector
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.gbuffer import TILE_RAYS, Vector, view_pinhole
+from isogi_core.frame.gbuffer import TILE_RAYS, view_pinhole
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.kernels.tracing.field import Field

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from isogi_core.files.grid import Vector, triple
+from isogi_core.files.vector import Vector, triple
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.choices import PROJECTIONS
 from isogi_core.model.glow import Glowing

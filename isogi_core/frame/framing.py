@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from isogi_core.files.grid import Vector, triple
+from isogi_core.files.vector import Vector, triple
 from isogi_core.frame.film import LEVELS, tone_table
 from isogi_core.frame.frame import STATE_CODES, Frame, PictureState, Quality
 from isogi_core.frame.gbuffer import GBuffer

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from isogi_core.files.vector import Vector
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.local_models import find_normals
 from isogi_core.kernels.shading.surface_points import SurfacePoints
@@ -22,8 +23,6 @@ TILE_RAYS = 4096
 
 POINTS = 4096
 """Surface points of a tile."""
-
-Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)

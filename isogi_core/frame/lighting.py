@@ -8,7 +8,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec, Term, band_of
-from isogi_core.files.grid import triple
+from isogi_core.files.vector import triple
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.irradiance_ratio import MIN_UNSHADOWED, Unshadowed

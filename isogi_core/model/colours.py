@@ -6,7 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.files.grid import srgb_bytes, triple
+from isogi_core.files.grid import srgb_bytes
+from isogi_core.files.vector import triple
 from isogi_core.model.lights import Colour
 
 COLOUR_MAPS = {

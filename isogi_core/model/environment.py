@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.files.grid import Vector
+from isogi_core.files.vector import Vector
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, POINT, LampArrays, project_lamps
 from isogi_core.model.lights import (
     ENVIRONMENTS,

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError
-from isogi_core.files.grid import Vector, triple
 from isogi_core.files.scene_file import TableReaders, are_numbers, is_number, read_colour, read_name, read_table
+from isogi_core.files.vector import Vector, triple
 from isogi_core.model.lights import LARGEST_LIGHT, Colour
 from isogi_core.model.volume import Volume
 

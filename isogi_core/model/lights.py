@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from isogi_core.errors import LightError, SceneError, advice
-from isogi_core.files.grid import Vector
 from isogi_core.files.scene_file import TableReaders, read_colour, read_name, read_number, read_table, read_vector
+from isogi_core.files.vector import Vector
 
 LARGEST_LIGHT = 1e30
 """Largest number of a light: squares and products of such numbers are finite in the kernels."""

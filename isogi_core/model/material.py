@@ -6,13 +6,15 @@ Several isosurfaces may lie in a scene: those that are pinned beside the one tha
 import math
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from isogi_core.errors import SceneError, ViewError, advice
-from isogi_core.files.grid import triple
 from isogi_core.files.scene_file import are_numbers, is_number
+from isogi_core.files.vector import triple
 from isogi_core.model.lights import LARGEST_LIGHT, Colour
-from isogi_core.model.volume import Volume
+
+if TYPE_CHECKING:
+    from isogi_core.model.volume import Volume
 
 INDICES = (1.0, 4.0)
 """Indices of refraction that a surface may have: from that of what is around it to that of germanium."""
@@ -183,7 +185,7 @@ def refuse_gain(albedo: Colour, transmission: Colour, surface: str) -> None:
         raise SceneError(f"{surface} has albedo + transmission = {most:g}: lower one, to 1 at most in each colour.")
 
 
-def pinned_from_mapping(table: Mapping[str, Any], volume: Volume) -> PinnedSurface:
+def pinned_from_mapping(table: Mapping[str, Any], volume: "Volume") -> PinnedSurface:
     """The surface of a ``volume`` that a ``[[surfaces]]`` table describes. SceneError where it has no meaning."""
     if unknown := sorted(set(table) - set(SURFACE_KEYS)):
         raise SceneError(f"A surface has no '{unknown[0]}': {advice(unknown[0], SURFACE_KEYS)}")
@@ -210,7 +212,7 @@ def _colour(table: Mapping[str, Any], key: str, fallback: float) -> Colour:
     return triple(listed)
 
 
-def pinned_surfaces(tables: list[Mapping[str, Any]], volume: Volume) -> tuple[PinnedSurface, ...]:
+def pinned_surfaces(tables: list[Mapping[str, Any]], volume: "Volume") -> tuple[PinnedSurface, ...]:
     """The pinned surfaces that tables describe. SceneError where one has no meaning, or two are the same."""
     if len(tables) > MOST_PINNED:
         raise SceneError(f"The scene has {len(tables)} [[surfaces]] beside the one that slides: give {MOST_PINNED}.")

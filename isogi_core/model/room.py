@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, ViewError
-from isogi_core.files.grid import Vector, triple
 from isogi_core.files.scene_file import TableReaders, read_colour, read_table, read_vector
+from isogi_core.files.vector import Vector, triple
 from isogi_core.model.lights import LARGEST_LIGHT, AreaLight, Colour
 from isogi_core.model.view import Camera
 from isogi_core.model.volume import Volume

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from isogi_core.errors import ViewError
-from isogi_core.files.grid import Vector, triple
+from isogi_core.files.vector import Vector, triple
 from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.material import Shine
 from isogi_core.model.volume import PLAIN_ORIENTATION, Orientation

@@ -14,7 +14,8 @@ from typing import Any, NewType
 
 import numpy as np
 
-from isogi_core.files.grid import Grid, Vector, triple
+from isogi_core.files.grid import Grid
+from isogi_core.files.vector import Vector, triple
 from isogi_core.model.value_survey import COPY_STAGES, Progress, no_progress, normalise, survey
 
 Rows = tuple[Vector, Vector, Vector]

@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from isogi_core.files.grid import Vector, triple
+from isogi_core.files.vector import Vector, triple
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.environment import LUMINANCE_WEIGHTS, Environment, Lamps, Lobe
 from isogi_core.model.lights import Colour

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isogi_core.files.grid import Vector
+from isogi_core.files.vector import Vector
 from isogi_core.frame.fitting import FILLED, Stand, fitted, fitted_to_all, nearest
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.model.choices import PROJECTIONS

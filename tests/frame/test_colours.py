@@ -11,7 +11,7 @@ import pytest
 
 from isogi_core.bake import refine as refine_module
 from isogi_core.errors import ViewError
-from isogi_core.files.grid import Vector
+from isogi_core.files.vector import Vector
 from isogi_core.frame import renderer as renderer_module
 from isogi_core.frame import surface_renderer, texel_shading
 from isogi_core.frame.frame import Frame

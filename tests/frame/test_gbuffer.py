@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import Cancelled
-from isogi_core.files.grid import triple
+from isogi_core.files.vector import triple
 from isogi_core.frame.framing import point_at
 from isogi_core.frame.gbuffer import GBuffer, pinhole, trace
 from isogi_core.frame.tiles import Tiles

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import SceneError
-from isogi_core.files.grid import triple
+from isogi_core.files.vector import triple
 from isogi_core.model.glow import Glow, place_glows
 from isogi_core.model.volume import Orientation, make_volume
 from isogi_core.plan.assembly import load_scene

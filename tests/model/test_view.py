@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from isogi_core.errors import ViewError
-from isogi_core.files.grid import Vector
+from isogi_core.files.vector import Vector
 from isogi_core.model.choices import VIEW_SHADINGS
 from isogi_core.model.view import (
     IDENTITY,

@@ -21,17 +21,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import LUMINANCE_NOTE, Source, luminance_of_colours, pick, pick_step, reader, skip
-from isogi_core.files.grid import (
-    MAX_VOXELS,
-    PATIENT_AXES,
-    SINGLE_MOMENT,
-    Affine,
-    Grid,
-    LabelName,
-    Vector,
-    read_as,
-    slab_layers,
-)
+from isogi_core.files.grid import MAX_VOXELS, PATIENT_AXES, SINGLE_MOMENT, Affine, Grid, LabelName, read_as, slab_layers
 from isogi_core.files.packed_files import (
     PACKING_DAMAGE,
     READ_BYTES,
@@ -41,6 +31,7 @@ from isogi_core.files.packed_files import (
     read_end,
     stamp_of,
 )
+from isogi_core.files.vector import Vector
 
 MAX_HEADER = 1 << 16
 """Most bytes of the header of an untrusted file."""

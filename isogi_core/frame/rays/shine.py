@@ -12,7 +12,7 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
 from isogi_core.bake.refine import add_paths, seeds_of, starts_at, starts_between
-from isogi_core.files.grid import triple
+from isogi_core.files.vector import triple
 from isogi_core.frame.gbuffer import GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.point_paths import add_glow

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
-from isogi_core.files.grid import Grid, on_right_angles, triple
+from isogi_core.files.grid import Grid, on_right_angles
 from isogi_core.files.mappings import require_memory
 from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, are_numbers
+from isogi_core.files.vector import triple
 from isogi_core.kernels.transport.colours import sample_layer, slope_layer, weigh_labels
 from isogi_core.model.colours import (
     COLOUR_MAPS,

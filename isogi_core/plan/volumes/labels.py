@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
-from isogi_core.files.grid import Grid, LabelName, gathered, slab_layers, triple
+from isogi_core.files.grid import Grid, LabelName, gathered, slab_layers
 from isogi_core.files.mappings import require_memory
 from isogi_core.files.scene_file import Settings, tables_in
+from isogi_core.files.vector import triple
 from isogi_core.model.colours import Label, linear_of
 from isogi_core.model.lights import Colour
 from isogi_core.model.value_survey import check

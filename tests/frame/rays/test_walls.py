@@ -13,7 +13,7 @@ from scipy.interpolate import interp1d
 from isogi_core.cache.upkeep import PruneRule, audit_store, census_of, plan_prune
 from isogi_core.cache.wall_store import WallLayer, WallState, WallStore
 from isogi_core.errors import ViewError
-from isogi_core.files.grid import triple
+from isogi_core.files.vector import triple
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.wall_light import RoomLight

@@ -17,6 +17,7 @@ from server.api.service import PictureRequest, RenderThreads, Service
 from server.render.engine import RenderEngine
 from server.render.loaded_scene import LoadedScene
 from tests.server.idle import idle_server
+from worker.baker import Baker
 
 FIND = RenderEngine._find
 SIZE = "width=24&height=24&shading=lambert"
@@ -33,12 +34,12 @@ def test_workers_make_way_off_the_event_loop(
     """To start the thread that lowers their priority takes until it runs, which is long where cores are busy."""
     made, on_loop = threading.Event(), list[bool]()
 
-    def watched(engine: RenderEngine) -> None:
+    def watched(baker: Baker) -> None:
         with suppress(RuntimeError):
             on_loop.append(bool(asyncio.get_running_loop()))
         made.set()
 
-    monkeypatch.setattr(RenderEngine, "make_way", watched)
+    monkeypatch.setattr(Baker, "make_way", watched)
     with (
         idle_server(small_scene, tmp_path) as idle,
         connect(f"{idle.url.replace('http', 'ws', 1)}/v1/scenes/small/stream") as stream,

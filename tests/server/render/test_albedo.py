@@ -90,6 +90,6 @@ def test_coverage_and_the_interface_know_the_parameter(server: str) -> None:
 
 
 async def test_a_stream_takes_numbers_and_lists(server: str, ask: Ask) -> None:
-    views = [{"width": 24, "height": 20, "albedo": albedo} for albedo in (0.9, [0.9, 0.5, 0.1], "0.9")]
+    views = [{"width": 24, "height": 20, "azimuth": 40, "albedo": albedo} for albedo in (0.9, [0.9, 0.5, 0.1], "0.9")]
     grey, warm, spelt = await pictures_on(f"{server}/v1/scenes/live/stream", views)
-    assert grey == spelt != warm
+    assert grey != warm != spelt
