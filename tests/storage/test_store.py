@@ -1,6 +1,7 @@
 """A store: its objects and documents, what is absent, and what is not known because the store is away."""
 
 import errno
+import fcntl
 import functools
 import http.server
 import json
@@ -122,6 +123,22 @@ def test_each_of_many_writers_is_kept_or_refused(location: str) -> None:
         list(threads.map(write, range(8)))
     found = Store(location).get(KEY)
     assert found is not None and sorted(json.loads(found.data)) == list(range(8))
+
+
+def test_a_writer_waits_for_the_one_that_has_the_folder(tmp_path: Path) -> None:
+    """And is refused what that one has changed: between its look at an object and its own, no other writes."""
+    store = Store(tmp_path)
+    store.put(KEY, b"light", None)
+    with open(tmp_path / SENTINEL_KEY, "r+b") as other, ThreadPoolExecutor(1) as threads:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        writing = threads.submit(store.put, KEY, b"more", store.get(KEY))
+        with pytest.raises(TimeoutError):
+            writing.result(timeout=0.2)
+        (tmp_path / KEY).write_bytes(b"another's")
+        fcntl.flock(other, fcntl.LOCK_UN)
+        with pytest.raises(ChangedError):
+            writing.result()
+    assert store.get(KEY) == StoredObject(b"another's")
 
 
 def test_a_moved_object_is_under_its_new_name_alone(location: str) -> None:
