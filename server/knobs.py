@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from isogi_core.model.choices import MAX_GLOW_STRENGTH, OVERLAYS, PROJECTIONS, VIEW_SHADINGS
 from isogi_core.model.lights import ENVIRONMENTS
-from isogi_core.model.material import SHINE_KINDS, SHINE_KNOBS, SHINE_RANGES
+from isogi_core.model.material import SHINE_HELP, SHINE_KINDS, SHINE_KNOBS, SHINE_RANGES
 from server.values import Choice, Colour, Ground, Isovalue, Kind, Planes, Row, Span, Words
 
 if TYPE_CHECKING:
@@ -169,8 +169,7 @@ KNOB_GROUPS = {
         Knob(
             "shine", Choice(SHINE_KINDS), "What the surface shines as, where the scene has a shine", own=_shine("shine")
         ),
-        Knob("roughness", Span(*SHINE_RANGES["roughness"]), "Roughness of that shine", own=_shine("roughness")),
-        Knob("strength", Span(*SHINE_RANGES["strength"]), "How much that shine counts", own=_shine("strength")),
+        *(Knob(name, Span(*span), SHINE_HELP[name], own=_shine(name)) for name, span in SHINE_RANGES.items()),
         Knob(
             "glow",
             Span(0, MAX_GLOW_STRENGTH),

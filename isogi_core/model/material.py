@@ -86,8 +86,8 @@ class Shine:
     """
 
     kind: str = "plastic"
-    roughness: float = field(default=0.3, metadata={"range": (MIN_ROUGHNESS, 1)})
-    strength: float = field(default=1.0, metadata={"range": (0, 1)})
+    roughness: float = field(default=0.3, metadata={"range": (MIN_ROUGHNESS, 1), "help": "Roughness of that shine"})
+    strength: float = field(default=1.0, metadata={"range": (0, 1), "help": "How much that shine counts"})
 
     def __post_init__(self) -> None:
         if self.kind not in SHINE_KINDS:
@@ -107,6 +107,9 @@ SHINE_RANGES: dict[str, tuple[float, float]] = {
     each.name: each.metadata["range"] for each in fields(Shine) if "range" in each.metadata
 }
 """The least and the greatest value of each number of a shine."""
+
+SHINE_HELP: dict[str, str] = {each.name: each.metadata["help"] for each in fields(Shine) if "help" in each.metadata}
+"""What each number of a shine does, a line without its end."""
 
 SHINE_KNOBS = {"shine" if each.name == "kind" else each.name: each.name for each in fields(Shine)}
 """Parameters of views that change the shine, and the fields of Shine that they are."""
