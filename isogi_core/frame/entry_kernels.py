@@ -143,12 +143,12 @@ KERNELS = tuple(dict.fromkeys((*ROOM, *COLOURED, *GLOW, *MATTER, *AMONG, *SHINE_
 """All kernels of frames, but for those of whole paths; the slowest compile first."""
 
 CALLED_IF: Mapping[Any, Callable[[Scene, bool], bool]] = {
-    **dict.fromkeys((trace_pixels, trace_places), lambda scene, _: not has_several(scene)),
-    **dict.fromkeys(ROOM, lambda scene, _: has_walls(scene)),
+    **dict.fromkeys((trace_pixels, trace_places), lambda scene, _: not scene.surfaces.several),
+    **dict.fromkeys(ROOM, lambda scene, _: scene.lighting.room.any),
     **dict.fromkeys(COLOURED, lambda scene, _: bool(scene.surfaces.colours)),
     **dict.fromkeys(GLOW, lambda scene, _: scene.lighting.glowing.any),
     **dict.fromkeys(MATTER, lambda scene, _: scene.surfaces.material.refracts),
-    **dict.fromkeys(AMONG, lambda scene, _: has_several(scene)),
+    **dict.fromkeys(AMONG, lambda scene, _: scene.surfaces.several),
     **dict.fromkeys(SHINE_KERNELS, lambda scene, _: bool(scene.surfaces.shine)),
     light_ends: lambda scene, _: bool(scene.surfaces.shine) and scene.plan.lobes > 0,
     pool_noise: lambda scene, _: bool(scene.surfaces.shine) or scene.surfaces.material.refracts,
@@ -192,19 +192,20 @@ def frame_kernels(scenes: Iterable[Scene], surveyed: bool = True) -> tuple[Any, 
     """
     shown = tuple(scenes)
     paths = dict.fromkeys(kernel for scene in shown if not only_checked(scene) for kernel in paths_of(scene))
-    called = (kernel for kernel in KERNELS if any(calls(scene, kernel, surveyed) for scene in shown))
-    return (*paths, *called)
+    called = set().union(*(called_by(scene, surveyed) for scene in shown))
+    return (*paths, *(kernel for kernel in KERNELS if kernel in called))
 
 
-def calls(scene: Scene, kernel: Any, surveyed: bool) -> bool:
-    """Whether frames of a ``scene`` call a ``kernel`` of KERNELS; for ``surveyed`` see ``frame_kernels``."""
-    names = uncalled(scene.lighting.rotating, scene.lighting.environment, scene.lighting.lamps, scene.plan.lobes)
-    needed = CALLED_IF.get(kernel)
-    return kernel.__name__ not in names and (needed is None or needed(scene, not surveyed or scene.projection.any))
+def called_by(scene: Scene, surveyed: bool) -> set[Any]:
+    """The kernels of KERNELS that frames of a ``scene`` call; for ``surveyed`` see ``frame_kernels``."""
+    lighting, projects = scene.lighting, not surveyed or scene.projection.any
+    names = uncalled(lighting.rotating, lighting.environment, lighting.lamps, scene.plan.lobes)
+    rest = (kernel for kernel in KERNELS if kernel.__name__ not in names)
+    return {kernel for kernel in rest if kernel not in CALLED_IF or CALLED_IF[kernel](scene, projects)}
 
 
 def other_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
-    """OTHERS, and those of whole paths of any of the ``scenes``: see ``paths_of``."""
+    """OTHER_KERNELS, and kernels of whole paths of any of the ``scenes``: see ``paths_of``."""
     return (*OTHER_KERNELS, *dict.fromkeys(kernel for scene in scenes for kernel in paths_of(scene)))
 
 
@@ -214,16 +215,6 @@ def paths_of(scene: Scene) -> tuple[Any, ...]:
     return (*path_kernels(scene.meets, Surroundings), *glow)
 
 
-def has_walls(scene: Scene) -> bool:
-    """Whether a ``scene`` is in a room."""
-    return scene.lighting.room.any
-
-
-def has_several(scene: Scene) -> bool:
-    """Whether a ``scene`` has several surfaces."""
-    return scene.surfaces.several
-
-
 def only_checked(scene: Scene) -> bool:
     """Whether frames of a ``scene`` send paths only where they are checked: no walls, no ways by chance."""
-    return not (has_walls(scene) or has_several(scene) or scene.surfaces.material.refracts)
+    return not (scene.lighting.room.any or scene.surfaces.several or scene.surfaces.material.refracts)
