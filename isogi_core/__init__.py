@@ -1,1 +1,3 @@
-"""The domain of isogi: volumes, light, kernels, bakes, the cache and frames. No web, no scheduler."""
+"""The domain of isogi: volumes, light, kernels, bakes, the cache and frames. No web, no
+scheduler.
+"""

@@ -8,12 +8,16 @@ if TYPE_CHECKING:
 
 
 def advice(word: str, known: "Iterable[str]") -> str:
-    """End a sentence about an unknown word: by the known word that it resembles, else by all of them."""
+    """End a sentence about an unknown word: by the known word that it resembles, else by all of
+    them.
+    """
     names = list(known)
     close = get_close_matches(word, names, 1)
     if close:
         return f"did you mean '{close[0]}'?"
-    return f"choose from {', '.join(names)}." if names else "leave it out."
+    if names:
+        return f"choose from {', '.join(names)}."
+    return "leave it out."
 
 
 class IsogiError(Exception):
@@ -45,7 +49,9 @@ class NoRoomError(StoreError):
 
 
 class StoreAwayError(StoreError):
-    """The store cannot be used at the moment; what is asked of it later may come. Nothing that it keeps is lost."""
+    """The store cannot be used at the moment; what is asked of it later may come. Nothing that it
+    keeps is lost.
+    """
 
 
 class StoreFullError(StoreAwayError):

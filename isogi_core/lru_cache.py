@@ -43,18 +43,23 @@ class Cell(Generic[V]):
 class LruCache(Generic[K]):
     """The newest results of costly functions; two threads that want the same one make it once.
 
-    Results may grow. What they take is counted when they are made, whenever they are asked for, and in ``settle``.
+    Results may grow. What they take is counted when they are made, whenever they are asked for, and
+    in ``settle``.
     """
 
     def __init__(self, most: int, limits: Mapping[Any, int] = NONE) -> None:
-        """Keep at most ``most`` bytes, OVERHEAD_BYTES for each result among them, the newest in any case.
+        """Keep at most ``most`` bytes, OVERHEAD_BYTES for each result among them, the newest in any
+        case.
 
-        ``limits`` are the bytes of results of some kinds: of keys that are tuples, the first entry is the kind.
+        ``limits`` are the bytes of results of some kinds: of keys that are tuples, the first entry
+        is the kind.
         """
-        self._most, self._limits = most, limits
+        self._most = most
+        self._limits = limits
         self._lock = threading.Lock()
         self._made: OrderedDict[K, Cell[Any]] = OrderedDict()
-        self._total, self._kinds = 0, dict.fromkeys(limits, 0)
+        self._total = 0
+        self._kinds = dict.fromkeys(limits, 0)
 
     def get(self, key: K, make: Callable[[], V]) -> V:
         """The result for ``key``, made by ``make`` when it is not kept.
@@ -78,7 +83,9 @@ class LruCache(Generic[K]):
         """The result for ``key`` where it is kept; that makes it no newer."""
         with self._lock:
             cell = self._made.get(key)
-            return cell.value[0] if cell is not None and cell.value else None
+            if cell is not None and cell.value:
+                return cell.value[0]
+            return None
 
     def drop(self, key: K) -> None:
         """Let go of the result for ``key``, if it is kept."""
@@ -87,7 +94,9 @@ class LruCache(Generic[K]):
                 self._pop(key)
 
     def make_room(self, size: int) -> None:
-        """Let go of the oldest results until one of ``size`` bytes fits beside the rest: before it is made."""
+        """Let go of the oldest results until one of ``size`` bytes fits beside the rest: before it
+        is made.
+        """
         with self._lock:
             self._count_all()
             for key in [key for key, cell in self._made.items() if cell.value]:
@@ -105,15 +114,19 @@ class LruCache(Generic[K]):
         """Keep nothing."""
         with self._lock:
             self._made.clear()
-            self._total, self._kinds = 0, dict.fromkeys(self._limits, 0)
+            self._kinds = dict.fromkeys(self._limits, 0)
+            self._total = 0
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all that is kept, as it was counted last, OVERHEAD_BYTES for each result among them."""
+        """Bytes of all that is kept, as it was counted last, OVERHEAD_BYTES for each result among
+        them.
+        """
         return self._total
 
     def _leave(self, key: K, cell: Cell[Any], new: bool) -> None:
-        """Stop asking for a result, and count it; the place of one that could not be made goes with the last that asks.
+        """Stop asking for a result, and count it; the place of one that could not be made goes with
+        the last that asks.
 
         A ``new`` one makes room for itself.
         """
@@ -150,7 +163,8 @@ class LruCache(Generic[K]):
         self._add(key, -self._made.pop(key).nbytes)
 
     def _forget(self, newest: Hashable = None) -> None:
-        """Let go of the oldest results until the rest fits: those of the ``newest`` one's kind, and all together.
+        """Let go of the oldest results until the rest fits: those of the ``newest`` one's kind, and
+        all together.
 
         The last stays.
         """
@@ -165,4 +179,6 @@ class LruCache(Generic[K]):
 
 def result_kind(key: Hashable) -> Hashable:
     """The kind of result that a key is of: the first entry of a tuple."""
-    return key[0] if isinstance(key, tuple) and key else None
+    if isinstance(key, tuple) and key:
+        return key[0]
+    return None

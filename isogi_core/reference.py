@@ -1,4 +1,6 @@
-"""References: a view path-traced from each pixel, with what is known of its own noise, grown round by round."""
+"""References: a view path-traced from each pixel, with what is known of its own noise, grown round
+by round.
+"""
 
 import io
 import json
@@ -37,7 +39,9 @@ MAX_PIXEL_PATHS = REFERENCE_REPLICAS << 32
 """Paths per pixel for which there are random numbers."""
 
 NOISE_DECAY = 1.75
-"""Samples that a noise takes grow as its inverse to this power: the points are stratified (demos under a sky)."""
+"""Samples that a noise takes grow as its inverse to this power: the points are stratified (demos
+under a sky).
+"""
 
 REFERENCE_FORMAT = 1
 """Counts up when paths of a reference, or what is kept of them, change."""
@@ -47,9 +51,10 @@ REFERENCE_FORMAT = 1
 class Reference:
     """The mean of ``samples`` paths from each pixel, over independent randomisations.
 
-    ``mean`` (h, w, 3) float32 linear RGB, ``variance`` (h, w) float32 that of the mean's luminance, 0 off the
-    surface; ``on`` (h, w) bool is where the surface is; ``seconds`` of the processor were spent. It grows from
-    ``sums`` (surface pixels, replicas, 3) float64, and is of what ``subject`` names (see ``subject_of``).
+    ``mean`` (h, w, 3) float32 linear RGB, ``variance`` (h, w) float32 that of the mean's luminance,
+    0 off the surface; ``on`` (h, w) bool is where the surface is; ``seconds`` of the processor were
+    spent. It grows from ``sums`` (surface pixels, replicas, 3) float64, and is of what ``subject``
+    names (see ``subject_of``).
     """
 
     mean: np.ndarray
@@ -57,7 +62,9 @@ class Reference:
     on: np.ndarray
     samples: int
     seconds: float
-    sums: np.ndarray = field(default_factory=lambda: np.zeros((0, REFERENCE_REPLICAS, 3)), repr=False)
+    sums: np.ndarray = field(
+        default_factory=lambda: np.zeros((0, REFERENCE_REPLICAS, 3)), repr=False
+    )
     subject: str = ""
 
     @property
@@ -67,9 +74,16 @@ class Reference:
 
     @property
     def noise(self) -> float:
-        """Relative standard error of the whole: root mean square over the surface, over the mean luminance."""
-        light = float((self.mean[self.on] @ LUMINANCE_WEIGHTS).mean()) if self.on.any() else 0.0
-        return float(np.sqrt(self.variance[self.on].mean(dtype=np.float64))) / light if light > 0.0 else 0.0
+        """Relative standard error of the whole: root mean square over the surface, over the mean
+        luminance.
+        """
+        if self.on.any():
+            light = float((self.mean[self.on] @ LUMINANCE_WEIGHTS).mean())
+        else:
+            light = 0.0
+        if light > 0.0:
+            return float(np.sqrt(self.variance[self.on].mean(dtype=np.float64))) / light
+        return 0.0
 
 
 REFERENCE_FIELDS = fields(Reference)
@@ -83,24 +97,31 @@ def trace_reference(
     former: Reference | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Reference:
-    """The reference of ``view`` with ``samples`` paths per pixel, a multiple of REFERENCE_REPLICAS, or the next one
-    above.
+    """The reference of ``view`` with ``samples`` paths per pixel, a multiple of REFERENCE_REPLICAS,
+    or the next one above.
 
-    It continues the sequences of the ``former`` one: in as many goes as you like, its bits are the same. Bounces are
-    those of the renderer's scene. ``progress`` is called with paths as they are traced. Raises ReportError where
-    ``former`` is of something else or the scene has several surfaces, and Cancelled, leaving ``former`` as it is, as
-    the renderer's tiles do.
+    It continues the sequences of the ``former`` one: in as many goes as you like, its bits are the
+    same. Bounces are those of the renderer's scene. ``progress`` is called with paths as they are
+    traced. Raises ReportError where ``former`` is of something else or the scene has several
+    surfaces, and Cancelled, leaving ``former`` as it is, as the renderer's tiles do.
     """
     refuse_several(renderer.prepared.scene)
-    subject, gbuffer = subject_of(renderer.prepared.scene, view), renderer.gbuffer(view)
+    subject = subject_of(renderer.prepared.scene, view)
+    gbuffer = renderer.gbuffer(view)
     if former is None:
-        former = from_sums(gbuffer, np.zeros((len(gbuffer.points), REFERENCE_REPLICAS, 3)), 0, 0.0, subject)
+        former = from_sums(
+            gbuffer, np.zeros((len(gbuffer.points), REFERENCE_REPLICAS, 3)), 0, 0.0, subject
+        )
     if former.subject != subject:
-        raise ReportError("The reference to go on from is of another scene or view: begin a new one.")
-    taken, wanted = former.samples // REFERENCE_REPLICAS, -(-samples // REFERENCE_REPLICAS)
+        raise ReportError(
+            "The reference to go on from is of another scene or view: begin a new one."
+        )
+    taken = former.samples // REFERENCE_REPLICAS
+    wanted = -(-samples // REFERENCE_REPLICAS)
     if wanted <= taken:
         return former
-    paths, sums = Paths(RotatedLight(renderer.caches.spec("gi"), view), gbuffer, renderer.tiles), former.sums.copy()
+    paths = Paths(RotatedLight(renderer.caches.spec("gi"), view), gbuffer, renderer.tiles)
+    sums = former.sums.copy()
     paths.prepare()
     begun = time.process_time()
     paths.add(sums, streams.REFERENCE_STREAM, taken, wanted - taken, progress)
@@ -108,32 +129,43 @@ def trace_reference(
 
 
 def refuse_several(scene: Scene) -> None:
-    """Raise ReportError where a ``scene`` has several surfaces, as pixels of a reference show one side of one, or one
-    of glass.
+    """Raise ReportError where a ``scene`` has several surfaces, as pixels of a reference show one
+    side of one, or one of glass.
     """
     if scene.surfaces.material.refracts:
-        raise ReportError("A reference is of light that a surface keeps, and glass keeps none: render it path_traced.")
+        raise ReportError(
+            "A reference is of light that a surface keeps, and glass keeps none: render it "
+            "path_traced."
+        )
     if scene.surfaces.several:
         raise ReportError(
-            "A reference shows one side of one surface, and this scene has more: render it path_traced instead."
+            "A reference shows one side of one surface, and this scene has more: render it "
+            "path_traced instead."
         )
 
 
-def from_sums(gbuffer: GBuffer, sums: np.ndarray, count: int, seconds: float, subject: str) -> Reference:
+def from_sums(
+    gbuffer: GBuffer, sums: np.ndarray, count: int, seconds: float, subject: str
+) -> Reference:
     """The reference whose replicas have ``count`` samples each, of these ``sums``."""
     height, width = gbuffer.shape
-    mean, variance = np.zeros((height * width, 3), np.float32), np.zeros(height * width, np.float32)
+    mean = np.zeros((height * width, 3), np.float32)
+    variance = np.zeros(height * width, np.float32)
     on = np.zeros(height * width, np.bool_)
     mean[gbuffer.pixels] = sums.mean(axis=1) / max(count, 1)
     variance[gbuffer.pixels] = variance_of_mean(sums / max(count, 1))
     on[gbuffer.pixels] = True
-    picture = mean.reshape(height, width, 3), variance.reshape(height, width), on.reshape(height, width)
+    picture = (
+        mean.reshape(height, width, 3),
+        variance.reshape(height, width),
+        on.reshape(height, width),
+    )
     return Reference(*picture, count * REFERENCE_REPLICAS, seconds, sums, subject)
 
 
 def with_bounces(scene: Scene, bounces: int | None = None) -> Scene:
-    """The scene with paths of so many ``bounces``; by default with so many that less than MAX_LOST_LIGHT of its light
-    is cut.
+    """The scene with paths of so many ``bounces``; by default with so many that less than
+    MAX_LOST_LIGHT of its light is cut.
     """
     if bounces is None:
         bounces = bounces_for(scene.inputs.reflecting, MAX_LOST_LIGHT / BOUNCES_SHARE)
@@ -143,12 +175,12 @@ def with_bounces(scene: Scene, bounces: int | None = None) -> Scene:
 
 def subject_of(scene: Scene, view: View) -> str:
     """Hex name of all that a reference's light depends on."""
-    lights, albedo = (
-        [scene.lighting.environment.digest, scene.lighting.lamps.digest],
-        scene.surfaces.albedo_for(view.albedo),
-    )
-    lights += [scene.lighting.room.digest] if scene.lighting.room.any else []
-    lights += [scene.surfaces.colours.digest] if scene.surfaces.colours else []
+    lights = [scene.lighting.environment.digest, scene.lighting.lamps.digest]
+    albedo = scene.surfaces.albedo_for(view.albedo)
+    if scene.lighting.room.any:
+        lights += [scene.lighting.room.digest]
+    if scene.surfaces.colours:
+        lights += [scene.surfaces.colours.digest]
     shine = scene.surfaces.shine_for(view.shine)
     lights += [repr(shine)] if shine else []
     world = [scene.volume.digest, *lights, albedo, *scene.departures]
@@ -158,39 +190,67 @@ def subject_of(scene: Scene, view: View) -> str:
 
 
 def save_reference(path: Path, reference: Reference, scene: Scene, view: View) -> None:
-    """Write a reference of ``view``, whole or not at all, as .npz; ``about`` in it is JSON that says what it is of."""
+    """Write a reference of ``view``, whole or not at all, as .npz; ``about`` in it is JSON that
+    says what it is of.
+    """
     surface = {"normals": scene.settings.normals, "offset": scene.settings.offset}
     shown = {
-        name: value for name, value in asdict(view).items() if name not in ("moving", "smooth", "strip", "orientation")
+        name: value
+        for name, value in asdict(view).items()
+        if name not in ("moving", "smooth", "strip", "orientation")
     }
-    about = {"format": REFERENCE_FORMAT, "scene": scene.name, "bounces": scene.bounces, **surface, "view": shown}
+    about = {
+        "format": REFERENCE_FORMAT,
+        "scene": scene.name,
+        "bounces": scene.bounces,
+        **surface,
+        "view": shown,
+    }
     file = io.BytesIO()
-    np.savez(file, about=json.dumps(about), **{each.name: getattr(reference, each.name) for each in REFERENCE_FIELDS})
+    np.savez(
+        file,
+        about=json.dumps(about),
+        **{each.name: getattr(reference, each.name) for each in REFERENCE_FIELDS},
+    )
     write_whole(path, file.getvalue())
 
 
 def load_reference(path: Path, scene: Scene, view: View) -> Reference:
-    """The reference of ``view`` in a file; ReportError where that is damaged or of something else, or OSError."""
+    """The reference of ``view`` in a file; ReportError where that is damaged or of something else,
+    or OSError.
+    """
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             about = json.loads(str(file["about"]))
             if about["format"] != REFERENCE_FORMAT:
-                raise ReportError(f"{path} was written by another version of isogi: remove it, or name another file.")
+                raise ReportError(
+                    f"{path} was written by another version of isogi: remove it, or name "
+                    "another file."
+                )
             kept = {each.name: file[each.name] for each in REFERENCE_FIELDS}
     except (ValueError, KeyError, EOFError, BadZipFile) as error:
-        raise ReportError(f"{path} is no whole reference ({error}): remove it, or name another file.") from None
+        raise ReportError(
+            f"{path} is no whole reference ({error}): remove it, or name another file."
+        ) from None
     if kept["subject"] != subject_of(scene, view):
         described = (
-            "{scene} at {isovalue:g}, {width} × {height} pixels, {bounces} bounces, {normals} normals, {offset:g} off"
+            "{scene} at {isovalue:g}, {width} × {height} pixels, {bounces} bounces, "
+            "{normals} normals, {offset:g} off"
         )
         own = described.format(**about, **about["view"])
-        raise ReportError(f"{path} is of another scene, view or way of tracing ({own}): name another file.")
-    return Reference(**{name: value if value.ndim else value.item() for name, value in kept.items()})
+        raise ReportError(
+            f"{path} is of another scene, view or way of tracing ({own}): name another file."
+        )
+    return Reference(
+        **{name: value if value.ndim else value.item() for name, value in kept.items()}
+    )
 
 
 @dataclass(frozen=True)
 class Goal:
-    """Where a reference stops to grow, by what comes first: so many ``samples``, a ``noise``, or ``seconds``."""
+    """Where a reference stops to grow, by what comes first: so many ``samples``, a ``noise``, or
+    ``seconds``.
+    """
 
     samples: int | None = None
     noise: float | None = None
@@ -202,7 +262,9 @@ class Goal:
         return enough or (self.noise is not None and reference.noise <= self.noise)
 
     def foresee(self, reference: Reference) -> int | None:
-        """The samples at which a reference is expected to stop, time aside; None where nobody can tell."""
+        """The samples at which a reference is expected to stop, time aside; None where nobody can
+        tell.
+        """
         if self.samples is not None:
             return max(self.samples, reference.samples)
         if self.noise is None:
@@ -218,14 +280,23 @@ def grow_reference(
     former: Reference | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Iterator[Reference]:
-    """References of 16, 32, … paths per pixel, each grown from the one before or the ``former``, up to the ``goal``.
+    """References of 16, 32, … paths per pixel, each grown from the one before or the ``former``, up
+    to the ``goal``.
 
-    The last one has what fits into the time, by the rounds before; the first is made in any case. Raises
-    what ``trace_reference`` does.
+    The last one has what fits into the time, by the rounds before; the first is made in any case.
+    Raises what ``trace_reference`` does.
     """
-    begun, reference, before = time.monotonic(), former, former.samples if former is not None else 0
+    begun = time.monotonic()
+    reference = former
+    if former is not None:
+        before = former.samples
+    else:
+        before = 0
     while reference is None or not goal.met(reference):
-        taken = reference.samples if reference is not None else 0
+        if reference is not None:
+            taken = reference.samples
+        else:
+            taken = 0
         wanted = min(max(2 * taken, FIRST_ROUND_PATHS), goal.samples or MAX_PIXEL_PATHS)
         if goal.seconds is not None and taken > before:
             spent = time.monotonic() - begun
@@ -237,5 +308,7 @@ def grow_reference(
 
 
 def fitting(seconds: float, each: float) -> int:
-    """How many samples fit into ``seconds`` where ``each`` takes so long, a multiple of REFERENCE_REPLICAS."""
+    """How many samples fit into ``seconds`` where ``each`` takes so long, a multiple of
+    REFERENCE_REPLICAS.
+    """
     return int(max(seconds, 0.0) / max(each, 1e-9)) // REFERENCE_REPLICAS * REFERENCE_REPLICAS

@@ -10,7 +10,9 @@ class Run(Protocol):
     """Calls a function over the ranges of a whole, as ``frame.tiles.Tiles.run`` does."""
 
     def __call__(self, piece: Piece, total: int, size: int) -> None:
-        """Call ``piece(first, last)`` for ranges of ``size`` up to ``total``; may raise Cancelled between them."""
+        """Call ``piece(first, last)`` for ranges of ``size`` up to ``total``; may raise Cancelled
+        between them.
+        """
 
 
 def serially(piece: Piece, total: int, size: int) -> None:

@@ -10,11 +10,20 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec, band_of
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.shading.lattice import LEAST_SPREAD
-from isogi_core.model.scene_plan import MAX_SAMPLES, MIN_SAMPLES, GlowLayer, Layer, most_samples, texel_target
+from isogi_core.model.scene_plan import (
+    MAX_SAMPLES,
+    MIN_SAMPLES,
+    GlowLayer,
+    Layer,
+    most_samples,
+    texel_target,
+)
 from isogi_core.plan.surfaces import mixing_weights
 
 FLOOR = 0.5
-"""Texels darker than this share of unoccluded light are held to its error, not to their own small light's."""
+"""Texels darker than this share of unoccluded light are held to its error, not to their own small
+light's.
+"""
 
 DECAYS: Mapping[str, tuple[float, float]] = {
     "direct": (0.38, 0.24),
@@ -23,19 +32,21 @@ DECAYS: Mapping[str, tuple[float, float]] = {
     "irradiance": (0.42, 0.42),
     "glow": (0.42, 0.42),
 }
-"""What twice the samples do to the variance of band 0, and to what the bands above have more than that, by kind.
+"""What twice the samples do to the variance of band 0, and to what the bands above have more than
+that, by kind.
 
-Points are stratified, and light that paths bring straight is even between its edges: it gains most. Of plain
-random points, and nearly of long paths, half is left. Mean squares of whole halves' differences over 16 to 1024
-samples, on two views each of the engine, the CT head, the bonsai, the MNI brain, the casting and the orbital: within
-a tenth, but 0.35 (orbital) to 0.41 (bonsai) for band 0 of direct light, and 0.22 to 0.30 above it.
+Points are stratified, and light that paths bring straight is even between its edges: it gains most.
+Of plain random points, and nearly of long paths, half is left. Mean squares of whole halves'
+differences over 16 to 1024 samples, on two views each of the engine, the CT head, the bonsai, the
+MNI brain, the casting and the orbital: within a tenth, but 0.35 (orbital) to 0.41 (bonsai) for band
+0 of direct light, and 0.22 to 0.30 above it.
 """
 
 BAND_0 = np.array([0.75, 1 / 12, 1 / 12, 1 / 12])
 """What the coefficients of bands 0 and 1 count in the variance of band 0.
 
-Band 0's own difference of two halves is one number, and would say too little; band 1 is of the same paths, and is
-scaled to band 0 where there is nothing else: see ``evenness``.
+Band 0's own difference of two halves is one number, and would say too little; band 1 is of the same
+paths, and is scaled to band 0 where there is nothing else: see ``evenness``.
 """
 
 
@@ -44,21 +55,27 @@ MIN_LUMINANCE = 1e-30
 
 
 def deviations(light: Light, spec: BakeSpec) -> np.ndarray:
-    """Standard error of the luminance in each part, a mean over all turns of the light; (parts, texels) float64."""
+    """Standard error of the luminance in each part, a mean over all turns of the light; (parts,
+    texels) float64.
+    """
     return np.array([deviation(part, spec) for part in light.parts])
 
 
 def deviation(part: Part, spec: BakeSpec) -> np.ndarray:
     """Standard error of the luminance in one part, see ``BakeSpec.gains``; (texels,) float64.
 
-    Where band 0 was estimated too noisy by chance, a quarter of what even noise would be is the least.
+    Where band 0 was estimated too noisy by chance, a quarter of what even noise would be is the
+    least.
     """
-    squares, gains = part.noise.astype(np.float64) ** 2, spec.gains(part.layer)
+    squares = part.noise.astype(np.float64) ** 2
+    gains = spec.gains(part.layer)
     return np.asarray(np.sqrt(np.maximum(squares @ gains, squares[:, -1] * gains.sum() / 4.0)))
 
 
 def mean_luminance(light: Light, spec: BakeSpec) -> np.ndarray:
-    """Mean luminance of each texel over all turns of the light, lobes among it; (texels,) float64."""
+    """Mean luminance of each texel over all turns of the light, lobes among it; (texels,)
+    float64.
+    """
     total = np.zeros(len(light))
     for part in light.parts:
         total += part.coefficients[:, :, 0].astype(np.float64) @ white(part.layer, spec)
@@ -66,17 +83,19 @@ def mean_luminance(light: Light, spec: BakeSpec) -> np.ndarray:
 
 
 def white(layer: Layer, spec: BakeSpec) -> np.ndarray:
-    """What band 0 of a ``layer`` counts in the mean luminance over all turns of the light; (channels,) float64.
+    """What band 0 of a ``layer`` counts in the mean luminance over all turns of the light;
+    (channels,) float64.
 
-    Where views may ask for other albedos, reflected light counts as it does at the lowest, all else as at the highest:
-    an error of the most noise over the least light holds at each of them.
+    Where views may ask for other albedos, reflected light counts as it does at the lowest, all else
+    as at the highest: an error of the most noise over the least light holds at each of them.
     """
     if isinstance(layer, GlowLayer):
         return spec.glow_weights(layer)
     weights = spec.luminance_light[:, 0]
     if layer.nodes:
         return np.asarray(
-            weights.sum() * mixing_weights(spec.prepared.scene.surfaces.lowest, layer.nodes, spec.plan.bounces)
+            weights.sum()
+            * mixing_weights(spec.prepared.scene.surfaces.lowest, layer.nodes, spec.plan.bounces)
         )
     return np.array(weights if layer.channels == len(weights) else weights.sum(keepdims=True))
 
@@ -87,7 +106,9 @@ def standard_error(light: Light, spec: BakeSpec) -> np.ndarray:
 
 
 def level(light: Light, spec: BakeSpec) -> np.ndarray:
-    """The luminance that each texel's error is held against: its own, or that of FLOOR; (texels,) float64."""
+    """The luminance that each texel's error is held against: its own, or that of FLOOR; (texels,)
+    float64.
+    """
     return np.maximum(mean_luminance(light, spec), least_level(spec))
 
 
@@ -97,38 +118,49 @@ def least_level(spec: BakeSpec) -> float:
 
 
 def relative_error(light: Light, spec: BakeSpec) -> np.ndarray:
-    """Standard error of each texel's luminance over the luminance, a mean over all turns of the light; (texels,)."""
+    """Standard error of each texel's luminance over the luminance, a mean over all turns of the
+    light; (texels,).
+    """
     return np.asarray(standard_error(light, spec) / level(light, spec))
 
 
 def finished(light: Light, spec: BakeSpec, target: float, enough: int = MAX_SAMPLES) -> np.ndarray:
-    """Whether each texel needs no more for pictures of a ``target`` error: good enough, or void; (texels,) bool."""
+    """Whether each texel needs no more for pictures of a ``target`` error: good enough, or void;
+    (texels,) bool.
+    """
     return light.void | good_enough(relative_error(light, spec), light.samples, target, enough)
 
 
 class Until(NamedTuple):
-    """When texels need no more samples: at the ``target`` error of pictures, or once they have ``enough`` of them."""
+    """When texels need no more samples: at the ``target`` error of pictures, or once they have
+    ``enough`` of them.
+    """
 
     target: float
     enough: int = MAX_SAMPLES
 
 
-def good_enough(error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES) -> np.ndarray:
-    """Whether texels of this relative ``error`` need no more samples for pictures of a ``target`` error; bool.
+def good_enough(
+    error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
+) -> np.ndarray:
+    """Whether texels of this relative ``error`` need no more samples for pictures of a ``target``
+    error; bool.
 
-    Their error is within ``texel_target``, or their ``samples`` are spent: those of the target, or as many as are
-    ``enough`` for the picture that reads them.
+    Their error is within ``texel_target``, or their ``samples`` are spent: those of the target, or
+    as many as are ``enough`` for the picture that reads them.
     """
     spent = samples >= min(most_samples(target), enough)
     return (error <= texel_target(target)) & (samples >= MIN_SAMPLES) | spent
 
 
-def noise_of_halves(halves: np.ndarray, samples: int, order: int, evenness: np.ndarray | float = 1.0) -> np.ndarray:
+def noise_of_halves(
+    halves: np.ndarray, samples: int, order: int, evenness: np.ndarray | float = 1.0
+) -> np.ndarray:
     """Standard errors of coefficients, in band 0 and above it, from two independent randomisations.
 
-    ``halves`` (m, 2, N²) are sums over half of ``samples`` each, with the bands below ``order`` in front. Band 0 is
-    judged with its neighbour, see BAND_0, of which ``evenness`` (m,) is the share that band 0 varies by. Above it is
-    the mean of the bands' variances. (m, 1 or 2) float64.
+    ``halves`` (m, 2, N²) are sums over half of ``samples`` each, with the bands below ``order`` in
+    front. Band 0 is judged with its neighbour, see BAND_0, of which ``evenness`` (m,) is the share
+    that band 0 varies by. Above it is the mean of the bands' variances. (m, 1 or 2) float64.
     """
     squares = ((halves[:, 0] - halves[:, 1]) / samples) ** 2
     low = np.average(squares[:, :4], axis=1, weights=BAND_0[: squares.shape[1]])
@@ -141,11 +173,13 @@ def noise_of_halves(halves: np.ndarray, samples: int, order: int, evenness: np.n
 
 
 def evenness(mean: np.ndarray, second: np.ndarray, samples: int) -> np.ndarray:
-    """Variance of band 0 over that of a coefficient of band 1, for paths drawn at random; (m,) float64.
+    """Variance of band 0 over that of a coefficient of band 1, for paths drawn at random; (m,)
+    float64.
 
-    ``mean`` (m, >= 4) is that of X Y_i(ω) and ``second`` (m,) that of X² Y_0(ω) over ``samples`` paths that bring X
-    from ω. Under light that is the same from all sides band 0 is the even one: an open texel's has no variance at
-    all. One path more is counted of either, so that a few that agree do not claim that all do.
+    ``mean`` (m, >= 4) is that of X Y_i(ω) and ``second`` (m,) that of X² Y_0(ω) over ``samples``
+    paths that bring X from ω. Under light that is the same from all sides band 0 is the even one:
+    an open texel's has no variance at all. One path more is counted of either, so that a few that
+    agree do not claim that all do.
     """
     square = second / np.sqrt(4.0 * np.pi)
     more = square / samples
@@ -153,48 +187,64 @@ def evenness(mean: np.ndarray, second: np.ndarray, samples: int) -> np.ndarray:
     return np.asarray(low / np.maximum(square - (mean[:, 1:4] ** 2).mean(axis=1) + more, 1e-30))
 
 
-def blend_noise(former: np.ndarray, samples: int, latest: np.ndarray, decay: tuple[float, float]) -> np.ndarray:
-    """Noise after twice the samples, from two estimates of what half of them leave: before, and of the new ones.
+def blend_noise(
+    former: np.ndarray, samples: int, latest: np.ndarray, decay: tuple[float, float]
+) -> np.ndarray:
+    """Noise after twice the samples, from two estimates of what half of them leave: before, and of
+    the new ones.
 
-    The variance of their common mean is ``decay`` times theirs, see DECAYS; with none before, it is that of the new
-    ones.
+    The variance of their common mean is ``decay`` times theirs, see DECAYS; with none before, it is
+    that of the new ones.
     """
     if samples == 0:
         return latest
     squares = (former.astype(np.float64) ** 2 + latest**2) / 2.0
     low = squares[:, :1]
-    return np.asarray(np.sqrt(decay[0] * np.minimum(squares, low) + decay[1] * np.maximum(squares - low, 0.0)))
+    return np.asarray(
+        np.sqrt(decay[0] * np.minimum(squares, low) + decay[1] * np.maximum(squares - low, 0.0))
+    )
 
 
 def scatter(wrong: np.ndarray, light: Light, spec: BakeSpec) -> np.ndarray:
-    """Standard errors ``wrong`` of the luminance over the standard deviation of one path's; both (texels,) float64.
+    """Standard errors ``wrong`` of the luminance over the standard deviation of one path's; both
+    (texels,) float64.
 
-    It is what a texel's noise keeps as the light turns: ``light_texels`` puts the present light's deviation to it.
+    It is what a texel's noise keeps as the light turns: ``light_texels`` puts the present light's
+    deviation to it.
     """
     return np.asarray(wrong / np.maximum(path_deviation(light, spec), MIN_LUMINANCE * spec.unit))
 
 
 def path_deviation(light: Light, spec: BakeSpec) -> np.ndarray:
-    """Standard deviation of one path's luminance, the mean square over all turns of the light; (texels,) float64.
+    """Standard deviation of one path's luminance, the mean square over all turns of the light;
+    (texels,) float64.
 
-    For a light rotated at random the second moment keeps its first band, and E[(τ·Dℓ)²] = Σ_l Σ_cd (τ_c·τ_d)_l
-    (ℓ_c·ℓ_d)_l / (2l + 1) over the channels c, d of all terms. LEAST_SPREAD of the second moment is added, as in
-    ``light_texels``.
+    For a light rotated at random the second moment keeps its first band, and E[(τ·Dℓ)²] = Σ_l Σ_cd
+    (τ_c·τ_d)_l (ℓ_c·ℓ_d)_l / (2l + 1) over the channels c, d of all terms. LEAST_SPREAD of the
+    second moment is added, as in ``light_texels``.
     """
     terms = spec.terms
     transfer = [light.columns([term]).astype(np.float64) for term in terms]
-    second = sum(t[:, t.shape[1] // 2, 0] * term.square[0] for t, term in zip(transfer, terms, strict=True))
+    second = sum(
+        t[:, t.shape[1] // 2, 0] * term.square[0] for t, term in zip(transfer, terms, strict=True)
+    )
     mean = np.zeros(len(light))
     for (t, one), (u, other) in product(zip(transfer, terms, strict=True), repeat=2):
         each = powers(one.luminance / spec.unit, other.luminance / spec.unit)
-        mean += np.einsum("mcn,mdn,cdn->m", t[:, :, : each.shape[2]], u[:, :, : each.shape[2]], each)
-    return spec.unit * np.sqrt(np.maximum(second - mean, 0.0) + LEAST_SPREAD * np.maximum(second, 0.0))
+        mean += np.einsum(
+            "mcn,mdn,cdn->m", t[:, :, : each.shape[2]], u[:, :, : each.shape[2]], each
+        )
+    return spec.unit * np.sqrt(
+        np.maximum(second - mean, 0.0) + LEAST_SPREAD * np.maximum(second, 0.0)
+    )
 
 
 def powers(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """What each τ_c τ_d counts in E[(τ·D ``one``)(τ·D ``other``)]: (ℓ_c·ℓ_d)_l / (2l + 1); (channels, channels, n²).
+    """What each τ_c τ_d counts in E[(τ·D ``one``)(τ·D ``other``)]: (ℓ_c·ℓ_d)_l / (2l + 1);
+    (channels, channels, n²).
 
-    The lights are (channels, n²), of which the lower order counts; the mean is over all rotations D.
+    The lights are (channels, n²), of which the lower order counts; the mean is over all rotations
+    D.
     """
     n = min(one.shape[1], other.shape[1])
     order = math.isqrt(n)
@@ -203,14 +253,17 @@ def powers(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 RATE = 1.5
-"""How samples grow as the error falls: with 1 / error^RATE, since stratified points' error falls about as n^-2/3."""
+"""How samples grow as the error falls: with 1 / error^RATE, since stratified points' error falls
+about as n^-2/3.
+"""
 
 
 class Effort(NamedTuple):
     """What texels that are not final want: ``unlit`` of them hold no light yet.
 
-    The others, so many ``lit``, have ``taken`` so many samples together, and are predicted to take ``left`` more. The
-    unlit ones are ``expected`` to take so many; 0 where nothing is known of them.
+    The others, so many ``lit``, have ``taken`` so many samples together, and are predicted to take
+    ``left`` more. The unlit ones are ``expected`` to take so many; 0 where nothing is known of
+    them.
     """
 
     unlit: int
@@ -220,42 +273,73 @@ class Effort(NamedTuple):
     lit: float = 0.0
 
     @classmethod
-    def of(cls, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES) -> Self:
-        """The effort of texels by their relative ``error`` and their ``samples``, void ones left out."""
-        unlit, *rest = efforts(np.zeros(len(error), np.intp), 1, error, samples, target, enough)[0].tolist()
+    def of(
+        cls, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
+    ) -> Self:
+        """The effort of texels by their relative ``error`` and their ``samples``, void ones left
+        out.
+        """
+        unlit, *rest = efforts(np.zeros(len(error), np.intp), 1, error, samples, target, enough)[
+            0
+        ].tolist()
         return cls(int(unlit), *rest)
 
 
-def samples_left(error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES) -> np.ndarray:
-    """The samples that texels of this relative ``error`` take until pictures are at a ``target``; (texels,) float64.
+def samples_left(
+    error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
+) -> np.ndarray:
+    """The samples that texels of this relative ``error`` take until pictures are at a ``target``;
+    (texels,) float64.
 
     They must be lit and not final: each climbs one sample level at least.
     """
-    return np.asarray(np.maximum(samples_needed(error, samples, target, enough), 2.0 * samples) - samples)
+    return np.asarray(
+        np.maximum(samples_needed(error, samples, target, enough), 2.0 * samples) - samples
+    )
 
 
-def samples_needed(error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES) -> np.ndarray:
-    """The sample level at which lit texels of this relative ``error`` are good enough; (texels,) float64."""
+def samples_needed(
+    error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
+) -> np.ndarray:
+    """The sample level at which lit texels of this relative ``error`` are good enough; (texels,)
+    float64.
+    """
     most = min(most_samples(target), enough)
     needed = np.clip(samples * (error / texel_target(target)) ** RATE, min(MIN_SAMPLES, most), most)
     return np.asarray(2.0 ** np.ceil(np.log2(needed)))
 
 
 def efforts(
-    chunks: np.ndarray, count: int, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
+    chunks: np.ndarray,
+    count: int,
+    error: np.ndarray,
+    samples: np.ndarray,
+    target: float,
+    enough: int = MAX_SAMPLES,
 ) -> np.ndarray:
-    """``Effort.of`` the texels of each of ``count`` chunks, (count, 5) float64; ``chunks`` is where each texel is."""
-    unlit, waiting = samples == 0, (samples > 0) & ~good_enough(error, samples, target, enough)
+    """``Effort.of`` the texels of each of ``count`` chunks, (count, 5) float64; ``chunks`` is where
+    each texel is.
+    """
+    unlit = samples == 0
+    waiting = (samples > 0) & ~good_enough(error, samples, target, enough)
     left = samples_left(error[waiting], samples[waiting], target, enough)
     columns = ((unlit, None), (waiting, samples[waiting]), (waiting, left), (waiting, None))
-    *sums, lit = (np.bincount(chunks[rows], weights=weights, minlength=count) for rows, weights in columns)
+    *sums, lit = (
+        np.bincount(chunks[rows], weights=weights, minlength=count) for rows, weights in columns
+    )
     return np.stack([*sums, np.zeros(count), lit], axis=1).astype(np.float64)
 
 
 def expected_samples(
-    chunks: np.ndarray, count: int, error: np.ndarray, samples: np.ndarray, target: float, enough: int = MAX_SAMPLES
+    chunks: np.ndarray,
+    count: int,
+    error: np.ndarray,
+    samples: np.ndarray,
+    target: float,
+    enough: int = MAX_SAMPLES,
 ) -> np.ndarray:
-    """What texels of each of ``count`` chunks will take that are like others of this ``error`` after ``samples``.
+    """What texels of each of ``count`` chunks will take that are like others of this ``error``
+    after ``samples``.
 
     Where these are unlit, as many as the rest of the chunk's; 0 where all are. (count,) float64.
     """

@@ -1,11 +1,12 @@
 """Refinement: more samples for texels that need them, added to what is there.
 
-Sample counts climb from level to level (16, 32, 64, …). After each one all that is kept is rounded to what the store
-keeps, so that a texel with n samples has the same bits for any number of workers and goes. Which parts of a texel
-climb next follows from what is kept of it alone.
+Sample counts climb from level to level (16, 32, 64, …). After each one all that is kept is rounded
+to what the store keeps, so that a texel with n samples has the same bits for any number of workers
+and goes. Which parts of a texel climb next follows from what is kept of it alone.
 
-Light that a cut leaves as it is: of texels no path of which met what is taken away. All their paths meet the same
-points as before, so that their sums, and all that is kept of these, have the same bits.
+Light that a cut leaves as it is: of texels no path of which met what is taken away. All their paths
+meet the same points as before, so that their sums, and all that is kept of these, have the same
+bits.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +17,15 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import DECAYS, blend_noise, evenness, finished, noise_of_halves
-from isogi_core.bake.texel_light import VOID, Light, Part, next_level, noise_codes, noise_of, round_light
+from isogi_core.bake.texel_light import (
+    VOID,
+    Light,
+    Part,
+    next_level,
+    noise_codes,
+    noise_of,
+    round_light,
+)
 from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.tracing.glow import Glows
 from isogi_core.kernels.tracing.walls import NO_WALL
@@ -49,13 +58,21 @@ def starts_at(
     seeds: np.ndarray,
     walls: np.ndarray | float = NO_WALL,
 ) -> PathStarts:
-    """Starts of paths at ``points`` with ``normals`` (g, 3), on the surface of this ``isovalue`` or about it.
+    """Starts of paths at ``points`` with ``normals`` (g, 3), on the surface of this ``isovalue`` or
+    about it.
 
-    ``seeds`` (g,) are of the sequences that paths draw from, ``walls`` (g,) the numbers of walls: none by default.
+    ``seeds`` (g,) are of the sequences that paths draw from, ``walls`` (g,) the numbers of walls:
+    none by default.
     """
     here, around = (np.ascontiguousarray(each.T, np.float64) for each in (points, normals))
     g = len(seeds)
-    return PathStarts(here, around, np.full(g, float(isovalue)), seeds, np.broadcast_to(walls, g).astype(np.float64))
+    return PathStarts(
+        here,
+        around,
+        np.full(g, float(isovalue)),
+        seeds,
+        np.broadcast_to(walls, g).astype(np.float64),
+    )
 
 
 def starts_between(starts: PathStarts, first: int, last: int) -> PathStarts:
@@ -71,7 +88,8 @@ def add_paths(
     source: Surroundings | Glows,
     sums: np.ndarray,
 ) -> None:
-    """Add what a ``SampleRange`` of paths gathers of a ``source`` at g ``starts`` to ``sums`` (g, channels).
+    """Add what a ``SampleRange`` of paths gathers of a ``source`` at g ``starts`` to ``sums`` (g,
+    channels).
 
     The kernel of PATH_KERNELS for what is ``met`` and gathered does so, and says how.
     """
@@ -79,14 +97,23 @@ def add_paths(
 
 
 def add_path_light(
-    met: Met, starts: PathStarts, samples: SampleRange, rules: PathRules, light: Surroundings, sums: np.ndarray
+    met: Met,
+    starts: PathStarts,
+    samples: SampleRange,
+    rules: PathRules,
+    light: Surroundings,
+    sums: np.ndarray,
 ) -> None:
     """Add what a ``SampleRange`` of paths brings to g ``starts`` on isosurfaces to ``sums`` (g, 3).
 
-    Where matter scatters, paths start inwards; where it does not, the eye's rays do, along the normals.
+    Where matter scatters, paths start inwards; where it does not, the eye's rays do, along the
+    normals.
     """
     if isinstance(met, Through):
-        wall = INWARD if met.matter.extinction > 0.0 else ALONG_RAY
+        if met.matter.extinction > 0.0:
+            wall = INWARD
+        else:
+            wall = ALONG_RAY
         starts = starts._replace(walls=np.full(len(starts.walls), wall))
     add_paths(met, starts, samples, rules, light, sums)
 
@@ -100,7 +127,8 @@ def add_glow_paths(
     rules: PathRules,
     sums: np.ndarray,
 ) -> None:
-    """Add what a ``SampleRange`` of paths gathers of what glows, of radiance 1, at g ``starts`` to ``sums`` (g, 3 k).
+    """Add what a ``SampleRange`` of paths gathers of what glows, of radiance 1, at g ``starts`` to
+    ``sums`` (g, 3 k).
 
     The surface has this ``albedo``, and is the first of several where there are others.
     """
@@ -111,20 +139,28 @@ NOISE_ORDER = 2
 """The least order that paths are projected to, so that their noise can be estimated."""
 
 Place = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Texels (m, 3; z, y, x) int32, their points and normals (3, m) and isovalues (m,): see ``locate_texels``."""
+"""Texels (m, 3; z, y, x) int32, their points and normals (3, m) and isovalues (m,): see
+``locate_texels``.
+"""
 
 Located = tuple[Place, np.ndarray]
 """Where texels are lit, and which of them are void (m,): see ``locate``."""
 
 
 def refine(
-    light: Light, texels: np.ndarray, spec: BakeSpec, until: int, target: float, located: Located | None = None
+    light: Light,
+    texels: np.ndarray,
+    spec: BakeSpec,
+    until: int,
+    target: float,
+    located: Located | None = None,
 ) -> None:
     """Bring ``light`` of the ``texels`` (m, 3; z, y, x) up to ``until`` samples each, in place.
 
-    A texel that is final in pictures of the relative error ``target``, and whose parts are level, is left as it is. Of
-    the others those parts climb that have the fewest samples: parts at one level do so together, since the same paths
-    serve them. They are ``located`` here where that was not done before.
+    A texel that is final in pictures of the relative error ``target``, and whose parts are level,
+    is left as it is. Of the others those parts climb that have the fewest samples: parts at one
+    level do so together, since the same paths serve them. They are ``located`` here where that was
+    not done before.
     """
     while True:
         waiting = next_samples(light, spec, target)
@@ -139,11 +175,15 @@ def refine(
             climb(parts, rows[(level == pattern[:, None]).all(axis=0)], located, spec)
 
 
-def next_samples(light: Light, spec: BakeSpec, target: float, enough: int = MAX_SAMPLES) -> np.ndarray:
-    """Samples of the parts of each texel that climb next; -1 where the texel is finished and none lags; (texels,) int.
+def next_samples(
+    light: Light, spec: BakeSpec, target: float, enough: int = MAX_SAMPLES
+) -> np.ndarray:
+    """Samples of the parts of each texel that climb next; -1 where the texel is finished and none
+    lags; (texels,) int.
 
-    A part that was lost, or not written before a kill, catches up with the others, and so has the samples it had.
-    That costs all of its paths once more, which are of no use to the parts that did not lag.
+    A part that was lost, or not written before a kill, catches up with the others, and so has the
+    samples it had. That costs all of its paths once more, which are of no use to the parts that did
+    not lag.
     """
     most = np.max([part.samples for part in light.parts], axis=0)
     lags = ~light.void & (light.samples < np.minimum(most, most_samples(target)))
@@ -163,12 +203,17 @@ def climb(parts: Sequence[Part], rows: np.ndarray, located: Located, spec: BakeS
             part.samples[rows] = np.where(void, VOID, total)
 
 
-Sampler = Callable[[Sequence[Layer], Place, np.ndarray, BakeSpec, int, int], Iterator[tuple[np.ndarray, np.ndarray]]]
+Sampler = Callable[
+    [Sequence[Layer], Place, np.ndarray, BakeSpec, int, int],
+    Iterator[tuple[np.ndarray, np.ndarray]],
+]
 """Draws samples for some layers: see ``sample_transfer``."""
 
 
 def by_sampler(parts: Sequence[Part]) -> Iterator[tuple[Sampler, list[Part]]]:
-    """Some parts by who samples them: those that the same harmonics serve, irradiance, and what glows."""
+    """Some parts by who samples them: those that the same harmonics serve, irradiance, and what
+    glows.
+    """
     own: dict[str, Sampler] = {"irradiance": sample_irradiance, GLOW_KIND: sample_glow}
     if lit := [part for part in parts if part.layer.kind not in own]:
         yield sample_transfer, lit
@@ -177,21 +222,31 @@ def by_sampler(parts: Sequence[Part]) -> Iterator[tuple[Sampler, list[Part]]]:
             yield own[part.layer.kind], [part]
 
 
-def add(part: Part, rows: np.ndarray, halves: np.ndarray, second: np.ndarray, total: int, spec: BakeSpec) -> None:
-    """Add sums over new samples (m, 2, channels, N²; N² >= n²) to ``rows``, which then have ``total`` samples.
+def add(
+    part: Part, rows: np.ndarray, halves: np.ndarray, second: np.ndarray, total: int, spec: BakeSpec
+) -> None:
+    """Add sums over new samples (m, 2, channels, N²; N² >= n²) to ``rows``, which then have
+    ``total`` samples.
 
     ``second`` (m,) are those of the squares, see ``evenness``.
     """
-    layer, samples = part.layer, int(part.samples[rows[0]])
+    layer = part.layer
+    samples = int(part.samples[rows[0]])
     added = halves.sum(axis=1)[:, :, : layer.order**2]
     noise = noise_of_new(halves, second, total - samples, layer, spec)
     noise = blend_noise(part.noise[rows], samples, noise, DECAYS[layer.kind])
-    part.coefficients[rows] = round_light(add_to_mean(part.coefficients[rows], samples, added, total), layer)
+    part.coefficients[rows] = round_light(
+        add_to_mean(part.coefficients[rows], samples, added, total), layer
+    )
     part.noise[rows] = noise_of(noise_codes(noise, layer.scale), layer.scale)
 
 
-def noise_of_new(halves: np.ndarray, second: np.ndarray, count: int, layer: Layer, spec: BakeSpec) -> np.ndarray:
-    """The noise of a layer, estimated from the sums of ``count`` new samples; see ``noise_of_halves``."""
+def noise_of_new(
+    halves: np.ndarray, second: np.ndarray, count: int, layer: Layer, spec: BakeSpec
+) -> np.ndarray:
+    """The noise of a layer, estimated from the sums of ``count`` new samples; see
+    ``noise_of_halves``.
+    """
     seen = spec.judged(halves, layer)
     if layer.order > 1 or layer.kind in ("irradiance", GLOW_KIND):
         return noise_of_halves(seen, count, layer.order)
@@ -221,7 +276,12 @@ def locate(texels: np.ndarray, prepared: PreparedScene, shown: Isovalue | None =
     """
     m = len(texels)
     void = np.empty(m, np.bool_)
-    place = (np.ascontiguousarray(texels, np.int32), np.empty((3, m)), np.empty((3, m)), np.empty(m))
+    place = (
+        np.ascontiguousarray(texels, np.int32),
+        np.empty((3, m)),
+        np.empty((3, m)),
+        np.empty(m),
+    )
     if shown is None:
         locate_texels(prepared.field, prepared.step, *place, void)
         return place, void
@@ -232,14 +292,22 @@ def locate(texels: np.ndarray, prepared: PreparedScene, shown: Isovalue | None =
 
 
 def sample_transfer(
-    layers: Sequence[Layer], place: Place, void: np.ndarray, spec: BakeSpec, samples: int, count: int
+    layers: Sequence[Layer],
+    place: Place,
+    void: np.ndarray,
+    spec: BakeSpec,
+    samples: int,
+    count: int,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Sums over ``count`` samples after the first ``samples``, of the same paths for all ``layers``.
+    """Sums over ``count`` samples after the first ``samples``, of the same paths for all
+    ``layers``.
 
-    Harmonics of the ways that paths leave: for each layer, and each half of them, (m, 2, channels, N²) float64; and
-    band 0 of the squares of what paths bring, of both halves, (m,).
+    Harmonics of the ways that paths leave: for each layer, and each half of them, (m, 2, channels,
+    N²) float64; and band 0 of the squares of what paths bring, of both halves, (m,).
     """
-    orders = np.repeat([max(layer.order, NOISE_ORDER) for layer in layers], [layer.channels for layer in layers])
+    orders = np.repeat(
+        [max(layer.order, NOISE_ORDER) for layer in layers], [layer.channels for layer in layers]
+    )
     orders = np.append(orders, np.ones(len(layers), np.int64))
     sums = np.zeros((len(void), 2, len(orders), int(orders.max()) ** 2))
     sample = (sample_colours if spec.coloured else sample_greys)(layers, orders, spec)
@@ -257,11 +325,16 @@ Sample = Callable[[ActiveCells, Place, np.ndarray, SampleRange, np.ndarray], Non
 
 
 def sample_greys(layers: Sequence[Layer], orders: np.ndarray, spec: BakeSpec) -> Sample:
-    """The paths of a surface with one albedo, whose weights are worked out once for all groups of texels."""
-    counts, plan = np.vstack([spec.shares(layers), spec.squares(layers)]), spec.plan
+    """The paths of a surface with one albedo, whose weights are worked out once for all groups of
+    texels.
+    """
+    counts = np.vstack([spec.shares(layers), spec.squares(layers)])
+    plan = spec.plan
     rules = TransferRules(counts, plan.survival, plan.branches)
 
-    def _sample(bricks: ActiveCells, place: Place, rows: np.ndarray, some: SampleRange, sums: np.ndarray) -> None:
+    def _sample(
+        bricks: ActiveCells, place: Place, rows: np.ndarray, some: SampleRange, sums: np.ndarray
+    ) -> None:
         bake_texels(spec.prepared.field, bricks, place, rows, some, rules, orders, sums)
 
     return _sample
@@ -271,19 +344,35 @@ def sample_colours(layers: Sequence[Layer], orders: np.ndarray, spec: BakeSpec) 
     """How the transfer of texels is sampled on a surface with colours by data."""
     rules = spec.coloured_rules(layers, orders)
 
-    def _sample(bricks: ActiveCells, place: Place, rows: np.ndarray, some: SampleRange, sums: np.ndarray) -> None:
-        bake_coloured_texels(spec.prepared.field, bricks, spec.prepared.colours, place, rows, some, rules, sums)
+    def _sample(
+        bricks: ActiveCells, place: Place, rows: np.ndarray, some: SampleRange, sums: np.ndarray
+    ) -> None:
+        bake_coloured_texels(
+            spec.prepared.field, bricks, spec.prepared.colours, place, rows, some, rules, sums
+        )
 
     return _sample
 
 
 def sample_irradiance(
-    layers: Sequence[Layer], place: Place, void: np.ndarray, spec: BakeSpec, samples: int, count: int
+    layers: Sequence[Layer],
+    place: Place,
+    void: np.ndarray,
+    spec: BakeSpec,
+    samples: int,
+    count: int,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Samples of the light that paths meet, without squares; where a layer keeps one channel, all three are alike."""
-    prepared, sums, bounces = spec.prepared, np.zeros((len(void), 2, 3)), spec.plan.bounces
-    around, some = prepared.surroundings(np.eye(3)), SampleRange(samples // 2, count // 2)
-    rules = PathRules(np.broadcast_to(start_weights(layers[0], spec), (bounces + 1, 3)).copy(), spec.plan.survival)
+    """Samples of the light that paths meet, without squares; where a layer keeps one channel, all
+    three are alike.
+    """
+    prepared = spec.prepared
+    sums = np.zeros((len(void), 2, 3))
+    bounces = spec.plan.bounces
+    around = prepared.surroundings(np.eye(3))
+    some = SampleRange(samples // 2, count // 2)
+    rules = PathRules(
+        np.broadcast_to(start_weights(layers[0], spec), (bounces + 1, 3)).copy(), spec.plan.survival
+    )
     for bricks, rows in by_isovalue(place[3], void, prepared):
         met = prepared.met(prepared.scene.surfaces.albedo, bricks)
         if isinstance(met, Open):
@@ -297,19 +386,28 @@ def sample_irradiance(
 
 
 def start_weights(layer: Layer, spec: BakeSpec) -> np.ndarray:
-    """What counts of the light that paths of a ``layer`` bring; of what comes from inside a surface, B/π over the
-    albedo, by which frames multiply it.
+    """What counts of the light that paths of a ``layer`` bring; of what comes from inside a
+    surface, B/π over the albedo, by which frames multiply it.
     """
     scene = spec.prepared.scene
-    return 1.0 / np.array(scene.surfaces.albedo) if scene.surfaces.material.scatters else spec.weights(layer)
+    if scene.surfaces.material.scatters:
+        return 1.0 / np.array(scene.surfaces.albedo)
+    return spec.weights(layer)
 
 
 def sample_glow(
-    layers: Sequence[Layer], place: Place, void: np.ndarray, spec: BakeSpec, samples: int, count: int
+    layers: Sequence[Layer],
+    place: Place,
+    void: np.ndarray,
+    spec: BakeSpec,
+    samples: int,
+    count: int,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Samples of what glows, one glow's channels after the other's, each of radiance 1."""
-    prepared, plan = spec.prepared, spec.plan
-    some, rules = SampleRange(samples // 2, count // 2), PathRules(np.ones((plan.bounces + 1, 3)), plan.survival)
+    prepared = spec.prepared
+    plan = spec.plan
+    some = SampleRange(samples // 2, count // 2)
+    rules = PathRules(np.ones((plan.bounces + 1, 3)), plan.survival)
     sums = np.zeros((len(void), 2, 3 * len(prepared.glows.rates)))
     for bricks, rows in by_isovalue(place[3], void, prepared):
         added = np.zeros((2 * len(rows), sums.shape[2]))
@@ -334,7 +432,8 @@ def by_isovalue(
 ) -> Iterator[tuple[ActiveCells, np.ndarray]]:
     """The rows that are not void in groups of near isovalues, each with the map of its isosurfaces.
 
-    Within a group they stay as they lie in space: sorted by isovalue, paths took a twentieth longer.
+    Within a group they stay as they lie in space: sorted by isovalue, paths took a twentieth
+    longer.
     """
     lit = np.flatnonzero(~void)
     groups, spans = prepared.maps.groups(isovalues[lit])
@@ -343,22 +442,32 @@ def by_isovalue(
 
 
 def add_to_mean(mean: np.ndarray, samples: int, added: np.ndarray, total: int) -> np.ndarray:
-    """The mean over ``total`` samples of an old mean over ``samples`` and the sum of the new ones, float64."""
+    """The mean over ``total`` samples of an old mean over ``samples`` and the sum of the new ones,
+    float64.
+    """
     return (mean.astype(np.float64) * samples + added) / total
 
 
 KEEPABLE_KINDS = frozenset(("direct", "indirect", "whole"))
-"""The kinds of layers whose light a cut may leave as it is: their paths meet one surface, and nothing else."""
+"""The kinds of layers whose light a cut may leave as it is: their paths meet one surface, and
+nothing else.
+"""
 
 
 def keeps(spec: BakeSpec) -> bool:
     """Whether light of a ``spec`` of a whole volume may stay where that is cut."""
-    return spec.shown is None and spec.kinds <= KEEPABLE_KINDS and bool(spec.prepared.field.low.min() >= CUT_AWAY_VALUE)
+    return (
+        spec.shown is None
+        and spec.kinds <= KEEPABLE_KINDS
+        and bool(spec.prepared.field.low.min() >= CUT_AWAY_VALUE)
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Remains:
-    """What a cut leaves: the ``box`` of ``box_left``, and the least and the greatest value ``beyond`` it."""
+    """What a cut leaves: the ``box`` of ``box_left``, and the least and the greatest value
+    ``beyond`` it.
+    """
 
     box: np.ndarray
     beyond: tuple[float, float]
@@ -370,14 +479,19 @@ class Remains:
         return cls(box, values_beyond(volume, box))
 
 
-def find_kept(light: Light, texels: np.ndarray, whole: BakeSpec, remains: Remains, walks: bool) -> np.ndarray:
-    """Which of the ``texels`` (m, 3; z, y, x) keep their ``light`` where a cut of a ``whole`` volume ``remains``.
+def find_kept(
+    light: Light, texels: np.ndarray, whole: BakeSpec, remains: Remains, walks: bool
+) -> np.ndarray:
+    """Which of the ``texels`` (m, 3; z, y, x) keep their ``light`` where a cut of a ``whole``
+    volume ``remains``.
 
-    (m,) bool: those whose place, and all points that paths met so far, are far from what is taken away. Where nothing
-    of their isosurface is there, no path can have met it. Paths of others are walked once more, but those of a texel
-    end with the first that met something there. Without ``walks`` these are left out.
+    (m,) bool: those whose place, and all points that paths met so far, are far from what is taken
+    away. Where nothing of their isosurface is there, no path can have met it. Paths of others are
+    walked once more, but those of a texel end with the first that met something there. Without
+    ``walks`` these are left out.
     """
-    prepared, box = whole.prepared, remains.box
+    prepared = whole.prepared
+    box = remains.box
     place, _ = locate(texels, prepared)
     kept = is_within(texels[:, ::-1] * prepared.step, box) & is_within(place[1].T, box)
     may_stray = (place[3] >= remains.beyond[0]) & (place[3] <= remains.beyond[1])
@@ -391,11 +505,13 @@ def find_kept(light: Light, texels: np.ndarray, whole: BakeSpec, remains: Remain
 
 
 def walks_of(parts: Sequence[Part], bounces: int) -> Iterator[tuple[np.ndarray, SampleRange, int]]:
-    """The paths that some ``parts`` took: which texels (m,) bool, their samples in each half, and their bounces.
+    """The paths that some ``parts`` took: which texels (m,) bool, their samples in each half, and
+    their bounces.
 
     Those of parts without reflected light end with their first ray.
     """
-    first, most = 0, max((int(part.samples.max(initial=0)) for part in parts), default=0)
+    first = 0
+    most = max((int(part.samples.max(initial=0)) for part in parts), default=0)
     while first < most:
         last = next_level(first)
         some = SampleRange(first // 2, (last - first) // 2)
@@ -406,13 +522,19 @@ def walks_of(parts: Sequence[Part], bounces: int) -> Iterator[tuple[np.ndarray, 
 
 
 def took(parts: Sequence[Part], samples: int, reflected: bool) -> np.ndarray:
-    """Which texels took so many ``samples`` in any of the parts with ``reflected`` light, or without; (m,) bool."""
+    """Which texels took so many ``samples`` in any of the parts with ``reflected`` light, or
+    without; (m,) bool.
+    """
     own = [part.samples >= samples for part in parts if part.layer.reflected == reflected]
     return np.logical_or.reduce([np.zeros(len(parts[0].samples), np.bool_), *own])
 
 
-def strays_of(place: Place, rows: np.ndarray, spec: BakeSpec, samples: SampleRange, confines: Confines) -> np.ndarray:
-    """Which of some ``rows`` (m,) bool have a path among these ``samples`` that met something beyond ``confines``."""
+def strays_of(
+    place: Place, rows: np.ndarray, spec: BakeSpec, samples: SampleRange, confines: Confines
+) -> np.ndarray:
+    """Which of some ``rows`` (m,) bool have a path among these ``samples`` that met something
+    beyond ``confines``.
+    """
     strays = np.zeros(len(rows), np.bool_)
     for cells, own in by_isovalue(place[3], ~rows, spec.prepared):
         find_strays(spec.prepared.field, cells, place, own, samples, confines, strays)

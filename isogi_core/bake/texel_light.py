@@ -1,8 +1,9 @@
-"""The light of a set of texels: for each layer of a plan a table with one row per texel; and how it is rounded.
+"""The light of a set of texels: for each layer of a plan a table with one row per texel; and how it
+is rounded.
 
-On its way to the store light is rounded to half floats or bytes, noise and sample counts to bytes. Sample counts climb
-levels, each twice the one before. Light in memory is rounded too, after each level, so that a texel has the same bits
-whether it was read or just baked.
+On its way to the store light is rounded to half floats or bytes, noise and sample counts to bytes.
+Sample counts climb levels, each twice the one before. Light in memory is rounded too, after each
+level, so that a texel has the same bits whether it was read or just baked.
 """
 
 from collections.abc import Sequence
@@ -25,13 +26,18 @@ NOISIEST = 16.0
 """The noise, in units of a layer's scale, that code 0 stands for."""
 
 LARGEST_HALF = 65504.0
-"""The most that is kept, in units of a layer's scale: the largest half float. A lamp next to the surface gives more."""
+"""The most that is kept, in units of a layer's scale: the largest half float. A lamp next to the
+surface gives more.
+"""
 
 CODES_PER_HALVING = 8
 """Codes that halve a number: 9 % apart."""
 
-NEGATIVE, SMALLEST = 0x80, 0x7F
-"""The sign of a coefficient that is kept as a byte, and the code of the smallest: 2^-15.75 of the scale."""
+NEGATIVE = 0x80
+SMALLEST = 0x7F
+"""The sign of a coefficient that is kept as a byte, and the code of the smallest: 2^-15.75 of the
+scale.
+"""
 
 SILENT = 255
 """The code of no noise."""
@@ -45,12 +51,18 @@ def round_light(light: np.ndarray, layer: Layer) -> np.ndarray:
 
 
 def light_floats(light: np.ndarray, layer: Layer) -> np.ndarray:
-    """Coefficients, in units of the layer's scale, as the floats it keeps; what is beyond LARGEST_HALF is cut there."""
-    return np.clip(light, -LARGEST_HALF, LARGEST_HALF).astype(np.float16 if layer.half else np.float32)
+    """Coefficients, in units of the layer's scale, as the floats it keeps; what is beyond
+    LARGEST_HALF is cut there.
+    """
+    return np.clip(light, -LARGEST_HALF, LARGEST_HALF).astype(
+        np.float16 if layer.half else np.float32
+    )
 
 
 def light_codes(light: np.ndarray) -> np.ndarray:
-    """Bytes of coefficients within ±1: a sign, and 1 + the steps from 1 down, to the nearest; 0 is none; uint8."""
+    """Bytes of coefficients within ±1: a sign, and 1 + the steps from 1 down, to the nearest; 0 is
+    none; uint8.
+    """
     size = np.abs(np.asarray(light, np.float64))
     with np.errstate(divide="ignore"):
         codes = 1.0 + np.rint(-CODES_PER_HALVING * np.log2(size))
@@ -74,9 +86,13 @@ LIGHT_OF = _light_table()
 
 
 def noise_codes(noise: np.ndarray, scale: float) -> np.ndarray:
-    """Bytes of ``noise``: NOISIEST · scale · 2^(-code / CODES_PER_HALVING), to the nearest; uint8."""
+    """Bytes of ``noise``: NOISIEST · scale · 2^(-code / CODES_PER_HALVING), to the nearest;
+    uint8.
+    """
     with np.errstate(divide="ignore"):
-        codes = np.rint(-CODES_PER_HALVING * np.log2(np.asarray(noise, np.float64) / (NOISIEST * scale)))
+        codes = np.rint(
+            -CODES_PER_HALVING * np.log2(np.asarray(noise, np.float64) / (NOISIEST * scale))
+        )
     return np.clip(codes, 0, SILENT).astype(np.uint8)
 
 
@@ -88,14 +104,18 @@ def noise_of(codes: np.ndarray, scale: float | np.ndarray) -> np.ndarray:
 def _noise_table() -> np.ndarray:
     """The noise that each byte stands for in units of a layer's scale; (256,) float32."""
     codes = np.arange(256)
-    return np.where(codes == SILENT, 0.0, NOISIEST * 2.0 ** (codes / -CODES_PER_HALVING)).astype(np.float32)
+    return np.where(codes == SILENT, 0.0, NOISIEST * 2.0 ** (codes / -CODES_PER_HALVING)).astype(
+        np.float32
+    )
 
 
 NOISE_OF = _noise_table()
 
 
 def level_codes(samples: np.ndarray) -> np.ndarray:
-    """Bytes of sample counts at levels: 0 for none, k for FIRST_LEVEL · 2^(k - 1), VOID_CODE for VOID; uint8."""
+    """Bytes of sample counts at levels: 0 for none, k for FIRST_LEVEL · 2^(k - 1), VOID_CODE for
+    VOID; uint8.
+    """
     codes = np.log2(np.maximum(samples, FIRST_LEVEL // 2) / (FIRST_LEVEL // 2)).astype(np.uint8)
     return np.where(samples == VOID, VOID_CODE, codes).astype(np.uint8)
 
@@ -113,15 +133,18 @@ SAMPLES_OF = _samples_table()
 
 def next_level(samples: int) -> int:
     """The sample count of the level above ``samples``."""
-    return FIRST_LEVEL if samples < FIRST_LEVEL else 2 * samples
+    if samples < FIRST_LEVEL:
+        return FIRST_LEVEL
+    return 2 * samples
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
     """What texels keep of one ``layer``, one row each.
 
-    ``samples`` (m,) int32 are the paths taken, both randomisations together, or VOID; ``noise`` (m, noises) float32
-    is the standard error of a coefficient in band 0, and above it; ``coefficients`` (m, channels, n²) float32.
+    ``samples`` (m,) int32 are the paths taken, both randomisations together, or VOID; ``noise`` (m,
+    noises) float32 is the standard error of a coefficient in band 0, and above it; ``coefficients``
+    (m, channels, n²) float32.
     """
 
     layer: Layer
@@ -133,18 +156,30 @@ class Part:
     def dark(cls, layer: Layer, texels: int) -> "Part":
         """Texels that no path has been sent from yet."""
         coefficients = np.zeros((texels, layer.channels, layer.order**2), np.float32)
-        return cls(layer, np.zeros(texels, np.int32), np.zeros((texels, layer.noises), np.float32), coefficients)
+        return cls(
+            layer,
+            np.zeros(texels, np.int32),
+            np.zeros((texels, layer.noises), np.float32),
+            coefficients,
+        )
 
     @classmethod
     def undefined(cls, layer: Layer, texels: int) -> "Part":
         """Texels that are to be filled: what they hold as yet is anything."""
         coefficients = np.empty((texels, layer.channels, layer.order**2), np.float32)
-        return cls(layer, np.empty(texels, np.int32), np.empty((texels, layer.noises), np.float32), coefficients)
+        return cls(
+            layer,
+            np.empty(texels, np.int32),
+            np.empty((texels, layer.noises), np.float32),
+            coefficients,
+        )
 
     @classmethod
     def joined(cls, parts: Sequence["Part"]) -> "Part":
         """The texels of several parts of one layer, one part's after the other's."""
-        columns = zip(*((part.samples, part.noise, part.coefficients) for part in parts), strict=True)
+        columns = zip(
+            *((part.samples, part.noise, part.coefficients) for part in parts), strict=True
+        )
         return cls(parts[0].layer, *map(np.concatenate, columns))
 
     def rows(self, which: np.ndarray) -> "Part":
@@ -152,7 +187,9 @@ class Part:
         return Part(self.layer, self.samples[which], self.noise[which], self.coefficients[which])
 
     def among(self, own: np.ndarray, places: np.ndarray) -> "Part":
-        """The texels, which lie at ``own`` places, among all at ``places``, which ascend; the others are dark."""
+        """The texels, which lie at ``own`` places, among all at ``places``, which ascend; the
+        others are dark.
+        """
         whole = Part.dark(self.layer, len(places))
         whole.put(np.searchsorted(places, own), self)
         return whole
@@ -183,7 +220,11 @@ class Light:
     @classmethod
     def joined(cls, lights: Sequence["Light"]) -> "Light":
         """The texels of several lights of one plan, one light's after the other's."""
-        return cls(tuple(Part.joined(parts) for parts in zip(*(light.parts for light in lights), strict=True)))
+        return cls(
+            tuple(
+                Part.joined(parts) for parts in zip(*(light.parts for light in lights), strict=True)
+            )
+        )
 
     def __len__(self) -> int:
         return len(self.parts[0].samples)
@@ -208,30 +249,42 @@ class Light:
         return np.any([part.samples == VOID for part in self.parts], axis=0)
 
     def agree_on_void(self) -> None:
-        """Make void in all parts what is so in one: a part may have been lost, or read while another is written."""
+        """Make void in all parts what is so in one: a part may have been lost, or read while
+        another is written.
+        """
         void = self.void
         for part in self.parts:
             part.samples[void] = VOID
 
     @property
     def transfer(self) -> np.ndarray:
-        """The parts' sum; (m, channels, n²) float32 with the most channels and the highest order of any."""
+        """The parts' sum; (m, channels, n²) float32 with the most channels and the highest order of
+        any.
+        """
         return sum_of(self.parts, max(part.layer.channels for part in self.parts))
 
     def columns(self, terms: Sequence[Term]) -> np.ndarray:
-        """The sums of the parts of each of the ``terms``, side by side; (m, channels, Σ n²) float32."""
+        """The sums of the parts of each of the ``terms``, side by side; (m, channels, Σ n²)
+        float32.
+        """
         channels = max(part.layer.colours for part in self.parts)
         sums = [sum_of(self._of(term), channels)[:, :, : term.order**2] for term in terms]
-        return sums[0] if len(sums) == 1 else np.concatenate(sums, axis=2)
+        if len(sums) == 1:
+            return sums[0]
+        return np.concatenate(sums, axis=2)
 
     def _of(self, term: Term) -> list["Part"]:
         """The parts that are of a ``term``, or the one channel of its part that is."""
         parts = [self.parts[i] for i in term.layers]
-        return parts if term.node is None else [part.channel(term.node) for part in parts]
+        if term.node is None:
+            return parts
+        return [part.channel(term.node) for part in parts]
 
 
 def sum_of(parts: Sequence[Part], channels: int) -> np.ndarray:
-    """The sum of some parts' coefficients; (m, channels, n²) float32 with the highest order of any."""
+    """The sum of some parts' coefficients; (m, channels, n²) float32 with the highest order of
+    any.
+    """
     n = max(part.coefficients.shape[2] for part in parts)
     total = np.zeros((len(parts[0].samples), channels, n), np.float32)
     for part in parts:

@@ -1,4 +1,6 @@
-"""The record of a chunk: the content of one object of the store, and its description in the layer's metadata."""
+"""The record of a chunk: the content of one object of the store, and its description in the layer's
+metadata.
+"""
 
 import json
 import math
@@ -39,10 +41,10 @@ RECORD_TABLES = Numbers(SAMPLES_OF, NOISE_OF, LIGHT_OF)
 def record_type(layer: Layer, texels: int) -> np.dtype[np.void]:
     """The NumPy type, packed, of the record of a chunk of so many ``texels``.
 
-    ``bake`` is the layer's digest and ``index`` (z, y, x) the chunk's place. ``light`` (channels, coefficients, texels)
-    holds multiples of ``scale``, and so does ``high``, the coefficients of higher bands as bytes. ``rung`` is the code
-    of a texel's sample level; ``high``, ``rung`` and ``noise`` are codes: see ``bake.precision``. Texels go with z
-    slowest.
+    ``bake`` is the layer's digest and ``index`` (z, y, x) the chunk's place. ``light`` (channels,
+    coefficients, texels) holds multiples of ``scale``, and so does ``high``, the coefficients of
+    higher bands as bytes. ``rung`` is the code of a texel's sample level; ``high``, ``rung`` and
+    ``noise`` are codes: see ``bake.precision``. Texels go with z slowest.
     """
     return np.dtype(
         [
@@ -58,13 +60,16 @@ def record_type(layer: Layer, texels: int) -> np.dtype[np.void]:
 
 
 def pack(part: Part, offsets: np.ndarray, texels: int, bake: str, index: Index) -> np.ndarray:
-    """Pack a part's texels at ``offsets`` of the chunk ``index`` into a record, (bytes,) uint8, but for unlit ones.
+    """Pack a part's texels at ``offsets`` of the chunk ``index`` into a record, (bytes,) uint8, but
+    for unlit ones.
 
     A whole chunk has so many ``texels``.
     """
     layer = part.layer
     record = np.zeros((), record_type(layer, texels))
-    record["bake"], record["index"], record["scale"] = bake.encode(), index, layer.scale
+    record["bake"] = bake.encode()
+    record["index"] = index
+    record["scale"] = layer.scale
     lit = part.samples != 0
     rows = part.rows(lit)
     record["rung"][offsets[lit]] = level_codes(rows.samples)
@@ -75,14 +80,24 @@ def pack(part: Part, offsets: np.ndarray, texels: int, bake: str, index: Index) 
     return record.reshape(1).view(np.uint8)
 
 
-def unpack(data: np.ndarray, layer: Layer, texels: int, bake: str, index: Index) -> tuple[np.ndarray, Part] | None:
-    """Unpack a record: ascending offsets of its texels, and their part; None where it is of another bake or place."""
+def unpack(
+    data: np.ndarray, layer: Layer, texels: int, bake: str, index: Index
+) -> tuple[np.ndarray, Part] | None:
+    """Unpack a record: ascending offsets of its texels, and their part; None where it is of another
+    bake or place.
+    """
     records = data.reshape(1, -1)
-    return unpack_all(records, layer, texels) if belongs(records, layer, texels, bake, [index]).all() else None
+    if belongs(records, layer, texels, bake, [index]).all():
+        return unpack_all(records, layer, texels)
+    return None
 
 
-def belongs(records: np.ndarray, layer: Layer, texels: int, bake: str, indices: Sequence[Index]) -> np.ndarray:
-    """Whether each of the ``records`` (k, bytes) uint8 is of this ``bake`` and its chunk of ``indices``; (k,) bool."""
+def belongs(
+    records: np.ndarray, layer: Layer, texels: int, bake: str, indices: Sequence[Index]
+) -> np.ndarray:
+    """Whether each of the ``records`` (k, bytes) uint8 is of this ``bake`` and its chunk of
+    ``indices``; (k,) bool.
+    """
     found = record_fields(records, layer, texels)
     here = (found["index"] == np.array(indices).reshape(-1, 3)).all(axis=1)
     return np.asarray(here & (found["bake"] == bake.encode()))
@@ -109,23 +124,33 @@ def record_fields(records: np.ndarray, layer: Layer, texels: int) -> np.ndarray:
 
 
 def planes_of(found: np.ndarray, layer: Layer) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The light in NumPy records as bits of half floats, single floats, and bytes; one kind of floats is empty."""
-    light, none = found["light"], found["light"][:, :, :0]
+    """The light in NumPy records as bits of half floats, single floats, and bytes; one kind of
+    floats is empty.
+    """
+    light = found["light"]
+    none = found["light"][:, :, :0]
     if layer.half:
         return light.view(np.uint16), none.astype(np.float32), found["high"]
     return none.astype(np.uint16), light, found["high"]
 
 
 def find_anomaly(data: np.ndarray, layer: Layer, texels: int) -> str:
-    """Find the first thing in a record, (bytes,) uint8, that ``pack`` never writes; empty if all is well."""
+    """Find the first thing in a record, (bytes,) uint8, that ``pack`` never writes; empty if all is
+    well.
+    """
     record = data.view(record_type(layer, texels))[0]
-    level, light = record["rung"], record["light"]
+    level = record["rung"]
+    light = record["light"]
     dark = level == 0
     oddities = {
         "it was packed to another scale": record["scale"] != np.float32(layer.scale),
-        "a texel took a number of samples that none takes": ((level > HIGHEST_LEVEL) & (level != VOID_CODE)).any(),
+        "a texel took a number of samples that none takes": (
+            (level > HIGHEST_LEVEL) & (level != VOID_CODE)
+        ).any(),
         "its light is not finite": not np.isfinite(light).all(),
-        "texels without samples have light": any(record[name][..., dark].any() for name in ("light", "high", "noise")),
+        "texels without samples have light": any(
+            record[name][..., dark].any() for name in ("light", "high", "noise")
+        ),
     }
     return next((what for what, found in oddities.items() if found), "")
 
@@ -135,7 +160,9 @@ CODEC_NAMES = ["bytes", "zstd", "crc32c"]
 
 @dataclass(frozen=True, eq=False)
 class LayerFacts:
-    """A layer as its ``zarr.json`` describes it: isogi's own ``attributes``, and ``texels`` along z, y, x."""
+    """A layer as its ``zarr.json`` describes it: isogi's own ``attributes``, and ``texels`` along
+    z, y, x.
+    """
 
     layer: Layer
     texels: tuple[int, int, int]
@@ -160,7 +187,9 @@ class LayerFacts:
 
     @property
     def lattice_facts(self) -> tuple[Any, ...]:
-        """The facts that decide which texels can hold light: layers with equal facts must agree on these texels."""
+        """The facts that decide which texels can hold light: layers with equal facts must agree on
+        these texels.
+        """
         names = ("format", "volume_digest", "normals", "offset", "shown")
         return (self.texels, self.chunk, *(self.attributes.get(name) for name in names))
 
@@ -170,7 +199,9 @@ class LayerFacts:
 
 
 def facts_in(metadata: bytes) -> LayerFacts:
-    """Read the facts in a ``zarr.json``. Raises DamagedChunkError, which says what is wrong with it."""
+    """Read the facts in a ``zarr.json``. Raises DamagedChunkError, which says what is wrong with
+    it.
+    """
     try:
         found = json.loads(metadata)
         own = found["attributes"]["isogi"]
@@ -203,7 +234,9 @@ def agrees(metadata: dict[str, Any], facts: LayerFacts) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """Texels of one chunk: ``offsets`` (m,) int32 ascending, inside the chunk; ``light`` has a row for each."""
+    """Texels of one chunk: ``offsets`` (m,) int32 ascending, inside the chunk; ``light`` has a row
+    for each.
+    """
 
     index: Index
     offsets: np.ndarray
@@ -220,9 +253,15 @@ class Chunk:
         return cls(index, *united(found))
 
     def with_texels(self, offsets: np.ndarray) -> "Chunk":
-        """This chunk with the texels at ``offsets`` added where it lacks them; added texels are dark."""
+        """This chunk with the texels at ``offsets`` added where it lacks them; added texels are
+        dark.
+        """
         union = np.union1d(self.offsets, offsets).astype(np.int32)
-        return Chunk(self.index, union, Light(tuple(part.among(self.offsets, union) for part in self.light.parts)))
+        return Chunk(
+            self.index,
+            union,
+            Light(tuple(part.among(self.offsets, union) for part in self.light.parts)),
+        )
 
     def rows_of(self, offsets: np.ndarray) -> np.ndarray:
         """Rows of ``light`` for texels at ``offsets``, all of which the chunk must have."""
@@ -231,7 +270,8 @@ class Chunk:
 
 @dataclass(frozen=True, eq=False)
 class Chunks:
-    """Texels of several chunks: those of ``indices[i]`` are the rows ``bounds[i]`` … ``bounds[i + 1]`` of ``light``.
+    """Texels of several chunks: those of ``indices[i]`` are the rows ``bounds[i]`` … ``bounds[i +
+    1]`` of ``light``.
 
     ``bounds`` (chunks + 1,) int64; ``offsets`` (m,) int32, ascending in each chunk.
     """
@@ -247,20 +287,29 @@ class Chunks:
         return cls((chunk.index,), np.array([0, len(chunk.offsets)]), chunk.offsets, chunk.light)
 
     @classmethod
-    def of_parts(cls, indices: Sequence[Index], texels: int, found: Sequence[tuple[np.ndarray, Part]]) -> "Chunks":
-        """The chunks that have texels, of the places and the part that were ``found`` in each layer.
+    def of_parts(
+        cls, indices: Sequence[Index], texels: int, found: Sequence[tuple[np.ndarray, Part]]
+    ) -> "Chunks":
+        """The chunks that have texels, of the places and the part that were ``found`` in each
+        layer.
 
-        A place is the number of the chunk among ``indices`` times the ``texels`` of one plus the offset in it.
+        A place is the number of the chunk among ``indices`` times the ``texels`` of one plus the
+        offset in it.
         """
         places, light = united(found)
-        bounds = np.searchsorted(places, np.arange(len(indices) + 1, dtype=np.int32) * np.int32(texels))
+        bounds = np.searchsorted(
+            places, np.arange(len(indices) + 1, dtype=np.int32) * np.int32(texels)
+        )
         there = tuple(compress(indices, (np.diff(bounds) > 0).tolist()))
         return cls(there, np.unique(bounds), places % np.int32(texels), light)
 
 
 def united(found: Sequence[tuple[np.ndarray, Part]]) -> tuple[np.ndarray, Light]:
-    """The places ``found`` in any of the layers, ascending, and their light; a part is dark where it lacks a place."""
-    first, parts = found[0][0], [part for _, part in found]
+    """The places ``found`` in any of the layers, ascending, and their light; a part is dark where
+    it lacks a place.
+    """
+    first = found[0][0]
+    parts = [part for _, part in found]
     if all(np.array_equal(own, first) for own, _ in found):
         return first.astype(np.int32), Light(tuple(parts))
     places = reduce(np.union1d, [own for own, _ in found]).astype(np.int32)

@@ -24,18 +24,25 @@ from isogi_core.storage.atomic_file import user_cache
 from isogi_core.storage.store import Store, StoreLike
 
 MIN_DIRECT_ORDER = 2
-"""Least order of direct light that is shown in place of a higher one: band 0 alone has no direction."""
+"""Least order of direct light that is shown in place of a higher one: band 0 alone has no
+direction.
+"""
 
 
 def adopt(plan: ScenePlan, prepared: PreparedScene, store: StoreLike) -> ScenePlan:
-    """The plan, with layers that the ``store`` lacks replaced by the smallest larger ones that it has."""
+    """The plan, with layers that the ``store`` lacks replaced by the smallest larger ones that it
+    has.
+    """
     store = Store.of(store)
     there = frozenset(store.layers())
-    return replace(plan, layers=tuple(adopted_layer(layer, prepared, store, there) for layer in plan.layers))
+    return replace(
+        plan, layers=tuple(adopted_layer(layer, prepared, store, there) for layer in plan.layers)
+    )
 
 
 def adopted_layer(layer: Layer, prepared: PreparedScene, store: Store, there: Set[str]) -> Layer:
-    """The layer, or the smallest larger one where the store has light of that and none of the layer.
+    """The layer, or the smallest larger one where the store has light of that and none of the
+    layer.
 
     ``there`` are the digests of layers in the ``store``.
     """
@@ -46,13 +53,22 @@ def adopted_layer(layer: Layer, prepared: PreparedScene, store: Store, there: Se
 def find_fallback(
     layer: Layer, prepared: PreparedScene, store: StoreLike, shown: Isovalue | None = None
 ) -> LayerStore | None:
-    """The largest of the smaller layers that the ``store`` has light of, for the same texels; None without any."""
+    """The largest of the smaller layers that the ``store`` has light of, for the same texels; None
+    without any.
+    """
     store = Store.of(store)
-    return next(stored_layers(smaller_layers(layer), prepared, store, frozenset(store.layers()), shown), None)
+    return next(
+        stored_layers(smaller_layers(layer), prepared, store, frozenset(store.layers()), shown),
+        None,
+    )
 
 
 def stored_layers(
-    layers: Iterable[Layer], prepared: PreparedScene, store: Store, there: Set[str], shown: Isovalue | None = None
+    layers: Iterable[Layer],
+    prepared: PreparedScene,
+    store: Store,
+    there: Set[str],
+    shown: Isovalue | None = None,
 ) -> Iterator[LayerStore]:
     """The stores of those ``layers`` that have light; only digests that are ``there`` are read."""
     layer_stores = (LayerStore(store, prepared, layer, shown) for layer in layers)
@@ -61,14 +77,23 @@ def stored_layers(
 
 def larger_layers(layer: Layer) -> Iterator[Layer]:
     """Compatible layers that hold all of ``layer``, and more."""
-    orders = range(layer.order, MAX_ORDER + 1) if layer.kind in ("direct", "indirect") else (layer.order,)
+    orders = (
+        range(layer.order, MAX_ORDER + 1)
+        if layer.kind in ("direct", "indirect")
+        else (layer.order,)
+    )
     other = (other for order in orders for other in precisions(layer, order))
     return (other for other in other if other != layer and covers(other, layer))
 
 
 def smaller_layers(layer: Layer) -> Iterator[Layer]:
-    """Compatible layers that hold the first bands of ``layer``, or all of them less precisely; most bands first."""
-    least = MIN_DIRECT_ORDER if layer.kind == "direct" else 1
+    """Compatible layers that hold the first bands of ``layer``, or all of them less precisely; most
+    bands first.
+    """
+    if layer.kind == "direct":
+        least = MIN_DIRECT_ORDER
+    else:
+        least = 1
     lower = range(layer.order - 1, least - 1, -1)
     other = (other for order in (layer.order, *lower) for other in precisions(layer, order))
     return (other for other in other if not (other.order == layer.order and covers(other, layer)))
@@ -82,7 +107,9 @@ def precisions(layer: Layer, order: int) -> Iterator[Layer]:
 
 
 def covers(other: Layer, layer: Layer) -> bool:
-    """Whether ``other``, of no lower order, keeps each coefficient of ``layer`` at least as precisely."""
+    """Whether ``other``, of no lower order, keeps each coefficient of ``layer`` at least as
+    precisely.
+    """
     return other.floats >= layer.floats and (layer.half or not other.half)
 
 
@@ -93,9 +120,13 @@ STAMP_EVERY = 3600.0
 
 
 class UseStamps:
-    """Stamps of the last use of layers, by their ``digests``, in a ``store``. Safe to use from many threads."""
+    """Stamps of the last use of layers, by their ``digests``, in a ``store``. Safe to use from many
+    threads.
+    """
 
-    def __init__(self, store: Store, digests: Sequence[str], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, store: Store, digests: Sequence[str], clock: Callable[[], float] = time.monotonic
+    ) -> None:
         """Stamp nothing yet."""
         self._store = store
         self._digests = digests
@@ -104,7 +135,9 @@ class UseStamps:
         self._lock = threading.Lock()
 
     def touch(self) -> None:
-        """Stamp the layers, as their light is read, unless that was done less than STAMP_EVERY seconds ago."""
+        """Stamp the layers, as their light is read, unless that was done less than STAMP_EVERY
+        seconds ago.
+        """
         with self._lock:
             if self._clock() < self._due:
                 return
@@ -140,11 +173,15 @@ class ChunkStore:
         self.spec = spec
         self.store = Store.of(store)
         self.damaged = 0
-        self.layers = tuple(LayerStore(self.store, spec.prepared, layer, spec.shown) for layer in spec.plan.layers)
+        self.layers = tuple(
+            LayerStore(self.store, spec.prepared, layer, spec.shown) for layer in spec.plan.layers
+        )
         self.use = UseStamps(self.store, [layer.digest for layer in self.layers])
 
     def open(self) -> None:
-        """Open or make the layers' arrays, and find smaller layers, now and not with the first chunk."""
+        """Open or make the layers' arrays, and find smaller layers, now and not with the first
+        chunk.
+        """
         for layer in self.layers:
             layer.open()
         self.fallbacks  # noqa: B018
@@ -155,14 +192,19 @@ class ChunkStore:
         return any(layer.made for layer in self.layers)
 
     def read(self, index: Index) -> Chunk | None:
-        """Read a chunk; None where no layer has anything of it. Damaged objects count as absent and are logged."""
-        return self._chunk(index, [self._decoded(layer, index, layer.read(index)) for layer in self.layers])
+        """Read a chunk; None where no layer has anything of it. Damaged objects count as absent and
+        are logged.
+        """
+        return self._chunk(
+            index, [self._decoded(layer, index, layer.read(index)) for layer in self.layers]
+        )
 
     @cached_property
     def fallbacks(self) -> tuple[LayerStore | None, ...]:
         """For each layer the smaller one that an earlier plan has left; None without any."""
         return tuple(
-            find_fallback(layer.layer, self.spec.prepared, self.store, self.spec.shown) for layer in self.layers
+            find_fallback(layer.layer, self.spec.prepared, self.store, self.spec.shown)
+            for layer in self.layers
         )
 
     @property
@@ -172,10 +214,14 @@ class ChunkStore:
 
     def objects(self, index: Index) -> Objects:
         """The objects of a chunk as they are stored: of each layer, and then of each fallback."""
-        return tuple(None if layer is None else layer.read(index) for layer in (*self.layers, *self.fallbacks))
+        return tuple(
+            None if layer is None else layer.read(index)
+            for layer in (*self.layers, *self.fallbacks)
+        )
 
     def show(self, indices: Sequence[Index], objects: Sequence[Objects]) -> Chunks:
-        """Decode the chunks that any layer has something of, as ``read`` does, from their ``objects``.
+        """Decode the chunks that any layer has something of, as ``read`` does, from their
+        ``objects``.
 
         A texel that is not baked has the light of the fallback layer, with no samples.
         """
@@ -187,7 +233,9 @@ class ChunkStore:
         ]
         for number, other in enumerate(self.fallbacks):
             if other is not None:
-                smaller = other.decode_all(indices, stored[len(self.layers) + number], self._report_damage)
+                smaller = other.decode_all(
+                    indices, stored[len(self.layers) + number], self._report_damage
+                )
                 found[number] = completed(*found[number], *smaller)
         return Chunks.of_parts(indices, self.spec.prepared.lattice.texels, found)
 
@@ -196,7 +244,8 @@ class ChunkStore:
         return self.read(index) or Chunk.empty(index, self.spec.plan)
 
     def save(self, chunk: Chunk, changed: Sequence[bool] | None = None) -> bool:
-        """Write the parts of a chunk, or those that ``changed``: one object each, atomically; see LayerStore.save.
+        """Write the parts of a chunk, or those that ``changed``: one object each, atomically; see
+        LayerStore.save.
 
         Returns whether another writer was found at the same chunk.
         """
@@ -211,7 +260,9 @@ class ChunkStore:
             return None
         return Chunk.of_parts(index, found)
 
-    def _decoded(self, layer: LayerStore, index: Index, stored: bytes | None) -> tuple[np.ndarray, Part]:
+    def _decoded(
+        self, layer: LayerStore, index: Index, stored: bytes | None
+    ) -> tuple[np.ndarray, Part]:
         try:
             if stored is not None:
                 return layer.decode(index, stored)
@@ -221,15 +272,22 @@ class ChunkStore:
 
     def _report_damage(self, error: DamagedChunkError) -> None:
         self.damaged += 1
-        if self.store.is_news(str(error)):  # a damaged chunk is read again and again until it is baked
+        if self.store.is_news(
+            str(error)
+        ):  # a damaged chunk is read again and again until it is baked
             log.warning("%s", error)
 
 
-def completed(offsets: np.ndarray, part: Part, others: np.ndarray, other: Part) -> tuple[np.ndarray, Part]:
-    """A ``part`` of texels at ``offsets``, and the light of ``other`` for further texels: void, or no samples."""
+def completed(
+    offsets: np.ndarray, part: Part, others: np.ndarray, other: Part
+) -> tuple[np.ndarray, Part]:
+    """A ``part`` of texels at ``offsets``, and the light of ``other`` for further texels: void, or
+    no samples.
+    """
     lacking = ~np.isin(others, offsets)
     union = np.union1d(offsets, others[lacking]).astype(np.int32)
-    whole, rows = part.among(offsets, union), np.searchsorted(union, others[lacking])
+    whole = part.among(offsets, union)
+    rows = np.searchsorted(union, others[lacking])
     whole.coefficients[rows, :, : other.layer.order**2] = other.coefficients[lacking]
     whole.samples[rows] = np.where(other.samples[lacking] == VOID, VOID, 0)
     return union, whole

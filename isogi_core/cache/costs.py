@@ -1,8 +1,9 @@
-"""Costs of baking, chunk by chunk, kept beside the light, so that time left can be estimated after a restart.
+"""Costs of baking, chunk by chunk, kept beside the light, so that time left can be estimated after
+a restart.
 
-Chunks have the same bytes whoever bakes them, and hold no times. The attributes of one small Zarr group a bake do. They
-are written whole by the process that owns the queue: of two servers over one store, the last write stays. Where they
-are lost, times are measured again.
+Chunks have the same bytes whoever bakes them, and hold no times. The attributes of one small Zarr
+group a bake do. They are written whole by the process that owns the queue: of two servers over one
+store, the last write stays. Where they are lost, times are measured again.
 """
 
 import json
@@ -27,7 +28,8 @@ SAVE_EVERY = 30.0
 
 
 class Cost(NamedTuple):
-    """Processor ``seconds`` spent on ``paths`` of light, which gave so many ``texels`` their first light.
+    """Processor ``seconds`` spent on ``paths`` of light, which gave so many ``texels`` their first
+    light.
 
     ``first`` of these seconds went into first light, which includes work that is done once a texel.
     """
@@ -41,7 +43,9 @@ class Cost(NamedTuple):
     def rate(self) -> float | None:
         """Seconds of a path after first light; None where there was none."""
         paths = self.paths - FIRST_LEVEL * self.texels
-        return (self.seconds - self.first) / paths if paths > 0 else None
+        if paths > 0:
+            return (self.seconds - self.first) / paths
+        return None
 
     def plus(self, other: "Cost") -> "Cost":
         """The sum of both."""
@@ -51,7 +55,9 @@ class Cost(NamedTuple):
 class Costs:
     """The costs of the bake ``digest`` in a ``store``. Safe to use from many threads."""
 
-    def __init__(self, store: StoreLike, digest: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, store: StoreLike, digest: str, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         """Know nothing yet."""
         self._store = Store.of(store)
         self._key = f"{COSTS_FOLDER}/{digest}/zarr.json"
@@ -68,10 +74,13 @@ class Costs:
         """Add the cost of a chunk's task."""
         with self._lock:
             self._take(index, cost)
-            self._grown = self._clock() if self._grown is None else self._grown
+            if self._grown is None:
+                self._grown = self._clock()
 
     def rate(self, index: Index) -> float | None:
-        """Seconds of a path of a chunk: as measured there, else the common rate; None before the first task."""
+        """Seconds of a path of a chunk: as measured there, else the common rate; None before the
+        first task.
+        """
         with self._lock:
             own = self._chunks.get(index, Cost()).rate
             return self._common if own is None else own
@@ -79,7 +88,11 @@ class Costs:
     def of(self, indices: Iterable[Index]) -> Cost:
         """The costs of some chunks together."""
         with self._lock:
-            return reduce(Cost.plus, (self._chunks[index] for index in indices if index in self._chunks), Cost())
+            return reduce(
+                Cost.plus,
+                (self._chunks[index] for index in indices if index in self._chunks),
+                Cost(),
+            )
 
     @property
     def total(self) -> Cost:
@@ -88,9 +101,13 @@ class Costs:
 
     @property
     def _common(self) -> float | None:
-        """The median rate of all chunks; before there is one, that of the first light that came fastest."""
+        """The median rate of all chunks; before there is one, that of the first light that came
+        fastest.
+        """
         middle = len(self._rates) // 2
-        return (self._rates[middle] + self._rates[~middle]) / 2 if self._rates else self._fastest
+        if self._rates:
+            return (self._rates[middle] + self._rates[~middle]) / 2
+        return self._fastest
 
     def _take(self, index: Index, cost: Cost) -> None:
         """Add a cost to a chunk's; the rates stay sorted. The caller holds the lock."""
@@ -121,16 +138,21 @@ class Costs:
     def save(self, at_once: bool = True) -> None:
         """Write changed costs; without ``at_once`` only after SAVE_EVERY seconds.
 
-        A failed write is logged and tried again SAVE_EVERY seconds later. Nothing is written to a read-only store.
+        A failed write is logged and tried again SAVE_EVERY seconds later. Nothing is written to a
+        read-only store.
         """
         if self._store.read_only:
             return
         with self._writing:
             with self._lock:
-                if self._grown is None or not (at_once or self._clock() - self._grown >= SAVE_EVERY):
+                if self._grown is None or not (
+                    at_once or self._clock() - self._grown >= SAVE_EVERY
+                ):
                     return
                 self._grown = None
-                chunks = {"/".join(map(str, index)): list(cost) for index, cost in self._chunks.items()}
+                chunks = {
+                    "/".join(map(str, index)): list(cost) for index, cost in self._chunks.items()
+                }
             try:
                 group = {"zarr_format": 3, "node_type": "group", "attributes": {"chunks": chunks}}
                 self._store.put(self._key, json.dumps(group).encode(), self._store.get(self._key))
@@ -143,7 +165,9 @@ class Costs:
 def costs_in(stored: bytes) -> dict[Index, Cost]:
     """The costs of chunks in an object. Raises errors of many kinds where it is damaged."""
     kept: Any = json.loads(stored)["attributes"]["chunks"]
-    return {place(key): Cost(float(s), int(p), int(t), float(f)) for key, (s, p, t, f) in kept.items()}
+    return {
+        place(key): Cost(float(s), int(p), int(t), float(f)) for key, (s, p, t, f) in kept.items()
+    }
 
 
 def place(key: str) -> Index:

@@ -1,9 +1,11 @@
-"""The inventory of a store: the kind of each object, by the key alone, and the claims of writers on chunks.
+"""The inventory of a store: the kind of each object, by the key alone, and the claims of writers on
+chunks.
 
-Claims of chunks, so that bakers over one store take different ones. They are hints that save time, never locks. A
-claim is a small object beside the light. Claims are made only after another baker was noticed, as a baker alone has
-no use for them. After a long enough wait a claim is taken over, as its owner may have been killed. Where claims
-cannot be read or written, baking goes on without them.
+Claims of chunks, so that bakers over one store take different ones. They are hints that save time,
+never locks. A claim is a small object beside the light. Claims are made only after another baker
+was noticed, as a baker alone has no use for them. After a long enough wait a claim is taken over,
+as its owner may have been killed. Where claims cannot be read or written, baking goes on without
+them.
 """
 
 import logging
@@ -42,7 +44,9 @@ OTHER_KEYS = re.compile(r"isogi\.json|(jobs|costs|used|volumes|files|colours|glo
 
 @dataclass(eq=False)
 class LayerFiles:
-    """The objects of one layer: its metadata, None where that is missing, its chunks, and the stamp of its use."""
+    """The objects of one layer: its metadata, None where that is missing, its chunks, and the stamp
+    of its use.
+    """
 
     digest: str
     metadata: Entry | None = None
@@ -51,7 +55,9 @@ class LayerFiles:
 
     @property
     def objects(self) -> list[Entry]:
-        """All objects, the metadata last: a layer that is deleted in this order stays readable to the end."""
+        """All objects, the metadata last: a layer that is deleted in this order stays readable to
+        the end.
+        """
         return [*self.chunks.values(), *filter(None, (self.stamp, self.metadata))]
 
     @property
@@ -69,8 +75,9 @@ class LayerFiles:
 class Inventory:
     """Objects of a store: ``layers`` by their digests, and others.
 
-    ``costs`` are by the digests of their bakes. ``leftovers`` are half-written, by a process that was killed or is at
-    work. ``foreign`` objects are not isogi's. ``quarantined`` ones were found damaged earlier.
+    ``costs`` are by the digests of their bakes. ``leftovers`` are half-written, by a process that
+    was killed or is at work. ``foreign`` objects are not isogi's. ``quarantined`` ones were found
+    damaged earlier.
     """
 
     layers: dict[str, LayerFiles] = field(default_factory=dict)
@@ -107,7 +114,8 @@ class Inventory:
 
 def inventory_of(listed: Iterable[Entry]) -> Inventory:
     """The inventory of the ``listed`` objects of a store."""
-    inventory, stamps = Inventory(), {}
+    inventory = Inventory()
+    stamps = {}
     for found in listed:
         inventory.add(found)
         if match := STAMP_KEY.fullmatch(found.key):
@@ -128,7 +136,8 @@ class Claims:
 
     def __init__(self, store: Store, clock: Callable[[], float] = time.monotonic) -> None:
         """Begin without contention."""
-        self._store, self._clock = store, clock
+        self._store = store
+        self._clock = clock
         self._contended = -math.inf
 
     def note_contention(self) -> None:
@@ -137,9 +146,11 @@ class Claims:
 
     @contextmanager
     def on(self, name: str, owner: str, insist: bool = False) -> Iterator[bool]:
-        """Claim the chunk of this ``name`` for its ``owner`` while the block runs; yields whether it is free to bake.
+        """Claim the chunk of this ``name`` for its ``owner`` while the block runs; yields whether
+        it is free to bake.
 
-        An owner takes over its own former claim, and with ``insist`` anybody's. An empty owner claims nothing.
+        An owner takes over its own former claim, and with ``insist`` anybody's. An empty owner
+        claims nothing.
         """
         if not owner or self._clock() - self._contended > CONTENDED_SECONDS:
             yield True

@@ -1,7 +1,8 @@
 """Layers of light on disk or in an object store: one Zarr v3 array a layer, one object a chunk.
 
-An object is written whole or not at all and describes itself, so readers and writers need no locks. Whether a chunk is
-there is asked of the store by key and never read from values. The checksum, which is the last codec, shows damage.
+An object is written whole or not at all and describes itself, so readers and writers need no locks.
+Whether a chunk is there is asked of the store by key and never read from values. The checksum,
+which is the last codec, shows damage.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -26,13 +27,27 @@ from isogi_core.bake.texel_light import (
     Part,
 )
 from isogi_core.cache.chunk_record import belongs, pack, record_type, unpack_all
-from isogi_core.errors import ChangedError, DamagedChunkError, StoreError, StoreFullError, StoreReadOnlyError
+from isogi_core.errors import (
+    ChangedError,
+    DamagedChunkError,
+    StoreError,
+    StoreFullError,
+    StoreReadOnlyError,
+)
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import BAKE_FORMAT
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.backend import StoredObject, one_line
-from isogi_core.storage.store import ZSTD_LEVEL, Store, StoreLike, described_array, description, unwrap_all, wrap
+from isogi_core.storage.store import (
+    ZSTD_LEVEL,
+    Store,
+    StoreLike,
+    described_array,
+    description,
+    unwrap_all,
+    wrap,
+)
 
 CHUNK_CODECS = (BytesCodec, ZstdCodec, Crc32cCodec)
 """Codecs of a chunk; the checksum is last, so that it covers the whole object."""
@@ -50,7 +65,9 @@ RECORD_CODES = {
 }
 """Constants that a reader without isogi needs to decode the bytes of a record."""
 
-MOVE_AWAY = "have `isogi store repair` mend it, or move that folder away, and the light is baked again."
+MOVE_AWAY = (
+    "have `isogi store repair` mend it, or move that folder away, and the light is baked again."
+)
 
 
 class LayerStore:
@@ -68,7 +85,9 @@ class LayerStore:
         digest: str = "",
         texels: int = 0,
     ) -> None:
-        """Touch nothing yet; the scene's lattice says what the ``digest`` is, and how many ``texels`` a chunk has."""
+        """Touch nothing yet; the scene's lattice says what the ``digest`` is, and how many
+        ``texels`` a chunk has.
+        """
         self.store = Store.of(store)
         self.prepared = prepared
         self.layer = layer
@@ -94,14 +113,20 @@ class LayerStore:
 
     @property
     def path(self) -> str:
-        """The folder or URL of this layer: the store's, and the digest of all that its light depends on."""
+        """The folder or URL of this layer: the store's, and the digest of all that its light
+        depends on.
+        """
         return f"{self.store.url.name}/{self.digest}"
 
     @property
     def exists(self) -> bool:
         """Whether the store has light of this layer: an array with at least one chunk."""
         array = self._find()
-        return array is not None and self._is_ours(array) and bool(self.store.folders(f"{self.digest}/c"))
+        return (
+            array is not None
+            and self._is_ours(array)
+            and bool(self.store.folders(f"{self.digest}/c"))
+        )
 
     @property
     def made(self) -> bool:
@@ -118,9 +143,13 @@ class LayerStore:
         """The Zarr array in the store, as its metadata describes it; None where there is none."""
         found = self.store.get(self._metadata_key)
         try:
-            return None if found is None else described_array(found.data)
+            if found is None:
+                return None
+            return described_array(found.data)
         except Exception as error:
-            raise StoreError(f"Cannot open the light at {self.path}: {one_line(error)}; {MOVE_AWAY}") from error
+            raise StoreError(
+                f"Cannot open the light at {self.path}: {one_line(error)}; {MOVE_AWAY}"
+            ) from error
 
     def _open(self) -> "zarr.Array[Any] | None":
         """The array where it is there; StoreError where it is not ours."""
@@ -180,15 +209,21 @@ class LayerStore:
             self.array = array
 
     def decode(self, index: Index, stored: bytes) -> tuple[np.ndarray, Part]:
-        """Decode an object: offsets and part. DamagedChunkError where it is damaged, or of another chunk."""
+        """Decode an object: offsets and part. DamagedChunkError where it is damaged, or of another
+        chunk.
+        """
         return unpack_all(self._records([(index, stored)]), self.layer, self.texels)
 
     def decode_all(
-        self, indices: Sequence[Index], stored: Sequence[bytes | None], report: Callable[[DamagedChunkError], None]
+        self,
+        indices: Sequence[Index],
+        stored: Sequence[bytes | None],
+        report: Callable[[DamagedChunkError], None],
     ) -> tuple[np.ndarray, Part]:
         """Decode many chunks at once: places, see ``Chunks.of_parts``, and their part.
 
-        A chunk without an object has no texels; a damaged one has none either, and is passed to ``report``.
+        A chunk without an object has no texels; a damaged one has none either, and is passed to
+        ``report``.
         """
         there = [i for i, data in enumerate(stored) if data is not None]
         objects = [(indices[i], stored[i] or b"") for i in there]
@@ -196,23 +231,30 @@ class LayerStore:
             records = self._records(objects)
         except DamagedChunkError:
             sound = [self._is_sound(each, report) for each in objects]
-            there, objects = list(compress(there, sound)), list(compress(objects, sound))
+            there = list(compress(there, sound))
+            objects = list(compress(objects, sound))
             records = self._records(objects)
         places, part = unpack_all(records, self.layer, self.texels)
         return placed(places, there, self.texels) if len(there) < len(stored) else places, part
 
     def _records(self, objects: Sequence[tuple[Index, bytes]]) -> np.ndarray:
-        """The records in objects, (objects, bytes) uint8; DamagedChunkError, of the first one, where any is damaged."""
+        """The records in objects, (objects, bytes) uint8; DamagedChunkError, of the first one,
+        where any is damaged.
+        """
         try:
             records = unwrap_all([data for _, data in objects], self.size)
         except DamagedChunkError as error:
             raise self._damaged(objects[0][0], str(error)) from error
-        home = belongs(records, self.layer, self.texels, self.digest, [index for index, _ in objects])
+        home = belongs(
+            records, self.layer, self.texels, self.digest, [index for index, _ in objects]
+        )
         if not home.all():
             raise self._damaged(objects[0][0], "it was baked for another place")
         return records
 
-    def _is_sound(self, found: tuple[Index, bytes], report: Callable[[DamagedChunkError], None]) -> bool:
+    def _is_sound(
+        self, found: tuple[Index, bytes], report: Callable[[DamagedChunkError], None]
+    ) -> bool:
         """Whether an object can be used; its damage is passed to ``report``."""
         try:
             self._records([found])
@@ -222,17 +264,21 @@ class LayerStore:
         return True
 
     def _damaged(self, index: Index, why: str) -> DamagedChunkError:
-        return DamagedChunkError(f"Chunk {index} of the light at {self.path} is damaged: {why}; it is baked again.")
+        return DamagedChunkError(
+            f"Chunk {index} of the light at {self.path} is damaged: {why}; it is baked again."
+        )
 
     def encode(self, index: Index, offsets: np.ndarray, part: Part) -> bytes:
         """Encode a part's texels at ``offsets`` as an object, as Zarr would with CHUNK_CODECS."""
         return wrap(pack(part, offsets, self.texels, self.digest, index))
 
     def save(self, index: Index, offsets: np.ndarray, part: Part) -> bool:
-        """Write a chunk's part as one object, atomically, merged with what others have written there meanwhile.
+        """Write a chunk's part as one object, atomically, merged with what others have written
+        there meanwhile.
 
-        The light of more samples stays for each texel, so that no writer undoes what another has added. The array is
-        made again where it was deleted. Returns whether another writer had taken the same samples, or more.
+        The light of more samples stays for each texel, so that no writer undoes what another has
+        added. The array is made again where it was deleted. Returns whether another writer had
+        taken the same samples, or more.
         """
         key = self._key(index)
         self._recognise()
@@ -247,7 +293,10 @@ class LayerStore:
             with suppress(ChangedError):
                 self.store.put(key, stored, former)
                 return outdone(offsets, part, *whole)
-        raise StoreError(f"Others keep writing chunk {index} of the light at {self.path}; it is tried again later.")
+        raise StoreError(
+            f"Others keep writing chunk {index} of the light at {self.path}; it is tried again "
+            "later."
+        )
 
     def _former(self, index: Index, found: StoredObject | None) -> tuple[np.ndarray, Part]:
         """The content of an object; nothing where it is missing or damaged."""
@@ -267,28 +316,41 @@ def placed(places: np.ndarray, numbers: Sequence[int], texels: int) -> np.ndarra
     return np.asarray(np.array(numbers, np.int32)[record] * np.int32(texels) + offset)
 
 
-def joined(offsets: np.ndarray, part: Part, others: np.ndarray, other: Part) -> tuple[np.ndarray, Part]:
-    """Merge two parts of one chunk: for each texel the light of more samples, and void where either is void."""
+def joined(
+    offsets: np.ndarray, part: Part, others: np.ndarray, other: Part
+) -> tuple[np.ndarray, Part]:
+    """Merge two parts of one chunk: for each texel the light of more samples, and void where either
+    is void.
+    """
     if not len(others):
         return offsets, part
     union = np.union1d(offsets, others).astype(np.int32)
-    whole, rows = part.among(offsets, union), np.searchsorted(union, others)
-    better = (whole.samples[rows] != VOID) & ((other.samples > whole.samples[rows]) | (other.samples == VOID))
+    whole = part.among(offsets, union)
+    rows = np.searchsorted(union, others)
+    better = (whole.samples[rows] != VOID) & (
+        (other.samples > whole.samples[rows]) | (other.samples == VOID)
+    )
     whole.put(rows[better], other.rows(better))
     return union, whole
 
 
 def outdone(offsets: np.ndarray, part: Part, union: np.ndarray, whole: Part) -> bool:
     """Whether the ``whole`` has more samples than ``part`` for any texel of ``part``."""
-    return whole is not part and bool((whole.samples[np.searchsorted(union, offsets)] > part.samples).any())
+    return whole is not part and bool(
+        (whole.samples[np.searchsorted(union, offsets)] > part.samples).any()
+    )
 
 
-def layer_attributes(layer: Layer, prepared: PreparedScene, shown: Isovalue | None = None) -> dict[str, Any]:
-    """The attributes of a layer's array: whose light it is, how it was made, and how its records are decoded.
+def layer_attributes(
+    layer: Layer, prepared: PreparedScene, shown: Isovalue | None = None
+) -> dict[str, Any]:
+    """The attributes of a layer's array: whose light it is, how it was made, and how its records
+    are decoded.
 
     ``scene`` and ``plan`` are those that it was first baked for; others may share the layer.
     """
-    scene, record = prepared.scene, record_type(layer, prepared.lattice.texels)
+    scene = prepared.scene
+    record = record_type(layer, prepared.lattice.texels)
     return {
         "format": BAKE_FORMAT,
         "scene": scene.id,
@@ -305,7 +367,9 @@ def layer_attributes(layer: Layer, prepared: PreparedScene, shown: Isovalue | No
         **asdict(layer),
         "bounces": scene.bounces if layer.reflected else 0,
         "albedo": list(layer.nodes or scene.surfaces.albedo) if layer.reflected else None,
-        "lights": [light.name for light in scene.lighting.lights] if layer.kind == "irradiance" else None,
+        "lights": [light.name for light in scene.lighting.lights]
+        if layer.kind == "irradiance"
+        else None,
         "plan": asdict(scene.plan),
         "codes": RECORD_CODES,
         "record": [[name, kind.base.str, list(kind.shape)] for name, kind in fields_of(record)],

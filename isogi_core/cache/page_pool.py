@@ -1,4 +1,6 @@
-"""The page pool: decoded light in a texel table of fixed size, which kernels read through an indirection table."""
+"""The page pool: decoded light in a texel table of fixed size, which kernels read through an
+indirection table.
+"""
 
 import hashlib
 import threading
@@ -17,7 +19,15 @@ from isogi_core.bake.texel_light import SAMPLES_OF, Light
 from isogi_core.cache.chunk_record import Chunks
 from isogi_core.errors import NoRoomError
 from isogi_core.kernels.shading.lattice import UNLIT_ROW, Lattice
-from isogi_core.kernels.shading.texel_table import Judge, Role, Rows, Sums, add_part, find_fewest, judge_rows
+from isogi_core.kernels.shading.texel_table import (
+    Judge,
+    Role,
+    Rows,
+    Sums,
+    add_part,
+    find_fewest,
+    judge_rows,
+)
 from isogi_core.model.scene_plan import GLOW_KIND, MIN_SAMPLES, Layer
 from isogi_core.prepared.prepared_scene import Index
 
@@ -34,7 +44,9 @@ UNLIT_VERSION = b"\0" * 8
 
 @dataclass(eq=False)
 class Entry:
-    """A chunk in the pool: its ``slot`` in the table, its pages, its holders, and whether it is outdated and listed."""
+    """A chunk in the pool: its ``slot`` in the table, its pages, its holders, and whether it is
+    outdated and listed.
+    """
 
     slot: int
     pages: np.ndarray
@@ -44,11 +56,14 @@ class Entry:
 
 
 class Numbers:
-    """Free numbers below ``most``: those given back last are taken first, and others in ascending order."""
+    """Free numbers below ``most``: those given back last are taken first, and others in ascending
+    order.
+    """
 
     def __init__(self, most: int) -> None:
         """All are free."""
-        self._most, self.taken = most, 0
+        self._most = most
+        self.taken = 0
         self._back: list[int] = []
 
     def __len__(self) -> int:
@@ -80,16 +95,18 @@ class Held(NamedTuple):
 class PagePool:
     """Light in memory, at most ``budget`` bytes. Safe to use from many threads.
 
-    A row has the ``transfer`` (channels, columns of all terms), the ``scatter``, the relative ``error`` and the
-    ``stamp``: see ``fill_rows``. Where light is kept for several albedos it also has the share of its variance that is
-    ``reflected``.
+    A row has the ``transfer`` (channels, columns of all terms), the ``scatter``, the relative
+    ``error`` and the ``stamp``: see ``fill_rows``. Where light is kept for several albedos it also
+    has the share of its variance that is ``reflected``.
     """
 
     def __init__(self, spec: BakeSpec, budget: int) -> None:
         """Allocate the arrays that frames of ``spec`` read; memory is taken as they fill."""
         texels = spec.prepared.lattice.texels
         beside = FEWEST_CHUNKS * 4 * texels
-        pages = max(min(budget // page_bytes(spec), (budget - beside) // (PAGE_TEXELS * row_bytes(spec))), 1)
+        pages = max(
+            min(budget // page_bytes(spec), (budget - beside) // (PAGE_TEXELS * row_bytes(spec))), 1
+        )
         slots = max(pages // pages_of_sheet(spec.prepared.lattice), FEWEST_CHUNKS)
         self.spec = spec
         self.rows = new_rows(spec, pages * PAGE_TEXELS)
@@ -112,16 +129,23 @@ class PagePool:
         """The chunks that are not in the pool, or outdated there."""
         with self._lock:
             found = map(self._entries.get, indices)
-            return [index for index, entry in zip(indices, found, strict=True) if entry is None or entry.stale]
+            return [
+                index
+                for index, entry in zip(indices, found, strict=True)
+                if entry is None or entry.stale
+            ]
 
     def outdate(self, index: Index) -> None:
-        """Note that the store has newer light of a chunk. The old light may be shown until that is read."""
+        """Note that the store has newer light of a chunk. The old light may be shown until that is
+        read.
+        """
         with self._lock:
             if index in self._entries:
                 self._entries[index].stale = True
 
     def insert(self, chunks: Chunks, keep: Collection[Index] = ()) -> None:
-        """Put decoded chunks into the pool, replacing older light; the chunks ``keep`` are not dropped for them.
+        """Put decoded chunks into the pool, replacing older light; the chunks ``keep`` are not
+        dropped for them.
 
         Raises NoRoomError, and drops none, where the budget cannot hold them.
         """
@@ -134,7 +158,9 @@ class PagePool:
             for slot in slots.tolist():
                 self._versions.pop(slot, None)
             self.table[slots] = UNLIT_ROW
-            self.table[np.repeat(slots, counts), chunks.offsets] = fill_rows(self.rows, rows, chunks.light, self.spec)
+            self.table[np.repeat(slots, counts), chunks.offsets] = fill_rows(
+                self.rows, rows, chunks.light, self.spec
+            )
             if self.spec.plan.nodes:
                 self.reflected[rows] = reflected_share(chunks.light, self.spec)
             for index, entry in zip(chunks.indices, entries, strict=True):
@@ -154,7 +180,9 @@ class PagePool:
                     entry.held += 1
                     self._entries.move_to_end(index)
         try:
-            yield Held(np.array([-1 if entry is None else entry.slot for entry in found], np.int32), age)
+            yield Held(
+                np.array([-1 if entry is None else entry.slot for entry in found], np.int32), age
+            )
         finally:
             with self._lock:
                 for entry in found:
@@ -163,14 +191,21 @@ class PagePool:
                         self._give_back(entry)
 
     def version(self, slot: int) -> bytes:
-        """How far the held chunk in a ``slot`` is baked, by which plan; UNLIT_VERSION where it has no light."""
+        """How far the held chunk in a ``slot`` is baked, by which plan; UNLIT_VERSION where it has
+        no light.
+        """
         if slot < 0:
             return UNLIT_VERSION
         if slot not in self._versions:
             rows = self.table[slot]
             stamps = np.where(rows >= 0, self.stamp[rows], rows.astype(np.float32))
-            named = hashlib.blake2b(self.spec.digest.encode() + stamps.tobytes(), digest_size=8).digest()
-            self._versions[slot] = named if (rows != UNLIT_ROW).any() else UNLIT_VERSION
+            named = hashlib.blake2b(
+                self.spec.digest.encode() + stamps.tobytes(), digest_size=8
+            ).digest()
+            if (rows != UNLIT_ROW).any():
+                self._versions[slot] = named
+            else:
+                self._versions[slot] = UNLIT_VERSION
         return self._versions[slot]
 
     def versions(self, indices: Sequence[Index]) -> tuple[bytes, ...]:
@@ -179,7 +214,9 @@ class PagePool:
             return tuple(map(self.version, held.slots.tolist()))
 
     def transfer_at(self, slot: int, offsets: np.ndarray) -> np.ndarray:
-        """The transfer of a held chunk's texels at ``offsets`` (m,), 0 where unlit; (m, channels, columns) float32."""
+        """The transfer of a held chunk's texels at ``offsets`` (m,), 0 where unlit; (m, channels,
+        columns) float32.
+        """
         found = np.zeros((len(offsets), *self.transfer.shape[1:]), np.float32)
         if slot >= 0:
             rows = self.table[slot, offsets]
@@ -187,10 +224,16 @@ class PagePool:
         return found
 
     def _allocate(self, pages: np.ndarray, keep: Collection[Index]) -> list[Entry]:
-        """Allocate entries with so many ``pages`` each; where need be, drop the longest unused chunks but ``keep``."""
+        """Allocate entries with so many ``pages`` each; where need be, drop the longest unused
+        chunks but ``keep``.
+        """
         total = int(pages.sum())
         if not self._has_room(total, len(pages)):
-            self._make_room(total, len(pages), [i for i, e in self._entries.items() if not e.held and i not in keep])
+            self._make_room(
+                total,
+                len(pages),
+                [i for i, e in self._entries.items() if not e.held and i not in keep],
+            )
         taken = np.array([self._free_pages.take() for _ in range(total)], np.int32)
         bounds = [0, *np.cumsum(pages).tolist()]
         return [Entry(self._free_slots.take(), taken[a:b]) for a, b in pairwise(bounds)]
@@ -220,7 +263,9 @@ class PagePool:
         self._give_back(entry)
 
     def _give_back(self, entry: Entry) -> None:
-        """Free an entry's pages, the last first: they are then taken upwards again, the fastest order to read."""
+        """Free an entry's pages, the last first: they are then taken upwards again, the fastest
+        order to read.
+        """
         if entry.held == 0 and not entry.listed and entry.slot >= 0:
             self._free_pages.give_back(entry.pages[::-1].tolist())
             self._free_slots.give_back([entry.slot])
@@ -244,16 +289,25 @@ def row_bytes(spec: BakeSpec) -> int:
 
 
 def rows_in(pages: Sequence[np.ndarray], counts: np.ndarray) -> np.ndarray:
-    """Rows of chunks' texels, of which each has ``counts`` (chunks,): they fill its own ``pages``; (texels,) int32."""
-    each = [(own[:, None] * PAGE_TEXELS + np.arange(PAGE_TEXELS, dtype=np.int32)).ravel() for own in pages]
-    return np.concatenate([np.empty(0, np.int32), *(rows[:count] for rows, count in zip(each, counts, strict=True))])
+    """Rows of chunks' texels, of which each has ``counts`` (chunks,): they fill its own ``pages``;
+    (texels,) int32.
+    """
+    each = [
+        (own[:, None] * PAGE_TEXELS + np.arange(PAGE_TEXELS, dtype=np.int32)).ravel()
+        for own in pages
+    ]
+    return np.concatenate(
+        [np.empty(0, np.int32), *(rows[:count] for rows, count in zip(each, counts, strict=True))]
+    )
 
 
 MAX_SAMPLE_LEVELS = 32
 """Bound of the number of sample levels."""
 
 SHOWN_CHECKSUMS = 509
-"""Checksums of light that is only shown: with the levels of three parts, all that single floats count exactly."""
+"""Checksums of light that is only shown: with the levels of three parts, all that single floats
+count exactly.
+"""
 
 
 def new_rows(spec: BakeSpec, count: int) -> Rows:
@@ -263,18 +317,29 @@ def new_rows(spec: BakeSpec, count: int) -> Rows:
 
 
 def fill_rows(rows: Rows, numbers: np.ndarray, light: Light, spec: BakeSpec) -> np.ndarray:
-    """Write texels' ``light`` into the rows of these ``numbers`` (m,) int32; returns the entries of the page table.
+    """Write texels' ``light`` into the rows of these ``numbers`` (m,) int32; returns the entries of
+    the page table.
 
-    An entry is the row; BURIED_ROW where no path of any part ever left; VOID_ROW; or UNLIT_ROW where there is no light
-    to show: reflected light alone is not shown. Scatter is defined in ``bake.noise``. A stamp encodes the sample levels
-    of a texel: MAX_SAMPLE_LEVELS^p times the level of each part p, summed, and above these a checksum of light that is
-    shown without samples, as an earlier plan's light may change too.
+    An entry is the row; BURIED_ROW where no path of any part ever left; VOID_ROW; or UNLIT_ROW
+    where there is no light to show: reflected light alone is not shown. Scatter is defined in
+    ``bake.noise``. A stamp encodes the sample levels of a texel: MAX_SAMPLE_LEVELS^p times the
+    level of each part p, summed, and above these a checksum of light that is shown without samples,
+    as an earlier plan's light may change too.
     """
-    sums = Sums(*(np.zeros(len(numbers), kind) for kind in (np.float64, np.float64, np.int64, np.int64, np.uint8)))
+    sums = Sums(
+        *(
+            np.zeros(len(numbers), kind)
+            for kind in (np.float64, np.float64, np.int64, np.int64, np.uint8)
+        )
+    )
     for at, term in enumerate(spec.terms):
         for number in term.layers:
-            part = light.parts[number] if term.node is None else light.parts[number].channel(term.node)
-            own, role = np.ascontiguousarray(part.coefficients), role_of(number, part.layer, at, spec)
+            if term.node is None:
+                part = light.parts[number]
+            else:
+                part = light.parts[number].channel(term.node)
+            own = np.ascontiguousarray(part.coefficients)
+            role = role_of(number, part.layer, at, spec)
             add_part(part.samples, part.noise, own, own.view(np.int32), role, numbers, rows, sums)
     places = np.empty_like(numbers)
     judge_rows(numbers, rows, sums, judge_of(len(light.parts), spec), places)
@@ -291,10 +356,11 @@ def reflected_share(light: Light, spec: BakeSpec) -> np.ndarray:
 def role_of(number: int, layer: Layer, at: int, spec: BakeSpec) -> Role:
     """The role of a ``layer`` in a bake spec, as part ``number`` and in the term number ``at``.
 
-    Irradiance may be dark because of the light alone. Light for several albedos is of the same paths: only the last one
-    counts their noise and number.
+    Irradiance may be dark because of the light alone. Light for several albedos is of the same
+    paths: only the last one counts their noise and number.
     """
-    term, weights = spec.terms[at], white(layer, spec)
+    term = spec.terms[at]
+    weights = white(layer, spec)
     last = term.node in (None, layer.channels - 1)
     return Role(
         gains=spec.gains(layer) if last else np.zeros(layer.noises),
@@ -325,8 +391,11 @@ def judge_of(parts: int, spec: BakeSpec) -> Judge:
 
 
 def powers_of(spec: BakeSpec) -> np.ndarray:
-    """``powers`` of each two terms' lights, 0 beyond the lower order; (terms, terms, channels, channels, most n²)."""
-    most, count = max(term.order for term in spec.terms) ** 2, len(spec.terms)
+    """``powers`` of each two terms' lights, 0 beyond the lower order; (terms, terms, channels,
+    channels, most n²).
+    """
+    most = max(term.order for term in spec.terms) ** 2
+    count = len(spec.terms)
     found = np.zeros((count, count, spec.channels, spec.channels, most))
     for (a, one), (b, other) in product(enumerate(spec.terms), repeat=2):
         each = powers(one.luminance / spec.unit, other.luminance / spec.unit)
@@ -335,7 +404,9 @@ def powers_of(spec: BakeSpec) -> np.ndarray:
 
 
 def fewest_samples(stamps: np.ndarray, parts: int) -> np.ndarray:
-    """The fewest samples of any part of texels with these ``stamps``, 0 where one is not baked; (texels,) int32."""
+    """The fewest samples of any part of texels with these ``stamps``, 0 where one is not baked;
+    (texels,) int32.
+    """
     fewest = np.empty(len(stamps), np.int32)
     find_fewest(stamps, parts, MAX_SAMPLE_LEVELS, SAMPLES_OF, fewest)
     return fewest

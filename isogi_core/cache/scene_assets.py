@@ -1,4 +1,6 @@
-"""Scene assets: the volume and probes that workers on other machines need, kept in the store by digest."""
+"""Scene assets: the volume and probes that workers on other machines need, kept in the store by
+digest.
+"""
 
 import hashlib
 import math
@@ -21,7 +23,15 @@ from isogi_core.model.value_survey import begin_digest
 from isogi_core.model.volume import PLAIN_ORIENTATION, UNMEASURED_FIELDS, Orientation, Volume
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.backend import one_line
-from isogi_core.storage.store import METADATA_KEY, ZSTD_LEVEL, Store, described_array, description, unwrap, wrap
+from isogi_core.storage.store import (
+    METADATA_KEY,
+    ZSTD_LEVEL,
+    Store,
+    described_array,
+    description,
+    unwrap,
+    wrap,
+)
 
 Shape = tuple[int, ...]
 
@@ -35,25 +45,33 @@ class Asset:
         self.name = name
 
     def put(self, values: np.ndarray, chunk: Shape, facts: Mapping[str, Any]) -> None:
-        """Write ``values`` in objects of at most ``chunk``, and the ``facts``, unless they are there.
+        """Write ``values`` in objects of at most ``chunk``, and the ``facts``, unless they are
+        there.
 
         Two processes may write the same array at once, as they write the same bytes.
         """
         if self.store.get(f"{self.name}/{METADATA_KEY}") is not None:
             return
         sides = tuple(min(most, n) for most, n in zip(chunk, values.shape, strict=True))
-        for index in product(*(range(-(-n // side)) for n, side in zip(values.shape, sides, strict=True))):
+        for index in product(
+            *(range(-(-n // side)) for n, side in zip(values.shape, sides, strict=True))
+        ):
             self._put(self._key(index), packed(values, sides, index))
         compressors = [ZstdCodec(level=ZSTD_LEVEL), Crc32cCodec()]
         form: dict[str, Any] = {"shape": values.shape, "chunks": sides, "dtype": values.dtype}
-        metadata = description(**form, fill_value=0, compressors=compressors, attributes={"isogi": dict(facts)})
+        metadata = description(
+            **form, fill_value=0, compressors=compressors, attributes={"isogi": dict(facts)}
+        )
         self._put(f"{self.name}/{METADATA_KEY}", metadata)
 
     def describe(self) -> tuple[Shape, Shape, np.dtype[Any], dict[str, Any]]:
         """Shape, shape of a chunk, type, and facts."""
         found = self.store.get(f"{self.name}/{METADATA_KEY}")
         if found is None:
-            raise StoreError(f"The workers need {self.name} of {self._where}, which lacks it: restart the server.")
+            raise StoreError(
+                f"The workers need {self.name} of {self._where}, which lacks it: restart the "
+                "server."
+            )
         try:
             array = described_array(found.data)
             facts: Any = array.attrs.asdict()["isogi"]
@@ -66,15 +84,24 @@ class Asset:
         shape, chunk, dtype, _ = self.describe()
         for z in range(-(-shape[0] // chunk[0])):
             slab = np.empty((min(chunk[0], shape[0] - z * chunk[0]), *shape[1:]), dtype)
-            for rest in product(*(range(-(-n // side)) for n, side in zip(shape[1:], chunk[1:], strict=True))):
-                part = slab[(slice(None), *(slice(i * n, (i + 1) * n) for i, n in zip(rest, chunk[1:], strict=True)))]
+            for rest in product(
+                *(range(-(-n // side)) for n, side in zip(shape[1:], chunk[1:], strict=True))
+            ):
+                part = slab[
+                    (
+                        slice(None),
+                        *(slice(i * n, (i + 1) * n) for i, n in zip(rest, chunk[1:], strict=True)),
+                    )
+                ]
                 block = self._block((z, *rest), chunk, dtype)
                 part[...] = block[tuple(map(slice, part.shape))]
             yield slab
 
     def damaged(self, why: str) -> StoreError:
         """The error for an array that is damaged."""
-        return StoreError(f"{self.name} in {self._where} is damaged ({why}): delete it, and restart the server.")
+        return StoreError(
+            f"{self.name} in {self._where} is damaged ({why}): delete it, and restart the server."
+        )
 
     @property
     def _where(self) -> str:
@@ -105,7 +132,9 @@ class Asset:
 
 
 def packed(values: np.ndarray, chunk: Shape, index: Shape) -> bytes:
-    """The object of a chunk: its values, padded with zeros at the array's end, packed, with a checksum."""
+    """The object of a chunk: its values, padded with zeros at the array's end, packed, with a
+    checksum.
+    """
     part = values[tuple(slice(i * n, (i + 1) * n) for i, n in zip(index, chunk, strict=True))]
     block = np.zeros(chunk, values.dtype.newbyteorder("<"))
     block[tuple(map(slice, part.shape))] = part
@@ -121,10 +150,12 @@ FILE_OBJECT_BYTES = 1 << 23
 
 @dataclass(frozen=True)
 class SceneAssets:
-    """The digests of a scene's ``volume``, empty for a demo, and of its lights' ``files``, by their names there.
+    """The digests of a scene's ``volume``, empty for a demo, and of its lights' ``files``, by their
+    names there.
 
-    The ``orientation`` is the volume's: equal voxels may lie differently in two scenes. ``colours`` is the digest of
-    the surface's, ``glow_bits`` that of the masks of what glows, each empty where there are none.
+    The ``orientation`` is the volume's: equal voxels may lie differently in two scenes. ``colours``
+    is the digest of the surface's, ``glow_bits`` that of the masks of what glows, each empty where
+    there are none.
     """
 
     volume: str
@@ -139,26 +170,44 @@ def send_assets(scene: Scene, store: Store) -> SceneAssets:
 
     Raises StoreError, and LightError where a file of a light is gone.
     """
-    source, volume, files = scene.source, scene.volume, []
+    source = scene.source
+    volume = scene.volume
+    files = []
     for name in files_of(source.document):
         data = read_file(source.base / name)
         files.append((name, digest_of_file(data)))
-        Asset(store, f"files/{files[-1][1]}").put(np.frombuffer(data, np.uint8), (FILE_OBJECT_BYTES,), {})
-    colours = send_colours(scene.surfaces.colours, store) if scene.surfaces.colours else ""
-    bits = send_glow_bits(scene.lighting.glowing.bits, store) if scene.lighting.glowing.bits.size else ""
+        Asset(store, f"files/{files[-1][1]}").put(
+            np.frombuffer(data, np.uint8), (FILE_OBJECT_BYTES,), {}
+        )
+    if scene.surfaces.colours:
+        colours = send_colours(scene.surfaces.colours, store)
+    else:
+        colours = ""
+    if scene.lighting.glowing.bits.size:
+        bits = send_glow_bits(scene.lighting.glowing.bits, store)
+    else:
+        bits = ""
     if str(source.document.get("volume", DEFAULT_DEMO)).startswith("demo:"):
         return SceneAssets("", tuple(files), colours=colours, glow_bits=bits)
-    facts = {name: value for name, value in vars(volume.counted()).items() if name not in UNMEASURED_FIELDS}
+    facts = {
+        name: value
+        for name, value in vars(volume.counted()).items()
+        if name not in UNMEASURED_FIELDS
+    }
     Asset(store, f"volumes/{volume.digest}").put(volume.voxels, VOLUME_OBJECT_VOXELS, facts)
     return SceneAssets(volume.digest, tuple(files), volume.orientation, colours, bits)
 
 
 def send_colours(colours: SurfaceColours, store: Store) -> str:
-    """Write the colours of a surface to the ``store``, unless they are there; their digest. Raises StoreError."""
+    """Write the colours of a surface to the ``store``, unless they are there; their digest. Raises
+    StoreError.
+    """
     scale = {**asdict(colours.scale), "table": colours.scale.table.tolist()}
     places = colours.places
     chunk = VOLUME_OBJECT_VOXELS + places.shape[len(VOLUME_OBJECT_VOXELS) :]
-    Asset(store, f"colours/{colours.digest}").put(places, chunk, {"step": colours.step, "scale": scale})
+    Asset(store, f"colours/{colours.digest}").put(
+        places, chunk, {"step": colours.step, "scale": scale}
+    )
     return colours.digest
 
 
@@ -167,11 +216,16 @@ def receive_colours(assets: SceneAssets, store: Store) -> SurfaceColours | None:
     if not assets.colours:
         return None
     asset = Asset(store, f"colours/{assets.colours}")
-    facts, places = asset.describe()[3], np.concatenate(list(asset.slabs()))
+    facts = asset.describe()[3]
+    places = np.concatenate(list(asset.slabs()))
     scale = facts["scale"]
     pairs = {key: tuple(scale[key]) for key in ("span", "outside")}
-    labels = tuple(Label(**{**each, "colour": tuple(each["colour"])}) for each in scale.get("labels", ()))
-    found = Scale(scale["name"], map=scale["map"], table=np.array(scale["table"]), labels=labels, **pairs)
+    labels = tuple(
+        Label(**{**each, "colour": tuple(each["colour"])}) for each in scale.get("labels", ())
+    )
+    found = Scale(
+        scale["name"], map=scale["map"], table=np.array(scale["table"]), labels=labels, **pairs
+    )
     colours = SurfaceColours(places, tuple(facts["step"]), found)
     if colours.digest != assets.colours:
         raise asset.damaged("it holds other colours")
@@ -179,14 +233,18 @@ def receive_colours(assets: SceneAssets, store: Store) -> SurfaceColours | None:
 
 
 def send_glow_bits(bits: np.ndarray, store: Store) -> str:
-    """Write the masks of what glows to the ``store``, unless they are there; their digest. Raises StoreError."""
+    """Write the masks of what glows to the ``store``, unless they are there; their digest. Raises
+    StoreError.
+    """
     digest = digest_of_file(bits.tobytes())
     Asset(store, f"glow/{digest}").put(bits, VOLUME_OBJECT_VOXELS, {})
     return digest
 
 
 def receive_glow_bits(assets: SceneAssets, store: Store) -> np.ndarray | None:
-    """The masks of what glows among a scene's assets, None where there are none. Raises StoreError."""
+    """The masks of what glows among a scene's assets, None where there are none. Raises
+    StoreError.
+    """
     if not assets.glow_bits:
         return None
     asset = Asset(store, f"glow/{assets.glow_bits}")
@@ -196,11 +254,13 @@ def receive_glow_bits(assets: SceneAssets, store: Store) -> np.ndarray | None:
     return bits
 
 
-def receive_assets(source: SceneSource, assets: SceneAssets, store: Store) -> tuple[SceneSource, Volume | None]:
+def receive_assets(
+    source: SceneSource, assets: SceneAssets, store: Store
+) -> tuple[SceneSource, Volume | None]:
     """Fetch a scene's assets to this machine, where there are no copies yet.
 
-    Returns the source with the paths of the copies, and the volume unless it is a demo. Raises StoreError, and
-    VolumeError where there is no room.
+    Returns the source with the paths of the copies, and the volume unless it is a demo. Raises
+    StoreError, and VolumeError where there is no room.
     """
     files = {name: str(fetch_file(digest, Path(name).name, store)) for name, digest in assets.files}
     document = dict(source.document)
@@ -218,13 +278,17 @@ def receive_assets(source: SceneSource, assets: SceneAssets, store: Store) -> tu
 def files_of(document: Mapping[str, Any]) -> list[str]:
     """The files of a scene's lights, as its document names them."""
     if "environment" in document:
-        return [str(document["environment"])] if document["environment"] not in ENVIRONMENTS else []
+        if document["environment"] not in ENVIRONMENTS:
+            return [str(document["environment"])]
+        return []
     return [str(light["file"]) for light in document.get("lights", ()) if "file" in light]
 
 
 def moved(light: Mapping[str, Any], files: Mapping[str, str]) -> Mapping[str, Any]:
     """A light's table with the path of its file's copy."""
-    return {**light, "file": files[str(light["file"])]} if "file" in light else light
+    if "file" in light:
+        return {**light, "file": files[str(light["file"])]}
+    return light
 
 
 def fetch_volume(digest: str, store: Store) -> Volume:
@@ -238,7 +302,9 @@ def fetch_volume(digest: str, store: Store) -> Volume:
 
 
 def unpack(asset: Asset, draft: Draft, digest: str) -> dict[str, Any]:
-    """Write the voxels in the store to a ``draft`` and return their facts. StoreError where the digest differs."""
+    """Write the voxels in the store to a ``draft`` and return their facts. StoreError where the
+    digest differs.
+    """
     shape, _, _, facts = asset.describe()
     seen = begin_digest(shape, facts["spacing"], facts["offset"], facts["scale"])
     for slab in asset.slabs():
@@ -269,7 +335,9 @@ def read_file(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise LightError(f"The light '{path}' cannot be read ({error.strerror}): check its path.") from error
+        raise LightError(
+            f"The light '{path}' cannot be read ({error.strerror}): check its path."
+        ) from error
 
 
 def digest_of_file(data: bytes) -> str:

@@ -53,18 +53,24 @@ class Loader:
         self._absent: dict[Index, float] = {}
         self._readers: list[set[Index]] = []
         self._lock = threading.Lock()
-        self._many = REMOTE_READERS if chunk_store.store.url.remote else LOCAL_READERS
+        if chunk_store.store.url.remote:
+            self._many = REMOTE_READERS
+        else:
+            self._many = LOCAL_READERS
         self._hands = ThreadPoolExecutor(self._many, "loader")
 
     def ensure(self, chunks: Sequence[Index], check: Callable[[], object] = lambda: None) -> None:
         """Load the newest light of ``chunks`` into the pool.
 
-        Calls ``check`` between batches, which may raise Cancelled. Raises StoreError when the store cannot be read, or
-        the pool cannot hold them all at once, and StoreAwayError when a remote store gives nothing for longer than one
-        call may take.
+        Calls ``check`` between batches, which may raise Cancelled. Raises StoreError when the store
+        cannot be read, or the pool cannot hold them all at once, and StoreAwayError when a remote
+        store gives nothing for longer than one call may take.
         """
         missing = [index for index in self.pool.missing(chunks) if self._due(index)]
-        together = frozenset(chunks) if missing else frozenset()
+        if missing:
+            together = frozenset(chunks)
+        else:
+            together = frozenset()
         with self._reading() as refreshed, closing(self._shown(missing)) as shown:
             for indices, found in shown:
                 check()
@@ -80,7 +86,9 @@ class Loader:
 
     @contextmanager
     def _reading(self) -> Iterator[set[Index]]:
-        """Around a reading: the chunks that are refreshed meanwhile. What was read of them may be older."""
+        """Around a reading: the chunks that are refreshed meanwhile. What was read of them may be
+        older.
+        """
         refreshed = set[Index]()
         with self._lock:
             self._readers.append(refreshed)
@@ -95,29 +103,55 @@ class Loader:
         with self._lock:
             return time.monotonic() - self._absent.get(index, -ASK_AGAIN) >= ASK_AGAIN
 
-    def _shown(self, indices: Sequence[Index]) -> Generator[tuple[Sequence[Index], Chunks], None, None]:
-        """Batches of the chunks with the light that the store has of them, in order; several are read at once."""
-        batches, store = self._batches(indices), self.chunk_store.store
+    def _shown(
+        self, indices: Sequence[Index]
+    ) -> Generator[tuple[Sequence[Index], Chunks], None, None]:
+        """Batches of the chunks with the light that the store has of them, in order; several are
+        read at once.
+        """
+        batches = self._batches(indices)
+        store = self.chunk_store.store
         if len(batches) > 1 or (batches and store.url.remote):
             if not store.url.remote:
                 store.check_reachable()
-            with closing(ahead(self._hands, self._brought, batches, partial(patiently, store))) as brought:
+            with closing(
+                ahead(self._hands, self._brought, batches, partial(patiently, store))
+            ) as brought:
                 yield from zip(batches, brought, strict=True)
         elif batches:
             yield indices, self._brought(indices)
 
     def _batches(self, indices: Sequence[Index]) -> list[Sequence[Index]]:
-        """The chunks in batches: as many as there are threads, none of few chunks, nor of more than BATCH_BYTES."""
-        least = 1 if self.chunk_store.store.url.remote else CHUNKS_OF_ONE_READER
-        size = max(min(BATCH_BYTES // self.chunk_store.chunk_bytes, max(-(-len(indices) // self._many), least)), 1)
+        """The chunks in batches: as many as there are threads, none of few chunks, nor of more than
+        BATCH_BYTES.
+        """
+        if self.chunk_store.store.url.remote:
+            least = 1
+        else:
+            least = CHUNKS_OF_ONE_READER
+        size = max(
+            min(
+                BATCH_BYTES // self.chunk_store.chunk_bytes,
+                max(-(-len(indices) // self._many), least),
+            ),
+            1,
+        )
         return [indices[i : i + size] for i in range(0, len(indices), size)]
 
     def _brought(self, indices: Sequence[Index]) -> Chunks:
         """Read and decode some chunks."""
         return self.chunk_store.show(indices, list(map(self.chunk_store.objects, indices)))
 
-    def _take(self, indices: Sequence[Index], found: Chunks, together: frozenset[Index], refreshed: set[Index]) -> None:
-        """Put the chunks that were found into the pool, and note the absent ones; but for those ``refreshed``."""
+    def _take(
+        self,
+        indices: Sequence[Index],
+        found: Chunks,
+        together: frozenset[Index],
+        refreshed: set[Index],
+    ) -> None:
+        """Put the chunks that were found into the pool, and note the absent ones; but for those
+        ``refreshed``.
+        """
         if found.indices:
             self.pool.insert(found, together)
         with self._lock:
@@ -129,7 +163,9 @@ class Loader:
 
 
 def patiently(store: Store, reading: Future[Made]) -> Made:
-    """What is read from a ``store``, once it is; StoreAwayError where it is remote and silent for a call's time."""
+    """What is read from a ``store``, once it is; StoreAwayError where it is remote and silent for a
+    call's time.
+    """
     while store.url.remote:
         try:
             return reading.result(store.url.seconds)
@@ -145,7 +181,9 @@ def ahead(
     items: Sequence[Item],
     wait: Callable[[Future[Made]], Made] = lambda reading: reading.result(),
 ) -> Generator[Made, None, None]:
-    """The results of ``work`` for the items, in order; MAX_BATCHES_AHEAD are begun, and cancelled on closing."""
+    """The results of ``work`` for the items, in order; MAX_BATCHES_AHEAD are begun, and cancelled
+    on closing.
+    """
     waiting: deque[Future[Made]] = deque()
     try:
         for item in items:
@@ -166,12 +204,16 @@ PROJECTED_ISOVALUES = 2
 class Caches:
     """The caches of a ``prepared`` scene in a ``store``, with ``budget`` bytes of memory together.
 
-    Each has room for as many texels; projected ones of an isovalue have half of what the scene's own have. Safe to
-    use from many threads.
+    Each has room for as many texels; projected ones of an isovalue have half of what the scene's
+    own have. Safe to use from many threads.
     """
 
-    def __init__(self, prepared: PreparedScene, store: StoreLike, budget: int, makes: bool = True) -> None:
-        """Open nothing yet. Layers are made when they are opened; where it ``makes`` none, with their first light."""
+    def __init__(
+        self, prepared: PreparedScene, store: StoreLike, budget: int, makes: bool = True
+    ) -> None:
+        """Open nothing yet. Layers are made when they are opened; where it ``makes`` none, with
+        their first light.
+        """
         self._makes = makes
         self.prepared = prepared
         self.store = Store.of(store)
@@ -183,7 +225,9 @@ class Caches:
         self._lock = threading.RLock()
 
     def spec(self, shading: str) -> BakeSpec:
-        """The bake spec of views of this ``shading``, with larger layers where the store has these already."""
+        """The bake spec of views of this ``shading``, with larger layers where the store has these
+        already.
+        """
         name = spec_name(shading)
         with self._lock:
             if name not in self._specs:
@@ -192,7 +236,9 @@ class Caches:
             return self._specs[name]
 
     def chunk_store(self, shading: str) -> ChunkStore:
-        """The chunk store that views of this ``shading`` read, its layers opened. Raises StoreError."""
+        """The chunk store that views of this ``shading`` read, its layers opened. Raises
+        StoreError.
+        """
         name = spec_name(shading)
         with self._lock:
             if name not in self._chunk_stores:
@@ -203,15 +249,21 @@ class Caches:
             return self._chunk_stores[name]
 
     def chunk_store_of(self, shown: Isovalue | None) -> ChunkStore:
-        """The chunk store of the scene's own light, or of texels projected onto the isosurface ``shown``."""
-        return self.chunk_store("gi") if shown is None else self.projected(shown).chunk_store
+        """The chunk store of the scene's own light, or of texels projected onto the isosurface
+        ``shown``.
+        """
+        if shown is None:
+            return self.chunk_store("gi")
+        return self.projected(shown).chunk_store
 
     def of(self, shading: str) -> Loader:
         """The loader of views of this ``shading``. Raises StoreError."""
         name = spec_name(shading)
         with self._lock:
             if name not in self._loaders:
-                self._loaders[name] = Loader(self.chunk_store(name), PagePool(self.spec(name), self._share(name)))
+                self._loaders[name] = Loader(
+                    self.chunk_store(name), PagePool(self.spec(name), self._share(name))
+                )
             return self._loaders[name]
 
     def projected(self, shown: Isovalue) -> Loader:
@@ -223,7 +275,8 @@ class Caches:
             if shown not in self._projected:
                 spec = replace(self.spec("gi"), shown=shown)
                 self._projected[shown] = Loader(
-                    ChunkStore(self.store, spec), PagePool(spec, self._share("gi") // PROJECTED_ISOVALUES)
+                    ChunkStore(self.store, spec),
+                    PagePool(spec, self._share("gi") // PROJECTED_ISOVALUES),
                 )
             self._projected.move_to_end(shown)
             while len(self._projected) > PROJECTED_ISOVALUES:
@@ -234,17 +287,24 @@ class Caches:
     def nbytes(self) -> int:
         """Bytes of memory that light takes."""
         with self._lock:
-            return sum(loader.pool.nbytes for loader in (*self._loaders.values(), *self._projected.values()))
+            return sum(
+                loader.pool.nbytes
+                for loader in (*self._loaders.values(), *self._projected.values())
+            )
 
     def refresh(self, name: str, index: Index, shown: Isovalue | None = None) -> None:
-        """Note that the store has new light of a chunk, of a spec or of the isosurface ``shown``."""
+        """Note that the store has new light of a chunk, of a spec or of the isosurface
+        ``shown``.
+        """
         with self._lock:
             loader = self.of(name) if shown is None else self._projected.get(shown)
         if loader is not None:
             loader.refresh(index)
 
     def _share(self, name: str) -> int:
-        """Bytes of the budget for a spec; as many again are for projected texels of the scene's own."""
+        """Bytes of the budget for a spec; as many again are for projected texels of the scene's
+        own.
+        """
         sizes = {each: page_bytes(self.spec(each)) for each in SPECS}
         whole = sum(sizes.values()) + (sizes["gi"] if self.prepared.scene.projection.any else 0)
         return self.budget * sizes[name] // whole

@@ -39,7 +39,9 @@ class Damage(NamedTuple):
 
 
 class SharedChunk(NamedTuple):
-    """A chunk, and its objects in all layers of the same lattice, which must agree on the texels that hold light."""
+    """A chunk, and its objects in all layers of the same lattice, which must agree on the texels
+    that hold light.
+    """
 
     chunk: Index
     objects: tuple[tuple[str, Entry], ...]
@@ -64,13 +66,15 @@ class Audit:
 def audit_store(
     store: Store, found: Callable[[Damage], Any] = lambda _: None, progress: Progress = no_progress
 ) -> Audit:
-    """Check all objects of a ``store``. It only reads, so it may run beside servers and workers. Raises StoreError.
+    """Check all objects of a ``store``. It only reads, so it may run beside servers and workers.
+    Raises StoreError.
 
     ``found`` is called with each damage as soon as it is known.
     """
     result = Audit(inventory_of(store.entries()))
     _audit_facts(store, result)
-    chunks, done = shared_chunks(result), 0
+    chunks = shared_chunks(result)
+    done = 0
     total = sum(len(each.objects) for each in chunks)
     progress(done, total)
     with ThreadPoolExecutor(AUDIT_READERS) as pool:
@@ -87,10 +91,13 @@ def audit_store(
 
 def check_chunk(store: Store, shared: SharedChunk, facts: Mapping[str, LayerFacts]) -> list[Damage]:
     """Check the objects of a chunk: each by itself, and then against each other."""
-    damages, samples = [], {}
+    damages = []
+    samples = {}
     for digest, found in shared.objects:
         try:
-            samples[found.key] = _sound_samples(store, facts[digest], digest, shared.chunk, found.key)
+            samples[found.key] = _sound_samples(
+                store, facts[digest], digest, shared.chunk, found.key
+            )
         except DamagedChunkError as error:
             damages.append(Damage(found.key, str(error)))
     return list({damage.key: damage for damage in (*damages, *contradictions(samples))}.values())
@@ -114,11 +121,14 @@ def read_facts(store: Store, digest: str) -> LayerFacts:
     return facts_in(stored)
 
 
-def _sound_samples(store: Store, facts: LayerFacts, digest: str, index: Index, key: str) -> np.ndarray:
+def _sound_samples(
+    store: Store, facts: LayerFacts, digest: str, index: Index, key: str
+) -> np.ndarray:
     """The samples of a chunk's texels in an object, (texels,) int32. Raises DamagedChunkError."""
     if not facts.holds(index):
         raise DamagedChunkError("there is no such place in its lattice")
-    samples, stored = np.zeros(facts.chunk_texels, np.int32), store.read(key)
+    samples = np.zeros(facts.chunk_texels, np.int32)
+    stored = store.read(key)
     if stored is None:
         return samples
     record = unwrap(stored, facts.record_size)
@@ -141,7 +151,9 @@ def shared_chunks(audit: Audit) -> list[SharedChunk]:
 
 
 def contradictions(samples: dict[str, np.ndarray]) -> Iterator[Damage]:
-    """Pairs of objects of which one calls a texel void and the other lights it: either may be wrong."""
+    """Pairs of objects of which one calls a texel void and the other lights it: either may be
+    wrong.
+    """
     for one, other in combinations(samples, 2):
         both = samples[one], samples[other]
         if any(((a == VOID) & (b > 0)).any() for a, b in (both, both[::-1])):
@@ -156,7 +168,9 @@ def leftovers(inventory: Inventory, now: float) -> Sequence[Entry]:
 
 @dataclass(eq=False)
 class Repair:
-    """The result of a repair: ``moved`` gives the new key of each damaged object, None where it was deleted."""
+    """The result of a repair: ``moved`` gives the new key of each damaged object, None where it was
+    deleted.
+    """
 
     audit: Audit
     moved: dict[str, str | None] = field(default_factory=dict)
@@ -164,21 +178,27 @@ class Repair:
 
 
 def repair_store(store: Store, delete: bool = False, progress: Progress = no_progress) -> Repair:
-    """Audit a store, and move damaged objects to quarantine; with ``delete`` no copy of them is kept.
+    """Audit a store, and move damaged objects to quarantine; with ``delete`` no copy of them is
+    kept.
 
     Leftovers are deleted, too. Raises StoreError.
     """
     moved: dict[str, str | None] = {}
 
     def put_away(damage: Damage) -> None:
-        content = None if damage.key in moved else store.read(damage.key)
+        if damage.key in moved:
+            content = None
+        else:
+            content = store.read(damage.key)
         if content is None:
             return
         if delete:
             moved[damage.key] = None
             store.delete(damage.key)
             return
-        to = moved[damage.key] = f"{QUARANTINE_FOLDER}/{damage.key}.{sha256(content).hexdigest()[:8]}"
+        to = moved[damage.key] = (
+            f"{QUARANTINE_FOLDER}/{damage.key}.{sha256(content).hexdigest()[:8]}"
+        )
         store.move(damage.key, to)
 
     found = audit_store(store, put_away, progress)
@@ -196,7 +216,9 @@ MOST_LAYERS = 3
 
 @dataclass(eq=False)
 class Count:
-    """One layer: its ``files`` and ``facts``, and the number of texels by their samples (VOID included)."""
+    """One layer: its ``files`` and ``facts``, and the number of texels by their samples (VOID
+    included).
+    """
 
     files: LayerFiles
     facts: LayerFacts
@@ -221,7 +243,9 @@ class Count:
 
 @dataclass(eq=False)
 class Census:
-    """The readable layers of a store, and the costs of their bakes by the digests of the bakes' layers."""
+    """The readable layers of a store, and the costs of their bakes by the digests of the bakes'
+    layers.
+    """
 
     inventory: Inventory
     counts: dict[str, Count]
@@ -229,7 +253,9 @@ class Census:
 
 
 def census_of(store: Store, texels: bool = True, progress: Progress = no_progress) -> Census:
-    """Count layers, and with ``texels`` read all chunks and count their texels. Raises StoreError."""
+    """Count layers, and with ``texels`` read all chunks and count their texels. Raises
+    StoreError.
+    """
     inventory = inventory_of(store.entries())
     counts = dict(each_layer(store, inventory))
     if texels:
@@ -253,7 +279,9 @@ def count_texels(store: Store, counts: Sequence[Count], progress: Progress) -> N
         found = pool.map(lambda chunk: samples_in(store, *chunk), chunks)
         for number, ((count, _), samples) in enumerate(zip(chunks, found, strict=True), 1):
             count.damaged += samples is None
-            values, many = np.unique(np.empty(0) if samples is None else samples, return_counts=True)
+            values, many = np.unique(
+                np.empty(0) if samples is None else samples, return_counts=True
+            )
             count.samples.update(dict(zip(map(int, values), map(int, many), strict=True)))
             progress(number, len(chunks))
 
@@ -261,12 +289,19 @@ def count_texels(store: Store, counts: Sequence[Count], progress: Progress) -> N
 def samples_in(store: Store, count: Count, index: tuple[int, int, int]) -> np.ndarray | None:
     """The samples of a chunk's texels; None where it is damaged."""
     found = texels_in(store, count, index)
-    return None if found is None else found[1].samples
+    if found is None:
+        return None
+    return found[1].samples
 
 
-def texels_in(store: Store, count: Count, index: tuple[int, int, int]) -> tuple[np.ndarray, Part] | None:
-    """Offsets of a chunk's texels, and their part of a layer; none where it is gone, None where it is damaged."""
-    facts, files = count.facts, count.files
+def texels_in(
+    store: Store, count: Count, index: tuple[int, int, int]
+) -> tuple[np.ndarray, Part] | None:
+    """Offsets of a chunk's texels, and their part of a layer; none where it is gone, None where it
+    is damaged.
+    """
+    facts = count.facts
+    files = count.files
     stored = store.read(files.chunks[index].key)
     if stored is None:
         return np.empty(0, np.int32), Part.undefined(facts.layer, 0)
@@ -277,8 +312,12 @@ def texels_in(store: Store, count: Count, index: tuple[int, int, int]) -> tuple[
     return unpack(record, facts.layer, facts.chunk_texels, files.digest, index)
 
 
-def costs_of(store: Store, inventory: Inventory, counts: dict[str, Count]) -> dict[tuple[str, ...], Cost]:
-    """The costs of bakes. A bake's digest is made of its layers' digests, so bakes are found by trying."""
+def costs_of(
+    store: Store, inventory: Inventory, counts: dict[str, Count]
+) -> dict[tuple[str, ...], Cost]:
+    """The costs of bakes. A bake's digest is made of its layers' digests, so bakes are found by
+    trying.
+    """
     found = {}
     for layers in possible_bakes(counts):
         file = inventory.costs.get(digest_of(list(layers)))
@@ -311,9 +350,11 @@ BUSY_SECONDS = 60.0
 
 @dataclass(frozen=True)
 class PruneRule:
-    """Layers to delete: those not used for ``older_than`` seconds, and the longest unused beyond ``keep`` bytes.
+    """Layers to delete: those not used for ``older_than`` seconds, and the longest unused beyond
+    ``keep`` bytes.
 
-    With ``scene`` only layers of the scene or volume of that name go. With ``empty`` layers without light go too.
+    With ``scene`` only layers of the scene or volume of that name go. With ``empty`` layers without
+    light go too.
     """
 
     older_than: float = math.inf
@@ -324,7 +365,9 @@ class PruneRule:
 
 @dataclass(frozen=True, eq=False)
 class PrunePlan:
-    """The layers to delete, the longest unused first, and ``busy`` ones, which are being written to and stay."""
+    """The layers to delete, the longest unused first, and ``busy`` ones, which are being written to
+    and stay.
+    """
 
     going: tuple[Count, ...]
     busy: tuple[Count, ...]
@@ -336,10 +379,15 @@ class PrunePlan:
 
 
 def plan_prune(census: Census, rule: PruneRule, now: float) -> PrunePlan:
-    """Choose the layers to delete by a ``rule``. Raises StoreError where the store does not know ages."""
+    """Choose the layers to delete by a ``rule``. Raises StoreError where the store does not know
+    ages.
+    """
     counts = sorted(census.counts.values(), key=lambda count: count.files.used)
     if any(math.isnan(count.files.used) for count in counts):
-        raise StoreError("This store does not know when its objects were written: name the scene whose light goes.")
+        raise StoreError(
+            "This store does not know when its objects were written: name the scene whose "
+            "light goes."
+        )
     wanted = chosen([count for count in counts if is_of(count, rule.scene)], rule, now)
     busy = [count for count in wanted if now - newest(count.files) <= BUSY_SECONDS]
     return PrunePlan(tuple(count for count in wanted if count not in busy), tuple(busy))
@@ -347,10 +395,12 @@ def plan_prune(census: Census, rule: PruneRule, now: float) -> PrunePlan:
 
 def chosen(counts: Sequence[Count], rule: PruneRule, now: float) -> list[Count]:
     """The layers, the longest unused first, that a rule deletes."""
-    total, going = sum(count.files.size for count in counts), []
+    total = sum(count.files.size for count in counts)
+    going = []
     everything = rule.scene is not None and rule == PruneRule(scene=rule.scene)
     for count in counts:
-        old, empty = now - count.files.used > rule.older_than, rule.empty and not count.files.chunks
+        old = now - count.files.used > rule.older_than
+        empty = rule.empty and not count.files.chunks
         if everything or old or empty or total > rule.keep:
             going.append(count)
             total -= count.files.size
@@ -359,17 +409,26 @@ def chosen(counts: Sequence[Count], rule: PruneRule, now: float) -> list[Count]:
 
 def is_of(count: Count, name: str | None) -> bool:
     """Whether a layer is of the scene, or of the volume, of that name; None stands for any."""
-    return name is None or name in (count.facts.attributes.get("scene"), count.facts.attributes.get("volume"))
+    return name is None or name in (
+        count.facts.attributes.get("scene"),
+        count.facts.attributes.get("volume"),
+    )
 
 
 def newest(files: LayerFiles) -> float:
     """Time of the last write to a layer, stamps of use left out."""
-    return max((found.written for found in files.objects if found is not files.stamp), default=-math.inf)
+    return max(
+        (found.written for found in files.objects if found is not files.stamp), default=-math.inf
+    )
 
 
 def delete_layers(store: Store, census: Census, plan: PrunePlan) -> list[Entry]:
-    """Delete the layers of a plan, and costs of their bakes; returns the deleted objects. Raises StoreError."""
-    gone = [found for count in plan.going for found in count.files.objects] + stale_costs(census, plan)
+    """Delete the layers of a plan, and costs of their bakes; returns the deleted objects. Raises
+    StoreError.
+    """
+    gone = [found for count in plan.going for found in count.files.objects] + stale_costs(
+        census, plan
+    )
     for found in gone:
         store.delete(found.key)
     return gone
@@ -386,15 +445,21 @@ log = logging.getLogger("isogi.cache")
 
 
 def trim_projected(store: Store, most: int) -> int:
-    """Delete layers for single isovalues, the longest unused first, beyond ``most`` bytes at ``store``; how many went.
+    """Delete layers for single isovalues, the longest unused first, beyond ``most`` bytes at
+    ``store``; how many went.
 
     These are of projected texels, and of walls.
 
-    What was written in the last minute stays. A store that knows no ages, or takes no writes now, is left as it is.
+    What was written in the last minute stays. A store that knows no ages, or takes no writes now,
+    is left as it is.
     """
     try:
         census = census_of(store, texels=False)
-        counts = {d: count for d, count in census.counts.items() if count.facts.attributes.get("shown") is not None}
+        counts = {
+            d: count
+            for d, count in census.counts.items()
+            if count.facts.attributes.get("shown") is not None
+        }
         plan = plan_prune(replace(census, counts=counts), PruneRule(keep=most), store.now())
         delete_layers(store, census, plan)
     except StoreError as error:

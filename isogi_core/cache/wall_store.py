@@ -1,8 +1,9 @@
 """The light of walls in a store: layers like all others, whose lattices lie on the walls.
 
-Light of walls has no isosurface of its own, so that there is a layer for each isovalue that it was baked for: see
-``WallState``. A plane of its lattice has the texels of one half of the paths on a side of a wall. Which isovalues have
-light is noted beside them, for those in between (S3 bakes walls at levels of the range, and interpolates).
+Light of walls has no isosurface of its own, so that there is a layer for each isovalue that it was
+baked for: see ``WallState``. A plane of its lattice has the texels of one half of the paths on a
+side of a wall. Which isovalues have light is noted beside them, for those in between (S3 bakes
+walls at levels of the range, and interpolates).
 """
 
 import logging
@@ -28,18 +29,24 @@ WALLS_FOLDER = "walls"
 """The folder of notes of isovalues at the top of a store, and the kind of the layers."""
 
 WALL_CHUNK_SIDE = 64
-"""The side of a chunk in texels and planes: so all sides of sixteen walls are in one object, or in a few."""
+"""The side of a chunk in texels and planes: so all sides of sixteen walls are in one object, or in
+a few.
+"""
 
 Side = tuple[int, int]
 """A wall, by its number, and its side: 1 for its front, -1 for its back."""
 
 Planes = tuple[np.ndarray, np.ndarray]
-"""E/π of each half, (planes, across, across, 3) float64, and paths of each half, (planes, across, across) int64."""
+"""E/π of each half, (planes, across, across, 3) float64, and paths of each half, (planes, across,
+across) int64.
+"""
 
 
 @dataclass(frozen=True)
 class WallState:
-    """What the light of walls depends on besides its scene: the isovalue, and the albedo and glow of views."""
+    """What the light of walls depends on besides its scene: the isovalue, and the albedo and glow
+    of views.
+    """
 
     isovalue: float
     albedo: Colour
@@ -58,15 +65,20 @@ def planes_of(side: Side) -> slice:
 
 
 class WallLayer(LayerStore):
-    """The chunks of the light of all walls in one ``state``, with so many texels ``across`` the longest edge of any.
+    """The chunks of the light of all walls in one ``state``, with so many texels ``across`` the
+    longest edge of any.
 
     Methods raise StoreError.
     """
 
-    def __init__(self, store: Store, prepared: PreparedScene, state: WallState, across: int) -> None:
+    def __init__(
+        self, store: Store, prepared: PreparedScene, state: WallState, across: int
+    ) -> None:
         """Touch nothing yet."""
         scene = prepared.scene
-        digest = scene.wall_digest(state.albedo, state.glow, state.isovalue, across, wall_layer(scene).scale)
+        digest = scene.wall_digest(
+            state.albedo, state.glow, state.isovalue, across, wall_layer(scene).scale
+        )
         super().__init__(store, prepared, wall_layer(scene), None, digest, WALL_CHUNK_SIDE**3)
         self.isovalue = state.isovalue
         self.shape = 4 * len(scene.lighting.room.walls), across, across
@@ -80,17 +92,26 @@ class WallLayer(LayerStore):
     @property
     def facts(self) -> dict[str, Any]:
         """The attributes of its array."""
-        return super().facts | {"texels": list(self.shape), "chunk": WALL_CHUNK_SIDE, "shown": self.isovalue}
+        return super().facts | {
+            "texels": list(self.shape),
+            "chunk": WALL_CHUNK_SIDE,
+            "shown": self.isovalue,
+        }
 
     def planes(self) -> Planes:
         """All light that is there; without paths elsewhere."""
-        means, counts = np.zeros((*self.shape, 3)), np.zeros(self.shape, np.int64)
+        means = np.zeros((*self.shape, 3))
+        counts = np.zeros(self.shape, np.int64)
         for index in np.ndindex(*self.chunks):
             stored = self.read(index)
             if stored is not None:
                 offsets, part = self.decode(index, stored)
-                z, y, x = np.unravel_index(offsets, (WALL_CHUNK_SIDE,) * 3) + WALL_CHUNK_SIDE * np.array(index)[:, None]
-                means[z, y, x], counts[z, y, x] = part.coefficients[:, :, 0], part.samples // 2
+                z, y, x = (
+                    np.unravel_index(offsets, (WALL_CHUNK_SIDE,) * 3)
+                    + WALL_CHUNK_SIDE * np.array(index)[:, None]
+                )
+                means[z, y, x] = part.coefficients[:, :, 0]
+                counts[z, y, x] = part.samples // 2
         return means, counts
 
     def keep(self, planes: Planes) -> None:
@@ -103,7 +124,9 @@ class WallLayer(LayerStore):
                 part = Part.dark(self.layer, len(sent[0]))
                 part.samples[:] = 2 * counts[own][sent]
                 part.coefficients[:, :, 0] = means[own][sent]
-                self.save(index, np.ravel_multi_index(sent, (WALL_CHUNK_SIDE,) * 3).astype(np.int32), part)
+                self.save(
+                    index, np.ravel_multi_index(sent, (WALL_CHUNK_SIDE,) * 3).astype(np.int32), part
+                )
 
 
 class WallStore:
@@ -114,7 +137,8 @@ class WallStore:
 
     def __init__(self, store: Store, prepared: PreparedScene) -> None:
         """Touch nothing yet."""
-        self._store, self._prepared = store, prepared
+        self._store = store
+        self._prepared = prepared
         self._notes = Documents(store, WALLS_FOLDER)
 
     def planes(self, state: WallState, across: int) -> Planes | None:
@@ -135,7 +159,9 @@ class WallStore:
             log.info("Light of walls is not kept: %s", error)
 
     def around(self, state: WallState) -> tuple[WallState, WallState] | None:
-        """The states at the nearest isovalues below and above that have light; None where one side has none."""
+        """The states at the nearest isovalues below and above that have light; None where one side
+        has none.
+        """
         try:
             known = self._isovalues(state)
         except StoreError as error:

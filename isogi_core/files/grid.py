@@ -1,4 +1,6 @@
-"""Grids: the values of a volume at their source, read slab by slab, as they need not fit into memory."""
+"""Grids: the values of a volume at their source, read slab by slab, as they need not fit into
+memory.
+"""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -29,7 +31,8 @@ PATIENT_AXES = "RAS"
 class Affine:
     """Where voxels lie in the world: ``world = matrix · (x, y, z) + origin`` of a voxel's indices.
 
-    ``matrix`` is three rows. ``letters`` say where the world's axes point, PATIENT_AXES in a patient, else empty.
+    ``matrix`` is three rows. ``letters`` say where the world's axes point, PATIENT_AXES in a
+    patient, else empty.
     """
 
     matrix: tuple[Vector, Vector, Vector]
@@ -51,7 +54,8 @@ class Affine:
 
 @dataclass(frozen=True)
 class LabelName:
-    """What a segmentation's file says of a label: its ``value``, ``name`` and ``colour``, sRGB ``#rrggbb``.
+    """What a segmentation's file says of a label: its ``value``, ``name`` and ``colour``, sRGB
+    ``#rrggbb``.
 
     Name and colour are empty where it says none.
     """
@@ -76,14 +80,16 @@ SINGLE_MOMENT = (0, 1)
 class Grid:
     """One value per voxel, at any source.
 
-    ``shape`` is voxels along z, y, x, ``dtype`` the source's type and ``spacing`` (x, y, z) as the source gives it.
-    ``slabs`` iterates anew on each call: arrays (layers, ny, nx) that make up the whole from z = 0 on. It raises
-    VolumeError where the source is damaged. ``stamp`` names the source's state, as far as sizes and times of files
-    show it. ``affine`` says where voxels lie in the world, None where the source says spacing alone; ``unit`` is that
-    of lengths, empty where unknown. ``notes`` are sentences on what was done to make this field of the source. It is
-    the ``moment`` of a series in time: which step it is, and of how many; ``unchosen`` where it is the first because
-    nobody chose one. ``labels`` are named ones of a segmentation, None where the file does not say that it is one.
-    ``read_as`` says in a line what the source was taken for, see the function of that name.
+    ``shape`` is voxels along z, y, x, ``dtype`` the source's type and ``spacing`` (x, y, z) as the
+    source gives it. ``slabs`` iterates anew on each call: arrays (layers, ny, nx) that make up the
+    whole from z = 0 on. It raises VolumeError where the source is damaged. ``stamp`` names the
+    source's state, as far as sizes and times of files show it. ``affine`` says where voxels lie in
+    the world, None where the source says spacing alone; ``unit`` is that of lengths, empty where
+    unknown. ``notes`` are sentences on what was done to make this field of the source. It is the
+    ``moment`` of a series in time: which step it is, and of how many; ``unchosen`` where it is the
+    first because nobody chose one. ``labels`` are named ones of a segmentation, None where the file
+    does not say that it is one. ``read_as`` says in a line what the source was taken for, see the
+    function of that name.
     """
 
     shape: Shape
@@ -114,12 +120,19 @@ class Grid:
         return math.prod(self.shape)
 
     def cropped(self, region: "Region") -> "Grid":
-        """The grid of a ``region``, which lies where it lay. VolumeError where the grid does not have it."""
+        """The grid of a ``region``, which lies where it lay. VolumeError where the grid does not
+        have it.
+        """
         check_region(region, self.shape)
         (x, x_end), (y, y_end), (z, z_end) = region
-        rows = _straight(self.spacing) if self.affine is None else self.affine.array
+        if self.affine is None:
+            rows = _straight(self.spacing)
+        else:
+            rows = self.affine.array
         rows[:, 3] += rows[:, :3] @ (float(x), float(y), float(z))
-        words = ", ".join(f"{axis} {low} to {high - 1}" for axis, (low, high) in zip("xyz", region, strict=True))
+        words = ", ".join(
+            f"{axis} {low} to {high - 1}" for axis, (low, high) in zip("xyz", region, strict=True)
+        )
         note = f"A region is shown, voxels {words} of {' × '.join(map(str, self.shape[::-1]))}."
         return replace(
             self,
@@ -131,7 +144,9 @@ class Grid:
         )
 
     def raw(self, region: "Region | None") -> "Grid":
-        """The grid without its place in the world; of a ``region``, at its place among the voxels of the whole."""
+        """The grid without its place in the world; of a ``region``, at its place among the voxels
+        of the whole.
+        """
         if region is None:
             return replace(self, affine=None)
         rows = _straight(self.spacing)
@@ -144,7 +159,9 @@ class Grid:
         return replace(self, slabs=lambda: iter((array,)))
 
     def whole(self) -> np.ndarray:
-        """All values in memory; (nz, ny, nx). The source's own array where that is its only slab."""
+        """All values in memory; (nz, ny, nx). The source's own array where that is its only
+        slab.
+        """
         slabs = self.slabs()
         first = next(slabs, None)
         if first is not None and first.shape == self.shape and first.dtype == self.dtype:
@@ -155,7 +172,8 @@ class Grid:
 
 def gathered(shape: Shape, dtype: Any, slabs: Iterable[np.ndarray]) -> np.ndarray:
     """The array of a ``shape`` and a type that ``slabs`` make up, one after the other."""
-    array, z = np.empty(shape, dtype), 0
+    array = np.empty(shape, dtype)
+    z = 0
     for slab in slabs:
         array[z : z + len(slab)] = slab
         z += len(slab)
@@ -172,11 +190,15 @@ def _straight(spacing: Sequence[float]) -> np.ndarray:
 
 
 def check_region(region: Region, shape: Shape) -> None:
-    """Raise VolumeError where a ``shape`` (z, y, x) does not have a ``region``, or that is no two voxels wide."""
+    """Raise VolumeError where a ``shape`` (z, y, x) does not have a ``region``, or that is no two
+    voxels wide.
+    """
     for axis, (low, high), n in zip("xyz", region, shape[::-1], strict=True):
         if not 0 <= low < high - 1 < n:
             there = f"of 0 to {n}, and at least two voxels"
-            raise VolumeError(f"The region has [{low}, {high}] along {axis}: give first and end {there}.")
+            raise VolumeError(
+                f"The region has [{low}, {high}] along {axis}: give first and end {there}."
+            )
 
 
 def _cropped(slabs: Callable[[], Iterator[np.ndarray]], region: Region) -> Iterator[np.ndarray]:
@@ -196,13 +218,24 @@ def _of_region(stamp: Callable[[], str], region: Region) -> str:
     return f"{stamp()} {region}"
 
 
-def read_as(kind: str, stored: np.dtype[Any], placed: str = "", slope: float = 1.0, intercept: float = 0.0) -> str:
-    """What a source was taken for: its ``kind``, the type of ``stored`` numbers, how these become values, and what in
-    it says where voxels lie, ``placed``, empty where nothing does.
+def read_as(
+    kind: str, stored: np.dtype[Any], placed: str = "", slope: float = 1.0, intercept: float = 0.0
+) -> str:
+    """What a source was taken for: its ``kind``, the type of ``stored`` numbers, how these become
+    values, and what in it says where voxels lie, ``placed``, empty where nothing does.
     """
-    order = ", big-endian" if stored.byteorder == ">" and stored.itemsize > 1 else ""
-    values = "" if (slope, intercept) == (1.0, 0.0) else f", values {slope:g} · stored {intercept:+g}"
-    lies = f"placed by {placed}" if placed else "it does not say where it lies"
+    if stored.byteorder == ">" and stored.itemsize > 1:
+        order = ", big-endian"
+    else:
+        order = ""
+    if (slope, intercept) == (1.0, 0.0):
+        values = ""
+    else:
+        values = f", values {slope:g} · stored {intercept:+g}"
+    if placed:
+        lies = f"placed by {placed}"
+    else:
+        lies = "it does not say where it lies"
     return f"{kind} of {stored.name}{order}{values}; {lies}"
 
 
@@ -212,7 +245,9 @@ def slab_layers(layer_bytes: int) -> int:
 
 
 MAX_SKEW_VOXELS = 0.1
-"""Most voxels by which a corner may be off, for axes that are not quite at right angles to be taken as if they were."""
+"""Most voxels by which a corner may be off, for axes that are not quite at right angles to be taken
+as if they were.
+"""
 
 OR_RAW = "leave it out by axes = 'raw'"
 
@@ -221,14 +256,17 @@ MAX_GROWTH = 8
 
 
 def on_right_angles(grid: Grid, spacing: tuple[float, ...] | None = None) -> Grid:
-    """The field with an affine that is a rotation of a box, right-handed, whose ``spacing`` may be given.
+    """The field with an affine that is a rotation of a box, right-handed, whose ``spacing`` may be
+    given.
 
-    Mirrored axes are read the other way round along x: no value changes. Skewed axes are resampled linearly along the
-    layers, and a note says so. A grid without an affine stays as it is. Raises VolumeError where axes lie in one plane.
+    Mirrored axes are read the other way round along x: no value changes. Skewed axes are resampled
+    linearly along the layers, and a note says so. A grid without an affine stays as it is. Raises
+    VolumeError where axes lie in one plane.
     """
     if grid.affine is None:
         return replace(grid, spacing=spacing or grid.spacing)
-    matrix, origin = np.array(grid.affine.matrix), np.array(grid.affine.origin)
+    matrix = np.array(grid.affine.matrix)
+    origin = np.array(grid.affine.origin)
     lengths = _lengths(matrix)
     if not np.isfinite(matrix).all() or not np.isfinite(origin).all() or min(lengths) <= 0.0:
         raise VolumeError(f"The volume's axes have no direction: mend its affine, or {OR_RAW}.")
@@ -269,13 +307,16 @@ def _set_straight(grid: Grid, steps: tuple[float, ...]) -> Grid:
     last = np.array(grid.shape[::-1]) - 1.0
     off = np.abs(skewed - np.diag(np.diag(skewed))) @ last / np.diag(skewed)
     if off.max() <= MAX_SKEW_VOXELS:
-        affine = Affine.of(np.column_stack([rotation * np.array(steps), array[:, 3]]), grid.affine.letters)
+        affine = Affine.of(
+            np.column_stack([rotation * np.array(steps), array[:, 3]]), grid.affine.letters
+        )
         return replace(grid, spacing=steps, affine=affine)
     return _resampled(grid, rotation, skewed)
 
 
 def _decompose(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A rotation and an upper triangle with a positive diagonal, whose product is the ``matrix``; (3, 3) each.
+    """A rotation and an upper triangle with a positive diagonal, whose product is the ``matrix``;
+    (3, 3) each.
 
     The layers' own x axis and plane keep their directions: a layer is moved, and never tilted.
     """
@@ -285,7 +326,8 @@ def _decompose(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _resampled(grid: Grid, rotation: np.ndarray, skewed: np.ndarray) -> Grid:
-    """A skewed grid on right angles: rows and layers are moved in their own planes, and between voxels is linear.
+    """A skewed grid on right angles: rows and layers are moved in their own planes, and between
+    voxels is linear.
 
     Voxels of the new grid that the old one does not reach are holes.
     """
@@ -294,7 +336,10 @@ def _resampled(grid: Grid, rotation: np.ndarray, skewed: np.ndarray) -> Grid:
     steps = np.diag(skewed)
     rows = skewed[1, 2] / steps[1] * np.array([0.0, nz - 1.0])
     columns = (
-        np.add.outer(skewed[0, 1] * np.array([0.0, ny - 1.0]), skewed[0, 2] * np.array([0.0, nz - 1.0])) / steps[0]
+        np.add.outer(
+            skewed[0, 1] * np.array([0.0, ny - 1.0]), skewed[0, 2] * np.array([0.0, nz - 1.0])
+        )
+        / steps[0]
     )
     first = np.floor([columns.min(), rows.min()])
     width = int(math.ceil(nx - 1 + columns.max()) - first[0]) + 1
@@ -320,9 +365,15 @@ def _resampled(grid: Grid, rotation: np.ndarray, skewed: np.ndarray) -> Grid:
 
 
 def _moved(
-    grid: Grid, skewed: np.ndarray, first: tuple[int, int], size: tuple[int, int], dtype: np.dtype[Any]
+    grid: Grid,
+    skewed: np.ndarray,
+    first: tuple[int, int],
+    size: tuple[int, int],
+    dtype: np.dtype[Any],
 ) -> Iterator[np.ndarray]:
-    """The layers of a skewed grid, each moved to where it is on right angles; (1, height, width) each."""
+    """The layers of a skewed grid, each moved to where it is on right angles; (1, height, width)
+    each.
+    """
     k = 0
     for slab in grid.slabs():
         for layer in slab:
@@ -334,13 +385,20 @@ def _moved(
 
 
 def _between(layer: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Linear values of a ``layer`` at real ``rows`` (h,) and their ``columns`` (h, w); NaN outside of it."""
+    """Linear values of a ``layer`` at real ``rows`` (h,) and their ``columns`` (h, w); NaN outside
+    of it.
+    """
     ny, nx = layer.shape
-    j, i = np.clip(np.floor(rows), 0, ny - 2).astype(int), np.clip(np.floor(columns), 0, nx - 2).astype(int)
-    down, right = (rows - j)[:, None], columns - i
+    j = np.clip(np.floor(rows), 0, ny - 2).astype(int)
+    i = np.clip(np.floor(columns), 0, nx - 2).astype(int)
+    down = (rows - j)[:, None]
+    right = columns - i
     inside = (down >= 0.0) & (down <= 1.0) & (right >= 0.0) & (right <= 1.0)
-    upper, lower = layer[j], layer[j + 1]
-    beside = [np.take_along_axis(row, i + step, axis=1) for row in (upper, lower) for step in (0, 1)]
+    upper = layer[j]
+    lower = layer[j + 1]
+    beside = [
+        np.take_along_axis(row, i + step, axis=1) for row in (upper, lower) for step in (0, 1)
+    ]
     above = beside[0] * (1.0 - right) + beside[1] * right
     below = beside[2] * (1.0 - right) + beside[3] * right
     return np.where(inside, above * (1.0 - down) + below * down, np.nan)

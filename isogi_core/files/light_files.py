@@ -1,7 +1,7 @@
 """Light in files of other tools.
 
-Meshes with their light as colours of vertices: .ply, .glb, .obj and .usdz. Volumes with values and light: .vti, .nrrd,
-.nii.gz and OME-Zarr.
+Meshes with their light as colours of vertices: .ply, .glb, .obj and .usdz. Volumes with values and
+light: .vti, .nrrd, .nii.gz and OME-Zarr.
 """
 
 import gzip
@@ -27,9 +27,11 @@ from isogi_core.storage.atomic_file import whole_folder, write_whole
 
 @dataclass(frozen=True, eq=False)
 class LitMesh:
-    """A mesh in the world: ``vertices``, outward unit ``normals`` and linear RGB ``colours`` (n, 3), ``quads`` (m, 4).
+    """A mesh in the world: ``vertices``, outward unit ``normals`` and linear RGB ``colours`` (n,
+    3), ``quads`` (m, 4).
 
-    Corners of quadrilaterals are numbered anticlockwise from outside. The ``unit`` of length is empty where unknown.
+    Corners of quadrilaterals are numbered anticlockwise from outside. The ``unit`` of length is
+    empty where unknown.
     """
 
     vertices: np.ndarray
@@ -55,15 +57,30 @@ def ply_bytes(mesh: LitMesh) -> bytes:
     for (name, _), column in zip(fields[6:], srgb_bytes(mesh.colours).T, strict=True):
         points[name] = column
     faces = np.empty(2 * len(mesh.quads), [("count", "u1"), ("corners", "<i4", 3)])
-    faces["count"], faces["corners"] = 3, mesh.triangles
+    faces["count"] = 3
+    faces["corners"] = mesh.triangles
     names = {"<f4": "float", "u1": "uchar"}
-    lines = [f"element vertex {len(points)}", *(f"property {names[kind]} {name}" for name, kind in fields)]
-    lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
-    return "\n".join(["ply", "format binary_little_endian 1.0", *lines]).encode() + points.tobytes() + faces.tobytes()
+    lines = [
+        f"element vertex {len(points)}",
+        *(f"property {names[kind]} {name}" for name, kind in fields),
+    ]
+    lines += [
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+        "",
+    ]
+    return (
+        "\n".join(["ply", "format binary_little_endian 1.0", *lines]).encode()
+        + points.tobytes()
+        + faces.tobytes()
+    )
 
 
 def obj_bytes(mesh: LitMesh) -> bytes:
-    """A Wavefront OBJ file with normals; its colours are sRGB from 0 to 1 behind each vertex, as many readers take."""
+    """A Wavefront OBJ file with normals; its colours are sRGB from 0 to 1 behind each vertex, as
+    many readers take.
+    """
     points = np.column_stack([mesh.vertices, srgb_bytes(mesh.colours) / 255.0]).tolist()
     lines = [f"v {x:.9g} {y:.9g} {z:.9g} {r:.4g} {g:.4g} {b:.4g}" for x, y, z, r, g, b in points]
     lines += [f"vn {x:.5g} {y:.5g} {z:.5g}" for x, y, z in mesh.normals.tolist()]
@@ -71,7 +88,9 @@ def obj_bytes(mesh: LitMesh) -> bytes:
     return "\n".join(["# isogi", *lines, ""]).encode()
 
 
-GLB_MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
+GLB_MAGIC = 0x46546C67
+JSON_CHUNK = 0x4E4F534A
+BINARY_CHUNK = 0x004E4942
 UPRIGHT_ROTATION = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
 """The rotation x, y, z, w that brings z up to glTF's y up."""
 
@@ -90,14 +109,22 @@ def glb_bytes(mesh: LitMesh) -> bytes:
     ]
     starts = np.cumsum([0, *(part.nbytes for part in parts)]).tolist()
     views = [
-        {"buffer": 0, "byteOffset": start, "byteLength": part.nbytes, "target": 34963 if part.ndim == 1 else 34962}
+        {
+            "buffer": 0,
+            "byteOffset": start,
+            "byteLength": part.nbytes,
+            "target": 34963 if part.ndim == 1 else 34962,
+        }
         for start, part in zip(starts, parts, strict=False)
     ]
     accessors: list[dict[str, Any]] = [
-        {"bufferView": n, "componentType": 5126, "count": len(part), "type": "VEC3"} for n, part in enumerate(parts[:3])
+        {"bufferView": n, "componentType": 5126, "count": len(part), "type": "VEC3"}
+        for n, part in enumerate(parts[:3])
     ]
     accessors[0] |= {"min": parts[0].min(axis=0).tolist(), "max": parts[0].max(axis=0).tolist()}
-    accessors.append({"bufferView": 3, "componentType": 5125, "count": parts[3].size, "type": "SCALAR"})
+    accessors.append(
+        {"bufferView": 3, "componentType": 5125, "count": parts[3].size, "type": "SCALAR"}
+    )
     attributes = {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}
     x, y, z = middle.tolist()
     document = {
@@ -113,7 +140,10 @@ def glb_bytes(mesh: LitMesh) -> bytes:
         "accessors": accessors,
     }
     text = json.dumps(document, separators=(",", ":")).encode()
-    chunks = [_chunk(JSON_CHUNK, text, b" "), _chunk(BINARY_CHUNK, b"".join(part.tobytes() for part in parts), b"\0")]
+    chunks = [
+        _chunk(JSON_CHUNK, text, b" "),
+        _chunk(BINARY_CHUNK, b"".join(part.tobytes() for part in parts), b"\0"),
+    ]
     size = 12 + sum(map(len, chunks))
     return np.array([GLB_MAGIC, 2, size], "<u4").tobytes() + b"".join(chunks)
 
@@ -128,7 +158,9 @@ METRES_OF_UNITS = {"m": 1.0, "mm": 1e-3, "µm": 1e-6, "nm": 1e-9, "Å": 1e-10}
 """Metres of the units that volumes have; those of others are taken for USD's own, centimetres."""
 
 BLOCK_TEXELS = 4
-"""Texels a side of each quadrilateral's own part of the texture: its four corners, and a rim that repeats them."""
+"""Texels a side of each quadrilateral's own part of the texture: its four corners, and a rim that
+repeats them.
+"""
 
 MAX_TEXTURE_SIDE = 16384
 """Texels a side of a texture, at most: what graphics processors take."""
@@ -205,7 +237,8 @@ def Xform "Isosurface" (
 def usd_layer(mesh: LitMesh, texture: str) -> bytes:
     """The layer of a mesh that emits the light of the file ``texture`` and reflects none.
 
-    Points are about the mesh's middle, whose place is that of the root; a turn brings z up to USD's y up.
+    Points are about the mesh's middle, whose place is that of the root; a turn brings z up to USD's
+    y up.
     """
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     x, y, z = ((low + high) / 2.0).tolist()
@@ -224,45 +257,62 @@ def usd_layer(mesh: LitMesh, texture: str) -> bytes:
 
 
 def light_texture(mesh: LitMesh) -> np.ndarray:
-    """The texture of a mesh, sRGB bytes (h, w, 3): a block of BLOCK_TEXELS × BLOCK_TEXELS for each quadrilateral.
+    """The texture of a mesh, sRGB bytes (h, w, 3): a block of BLOCK_TEXELS × BLOCK_TEXELS for each
+    quadrilateral.
 
-    Its middle texels are the corners' colours, so that between them a bilinear filter interpolates the light.
-    Raises VolumeError where it would be too large.
+    Its middle texels are the corners' colours, so that between them a bilinear filter interpolates
+    the light. Raises VolumeError where it would be too large.
     """
     columns, rows = _texture_blocks(len(mesh.quads))
     if columns * BLOCK_TEXELS > MAX_TEXTURE_SIDE:
         most = (MAX_TEXTURE_SIDE // BLOCK_TEXELS) ** 2
-        raise VolumeError(f"The texture of {len(mesh.quads):,} faces is too large, {most:,} fit: write .glb instead.")
+        raise VolumeError(
+            f"The texture of {len(mesh.quads):,} faces is too large, {most:,} fit: write .glb "
+            "instead."
+        )
     corners = srgb_bytes(mesh.colours)[mesh.quads[:, [[0, 1], [3, 2]]]]
     blocks = np.zeros((rows * columns, BLOCK_TEXELS, BLOCK_TEXELS, 3), np.uint8)
-    blocks[: len(corners)] = corners.repeat(BLOCK_TEXELS // 2, axis=1).repeat(BLOCK_TEXELS // 2, axis=2)
+    blocks[: len(corners)] = corners.repeat(BLOCK_TEXELS // 2, axis=1).repeat(
+        BLOCK_TEXELS // 2, axis=2
+    )
     whole = blocks.reshape(rows, columns, BLOCK_TEXELS, BLOCK_TEXELS, 3).transpose(0, 2, 1, 3, 4)
     return np.ascontiguousarray(whole.reshape(rows * BLOCK_TEXELS, columns * BLOCK_TEXELS, 3))
 
 
 def texture_places(quads: int) -> np.ndarray:
-    """Where the corners of each of so many quadrilaterals are in their texture: u, v from its lower left (n, 4, 2)."""
+    """Where the corners of each of so many quadrilaterals are in their texture: u, v from its lower
+    left (n, 4, 2).
+    """
     columns, rows = _texture_blocks(quads)
     row, column = np.divmod(np.arange(quads), columns)
-    right, down = np.array([0, 1, 1, 0]), np.array([0, 0, 1, 1])
+    right = np.array([0, 1, 1, 0])
+    down = np.array([0, 0, 1, 1])
     middle = BLOCK_TEXELS / 2.0 - 0.5
     u = (column[:, None] * BLOCK_TEXELS + middle + right) / (columns * BLOCK_TEXELS)
     v = 1.0 - (row[:, None] * BLOCK_TEXELS + middle + down) / (rows * BLOCK_TEXELS)
     return np.stack([u, v], axis=-1)
 
 
-FILE_ALIGNMENT, PADDING_FIELD, LOCAL_HEADER = 64, 0x1986, 30
-"""Bytes that each file of a package begins at a multiple of; the extra field that fills up; a ZIP header's bytes."""
+FILE_ALIGNMENT = 64
+PADDING_FIELD = 0x1986
+LOCAL_HEADER = 30
+"""Bytes that each file of a package begins at a multiple of; the extra field that fills up; a ZIP
+header's bytes.
+"""
 
 
 def usdz_package(files: dict[str, bytes]) -> bytes:
-    """A usdz package: a ZIP archive of stored files whose bytes are aligned; the first is the layer to open."""
+    """A usdz package: a ZIP archive of stored files whose bytes are aligned; the first is the layer
+    to open.
+    """
     package = io.BytesIO()
     with zipfile.ZipFile(package, "w", zipfile.ZIP_STORED) as archive:
         for name, data in files.items():
             entry = zipfile.ZipInfo(name)
             start = package.tell() + LOCAL_HEADER + len(name.encode()) + 4
-            entry.extra = struct.pack("<HH", PADDING_FIELD, -start % FILE_ALIGNMENT) + bytes(-start % FILE_ALIGNMENT)
+            entry.extra = struct.pack("<HH", PADDING_FIELD, -start % FILE_ALIGNMENT) + bytes(
+                -start % FILE_ALIGNMENT
+            )
             archive.writestr(entry, data)
     return package.getvalue()
 
@@ -283,8 +333,9 @@ def _rows(values: np.ndarray) -> str:
 class LitVolume:
     """``arrays`` of points by name, (nz, ny, nx) or (nz, ny, nx, k) each, in the world.
 
-    ``affine`` (3, 4) brings indices to the world, whose ``unit`` of length is empty where unknown, and which is RAS
-    in a ``patient``. ``fields`` are arrays (k, n) of no points, which VTK's files alone hold.
+    ``affine`` (3, 4) brings indices to the world, whose ``unit`` of length is empty where unknown,
+    and which is RAS in a ``patient``. ``fields`` are arrays (k, n) of no points, which VTK's files
+    alone hold.
     """
 
     arrays: dict[str, np.ndarray]
@@ -303,9 +354,13 @@ class LitVolume:
     def names(self) -> list[str]:
         """A name for each number of that vector."""
         known = {"light": ["red", "green", "blue"]}
-        sizes = {name: array.shape[3] if array.ndim == 4 else 0 for name, array in self.arrays.items()}
+        sizes = {
+            name: array.shape[3] if array.ndim == 4 else 0 for name, array in self.arrays.items()
+        }
         return [
-            each for name, k in sizes.items() for each in known.get(name, [f"{name} {n}" for n in range(k)] or [name])
+            each
+            for name, k in sizes.items()
+            for each in known.get(name, [f"{name} {n}" for n in range(k)] or [name])
         ]
 
 
@@ -314,7 +369,8 @@ def vti_bytes(lit: LitVolume) -> bytes:
 
     Format: VTK's XML image data, version 1.0.
     """
-    arrays, affine = lit.arrays, lit.affine
+    arrays = lit.arrays
+    affine = lit.affine
     steps = np.linalg.norm(affine[:, :3], axis=0)
     nz, ny, nx = next(iter(arrays.values())).shape[:3]
     extent = f"0 {nx - 1} 0 {ny - 1} 0 {nz - 1}"
@@ -329,26 +385,50 @@ def vti_bytes(lit: LitVolume) -> bytes:
     for name, array in (arrays | lit.fields).items():
         whole = array.dtype == np.uint8
         block = np.ascontiguousarray(array, "u1" if whole else "<f4").tobytes()
-        parts, count = array.shape[-1] if array.ndim in (2, 4) else 1, len(array)
-        kind = f'type="{"UInt8" if whole else "Float32"}" Name={quoteattr(name)} NumberOfComponents="{parts}"'
-        kind += f' NumberOfTuples="{count}"' if name in lit.fields else ""
+        if array.ndim in (2, 4):
+            parts = array.shape[-1]
+        else:
+            parts = 1
+        count = len(array)
+        kind = (
+            f'type="{"UInt8" if whole else "Float32"}" Name={quoteattr(name)} '
+            f'NumberOfComponents="{parts}"'
+        )
+        if name in lit.fields:
+            kind += f' NumberOfTuples="{count}"'
         rows[name] = f'<DataArray {kind} format="appended" offset="{sum(map(len, blocks))}"/>'
         blocks.append(np.array([len(block)], "<u8").tobytes() + block)
     attributes = " ".join(f'{name}="{value}"' for name, value in place.items())
     kind = 'type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64"'
-    points = f"<PointData Scalars={quoteattr(next(iter(arrays)))}>{''.join(map(rows.pop, arrays))}</PointData>"
-    fields = f"<FieldData>{''.join(rows.values())}</FieldData>" if rows else ""
+    points = (
+        "<PointData "
+        f"Scalars={quoteattr(next(iter(arrays)))}>{''.join(map(rows.pop, arrays))}</PointData>"
+    )
+    if rows:
+        fields = f"<FieldData>{''.join(rows.values())}</FieldData>"
+    else:
+        fields = ""
     piece = f'<ImageData {attributes}>{fields}<Piece Extent="{extent}">{points}</Piece></ImageData>'
     head = f'<?xml version="1.0"?>\n<VTKFile {kind}>{piece}<AppendedData encoding="raw">_'
     return head.encode() + b"".join(blocks) + b"</AppendedData></VTKFile>\n"
 
 
 def nrrd_bytes(lit: LitVolume) -> bytes:
-    """A NRRD file of arrays of points together: a vector of floats at each voxel, such as value, red, green, blue."""
-    block, affine = lit.together, lit.affine
-    directions = " ".join(f"({','.join(repr(float(x)) for x in column)})" for column in affine[:, :3].T)
+    """A NRRD file of arrays of points together: a vector of floats at each voxel, such as value,
+    red, green, blue.
+    """
+    block = lit.together
+    affine = lit.affine
+    directions = " ".join(
+        f"({','.join(repr(float(x)) for x in column)})" for column in affine[:, :3].T
+    )
     origin = ",".join(repr(float(x)) for x in affine[:, 3])
-    lines = ["NRRD0005", "type: float", "dimension: 4", f"sizes: {' '.join(map(str, block.shape[::-1]))}"]
+    lines = [
+        "NRRD0005",
+        "type: float",
+        "dimension: 4",
+        f"sizes: {' '.join(map(str, block.shape[::-1]))}",
+    ]
     lines += ["space: right-anterior-superior" if lit.patient else "space dimension: 3"]
     lines += [f"space directions: none {directions}", f"space origin: ({origin})"]
     lines += ["kinds: list domain domain domain", "endian: little", "encoding: raw", "", ""]
@@ -362,14 +442,18 @@ NIFTI_UNITS = {"mm": "mm", "m": "meter", "µm": "micron"}
 
 
 def nifti_bytes(lit: LitVolume) -> bytes:
-    """A packed NIfTI file, one vector at each voxel (intent VECTOR), written by nibabel; its world is RAS.
+    """A packed NIfTI file, one vector at each voxel (intent VECTOR), written by nibabel; its world
+    is RAS.
 
     Raises VolumeError where nibabel is missing.
     """
     nib = nibabel()
     affine = np.vstack([lit.affine, [0.0, 0.0, 0.0, 1.0]])
     block = lit.together.transpose(2, 1, 0, 3)[:, :, :, None]
-    kind = nib.Nifti1Image if max(block.shape) <= MOST_NIFTI1 else nib.Nifti2Image
+    if max(block.shape) <= MOST_NIFTI1:
+        kind = nib.Nifti1Image
+    else:
+        kind = nib.Nifti2Image
     image = kind(block, affine)
     image.header.set_intent("vector")
     image.header.set_xyzt_units(NIFTI_UNITS.get(lit.unit, "unknown"))
@@ -388,8 +472,14 @@ def write_zarr(path: Path, lit: LitVolume) -> None:
     """
     check_zarr(path, lit.affine)
     block, steps, origin = straightened(lit.together, lit.affine)
-    space: dict[str, Any] = {"type": "space", **({"unit": UNIT_WORDS[lit.unit]} if lit.unit in UNIT_WORDS else {})}
-    axes: list[Any] = [{"name": "c", "type": "channel"}, *({"name": name, **space} for name in "zyx")]
+    space: dict[str, Any] = {
+        "type": "space",
+        **({"unit": UNIT_WORDS[lit.unit]} if lit.unit in UNIT_WORDS else {}),
+    }
+    axes: list[Any] = [
+        {"name": "c", "type": "channel"},
+        *({"name": name, **space} for name in "zyx"),
+    ]
     placed: list[Any] = [
         {"type": "scale", "scale": [1.0, *steps[::-1]]},
         {"type": "translation", "translation": [0.0, *origin[::-1]]},
@@ -402,20 +492,32 @@ def write_zarr(path: Path, lit: LitVolume) -> None:
     chunks = (1, *(min(n, 128) for n in block.shape[:3]))
     with whole_folder(path) as partial:
         group = zarr.open_group(partial, mode="w", zarr_format=3)
-        group.attrs["ome"] = {"version": "0.5", "multiscales": [image], "omero": {"channels": channels(lit)}}
+        group.attrs["ome"] = {
+            "version": "0.5",
+            "multiscales": [image],
+            "omero": {"channels": channels(lit)},
+        }
         array = group.create_array(
-            "0", shape=(block.shape[3], *block.shape[:3]), dtype="float32", chunks=chunks, dimension_names=tuple("czyx")
+            "0",
+            shape=(block.shape[3], *block.shape[:3]),
+            dtype="float32",
+            chunks=chunks,
+            dimension_names=tuple("czyx"),
         )
         array[:] = np.moveaxis(block, 3, 0)
 
 
 def check_zarr(path: Path, affine: np.ndarray) -> None:
-    """Raise VolumeError where a volume does not lie along the world's axes, or the folder is there already."""
+    """Raise VolumeError where a volume does not lie along the world's axes, or the folder is there
+    already.
+    """
     if path.exists():
         raise VolumeError(f"{path} is there already: delete it, or name another.")
     sizes = np.abs(affine[:, :3])
     if (sizes.sum(axis=0) - sizes.max(axis=0)).max() > 1e-6 * sizes.max():
-        raise VolumeError("OME-Zarr says no turns, and this volume lies obliquely: write .nii.gz, .vti or .nrrd.")
+        raise VolumeError(
+            "OME-Zarr says no turns, and this volume lies obliquely: write .nii.gz, .vti or .nrrd."
+        )
 
 
 def channels(lit: LitVolume) -> list[dict[str, Any]]:
@@ -431,13 +533,18 @@ def channels(lit: LitVolume) -> list[dict[str, Any]]:
     ]
 
 
-def straightened(block: np.ndarray, affine: np.ndarray) -> tuple[np.ndarray, list[float], list[float]]:
-    """An array (nz, ny, nx, k) with its axes along the world's, the steps along x, y, z, and the first voxel's place.
+def straightened(
+    block: np.ndarray, affine: np.ndarray
+) -> tuple[np.ndarray, list[float], list[float]]:
+    """An array (nz, ny, nx, k) with its axes along the world's, the steps along x, y, z, and the
+    first voxel's place.
 
     The ``affine`` turns by right angles.
     """
-    matrix, origin = affine[:, :3], affine[:, 3].copy()
-    steps, axes = np.abs(matrix).max(axis=0), np.abs(matrix).argmax(axis=0)
+    matrix = affine[:, :3]
+    origin = affine[:, 3].copy()
+    steps = np.abs(matrix).max(axis=0)
+    axes = np.abs(matrix).argmax(axis=0)
     order = [int(np.flatnonzero(axes == axis)[0]) for axis in range(3)]
     for column in range(3):
         if matrix[axes[column], column] < 0.0:

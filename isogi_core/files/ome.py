@@ -1,4 +1,5 @@
-"""OME-Zarr's metadata (NGFF 0.1 to 0.6), read and written: axes, resolutions and places, plates and wells, labels.
+"""OME-Zarr's metadata (NGFF 0.1 to 0.6), read and written: axes, resolutions and places, plates and
+wells, labels.
 
 Format: https://ngff.openmicroscopy.org.
 """
@@ -19,15 +20,41 @@ from isogi_core.storage.atomic_file import whole_folder
 SPACE_AXES = ("x", "y", "z")
 
 SI_PREFIXES = {
-    **{"yotta": 24, "zetta": 21, "exa": 18, "peta": 15, "tera": 12, "giga": 9, "mega": 6, "kilo": 3, "hecto": 2},
-    **{"deca": 1, "deci": -1, "centi": -2, "milli": -3, "micro": -6, "nano": -9, "pico": -12, "femto": -15},
+    **{
+        "yotta": 24,
+        "zetta": 21,
+        "exa": 18,
+        "peta": 15,
+        "tera": 12,
+        "giga": 9,
+        "mega": 6,
+        "kilo": 3,
+        "hecto": 2,
+    },
+    **{
+        "deca": 1,
+        "deci": -1,
+        "centi": -2,
+        "milli": -3,
+        "micro": -6,
+        "nano": -9,
+        "pico": -12,
+        "femto": -15,
+    },
     **{"atto": -18, "zepto": -21, "yocto": -24},
 }
 """Powers of ten by SI prefix."""
 
 METRES_OF_NAMES = {
     **{f"{prefix}meter": 10.0**power for prefix, power in SI_PREFIXES.items()},
-    **{"meter": 1.0, "angstrom": 1e-10, "inch": 0.0254, "foot": 0.3048, "yard": 0.9144, "mile": 1609.344},
+    **{
+        "meter": 1.0,
+        "angstrom": 1e-10,
+        "inch": 0.0254,
+        "foot": 0.3048,
+        "yard": 0.9144,
+        "mile": 1609.344,
+    },
     "parsec": 3.0856775814913673e16,
 }
 """Metres of the units that NGFF names."""
@@ -46,16 +73,26 @@ UNIT_WORDS = {sign: word for word, sign in UNIT_SIGNS.items()}
 """What NGFF calls units, by their signs."""
 
 AXIS_ORIENTATIONS = {
-    **{"left-to-right": (0, 1.0), "posterior-to-anterior": (1, 1.0), "inferior-to-superior": (2, 1.0)},
-    **{"right-to-left": (0, -1.0), "anterior-to-posterior": (1, -1.0), "superior-to-inferior": (2, -1.0)},
+    **{
+        "left-to-right": (0, 1.0),
+        "posterior-to-anterior": (1, 1.0),
+        "inferior-to-superior": (2, 1.0),
+    },
+    **{
+        "right-to-left": (0, -1.0),
+        "anterior-to-posterior": (1, -1.0),
+        "superior-to-inferior": (2, -1.0),
+    },
 }
-"""Which axis of a patient's right, anterior, superior an axis lies along, and its sign. Source: NGFF's RFC 4."""
+"""Which axis of a patient's right, anterior, superior an axis lies along, and its sign. Source:
+NGFF's RFC 4.
+"""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis of an array: its ``name``, such as z or c, its ``unit``, and where it goes ``towards`` in a patient, one
-    of AXIS_ORIENTATIONS; empty where it does not say.
+    """An axis of an array: its ``name``, such as z or c, its ``unit``, and where it goes
+    ``towards`` in a patient, one of AXIS_ORIENTATIONS; empty where it does not say.
     """
 
     name: str
@@ -65,8 +102,9 @@ class Axis:
 
 @dataclass(frozen=True, eq=False)
 class Resolution:
-    """One array of a multiscale image: its ``path`` below the image, the axes of its world, and the ``matrix`` from
-    the array's indices to these, (n, n + 1), its last column the origin. Both are empty where nothing is said.
+    """One array of a multiscale image: its ``path`` below the image, the axes of its world, and the
+    ``matrix`` from the array's indices to these, (n, n + 1), its last column the origin. Both are
+    empty where nothing is said.
     """
 
     path: str
@@ -86,9 +124,11 @@ def ome_of(attributes: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def resolutions_of(attributes: Mapping[str, Any], name: str) -> list[Resolution]:
-    """The resolutions of the image whose group has these ``attributes``, finest first; empty where it is no image.
+    """The resolutions of the image whose group has these ``attributes``, finest first; empty where
+    it is no image.
 
-    Raises VolumeError, which names the image by ``name``, where its metadata is damaged, or it does not lie straight.
+    Raises VolumeError, which names the image by ``name``, where its metadata is damaged, or it does
+    not lie straight.
     """
     images = ome_of(attributes).get("multiscales")
     if images is None:
@@ -104,16 +144,23 @@ def _undamaged(name: str) -> Iterator[None]:
     try:
         yield
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise VolumeError(f"The OME metadata of '{name}' is damaged ({error!r}): write it again.") from error
+        raise VolumeError(
+            f"The OME metadata of '{name}' is damaged ({error!r}): write it again."
+        ) from error
 
 
 def _resolution(image: Mapping[str, Any], dataset: Mapping[str, Any]) -> Resolution:
-    """One entry of the image's datasets, placed by it and, before 0.6, by the whole image's transformations."""
-    systems, steps = image.get("coordinateSystems"), list(dataset.get("coordinateTransformations", []))
+    """One entry of the image's datasets, placed by it and, before 0.6, by the whole image's
+    transformations.
+    """
+    systems = image.get("coordinateSystems")
+    steps = list(dataset.get("coordinateTransformations", []))
     if systems is not None:
         output = steps[0].get("output") if steps else None
         named = [
-            each for each in systems if each["name"] == (output["name"] if isinstance(output, Mapping) else output)
+            each
+            for each in systems
+            if each["name"] == (output["name"] if isinstance(output, Mapping) else output)
         ]
         axes = _axes((named or systems)[0]["axes"])
     else:
@@ -132,7 +179,10 @@ def _axes(given: Any) -> tuple[Axis, ...]:
 
 def _axis(given: Mapping[str, Any]) -> Axis:
     towards = given.get("orientation") or ""
-    towards = str(towards.get("value", "")) if isinstance(towards, Mapping) else str(towards)
+    if isinstance(towards, Mapping):
+        towards = str(towards.get("value", ""))
+    else:
+        towards = str(towards)
     unit = str(given.get("unit") or "").lower().replace("metre", "meter")
     return Axis(str(given["name"]).lower(), unit, towards if towards in AXIS_ORIENTATIONS else "")
 
@@ -150,16 +200,21 @@ def _sequence(steps: Any, n: int) -> np.ndarray:
 
 def _matrix(step: Mapping[str, Any], n: int) -> np.ndarray:
     """The matrix, (n + 1, n + 1), of a transformation."""
-    kind, matrix = step["type"], np.eye(n + 1)
+    kind = step["type"]
+    matrix = np.eye(n + 1)
     if kind == "sequence":
         return _sequence(step["transformations"], n)
     if kind == "bijection":
         return _matrix(step["forward"], n)
     if kind not in ("identity", "scale", "translation", "rotation", "affine", "mapAxis"):
-        raise VolumeError(f"The image is placed by a transformation '{kind}', which is not read here: {AFFINE_HINT}.")
+        raise VolumeError(
+            f"The image is placed by a transformation '{kind}', which is not read here: "
+            f"{AFFINE_HINT}."
+        )
     if kind != "identity" and kind not in step:
         raise VolumeError(
-            f"The image is placed by a transformation '{kind}' that is not in its metadata: {AFFINE_HINT}."
+            f"The image is placed by a transformation '{kind}' that is not in its metadata: "
+            f"{AFFINE_HINT}."
         )
     if kind == "mapAxis":
         matrix[:n] = matrix[np.array(step[kind], int)]
@@ -176,12 +231,14 @@ def array_axes(resolution: Resolution) -> tuple[Axis, ...]:
     """The axes of a resolution's array: each is that of the world along which it goes most."""
     assert resolution.matrix is not None, "there are axes"
     most = np.argmax(np.abs(resolution.matrix[:, :-1]), axis=0).tolist()
-    return tuple(resolution.axes[n] for n in most) if len(set(most)) == len(most) else resolution.axes
+    if len(set(most)) == len(most):
+        return tuple(resolution.axes[n] for n in most)
+    return resolution.axes
 
 
 def placed_in_space(resolution: Resolution) -> tuple[np.ndarray, str, str]:
-    """From indices along x, y, z to the world's x, y, z in the unit of x, (3, 4), the sign of that unit, and the
-    letters of a patient's world, where all axes say how they lie in one.
+    """From indices along x, y, z to the world's x, y, z in the unit of x, (3, 4), the sign of that
+    unit, and the letters of a patient's world, where all axes say how they lie in one.
 
     Raises VolumeError where units cannot be compared.
     """
@@ -199,7 +256,9 @@ def placed_in_space(resolution: Resolution) -> tuple[np.ndarray, str, str]:
 def _in_one_unit(resolution: Resolution) -> tuple[np.ndarray, str]:
     """The matrix of ``placed_in_space`` and its unit, along the axes of the image's own world."""
     assert resolution.matrix is not None, "there are axes"
-    columns, rows = ([axis.name for axis in axes] for axes in (array_axes(resolution), resolution.axes))
+    columns, rows = (
+        [axis.name for axis in axes] for axes in (array_axes(resolution), resolution.axes)
+    )
     units = [axis.unit for name in SPACE_AXES for axis in resolution.axes if axis.name == name]
     matrix = resolution.matrix[[rows.index(name) for name in SPACE_AXES]]
     matrix = matrix[:, [*(columns.index(name) for name in SPACE_AXES), -1]]
@@ -207,16 +266,21 @@ def _in_one_unit(resolution: Resolution) -> tuple[np.ndarray, str]:
         return matrix, UNIT_SIGNS.get(units[0], units[0])
     unknown = next((each for each in units if each not in METRES_OF_NAMES), None)
     if unknown is not None:
-        raise VolumeError(f"The axes have different units, and '{unknown}' is no known one: set spacing in the scene.")
+        raise VolumeError(
+            f"The axes have different units, and '{unknown}' is no known one: set spacing in "
+            "the scene."
+        )
     lengths = np.array([METRES_OF_NAMES[each] / METRES_OF_NAMES[units[0]] for each in units])
     return matrix * lengths[:, None], UNIT_SIGNS.get(units[0], units[0])
 
 
 def first_image(attributes: Mapping[str, Any], name: str, inside: str = "") -> tuple[str, str]:
-    """The path of the first of several images below a group, and a note that says what else there is; else empty.
+    """The path of the first of several images below a group, and a note that says what else there
+    is; else empty.
 
-    A group is a plate of wells, a well of fields, or what bioformats2raw has made of a file. It is ``inside`` the
-    hierarchy of this ``name``, at this path. Raises VolumeError where its metadata is damaged.
+    A group is a plate of wells, a well of fields, or what bioformats2raw has made of a file. It is
+    ``inside`` the hierarchy of this ``name``, at this path. Raises VolumeError where its metadata
+    is damaged.
     """
     held = ome_of(attributes)
     for kind, parts, part in (("plate", "wells", "well"), ("well", "images", "field")):
@@ -226,7 +290,10 @@ def first_image(attributes: Mapping[str, Any], name: str, inside: str = "") -> t
                 there = f"The {kind} has {_counted(len(paths), part)}"
                 return paths[0], f"{there}: {paths[0]} is shown{_others(paths, inside)}."
     if "bioformats2raw.layout" in held and "multiscales" not in held:
-        return "0", "The file may hold several images: the first is shown, and #1 would choose the second."
+        return (
+            "0",
+            "The file may hold several images: the first is shown, and #1 would choose the second.",
+        )
     return "", ""
 
 
@@ -235,11 +302,15 @@ def _counted(count: int, what: str) -> str:
 
 
 def _others(paths: list[str], inside: str) -> str:
-    return f", and #{inside}/{paths[1]} chooses another".replace("#/", "#") if len(paths) > 1 else ""
+    if len(paths) > 1:
+        return f", and #{inside}/{paths[1]} chooses another".replace("#/", "#")
+    return ""
 
 
 def labels_of(attributes: Mapping[str, Any]) -> tuple[LabelName, ...] | None:
-    """The labels of an image of labels, with the names and colours that it gives; None of other images."""
+    """The labels of an image of labels, with the names and colours that it gives; None of other
+    images.
+    """
     held = ome_of(attributes).get("image-label")
     if not isinstance(held, Mapping):
         return None
@@ -259,7 +330,9 @@ def _name(properties: Mapping[str, Any]) -> str:
 
 
 def _hex(rgba: Any) -> str:
-    return "#" + bytes(rgba[:3]).hex() if rgba else ""
+    if rgba:
+        return "#" + bytes(rgba[:3]).hex()
+    return ""
 
 
 CHUNK_VOXELS = 64
@@ -268,18 +341,23 @@ CHUNK_VOXELS = 64
 MIN_HALVED_SIDE = 8
 """Voxels of a side, at least, that is halved in the next level."""
 
-TURNED_AXES_NOTE = "OME-Zarr keeps no turned axes: voxels are written as they lie, without their place in the world."
+TURNED_AXES_NOTE = (
+    "OME-Zarr keeps no turned axes: voxels are written as they lie, without "
+    "their place in the world."
+)
 
 Progress = Callable[[int, int], object]
 """Is called with the layers that are written, of all."""
 
 
 def write_image(grid: Grid, path: Path, progress: Progress) -> tuple[str, ...]:
-    """Write a ``grid`` as an image in the folder ``path``, and return notes on what is lost. VolumeError where there is
-    something already; nothing is left of a failed one.
+    """Write a ``grid`` as an image in the folder ``path``, and return notes on what is lost.
+    VolumeError where there is something already; nothing is left of a failed one.
     """
     if path.exists():
-        raise VolumeError(f"There is something at '{path}' already: remove it, or choose another name.")
+        raise VolumeError(
+            f"There is something at '{path}' already: remove it, or choose another name."
+        )
     grid = on_right_angles(grid)
     lies = Lying(grid)
     with whole_folder(path) as partial:
@@ -288,13 +366,17 @@ def write_image(grid: Grid, path: Path, progress: Progress) -> tuple[str, ...]:
 
 
 class Lying:
-    """How the axes z, y, x of a ``grid`` on right angles lie along those of the world: their ``names`` there, and
-    whether each is read the other way round, so that it ascends. ``turned`` ones lie along none.
+    """How the axes z, y, x of a ``grid`` on right angles lie along those of the world: their
+    ``names`` there, and whether each is read the other way round, so that it ascends. ``turned``
+    ones lie along none.
     """
 
     def __init__(self, grid: Grid) -> None:
         """Look at where the grid lies."""
-        rows = np.eye(3) if grid.affine is None else np.array(grid.affine.matrix) / np.array(grid.spacing)
+        if grid.affine is None:
+            rows = np.eye(3)
+        else:
+            rows = np.array(grid.affine.matrix) / np.array(grid.spacing)
         whole = np.round(rows)
         self.turned = not np.allclose(rows, whole, atol=1e-6)
         whole = np.eye(3) if self.turned else whole
@@ -302,20 +384,38 @@ class Lying:
         self.names = ["xyz"[n] for n in along]
         self.flips = tuple(whole[n, axis] < 0.0 for n, axis in zip(along, (2, 1, 0), strict=True))
         self.steps = [float(step) for step in list(grid.spacing)[::-1]]
-        origin = np.zeros(3) if grid.affine is None or self.turned else np.array(grid.affine.origin)
+        if grid.affine is None or self.turned:
+            origin = np.zeros(3)
+        else:
+            origin = np.array(grid.affine.origin)
         ends = [n - 1 if flip else 0 for n, flip in zip(grid.shape, self.flips, strict=True)]
-        self.origin = [float(origin[n] - end * step) for n, end, step in zip(along, ends, self.steps, strict=True)]
-        self.letters = "" if grid.affine is None or self.turned else grid.affine.letters
+        self.origin = [
+            float(origin[n] - end * step)
+            for n, end, step in zip(along, ends, self.steps, strict=True)
+        ]
+        if grid.affine is None or self.turned:
+            self.letters = ""
+        else:
+            self.letters = grid.affine.letters
 
     def axes(self, unit: str) -> list[dict[str, Any]]:
         """The axes as NGFF has them."""
-        unit_of = {"unit": UNIT_WORDS.get(unit, unit)} if unit else {}
-        return [{"name": name, "type": "space", **unit_of, **self._towards(name)} for name in self.names]
+        if unit:
+            unit_of = {"unit": UNIT_WORDS.get(unit, unit)}
+        else:
+            unit_of = {}
+        return [
+            {"name": name, "type": "space", **unit_of, **self._towards(name)} for name in self.names
+        ]
 
     def _towards(self, name: str) -> dict[str, Any]:
         """Where an axis of a patient points."""
-        value = next(word for word, place in AXIS_ORIENTATIONS.items() if place == ("xyz".index(name), 1.0))
-        return {"orientation": {"type": "anatomical", "value": value}} if self.letters else {}
+        value = next(
+            word for word, place in AXIS_ORIENTATIONS.items() if place == ("xyz".index(name), 1.0)
+        )
+        if self.letters:
+            return {"orientation": {"type": "anatomical", "value": value}}
+        return {}
 
 
 def _write(grid: Grid, lies: Lying, path: Path, progress: Progress) -> None:
@@ -323,13 +423,21 @@ def _write(grid: Grid, lies: Lying, path: Path, progress: Progress) -> None:
     shapes = [np.array(grid.shape)]
     while shapes[-1].max() > CHUNK_VOXELS:
         shapes.append(np.where(shapes[-1] >= MIN_HALVED_SIDE, -(-shapes[-1] // 2), shapes[-1]))
-    total, done, datasets = sum(int(shape[0]) for shape in shapes), 0, []
-    group, before = zarr.open_group(path, mode="w"), None
-    factor, labelled = np.ones(3), grid.labels is not None
+    total = sum(int(shape[0]) for shape in shapes)
+    done = 0
+    datasets = []
+    group = zarr.open_group(path, mode="w")
+    before = None
+    factor = np.ones(3)
+    labelled = grid.labels is not None
     for level, shape in enumerate(shapes):
         sides = tuple(int(n) for n in shape)
         array = zarr.create_array(
-            path / str(level), shape=sides, chunks=(CHUNK_VOXELS,) * 3, dtype=grid.dtype, fill_value=0
+            path / str(level),
+            shape=sides,
+            chunks=(CHUNK_VOXELS,) * 3,
+            dtype=grid.dtype,
+            fill_value=0,
         )
         if before is None:
             blocks = _flipped(_blocks(grid), sides[0], lies.flips)
@@ -348,9 +456,13 @@ def _write(grid: Grid, lies: Lying, path: Path, progress: Progress) -> None:
 
 
 def _dataset(level: int, lies: Lying, factor: np.ndarray, labelled: bool) -> dict[str, Any]:
-    """Where a level lies: the middle of its first voxel is that of the voxels which it is the mean of."""
+    """Where a level lies: the middle of its first voxel is that of the voxels which it is the mean
+    of.
+    """
     steps = [step * each for step, each in zip(lies.steps, factor.tolist(), strict=True)]
-    shift = [0.0 if labelled else 0.5 * (far - near) for far, near in zip(steps, lies.steps, strict=True)]
+    shift = [
+        0.0 if labelled else 0.5 * (far - near) for far, near in zip(steps, lies.steps, strict=True)
+    ]
     place = [origin + each for origin, each in zip(lies.origin, shift, strict=True)]
     placed = [{"type": "scale", "scale": steps}, {"type": "translation", "translation": place}]
     return {"path": str(level), "coordinateTransformations": placed if any(place) else placed[:1]}
@@ -365,7 +477,8 @@ def _blocks(grid: Grid) -> Iterator[tuple[int, np.ndarray]]:
             held.append(layer)
             if len(held) == CHUNK_VOXELS:
                 yield z, np.stack(held)
-                z, held = z + CHUNK_VOXELS, []
+                z = z + CHUNK_VOXELS
+                held = []
     if held:
         yield z, np.stack(held)
 
@@ -380,7 +493,9 @@ def _flipped(
 
 
 def _coarser(array: Any, halves: list[bool], labelled: bool) -> Iterator[tuple[int, np.ndarray]]:
-    """Blocks of half as many voxels along the axes that are ``halves``: means, or, of labels, every second one."""
+    """Blocks of half as many voxels along the axes that are ``halves``: means, or, of labels, every
+    second one.
+    """
     deep = 2 if halves[0] else 1
     for z in range(0, array.shape[0], deep * CHUNK_VOXELS):
         block = np.asarray(array[z : z + deep * CHUNK_VOXELS])
@@ -388,14 +503,16 @@ def _coarser(array: Any, halves: list[bool], labelled: bool) -> Iterator[tuple[i
 
 
 def halved(block: np.ndarray, halves: list[bool], labelled: bool = False) -> np.ndarray:
-    """A block whose neighbours along the axes that are ``halves`` are joined: their mean without holes, in the block's
-    type, or the first of them where it is ``labelled``. The last voxel of an odd side stands alone.
+    """A block whose neighbours along the axes that are ``halves`` are joined: their mean without
+    holes, in the block's type, or the first of them where it is ``labelled``. The last voxel of an
+    odd side stands alone.
     """
     if labelled:
         return block[tuple(slice(None, None, 2 if half else 1) for half in halves)]
     values = block.astype(np.float64)
     there = ~np.isnan(values)
-    total, count = np.where(there, values, 0.0), there.astype(np.float64)
+    total = np.where(there, values, 0.0)
+    count = there.astype(np.float64)
     for axis, half in enumerate(halves):
         if half:
             places = np.arange(0, total.shape[axis], 2)

@@ -1,4 +1,6 @@
-"""Files as they lie on the disk: what they hold, also packed by gzip or bzip2, how they end, and their state."""
+"""Files as they lie on the disk: what they hold, also packed by gzip or bzip2, how they end, and
+their state.
+"""
 
 import bz2
 import errno
@@ -11,7 +13,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import IO, Any
 
-GZIP_MAGIC, BZIP2_MAGIC = b"\x1f\x8b", b"BZh"
+GZIP_MAGIC = b"\x1f\x8b"
+BZIP2_MAGIC = b"BZh"
 
 READ_BYTES = 1 << 24
 """Most bytes that are read at once."""
@@ -22,7 +25,8 @@ PACKING_DAMAGE = (OSError, EOFError, zlib.error)
 """What a packed file raises where it is damaged."""
 
 CUT_SHORT_NOTE = (
-    "The gzip file ends before its checksum: its voxels are all there, but nothing says that they are right."
+    "The gzip file ends before its checksum: its voxels are all there, but "
+    "nothing says that they are right."
 )
 
 
@@ -32,13 +36,17 @@ def content_of(file: IO[bytes]) -> Content:
     file.seek(0)
     if head.startswith(GZIP_MAGIC):
         return gzip.GzipFile(fileobj=file)
-    return bz2.BZ2File(file) if head == BZIP2_MAGIC else file
+    if head == BZIP2_MAGIC:
+        return bz2.BZ2File(file)
+    return file
 
 
 def read_end(content: Content) -> int:
-    """How many bytes come after those that were read: none or one. A checksum at the end is compared.
+    """How many bytes come after those that were read: none or one. A checksum at the end is
+    compared.
 
-    One of gzip that is not there is passed over: ``cut_notes`` tells it. Raises one of PACKING_DAMAGE.
+    One of gzip that is not there is passed over: ``cut_notes`` tells it. Raises one of
+    PACKING_DAMAGE.
     """
     try:
         return len(content.read(1))
@@ -49,9 +57,11 @@ def read_end(content: Content) -> int:
 
 
 def cut_notes(file: IO[bytes], size: int) -> tuple[str, ...]:
-    """CUT for a gzip ``file`` that begins here, whose content of ``size`` bytes is whole, and whose checksum is not.
+    """CUT for a gzip ``file`` that begins here, whose content of ``size`` bytes is whole, and whose
+    checksum is not.
 
-    A gzip file ends with the size of its content. Where it does not, it is unpacked up to that size, and no further.
+    A gzip file ends with the size of its content. Where it does not, it is unpacked up to that
+    size, and no further.
     """
     start = file.tell()
     packed = file.read(2) == GZIP_MAGIC
@@ -59,7 +69,9 @@ def cut_notes(file: IO[bytes], size: int) -> tuple[str, ...]:
         file.seek(-4, 2)
         said = int.from_bytes(file.read(4), "little")
         file.seek(start)
-        return (CUT_SHORT_NOTE,) if packed and said != size % (1 << 32) and _is_cut(file, size) else ()
+        if packed and said != size % (1 << 32) and _is_cut(file, size):
+            return (CUT_SHORT_NOTE,)
+        return ()
     except OSError:  # shorter than four bytes
         return ()
     finally:
@@ -68,7 +80,8 @@ def cut_notes(file: IO[bytes], size: int) -> tuple[str, ...]:
 
 def _is_cut(file: IO[bytes], size: int) -> bool:
     """Whether a gzip file's content has ``size`` bytes, and then the file ends too early."""
-    content, left = gzip.GzipFile(fileobj=file), size
+    content = gzip.GzipFile(fileobj=file)
+    left = size
     try:
         while left > 0 and (block := content.read(min(left, READ_BYTES))):
             left -= len(block)
@@ -84,7 +97,9 @@ NO_FILE = "it is a device, a pipe or a socket, and no file"
 
 
 def open_regular(path: Path) -> IO[bytes]:
-    """A regular file, open for reading. Raises OSError: for all else, and for names that no system can hold, too."""
+    """A regular file, open for reading. Raises OSError: for all else, and for names that no system
+    can hold, too.
+    """
     try:
         mode = path.stat().st_mode
     except ValueError as error:
@@ -95,7 +110,9 @@ def open_regular(path: Path) -> IO[bytes]:
 
 
 def read_small(path: Path, most: int) -> bytes:
-    """What a regular file holds. Raises OSError as ``open_regular`` does, and where it has more than ``most`` bytes."""
+    """What a regular file holds. Raises OSError as ``open_regular`` does, and where it has more
+    than ``most`` bytes.
+    """
     with open_regular(path) as file:
         data = file.read(most + 1)
     if len(data) > most:
@@ -108,12 +125,16 @@ MAX_REPEATED_CHARACTERS = 60
 
 
 def in_short(value: Any) -> str:
-    """A value as a message repeats it, cut short; also a number of more digits than Python writes."""
+    """A value as a message repeats it, cut short; also a number of more digits than Python
+    writes.
+    """
     try:
         text = repr(value)
     except (ValueError, RecursionError):
         return "a number of many digits, or lists in lists"
-    return text if len(text) <= MAX_REPEATED_CHARACTERS else f"{text[:MAX_REPEATED_CHARACTERS]}…"
+    if len(text) <= MAX_REPEATED_CHARACTERS:
+        return text
+    return f"{text[:MAX_REPEATED_CHARACTERS]}…"
 
 
 def reason_of(error: OSError) -> str:
@@ -124,11 +145,15 @@ def reason_of(error: OSError) -> str:
 def line_of(error: Exception) -> str:
     """An error's type and message, on one short line."""
     message = " ".join(str(error).split())
-    return f"{type(error).__name__}: {message[:200]}" if message else type(error).__name__
+    if message:
+        return f"{type(error).__name__}: {message[:200]}"
+    return type(error).__name__
 
 
 def stamp_of(files: Iterable[Path]) -> str:
-    """Digest (hex) of the ``files``' names, sizes and times of change. Raises OSError where one is missing."""
+    """Digest (hex) of the ``files``' names, sizes and times of change. Raises OSError where one is
+    missing.
+    """
     digest = hashlib.blake2b(digest_size=16)
     for path in files:
         state = path.stat()

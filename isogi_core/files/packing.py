@@ -1,6 +1,8 @@
-"""Packing: what stored numbers mean. Their type comes first, then which of them are holes, then slope and intercept.
+"""Packing: what stored numbers mean. Their type comes first, then which of them are holes, then
+slope and intercept.
 
-The order and the names are of NetCDF's conventions for climate and forecast data (CF 1.11, sections 2.5 and 8.1).
+The order and the names are of NetCDF's conventions for climate and forecast data (CF 1.11, sections
+2.5 and 8.1).
 """
 
 import base64
@@ -31,11 +33,18 @@ class Scaling:
         return self.slope == 1.0 and self.intercept == 0.0
 
     def dtype(self, stored: np.dtype[Any]) -> np.dtype[Any]:
-        """The type of values: as stored where that is all, integers of integers where they can be, else floats."""
+        """The type of values: as stored where that is all, integers of integers where they can be,
+        else floats.
+        """
         if self.trivial or stored.kind not in "iuf":
             return stored
         whole = float(self.slope).is_integer() and float(self.intercept).is_integer()
-        if whole and stored.kind in "iu" and stored.itemsize <= 2 and abs(self.slope) + abs(self.intercept) < 2**14:
+        if (
+            whole
+            and stored.kind in "iu"
+            and stored.itemsize <= 2
+            and abs(self.slope) + abs(self.intercept) < 2**14
+        ):
             return np.dtype(np.int32)
         return np.dtype(np.float32 if stored.itemsize <= 2 else np.float64)
 
@@ -55,10 +64,12 @@ Span = tuple[Any, Any]
 
 @dataclass(frozen=True)
 class Packing:
-    """Stored numbers of a type, read as ``stored``, of the same size: those in ``holes``, and those outside of
-    ``valid``, are holes; others are scaled, and then those outside of ``within`` are holes too.
+    """Stored numbers of a type, read as ``stored``, of the same size: those in ``holes``, and those
+    outside of ``valid``, are holes; others are scaled, and then those outside of ``within`` are
+    holes too.
 
-    Ends of spans are numbers of the type ``stored``, those of ``within`` are values. ``notes`` say what was read where.
+    Ends of spans are numbers of the type ``stored``, those of ``within`` are values. ``notes`` say
+    what was read where.
     """
 
     stored: np.dtype[Any]
@@ -73,12 +84,18 @@ class Packing:
         """The type of values: floats where there may be holes, which are NaN."""
         scaled = self.scaling.dtype(self.stored)
         holed = self.holes or self.valid or self.within
-        return np.result_type(scaled, np.float32) if holed else scaled
+        if holed:
+            return np.result_type(scaled, np.float32)
+        return scaled
 
     def apply(self, stored: np.ndarray) -> np.ndarray:
         """The values of stored numbers, in ``dtype``."""
-        alike, order = stored.dtype.newbyteorder("=") == self.stored.newbyteorder("="), stored.dtype.byteorder
-        numbers = stored if alike else np.ascontiguousarray(stored).view(self.stored.newbyteorder(order))
+        alike = stored.dtype.newbyteorder("=") == self.stored.newbyteorder("=")
+        order = stored.dtype.byteorder
+        if alike:
+            numbers = stored
+        else:
+            numbers = np.ascontiguousarray(stored).view(self.stored.newbyteorder(order))
         values = self.scaling.apply(numbers)
         for gone in self._gone(numbers, values):
             values = np.where(gone, np.float32(np.nan), values)
@@ -90,17 +107,25 @@ class Packing:
 
     def _gone(self, numbers: np.ndarray, values: np.ndarray) -> list[np.ndarray]:
         """Where there are holes, for each reason."""
-        found = [numbers == low if low == high else (numbers >= low) & (numbers <= high) for low, high in self.holes]
+        found = [
+            numbers == low if low == high else (numbers >= low) & (numbers <= high)
+            for low, high in self.holes
+        ]
         spans = ((numbers, self.valid), (values, self.within))
-        return found + [(each < span[0]) | (each > span[1]) for each, span in spans if span is not None]
+        return found + [
+            (each < span[0]) | (each > span[1]) for each, span in spans if span is not None
+        ]
 
 
 def holed(stored: np.dtype[Any], ends: Sequence[float | None], why: str) -> Packing:
-    """The packing of numbers of which those between two ``ends``, or equal to an only one, are holes.
+    """The packing of numbers of which those between two ``ends``, or equal to an only one, are
+    holes.
 
     Ends that are None, or that the type cannot store, are left out. ``why`` names what says so.
     """
-    known = sorted(found for end in ends if end is not None and (found := as_stored(end, stored)) is not None)
+    known = sorted(
+        found for end in ends if end is not None and (found := as_stored(end, stored)) is not None
+    )
     if not known:
         return Packing(stored)
     named = " to ".join(map(str, dict.fromkeys(known)))
@@ -108,17 +133,21 @@ def holed(stored: np.dtype[Any], ends: Sequence[float | None], why: str) -> Pack
 
 
 def whole_type(stored: np.dtype[Any], unsigned: bool) -> np.dtype[Any]:
-    """The type of whole numbers of the same size and byte order, with or without a sign; of floats, itself."""
+    """The type of whole numbers of the same size and byte order, with or without a sign; of floats,
+    itself.
+    """
     if stored.kind not in "iu":
         return stored
     return np.dtype(f"{'u' if unsigned else 'i'}{stored.itemsize}").newbyteorder(stored.byteorder)
 
 
 def as_stored(value: Any, kind: np.dtype[Any]) -> Any:
-    """A number as a type stores it, for comparison with others of the type; None where the type has no such number.
+    """A number as a type stores it, for comparison with others of the type; None where the type has
+    no such number.
 
-    A float is rounded to the type: a mark of 1e20 is the float32 next to it in a file of float32. Of a whole number
-    the bits count, as attributes often have the other sign: 65535 and -1 are one in 16 bits.
+    A float is rounded to the type: a mark of 1e20 is the float32 next to it in a file of float32.
+    Of a whole number the bits count, as attributes often have the other sign: 65535 and -1 are one
+    in 16 bits.
     """
     native = kind.newbyteorder("=")
     if kind.kind == "f":
@@ -126,7 +155,8 @@ def as_stored(value: Any, kind: np.dtype[Any]) -> Any:
             return native.type(value)
     if kind.kind not in "iu" or not math.isfinite(value) or value != int(value):
         return None
-    whole, bits = int(value), 8 * kind.itemsize
+    whole = int(value)
+    bits = 8 * kind.itemsize
     if not -(1 << bits - 1) <= whole < 1 << bits:
         return None
     folded = whole % (1 << bits)
@@ -135,8 +165,15 @@ def as_stored(value: Any, kind: np.dtype[Any]) -> Any:
 
 HOLE_ATTRIBUTES = ("_FillValue", "missing_value")
 
-NETCDF_FILL_VALUES = {"f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i2": -32767, "i4": -2147483647}
-"""What NetCDF's library fills variables with that have no ``_FillValue``, by their types; of bytes all are values."""
+NETCDF_FILL_VALUES = {
+    "f4": 9.969209968386869e36,
+    "f8": 9.969209968386869e36,
+    "i2": -32767,
+    "i4": -2147483647,
+}
+"""What NetCDF's library fills variables with that have no ``_FillValue``, by their types; of bytes
+all are values.
+"""
 
 
 PACKING_ATTRIBUTES = (
@@ -151,10 +188,13 @@ PACKING_ATTRIBUTES = (
 """CF's vocabulary: the attributes of a variable that say what its numbers mean."""
 
 
-def climate_packing(attributes: Mapping[str, Any], stored: np.dtype[Any], filled: Any = None) -> Packing:
+def climate_packing(
+    attributes: Mapping[str, Any], stored: np.dtype[Any], filled: Any = None
+) -> Packing:
     """The packing of a variable with ``attributes`` of CF's vocabulary.
 
-    ``filled`` is what voxels hold that nobody wrote: a hole where it is what NetCDF fills variables with by default.
+    ``filled`` is what voxels hold that nobody wrote: a hole where it is what NetCDF fills variables
+    with by default.
     """
     kind = whole_type(stored, _is_unsigned(attributes, stored))
     given = {name: _numbers(attributes.get(name)) for name in HOLE_ATTRIBUTES}
@@ -165,10 +205,25 @@ def climate_packing(attributes: Mapping[str, Any], stored: np.dtype[Any], filled
     ):
         given["NetCDF's default"] = [filled]
     marks = {name: [as_stored(each, kind) for each in values] for name, values in given.items()}
-    holes = {mark: None for values in marks.values() for mark in values if mark is not None and not np.isnan(mark)}
-    slope, intercept = (_first(attributes, name, rest) for name, rest in (("scale_factor", 1.0), ("add_offset", 0.0)))
-    notes = [f"Whole numbers are read {'without' if kind.kind == 'u' else 'with'} a sign, as _Unsigned says."]
-    found = Packing(kind, tuple((mark, mark) for mark in holes), scaling=Scaling(float(slope), float(intercept)))
+    holes = {
+        mark: None
+        for values in marks.values()
+        for mark in values
+        if mark is not None and not np.isnan(mark)
+    }
+    slope, intercept = (
+        _first(attributes, name, rest)
+        for name, rest in (("scale_factor", 1.0), ("add_offset", 0.0))
+    )
+    notes = [
+        (
+            f"Whole numbers are read {'without' if kind.kind == 'u' else 'with'} a sign, as "
+            "_Unsigned says."
+        )
+    ]
+    found = Packing(
+        kind, tuple((mark, mark) for mark in holes), scaling=Scaling(float(slope), float(intercept))
+    )
     found = _with_range(found, attributes)
     return replace(found, notes=(*(notes if kind != stored else ()), *_holes_note(found, marks)))
 
@@ -176,18 +231,25 @@ def climate_packing(attributes: Mapping[str, Any], stored: np.dtype[Any], filled
 def _is_unsigned(attributes: Mapping[str, Any], stored: np.dtype[Any]) -> bool:
     """Whether whole numbers have no sign, by the attribute ``_Unsigned``, else by their type."""
     given = attributes.get("_Unsigned")
-    word = given.decode() if isinstance(given, bytes) else str(given)
+    if isinstance(given, bytes):
+        word = given.decode()
+    else:
+        word = str(given)
     return {"true": True, "false": False}.get(word.lower(), stored.kind == "u")
 
 
 def _with_range(packing: Packing, attributes: Mapping[str, Any]) -> Packing:
-    """The packing with the range of valid numbers: of values where it is given in floats of scaled whole numbers."""
+    """The packing with the range of valid numbers: of values where it is given in floats of scaled
+    whole numbers.
+    """
     both = _numbers(attributes.get("valid_range"))
-    ends = (
-        both
-        if len(both) == 2
-        else [_first(attributes, "valid_min", -math.inf), _first(attributes, "valid_max", math.inf)]
-    )
+    if len(both) == 2:
+        ends = both
+    else:
+        ends = [
+            _first(attributes, "valid_min", -math.inf),
+            _first(attributes, "valid_max", math.inf),
+        ]
     if any(map(math.isnan, ends)) or ends == [-math.inf, math.inf]:
         return packing
     scaled = packing.stored.kind in "iu" and not packing.scaling.trivial
@@ -195,31 +257,51 @@ def _with_range(packing: Packing, attributes: Mapping[str, Any]) -> Packing:
         return replace(packing, within=(ends[0], ends[1]))
     stored = [as_stored(end, packing.stored) for end in ends]
     low, high = (end if known is None else known for end, known in zip(ends, stored, strict=True))
-    if packing.stored.kind in "iu" and low <= np.iinfo(packing.stored).min and high >= np.iinfo(packing.stored).max:
+    if (
+        packing.stored.kind in "iu"
+        and low <= np.iinfo(packing.stored).min
+        and high >= np.iinfo(packing.stored).max
+    ):
         return packing
-    return replace(packing, valid=(low, high)) if low <= high else packing
+    if low <= high:
+        return replace(packing, valid=(low, high))
+    return packing
 
 
 def _holes_note(packing: Packing, marks: Mapping[str, Sequence[Any]]) -> tuple[str, ...]:
     """What is a hole, in a sentence; empty where nothing is."""
-    named = [f"{mark!s} ({name})" for name, values in marks.items() for mark in values if mark is not None]
+    named = [
+        f"{mark!s} ({name})"
+        for name, values in marks.items()
+        for mark in values
+        if mark is not None
+    ]
     spans = [span for span in (packing.valid, packing.within) if span is not None]
     outside = [f"what is not from {low!s} to {high!s} (the valid range)" for low, high in spans]
-    return (f"Holes are {', '.join([*named, *outside])}.",) if named or outside else ()
+    if named or outside:
+        return (f"Holes are {', '.join([*named, *outside])}.",)
+    return ()
 
 
 def _numbers(given: Any) -> list[Any]:
     """The numbers of an attribute, as Python has them; none where it has none."""
     if isinstance(given, str | bytes):
         return _numbers_in(given if isinstance(given, str) else given.decode("ascii", "replace"))
-    values = [] if given is None else np.ravel(given).tolist()
+    if given is None:
+        values = []
+    else:
+        values = np.ravel(given).tolist()
     return [value for value in values if isinstance(value, int | float)]
 
 
 def _numbers_in(text: str) -> list[float]:
-    """The numbers that a text stands for: Xarray writes those of Zarr's third version as the bytes of a double."""
+    """The numbers that a text stands for: Xarray writes those of Zarr's third version as the bytes
+    of a double.
+    """
     try:
-        return [struct.unpack("<d", base64.b64decode(text))[0]] if text.endswith("=") else [float(text)]
+        if text.endswith("="):
+            return [struct.unpack("<d", base64.b64decode(text))[0]]
+        return [float(text)]
     except (ValueError, struct.error):
         return []
 
@@ -232,37 +314,51 @@ def _first(attributes: Mapping[str, Any], name: str, fallback: float) -> Any:
 FILLED_SHARE = 0.02
 """Least share of the voxels that a fill value takes; the corners beside a circle take a fifth."""
 
-MIN_FILL_GAP, TAIL_SHARE = 1 / 16, 0.001
-"""Least gap above a fill value, as a share of the range of the other values without a tail at each end."""
+MIN_FILL_GAP = 1 / 16
+TAIL_SHARE = 0.001
+"""Least gap above a fill value, as a share of the range of the other values without a tail at each
+end.
+"""
 
 FEW_VALUES = 64
-"""Distinct values that others have at least: phantoms and labels have fewer, and gaps between all of them."""
+"""Distinct values that others have at least: phantoms and labels have fewer, and gaps between all
+of them.
+"""
 
 MAX_ENCLOSED_SHARE = 0.001
-"""Largest share of the filled voxels that may lie between others of their row: a field of view is convex."""
+"""Largest share of the filled voxels that may lie between others of their row: a field of view is
+convex.
+"""
 
-BESIDE_QUANTILE, MIN_SHARE_ABOVE = 0.75, 0.4
-"""Beside a field of view lies air: of all voxels that are left, at least the share MIN_SHARE_ABOVE is brighter than the
-share BESIDE_QUANTILE of the voxels there. An object that stands in the fill value itself has its skin there.
+BESIDE_QUANTILE = 0.75
+MIN_SHARE_ABOVE = 0.4
+"""Beside a field of view lies air: of all voxels that are left, at least the share MIN_SHARE_ABOVE
+is brighter than the share BESIDE_QUANTILE of the voxels there. An object that stands in the fill
+value itself has its skin there.
 """
 
 SAMPLED_VALUES = 1 << 12
 """Values that are kept of a layer."""
 
-FILL_NOTE = "Voxels of {value} lie outside the field of view: they are holes. In a scene, missing = [] keeps them."
+FILL_NOTE = (
+    "Voxels of {value} lie outside the field of view: they are holes. In a scene, "
+    "missing = [] keeps them."
+)
 
 
 def without_fill(grid: Grid) -> Grid:
-    """The grid with holes where a fill value is that its file does not name; the grid itself where there is none.
+    """The grid with holes where a fill value is that its file does not name; the grid itself where
+    there is none.
 
-    Such a value is the least of all and negative, as zero may be a sky or the air around a phantom. Many voxels have
-    it, no other value is near, it takes what is outside of a convex region, and the voxels beside it are themselves
-    darker than much of the rest.
+    Such a value is the least of all and negative, as zero may be a sky or the air around a phantom.
+    Many voxels have it, no other value is near, it takes what is outside of a convex region, and
+    the voxels beside it are themselves darker than much of the rest.
     """
     fill = find_fill(grid)
     if fill is None:
         return grid
-    packing, named = Packing(grid.dtype, ((fill, fill),)), f"{fill:.10g}"
+    packing = Packing(grid.dtype, ((fill, fill),))
+    named = f"{fill:.10g}"
     return replace(
         grid,
         dtype=packing.dtype,
@@ -280,7 +376,8 @@ def _holed(grid: Grid, packing: Packing) -> Iterator[np.ndarray]:
 def find_fill(grid: Grid) -> Any:
     """The fill value of a grid, a number of its type; None where it has none.
 
-    Only the first slab is read where its first layer has no negative value that is its least in a corner.
+    Only the first slab is read where its first layer has no negative value that is its least in a
+    corner.
     """
     if grid.dtype.kind not in "if" or min(grid.shape) < 2:
         return None
@@ -291,7 +388,9 @@ def find_fill(grid: Grid) -> Any:
         if fill is None:
             return None
         seen = Seen(fill)
-        return fill if all(map(seen.add, itertools.chain((first,), slabs))) and seen.is_fill(grid.size) else None
+        if all(map(seen.add, itertools.chain((first,), slabs))) and seen.is_fill(grid.size):
+            return fill
+        return None
     except VolumeError:  # the source is damaged, which its next reading says
         return None
 
@@ -300,13 +399,16 @@ def _in_a_corner(layer: np.ndarray) -> Any:
     """The least value of a ``layer``, where it is negative and in a corner; else None."""
     least = np.fmin.reduce(layer, axis=None)
     corners = layer[:: max(len(layer) - 1, 1), :: max(layer.shape[1] - 1, 1)]
-    return least if least < 0 and np.isfinite(least) and (corners == least).any() else None
+    if least < 0 and np.isfinite(least) and (corners == least).any():
+        return least
+    return None
 
 
 @dataclass
 class Seen:
-    """What was seen of a volume that may have the ``fill`` value: how many voxels have it, how many of them lie between
-    others, values ``beside`` these voxels, a sample of all ``others``, and the ``least`` of these.
+    """What was seen of a volume that may have the ``fill`` value: how many voxels have it, how many
+    of them lie between others, values ``beside`` these voxels, a sample of all ``others``, and the
+    ``least`` of these.
     """
 
     fill: Any
@@ -332,8 +434,11 @@ class Seen:
         return True
 
     def is_fill(self, size: int) -> bool:
-        """Whether the value fills what is outside of a field of view in a volume of ``size`` voxels."""
-        others, beside = np.concatenate(self.others), np.concatenate(self.beside)
+        """Whether the value fills what is outside of a field of view in a volume of ``size``
+        voxels.
+        """
+        others = np.concatenate(self.others)
+        beside = np.concatenate(self.beside)
         if (
             self.filled < FILLED_SHARE * size
             or not len(others)
@@ -354,7 +459,9 @@ class Seen:
 
 def _between(inside: np.ndarray) -> np.ndarray:
     """Where a row has voxels ``inside`` on both sides."""
-    return np.logical_or.accumulate(inside, 1) & np.logical_or.accumulate(inside[:, ::-1], 1)[:, ::-1]
+    return (
+        np.logical_or.accumulate(inside, 1) & np.logical_or.accumulate(inside[:, ::-1], 1)[:, ::-1]
+    )
 
 
 def _touching(filled: np.ndarray) -> np.ndarray:

@@ -22,28 +22,41 @@ _UNITS = np.concatenate([[0.0], np.ldexp(1.0, np.arange(1, 256) - 136)]).astype(
 
 
 def read_hdr(path: Path) -> np.ndarray:
-    """Read linear RGB radiance (h, w, 3) float32, row 0 at the top, EXPOSURE and COLORCORR divided out.
+    """Read linear RGB radiance (h, w, 3) float32, row 0 at the top, EXPOSURE and COLORCORR divided
+    out.
 
-    Pixels may be flat, or in old or new run-length coding. Raises LightError where the file is missing, not RGBE, not
-    stored from the top left (``-Y h +X w``), or damaged.
+    Pixels may be flat, or in old or new run-length coding. Raises LightError where the file is
+    missing, not RGBE, not stored from the top left (``-Y h +X w``), or damaged.
     """
     try:
         with open_regular(Path(path)) as file:
             data = file.read(_HEADER_BYTES)
-            data += file.read() if data.startswith(b"#?") else b""
+            if data.startswith(b"#?"):
+                data += file.read()
+            else:
+                data += b""
     except OSError as error:
-        raise LightError(f"The light '{path}' cannot be read ({reason_of(error)}): check its path.") from error
+        raise LightError(
+            f"The light '{path}' cannot be read ({reason_of(error)}): check its path."
+        ) from error
     return parse_hdr(data, str(path))
 
 
 def parse_hdr(data: bytes, path: str, most: int = MAX_PIXELS) -> np.ndarray:
-    """The picture in the bytes of a file called ``path``, of ``most`` pixels at most; see ``read_hdr``."""
+    """The picture in the bytes of a file called ``path``, of ``most`` pixels at most; see
+    ``read_hdr``.
+    """
     height, width, gain, start = _read_header(path, data, most)
     try:
         coded = data[start : start + 2] == b"\2\2" and data[start + 2] < 128 and 8 <= width < 32768
-        pixels = _decode_lines(data, start, height, width) if coded else _decode_quads(data, start, height * width)
+        if coded:
+            pixels = _decode_lines(data, start, height, width)
+        else:
+            pixels = _decode_quads(data, start, height * width)
     except (ValueError, IndexError) as error:
-        raise LightError(f"The pixels of '{path}' are damaged or cut short: copy it again.") from error
+        raise LightError(
+            f"The pixels of '{path}' are damaged or cut short: copy it again."
+        ) from error
     radiance = np.empty((height, width, 3), np.float32)
     with np.errstate(over="ignore"):
         for row, quads in zip(radiance, pixels.reshape(height, width, 4), strict=True):
@@ -58,14 +71,18 @@ def write_hdr(path: Path, rgb: np.ndarray) -> None:
     """
     values = np.asarray(rgb, np.float64)
     if not (np.isfinite(values).all() and values.min() >= 0.0 and values.max() < 2.0**126.99):
-        raise LightError(f"'{path}' was not written: RGBE holds no value below 0, above 1e38 or not finite.")
+        raise LightError(
+            f"'{path}' was not written: RGBE holds no value below 0, above 1e38 or not finite."
+        )
     height, width, _ = values.shape
     header = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n" + b"-Y %d +X %d\n" % (height, width)
     write_whole(Path(path), header + encode_rgbe(values))
 
 
 def encode_rgbe(values: np.ndarray) -> bytes:
-    """RGBE quads of values (h, w, 3) float64 that the format can hold; the largest mantissa is 128 to 255 or 0."""
+    """RGBE quads of values (h, w, 3) float64 that the format can hold; the largest mantissa is 128
+    to 255 or 0.
+    """
     fraction, exponent = np.frexp(values.max(axis=-1))
     exponent += np.rint(fraction * 256.0) == 256.0
     exponent = np.where(exponent > -128, exponent, -128)
@@ -85,19 +102,26 @@ def _read_header(path: str, data: bytes, most: int) -> tuple[int, int, np.ndarra
     match = _RESOLUTION.fullmatch(line)
     if match is None:
         name = line[:40].decode("ascii", "replace")
-        raise LightError(f"'{path}' is stored as '{name}': save it from the top left, '-Y height +X width'.")
+        raise LightError(
+            f"'{path}' is stored as '{name}': save it from the top left, '-Y height +X width'."
+        )
     height, width = int(match[1]), int(match[2])
     if MAX_PIXELS >= height * width > most:
         raise LightError(
-            f"'{path}' has {width} × {height} pixels, and {most} are the most that may be: make it smaller."
+            f"'{path}' has {width} × {height} pixels, and {most} are the most that may be: "
+            "make it smaller."
         )
     if not 1 <= height * width <= MAX_PIXELS:
-        raise LightError(f"'{path}' claims {width} × {height} pixels, which cannot be: copy it again.")
+        raise LightError(
+            f"'{path}' claims {width} × {height} pixels, which cannot be: copy it again."
+        )
     return height, width, _gain(path, text), len(text) + 2 + len(line) + 1
 
 
 def _gain(path: str, header: bytes) -> np.ndarray:
-    """The product of all EXPOSURE and COLORCORR lines, (3,) float32. LightError for formats other than RGBE."""
+    """The product of all EXPOSURE and COLORCORR lines, (3,) float32. LightError for formats other
+    than RGBE.
+    """
     gain = np.ones(3)
     for line in header.decode("latin-1").splitlines():
         key, _, value = line.partition("=")
@@ -115,12 +139,16 @@ def _positive_numbers(path: str, line: str, count: int) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(1e-30 < number < 1e30 for number in numbers):
-        raise LightError(f"'{path}' has the header line '{line[:60]}', which has no meaning: mend it.")
+        raise LightError(
+            f"'{path}' has the header line '{line[:60]}', which has no meaning: mend it."
+        )
     return numbers
 
 
 def _decode_lines(body: bytes, at: int, height: int, width: int) -> np.ndarray:
-    """Decode, from a byte on, new run-length coding, per line a mark and four components in runs; (h, w, 4) uint8."""
+    """Decode, from a byte on, new run-length coding, per line a mark and four components in runs;
+    (h, w, 4) uint8.
+    """
     mark = bytes([2, 2, width >> 8, width & 255])
     planes = np.empty((height, 4, width), np.uint8)
     for row in planes:
@@ -132,7 +160,9 @@ def _decode_lines(body: bytes, at: int, height: int, width: int) -> np.ndarray:
 
 
 def _decode_runs(body: bytes, at: int, size: int) -> tuple[bytearray, int]:
-    """Decode ``size`` bytes from runs (count > 128: one byte repeated) and dumps; returns the next line's offset."""
+    """Decode ``size`` bytes from runs (count > 128: one byte repeated) and dumps; returns the next
+    line's offset.
+    """
     line = bytearray()
     while len(line) < size:
         count = body[at]
@@ -150,8 +180,8 @@ def _decode_runs(body: bytes, at: int, size: int) -> tuple[bytearray, int]:
 def _decode_quads(body: bytes, at: int, count: int) -> np.ndarray:
     """Decode, from a byte on, flat pixels and old run-length coding; (count, 4) uint8.
 
-    A quad (1, 1, 1, n) repeats the pixel before it n times; where several follow each other, each next n
-    counts 256 times as much as the one before.
+    A quad (1, 1, 1, n) repeats the pixel before it n times; where several follow each other, each
+    next n counts 256 times as much as the one before.
     """
     quads = np.frombuffer(body, np.uint8, (len(body) - at) // 4 * 4, at).reshape(-1, 4)
     runs = (quads[:, :3] == 1).all(axis=1)

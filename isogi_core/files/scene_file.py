@@ -1,6 +1,8 @@
-"""Scene files: the parsed document, changes of it that views may ask for, and its settings, each checked when read.
+"""Scene files: the parsed document, changes of it that views may ask for, and its settings, each
+checked when read.
 
-Parameters of views spell changes: what pinned surfaces let pass, which labels are hidden, what the surface is made of.
+Parameters of views spell changes: what pinned surfaces let pass, which labels are hidden, what the
+surface is made of.
 """
 
 import sys
@@ -20,21 +22,30 @@ CHANGING_PARAMETERS = ("surfaces", "hide", "material")
 
 
 def change_document(
-    document: Mapping[str, Any], surfaces: str | None = None, hide: str | None = None, material: str | None = None
+    document: Mapping[str, Any],
+    surfaces: str | None = None,
+    hide: str | None = None,
+    material: str | None = None,
 ) -> Mapping[str, Any]:
-    """A scene's ``document`` with the changes that are spelled, and without those of None. Raises SceneError."""
+    """A scene's ``document`` with the changes that are spelled, and without those of None. Raises
+    SceneError.
+    """
     if surfaces is not None:
         pinned = tables_in(document, "surfaces")
         document = put_clears(document, pinned, read_clears(surfaces, len(pinned)))
     if hide is not None:
         document = put_hidden(document, read_hidden(hide))
-    return document if material is None else put_material(document, read_material_text(material))
+    if material is None:
+        return document
+    return put_material(document, read_material_text(material))
 
 
 def tables_in(document: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
     """The tables that a ``document`` lists under a ``key``; other values are left out."""
     given = document.get(key)
-    return [each for each in given if isinstance(each, Mapping)] if isinstance(given, list) else []
+    if isinstance(given, list):
+        return [each for each in given if isinstance(each, Mapping)]
+    return []
 
 
 HIDDEN_SURFACE = "off"
@@ -45,25 +56,42 @@ Clears = tuple[float | None, ...]
 
 
 def read_clears(text: str, pinned: int) -> Clears:
-    """The shares of rays that pass so many ``pinned`` surfaces, as ``0.4,off`` spells them; None of hidden ones.
+    """The shares of rays that pass so many ``pinned`` surfaces, as ``0.4,off`` spells them; None of
+    hidden ones.
 
     Raises SceneError.
     """
     try:
-        found = tuple(None if each.strip() == HIDDEN_SURFACE else float(each) for each in text.split(","))
+        found = tuple(
+            None if each.strip() == HIDDEN_SURFACE else float(each) for each in text.split(",")
+        )
     except ValueError:
         found = ()
     if not pinned:
         raise SceneError("surfaces is for scenes with [[surfaces]]: leave it out.")
     if len(found) != pinned or not all(each is None or 0.0 <= each <= 1.0 for each in found):
-        asked = f"for each of the {pinned} pinned surfaces, in turn" if pinned > 1 else "for the pinned surface"
-        raise SceneError(f"surfaces = '{text[:40]}': give {asked}, a number from 0, opaque, to 1, or {HIDDEN_SURFACE}.")
+        if pinned > 1:
+            asked = f"for each of the {pinned} pinned surfaces, in turn"
+        else:
+            asked = "for the pinned surface"
+        raise SceneError(
+            f"surfaces = '{text[:40]}': give {asked}, a number from 0, opaque, to 1, or "
+            f"{HIDDEN_SURFACE}."
+        )
     return found
 
 
-def put_clears(document: Mapping[str, Any], pinned: Sequence[Mapping[str, Any]], clears: Clears) -> dict[str, Any]:
-    """A scene's ``document`` whose ``pinned`` surfaces, tables, pass other shares of rays; None leaves one out."""
-    kept = [{**table, "clear": clear} for table, clear in zip(pinned, clears, strict=True) if clear is not None]
+def put_clears(
+    document: Mapping[str, Any], pinned: Sequence[Mapping[str, Any]], clears: Clears
+) -> dict[str, Any]:
+    """A scene's ``document`` whose ``pinned`` surfaces, tables, pass other shares of rays; None
+    leaves one out.
+    """
+    kept = [
+        {**table, "clear": clear}
+        for table, clear in zip(pinned, clears, strict=True)
+        if clear is not None
+    ]
     rest = {key: value for key, value in document.items() if key != "surfaces"}
     return rest | ({"surfaces": kept} if kept else {})
 
@@ -76,16 +104,22 @@ Hidden = tuple[int, ...]
 
 
 def read_hidden(text: str) -> Hidden:
-    """The labels that are hidden, as ``3,4`` spells them by their values, or ``none``. Raises SceneError."""
+    """The labels that are hidden, as ``3,4`` spells them by their values, or ``none``. Raises
+    SceneError.
+    """
     try:
-        return () if text.strip() == NO_LABEL else tuple(sorted({int(each) for each in text.split(",")}))
+        if text.strip() == NO_LABEL:
+            return ()
+        return tuple(sorted({int(each) for each in text.split(",")}))
     except ValueError:
         asked = f"give the values of labels with , between, or {NO_LABEL}"
         raise SceneError(f"hide = '{text[:40]}': {asked}.") from None
 
 
 def put_hidden(document: Mapping[str, Any], hidden: Hidden) -> dict[str, Any]:
-    """A scene's ``document`` with these labels ``hidden``, and no others. SceneError where it has no labels."""
+    """A scene's ``document`` with these labels ``hidden``, and no others. SceneError where it has
+    no labels.
+    """
     if not document.get("labels"):
         raise SceneError("hide is for scenes of labels: leave it out.")
     listed = tables_in(document, "labels")
@@ -96,17 +130,23 @@ def put_hidden(document: Mapping[str, Any], hidden: Hidden) -> dict[str, Any]:
 
 
 MaterialSettings = Mapping[str, Any]
-"""The settings of a scene that say what its surface is made of: its material, and such numbers of it as are given."""
+"""The settings of a scene that say what its surface is made of: its material, and such numbers of
+it as are given.
+"""
 
 MATERIAL_NUMBERS = {"index": "glass", "absorption": "glass", "mean_free_path": "subsurface"}
 """Settings that are numbers of a material, and of which."""
 
 REFLECTION_SETTINGS = {"glass": ("albedo", "albedos"), "subsurface": ("albedos",)}
-"""Settings of how a surface reflects; they stay behind where a view asks for one of these materials, without them."""
+"""Settings of how a surface reflects; they stay behind where a view asks for one of these
+materials, without them.
+"""
 
 
 def read_material_text(text: str) -> MaterialSettings:
-    """The settings of a material, as ``glass,index=1.3,absorption=0.1,0.2,0.3`` spells them. Raises SceneError."""
+    """The settings of a material, as ``glass,index=1.3,absorption=0.1,0.2,0.3`` spells them. Raises
+    SceneError.
+    """
     kind, *rest = (each.strip() for each in text.split(","))
     found: dict[str, list[float]] = {}
     name = ""
@@ -117,19 +157,30 @@ def read_material_text(text: str) -> MaterialSettings:
             found.setdefault(name, []).append(float(value))
     except ValueError:
         name = ""
-    if not kind.isalpha() or (rest and name not in found) or not found.keys() <= MATERIAL_NUMBERS.keys():
+    if (
+        not kind.isalpha()
+        or (rest and name not in found)
+        or not found.keys() <= MATERIAL_NUMBERS.keys()
+    ):
         numbers = ", ".join(MATERIAL_NUMBERS)
-        raise SceneError(f"material = '{text[:40]}': give a word, and {numbers} of it, such as glass,index=1.3.")
+        raise SceneError(
+            f"material = '{text[:40]}': give a word, and {numbers} of it, such as glass,index=1.3."
+        )
     for name in found:
         if MATERIAL_NUMBERS[name] != kind:
             raise SceneError(f"{name} is of {MATERIAL_NUMBERS[name]}, not of {kind}: leave it out.")
-    return {"material": kind, **{name: given if len(given) > 1 else given[0] for name, given in found.items()}}
+    return {
+        "material": kind,
+        **{name: given if len(given) > 1 else given[0] for name, given in found.items()},
+    }
 
 
 def write_material_text(settings: MaterialSettings) -> str:
     """The text that ``read_material_text`` reads so; equal settings have the same."""
     given = {name: settings[name] for name in MATERIAL_NUMBERS if name in settings}
-    listed = {name: value if isinstance(value, list | tuple) else [value] for name, value in given.items()}
+    listed = {
+        name: value if isinstance(value, list | tuple) else [value] for name, value in given.items()
+    }
     spelled = [f"{name}={','.join(map(_text_of, numbers))}" for name, numbers in listed.items()]
     return ",".join([settings["material"], *spelled])
 
@@ -140,10 +191,15 @@ def _text_of(number: float) -> str:
 
 
 def put_material(document: Mapping[str, Any], settings: MaterialSettings) -> dict[str, Any]:
-    """A scene's ``document`` with another material; with the same one, numbers that are not given stay."""
+    """A scene's ``document`` with another material; with the same one, numbers that are not given
+    stay.
+    """
     kind = settings["material"]
     if document.get("material", "diffuse") == kind:
-        return {**document, **{name: value for name, value in settings.items() if name in MATERIAL_NUMBERS}}
+        return {
+            **document,
+            **{name: value for name, value in settings.items() if name in MATERIAL_NUMBERS},
+        }
     left = (*MATERIAL_NUMBERS, *REFLECTION_SETTINGS.get(kind, ()))
     return {**{name: value for name, value in document.items() if name not in left}, **settings}
 
@@ -183,24 +239,37 @@ def source_at(text: str, overrides: Mapping[str, Any]) -> SceneSource:
     try:
         whole_name, mark, part = split_name(text)
         path = Path(whole_name).resolve()
-    except (OSError, RuntimeError, ValueError) as error:  # a link to itself, a name that no system can hold
-        raise SceneError(f"There is no file {in_short(text)}: check its path, and its links.") from error
+    except (
+        OSError,
+        RuntimeError,
+        ValueError,
+    ) as error:  # a link to itself, a name that no system can hold
+        raise SceneError(
+            f"There is no file {in_short(text)}: check its path, and its links."
+        ) from error
     if path.suffix != ".toml":
         whole = next((each for each in path.parents if each.suffix == ".zarr"), path)
-        name, place = name_of(path), f"{path.relative_to(whole.parent)}{mark}{part}"
+        name = name_of(path)
+        place = f"{path.relative_to(whole.parent)}{mark}{part}"
         return SceneSource(name, {"volume": place, **overrides}, whole.parent)
     try:
         document = tomllib.loads(read_small(path, MOST_BYTES).decode())
         check_values(document)
     except OSError as error:
         raise SceneError(f"Cannot read the scene {path}: {reason_of(error)}.") from error
-    except ValueError as error:  # of bytes that are no text, text that is no TOML, and integers of too many digits
-        raise SceneError(f"The scene {path} is not valid TOML: {str(error).partition(';')[0]}.") from error
+    except (
+        ValueError
+    ) as error:  # of bytes that are no text, text that is no TOML, and integers of too many digits
+        raise SceneError(
+            f"The scene {path} is not valid TOML: {str(error).partition(';')[0]}."
+        ) from error
     except RecursionError:
         raise SceneError(
             f"The scene {path} has lists or tables in each other beyond all use: write it again."
         ) from None
-    return SceneSource(path.stem, labels_as_volume({**document, **overrides}, path.stem), path.parent)
+    return SceneSource(
+        path.stem, labels_as_volume({**document, **overrides}, path.stem), path.parent
+    )
 
 
 def split_name(text: str) -> tuple[str, str, str]:
@@ -208,24 +277,39 @@ def split_name(text: str) -> tuple[str, str, str]:
     name, mark, part = text.rpartition("#")
     if not mark or not name or "://" in text or Path(text).exists():
         return text, "", ""
-    return (name, mark, part) if Path(name).exists() else text.partition("#")
+    if Path(name).exists():
+        return (name, mark, part)
+    return text.partition("#")
 
 
-MOST_BYTES, MOST_TEXT, MOST_ENTRIES = 1 << 20, 4096, 4096
-"""Bytes of a scene file, characters of a text in it, and entries of a list, such as lights, at most."""
+MOST_BYTES = 1 << 20
+MOST_TEXT = 4096
+MOST_ENTRIES = 4096
+"""Bytes of a scene file, characters of a text in it, and entries of a list, such as lights, at
+most.
+"""
 
 MOST_BITS = 1024
 """Bits of a whole number, at most: floats hold none that is larger."""
 
 
 def check_values(value: Any, key: str = "The document") -> None:
-    """Raise SceneError, which names the ``key``, for a text, a number or a list in a scene that nothing can be."""
+    """Raise SceneError, which names the ``key``, for a text, a number or a list in a scene that
+    nothing can be.
+    """
     if isinstance(value, str) and (len(value) > MOST_TEXT or "\0" in value):
-        raise SceneError(f"{key} in the scene is a text of {len(value)} characters, {in_short(value)}: nothing has it.")
+        raise SceneError(
+            f"{key} in the scene is a text of {len(value)} characters, {in_short(value)}: "
+            "nothing has it."
+        )
     if isinstance(value, int) and value.bit_length() > MOST_BITS:
-        raise SceneError(f"{key} in the scene is a whole number of more than 300 digits: give a smaller one.")
+        raise SceneError(
+            f"{key} in the scene is a whole number of more than 300 digits: give a smaller one."
+        )
     if isinstance(value, list) and len(value) > MOST_ENTRIES:
-        raise SceneError(f"{key} in the scene has {len(value)} entries: give {MOST_ENTRIES} at most.")
+        raise SceneError(
+            f"{key} in the scene has {len(value)} entries: give {MOST_ENTRIES} at most."
+        )
     if isinstance(value, Mapping):
         for name, each in value.items():
             check_values(name, "A name")
@@ -235,7 +319,8 @@ def check_values(value: Any, key: str = "The document") -> None:
 
 
 def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    """A scene's ``document``; a table [[volumes]] with use = "labels" names its volume, all labels of which are shown.
+    """A scene's ``document``; a table [[volumes]] with use = "labels" names its volume, all labels
+    of which are shown.
 
     SceneError where there are more volumes than one then.
     """
@@ -248,12 +333,17 @@ def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any
         raise SceneError(f"In the scene '{name}' labels are the volume itself: {wanted}.")
     others = [each for each in listed if each is not found[0]]
     rest = {key: value for key, value in document.items() if key != "volumes"}
-    return {"labels": "all", **rest, "volume": found[0]["file"], **({"volumes": others} if others else {})}
+    return {
+        "labels": "all",
+        **rest,
+        "volume": found[0]["file"],
+        **({"volumes": others} if others else {}),
+    }
 
 
 LYING = ("axes", "solid", "labels", "raw", "environment", "cut", *CHANGING_PARAMETERS)
-"""Settings that may follow the # of a target: how its volume lies, which side of the isovalue is solid, whether its
-values are labels, its light, what is cut away, and what changes it as views do.
+"""Settings that may follow the # of a target: how its volume lies, which side of the isovalue is
+solid, whether its values are labels, its light, what is cut away, and what changes it as views do.
 """
 
 
@@ -262,7 +352,11 @@ def split_settings(target: str) -> tuple[str, dict[str, str]]:
     place, mark, part = target.rpartition("#")
     if not mark or Path(target).exists():
         return target, {}
-    told = {key: unquote(value) for key, _, value in (each.partition("=") for each in part.split("&")) if key in LYING}
+    told = {
+        key: unquote(value)
+        for key, _, value in (each.partition("=") for each in part.split("&"))
+        if key in LYING
+    }
     rest = "&".join(each for each in part.split("&") if each.partition("=")[0] not in LYING)
     return f"{place}#{rest}" if rest else place, told
 
@@ -270,21 +364,37 @@ def split_settings(target: str) -> tuple[str, dict[str, str]]:
 PART_SETTINGS = ("level", "channel", "time", "series", "raw", "region")
 """Settings of a scene that choose a part of its volume's file, or say what it holds."""
 
-VOXEL_SETTINGS = ("cut", "solid", "inside_out", "spacing", "missing", "axes", "volumes", *PART_SETTINGS)
+VOXEL_SETTINGS = (
+    "cut",
+    "solid",
+    "inside_out",
+    "spacing",
+    "missing",
+    "axes",
+    "volumes",
+    *PART_SETTINGS,
+)
 """Settings of a scene that its volume's voxels already contain."""
 
 
 def is_zarr(path: Path) -> bool:
-    """Whether a volume at ``path`` is read as Zarr: a folder that is one, or a path inside one that ends in .zarr."""
+    """Whether a volume at ``path`` is read as Zarr: a folder that is one, or a path inside one that
+    ends in .zarr.
+    """
     if path.is_dir() and any((path / name).is_file() for name in ZARR_METADATA):
         return True
     return not path.is_file() and any(each.suffix == ".zarr" for each in (path, *path.parents))
 
 
 def name_of(path: Path) -> str:
-    """Display name of the volume at ``path``: the file's name, and the part that is chosen of a Zarr hierarchy."""
+    """Display name of the volume at ``path``: the file's name, and the part that is chosen of a
+    Zarr hierarchy.
+    """
     whole = next((each for each in path.parents if each.suffix == ".zarr"), path)
-    stem = Path(whole.name.removesuffix(".gz")).stem if whole.suffix == ".gz" else whole.stem
+    if whole.suffix == ".gz":
+        stem = Path(whole.name.removesuffix(".gz")).stem
+    else:
+        stem = whole.stem
     return "-".join([stem, *path.relative_to(whole).parts])
 
 
@@ -292,8 +402,14 @@ Word = TypeVar("Word", str, int)
 Fallback = TypeVar("Fallback", bool, None)
 
 FORMER: Mapping[str, str] = {
-    "sharpen": "it is called projected now, and the plan decides it. Leave the key out, or set projected = false.",
-    "adaptive": "the adaptive lattice is gone, as it saved too little. Leave the key out: baked light stays good.",
+    "sharpen": (
+        "it is called projected now, and the plan decides it. Leave the key out, or set "
+        "projected = false."
+    ),
+    "adaptive": (
+        "the adaptive lattice is gone, as it saved too little. Leave the key out: "
+        "baked light stays good."
+    ),
 }
 """Former keys of scenes, each with the end of the sentence that refuses it: what to do now."""
 
@@ -303,7 +419,9 @@ LEAST_TARGET = 1e-4
 
 
 class Settings:
-    """Reads and checks the settings of a scene's document. Methods raise SceneError, which names the setting."""
+    """Reads and checks the settings of a scene's document. Methods raise SceneError, which names
+    the setting.
+    """
 
     def __init__(self, source: SceneSource, known: Iterable[str] = ()) -> None:
         """Begin reading ``source``, of which some keys are ``known`` already."""
@@ -332,8 +450,12 @@ class Settings:
 
     def choice(self, key: str, among: Sequence[Word]) -> Word | None:
         """One of some words or numbers, or None where the scene leaves it to the plan."""
-        value = self._read(key, lambda value: value in among, f"one of {', '.join(map(str, among))}")
-        return None if value is None else among[among.index(value)]
+        value = self._read(
+            key, lambda value: value in among, f"one of {', '.join(map(str, among))}"
+        )
+        if value is None:
+            return None
+        return among[among.index(value)]
 
     def flag(self, key: str, fallback: Fallback) -> bool | Fallback:
         """True or false."""
@@ -354,33 +476,55 @@ class Settings:
     def count(self, key: str, high: int, low: int = 0) -> int | None:
         """A whole number in [low, high], or None where the scene leaves it to the plan."""
         wanted = f"a whole number from {low} to {high}"
-        value: int | None = self._read(key, lambda value: type(value) is int and low <= value <= high, wanted)
+        value: int | None = self._read(
+            key, lambda value: type(value) is int and low <= value <= high, wanted
+        )
         return value
 
     def numbers(self, key: str, length: int) -> tuple[float, ...] | None:
         """A list of ``length`` finite numbers, or None."""
-        value = self._read(key, lambda value: are_numbers(value, length), f"a list of {length} numbers")
-        return None if value is None else tuple(map(float, value))
+        value = self._read(
+            key, lambda value: are_numbers(value, length), f"a list of {length} numbers"
+        )
+        if value is None:
+            return None
+        return tuple(map(float, value))
 
     def spans(self, key: str, length: int) -> tuple[tuple[int, int], ...] | None:
         """A list of ``length`` pairs of ascending whole numbers from 0 on, or None."""
         wanted = f"a list of {length} pairs of ascending whole numbers from 0 on, such as [0, 64]"
-        value = self._read(key, lambda value: _is_list(value, length) and all(map(is_span, value)), wanted)
-        return None if value is None else tuple((low, high) for low, high in value)
+        value = self._read(
+            key, lambda value: _is_list(value, length) and all(map(is_span, value)), wanted
+        )
+        if value is None:
+            return None
+        return tuple((low, high) for low, high in value)
 
     def listed(self, key: str) -> tuple[float, ...]:
-        """A number or a list of numbers, as written (integers stay integers); empty where it is left out."""
+        """A number or a list of numbers, as written (integers stay integers); empty where it is
+        left out.
+        """
         value = self._get(key)
-        given = [] if value is None else value if isinstance(value, list) else [value]
+        if value is None:
+            given = []
+        elif isinstance(value, list):
+            given = value
+        else:
+            given = [value]
         if not all(map(is_number, given)):
             raise self._wrong(key, "a number, or a list of numbers")
         return tuple(given)
 
-    def interval(self, key: str, within: tuple[float, float], fallback: tuple[float, float]) -> tuple[float, float]:
+    def interval(
+        self, key: str, within: tuple[float, float], fallback: tuple[float, float]
+    ) -> tuple[float, float]:
         """Two ascending numbers inside ``within``."""
         value = self.numbers(key, 2) or fallback
         if not within[0] <= value[0] <= value[1] <= within[1]:
-            raise self._wrong(key, f"two ascending numbers from {within[0]:g} to {within[1]:g}, the volume's range")
+            raise self._wrong(
+                key,
+                f"two ascending numbers from {within[0]:g} to {within[1]:g}, the volume's range",
+            )
         return value[0], value[1]
 
     def span(self, key: str, low: float, high: float) -> tuple[float, float] | None:
@@ -388,7 +532,9 @@ class Settings:
         value = self.numbers(key, 2)
         if value is not None and not low <= value[0] < value[1] <= high:
             raise self._wrong(key, f"two ascending numbers from {low:g} to {high:g}")
-        return None if value is None else (value[0], value[1])
+        if value is None:
+            return None
+        return (value[0], value[1])
 
     def colour(self, key: str, fallback: float) -> tuple[float, float, float]:
         """A number or [r, g, b], each in [0, 1]."""
@@ -401,7 +547,9 @@ class Settings:
         return triple(listed)
 
     def lights(self, others: Sequence[Any] = ()) -> list[Mapping[str, Any]]:
-        """The [[lights]] tables; a sky with a sun where the scene has none, nor any ``others`` that are lights."""
+        """The [[lights]] tables; a sky with a sun where the scene has none, nor any ``others`` that
+        are lights.
+        """
         return self.tables("lights") or ([] if others else [{"type": "sky"}])
 
     def tables(self, key: str, most: int | None = None) -> list[Mapping[str, Any]]:
@@ -409,7 +557,11 @@ class Settings:
         value = self._get(key)
         if value is None:
             return []
-        if not isinstance(value, list) or not value or not all(isinstance(entry, Mapping) for entry in value):
+        if (
+            not isinstance(value, list)
+            or not value
+            or not all(isinstance(entry, Mapping) for entry in value)
+        ):
             raise self._wrong(key, f"a list of [[{key}]] tables")
         if most is not None and len(value) > most:
             raise self._wrong(key, f"a list of at most {most} [[{key}]] tables")
@@ -418,15 +570,21 @@ class Settings:
     def nested(self, key: str, most: int | None = None) -> "list[Settings]":
         """The ``tables`` of a list, each as settings to be read."""
         name = f"{self.source.name}: [[{key}]]"
-        return [Settings(SceneSource(name, table, self.source.base)) for table in self.tables(key, most)]
+        return [
+            Settings(SceneSource(name, table, self.source.base)) for table in self.tables(key, most)
+        ]
 
     def table(self, key: str) -> Mapping[str, Any] | None:
         """A table, or None where it is left out."""
-        value: Mapping[str, Any] | None = self._read(key, lambda value: isinstance(value, Mapping), f"a table [{key}]")
+        value: Mapping[str, Any] | None = self._read(
+            key, lambda value: isinstance(value, Mapping), f"a table [{key}]"
+        )
         return value
 
     def refuse_unknown(self) -> None:
-        """Raise SceneError for settings that nothing has read, such as a typing error. Former ones say what to do."""
+        """Raise SceneError for settings that nothing has read, such as a typing error. Former ones
+        say what to do.
+        """
         unknown = sorted(set(self.source.document) - self.known)
         for key in unknown:
             if key in FORMER:
@@ -438,24 +596,34 @@ class Settings:
 
 def is_span(value: Any) -> bool:
     """Whether ``value`` is a pair of ascending whole numbers from 0 on."""
-    return _is_list(value, 2) and all(type(each) is int for each in value) and 0 <= value[0] < value[1]
+    return (
+        _is_list(value, 2) and all(type(each) is int for each in value) and 0 <= value[0] < value[1]
+    )
 
 
 def is_number(value: Any) -> bool:
     """Whether ``value`` is a finite real number (and not a bool) that floats hold."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+    return (
+        isinstance(value, int | float)
+        and not isinstance(value, bool)
+        and abs(value) <= sys.float_info.max
+    )
 
 
 TableReaders = Mapping[str, Callable[[str, Any], Any]]
-"""How the values of a table are read, by their keys: from what a message calls the value, and the value."""
+"""How the values of a table are read, by their keys: from what a message calls the value, and the
+value.
+"""
 
 
 def read_table(
     table: Mapping[str, Any], what: str, readers: TableReaders, needed: Iterable[str] = ()
 ) -> dict[str, Any]:
-    """The values of a scene's ``table`` by its keys; messages call it ``what`` it describes, such as "A wall".
+    """The values of a scene's ``table`` by its keys; messages call it ``what`` it describes, such
+    as "A wall".
 
-    SceneError where a key is unknown, one that is ``needed`` is missing, or a value is of the wrong kind.
+    SceneError where a key is unknown, one that is ``needed`` is missing, or a value is of the wrong
+    kind.
     """
     unknown = next((key for key in table if key not in readers), None)
     if unknown is not None:

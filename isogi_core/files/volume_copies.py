@@ -1,4 +1,6 @@
-"""Copies of normalised volumes, files that are mapped into memory, and of small files, in a folder of this machine."""
+"""Copies of normalised volumes, files that are mapped into memory, and of small files, in a folder
+of this machine.
+"""
 
 import io
 import json
@@ -29,7 +31,8 @@ Shape = tuple[int, ...]
 
 @contextmanager
 def new_voxels(path: Path) -> Iterator["Draft"]:
-    """Write the file ``path`` by a draft; after the block the file is whole, and safe from a loss of power.
+    """Write the file ``path`` by a draft; after the block the file is whole, and safe from a loss
+    of power.
 
     The draft's name ends in ``.partial``; it is deleted where the block fails.
     """
@@ -66,7 +69,9 @@ class Draft:
     def seal(self, shape: Shape, facts: dict[str, Any]) -> None:
         """Write the header: the ``shape`` (z, y, x) and the other facts of the volume."""
         body = json.dumps({"shape": shape, "facts": facts})
-        head = json.dumps({"format": VOXEL_FORMAT, "crc32c": google_crc32c.value(body.encode()), "body": body})
+        head = json.dumps(
+            {"format": VOXEL_FORMAT, "crc32c": google_crc32c.value(body.encode()), "body": body}
+        )
         self._file.seek(0)
         self._file.write(head.encode().ljust(HEADER_BYTES))
 
@@ -74,13 +79,15 @@ class Draft:
 def read_voxels(path: Path) -> tuple[np.ndarray, dict[str, Any]] | None:
     """Map the voxels of a file, and read its facts; None where it is missing or damaged.
 
-    Damage of the header and a wrong size are detected. Do not write to the array: that would take memory of this
-    process.
+    Damage of the header and a wrong size are detected. Do not write to the array: that would take
+    memory of this process.
     """
     try:
         with open(path, "rb") as file:
             found = _read_header(file.read(HEADER_BYTES))
-            if found is None or os.fstat(file.fileno()).st_size != HEADER_BYTES + 4 * math.prod(found[0]):
+            if found is None or os.fstat(file.fileno()).st_size != HEADER_BYTES + 4 * math.prod(
+                found[0]
+            ):
                 return None
             return map_file(file, HEADER_BYTES).reshape(found[0]), found[1]
     except FileNotFoundError:
@@ -94,14 +101,18 @@ def _read_header(header: bytes) -> tuple[Shape, dict[str, Any]] | None:
         if head["format"] != VOXEL_FORMAT or head["crc32c"] != google_crc32c.value(body.encode()):
             return None
         content = json.loads(body)
-        return tuple(content["shape"]), {key: _tuples(value) for key, value in content["facts"].items()}
+        return tuple(content["shape"]), {
+            key: _tuples(value) for key, value in content["facts"].items()
+        }
     except (ValueError, KeyError, TypeError, AttributeError):
         return None
 
 
 def _tuples(value: Any) -> Any:
     """JSON lists as tuples."""
-    return tuple(value) if isinstance(value, list) else value
+    if isinstance(value, list):
+        return tuple(value)
+    return value
 
 
 MAX_COPIES_MB = 65536
@@ -114,9 +125,13 @@ Copy = tuple[np.ndarray, dict[str, Any]]
 
 
 def copies_folder() -> Path:
-    """The folder of copies: ``$ISOGI_VOLUME_CACHE``, or ``isogi/volumes`` in the user's cache folder."""
+    """The folder of copies: ``$ISOGI_VOLUME_CACHE``, or ``isogi/volumes`` in the user's cache
+    folder.
+    """
     given = os.environ.get("ISOGI_VOLUME_CACHE")
-    return Path(given) if given else user_cache("volumes")
+    if given:
+        return Path(given)
+    return user_cache("volumes")
 
 
 def most_bytes() -> int:
@@ -138,10 +153,11 @@ def find_copy(key: str) -> Copy | None:
 
 
 def get_copy(key: str, size: int, make: Callable[[Draft], dict[str, Any]]) -> Copy:
-    """Open the copy of a volume of ``size`` bytes; where there is none, ``make`` writes it and returns its facts.
+    """Open the copy of a volume of ``size`` bytes; where there is none, ``make`` writes it and
+    returns its facts.
 
-    One of all processes and threads makes it. It is found by the volume's own digest too. Raises VolumeError where the
-    folder has no room or cannot be written, and what ``make`` raises.
+    One of all processes and threads makes it. It is found by the volume's own digest too. Raises
+    VolumeError where the folder has no room or cannot be written, and what ``make`` raises.
     """
     folder = copies_folder()
     with _write_errors(folder), locked(folder / f"{key}.lock"):
@@ -151,12 +167,15 @@ def get_copy(key: str, size: int, make: Callable[[Draft], dict[str, Any]]) -> Co
             _write(folder, key, make)
             found = find_copy(key)
     if found is None:
-        raise VolumeError(f"The copy of a volume in {folder} is gone or damaged as soon as made: check that disk.")
+        raise VolumeError(
+            f"The copy of a volume in {folder} is gone or damaged as soon as made: check that disk."
+        )
     return found
 
 
 def get_file(key: str, name: str, fetch: Callable[[], bytes]) -> Path:
-    """The path, ending in ``name``, of the copy of a small file; where there is none, ``fetch`` gives its bytes.
+    """The path, ending in ``name``, of the copy of a small file; where there is none, ``fetch``
+    gives its bytes.
 
     Raises VolumeError where the folder cannot be written, and what ``fetch`` raises.
     """
@@ -172,16 +191,18 @@ def get_file(key: str, name: str, fetch: Callable[[], bytes]) -> Path:
 
 
 def get_survey(key: str, name: str, measure: Callable[[], np.ndarray]) -> np.ndarray:
-    """What was measured of all voxels of a volume, by ``measure`` once, and then read from a file of that ``name``.
+    """What was measured of all voxels of a volume, by ``measure`` once, and then read from a file
+    of that ``name``.
 
-    The ``key`` is the volume's own digest. Processes that ask at the same time may each measure it. Where there is no
-    file, and none can be written, it is measured again.
+    The ``key`` is the volume's own digest. Processes that ask at the same time may each measure it.
+    Where there is no file, and none can be written, it is measured again.
     """
     path = copies_folder() / key / f"{name}.npy"
     with suppress(OSError, ValueError, EOFError):  # none, or a damaged one
         os.utime(path)
         return np.asarray(np.load(path))
-    found, file = measure(), io.BytesIO()
+    found = measure()
+    file = io.BytesIO()
     np.save(file, found)
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -190,7 +211,9 @@ def get_survey(key: str, name: str, measure: Callable[[], np.ndarray]) -> np.nda
 
 
 def get_scratch(count: int, dtype: Any) -> np.ndarray:
-    """An array of ``count`` numbers, of any values, that lies in a file of the folder for as long as it is there."""
+    """An array of ``count`` numbers, of any values, that lies in a file of the folder for as long
+    as it is there.
+    """
     return scratch(copies_folder(), count, dtype)
 
 
@@ -201,7 +224,9 @@ def _write_errors(folder: Path) -> Iterator[None]:
         yield
     except OSError as error:
         reason = f"The copy of a volume cannot be kept in {folder} ({error.strerror or error})"
-        raise VolumeError(f"{reason}: make room, or name another folder by ISOGI_VOLUME_CACHE.") from error
+        raise VolumeError(
+            f"{reason}: make room, or name another folder by ISOGI_VOLUME_CACHE."
+        ) from error
 
 
 def _write(folder: Path, key: str, make: Callable[[Draft], dict[str, Any]]) -> None:
@@ -214,16 +239,19 @@ def _write(folder: Path, key: str, make: Callable[[Draft], dict[str, Any]]) -> N
 
 
 def _make_room(folder: Path, size: int) -> None:
-    """Delete half-made copies, and then the copies used longest ago until one of ``size`` bytes more fits.
+    """Delete half-made copies, and then the copies used longest ago until one of ``size`` bytes
+    more fits.
 
-    A copy that a process has mapped stays readable for it. Raises VolumeError where the disk still has no room.
+    A copy that a process has mapped stays readable for it. Raises VolumeError where the disk still
+    has no room.
     """
     for partial in folder.glob("*.partial"):
         with suppress(OSError), locked(partial.with_suffix(".lock"), wait=False) as ours:
             if ours:
                 partial.unlink()
     kept = _copies(folder)
-    total, most = size + HEADER_BYTES + sum(state.st_size for state, _ in kept), most_bytes()
+    total = size + HEADER_BYTES + sum(state.st_size for state, _ in kept)
+    most = most_bytes()
     for state, names in kept:
         if total <= most:
             break
@@ -232,7 +260,9 @@ def _make_room(folder: Path, size: int) -> None:
             name.unlink(missing_ok=True)
     free = shutil.disk_usage(folder).free
     if free < size + HEADER_BYTES:
-        need = f"The volume takes {size / 1e9:.1f} GB in {folder}, where {free / 1e9:.1f} GB are free"
+        need = (
+            f"The volume takes {size / 1e9:.1f} GB in {folder}, where {free / 1e9:.1f} GB are free"
+        )
         raise VolumeError(f"{need}: make room, or name another folder by ISOGI_VOLUME_CACHE.")
 
 

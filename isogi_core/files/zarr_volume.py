@@ -1,4 +1,6 @@
-"""Zarr volumes: arrays of Zarr v2 and v3, bare or in an OME-Zarr image, where they lie, read chunk by chunk."""
+"""Zarr volumes: arrays of Zarr v2 and v3, bare or in an OME-Zarr image, where they lie, read chunk
+by chunk.
+"""
 
 import hashlib
 import math
@@ -16,7 +18,16 @@ from zarr.abc.store import Store
 from zarr.storage import LocalStore, ObjectStore
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.grid import MAX_VOXELS, SINGLE_MOMENT, Affine, Grid, LabelName, Region, Shape, slab_layers
+from isogi_core.files.grid import (
+    MAX_VOXELS,
+    SINGLE_MOMENT,
+    Affine,
+    Grid,
+    LabelName,
+    Region,
+    Shape,
+    slab_layers,
+)
 from isogi_core.files.mappings import budget
 from isogi_core.files.ome import (
     SPACE_AXES,
@@ -41,7 +52,8 @@ CALL_SECONDS = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Hierarchy:
-    """A hierarchy in a ``store``, the chosen path ``inside`` it, and the display ``name`` of the whole.
+    """A hierarchy in a ``store``, the chosen path ``inside`` it, and the display ``name`` of the
+    whole.
 
     ``stamp`` names the state of its objects; see ``Grid``.
     """
@@ -55,14 +67,17 @@ class Hierarchy:
 def hierarchy_at(location: Path | str) -> Hierarchy:
     """The hierarchy that contains a folder or a URL.
 
-    Raises VolumeError where there is none, for links out of the folder, and for URLs that hold a secret.
+    Raises VolumeError where there is none, for links out of the folder, and for URLs that hold a
+    secret.
     """
     if isinstance(location, str):
         return _remote(location)
     root = root_of(location)
     check_links(root)
     inside = location.relative_to(root).as_posix().removeprefix(".")
-    return Hierarchy(str(root), inside, LocalStore(root, read_only=True), partial(_stamp_of_folder, root))
+    return Hierarchy(
+        str(root), inside, LocalStore(root, read_only=True), partial(_stamp_of_folder, root)
+    )
 
 
 def root_of(path: Path) -> Path:
@@ -70,7 +85,9 @@ def root_of(path: Path) -> Path:
     if not path.is_dir():
         raise VolumeError(f"There is no Zarr array '{path}': check the volume's path.")
     if not _is_zarr(path):
-        raise VolumeError(f"'{path}' is a folder that holds no Zarr array: give a .zarr folder, or a NRRD file.")
+        raise VolumeError(
+            f"'{path}' is a folder that holds no Zarr array: give a .zarr folder, or a NRRD file."
+        )
     while _is_zarr(path.parent):
         path = path.parent
     return path
@@ -87,7 +104,9 @@ def check_links(root: Path) -> None:
         for name in (*folders, *files):
             path = Path(folder) / name
             if path.is_symlink() and not path.resolve().is_relative_to(real):
-                raise VolumeError(f"'{path}' is a link out of the volume's folder: put a copy in its place.")
+                raise VolumeError(
+                    f"'{path}' is a link out of the volume's folder: put a copy in its place."
+                )
 
 
 def _remote(url: str) -> Hierarchy:
@@ -95,37 +114,58 @@ def _remote(url: str) -> Hierarchy:
     scheme = url.partition("://")[0].lower()
     if scheme not in BUCKET_SCHEMES or SECRET_PARTS.search(url):
         known = "it must begin with s3://, gs://, az:// or https:// and hold no password or key"
-        raise VolumeError(f"The volume's URL cannot be used ({known}): put credentials into the environment.")
+        raise VolumeError(
+            f"The volume's URL cannot be used ({known}): put credentials into the environment."
+        )
     found = re.match(r"(.+\.zarr)(?:/(.*))?$", url.rstrip("/"))
-    root, inside = (found[1], found[2] or "") if found else (url.rstrip("/"), "")
+    if found:
+        root = found[1]
+        inside = found[2] or ""
+    else:
+        root = url.rstrip("/")
+        inside = ""
     try:
         from obstore import store as stores  # noqa: PLC0415 (an extra)
     except ImportError:
-        raise VolumeError(f"'{url}' needs a library that is not installed: pip install 'isogi[s3]'.") from None
+        raise VolumeError(
+            f"'{url}' needs a library that is not installed: pip install 'isogi[s3]'."
+        ) from None
     connect: Any = getattr(stores, "from_url")  # noqa: B009 (it has a signature for each scheme)
     store_url = StoreUrl(root, seconds=CALL_SECONDS)
     try:
-        store = connect(root, client_options=call_options(store_url), retry_config=retry_options(store_url))
+        store = connect(
+            root, client_options=call_options(store_url), retry_config=retry_options(store_url)
+        )
     except Exception as error:  # of many kinds, for what the environment lacks
         reason = type(error).__name__
-        raise VolumeError(f"'{url}' cannot be reached ({reason}): check it, and the environment.") from None
-    return Hierarchy(root, inside, ObjectStore(store, read_only=True), partial(_stamp_of_objects, root, store))
+        raise VolumeError(
+            f"'{url}' cannot be reached ({reason}): check it, and the environment."
+        ) from None
+    return Hierarchy(
+        root, inside, ObjectStore(store, read_only=True), partial(_stamp_of_objects, root, store)
+    )
 
 
 def _stamp_of_folder(root: Path) -> str:
     """Digest (hex) of all files below ``root``."""
-    return stamp_of(sorted(Path(folder) / name for folder, _, names in os.walk(root) for name in names))
+    return stamp_of(
+        sorted(Path(folder) / name for folder, _, names in os.walk(root) for name in names)
+    )
 
 
 def _stamp_of_objects(root: str, store: Any) -> str:
-    """Digest (hex) of all objects at a URL; of the metadata alone where they cannot be listed, as over plain HTTP."""
+    """Digest (hex) of all objects at a URL; of the metadata alone where they cannot be listed, as
+    over plain HTTP.
+    """
     import obstore  # noqa: PLC0415 (an extra)
 
     try:
         found = [each for page in obstore.list(store) for each in page]
     except Exception:  # a server that lists nothing
         found = [head for name in ZARR_METADATA if (head := _head(store, name)) is not None]
-    facts = sorted(f"{each['path']} {each['size']} {each['e_tag']} {each['last_modified']}" for each in found)
+    facts = sorted(
+        f"{each['path']} {each['size']} {each['e_tag']} {each['last_modified']}" for each in found
+    )
     return hashlib.blake2b("\0".join([root, *facts]).encode(), digest_size=16).hexdigest()
 
 
@@ -140,7 +180,9 @@ def _head(store: Any, name: str) -> Any:
 
 
 MAX_LAYER_BYTES = 1 << 29
-"""Most bytes of a layer of chunks that is read at once; chunks of larger layers are read several times."""
+"""Most bytes of a layer of chunks that is read at once; chunks of larger layers are read several
+times.
+"""
 
 MOST_CHUNKS = 1 << 22
 """Most chunks of a field, or of a region of it: to ask for more takes hours, whatever they hold."""
@@ -151,7 +193,10 @@ MAX_CHUNK = 1 << 30
 MAX_PICTURE_VOXELS = 4096
 """Voxels along an image's longest side that the largest picture of all of it shows, one a pixel."""
 
-SHIFT_NOTE = "It says no translation: where its voxels are means of finer ones, surfaces lie up to half a voxel off."
+SHIFT_NOTE = (
+    "It says no translation: where its voxels are means of finer ones, surfaces lie "
+    "up to half a voxel off."
+)
 
 ASSUMED_AXES = {3: "zyx", 4: "czyx", 5: "tczyx"}
 """Assumed names of axes without names, by their number."""
@@ -164,9 +209,11 @@ CHOSEN_AXES = {"t": "time", "c": "channel"}
 
 @dataclass(frozen=True, eq=False)
 class FoundArray:
-    """An ``array`` of a hierarchy, with its axes. ``given`` is what its image says of it, None where there is none.
+    """An ``array`` of a hierarchy, with its axes. ``given`` is what its image says of it, None
+    where there is none.
 
-    ``notes`` say why it was chosen; ``labels`` are those of an image of labels, and ``levels`` its resolutions.
+    ``notes`` say why it was chosen; ``labels`` are those of an image of labels, and ``levels`` its
+    resolutions.
     """
 
     among: Hierarchy
@@ -185,33 +232,49 @@ def open_zarr(
     time: int | None = None,
     region: Region | None = None,
 ) -> Grid:
-    """Open a Zarr array, or a resolution of an OME-Zarr image, as a grid; only metadata is read now.
+    """Open a Zarr array, or a resolution of an OME-Zarr image, as a grid; only metadata is read
+    now.
 
-    ``path``, a folder or a URL, is the array or the image, or an array inside one (``brain.zarr/2``). ``level`` 0 is
-    the finest resolution; the default is the finest that memory and pictures have room for. ``channel`` and ``time``
-    choose along these axes, and of a ``region`` no other chunks are read. Spacing is the scale of the
-    image, in the unit of x, else 1. Raises VolumeError where there is no such array, where it has other axes of more
-    than one element or its codecs are not to be had, and for links that lead out of the folder; the slabs do where
-    chunks are damaged.
+    ``path``, a folder or a URL, is the array or the image, or an array inside one
+    (``brain.zarr/2``). ``level`` 0 is the finest resolution; the default is the finest that memory
+    and pictures have room for. ``channel`` and ``time`` choose along these axes, and of a
+    ``region`` no other chunks are read. Spacing is the scale of the image, in the unit of x, else
+    1. Raises VolumeError where there is no such array, where it has other axes of more than one
+    element or its codecs are not to be had, and for links that lead out of the folder; the slabs do
+    where chunks are damaged.
     """
     found = find_array(path, level)
-    found = _fitting(path, found) if level is None and region is None else found
-    array, chosen = found.array, {"c": channel, "t": time}
+    if level is None and region is None:
+        found = _fitting(path, found)
+    array = found.array
+    chosen = {"c": channel, "t": time}
     picks = [
-        slice(None) if axis.name in SPACE_AXES else _pick(path, found, n, chosen) for n, axis in enumerate(found.axes)
+        slice(None) if axis.name in SPACE_AXES else _pick(path, found, n, chosen)
+        for n, axis in enumerate(found.axes)
     ]
     _check(path, found, region)
-    packing, order = _packing(array), _order(found.axes)
+    packing = _packing(array)
+    order = _order(found.axes)
     shape = tuple(array.shape[n] for n in order)
     slabs = partial(_slabs, path, array, (tuple(picks), order), shape, packing)
     read = [array.path, *(pick for pick in picks if isinstance(pick, int))]
     spacing, affine, unit = _placed(found)
     times = dict(zip((axis.name for axis in found.axes), array.shape, strict=True)).get("t", 1)
-    moment, unchosen = (time or 0, times) if times > 1 else SINGLE_MOMENT, time is None and times > 1
-    stamp, notes = partial(_stamp, found.among, read), (*found.notes, *packing.notes)
-    kind = ("OME-Zarr", "its transformations") if found.given else ("Zarr", "")
+    if times > 1:
+        moment = (time or 0, times)
+    else:
+        moment = SINGLE_MOMENT
+    unchosen = time is None and times > 1
+    stamp = partial(_stamp, found.among, read)
+    notes = (*found.notes, *packing.notes)
+    if found.given:
+        kind = ("OME-Zarr", "its transformations")
+    else:
+        kind = ("Zarr", "")
     grid = Grid(shape, packing.dtype, spacing, slabs, stamp, affine, unit, notes)
-    grid = replace(grid, moment=moment, unchosen=unchosen, labels=found.labels, read_as=packing.read_as(*kind))
+    grid = replace(
+        grid, moment=moment, unchosen=unchosen, labels=found.labels, read_as=packing.read_as(*kind)
+    )
     if region is None:
         return grid
     part = grid.cropped(region)
@@ -226,20 +289,29 @@ def within(picks: list[Any], order: tuple[int, ...], region: Region) -> tuple[An
 
 
 def _fitting(path: Path | str, found: FoundArray) -> FoundArray:
-    """The finest resolution of an image that fits into the memory budget and that a picture can show, with a note where
-    it is not the finest of all; the coarsest where none fits.
+    """The finest resolution of an image that fits into the memory budget and that a picture can
+    show, with a note where it is not the finest of all; the coarsest where none fits.
     """
     level = 0
-    while level + 1 < found.levels and (_too_large(found) or max(_sides(found)) >= MAX_PICTURE_VOXELS):
+    while level + 1 < found.levels and (
+        _too_large(found) or max(_sides(found)) >= MAX_PICTURE_VOXELS
+    ):
         coarser = find_array(path, level + 1)
         if not _too_large(found) and max(_sides(coarser)) < MAX_PICTURE_VOXELS:
             break
-        level, found = level + 1, coarser
+        level = level + 1
+        found = coarser
     if not level:
         return found
-    lies = "" if found.given is None or found.given.shifted else SHIFT_NOTE
+    if found.given is None or found.given.shifted:
+        lies = ""
+    else:
+        lies = SHIFT_NOTE
     more = f"level = {level - 1} in the scene shows a finer one, or region a part of it"
-    note = f"Level {level} of 0 to {found.levels - 1} is shown, as fine as memory and pictures have room for: {more}."
+    note = (
+        f"Level {level} of 0 to {found.levels - 1} is shown, as fine as memory and pictures "
+        f"have room for: {more}."
+    )
     return replace(found, notes=(*found.notes, note, *((lies,) if lies else ())))
 
 
@@ -250,7 +322,9 @@ def _too_large(found: FoundArray) -> bool:
 
 def _sides(found: FoundArray) -> list[int]:
     """Voxels of the field along its axes in space."""
-    return [n for axis, n in zip(found.axes, found.array.shape, strict=True) if axis.name in SPACE_AXES]
+    return [
+        n for axis, n in zip(found.axes, found.array.shape, strict=True) if axis.name in SPACE_AXES
+    ]
 
 
 def _voxels(found: FoundArray, region: Region | None) -> int:
@@ -264,7 +338,9 @@ def _chunks(found: FoundArray, region: Region | None) -> int:
     """Chunks that hold the field in an array, or a region of it."""
     spans = dict(zip(SPACE_AXES, region or (), strict=False))
     sizes = zip(found.axes, found.array.shape, found.array.chunks, strict=True)
-    spatial = [(*spans.get(axis.name, (0, n)), step) for axis, n, step in sizes if axis.name in SPACE_AXES]
+    spatial = [
+        (*spans.get(axis.name, (0, n)), step) for axis, n, step in sizes if axis.name in SPACE_AXES
+    ]
     return math.prod((end - 1) // step - first // step + 1 for first, end, step in spatial)
 
 
@@ -275,14 +351,20 @@ def _order(axes: tuple[Axis, ...]) -> tuple[int, ...]:
 
 
 def _placed(found: FoundArray) -> tuple[Vector, Affine | None, str]:
-    """Spacing, affine and unit of an array: the affine where its image says more than the length of each axis."""
+    """Spacing, affine and unit of an array: the affine where its image says more than the length of
+    each axis.
+    """
     if found.given is None or found.given.matrix is None:
         return (1.0, 1.0, 1.0), None, ""
     matrix, unit, letters = placed_in_space(found.given)
     x, y, z = (math.hypot(*column) for column in matrix[:, :3].T.tolist())
     alone = np.column_stack([np.diag([x, y, z]), np.zeros(3)])
     placed = bool(letters) or not np.array_equal(matrix, alone)
-    return (x, y, z), Affine.of(matrix, letters) if placed and np.isfinite(matrix).all() else None, unit
+    return (
+        (x, y, z),
+        Affine.of(matrix, letters) if placed and np.isfinite(matrix).all() else None,
+        unit,
+    )
 
 
 def _stamp(among: Hierarchy, part: list[Any]) -> str:
@@ -292,34 +374,55 @@ def _stamp(among: Hierarchy, part: list[Any]) -> str:
 def _packing(array: "zarr.Array[Any]") -> Packing:
     """The packing of an array, by CF's attributes.
 
-    Xarray writes the mark of holes as the fill value of Zarr's second version; zero is what others fill with.
+    Xarray writes the mark of holes as the fill value of Zarr's second version; zero is what others
+    fill with.
     """
     attributes: dict[str, Any] = array.attrs.asdict()
-    filled = getattr(array.metadata, "fill_value", None) if array.metadata.zarr_format == 2 else None
+    if array.metadata.zarr_format == 2:
+        filled = getattr(array.metadata, "fill_value", None)
+    else:
+        filled = None
     if "_ARRAY_DIMENSIONS" in attributes and filled:
         attributes = {"_FillValue": filled, **attributes}
     return climate_packing(attributes, array.dtype)
 
 
 def find_array(path: Path | str, level: int | None) -> FoundArray:
-    """The array at ``path``, or that of ``level`` of the image there; of several images the first, with a note."""
-    among, notes = hierarchy_at(path), list[str]()
-    inside, node = among.inside, _open(path, among, among.inside)
-    while isinstance(node, zarr.Group) and (first := first_image(node.attrs.asdict(), str(path), inside))[0]:
-        inside, notes = f"{inside}/{first[0]}".strip("/"), [*notes, first[1]]
+    """The array at ``path``, or that of ``level`` of the image there; of several images the first,
+    with a note.
+    """
+    among = hierarchy_at(path)
+    notes = list[str]()
+    inside = among.inside
+    node = _open(path, among, among.inside)
+    while (
+        isinstance(node, zarr.Group)
+        and (first := first_image(node.attrs.asdict(), str(path), inside))[0]
+    ):
+        inside = f"{inside}/{first[0]}".strip("/")
+        notes = [*notes, first[1]]
         node = _open(path, among, inside)
     if isinstance(node, zarr.Group):
         image = _resolutions(node, path)
-        chosen = image[level or 0].path if (level or 0) < len(image) else None
+        if (level or 0) < len(image):
+            chosen = image[level or 0].path
+        else:
+            chosen = None
         if chosen is None:
             raise VolumeError(_no_array(path, node, image, level))
         array = _open(path, among, f"{inside}/{chosen}".strip("/"))
         if isinstance(array, zarr.Group):
-            raise VolumeError(f"'{path}' names a resolution '{chosen}' that is no array: write it again.")
+            raise VolumeError(
+                f"'{path}' names a resolution '{chosen}' that is no array: write it again."
+            )
         found = _with_axes(path, among, array, image[level or 0])
-        return replace(found, notes=tuple(notes), labels=labels_of(node.attrs.asdict()), levels=len(image))
+        return replace(
+            found, notes=tuple(notes), labels=labels_of(node.attrs.asdict()), levels=len(image)
+        )
     if level is not None:
-        raise VolumeError(f"'{path}' is one array, without levels: leave out 'level', or name the image.")
+        raise VolumeError(
+            f"'{path}' is one array, without levels: leave out 'level', or name the image."
+        )
     return _with_axes(path, among, node, _resolution_above(path, among))
 
 
@@ -328,20 +431,29 @@ def _open(path: Path | str, among: Hierarchy, inside: str) -> "zarr.Array[Any] |
     try:
         return zarr.open(store=among.store, path=inside, mode="r")
     except FileNotFoundError as error:
-        raise VolumeError(f"'{among.name}' has no array '{inside}': write it again, or choose another.") from error
+        raise VolumeError(
+            f"'{among.name}' has no array '{inside}': write it again, or choose another."
+        ) from error
     except Exception as error:  # of many kinds, for damaged metadata and missing codecs
-        raise VolumeError(f"'{path}' cannot be read as Zarr ({line_of(error)}): write it again.") from error
+        raise VolumeError(
+            f"'{path}' cannot be read as Zarr ({line_of(error)}): write it again."
+        ) from error
 
 
 def _resolutions(group: zarr.Group, path: Path | str) -> list[Resolution]:
     return resolutions_of(group.attrs.asdict(), str(path))
 
 
-def _no_array(path: Path | str, group: zarr.Group, image: list[Resolution], level: int | None) -> str:
+def _no_array(
+    path: Path | str, group: zarr.Group, image: list[Resolution], level: int | None
+) -> str:
     """The message for a group without the array that is asked for."""
     if image:
         return f"level = {level} of '{path}' is not there: it has levels 0 to {len(image) - 1}."
-    names = ", ".join(f"'{PurePath(path).name}/{name}'" for name in _members(group)) or "nothing that it lists"
+    names = (
+        ", ".join(f"'{PurePath(path).name}/{name}'" for name in _members(group))
+        or "nothing that it lists"
+    )
     return f"'{path}' is a Zarr group and no image: it holds {names}; name an array, or an image."
 
 
@@ -355,7 +467,10 @@ def _members(group: zarr.Group) -> list[str]:
 
 def _resolution_above(path: Path | str, among: Hierarchy) -> Resolution | None:
     """The resolution that the nearest image above an array gives for it."""
-    parts = among.inside.split("/") if among.inside else []
+    if among.inside:
+        parts = among.inside.split("/")
+    else:
+        parts = []
     for n in range(len(parts) - 1, -1, -1):
         try:
             group = _open(path, among, "/".join(parts[:n]))
@@ -367,25 +482,35 @@ def _resolution_above(path: Path | str, among: Hierarchy) -> Resolution | None:
     return None
 
 
-def _with_axes(path: Path | str, among: Hierarchy, array: "zarr.Array[Any]", given: Resolution | None) -> FoundArray:
+def _with_axes(
+    path: Path | str, among: Hierarchy, array: "zarr.Array[Any]", given: Resolution | None
+) -> FoundArray:
     """The array with its axes: those of the image, else by their names, else by their number."""
     told = given is not None and given.matrix is not None
-    axes = (
-        array_axes(given)
-        if given is not None and told
-        else tuple(map(Axis, _names(array) or ASSUMED_AXES.get(array.ndim, "")))
-    )
+    if given is not None and told:
+        axes = array_axes(given)
+    else:
+        axes = tuple(map(Axis, _names(array) or ASSUMED_AXES.get(array.ndim, "")))
     if len(axes) != array.ndim:
-        raise VolumeError(f"'{path}' has {array.ndim} dimensions and {len(axes)} axes: choose one scalar field of it.")
+        raise VolumeError(
+            f"'{path}' has {array.ndim} dimensions and {len(axes)} axes: choose one scalar "
+            "field of it."
+        )
     return FoundArray(among, array, axes, given if told else None)
 
 
 def _names(array: "zarr.Array[Any]") -> tuple[str, ...]:
     """Names of the dimensions, where all are known ones; empty otherwise."""
-    given: Any = getattr(array.metadata, "dimension_names", None) or array.attrs.asdict().get("_ARRAY_DIMENSIONS") or ()
+    given: Any = (
+        getattr(array.metadata, "dimension_names", None)
+        or array.attrs.asdict().get("_ARRAY_DIMENSIONS")
+        or ()
+    )
     names = [OTHER_NAMES.get(str(name).lower(), str(name).lower()) for name in given]
     spatial = [n for n, name in enumerate(names) if name not in CHOSEN_AXES]
-    if len(spatial) == 3 and not any(names[n] in SPACE_AXES for n in spatial):  # such as depth, latitude and longitude
+    if len(spatial) == 3 and not any(
+        names[n] in SPACE_AXES for n in spatial
+    ):  # such as depth, latitude and longitude
         for n, name in zip(spatial, SPACE_AXES[::-1], strict=True):
             names[n] = name
     known = set(names) <= {*SPACE_AXES, *CHOSEN_AXES} and len(set(names)) == len(names)
@@ -394,10 +519,15 @@ def _names(array: "zarr.Array[Any]") -> tuple[str, ...]:
 
 def _pick(path: Path | str, found: FoundArray, place: int, chosen: dict[str, int | None]) -> int:
     """The element that is read along an axis that is not spatial."""
-    name, length = found.axes[place].name, found.array.shape[place]
-    key, pick = CHOSEN_AXES.get(name), chosen.get(name)
+    name = found.axes[place].name
+    length = found.array.shape[place]
+    key = CHOSEN_AXES.get(name)
+    pick = chosen.get(name)
     if pick is None and length > 1 and key != "time":
-        wanted = f"set {key} in the scene, from 0 to {length - 1}" if key else "save one element of it"
+        if key:
+            wanted = f"set {key} in the scene, from 0 to {length - 1}"
+        else:
+            wanted = "save one element of it"
         raise VolumeError(f"'{path}' has {length} elements along its axis '{name}': {wanted}.")
     if not 0 <= (pick or 0) < length:
         raise VolumeError(f"{key} = {pick} is not in '{path}', which has 0 to {length - 1}.")
@@ -406,20 +536,32 @@ def _pick(path: Path | str, found: FoundArray, place: int, chosen: dict[str, int
 
 def _check(path: Path | str, found: FoundArray, region: Region | None) -> None:
     """Raise VolumeError where the array is no 3-D field, or of an impossible size."""
-    array, space = found.array, [axis.name for axis in found.axes if axis.name in SPACE_AXES]
+    array = found.array
+    space = [axis.name for axis in found.axes if axis.name in SPACE_AXES]
     if sorted(space) != list(SPACE_AXES):
-        raise VolumeError(f"'{path}' has the axes {', '.join(space) or 'none'} in space: they must be z, y and x.")
+        raise VolumeError(
+            f"'{path}' has the axes {', '.join(space) or 'none'} in space: they must be z, y and x."
+        )
     if min(array.chunks, default=0) < 1:
-        raise VolumeError(f"'{path}' claims chunks of {array.chunks} voxels, which cannot be: mend its metadata.")
+        raise VolumeError(
+            f"'{path}' claims chunks of {array.chunks} voxels, which cannot be: mend its metadata."
+        )
     if _voxels(found, region) > MAX_VOXELS:
         part = "choose a coarser level, or a region in the scene"
         raise VolumeError(
-            f"'{path}' claims a shape {array.shape}, of which no more than {MAX_VOXELS} voxels can be shown: {part}."
+            f"'{path}' claims a shape {array.shape}, of which no more than {MAX_VOXELS} voxels "
+            f"can be shown: {part}."
         )
     if int(np.prod([float(n) for n in array.chunks])) * array.dtype.itemsize > MAX_CHUNK:
-        raise VolumeError(f"The chunks of '{path}' have {array.chunks} voxels: write it in chunks of 1 GiB or less.")
+        raise VolumeError(
+            f"The chunks of '{path}' have {array.chunks} voxels: write it in chunks of 1 GiB "
+            "or less."
+        )
     if _chunks(found, region) > MOST_CHUNKS:
-        raise VolumeError(f"The chunks of '{path}' have {array.chunks} voxels, and are too many: write larger ones.")
+        raise VolumeError(
+            f"The chunks of '{path}' have {array.chunks} voxels, and are too many: write "
+            "larger ones."
+        )
 
 
 def _slabs(
@@ -429,20 +571,30 @@ def _slabs(
     shape: Shape,
     packing: Packing,
 ) -> Iterator[np.ndarray]:
-    """The array, a layer of chunks or less at a time; ``picks`` are what is read along each axis, and the places of
-    z, y, x among them.
+    """The array, a layer of chunks or less at a time; ``picks`` are what is read along each axis,
+    and the places of z, y, x among them.
     """
     chosen, order = picks
     inside = chosen[order[0]]
-    begin, end = inside.start or 0, (inside.start or 0) + shape[0]
-    layer, deep = shape[1] * shape[2] * array.dtype.itemsize, array.chunks[order[0]]
-    step = deep * max(slab_layers(layer) // deep, 1) if deep * layer <= MAX_LAYER_BYTES else slab_layers(layer)
-    turned = np.argsort(np.argsort(order)) if sorted(order) != list(order) else None
+    begin = inside.start or 0
+    end = (inside.start or 0) + shape[0]
+    layer = shape[1] * shape[2] * array.dtype.itemsize
+    deep = array.chunks[order[0]]
+    if deep * layer <= MAX_LAYER_BYTES:
+        step = deep * max(slab_layers(layer) // deep, 1)
+    else:
+        step = slab_layers(layer)
+    if sorted(order) != list(order):
+        turned = np.argsort(np.argsort(order))
+    else:
+        turned = None
     for z in range(begin // deep * deep, end, step):
         layers = slice(max(z, begin), min(z + step, end))
         place = (*chosen[: order[0]], layers, *chosen[order[0] + 1 :])
         try:
             slab = packing.apply(np.asarray(array[place]))
         except Exception as error:  # of many kinds, from codecs on damage
-            raise VolumeError(f"The chunks of '{path}' are damaged ({line_of(error)}): copy it again.") from error
+            raise VolumeError(
+                f"The chunks of '{path}' are damaged ({line_of(error)}): copy it again."
+            ) from error
         yield slab if turned is None else slab.transpose(turned)

@@ -35,10 +35,19 @@ from isogi_core.kernels.shading.local_models import find_normals, find_shadows, 
 from isogi_core.kernels.shading.shadow_points import prepare_points, sort_by_turn
 from isogi_core.kernels.shading.shine import cast_shine, fill_below, filter_shine, light_ends
 from isogi_core.kernels.shading.surface_points import mean_around, pool_noise
-from isogi_core.kernels.shading.texel_normals import fill_texel_normals, keep_normals, look_up_normals
+from isogi_core.kernels.shading.texel_normals import (
+    fill_texel_normals,
+    keep_normals,
+    look_up_normals,
+)
 from isogi_core.kernels.shading.texel_table import add_part, find_fewest, judge_rows, unpack_texels
 from isogi_core.kernels.shading.wall_light import light_walls
-from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, number_bricks, pack_bricks
+from isogi_core.kernels.tracing.active_cells import (
+    fill_ranges,
+    mark_bricks,
+    number_bricks,
+    pack_bricks,
+)
 from isogi_core.kernels.tracing.camera import (
     read_values,
     trace_pixels,
@@ -83,7 +92,9 @@ COLOURED = (fill_albedos,)
 """Kernels that only scenes with colours by data call; their paths are those of a room."""
 
 AMONG = (peel_rays,)
-"""Kernels that only scenes with several surfaces call; they call no ``trace_pixels`` and no ``trace_places``."""
+"""Kernels that only scenes with several surfaces call; they call no ``trace_pixels`` and no
+``trace_places``.
+"""
 
 SHINE_KERNELS = (cast_shine, fill_below, fill_energy, pool_noise, filter_shine)
 """Kernels that only scenes with a shine call; and, where lights have lobes, ``light_ends``."""
@@ -137,9 +148,13 @@ FRAME = (
     keep_normals,
     *LOBES[1:],
 )
-"""Kernels of a plain scene in turning light, with lobes and texels that are projected; the slowest compile first."""
+"""Kernels of a plain scene in turning light, with lobes and texels that are projected; the slowest
+compile first.
+"""
 
-KERNELS = tuple(dict.fromkeys((*ROOM, *COLOURED, *GLOW, *MATTER, *AMONG, *SHINE_KERNELS, light_ends, *FRAME)))
+KERNELS = tuple(
+    dict.fromkeys((*ROOM, *COLOURED, *GLOW, *MATTER, *AMONG, *SHINE_KERNELS, light_ends, *FRAME))
+)
 """All kernels of frames, but for those of whole paths; the slowest compile first."""
 
 CALLED_IF: Mapping[Any, Callable[[Scene, bool], bool]] = {
@@ -157,7 +172,9 @@ CALLED_IF: Mapping[Any, Callable[[Scene, bool], bool]] = {
     carry_ratios: lambda scene, projects: projects or carries_irradiance_ratios(scene, "gi", False),
     carry_light: lambda scene, _: not carries_irradiance_ratios(scene, "gi", False),
 }
-"""What a scene has whose frames call a kernel, given whether the scene projects texels; see also ``uncalled``."""
+"""What a scene has whose frames call a kernel, given whether the scene projects texels; see also
+``uncalled``.
+"""
 
 OTHER_KERNELS = (
     mean_around,
@@ -165,8 +182,8 @@ OTHER_KERNELS = (
     shade_local,
     read_values,
 )
-"""Kernels of pictures without light from texels (local shadings and path-traced ones), of checks of pictures, and of
-views through a window.
+"""Kernels of pictures without light from texels (local shadings and path-traced ones), of checks of
+pictures, and of views through a window.
 """
 
 
@@ -175,46 +192,68 @@ FIRST_KERNELS = (
     *(mark_bricks, fill_ranges, pack_bricks, number_bricks, fill_macrocells, count_stiffness),
     *(find_normals, tally, develop_rows, fill_curve),
 )
-"""Kernels that pictures without light from texels call as well: they come first where none are compiled."""
+"""Kernels that pictures without light from texels call as well: they come first where none are
+compiled.
+"""
 
 
 def first_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
-    """The entry kernels of first pictures of the ``scenes``: by a local shading without shadows, edges not smoothed."""
+    """The entry kernels of first pictures of the ``scenes``: by a local shading without shadows,
+    edges not smoothed.
+    """
     called = {*frame_kernels(scenes, surveyed=False)}
     return (*(kernel for kernel in FIRST_KERNELS if kernel in called), shade_local)
 
 
 def frame_kernels(scenes: Iterable[Scene], surveyed: bool = True) -> tuple[Any, ...]:
-    """Kernels that frames of any of the ``scenes`` call: those of paths first, then in the order of KERNELS.
+    """Kernels that frames of any of the ``scenes`` call: those of paths first, then in the order of
+    KERNELS.
 
-    Whether a scene projects texels is asked of a survey of its volume, which calls kernels itself: scenes that are not
-    ``surveyed`` count as if they did.
+    Whether a scene projects texels is asked of a survey of its volume, which calls kernels itself:
+    scenes that are not ``surveyed`` count as if they did.
     """
     shown = tuple(scenes)
-    paths = dict.fromkeys(kernel for scene in shown if not only_checked(scene) for kernel in paths_of(scene))
+    paths = dict.fromkeys(
+        kernel for scene in shown if not only_checked(scene) for kernel in paths_of(scene)
+    )
     called = set().union(*(called_by(scene, surveyed) for scene in shown))
     return (*paths, *(kernel for kernel in KERNELS if kernel in called))
 
 
 def called_by(scene: Scene, surveyed: bool) -> set[Any]:
-    """The kernels of KERNELS that frames of a ``scene`` call; for ``surveyed`` see ``frame_kernels``."""
-    lighting, projects = scene.lighting, not surveyed or scene.projection.any
+    """The kernels of KERNELS that frames of a ``scene`` call; for ``surveyed`` see
+    ``frame_kernels``.
+    """
+    lighting = scene.lighting
+    projects = not surveyed or scene.projection.any
     names = uncalled(lighting.rotating, lighting.environment, lighting.lamps, scene.plan.lobes)
     rest = (kernel for kernel in KERNELS if kernel.__name__ not in names)
-    return {kernel for kernel in rest if kernel not in CALLED_IF or CALLED_IF[kernel](scene, projects)}
+    return {
+        kernel for kernel in rest if kernel not in CALLED_IF or CALLED_IF[kernel](scene, projects)
+    }
 
 
 def other_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     """OTHER_KERNELS, and kernels of whole paths of any of the ``scenes``: see ``paths_of``."""
-    return (*OTHER_KERNELS, *dict.fromkeys(kernel for scene in scenes for kernel in paths_of(scene)))
+    return (
+        *OTHER_KERNELS,
+        *dict.fromkeys(kernel for scene in scenes for kernel in paths_of(scene)),
+    )
 
 
 def paths_of(scene: Scene) -> tuple[Any, ...]:
     """The kernels of whole paths among what a ``scene`` has: for its light, and for what glows."""
-    glow = path_kernels(scene.glow_meets, Glows) if scene.lighting.glowing.any else ()
+    if scene.lighting.glowing.any:
+        glow = path_kernels(scene.glow_meets, Glows)
+    else:
+        glow = ()
     return (*path_kernels(scene.meets, Surroundings), *glow)
 
 
 def only_checked(scene: Scene) -> bool:
-    """Whether frames of a ``scene`` send paths only where they are checked: no walls, no ways by chance."""
-    return not (scene.lighting.room.any or scene.surfaces.several or scene.surfaces.material.refracts)
+    """Whether frames of a ``scene`` send paths only where they are checked: no walls, no ways by
+    chance.
+    """
+    return not (
+        scene.lighting.room.any or scene.surfaces.several or scene.surfaces.material.refracts
+    )

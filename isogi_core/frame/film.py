@@ -1,7 +1,8 @@
-"""Developing a frame: from linear light to a picture of eight bits, smoothed at edges, with marks or errors over it.
+"""Developing a frame: from linear light to a picture of eight bits, smoothed at edges, with marks
+or errors over it.
 
-Pixels at silhouettes, creases and edges of shadows take more samples. A sample costs a ray. Its light is what the
-pixels around it have, where they show the surface next to it.
+Pixels at silhouettes, creases and edges of shadows take more samples. A sample costs a ray. Its
+light is what the pixels around it have, where they show the surface next to it.
 """
 
 import math
@@ -28,8 +29,8 @@ COLOURS = (
     *("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c"),
     *("#28ae80", "#5ec962", "#addc30", "#fde725"),
 )
-"""sRGB at equal steps of the logarithm, from little error to much: viridis (Smith and van der Walt 2015), of even
-steps to the eye, at nine places."""
+"""sRGB at equal steps of the logarithm, from little error to much: viridis (Smith and van der Walt
+2015), of even steps to the eye, at nine places."""
 
 ERROR_LEVELS = 256
 
@@ -38,8 +39,13 @@ ERROR_LEVELS = 256
 def colour_table() -> np.ndarray:
     """COLOURS and what is between them, (LEVELS, 3) uint8 sRGB."""
     anchors = np.array([list(bytes.fromhex(colour[1:])) for colour in COLOURS], float)
-    place, at = np.linspace(0.0, 1.0, ERROR_LEVELS), np.linspace(0.0, 1.0, len(COLOURS))
-    return np.stack([np.interp(place, at, channel) for channel in anchors.T], axis=1).round().astype(np.uint8)
+    place = np.linspace(0.0, 1.0, ERROR_LEVELS)
+    at = np.linspace(0.0, 1.0, len(COLOURS))
+    return (
+        np.stack([np.interp(place, at, channel) for channel in anchors.T], axis=1)
+        .round()
+        .astype(np.uint8)
+    )
 
 
 def error_colours(error: np.ndarray) -> np.ndarray:
@@ -53,7 +59,9 @@ BACKGROUND = (0.0103, 0.0123, 0.0160)
 """Linear RGB behind the surface: a quiet, almost black blue."""
 
 LIGHT = "e2e4e6"
-"""sRGB behind the surface of pictures on a light ground: a grey as of a studio, from which what is lit stands out."""
+"""sRGB behind the surface of pictures on a light ground: a grey as of a studio, from which what is
+lit stands out.
+"""
 
 HATCHING_COLOUR = (0.95, 0.42, 0.05)
 """Linear RGB of the overlay's hatching: amber, which no grey surface has."""
@@ -83,16 +91,22 @@ def ground_of(background: str) -> tuple[float, ...]:
     return tuple(linear_of(code / 255.0) for code in codes)
 
 
-def develop(frame: Frame, exposure: float, overlay: str = "none", background: str = "dark") -> np.ndarray:
+def develop(
+    frame: Frame, exposure: float, overlay: str = "none", background: str = "dark"
+) -> np.ndarray:
     """The picture of a frame, (h, w, 3) uint8 sRGB. ``exposure`` multiplies the light.
 
-    ``background`` is behind the surface: dark, light, ``#rrggbb``, or transparent: then the picture is (h, w, 4), its
-    last channel how much of a pixel the surface covers. ``overlay`` is one of the view's OVERLAYS: ``provisional``
-    hatches what is not final, broad where provisional, fine where converging; ``error`` colours what has light by its
-    estimated relative error, and hatches the rest. Pixels at edges are the mean of their samples, under no overlay.
+    ``background`` is behind the surface: dark, light, ``#rrggbb``, or transparent: then the picture
+    is (h, w, 4), its last channel how much of a pixel the surface covers. ``overlay`` is one of the
+    view's OVERLAYS: ``provisional`` hatches what is not final, broad where provisional, fine where
+    converging; ``error`` colours what has light by its estimated relative error, and hatches the
+    rest. Pixels at edges are the mean of their samples, under no overlay.
     """
     clear = background == "transparent"
-    left = None if frame.left is None else np.where(frame.state > 0, frame.left, np.float32(1.0))
+    if frame.left is None:
+        left = None
+    else:
+        left = np.where(frame.state > 0, frame.left, np.float32(1.0))
     ground = BACKGROUND if clear else ground_of(background)
     if overlay == "error":
         picture = with_errors(frame, exposure, ground)
@@ -102,15 +116,22 @@ def develop(frame: Frame, exposure: float, overlay: str = "none", background: st
     if left is not None and not clear:
         picture = seen_through(picture, left, ground)
     if clear:
-        cover = np.where(frame.state > 0, np.float32(1.0), np.float32(0.0)) if left is None else 1.0 - left
+        if left is None:
+            cover = np.where(frame.state > 0, np.float32(1.0), np.float32(0.0))
+        else:
+            cover = 1.0 - left
         picture = np.dstack([bared(picture, cover), (255.0 * cover + 0.5).astype(np.uint8)])
     if frame.edges and overlay == "none":
-        picture.reshape(-1, picture.shape[2])[frame.edges.pixels] = averaged(frame.edges, exposure, ground, clear)
+        picture.reshape(-1, picture.shape[2])[frame.edges.pixels] = averaged(
+            frame.edges, exposure, ground, clear
+        )
     return picture
 
 
 def seen_through(picture: np.ndarray, left: np.ndarray, ground: tuple[float, ...]) -> np.ndarray:
-    """A ``picture`` (h, w, 3) uint8 of surfaces that let the share ``left`` (h, w) of a ``ground`` through."""
+    """A ``picture`` (h, w, 3) uint8 of surfaces that let the share ``left`` (h, w) of a ``ground``
+    through.
+    """
     some = (left > 0.0) & (left < 1.0)
     found = picture.copy()
     light = linear_table()[picture[some]] + left[some][:, None] * np.array(ground, np.float32)
@@ -119,7 +140,9 @@ def seen_through(picture: np.ndarray, left: np.ndarray, ground: tuple[float, ...
 
 
 def bared(picture: np.ndarray, cover: np.ndarray) -> np.ndarray:
-    """The colours that a ``picture`` (h, w, 3) uint8 has where it covers a pixel in part, by a ``cover`` (h, w)."""
+    """The colours that a ``picture`` (h, w, 3) uint8 has where it covers a pixel in part, by a
+    ``cover`` (h, w).
+    """
     some = (cover > 0.0) & (cover < 1.0)
     found = picture.copy()
     found[some] = coded(np.minimum(linear_table()[picture[some]] / cover[some][:, None], 1.0))
@@ -129,23 +152,31 @@ def bared(picture: np.ndarray, cover: np.ndarray) -> np.ndarray:
 def before_ground(
     radiance: np.ndarray, airy: np.ndarray | None, exposure: float, ground: tuple[float, ...]
 ) -> np.ndarray:
-    """The ``radiance`` (…, 3) of a picture with the ``ground`` behind what is ``airy`` (…), which hides none of it."""
+    """The ``radiance`` (…, 3) of a picture with the ``ground`` behind what is ``airy`` (…), which
+    hides none of it.
+    """
     if airy is None:
         return radiance
     behind = np.array(ground, np.float32) / np.float32(exposure)
     return np.where(airy[..., None], radiance + behind, radiance).astype(np.float32)
 
 
-def averaged(edges: EdgeSamples, exposure: float, ground: tuple[float, ...], clear: bool) -> np.ndarray:
-    """The pixels at ``edges``, (k, 3) uint8 sRGB, as the mean of what their samples shine on a screen.
+def averaged(
+    edges: EdgeSamples, exposure: float, ground: tuple[float, ...], clear: bool
+) -> np.ndarray:
+    """The pixels at ``edges``, (k, 3) uint8 sRGB, as the mean of what their samples shine on a
+    screen.
 
-    Where the picture is ``clear`` that is of samples on the surface, and (k, 4): the last is how much these cover.
+    Where the picture is ``clear`` that is of samples on the surface, and (k, 4): the last is how
+    much these cover.
     """
     light = before_ground(edges.light, edges.airy, exposure, ground)
     shown = linear_table()[lit(light, edges.on.astype(np.uint8), exposure, False, ground)]
     if not clear:
         if edges.left is not None:
-            behind = np.where(edges.on, edges.left, np.float32(0.0))[..., None] * np.array(ground, np.float32)
+            behind = np.where(edges.on, edges.left, np.float32(0.0))[..., None] * np.array(
+                ground, np.float32
+            )
             shown = np.minimum(shown + behind, np.float32(1.0))
         return coded(shown.mean(axis=1))
     sums = np.where(edges.on[..., None], shown, np.float32(0)).sum(axis=1)
@@ -166,20 +197,33 @@ def linear_table() -> np.ndarray:
 
 
 def lit(
-    radiance: np.ndarray, state: np.ndarray, exposure: float, marked: bool, ground: tuple[float, ...] = BACKGROUND
+    radiance: np.ndarray,
+    state: np.ndarray,
+    exposure: float,
+    marked: bool,
+    ground: tuple[float, ...] = BACKGROUND,
 ) -> np.ndarray:
-    """The picture of ``radiance`` (h, w, 3), with the marks of ``state`` (h, w) over it where ``marked``."""
+    """The picture of ``radiance`` (h, w, 3), with the marks of ``state`` (h, w) over it where
+    ``marked``.
+    """
     picture = np.empty(radiance.shape, np.uint8)
     colours = np.array([ground, HATCHING_COLOUR], np.float32)
     develop_rows(radiance, state, 0, exposure, colours, marked, tone_table(), picture)
     return picture
 
 
-def with_errors(frame: Frame, exposure: float, ground: tuple[float, ...] = BACKGROUND) -> np.ndarray:
-    """The picture under the colours of its errors; what has no light, and so no estimate, is hatched."""
+def with_errors(
+    frame: Frame, exposure: float, ground: tuple[float, ...] = BACKGROUND
+) -> np.ndarray:
+    """The picture under the colours of its errors; what has no light, and so no estimate, is
+    hatched.
+    """
     known = frame.state >= CONVERGING
-    picture = lit(frame.radiance, np.where(known, np.uint8(FINAL), frame.state), exposure, True, ground)
-    below, above = picture[known].astype(np.uint16), error_colours(frame.total_error[known])
+    picture = lit(
+        frame.radiance, np.where(known, np.uint8(FINAL), frame.state), exposure, True, ground
+    )
+    below = picture[known].astype(np.uint16)
+    above = error_colours(frame.total_error[known])
     picture[known] = (below * (256 - COVER) + above.astype(np.uint16) * COVER) >> 8
     return picture
 
@@ -187,9 +231,10 @@ def with_errors(frame: Frame, exposure: float, ground: tuple[float, ...] = BACKG
 COUNTS = (16, 8, 4)
 """Samples that a pixel at an edge may have: the most that the BUDGET allows for all edges."""
 
-BUDGET, MIN_SAMPLE_BUDGET = 0.8, 1 << 16
-"""Samples of a picture, at most, over its pixels: where edges are everywhere, the strongest have them.
-MIN_SAMPLE_BUDGET samples are always allowed.
+BUDGET = 0.8
+MIN_SAMPLE_BUDGET = 1 << 16
+"""Samples of a picture, at most, over its pixels: where edges are everywhere, the strongest have
+them. MIN_SAMPLE_BUDGET samples are always allowed.
 """
 
 MIN_EDGE_CONTRAST = 12
@@ -200,8 +245,11 @@ SILHOUETTE = 255
 
 
 def find_edges(picture: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, int]:
-    """The pixels at edges of a ``picture`` (h, w, 3) uint8, by ``state`` (h, w); and samples for each of them."""
-    found, most = np.empty(state.shape, np.uint8), max(int(BUDGET * state.size), MIN_SAMPLE_BUDGET)
+    """The pixels at edges of a ``picture`` (h, w, 3) uint8, by ``state`` (h, w); and samples for
+    each of them.
+    """
+    found = np.empty(state.shape, np.uint8)
+    most = max(int(BUDGET * state.size), MIN_SAMPLE_BUDGET)
     find_contrasts(picture, state, found)
     contrast = found.ravel()
     edges = np.flatnonzero(contrast >= MIN_EDGE_CONTRAST)
@@ -213,47 +261,65 @@ def find_edges(picture: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, int]
 
 
 def pattern(count: int) -> np.ndarray:
-    """Places of ``count`` samples in a pixel, (count, 2) float32 in [0, 1): each in its own row and column.
+    """Places of ``count`` samples in a pixel, (count, 2) float32 in [0, 1): each in its own row and
+    column.
 
     Source: Halton 1964 in base 2, Hammersley's set, shifted so that its middle is the pixel's.
     """
-    order, reverse, bits = np.arange(count), np.zeros(count), count.bit_length() - 1
+    order = np.arange(count)
+    reverse = np.zeros(count)
+    bits = count.bit_length() - 1
     for bit in range(bits):
         reverse += (order >> bit & 1) / 2.0 ** (bit + 1)
     return np.stack([(order + 0.5) / count, reverse + 0.5 / count], axis=-1).astype(np.float32)
 
 
 def places_in(pixels: np.ndarray, count: int, width: int) -> np.ndarray:
-    """Places (pixels · count, 2; x, y) float32 of so many samples in each of some ``pixels`` (k,) of a picture."""
+    """Places (pixels · count, 2; x, y) float32 of so many samples in each of some ``pixels`` (k,)
+    of a picture.
+    """
     corners = np.stack(np.divmod(pixels, width)[::-1], axis=-1).astype(np.float32)
     return np.asarray((corners[:, None] + pattern(count)).reshape(-1, 2))
 
 
 def smooth_edges(frame: Frame, prepared: PreparedScene, tiles: Tiles) -> Frame:
     """The ``frame`` of a prepared scene with more samples where it has edges. Raises Cancelled."""
-    exposure, glow = prepared.scene.default_exposure, EyeGlow.of(prepared, frame.view.glow)
+    exposure = prepared.scene.default_exposure
+    glow = EyeGlow.of(prepared, frame.view.glow)
     return replace(frame, edges=sample_edges(frame, exposure, tiles, prepared.walls_in_view, glow))
 
 
 def sample_edges(
-    frame: Frame, exposure: float, tiles: Tiles, walls: Walls | None = None, glow: EyeGlow | None = None
+    frame: Frame,
+    exposure: float,
+    tiles: Tiles,
+    walls: Walls | None = None,
+    glow: EyeGlow | None = None,
 ) -> EdgeSamples | None:
-    """More samples where a ``frame`` has edges at its ``exposure``; None where it has none. Raises Cancelled.
+    """More samples where a ``frame`` has edges at its ``exposure``; None where it has none. Raises
+    Cancelled.
 
-    Walls, where there are ``walls``, have edges as the surface has, and so have the faces of a window. Samples beside
-    all of these show what glows, where there is any ``glow``.
+    Walls, where there are ``walls``, have edges as the surface has, and so have the faces of a
+    window. Samples beside all of these show what glows, where there is any ``glow``.
     """
-    pixels, count = find_edges(lit(frame.radiance, frame.state, exposure, marked=False), frame.state)
+    pixels, count = find_edges(
+        lit(frame.radiance, frame.state, exposure, marked=False), frame.state
+    )
     if not len(pixels):
         return None
     places = places_in(pixels, count, frame.view.width)
-    light, on = np.zeros((len(places), 3), np.float32), np.zeros(len(places), np.bool_)
-    view, gbuffer = frame.view, frame.gbuffer
-    camera, traced = view_pinhole(view, gbuffer.spacing), gbuffer.surface.traced(tiles.run)
-    shown, sight = shown_by(frame), sight_of(view, gbuffer.spacing, walls)
+    light = np.zeros((len(places), 3), np.float32)
+    on = np.zeros(len(places), np.bool_)
+    view = frame.view
+    gbuffer = frame.gbuffer
+    camera = view_pinhole(view, gbuffer.spacing)
+    traced = gbuffer.surface.traced(tiles.run)
+    shown = shown_by(frame)
+    sight = sight_of(view, gbuffer.spacing, walls)
 
     def _piece(a: int, b: int) -> None:
-        found, points = np.empty(b - a, np.uint32), np.empty((b - a, 3), np.float32)
+        found = np.empty(b - a, np.uint32)
+        points = np.empty((b - a, 3), np.float32)
         hits = trace_places(traced, sight, camera, places[a:b], found, points)
         on[a:b][found[:hits]] = True
         borrow_light(shown, places[a:b], found[:hits], points[:hits], light[a:b])
@@ -265,20 +331,29 @@ def sample_edges(
         light[beside] = glow.through(frame, places[beside], tiles)
         on[beside] = airy[beside] = light[beside].any(axis=1)
     each = len(pixels), count
-    alone = airy.reshape(each) if glow is not None else None
+    if glow is not None:
+        alone = airy.reshape(each)
+    else:
+        alone = None
     return EdgeSamples(pixels, light.reshape(*each, 3), on.reshape(each), alone)
 
 
 def shown_by(frame: Frame) -> Shown:
     """What the pixels of a ``frame`` show, as the kernels take it."""
-    view, gbuffer = frame.view, frame.gbuffer
-    rows, points = gbuffer.rows, gbuffer.points
+    view = frame.view
+    gbuffer = frame.gbuffer
+    rows = gbuffer.rows
+    points = gbuffer.points
     for beside in (gbuffer.walls, gbuffer.faces):
         if len(beside.pixels):
-            rows.flat[beside.pixels] = np.arange(len(points), len(points) + len(beside.pixels), dtype=np.int32)
+            rows.flat[beside.pixels] = np.arange(
+                len(points), len(points) + len(beside.pixels), dtype=np.int32
+            )
             points = np.concatenate([points, beside.points])
     pixel = 2.0 * math.tan(math.radians(view.camera.fov) / 2.0) / view.whole[1]
     x, y, z = gbuffer.spacing
     scale = np.float32(x), np.float32(y), np.float32(z)
     eye = np.float32(gbuffer.eye[0]), np.float32(gbuffer.eye[1]), np.float32(gbuffer.eye[2])
-    return Shown(rows, points, frame.radiance.reshape(-1, 3), scale, eye, np.float32(1.0 / pixel**2))
+    return Shown(
+        rows, points, frame.radiance.reshape(-1, 3), scale, eye, np.float32(1.0 / pixel**2)
+    )

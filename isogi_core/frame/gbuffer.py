@@ -1,4 +1,6 @@
-"""The G-buffer: where each pixel's ray meets the isosurface. Light can turn without casting it again."""
+"""The G-buffer: where each pixel's ray meets the isosurface. Light can turn without casting it
+again.
+"""
 
 import math
 import threading
@@ -27,8 +29,9 @@ POINTS = 4096
 
 @dataclass(frozen=True, eq=False)
 class PointsBeside:
-    """Where rays of a camera meet what is beside the isosurface: ``pixels`` (m,) uint32, ascending, ``points`` (m, 3)
-    float32 in index space, and the ``numbers`` (m,) int8 of the walls, or WINDOW_FACE on the faces of a window.
+    """Where rays of a camera meet what is beside the isosurface: ``pixels`` (m,) uint32, ascending,
+    ``points`` (m, 3) float32 in index space, and the ``numbers`` (m,) int8 of the walls, or
+    WINDOW_FACE on the faces of a window.
     """
 
     pixels: np.ndarray
@@ -54,9 +57,9 @@ class PointsBeside:
 class GBuffer:
     """Where the rays of one camera, whose ``eye`` is in index space, meet a ``surface``.
 
-    ``shape`` (height, width) of the picture; ``pixels`` (m,) uint32 are the picture indices that show
-    the surface, ascending; ``points`` (m, 3) float32 where they meet it, in index space. ``walls`` are seen beside it,
-    and ``faces`` that a window opens in what is solid.
+    ``shape`` (height, width) of the picture; ``pixels`` (m,) uint32 are the picture indices that
+    show the surface, ascending; ``points`` (m, 3) float32 where they meet it, in index space.
+    ``walls`` are seen beside it, and ``faces`` that a window opens in what is solid.
     """
 
     shape: tuple[int, int]
@@ -73,8 +76,11 @@ class GBuffer:
 
     @classmethod
     def of_points(cls, surface: Surface, eye: Vector, points: np.ndarray) -> "GBuffer":
-        """A picture of one row whose pixel i shows point i of ``points`` (m, 3), in index space; ``eye`` is so, too."""
-        pixels, places = np.arange(len(points), dtype=np.uint32), np.ascontiguousarray(points, np.float32)
+        """A picture of one row whose pixel i shows point i of ``points`` (m, 3), in index space;
+        ``eye`` is so, too.
+        """
+        pixels = np.arange(len(points), dtype=np.uint32)
+        places = np.ascontiguousarray(points, np.float32)
         return cls((1, len(points)), surface.field.spacing, eye, surface, pixels, places)
 
     @property
@@ -83,7 +89,9 @@ class GBuffer:
         return self.surface.isovalue
 
     def shown(self, tiles: Tiles) -> SurfacePoints:
-        """The points with their outward normals, which are found when first asked for. Raises Cancelled."""
+        """The points with their outward normals, which are found when first asked for. Raises
+        Cancelled.
+        """
         with self._lock:
             if self._shown is None:
                 normals = np.empty_like(self.points)
@@ -96,18 +104,25 @@ class GBuffer:
             return self._shown
 
     def normals(self, tiles: Tiles) -> np.ndarray:
-        """Outward unit world normals (m, 3) float32, found when first asked for. Raises Cancelled."""
+        """Outward unit world normals (m, 3) float32, found when first asked for. Raises
+        Cancelled.
+        """
         return self.shown(tiles).normals
 
     def albedos(self, colours: Colours, tiles: Tiles) -> np.ndarray:
-        """The albedo of each point by the scene's ``colours``, (m, 3) float32, found when first asked for.
+        """The albedo of each point by the scene's ``colours``, (m, 3) float32, found when first
+        asked for.
 
         Raises Cancelled.
         """
         with self._lock:
             if self._albedos is None:
                 albedos = np.empty_like(self.points)
-                tiles.run(lambda a, b: fill_albedos(colours, self.points[a:b], albedos[a:b]), len(albedos), POINTS)
+                tiles.run(
+                    lambda a, b: fill_albedos(colours, self.points[a:b], albedos[a:b]),
+                    len(albedos),
+                    POINTS,
+                )
                 self._albedos = albedos
             return self._albedos
 
@@ -128,19 +143,33 @@ class GBuffer:
         return self.of_these(self.shown(tiles).part(places))
 
     def of_these(self, shown: SurfacePoints, walls: PointsBeside | None = None) -> "GBuffer":
-        """A G-buffer like this of the points ``shown``, whose pixels ascend, and of ``walls``, if any."""
-        place, beside = (self.shape, self.spacing, self.eye, self.surface), walls or PointsBeside.none()
+        """A G-buffer like this of the points ``shown``, whose pixels ascend, and of ``walls``, if
+        any.
+        """
+        place = (self.shape, self.spacing, self.eye, self.surface)
+        beside = walls or PointsBeside.none()
         return GBuffer(*place, shown.pixels, shown.points, beside, _shown=shown)
 
     @property
     def nbytes(self) -> int:
         """Bytes that it takes; normals are counted before they are found."""
-        albedos = 0 if self._albedos is None else self._albedos.nbytes
-        return self.pixels.nbytes + 2 * self.points.nbytes + albedos + self.walls.nbytes + self.faces.nbytes
+        if self._albedos is None:
+            albedos = 0
+        else:
+            albedos = self._albedos.nbytes
+        return (
+            self.pixels.nbytes
+            + 2 * self.points.nbytes
+            + albedos
+            + self.walls.nbytes
+            + self.faces.nbytes
+        )
 
     @property
     def position(self) -> np.ndarray:
-        """Coordinates, in the volume's box, of what is seen in each pixel, zero where nothing is; (h, w, 3) float32."""
+        """Coordinates, in the volume's box, of what is seen in each pixel, zero where nothing is;
+        (h, w, 3) float32.
+        """
         return self.positions(0, self.shape[0])
 
     def positions(self, first: int, last: int) -> np.ndarray:
@@ -149,16 +178,22 @@ class GBuffer:
         rows = np.zeros(((last - first) * width, 3), np.float32)
         for each in (self, self.walls, self.faces):
             a, b = np.searchsorted(each.pixels, (first * width, last * width))
-            rows[each.pixels[a:b] - first * width] = each.points[a:b] * np.array(self.spacing, np.float32)
+            rows[each.pixels[a:b] - first * width] = each.points[a:b] * np.array(
+                self.spacing, np.float32
+            )
         return rows.reshape(last - first, width, 3)
 
 
 def pinhole(camera: Camera, width: int, height: int, spacing: Vector) -> Pinhole:
-    """The camera in index space for a picture of ``width`` × ``height`` pixels, row 0 at the top."""
+    """The camera in index space for a picture of ``width`` × ``height`` pixels, row 0 at the
+    top.
+    """
     right, up, forward = camera.basis()
     pixel = 2.0 * math.tan(math.radians(camera.fov) / 2.0) / height
     corner = forward - right * (pixel * width / 2.0) + up * (pixel * height / 2.0)
-    return Pinhole(*(to_index(v, spacing) for v in (np.array(camera.eye), corner, right * pixel, -up * pixel)))
+    return Pinhole(
+        *(to_index(v, spacing) for v in (np.array(camera.eye), corner, right * pixel, -up * pixel))
+    )
 
 
 def view_pinhole(view: View, spacing: Vector) -> Pinhole:
@@ -176,26 +211,43 @@ def to_index(v: np.ndarray, spacing: Vector) -> Vector:
 
 
 def sight_of(view: View, spacing: Vector, walls: Walls | None) -> Sight:
-    """What rays of a ``view`` meet besides the surface: ``walls``, if any, and the planes of its window, if any."""
-    planes = np.empty((0, 4)) if view.window is None else view.window.in_index(spacing)
+    """What rays of a ``view`` meet besides the surface: ``walls``, if any, and the planes of its
+    window, if any.
+    """
+    if view.window is None:
+        planes = np.empty((0, 4))
+    else:
+        planes = view.window.in_index(spacing)
     return Sight(NO_WALLS if walls is None else walls, planes)
 
 
 def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None) -> GBuffer:
-    """Cast the primary rays of ``view`` at the ``surface`` that it shows, and at ``walls``. Raises Cancelled."""
+    """Cast the primary rays of ``view`` at the ``surface`` that it shows, and at ``walls``. Raises
+    Cancelled.
+    """
     spacing = surface.field.spacing
-    camera, sight = view_pinhole(view, spacing), sight_of(view, spacing, walls)
+    camera = view_pinhole(view, spacing)
+    sight = sight_of(view, spacing, walls)
     traced = surface.traced(tiles.run)
     found: dict[int, tuple[np.ndarray, ...]] = {}
 
     def _piece(a: int, b: int) -> None:
-        pixels, points = np.empty((2, b - a), np.uint32), np.empty((2, b - a, 3), np.float32)
+        pixels = np.empty((2, b - a), np.uint32)
+        points = np.empty((2, b - a, 3), np.float32)
         numbers = np.empty(b - a, np.int8)
         count, beside = trace_pixels(traced, sight, camera, a, view.width, pixels, points, numbers)
-        found[a] = pixels[0, :count], points[0, :count], pixels[1, :beside], points[1, :beside], numbers[:beside]
+        found[a] = (
+            pixels[0, :count],
+            points[0, :count],
+            pixels[1, :beside],
+            points[1, :beside],
+            numbers[:beside],
+        )
 
     tiles.run(_piece, view.width * view.height, TILE_RAYS)
-    pixels, points, *others = (np.concatenate(parts) for parts in zip(*(found[a] for a in sorted(found)), strict=True))
+    pixels, points, *others = (
+        np.concatenate(parts) for parts in zip(*(found[a] for a in sorted(found)), strict=True)
+    )
     seen = PointsBeside(*others)
     shown = (view.height, view.width), spacing, camera.eye, surface, pixels, points
     if view.window is None:

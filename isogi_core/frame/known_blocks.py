@@ -1,4 +1,6 @@
-"""Blocks for cards that were packed before: each is folded, filtered and compressed once, for all visitors."""
+"""Blocks for cards that were packed before: each is folded, filtered and compressed once, for all
+visitors.
+"""
 
 import hashlib
 import threading
@@ -14,7 +16,9 @@ from isogi_core.lru_cache import LruCache
 from isogi_core.prepared.prepared_scene import Index
 
 LEVEL = 1
-"""Compression: of voxels and light higher levels save a tenth of the bytes, and take four times as long."""
+"""Compression: of voxels and light higher levels save a tenth of the bytes, and take four times as
+long.
+"""
 
 DIGEST_BYTES = 16
 """Bytes that name the data of a part."""
@@ -28,7 +32,9 @@ class Part:
 
     @cached_property
     def deflated(self) -> bytes:
-        """The ``data`` as raw DEFLATE (RFC 1951) that ends at a whole byte: such parts may follow each other."""
+        """The ``data`` as raw DEFLATE (RFC 1951) that ends at a whole byte: such parts may follow
+        each other.
+        """
         packer = zlib.compressobj(LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
         return packer.compress(self.data) + packer.flush(zlib.Z_FULL_FLUSH)
 
@@ -45,7 +51,9 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Block(Part):
-    """A block of a chunk at a ``version``; the versions of the chunks ``beside`` it that its light is filtered by."""
+    """A block of a chunk at a ``version``; the versions of the chunks ``beside`` it that its light
+    is filtered by.
+    """
 
     version: bytes = b""
     beside: Mapping[Index, bytes] = field(default_factory=dict)
@@ -63,7 +71,9 @@ class Packed(NamedTuple):
 
     @property
     def alone(self) -> bool:
-        """Whether each version stands for its block alone. What was filtered depends on chunks beside it, too."""
+        """Whether each version stands for its block alone. What was filtered depends on chunks
+        beside it, too.
+        """
         return not any(each.beside for each in self.blocks)
 
 
@@ -88,18 +98,27 @@ class KnownBlocks:
         make: Callable[[Sequence[Index]], Packed],
         check: Callable[[], object],
     ) -> Packed:
-        """The blocks of ``chunks``, of some ``kind``: what light they are under, and when texels are final.
+        """The blocks of ``chunks``, of some ``kind``: what light they are under, and when texels
+        are final.
 
-        Blocks that are not kept, or whose chunks were baked on since, are made by ``make``; for all that ask meanwhile
-        too. Raises what ``make`` and ``Loader.ensure`` raise.
+        Blocks that are not kept, or whose chunks were baked on since, are made by ``make``; for all
+        that ask meanwhile too. Raises what ``make`` and ``Loader.ensure`` raise.
         """
         with self._lock:
             held = ((at, self._kept.held((kind, at))) for at in dict.fromkeys(chunks))
             known: dict[Index, Block] = {at: block for at, block in held if block is not None}
-            around = tuple(dict.fromkeys([*chunks, *chain.from_iterable(each.beside for each in known.values())]))
+            around = tuple(
+                dict.fromkeys(
+                    [*chunks, *chain.from_iterable(each.beside for each in known.values())]
+                )
+            )
             loader.ensure(around, check)
             now = dict(zip(around, loader.pool.versions(around), strict=True))
-            found = {at: self._keep((kind, at), each) for at, each in known.items() if is_current(at, each, now)}
+            found = {
+                at: self._keep((kind, at), each)
+                for at, each in known.items()
+                if is_current(at, each, now)
+            }
             lacking = [at for at in dict.fromkeys(chunks) if at not in found]
             made = make(lacking).blocks if lacking else ()
             for at, block in zip(lacking, made, strict=True):
@@ -113,5 +132,7 @@ class KnownBlocks:
 
 
 def is_current(at: Index, block: Block, now: Mapping[Index, bytes]) -> bool:
-    """Whether nothing was baked on that a ``block`` shows of the chunk ``at``, by the versions of chunks ``now``."""
+    """Whether nothing was baked on that a ``block`` shows of the chunk ``at``, by the versions of
+    chunks ``now``.
+    """
     return block.version == now[at] and block.beside.items() <= now.items()

@@ -1,4 +1,6 @@
-"""The light around a view: the rotated environment, as coefficients, as a picture, and as one key light."""
+"""The light around a view: the rotated environment, as coefficients, as a picture, and as one key
+light.
+"""
 
 import hashlib
 import math
@@ -26,45 +28,65 @@ from isogi_core.plan.scene import Scene
 from isogi_core.plan.surfaces import mixing_weights
 
 PICTURE_FORMAT = 13
-"""Counts up when pictures of the same light change: those that browsers keep are then asked for again."""
+"""Counts up when pictures of the same light change: those that browsers keep are then asked for
+again.
+"""
 
 MAX_SQUARES_RATIO = 100.0
 """How much the mean square of paths may fall at most: where next to nothing arrives unreflected."""
 
 
-def scatter_at(weights: np.ndarray, scatter: np.ndarray, reflected: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """The ``scatter`` (m,) of texels, rescaled from the albedo of its estimate to another; float32, as all of these.
+def scatter_at(
+    weights: np.ndarray, scatter: np.ndarray, reflected: np.ndarray, kept: np.ndarray
+) -> np.ndarray:
+    """The ``scatter`` (m,) of texels, rescaled from the albedo of its estimate to another; float32,
+    as all of these.
 
-    ``weights`` (terms, 4) are those of ``weights_between``; ``reflected`` (m,) is the share of the variance that is
-    reflected light's, ``kept`` (m, terms) band 0 of each term. What scatter is divided by, the deviation of single
-    paths, falls with the albedo too.
+    ``weights`` (terms, 4) are those of ``weights_between``; ``reflected`` (m,) is the share of the
+    variance that is reflected light's, ``kept`` (m, terms) band 0 of each term. What scatter is
+    divided by, the deviation of single paths, falls with the albedo too.
     """
     now, then, paths_now, paths_then = np.maximum(kept @ weights, np.float32(1e-30)).T
     variance = 1.0 - reflected * (1.0 - np.minimum(now / then, 1.0))
-    return np.asarray(scatter * np.sqrt(variance * np.clip(paths_then / paths_now, 1.0, MAX_SQUARES_RATIO)), np.float32)
+    return np.asarray(
+        scatter * np.sqrt(variance * np.clip(paths_then / paths_now, 1.0, MAX_SQUARES_RATIO)),
+        np.float32,
+    )
 
 
 def weights_between(seen: BakeSpec, judged: BakeSpec) -> np.ndarray:
-    """What ``scatter_at`` weighs terms with: squares of reflected paths, and of all, at two albedos; (terms, 4)."""
-    squares = [reflected_weights(seen), reflected_weights(judged), all_weights(seen), all_weights(judged)]
+    """What ``scatter_at`` weighs terms with: squares of reflected paths, and of all, at two
+    albedos; (terms, 4).
+    """
+    squares = [
+        reflected_weights(seen),
+        reflected_weights(judged),
+        all_weights(seen),
+        all_weights(judged),
+    ]
     return np.ascontiguousarray(np.array(squares).T, np.float32)
 
 
 def reflected_weights(spec: BakeSpec) -> np.ndarray:
-    """Of band 0 of each term, in the mean square of what reflected paths bring but for their light; (terms,) float64.
+    """Of band 0 of each term, in the mean square of what reflected paths bring but for their light;
+    (terms,) float64.
 
-    A path that left after k bounces brings R^k, and its square is light of the albedo R². Of colours R_c that luminance
-    mixes with w_c it is Σ w_c w_d (R_c R_d)^k.
+    A path that left after k bounces brings R^k, and its square is light of the albedo R². Of
+    colours R_c that luminance mixes with w_c it is Σ w_c w_d (R_c R_d)^k.
     """
-    mix, nodes = LUMINANCE_WEIGHTS * np.array(spec.albedo), spec.plan.nodes
+    mix = LUMINANCE_WEIGHTS * np.array(spec.albedo)
+    nodes = spec.plan.nodes
     mix = mix / max(float(mix.sum()), 1e-30)
     pairs = [(c, d) for c in range(3) for d in range(3)]
-    products = [mixing_weights(spec.albedo[c] * spec.albedo[d], nodes, spec.plan.bounces) for c, d in pairs]
+    products = [
+        mixing_weights(spec.albedo[c] * spec.albedo[d], nodes, spec.plan.bounces) for c, d in pairs
+    ]
     return np.array([0.0, *np.array([mix[c] * mix[d] for c, d in pairs]) @ products])
 
 
 def all_weights(spec: BakeSpec) -> np.ndarray:
-    """Of band 0 of each term, in the mean square over all paths and all turns of the light; (terms,) float64.
+    """Of band 0 of each term, in the mean square over all paths and all turns of the light;
+    (terms,) float64.
 
     The albedo of the surface that they start on is taken out.
     """
@@ -73,18 +95,25 @@ def all_weights(spec: BakeSpec) -> np.ndarray:
 
 
 KEY_SHARE = 0.1
-"""An environment whose first band carries less than this share of its mean has no key light of its own."""
+"""An environment whose first band carries less than this share of its mean has no key light of its
+own.
+"""
 
 KEY_LIGHT_SHARE = 0.6
-"""Share of a light that comes from its direction, where the rest is taken to come from everywhere."""
+"""Share of a light that comes from its direction, where the rest is taken to come from
+everywhere.
+"""
 
-PHONG_STRENGTH, PHONG_EXPONENT = 0.3, 32.0
+PHONG_STRENGTH = 0.3
+PHONG_EXPONENT = 32.0
 """Phong's highlight: strength and exponent."""
 
 
 @dataclass(frozen=True, eq=False)
 class RotatedLight:
-    """The lights of a ``spec``, rotated for one view and reflected by the albedo that it asks for."""
+    """The lights of a ``spec``, rotated for one view and reflected by the albedo that it asks
+    for.
+    """
 
     spec: BakeSpec
     view: View
@@ -101,32 +130,48 @@ class RotatedLight:
 
     @cached_property
     def light(self) -> np.ndarray:
-        """What texels' columns are multiplied by: the rotated light of each term in turn; (3, Σ n²) linear RGB."""
-        return np.concatenate([rotated_by(self._met(term), self.matrix) for term in self.seen.terms], axis=1)
+        """What texels' columns are multiplied by: the rotated light of each term in turn; (3, Σ n²)
+        linear RGB.
+        """
+        return np.concatenate(
+            [rotated_by(self._met(term), self.matrix) for term in self.seen.terms], axis=1
+        )
 
     def _met(self, term: Term) -> np.ndarray:
         """The unturned light of a ``term``, (3, n²): what glows is as bright as the view asks."""
-        return self.glow * term.light if term.glows else term.light
+        if term.glows:
+            return self.glow * term.light
+        return term.light
 
     def light_of(self, layer: Layer) -> np.ndarray:
-        """What a ``layer``'s coefficients are multiplied by in all, rotated; (3, n²) float64 linear RGB."""
+        """What a ``layer``'s coefficients are multiplied by in all, rotated; (3, n²) float64 linear
+        RGB.
+        """
         term = self.seen.term_of(layer)
-        return rotated_by(self.spec.light[:, : term.order**2] if layer.nodes else term.light, self.matrix)
+        return rotated_by(
+            self.spec.light[:, : term.order**2] if layer.nodes else term.light, self.matrix
+        )
 
     def colours_of(self, layer: Layer, light: np.ndarray) -> np.ndarray:
-        """Light (…, channels, n²) of a ``layer`` in the three colours that the surface gives it; (…, 3, n²)."""
+        """Light (…, channels, n²) of a ``layer`` in the three colours that the surface gives it;
+        (…, 3, n²).
+        """
         if layer.nodes:
             return np.asarray(np.einsum("...jn,cj->...cn", light, self.seen.mixing))
         return np.broadcast_to(light, (*light.shape[:-2], 3, light.shape[-1]))
 
     @cached_property
     def around(self) -> np.ndarray:
-        """ℓ of the rotated lights as a surface without shadows has them; (3, n²) float64 linear RGB."""
+        """ℓ of the rotated lights as a surface without shadows has them; (3, n²) float64 linear
+        RGB.
+        """
         return rotated_by(self.spec.prepared.around, self.matrix)
 
     @property
     def albedo(self) -> np.ndarray:
-        """The share of light that leaves the surface, (3,): its albedo, and what is transmitted to it."""
+        """The share of light that leaves the surface, (3,): its albedo, and what is transmitted to
+        it.
+        """
         return np.array(self.seen.albedo)
 
     @property
@@ -135,7 +180,8 @@ class RotatedLight:
         return self.spec.prepared.scene.surfaces.colours is not None
 
     def tints(self, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
-        """The albedo of a coloured surface over ``albedo`` at each point of a G-buffer; (m, 3) float32, 0 to 1.
+        """The albedo of a coloured surface over ``albedo`` at each point of a G-buffer; (m, 3)
+        float32, 0 to 1.
 
         Raises Cancelled.
         """
@@ -144,12 +190,16 @@ class RotatedLight:
 
     @property
     def shine(self) -> Shine | None:
-        """The shine of the surface, None where it is diffuse. ViewError where views of the scene may ask for none."""
+        """The shine of the surface, None where it is diffuse. ViewError where views of the scene
+        may ask for none.
+        """
         return self.spec.prepared.scene.surfaces.shine_for(self.view.shine)
 
     @property
     def glow(self) -> float:
-        """How bright what glows is over the scene's own. ViewError where nothing glows and the view asks for it."""
+        """How bright what glows is over the scene's own. ViewError where nothing glows and the view
+        asks for it.
+        """
         return self.spec.prepared.scene.lighting.glow_for(self.view.glow)
 
     @property
@@ -159,24 +209,34 @@ class RotatedLight:
 
     @property
     def tint(self) -> np.ndarray:
-        """How much more a surface of the view's albedo reflects than one of the spec's own, (3,)."""
-        return self.albedo / np.maximum(self.spec.albedo, 1e-30) if self.seen is not self.spec else np.ones(3)
+        """How much more a surface of the view's albedo reflects than one of the spec's own,
+        (3,).
+        """
+        if self.seen is not self.spec:
+            return self.albedo / np.maximum(self.spec.albedo, 1e-30)
+        return np.ones(3)
 
     @cached_property
     def reflected(self) -> np.ndarray:
-        """``light`` times the albedo: τ·ℓ is the radiance that leaves the surface; (3, Σ n²) float64."""
+        """``light`` times the albedo: τ·ℓ is the radiance that leaves the surface; (3, Σ n²)
+        float64.
+        """
         return self.albedo[:, None] * self.light
 
     @cached_property
     def square(self) -> np.ndarray:
-        """The square of the luminance that ``reflected`` brings, in the spec's ``unit``; (Σ n²,) float64."""
-        squares = [self.glow**2 * term.square if term.glows else term.square for term in self.seen.terms]
+        """The square of the luminance that ``reflected`` brings, in the spec's ``unit``; (Σ n²,)
+        float64.
+        """
+        squares = [
+            self.glow**2 * term.square if term.glows else term.square for term in self.seen.terms
+        ]
         return np.concatenate([rotated_by(square[None], self.matrix)[0] for square in squares])
 
     @property
     def in_units(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """``reflected`` and ``square`` in the spec's ``unit``, and where terms begin, and reflected light's: as for
-        ``light_texels``.
+        """``reflected`` and ``square`` in the spec's ``unit``, and where terms begin, and reflected
+        light's: as for ``light_texels``.
         """
         light = np.ascontiguousarray(self.reflected / self.spec.unit, np.float32)
         square = np.ascontiguousarray(self.square, np.float32)
@@ -184,7 +244,9 @@ class RotatedLight:
 
     @cached_property
     def lobes(self) -> LampArrays:
-        """The spec's lobes as rotated lamps; what they give is multiplied by its albedo, in its ``unit``."""
+        """The spec's lobes as rotated lamps; what they give is multiplied by its albedo, in its
+        ``unit``.
+        """
         lobes = self.spec.lobes
         discs = [disc(lobe.towards, lobe.cosine) for lobe in lobes]
         towards = np.array([lobe.towards for lobe in lobes]).reshape(-1, 3) @ self.matrix.T
@@ -203,14 +265,20 @@ class RotatedLight:
 
     @cached_property
     def unshadowed(self) -> Unshadowed:
-        """Unshadowed light by the normal, in single floats: texels' irradiance ratios are ratios to it.
+        """Unshadowed light by the normal, in single floats: texels' irradiance ratios are ratios to
+        it.
 
-        A colour of lamps that the middle of the volume sees nothing of counts as the brightest one there.
+        A colour of lamps that the middle of the volume sees nothing of counts as the brightest one
+        there.
         """
-        shining = self.spec.prepared.scene.lighting.lamps.arrays.colours.any(axis=0) & (self.mean == 0.0)
+        shining = self.spec.prepared.scene.lighting.lamps.arrays.colours.any(axis=0) & (
+            self.mean == 0.0
+        )
         mean = self.albedo * np.where(shining, self.mean.max() or 1.0, self.mean) / self.spec.unit
         quadric = quadric_of(self.sky.lobe * self.sky.light)
-        return Unshadowed(*(np.ascontiguousarray(each, np.float32) for each in (quadric, MIN_UNSHADOWED * mean)))
+        return Unshadowed(
+            *(np.ascontiguousarray(each, np.float32) for each in (quadric, MIN_UNSHADOWED * mean))
+        )
 
     @cached_property
     def surroundings(self) -> Surroundings:
@@ -222,14 +290,19 @@ class RotatedLight:
         """Mean radiance of the environment, (3,) linear RGB."""
         return self.around[:, 0] / math.sqrt(4.0 * math.pi)
 
-    def local_model(self, shading: str, depths: tuple[float, float], albedo: np.ndarray | None = None) -> LocalModel:
+    def local_model(
+        self, shading: str, depths: tuple[float, float], albedo: np.ndarray | None = None
+    ) -> LocalModel:
         """The constants of a local model under this environment: one key light and an ambient rest.
 
         Of another ``albedo`` (3,) than the surface's where that is given.
         """
         albedo = self.albedo if albedo is None else albedo
         key, sun, ambient = self.key_light()
-        near, far = depths if shading.endswith("fog") else (0.0, 0.0)
+        if shading.endswith("fog"):
+            near, far = depths
+        else:
+            near, far = (0.0, 0.0)
         return LocalModel(
             key=key,
             sun=triple(albedo * sun),
@@ -242,37 +315,52 @@ class RotatedLight:
         )
 
     def key_light(self) -> tuple[tuple[float, float, float], np.ndarray, np.ndarray]:
-        """Direction towards the key light, its irradiance over π, and the ambient radiance; both (3,) linear RGB.
+        """Direction towards the key light, its irradiance over π, and the ambient radiance; both
+        (3,) linear RGB.
 
-        The strongest lamp as the middle of the volume sees it, and all else as ambient light; among walls, which
-        reflect it, the share KEY_LIGHT_SHARE of that lamp. Without one,
-        the directional light and constant with the same bands 0 and 1 as the environment: D·Y_1 = ℓ_1,
-        at most what band 0 holds. Without a direction of its own, a light over the camera's shoulder
-        carries the share KEY_LIGHT_SHARE of the mean.
+        The strongest lamp as the middle of the volume sees it, and all else as ambient light; among
+        walls, which reflect it, the share KEY_LIGHT_SHARE of that lamp. Without one, the
+        directional light and constant with the same bands 0 and 1 as the environment: D·Y_1 = ℓ_1,
+        at most what band 0 holds. Without a direction of its own, a light over the camera's
+        shoulder carries the share KEY_LIGHT_SHARE of the mean.
         """
         scene = self.spec.prepared.scene
         directions, irradiances = scene.lighting.lamps.seen_from(scene.volume.centre)
         strengths = irradiances @ LUMINANCE_WEIGHTS
         if strengths.any():
             best = int(strengths.argmax())
-            rest = (irradiances.sum(axis=0) - irradiances[best]) / (4.0 * math.pi) + scene.lighting.environment.mean()
+            rest = (irradiances.sum(axis=0) - irradiances[best]) / (
+                4.0 * math.pi
+            ) + scene.lighting.environment.mean()
             key = irradiances[best] / math.pi
             if scene.lighting.room.any:
-                return triple(directions[best]), KEY_LIGHT_SHARE * key, (1.0 - KEY_LIGHT_SHARE) * key + rest
+                return (
+                    triple(directions[best]),
+                    KEY_LIGHT_SHARE * key,
+                    (1.0 - KEY_LIGHT_SHARE) * key + rest,
+                )
             return triple(directions[best]), key, rest
-        first = np.array([self.around[:, i] if i < self.around.shape[1] else np.zeros(3) for i in (3, 1, 2)])
+        first = np.array(
+            [self.around[:, i] if i < self.around.shape[1] else np.zeros(3) for i in (3, 1, 2)]
+        )
         pull = first @ LUMINANCE_WEIGHTS
         strength = float(np.linalg.norm(pull)) * math.sqrt(4.0 * math.pi / 3.0)
         mean = float(self.mean @ LUMINANCE_WEIGHTS)
         if strength <= KEY_SHARE * 4.0 * math.pi * mean:
-            return shoulder_light(self.view.camera), KEY_LIGHT_SHARE * self.mean, (1.0 - KEY_LIGHT_SHARE) * self.mean
+            return (
+                shoulder_light(self.view.camera),
+                KEY_LIGHT_SHARE * self.mean,
+                (1.0 - KEY_LIGHT_SHARE) * self.mean,
+            )
         share = min(strength / (4.0 * math.pi * mean), 0.9)
         towards = pull / np.linalg.norm(pull)
         return triple(towards), 4.0 * share * self.mean, (1.0 - share) * self.mean
 
 
 def rotated_by(light: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Coefficients (…, n²) of lights rotated by ``matrix`` (3, 3), always from the unrotated ones."""
+    """Coefficients (…, n²) of lights rotated by ``matrix`` (3, 3), always from the unrotated
+    ones.
+    """
     if light.shape[1] == 1 or np.array_equal(matrix, np.eye(3)):
         return light
     rotated = np.empty_like(light)
@@ -281,30 +369,36 @@ def rotated_by(light: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 
 def either_side(light: np.ndarray, scene: Scene) -> np.ndarray:
-    """Unshadowed ``light`` (3, n²) as it falls on the side that is seen and, where the surface transmits, on the other,
-    each by its share in what leaves: Y_l(-n) = (-1)^l Y_l(n).
+    """Unshadowed ``light`` (3, n²) as it falls on the side that is seen and, where the surface
+    transmits, on the other, each by its share in what leaves: Y_l(-n) = (-1)^l Y_l(n).
     """
     if not any(scene.surfaces.transmission):
         return light
-    albedo, through = np.array(scene.surfaces.albedo), np.array(scene.surfaces.transmission)
+    albedo = np.array(scene.surfaces.albedo)
+    through = np.array(scene.surfaces.transmission)
     turned = (albedo - through) / np.maximum(albedo + through, 1e-30)
     return np.where(band_of(math.isqrt(light.shape[1])) % 2 == 1, turned[:, None], 1.0) * light
 
 
 def quadric_of(light: np.ndarray) -> np.ndarray:
-    """Harmonics (3, n²) of order 3 at most as polynomials of the unit vector: over 1, y, z, x, xy, yz, z², xz, x² - y².
+    """Harmonics (3, n²) of order 3 at most as polynomials of the unit vector: over 1, y, z, x, xy,
+    yz, z², xz, x² - y².
 
     Returns (3, 9) float64. Source: Ramamoorthi and Hanrahan 2001, eq. 13.
     """
     quadric = np.zeros((3, 9))
     quadric[:, : light.shape[1]] = light
     quadric[:, 0] -= math.sqrt(5.0 / 4.0) * quadric[:, 6]
-    return quadric * np.sqrt(np.array([1.0, 3.0, 3.0, 3.0, 15.0, 15.0, 45.0 / 4.0, 15.0, 15.0 / 4.0]) / (4.0 * math.pi))
+    return quadric * np.sqrt(
+        np.array([1.0, 3.0, 3.0, 3.0, 15.0, 15.0, 45.0 / 4.0, 15.0, 15.0 / 4.0]) / (4.0 * math.pi)
+    )
 
 
 @lru_cache(64)
 def disc(towards: tuple[float, float, float], cosine: float) -> np.ndarray:
-    """Two radii (2, 3) of the disc about the unit direction ``towards`` whose half angle has the ``cosine``."""
+    """Two radii (2, 3) of the disc about the unit direction ``towards`` whose half angle has the
+    ``cosine``.
+    """
     aside = np.cross(towards, np.eye(3)[np.abs(towards).argmin()])
     east = aside / np.linalg.norm(aside)
     return math.sqrt(1.0 - cosine**2) * np.array([east, np.cross(towards, east)])
@@ -318,11 +412,14 @@ def shoulder_light(camera: Camera) -> tuple[float, float, float]:
 
 
 def version_of(light: RotatedLight, read: bytes) -> str:
-    """Hex digest of all that a picture was made of: scene, bake spec, view, and how far the light it read is baked.
+    """Hex digest of all that a picture was made of: scene, bake spec, view, and how far the light
+    it read is baked.
 
     Light is summed in the order that fills the processor's registers, whose width is part of it.
     """
-    spec, scene = light.spec.digest, light.spec.prepared.scene.digest
+    spec = light.spec.digest
+    scene = light.spec.prepared.scene.digest
     return hashlib.blake2b(
-        repr((PICTURE_FORMAT, scene, spec, light.view, read, REGISTER_LANES)).encode(), digest_size=16
+        repr((PICTURE_FORMAT, scene, spec, light.view, read, REGISTER_LANES)).encode(),
+        digest_size=16,
     ).hexdigest()

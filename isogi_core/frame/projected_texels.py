@@ -1,4 +1,6 @@
-"""Surface-projected texels: lit on the isosurface that a view shows, read in place of those on their own."""
+"""Surface-projected texels: lit on the isosurface that a view shows, read in place of those on
+their own.
+"""
 
 import logging
 from collections.abc import Iterator, Sequence
@@ -24,11 +26,13 @@ from isogi_core.prepared.prepared_scene import Index, PreparedScene
 log = logging.getLogger("isogi.frame")
 
 STEEPNESS = 0.08
-"""Relative error of a pixel's light for each voxel that its texels' isosurfaces are away from its own.
+"""Relative error of a pixel's light for each voxel that its texels' isosurfaces are away from its
+own.
 
-Texels that are nearer than the target error over this are left as they are. Under constant light at 2 % that is a
-quarter of a voxel; projecting the others too changes the interpolation error from 0.39 to 0.34 % (engine at 180), from
-0.77 to 0.40 % (at 170), and takes half as many texels again (``docs/measurements/accuracy-interpolation.md``).
+Texels that are nearer than the target error over this are left as they are. Under constant light at
+2 % that is a quarter of a voxel; projecting the others too changes the interpolation error from
+0.39 to 0.34 % (engine at 180), from 0.77 to 0.40 % (at 170), and takes half as many texels again
+(``docs/measurements/accuracy-interpolation.md``).
 """
 
 TEXELS_A_PIECE = 16384
@@ -37,7 +41,9 @@ TEXELS_A_PIECE = 16384
 
 @dataclass(frozen=True, eq=False)
 class Distances:
-    """How far texels are from the isosurface that is shown, ``voxels`` (texels,) float32, as estimated."""
+    """How far texels are from the isosurface that is shown, ``voxels`` (texels,) float32, as
+    estimated.
+    """
 
     voxels: np.ndarray
 
@@ -48,7 +54,9 @@ class Distances:
 
     @property
     def errors(self) -> np.ndarray:
-        """The expected error of interpolation while each texel is not projected; (texels,) float32, relative."""
+        """The expected error of interpolation while each texel is not projected; (texels,) float32,
+        relative.
+        """
         return np.asarray(STEEPNESS * self.voxels)
 
     def beyond(self, target: float) -> np.ndarray:
@@ -61,7 +69,9 @@ def find_distances(texels: ViewTexels, prepared: PreparedScene, tiles: Tiles) ->
     return distances_of(texels.positions, texels.gbuffer.isovalue, prepared, tiles)
 
 
-def distances_of(positions: np.ndarray, isovalue: Isovalue, prepared: PreparedScene, tiles: Tiles) -> Distances:
+def distances_of(
+    positions: np.ndarray, isovalue: Isovalue, prepared: PreparedScene, tiles: Tiles
+) -> Distances:
     """Estimate how far the texels at ``positions`` (m, 3; z, y, x) are from an isosurface."""
     voxels = np.empty(len(positions))
 
@@ -74,12 +84,14 @@ def distances_of(positions: np.ndarray, isovalue: Isovalue, prepared: PreparedSc
 
 @dataclass(frozen=True, eq=False)
 class ProjectedReading(Reading):
-    """A reading of the ``base`` and of ``projected`` texels as one, the latter in a ``pool`` of their own.
+    """A reading of the ``base`` and of ``projected`` texels as one, the latter in a ``pool`` of
+    their own.
 
-    ``rows`` are those of the base, UNLIT_ROW where the projected texel is read in its place: ``projected_rows`` are of
-    the other pool, and UNLIT_ROW elsewhere. ``wanted`` (texels,) are the texels that are to be projected and can be,
-    ``unreachable`` those that cannot; ``dark`` ones lie where no light arrives on the isosurface, in a closed hollow.
-    ``distances`` are those of all texels.
+    ``rows`` are those of the base, UNLIT_ROW where the projected texel is read in its place:
+    ``projected_rows`` are of the other pool, and UNLIT_ROW elsewhere. ``wanted`` (texels,) are the
+    texels that are to be projected and can be, ``unreachable`` those that cannot; ``dark`` ones lie
+    where no light arrives on the isosurface, in a closed hollow. ``distances`` are those of all
+    texels.
     """
 
     base: Reading
@@ -111,7 +123,9 @@ class ProjectedReading(Reading):
         return (self.rows, pool), (self.projected_rows, self.pool)
 
     def demands(self, lacking: Lacking) -> tuple[Demand, ...]:
-        """What the view still wants of texels on their own isosurfaces, were it to read all of them there."""
+        """What the view still wants of texels on their own isosurfaces, were it to read all of them
+        there.
+        """
         return self.base.demands(lacking)
 
     def projected_demands(self, lacking: Lacking) -> tuple[Demand, ...]:
@@ -124,7 +138,8 @@ class ProjectedReading(Reading):
 
         What is soon replaced need not be any better.
         """
-        base, until = self.base, (self.target, self.enough)
+        base = self.base
+        until = (self.target, self.enough)
         unlit = (base.grade < FINAL) & (base.samples < FIRST_LEVEL)
         rest = lacking.of(base, (base.grade < FINAL) & ~self.wanted, ~self.wanted)
         return (
@@ -141,7 +156,9 @@ class ProjectedReading(Reading):
 
 @contextmanager
 def held_chunks(loader: Loader, chunks: Sequence[Index]) -> Iterator[Held | None]:
-    """The chunks of projected texels, which stay while the block runs; None where memory cannot hold them."""
+    """The chunks of projected texels, which stay while the block runs; None where memory cannot
+    hold them.
+    """
     try:
         if loader.chunk_store.made:
             loader.ensure(chunks)
@@ -153,21 +170,29 @@ def held_chunks(loader: Loader, chunks: Sequence[Index]) -> Iterator[Held | None
             yield held
 
 
-def join_readings(base: Reading, projected: Reading, distances: Distances, pool: PagePool) -> ProjectedReading:
+def join_readings(
+    base: Reading, projected: Reading, distances: Distances, pool: PagePool
+) -> ProjectedReading:
     """What a view reads where the ``pool`` has some ``projected`` texels.
 
-    One is read once its own error is less than what is expected without it, of interpolation and of noise.
+    One is read once its own error is less than what is expected without it, of interpolation and of
+    noise.
     """
-    beyond, grade = distances.beyond(base.target), projected.grade
+    beyond = distances.beyond(base.target)
+    grade = projected.grade
     wanted = beyond & (grade != VOID_GRADE)
     without = np.hypot(distances.errors, np.where(base.samples > 0, base.error, 1.0))
     fit = (grade == FINAL) | (wanted & (grade == CONVERGING) & (projected.error <= without))
-    dark, pending = wanted & (grade == BURIED_GRADE), wanted & (grade < FINAL)
+    dark = wanted & (grade == BURIED_GRADE)
+    pending = wanted & (grade < FINAL)
     grade = np.where(fit, grade, base.grade)
     grade[dark] = FINAL
     grade[pending & (grade == FINAL)] = CONVERGING
     lacks = pending | (base.grade < FINAL) & ~wanted
-    short = np.logical_or.reduceat(lacks, base.bounds[:-1]) if len(grade) else base.short
+    if len(grade):
+        short = np.logical_or.reduceat(lacks, base.bounds[:-1])
+    else:
+        short = base.short
     return ProjectedReading(
         rows=np.where(fit | dark, UNLIT_ROW, base.rows).astype(np.int32),
         grade=grade,
@@ -191,7 +216,9 @@ def join_readings(base: Reading, projected: Reading, distances: Distances, pool:
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """How far a view's texels are projected: the ``texels``, their ``reading``, and the ``planes`` of the picture."""
+    """How far a view's texels are projected: the ``texels``, their ``reading``, and the ``planes``
+    of the picture.
+    """
 
     texels: ViewTexels
     reading: ProjectedReading
@@ -204,14 +231,22 @@ class Projection:
 
     @property
     def shares(self) -> dict[str, float]:
-        """Shares of the texels: ``projected``, ``near`` enough as they are, ``pending`` and ``unreachable``.
+        """Shares of the texels: ``projected``, ``near`` enough as they are, ``pending`` and
+        ``unreachable``.
 
         The latter two are read on their own isosurfaces, for a while or for good.
         """
-        projected, unreachable = self.reading.on_surface, self.reading.unreachable
+        projected = self.reading.on_surface
+        unreachable = self.reading.unreachable
         pending = self.reading.wanted & ~projected
-        near, total = ~(projected | unreachable | pending), max(len(projected), 1)
-        counts = {"projected": projected, "near": near, "pending": pending, "unreachable": unreachable}
+        near = ~(projected | unreachable | pending)
+        total = max(len(projected), 1)
+        counts = {
+            "projected": projected,
+            "near": near,
+            "pending": pending,
+            "unreachable": unreachable,
+        }
         return {name: float(np.count_nonzero(each)) / total for name, each in counts.items()}
 
     @cached_property

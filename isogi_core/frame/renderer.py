@@ -1,22 +1,24 @@
 """The line from a view to its frame: surface, G-buffer, texels, reading, light, framebuffer.
 
-Each step makes data from the data before it. One cache keeps what the steps make for the next frames. Its keys name the
-step and the surface that a view shows, by isovalue, camera and size (``surface_key``):
+Each step makes data from the data before it. One cache keeps what the steps make for the next
+frames. Its keys name the step and the surface that a view shows, by isovalue, camera and size
+(``surface_key``):
 
 | step | kept for |
 |---|---|
-| ``GBuffer``, ``ViewTexels``, ``Distances``, ``TexelNormals``, ``ShadowStarts``, ``EyeGlow`` | a surface |
+| ``GBuffer``, ``ViewTexels``, ``Distances`` | a surface |
+| ``TexelNormals``, ``ShadowStarts``, ``EyeGlow`` | a surface |
 | ``Reading`` | a surface, a bake spec, a target error, and the age of the page pool |
-| ``FilteredLight`` | a view's texels, what is read of them, the rotation of the light, an albedo and a glow |
+| ``FilteredLight`` | a view's texels, what is read of them, the light's rotation, albedo, glow |
 | ``LobeLight`` | a surface, the rotation of the light, and whether it moves |
-| ``PictureCheck`` | a surface, the rotation of the light, an albedo, a shine, a glow and a target error |
+| ``PictureCheck`` | a surface, the light's rotation, albedo, shine, glow and a target error |
 | ``RoomLight`` | an isovalue, an albedo and a glow |
 | ``SeenThrough`` | a surface, and the rotation of the light |
-| ``ShineLight`` | a surface, its shine and albedo, the rotation of the light, a glow, and whether it moves |
+| ``ShineLight`` | a surface, shine, albedo, the light's rotation, glow, and whether it moves |
 
-``Reading``, ``FilteredLight``, ``LobeLight`` and ``ShineLight`` have a KIND_SHARE of its bytes each, so that a light
-that turns, or a bake that goes on, drives out no surface. ``TexelShading`` keeps what views have in common of texels:
-see ``OwnNormals``.
+``Reading``, ``FilteredLight``, ``LobeLight`` and ``ShineLight`` have a KIND_SHARE of its bytes
+each, so that a light that turns, or a bake that goes on, drives out no surface. ``TexelShading``
+keeps what views have in common of texels: see ``OwnNormals``.
 """
 
 import threading
@@ -66,13 +68,18 @@ class Renderer(SurfaceRenderer):
         self.blocks = KnownBlocks(int(BLOCKS_SHARE * most))
         self.looks: LruCache[Any] = LruCache(most // 64)
         side = partial(SurfaceRenderer, tiles=tiles, most=most // 8, filters=filters)
-        self._composer = Composer(self, side, self._kept) if self.prepared.scene.surfaces.several else None
+        self._composer = (
+            Composer(self, side, self._kept) if self.prepared.scene.surfaces.several else None
+        )
 
     @property
     def nbytes(self) -> int:
         """Bytes of memory that views, maps and light take."""
         return (
-            super().nbytes + self.blocks.nbytes + self.looks.nbytes + (self._composer.nbytes if self._composer else 0)
+            super().nbytes
+            + self.blocks.nbytes
+            + self.looks.nbytes
+            + (self._composer.nbytes if self._composer else 0)
         )
 
     def render(
@@ -85,18 +92,25 @@ class Renderer(SurfaceRenderer):
     ) -> Frame:
         """The frame of ``view`` with the light that is there now.
 
-        ``target`` is the relative error that it is to reach, the scene's own by default: its texels are final there
-        each alone, or with as many samples as its check found ``enough``, or those given; where these are MAX_SAMPLES,
-        nothing checks it. ``watch`` goes on with this frame's stages. Raises Cancelled once ``cancelled`` is set, and
-        ViewError where the scene's light is not of the albedo that the view asks for, or the camera stands in a wall.
+        ``target`` is the relative error that it is to reach, the scene's own by default: its texels
+        are final there each alone, or with as many samples as its check found ``enough``, or those
+        given; where these are MAX_SAMPLES, nothing checks it. ``watch`` goes on with this frame's
+        stages. Raises Cancelled once ``cancelled`` is set, and ViewError where the scene's light is
+        not of the albedo that the view asks for, or the camera stands in a wall.
         """
-        tiles = self.tiles.cancelled_by(cancelled) if cancelled else self.tiles
-        until, watch = Until(target or self.prepared.scene.target_error, enough), watch or Stopwatch()
+        if cancelled:
+            tiles = self.tiles.cancelled_by(cancelled)
+        else:
+            tiles = self.tiles
+        until = Until(target or self.prepared.scene.target_error, enough)
+        watch = watch or Stopwatch()
         frame = self._draw(view, until, tiles, watch)
         if view.moving or not view.smooth:
             return frame
         with watch.stage("edges"):
-            return self._composer.smooth(frame, tiles) if self._composer else smooth_edges(frame, self.prepared, tiles)
+            if self._composer:
+                return self._composer.smooth(frame, tiles)
+            return smooth_edges(frame, self.prepared, tiles)
 
     def _draw(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of a view with what glows before it, drawn on the threads of ``tiles``."""
@@ -106,7 +120,9 @@ class Renderer(SurfaceRenderer):
     def _draw_lit(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of what is lit in a view."""
         self.prepared.scene.surfaces.albedo_for(view.albedo)
-        self.prepared.scene.lighting.room.refuse_camera(view.camera, self.prepared.scene.volume.radius)
+        self.prepared.scene.lighting.room.refuse_camera(
+            view.camera, self.prepared.scene.volume.radius
+        )
         if self._composer is not None:
             return self._composer.draw(view, until, tiles, watch)
         with watch.stage("primary"):
@@ -114,35 +130,52 @@ class Renderer(SurfaceRenderer):
         return self.draw_on(gbuffer, view, until, tiles, watch)
 
     def refine(
-        self, view: View, target: float | None = None, tiles: Tiles | None = None, prices: Prices = PRESENT
+        self,
+        view: View,
+        target: float | None = None,
+        tiles: Tiles | None = None,
+        prices: Prices = PRESENT,
     ) -> bool:
-        """Bring the total error of a view whose light is final a step nearer to the ``target``; whether there was one.
+        """Bring the total error of a view whose light is final a step nearer to the ``target``;
+        whether there was one.
 
-        At some ``prices`` it may ask for finer texels: see ``ViewChecks``. Raises Cancelled once ``tiles`` are
-        cancelled, and what ``render`` raises.
+        At some ``prices`` it may ask for finer texels: see ``ViewChecks``. Raises Cancelled once
+        ``tiles`` are cancelled, and what ``render`` raises.
         """
-        target, tiles = target or self.prepared.scene.target_error, tiles or self.tiles
+        target = target or self.prepared.scene.target_error
+        tiles = tiles or self.tiles
         if self._composer is not None:
             return self._composer.refine(view, target, tiles, prices)
         frame = self._draw(view, Until(target, FIRST_LEVEL), tiles, Stopwatch())
         return self.refine_frame(frame, target, tiles, prices)
 
     def light_points(self, view: View, points: np.ndarray) -> tuple[Frame, np.ndarray]:
-        """The light of surface ``points`` (m, 3) in index space that no ray has found, and their normals (m, 3).
+        """The light of surface ``points`` (m, 3) in index space that no ray has found, and their
+        normals (m, 3).
 
-        It is a frame of one row, whose pixel i shows point i. The ``view`` says isovalue, albedo and the light's turn.
+        It is a frame of one row, whose pixel i shows point i. The ``view`` says isovalue, albedo
+        and the light's turn.
         """
         self.forget_views()  # another row of points would have the same key
         row = replace(view, width=len(points), height=1, shading="gi", moving=False)
-        row, surface = replace(row, shine=DULL), self.prepared.surface(view.isovalue)  # points in a row are far apart
-        gbuffer = GBuffer.of_points(surface, to_index(np.array(view.camera.eye), surface.field.spacing), points)
-        light, target = self._light(row), self.prepared.scene.target_error
+        row = replace(row, shine=DULL)
+        surface = self.prepared.surface(view.isovalue)  # points in a row are far apart
+        gbuffer = GBuffer.of_points(
+            surface, to_index(np.array(view.camera.eye), surface.field.spacing), points
+        )
+        light = self._light(row)
+        target = self.prepared.scene.target_error
         until = Until(target)
-        return self._render_texels(gbuffer, light, until, self.tiles, Stopwatch()), gbuffer.normals(self.tiles)
+        return self._render_texels(gbuffer, light, until, self.tiles, Stopwatch()), gbuffer.normals(
+            self.tiles
+        )
 
     def gbuffer(self, view: View, tiles: Tiles | None = None) -> GBuffer:
-        """The G-buffer of a view. Raises Cancelled, as every step does, once its ``tiles`` are cancelled."""
-        surface, tiles = self.prepared.surface(view.isovalue), tiles or self.tiles
+        """The G-buffer of a view. Raises Cancelled, as every step does, once its ``tiles`` are
+        cancelled.
+        """
+        surface = self.prepared.surface(view.isovalue)
+        tiles = tiles or self.tiles
         if self._composer:
             return self._composer.peels(view, tiles).first
         make = partial(trace, view, surface, tiles, self.prepared.walls_in_view)
@@ -150,7 +183,9 @@ class Renderer(SurfaceRenderer):
 
     @property
     def known_normals(self) -> OwnNormals:
-        """The normals of texels at their own points, as far as views or chunks have asked for them."""
+        """The normals of texels at their own points, as far as views or chunks have asked for
+        them.
+        """
         return self._texels.normals
 
     def knows(self, view: View) -> bool:
@@ -158,7 +193,9 @@ class Renderer(SurfaceRenderer):
         return self._kept.held((ViewTexels, surface_key(view), False)) is not None
 
     def lobe_radiance(self, frame: Frame) -> np.ndarray:
-        """What comes straight from lobes to a frame's surface points, linear RGB; (m, 3) float32."""
+        """What comes straight from lobes to a frame's surface points, linear RGB; (m, 3)
+        float32.
+        """
         light = self._light(frame.view)
         return np.asarray(np.float32(light.spec.unit) * self.lobes(light, frame.gbuffer).lit[:, :3])
 
@@ -167,18 +204,23 @@ class Renderer(SurfaceRenderer):
         self._kept.clear()
 
 
-def unlit_frame(renderer: Renderer, view: View, target: float, cancelled: threading.Event) -> Frame | None:
-    """The frame of a view at rest that is new, where none of its light is there: white, and provisional all over.
+def unlit_frame(
+    renderer: Renderer, view: View, target: float, cancelled: threading.Event
+) -> Frame | None:
+    """The frame of a view at rest that is new, where none of its light is there: white, and
+    provisional all over.
 
-    None of other views, and of scenes whose pictures ask for light in several stages. What it takes is kept, and the
-    first picture finds it. Raises what ``Renderer.render`` does, and so Cancelled once ``cancelled`` is set.
+    None of other views, and of scenes whose pictures ask for light in several stages. What it takes
+    is kept, and the first picture finds it. Raises what ``Renderer.render`` does, and so Cancelled
+    once ``cancelled`` is set.
     """
     scene = renderer.prepared.scene
     staged = scene.surfaces.several or scene.surfaces.material.refracts
     if staged or view.moving or view.shading not in SPECS or renderer.knows(view):
         return None
     scene.lighting.room.refuse_camera(view.camera, scene.volume.radius)
-    tiles, loader = renderer.tiles.cancelled_by(cancelled), renderer.caches.of(view.shading)
+    tiles = renderer.tiles.cancelled_by(cancelled)
+    loader = renderer.caches.of(view.shading)
     gbuffer = renderer.gbuffer(view, tiles)
     if scene.projection.projects(gbuffer.isovalue):
         return None
@@ -192,9 +234,14 @@ def unlit_frame(renderer: Renderer, view: View, target: float, cancelled: thread
 
 
 def undrawn_frame(renderer: Renderer, view: View, texels: ViewTexels, reading: Reading) -> Frame:
-    """The frame of a view by what its ``texels`` hold, before it is drawn: white, and provisional all over."""
-    gbuffer, count = texels.gbuffer, view.width * view.height
-    white = Framebuffer(np.ones((count, 3), np.float32), np.zeros(count, np.uint8), np.ones(count, np.float32))
+    """The frame of a view by what its ``texels`` hold, before it is drawn: white, and provisional
+    all over.
+    """
+    gbuffer = texels.gbuffer
+    count = view.width * view.height
+    white = Framebuffer(
+        np.ones((count, 3), np.float32), np.zeros(count, np.uint8), np.ones(count, np.float32)
+    )
     white.state[gbuffer.pixels] = PROVISIONAL
     light = RotatedLight(renderer.caches.spec(view.shading), view)
     return frame_of(gbuffer, light, white, Stopwatch(), texels, reading)

@@ -1,4 +1,6 @@
-"""The light that leaves each surface point of a view, by the model that the view asks for: from data to data."""
+"""The light that leaves each surface point of a view, by the model that the view asks for: from
+data to data.
+"""
 
 import math
 from collections.abc import Sequence
@@ -30,7 +32,12 @@ from isogi_core.kernels.shading.irradiance_ratio import (
     carry_ratios,
     fill_records,
 )
-from isogi_core.kernels.shading.lattice import LIGHT_NUMBERS, UNBAKED_GRADE, carry_light, light_texels
+from isogi_core.kernels.shading.lattice import (
+    LIGHT_NUMBERS,
+    UNBAKED_GRADE,
+    carry_light,
+    light_texels,
+)
 from isogi_core.kernels.shading.local_models import find_shadows, shade_local
 from isogi_core.kernels.shading.surface_points import SurfacePoints
 from isogi_core.kernels.transport import streams
@@ -41,8 +48,8 @@ from isogi_core.model.volume import Volume
 FILTER_DISTANCES = (1, 2)
 """Distances between the neighbours that light which converges is filtered by, pass by pass.
 
-Of the engine under uffizi after 16 samples the error of texels is 12.4 %, filtered once by 7.4 %, twice by 5.1 %;
-after 256 samples by 1.18, 0.89 and 0.83 %.
+Of the engine under uffizi after 16 samples the error of texels is 12.4 %, filtered once by 7.4 %,
+twice by 5.1 %; after 256 samples by 1.18, 0.89 and 0.83 %.
 """
 
 
@@ -50,11 +57,17 @@ def empty_framebuffer(gbuffer: GBuffer) -> Framebuffer:
     """A framebuffer for a picture of which nothing is drawn yet."""
     height, width = gbuffer.shape
     pixels = height * width
-    return Framebuffer(np.zeros((pixels, 3), np.float32), np.zeros(pixels, np.uint8), np.zeros(pixels, np.float32))
+    return Framebuffer(
+        np.zeros((pixels, 3), np.float32), np.zeros(pixels, np.uint8), np.zeros(pixels, np.float32)
+    )
 
 
-def shade(gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch) -> Framebuffer:
-    """The light of a picture that reads no texels: by a local model, or by paths from its pixels. Raises Cancelled."""
+def shade(
+    gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
+) -> Framebuffer:
+    """The light of a picture that reads no texels: by a local model, or by paths from its pixels.
+    Raises Cancelled.
+    """
     with watch.stage("normals"):
         gbuffer.shown(tiles)
     if light.view.shading == "path_traced":
@@ -68,10 +81,13 @@ def shade(gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, wa
 
 def shade_locally(gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> Framebuffer:
     """Lambert and Phong, with or without shadow and fog. Raises Cancelled."""
-    points, framebuffer = gbuffer.shown(tiles), empty_framebuffer(gbuffer)
-    view, traced = light.view, gbuffer.surface.traced(tiles.run)
+    points = gbuffer.shown(tiles)
+    framebuffer = empty_framebuffer(gbuffer)
+    view = light.view
+    traced = gbuffer.surface.traced(tiles.run)
     model = light.local_model(view.shading, fog_depths(view, light.spec.prepared.scene.volume))
-    camera, seen = (gbuffer.eye, gbuffer.spacing), np.empty(len(gbuffer.pixels), np.bool_)
+    camera = (gbuffer.eye, gbuffer.spacing)
+    seen = np.empty(len(gbuffer.pixels), np.bool_)
 
     def _piece(a: int, b: int) -> None:
         some = points.part(slice(a, b))
@@ -84,44 +100,70 @@ def shade_locally(gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> Frameb
 
 
 def fog_depths(view: View, volume: Volume) -> tuple[float, float]:
-    """World distances from the eye between which fog thickens: those of the volume's nearest and farthest points."""
+    """World distances from the eye between which fog thickens: those of the volume's nearest and
+    farthest points.
+    """
     middle = float(np.linalg.norm(np.subtract(view.camera.eye, volume.centre)))
     return max(middle - volume.radius, 0.0), middle + volume.radius
 
 
-def colour_surface(gbuffer: GBuffer, light: RotatedLight, framebuffer: Framebuffer, tiles: Tiles) -> None:
-    """Give the surface in a picture its colours by data, where it has any; relative errors stay. Raises Cancelled."""
+def colour_surface(
+    gbuffer: GBuffer, light: RotatedLight, framebuffer: Framebuffer, tiles: Tiles
+) -> None:
+    """Give the surface in a picture its colours by data, where it has any; relative errors stay.
+    Raises Cancelled.
+    """
     if light.coloured:
         framebuffer.radiance[gbuffer.pixels] *= light.tints(gbuffer, tiles)
 
 
-def shade_by_paths(gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles) -> Framebuffer:
-    """The path-traced reference, its error estimated from replicas; final at the ``target``. Raises Cancelled."""
-    pixels, samples, framebuffer = gbuffer.pixels, light.view.samples, empty_framebuffer(gbuffer)
+def shade_by_paths(
+    gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles
+) -> Framebuffer:
+    """The path-traced reference, its error estimated from replicas; final at the ``target``. Raises
+    Cancelled.
+    """
+    pixels = gbuffer.pixels
+    samples = light.view.samples
+    framebuffer = empty_framebuffer(gbuffer)
     replicas = replicas_for(samples)
-    count, sums = max(samples // replicas, 1), np.zeros((len(pixels), replicas, 3))
+    count = max(samples // replicas, 1)
+    sums = np.zeros((len(pixels), replicas, 3))
     Paths(light, gbuffer, tiles).add(sums, streams.PICTURE_STREAM, 0, count)
     means = np.minimum(sums / count, np.finfo(np.float32).max)
-    radiance, deviation = means.mean(axis=1), np.sqrt(pooled_variance(variance_of_mean(means), gbuffer))
-    error = np.clip(deviation / np.maximum(radiance @ LUMINANCE_WEIGHTS, MIN_LUMINANCE * light.spec.unit), 0.0, 1.0)
+    radiance = means.mean(axis=1)
+    deviation = np.sqrt(pooled_variance(variance_of_mean(means), gbuffer))
+    error = np.clip(
+        deviation / np.maximum(radiance @ LUMINANCE_WEIGHTS, MIN_LUMINANCE * light.spec.unit),
+        0.0,
+        1.0,
+    )
     framebuffer.radiance[pixels] = radiance
     framebuffer.state[pixels] = np.where(error <= target, FINAL, CONVERGING)
     framebuffer.error[pixels] = error
     return framebuffer
 
 
-def light_sources(sources: Sequence[tuple[np.ndarray, PagePool]], light: RotatedLight, tiles: Tiles) -> np.ndarray:
-    """Each texel's light in ``BakeSpec.unit``, (texels, LIGHT_NUMBERS) as ``light_texels`` has it; 0 where unlit.
+def light_sources(
+    sources: Sequence[tuple[np.ndarray, PagePool]], light: RotatedLight, tiles: Tiles
+) -> np.ndarray:
+    """Each texel's light in ``BakeSpec.unit``, (texels, LIGHT_NUMBERS) as ``light_texels`` has it;
+    0 where unlit.
 
-    Each of the ``sources`` is rows (texels,) of a pool, of which those are read that are not negative.
-    Raises Cancelled.
+    Each of the ``sources`` is rows (texels,) of a pool, of which those are read that are not
+    negative. Raises Cancelled.
     """
-    lights, change, texels = light.in_units, albedo_change(light), len(sources[0][0])
+    lights = light.in_units
+    change = albedo_change(light)
+    texels = len(sources[0][0])
     lit = np.zeros((texels, LIGHT_NUMBERS), np.float32)
 
     def _piece(a: int, b: int) -> None:
         for rows, pool in sources:
-            scatter = pool.scatter if change is None else changed_scatter(rows[a:b], pool, change, light.spec)
+            if change is None:
+                scatter = pool.scatter
+            else:
+                scatter = changed_scatter(rows[a:b], pool, change, light.spec)
             light_texels(rows[a:b], pool.transfer, scatter, *lights, lit[a:b])
 
     tiles.run(_piece, texels, tiles.even(texels))
@@ -129,37 +171,54 @@ def light_sources(sources: Sequence[tuple[np.ndarray, PagePool]], light: Rotated
 
 
 def albedo_change(light: RotatedLight) -> np.ndarray | None:
-    """What rescales noise to the view's albedo, see ``weights_between``; None where noise was estimated at that."""
+    """What rescales noise to the view's albedo, see ``weights_between``; None where noise was
+    estimated at that.
+    """
     other = light.spec.plan.nodes and light.seen is not light.spec
-    return weights_between(light.seen, light.spec) if other else None
+    if other:
+        return weights_between(light.seen, light.spec)
+    return None
 
 
-def changed_scatter(rows: np.ndarray, pool: PagePool, change: np.ndarray, spec: BakeSpec) -> np.ndarray:
-    """The scatter of a pool's rows at another albedo; (all rows,) float32, undefined but for ``rows``."""
-    own, found = rows[rows >= 0], np.empty_like(pool.scatter)
+def changed_scatter(
+    rows: np.ndarray, pool: PagePool, change: np.ndarray, spec: BakeSpec
+) -> np.ndarray:
+    """The scatter of a pool's rows at another albedo; (all rows,) float32, undefined but for
+    ``rows``.
+    """
+    own = rows[rows >= 0]
+    found = np.empty_like(pool.scatter)
     kept = pool.transfer[own[:, None], 0, spec.firsts]
     found[own] = scatter_at(change, pool.scatter[own], pool.reflected[own], kept)
     return found
 
 
 def texel_disagreement(texels: ViewTexels, reading: Reading, lit: np.ndarray) -> np.ndarray:
-    """Standard deviation of the luminance of the lit texels around each surface point, in ``BakeSpec.unit``; (m,)."""
-    fit, own = np.isin(reading.grade, (CONVERGING, FINAL)), np.zeros(len(lit))
+    """Standard deviation of the luminance of the lit texels around each surface point, in
+    ``BakeSpec.unit``; (m,).
+    """
+    fit = np.isin(reading.grade, (CONVERGING, FINAL))
+    own = np.zeros(len(lit))
     own[fit] = lit[fit, :3] @ LUMINANCE_WEIGHTS
-    known, light = fit[texels.corners], own[texels.corners]
+    known = fit[texels.corners]
+    light = own[texels.corners]
     count = np.maximum(known.sum(axis=1), 1)
     mean = light.sum(axis=1) / count
-    return np.asarray(np.sqrt(np.where(known, (light - mean[:, None]) ** 2, 0.0).sum(axis=1) / count))
+    return np.asarray(
+        np.sqrt(np.where(known, (light - mean[:, None]) ** 2, 0.0).sum(axis=1) / count)
+    )
 
 
 def fill_texel_records(
     grade: np.ndarray, lit: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
 ) -> np.ndarray:
-    """Light and unshadowed light of texels of a ``grade`` (m,) about their ``normals``, (m, RECORD_LENGTH).
+    """Light and unshadowed light of texels of a ``grade`` (m,) about their ``normals``, (m,
+    RECORD_LENGTH).
 
     See ``fill_records``. Raises Cancelled.
     """
-    unshadowed, records = light.unshadowed, np.empty((len(lit), RECORD_LENGTH), np.float32)
+    unshadowed = light.unshadowed
+    records = np.empty((len(lit), RECORD_LENGTH), np.float32)
     whole = light.spec.plan.representation == "irradiance"
 
     def _piece(a: int, b: int) -> None:
@@ -170,25 +229,37 @@ def fill_texel_records(
 
 
 def filter_texel_light(
-    texels: ViewTexels, reading: Reading, lit: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
+    texels: ViewTexels,
+    reading: Reading,
+    lit: np.ndarray,
+    normals: np.ndarray,
+    light: RotatedLight,
+    tiles: Tiles,
 ) -> tuple[Reading, np.ndarray]:
-    """Texels' light ``lit`` (texels, LIGHT_NUMBERS), filtered where it is grainy; see ``kernels.shading.filtering``.
+    """Texels' light ``lit`` (texels, LIGHT_NUMBERS), filtered where it is grainy; see
+    ``kernels.shading.filtering``.
 
-    Light that needs no more samples is filtered too: how much a texel takes over follows from its noise.
+    Light that needs no more samples is filtered too: how much a texel takes over follows from its
+    noise.
 
-    Texels without light have that of their neighbours, in which the ``reading`` that is returned is converging. Where
-    none of these faces their way, ``lend_light`` does, and all of that light may be wrong. ``normals`` (texels, 3) are
-    those that they are lit about. Raises Cancelled.
+    Texels without light have that of their neighbours, in which the ``reading`` that is returned is
+    converging. Where none of these faces their way, ``lend_light`` does, and all of that light may
+    be wrong. ``normals`` (texels, 3) are those that they are lit about. Raises Cancelled.
     """
     records = fill_texel_records(reading.grade, lit, normals, light, tiles)
-    records[:, PATHS_COLUMN], records[:, VARIANCE_COLUMN] = reading.samples, records[:, NOISE_COLUMN] ** 2
-    grainy, lit_texels = reading.grainy, reading.lit
+    records[:, VARIANCE_COLUMN] = records[:, NOISE_COLUMN] ** 2
+    records[:, PATHS_COLUMN] = reading.samples
+    grainy = reading.grainy
+    lit_texels = reading.lit
     records[lit_texels, GRADE_COLUMN] = np.where(grainy[lit_texels], CONVERGING, FINAL)
     records = filter_records(texels, records, tiles)
-    grade, filtered = np.empty_like(reading.grade), np.empty_like(lit)
+    grade = np.empty_like(reading.grade)
+    filtered = np.empty_like(lit)
 
     def _take(a: int, b: int) -> None:
-        take_filtered(records[a:b], grainy[a:b], reading.grade[a:b], lit[a:b], grade[a:b], filtered[a:b])
+        take_filtered(
+            records[a:b], grainy[a:b], reading.grade[a:b], lit[a:b], grade[a:b], filtered[a:b]
+        )
 
     tiles.run(_take, len(lit), tiles.even(len(lit)))
     found = replace(reading, grade=grade)
@@ -199,13 +270,17 @@ def filter_texel_light(
 
 
 def filter_records(texels: ViewTexels, records: np.ndarray, tiles: Tiles) -> np.ndarray:
-    """The ``records`` (texels, RECORD_LENGTH) filtered at each of FILTER_DISTANCES. Raises Cancelled."""
+    """The ``records`` (texels, RECORD_LENGTH) filtered at each of FILTER_DISTANCES. Raises
+    Cancelled.
+    """
     positions = texels.positions
     for step in FILTER_DISTANCES:
-        before, after = records, np.empty_like(records)
+        before = records
+        after = np.empty_like(records)
 
         def _piece(a: int, b: int) -> None:
-            numbering, bits = texels.numbering, texels.lattice.bits
+            numbering = texels.numbering
+            bits = texels.lattice.bits
             filter_texels(numbering, bits, positions[a:b], a, step, before, after)  # noqa: B023
 
         tiles.run(_piece, len(records), tiles.even(len(records)))
@@ -214,20 +289,23 @@ def filter_records(texels: ViewTexels, records: np.ndarray, tiles: Tiles) -> np.
 
 
 def lend_light(texels: ViewTexels, reading: Reading, lit: np.ndarray) -> tuple[Reading, np.ndarray]:
-    """Texels' light ``lit`` (texels, LIGHT_NUMBERS) in which those without any have the mean of the others in a cell of
-    theirs.
+    """Texels' light ``lit`` (texels, LIGHT_NUMBERS) in which those without any have the mean of the
+    others in a cell of theirs.
 
     In the ``reading`` that is returned they are converging.
     """
     if not (reading.grade == UNBAKED_GRADE).any():
         return reading, lit
-    grade, lent = reading.grade.copy(), lit.copy()
+    grade = reading.grade.copy()
+    lent = lit.copy()
     lend_texels(texels.corners, reading.grade, lit, grade, lent)
     return replace(reading, grade=grade), lent
 
 
 def noise_in_pixels(values: np.ndarray, column: int, texels: ViewTexels) -> np.ndarray:
-    """The ``values`` (texels, …) with the noise in their ``column`` as pixels are to count it: see PAIRED."""
+    """The ``values`` (texels, …) with the noise in their ``column`` as pixels are to count it: see
+    PAIRED.
+    """
     if not texels.coarse:
         return values
     counted = values.copy()
@@ -236,38 +314,65 @@ def noise_in_pixels(values: np.ndarray, column: int, texels: ViewTexels) -> np.n
 
 
 def carry_irradiance_ratios(
-    texels: ViewTexels, records: np.ndarray, points: SurfacePoints, light: RotatedLight, tiles: Tiles
+    texels: ViewTexels,
+    records: np.ndarray,
+    points: SurfacePoints,
+    light: RotatedLight,
+    tiles: Tiles,
 ) -> Framebuffer:
     """The picture of irradiance ratios between texels, times unshadowed light at its ``points``.
 
     Raises Cancelled.
     """
-    gbuffer, lattice, corners = texels.gbuffer, texels.lattice, texels.corners
+    gbuffer = texels.gbuffer
+    lattice = texels.lattice
+    corners = texels.corners
     framebuffer = empty_framebuffer(gbuffer)
     records = noise_in_pixels(records, NOISE_COLUMN, texels)
-    unshadowed, unit = light.unshadowed, np.float32(light.spec.unit)
+    unshadowed = light.unshadowed
+    unit = np.float32(light.spec.unit)
 
     def _piece(a: int, b: int) -> None:
-        carry_ratios(lattice, points.part(slice(a, b)), corners[a:b], records, unshadowed, unit, framebuffer)
+        carry_ratios(
+            lattice, points.part(slice(a, b)), corners[a:b], records, unshadowed, unit, framebuffer
+        )
 
     tiles.run(_piece, len(corners), tiles.even(len(corners)))
     return framebuffer
 
 
 def carry_texel_light(
-    texels: ViewTexels, reading: Reading, lit: np.ndarray, points: SurfacePoints, light: RotatedLight, tiles: Tiles
+    texels: ViewTexels,
+    reading: Reading,
+    lit: np.ndarray,
+    points: SurfacePoints,
+    light: RotatedLight,
+    tiles: Tiles,
 ) -> Framebuffer:
-    """The picture of light between texels as it is. The sky about the ``points`` replaces what is missing.
+    """The picture of light between texels as it is. The sky about the ``points`` replaces what is
+    missing.
 
     Normals are not read where the ``reading`` is whole. Raises Cancelled.
     """
-    gbuffer, lattice, corners = texels.gbuffer, texels.lattice, texels.corners
+    gbuffer = texels.gbuffer
+    lattice = texels.lattice
+    corners = texels.corners
     framebuffer = empty_framebuffer(gbuffer)
     lit = noise_in_pixels(lit, 3, texels)
-    sky, unit = light.sky, np.float32(light.spec.unit)
+    sky = light.sky
+    unit = np.float32(light.spec.unit)
 
     def _piece(a: int, b: int) -> None:
-        carry_light(lattice, points.part(slice(a, b)), corners[a:b], reading.grade, lit, sky, unit, framebuffer)
+        carry_light(
+            lattice,
+            points.part(slice(a, b)),
+            corners[a:b],
+            reading.grade,
+            lit,
+            sky,
+            unit,
+            framebuffer,
+        )
 
     tiles.run(_piece, len(corners), tiles.even(len(corners)))
     return framebuffer

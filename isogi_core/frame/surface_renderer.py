@@ -1,4 +1,6 @@
-"""The light of the surface in a picture, and of walls: by local models, by paths, or by texels, and refined."""
+"""The light of the surface in a picture, and of walls: by local models, by paths, or by texels, and
+refined.
+"""
 
 from functools import partial
 from typing import Any
@@ -35,11 +37,16 @@ from isogi_core.model.view import View
 VIEW_BYTES = 256 << 20
 """Bytes that are kept of views, for turning light and for asking again."""
 
-KIND_SHARE, COMMON = 1 / 16, 1 / 3
-"""Shares of these bytes: for what changes while a view stays, and for what views have in common of texels."""
+KIND_SHARE = 1 / 16
+COMMON = 1 / 3
+"""Shares of these bytes: for what changes while a view stays, and for what views have in common of
+texels.
+"""
 
 BLOCKS_SHARE = 1 / 8
-"""Share of these bytes for blocks of chunks, which cards that draw the same scene have in common."""
+"""Share of these bytes for blocks of chunks, which cards that draw the same scene have in
+common.
+"""
 
 
 class SurfaceRenderer:
@@ -56,16 +63,25 @@ class SurfaceRenderer:
     ) -> None:
         """Light pictures by ``caches``, on the threads of ``tiles``; keep ``most`` bytes of views.
 
-        Who measures bakes ``filters`` no noisy light. Other light may ``stand_in`` where there is none yet. Of several
-        surfaces one is lit as the others light it, by the light of ``levels``, which is mixed.
+        Who measures bakes ``filters`` no noisy light. Other light may ``stand_in`` where there is
+        none yet. Of several surfaces one is lit as the others light it, by the light of ``levels``,
+        which is mixed.
         """
-        self.prepared, self.caches, self.tiles = caches.prepared, caches, tiles
-        changing = dict.fromkeys((Reading, FilteredLight, LobeLight, ShineLight), int(KIND_SHARE * most))
+        self.prepared = caches.prepared
+        self.caches = caches
+        self.tiles = tiles
+        changing = dict.fromkeys(
+            (Reading, FilteredLight, LobeLight, ShineLight), int(KIND_SHARE * most)
+        )
         self._kept: LruCache[Any] = LruCache(most - int((COMMON + BLOCKS_SHARE) * most), changing)
         shown = levels or (Level(caches),)
-        self._texels = TexelShading(self.prepared, shown, self._kept, int(COMMON * most), filters, stand_in)
+        self._texels = TexelShading(
+            self.prepared, shown, self._kept, int(COMMON * most), filters, stand_in
+        )
         self.checks = ViewChecks(self._kept, self._texels)
-        self._walls = ViewWalls(self._kept, self.prepared.scene.volume, WallStore(caches.store, self.prepared))
+        self._walls = ViewWalls(
+            self._kept, self.prepared.scene.volume, WallStore(caches.store, self.prepared)
+        )
         self._through = ViewThrough(self._kept, self._walls)
         self._shine = ViewShine(self._kept, self._texels, self._walls, self.checks)
         walls = self._through if self.prepared.scene.surfaces.material.refracts else self._walls
@@ -74,11 +90,16 @@ class SurfaceRenderer:
     @property
     def nbytes(self) -> int:
         """Bytes of memory that views, maps and light take."""
-        return sum(part.nbytes for part in (self._kept, self._texels, self.prepared.maps, self.caches))
+        return sum(
+            part.nbytes for part in (self._kept, self._texels, self.prepared.maps, self.caches)
+        )
 
-    def draw_on(self, gbuffer: GBuffer, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
+    def draw_on(
+        self, gbuffer: GBuffer, view: View, until: Until, tiles: Tiles, watch: Stopwatch
+    ) -> Frame:
         """The frame of a view of the surface points in a G-buffer. Raises Cancelled."""
-        light, target = self._light(view), until.target
+        light = self._light(view)
+        target = until.target
         if view.shading == "gi" and self.prepared.scene.surfaces.material.refracts:
             return self._through.draw(gbuffer, light, target, tiles, watch)
         if view.shading in ("gi", "vicinity"):
@@ -86,21 +107,27 @@ class SurfaceRenderer:
         frame = frame_of(gbuffer, light, shade(gbuffer, light, target, tiles, watch), watch)
         return self._walls.add(frame, light, target, tiles, watch)
 
-    def draw_walls(self, gbuffer: GBuffer, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
+    def draw_walls(
+        self, gbuffer: GBuffer, view: View, target: float, tiles: Tiles, watch: Stopwatch
+    ) -> Frame:
         """The frame of the walls alone in a G-buffer. Raises Cancelled."""
         light = self._light(view)
         frame = frame_of(gbuffer, light, empty_framebuffer(gbuffer), watch)
         return self._walls.add(frame, light, target, tiles, watch)
 
     def refine_frame(self, frame: Frame, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """Bring a ``frame`` a step nearer to the ``target``, at these ``prices``; whether there was a step to take.
+        """Bring a ``frame`` a step nearer to the ``target``, at these ``prices``; whether there was
+        a step to take.
 
         Raises Cancelled.
         """
         if not frame.refinable:
             return False
-        light, (walls, *others) = self._light(frame.view), self._refinements
-        waiting = [walls] if frame.quality.waiting else others  # shine and pixels wait until walls are final
+        light = self._light(frame.view)
+        (walls, *others) = self._refinements
+        waiting = (
+            [walls] if frame.quality.waiting else others
+        )  # shine and pixels wait until walls are final
         return any(each.step(frame, light, target, tiles, prices) for each in waiting)
 
     def _light(self, view: View) -> RotatedLight:
@@ -111,13 +138,19 @@ class SurfaceRenderer:
     def _render_texels(
         self, gbuffer: GBuffer, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> Frame:
-        """The frame out of the illumination cache: global illumination, or vicinity shading (S1, section 4.2)."""
+        """The frame out of the illumination cache: global illumination, or vicinity shading (S1,
+        section 4.2).
+        """
         target = until.target
         checked = is_checked(light.view) and until.enough < MAX_SAMPLES
-        known = self.checks.check(light, gbuffer, target).known if checked else None
+        if checked:
+            known = self.checks.check(light, gbuffer, target).known
+        else:
+            known = None
         with watch.stage("texels"):
             texels = self.texels(light.view, gbuffer, tiles)
-        shine, until = b"", texels_until(until, light.view, known)
+        shine = b""
+        until = texels_until(until, light.view, known)
         reading, framebuffer = self._texels.picture(texels, light, until, tiles, watch)
         if light.spec.lobes:
             with watch.stage("lobes"):
@@ -137,11 +170,18 @@ class SurfaceRenderer:
         return self._texels.under(view, gbuffer, tiles or self.tiles)
 
     def lobes(self, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles | None = None) -> LobeLight:
-        """What comes straight from lobes to a view; kept while neither camera nor light moves, for any albedo."""
-        tiles, view = tiles or self.tiles, light.view
+        """What comes straight from lobes to a view; kept while neither camera nor light moves, for
+        any albedo.
+        """
+        tiles = tiles or self.tiles
+        view = light.view
 
         def make() -> LobeLight:
-            starts = self._kept.get((ShadowStarts, surface_key(view)), partial(find_starts, gbuffer, tiles))
+            starts = self._kept.get(
+                (ShadowStarts, surface_key(view)), partial(find_starts, gbuffer, tiles)
+            )
             return find_lobes(light, starts, gbuffer.surface.traced(tiles.run), tiles)
 
-        return self._kept.get((LobeLight, surface_key(view), view.light, view.moving), make).tinted(light.tint)
+        return self._kept.get((LobeLight, surface_key(view), view.light, view.moving), make).tinted(
+            light.tint
+        )

@@ -1,4 +1,6 @@
-"""Views shaded by their texels: from the illumination cache, or light that stands in for it, to the picture."""
+"""Views shaded by their texels: from the illumination cache, or light that stands in for it, to the
+picture.
+"""
 
 import hashlib
 import math
@@ -48,39 +50,60 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 
 
 class StandIn:
-    """The light of a whole volume for views of one that is cut: of those texels that are far from its faces.
+    """The light of a whole volume for views of one that is cut: of those texels that are far from
+    its faces.
 
     So of another step of a series in time, nothing of which is cut.
     """
 
     def __init__(self, whole: Caches, left: Ranges) -> None:
-        """``whole`` are the caches of the whole volume, of which the voxels that are ``left`` are shown.
+        """``whole`` are the caches of the whole volume, of which the voxels that are ``left`` are
+        shown.
 
         They are not kept in memory for this alone.
         """
-        self._whole, self._box = weakref.ref(whole), box_left(left, whole.prepared.scene.volume.size)
+        self._whole = weakref.ref(whole)
+        self._box = box_left(left, whole.prepared.scene.volume.size)
 
     def light(
-        self, texels: ViewTexels, reading: Reading, lit: np.ndarray, light: RotatedLight, tiles: Tiles
+        self,
+        texels: ViewTexels,
+        reading: Reading,
+        lit: np.ndarray,
+        light: RotatedLight,
+        tiles: Tiles,
     ) -> tuple[Reading, np.ndarray]:
-        """The ``reading`` of a view and its texels' light ``lit``, with the whole's for those that have none: dark too,
-        where the whole is closed.
+        """The ``reading`` of a view and its texels' light ``lit``, with the whole's for those that
+        have none: dark too, where the whole is closed.
 
         They are then partly lit: pixels that read them are provisional still. Raises Cancelled.
         """
-        caches, waiting = self._whole(), reading.grade == UNBAKED_GRADE
-        if caches is None or not waiting.any() or caches.spec(light.view.shading).plan != light.spec.plan:
+        caches = self._whole()
+        waiting = reading.grade == UNBAKED_GRADE
+        if (
+            caches is None
+            or not waiting.any()
+            or caches.spec(light.view.shading).plan != light.spec.plan
+        ):
             return reading, lit
         loader = caches.of(light.view.shading)
         loader.ensure(texels.chunks, tiles.check)
         with loader.pool.hold(texels.chunks) as held:
-            other = read_texels(texels, held.slots, loader.pool, Until(reading.target, reading.enough), tiles)
-            fit = waiting & np.isin(other.grade, (CONVERGING, FINAL, BURIED_GRADE)) & self._is_far(texels, caches)
+            other = read_texels(
+                texels, held.slots, loader.pool, Until(reading.target, reading.enough), tiles
+            )
+            fit = (
+                waiting
+                & np.isin(other.grade, (CONVERGING, FINAL, BURIED_GRADE))
+                & self._is_far(texels, caches)
+            )
             rows = np.where(fit, other.rows, -1).astype(np.int32)
             borrowed = light_sources(((rows, loader.pool),), light, tiles)
         version = hashlib.sha256(other.version + fit.tobytes()).digest()
         grade = np.where(fit, np.uint8(PARTIAL_GRADE), reading.grade)
-        return replace(reading, grade=grade, version=reading.version + version), np.where(fit[:, None], borrowed, lit)
+        return replace(reading, grade=grade, version=reading.version + version), np.where(
+            fit[:, None], borrowed, lit
+        )
 
     def _is_far(self, texels: ViewTexels, caches: Caches) -> np.ndarray:
         """Which texels are far from the faces of the cut; (texels,) bool."""
@@ -89,8 +112,8 @@ class StandIn:
 
 @dataclass(frozen=True, eq=False)
 class FilteredLight:
-    """The light of a view's texels once it is filtered, ``lit`` (texels, LIT), and which of them are ``lent`` (texels,)
-    that of others.
+    """The light of a view's texels once it is filtered, ``lit`` (texels, LIT), and which of them
+    are ``lent`` (texels,) that of others.
     """
 
     lent: np.ndarray
@@ -103,7 +126,9 @@ class FilteredLight:
 
 
 class TexelShading:
-    """Finds the texels under views, reads their light, and carries it to the pictures. Any thread may use it."""
+    """Finds the texels under views, reads their light, and carries it to the pictures. Any thread
+    may use it.
+    """
 
     def __init__(
         self,
@@ -114,13 +139,17 @@ class TexelShading:
         filters: bool,
         stand_in: StandIn | None,
     ) -> None:
-        """Shade with the light of ``levels``, which are mixed, and keep what the steps make where renderers do.
+        """Shade with the light of ``levels``, which are mixed, and keep what the steps make where
+        renderers do.
 
-        What views have in common takes ``most`` bytes besides. Who measures bakes ``filters`` no noisy light. Other
-        light may ``stand_in`` where there is none yet.
+        What views have in common takes ``most`` bytes besides. Who measures bakes ``filters`` no
+        noisy light. Other light may ``stand_in`` where there is none yet.
         """
-        self.prepared, self._levels, self._kept = prepared, levels, kept
-        self._filters, self._stand_in = filters, stand_in
+        self.prepared = prepared
+        self._levels = levels
+        self._kept = kept
+        self._filters = filters
+        self._stand_in = stand_in
         self.normals = OwnNormals(min(most, 4 * ENTRY * math.prod(self.prepared.shape)))
 
     @property
@@ -137,20 +166,35 @@ class TexelShading:
     def picture(
         self, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> tuple[Reading, Framebuffer]:
-        """The reading of a view's texels, and the picture of their light, which is to be baked ``until`` then."""
+        """The reading of a view's texels, and the picture of their light, which is to be baked
+        ``until`` then.
+        """
         reading, lit = self.lit(texels, light, until, tiles, watch)
         return reading, self._carry(texels, reading, lit, light, tiles, watch)
 
     def lit(
         self, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
     ) -> tuple[Reading, np.ndarray]:
-        """The reading of a view's texels, and their light (texels, LIT), filtered where it is grainy."""
-        found = [self._lit_by(each.caches, texels, light, until, tiles, watch) for each in self._levels]
+        """The reading of a view's texels, and their light (texels, LIT), filtered where it is
+        grainy.
+        """
+        found = [
+            self._lit_by(each.caches, texels, light, until, tiles, watch) for each in self._levels
+        ]
         reading, lit = mixed(self._levels, found)
         if not self._is_filtered(light.view, reading):
             return reading, lit
-        view, wanted = light.view, Until(reading.target, reading.enough)
-        key = (FilteredLight, weakref.ref(texels), view.light, view.albedo, view.glow, view.moving, wanted)
+        view = light.view
+        wanted = Until(reading.target, reading.enough)
+        key = (
+            FilteredLight,
+            weakref.ref(texels),
+            view.light,
+            view.albedo,
+            view.glow,
+            view.moving,
+            wanted,
+        )
 
         def make() -> FilteredLight:
             with watch.stage("normals"):
@@ -160,19 +204,32 @@ class TexelShading:
             return FilteredLight(found.grade != reading.grade, calm)
 
         filtered = self._kept.get((*key, reading.version), make)
-        return replace(reading, grade=np.where(filtered.lent, np.uint8(CONVERGING), reading.grade)), filtered.lit
+        return replace(
+            reading, grade=np.where(filtered.lent, np.uint8(CONVERGING), reading.grade)
+        ), filtered.lit
 
     def _is_filtered(self, view: View, reading: Reading) -> bool:
         """Whether the texels of a view are filtered: global illumination that is grainy."""
         return self._filters and spec_name(view.shading) == "gi" and bool(reading.grainy.any())
 
     def _lit_by(
-        self, caches: Caches, texels: ViewTexels, light: RotatedLight, until: Until, tiles: Tiles, watch: Stopwatch
+        self,
+        caches: Caches,
+        texels: ViewTexels,
+        light: RotatedLight,
+        until: Until,
+        tiles: Tiles,
+        watch: Stopwatch,
     ) -> tuple[Reading, np.ndarray]:
         """The reading of a view's texels, and their light, by some ``caches``."""
-        with self._read(caches, texels, light.view, until, tiles, watch) as (base, pool, _), ExitStack() as stack:
+        with (
+            self._read(caches, texels, light.view, until, tiles, watch) as (base, pool, _),
+            ExitStack() as stack,
+        ):
             with watch.stage("read"):
-                reading = stack.enter_context(self._project(light.view, texels, base, caches, tiles))
+                reading = stack.enter_context(
+                    self._project(light.view, texels, base, caches, tiles)
+                )
             with watch.stage("light"):
                 lit = light_sources(reading.sources(pool), light, tiles)
                 if self._stand_in is not None:
@@ -180,16 +237,27 @@ class TexelShading:
         return reading, lit
 
     def _carry(
-        self, texels: ViewTexels, reading: Reading, lit: np.ndarray, light: RotatedLight, tiles: Tiles, watch: Stopwatch
+        self,
+        texels: ViewTexels,
+        reading: Reading,
+        lit: np.ndarray,
+        light: RotatedLight,
+        tiles: Tiles,
+        watch: Stopwatch,
     ) -> Framebuffer:
-        """Bring the light of texels, ``lit`` (texels, LIT), to the picture: as irradiance ratios, or as it is."""
-        gbuffer, records = texels.gbuffer, None
+        """Bring the light of texels, ``lit`` (texels, LIT), to the picture: as irradiance ratios,
+        or as it is.
+        """
+        gbuffer = texels.gbuffer
+        records = None
         if carries_irradiance_ratios(self.prepared.scene, light.view.shading, reading.projects):
             with watch.stage("normals"):
                 about = self._texel_normals(light.view, texels, reading, tiles)
             with watch.stage("light"):
                 records = fill_texel_records(reading.grade, lit, about, light, tiles)
-        points = SurfacePoints(gbuffer.points, gbuffer.points, gbuffer.pixels)  # normals that are not read
+        points = SurfacePoints(
+            gbuffer.points, gbuffer.points, gbuffer.pixels
+        )  # normals that are not read
         if records is not None or not reading.whole:
             with watch.stage("normals"):
                 points = gbuffer.shown(tiles)
@@ -200,9 +268,16 @@ class TexelShading:
 
     @contextmanager
     def _read(
-        self, caches: Caches, texels: ViewTexels, view: View, until: Until, tiles: Tiles, watch: Stopwatch
+        self,
+        caches: Caches,
+        texels: ViewTexels,
+        view: View,
+        until: Until,
+        tiles: Tiles,
+        watch: Stopwatch,
     ) -> Iterator[tuple[Reading, PagePool, Held]]:
-        """What the pool of ``caches`` has of a view's texels, looked up again where it has changed; held meanwhile.
+        """What the pool of ``caches`` has of a view's texels, looked up again where it has changed;
+        held meanwhile.
 
         Raises what ``Loader.ensure`` does.
         """
@@ -211,36 +286,58 @@ class TexelShading:
             loader.ensure(texels.chunks, tiles.check)
         with loader.pool.hold(texels.chunks) as held:
             with watch.stage("read"):
-                key = (Reading, surface_key(view), texels.coarse, loader.pool.spec.digest, until, held.age)
+                key = (
+                    Reading,
+                    surface_key(view),
+                    texels.coarse,
+                    loader.pool.spec.digest,
+                    until,
+                    held.age,
+                )
                 make = partial(read_texels, texels, held.slots, loader.pool, until, tiles)
                 reading = self._kept.get(key, make)
             yield reading, loader.pool, held
 
     def _projects(self, texels: ViewTexels, view: View) -> bool:
-        """Whether a view may read texels that are projected; those that move, and vicinity shading, do not."""
+        """Whether a view may read texels that are projected; those that move, and vicinity shading,
+        do not.
+        """
         shown = texels.gbuffer.isovalue
-        return not view.moving and spec_name(view.shading) == "gi" and self.prepared.scene.projection.projects(shown)
+        return (
+            not view.moving
+            and spec_name(view.shading) == "gi"
+            and self.prepared.scene.projection.projects(shown)
+        )
 
     @contextmanager
     def _project(
         self, view: View, texels: ViewTexels, base: Reading, caches: Caches, tiles: Tiles
     ) -> Iterator[Reading]:
-        """What a view reads besides the ``base``, which stays while the block runs: projected texels where they pay."""
+        """What a view reads besides the ``base``, which stays while the block runs: projected
+        texels where they pay.
+        """
         if not self._projects(texels, view):
             yield base
             return
         shown = texels.gbuffer.isovalue
         make = partial(find_distances, texels, self.prepared, tiles)
-        distances, loader = self._kept.get((Distances, surface_key(view)), make), caches.projected(shown)
+        distances = self._kept.get((Distances, surface_key(view)), make)
+        loader = caches.projected(shown)
         with held_chunks(loader, texels.chunks) as held:
             if held is None:
                 yield base
             else:
-                projected = read_texels(texels, held.slots, loader.pool, Until(base.target, base.enough), tiles)
+                projected = read_texels(
+                    texels, held.slots, loader.pool, Until(base.target, base.enough), tiles
+                )
                 yield join_readings(base, projected, distances, loader.pool)
 
-    def _texel_normals(self, view: View, texels: ViewTexels, reading: Reading, tiles: Tiles) -> np.ndarray:
-        """The normals that a view's texels are lit about, as they are read; such as are near where none has light."""
+    def _texel_normals(
+        self, view: View, texels: ViewTexels, reading: Reading, tiles: Tiles
+    ) -> np.ndarray:
+        """The normals that a view's texels are lit about, as they are read; such as are near where
+        none has light.
+        """
         if reading.unbaked:
             return nearby_normals(texels, tiles)
         make = partial(find_texel_normals, texels, self.normals, self.prepared, tiles)

@@ -1,4 +1,6 @@
-"""Tiles: pieces of a frame on a few threads, which a cancellation ends; and how long each stage took."""
+"""Tiles: pieces of a frame on a few threads, which a cancellation ends; and how long each stage
+took.
+"""
 
 import os
 import threading
@@ -15,7 +17,9 @@ from isogi_core.errors import Cancelled
 
 @dataclass(eq=False)
 class Stopwatch:
-    """Seconds of each stage of one frame, in order, since it has ``begun``. No second counts in two stages."""
+    """Seconds of each stage of one frame, in order, since it has ``begun``. No second counts in two
+    stages.
+    """
 
     begun: float = field(default_factory=time.perf_counter)
     seconds: dict[str, float] = field(default_factory=dict)
@@ -23,7 +27,8 @@ class Stopwatch:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Time the block as stage ``name``, without the stages inside it."""
-        begun, others = time.perf_counter(), sum(self.seconds.values())
+        begun = time.perf_counter()
+        others = sum(self.seconds.values())
         yield
         inside = sum(self.seconds.values()) - others
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begun - inside
@@ -37,7 +42,9 @@ class Stopwatch:
 Piece = Callable[[int, int], object]
 
 MIN_PIECE_ROWS = 4096
-"""Points, texels or rows that a piece has where a thread has several: each piece asks for the interpreter again."""
+"""Points, texels or rows that a piece has where a thread has several: each piece asks for the
+interpreter again.
+"""
 
 
 class Tiles:
@@ -48,13 +55,17 @@ class Tiles:
     """
 
     def __init__(self, threads: int | None = None) -> None:
-        """Work on ``threads`` threads, the caller's among them; by default as many as the machine has cores."""
+        """Work on ``threads`` threads, the caller's among them; by default as many as the machine
+        has cores.
+        """
         self.threads = threads or os.cpu_count() or 1
         self._helpers = ThreadPoolExecutor(max(self.threads - 1, 1), "tile")
         self._cancelled: tuple[threading.Event, ...] = ()
 
     def cancelled_by(self, event: threading.Event) -> Self:
-        """Tiles on these threads, cancelled once ``event`` is set or whatever cancels these tiles."""
+        """Tiles on these threads, cancelled once ``event`` is set or whatever cancels these
+        tiles.
+        """
         bound = copy(self)
         bound._cancelled = (*self._cancelled, event)
         return bound
@@ -68,12 +79,15 @@ class Tiles:
         return any(event.is_set() for event in self._cancelled)
 
     def run(self, piece: Piece, total: int, size: int) -> None:
-        """Call ``piece(first, last)`` for consecutive ranges of at most ``size`` until ``total`` is covered.
+        """Call ``piece(first, last)`` for consecutive ranges of at most ``size`` until ``total`` is
+        covered.
 
-        A thread that has done its range takes the next one. Raises Cancelled, after the pieces at work have ended,
-        once the work is cancelled; it does the same with what a piece raises, and begins no more.
+        A thread that has done its range takes the next one. Raises Cancelled, after the pieces at
+        work have ended, once the work is cancelled; it does the same with what a piece raises, and
+        begins no more.
         """
-        starts, failed = iter(range(0, total, size)), threading.Event()
+        starts = iter(range(0, total, size))
+        failed = threading.Event()
 
         def work() -> None:
             for first in starts:
@@ -85,7 +99,9 @@ class Tiles:
                     failed.set()
                     raise
 
-        helpers = [self._helpers.submit(work) for _ in range(min(self.threads, -(-total // size)) - 1)]
+        helpers = [
+            self._helpers.submit(work) for _ in range(min(self.threads, -(-total // size)) - 1)
+        ]
         try:
             work()
         finally:
@@ -94,11 +110,17 @@ class Tiles:
             if (trouble := next(filter(None, troubles), None)) is not None:
                 raise trouble
         finally:
-            del helpers, troubles, trouble  # else they hold this frame and all arrays in it till garbage is sought
+            del (
+                helpers,
+                troubles,
+                trouble,
+            )  # else they hold this frame and all arrays in it till garbage is sought
         self.check()
 
     def even(self, total: int, share: int = 4) -> int:
-        """The size of equal pieces, ``share`` for each thread; fewer where each would be below MIN_PIECE_ROWS."""
+        """The size of equal pieces, ``share`` for each thread; fewer where each would be below
+        MIN_PIECE_ROWS.
+        """
         share = min(max(total // (MIN_PIECE_ROWS * self.threads), 1), share)
         return max(-(-total // (share * self.threads)), 1)
 

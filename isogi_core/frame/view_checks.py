@@ -1,10 +1,12 @@
-"""Checks of pictures: each measures the error of a view by control pixels and takes the cheapest step to its target.
+"""Checks of pictures: each measures the error of a view by control pixels and takes the cheapest
+step to its target.
 
-The check of a picture: control pixels measure its total error, and what is cheapest brings it to the target. Its
-texels climb a ladder of samples together (16, 32, 64, …). On each rung control pixels measure the picture as it is
-shown, filtered and all. Then all texels climb on, or finer ones take their place, or the pixels that are most wrong
-get light of their own: whichever takes the fewest paths to the target. A step follows from the texels' light and from
-the steps on this rung alone: the same view has the same numbers whoever asks, and after any restart.
+The check of a picture: control pixels measure its total error, and what is cheapest brings it to
+the target. Its texels climb a ladder of samples together (16, 32, 64, …). On each rung control
+pixels measure the picture as it is shown, filtered and all. Then all texels climb on, or finer ones
+take their place, or the pixels that are most wrong get light of their own: whichever takes the
+fewest paths to the target. A step follows from the texels' light and from the steps on this rung
+alone: the same view has the same numbers whoever asks, and after any restart.
 """
 
 import math
@@ -63,17 +65,20 @@ STRICTER = 0.9
 """Factor on the error that is aimed at with each attempt."""
 
 DOUBTFUL = 0.5
-"""Share of the target below which a small measured error puts the controls in doubt, not the light: none aims lower."""
+"""Share of the target below which a small measured error puts the controls in doubt, not the light:
+none aims lower.
+"""
 
 
 @dataclass(eq=False)
 class PictureCheck:
-    """The check of the picture of one view: what it has ``known`` so far, and what its next step needs besides.
+    """The check of the picture of one view: what it has ``known`` so far, and what its next step
+    needs besides.
 
-    Pixels of the next attempt are ``growing``; a path of a pixel takes a ``pace`` of so many seconds, None before the
-    first. ``coarse`` says that finer texels are to be shown in this picture's place, which is not asked for once they
-    were ``declined``. What is ``ahead`` is None before the picture was measured. Steps of several threads wait for each
-    other.
+    Pixels of the next attempt are ``growing``; a path of a pixel takes a ``pace`` of so many
+    seconds, None before the first. ``coarse`` says that finer texels are to be shown in this
+    picture's place, which is not asked for once they were ``declined``. What is ``ahead`` is None
+    before the picture was measured. Steps of several threads wait for each other.
     """
 
     light: RotatedLight
@@ -94,15 +99,22 @@ class PictureCheck:
     def is_shown(self, frame: Frame) -> bool:
         """Whether a ``frame`` was drawn by the controls and for the samples that are known now."""
         shown = frame.quality.known
-        return shown is not None and shown.controls is self.known.controls and shown.enough == self.known.enough
+        return (
+            shown is not None
+            and shown.controls is self.known.controls
+            and shown.enough == self.known.enough
+        )
 
     def advance(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles, prices: Prices) -> bool:
-        """Come one step nearer to the target from a ``frame`` of this picture; whether there was one to take.
+        """Come one step nearer to the target from a ``frame`` of this picture; whether there was
+        one to take.
 
-        ``uncertainty`` (m,) says how uncertain the light of each surface point is; ways to the target are weighed at
-        these ``prices``. Raises Cancelled.
+        ``uncertainty`` (m,) says how uncertain the light of each surface point is; ways to the
+        target are weighed at these ``prices``. Raises Cancelled.
         """
-        taken = frame.surface > 0 and not frame.final and self._step(frame, uncertainty, tiles, prices)
+        taken = (
+            frame.surface > 0 and not frame.final and self._step(frame, uncertainty, tiles, prices)
+        )
         self.known = replace(self.known, ended=not taken)
         return taken
 
@@ -111,65 +123,106 @@ class PictureCheck:
             return self._grow(self.growing, tiles)
         if self.known.outdated or frame.measured is None:
             return self._begin_rung(frame, uncertainty, tiles)
-        climbs = climbs_of(frame, self._rung(frame), self.known.target) if not self.known.attempt else [0.0]
+        if not self.known.attempt:
+            climbs = climbs_of(frame, self._rung(frame), self.known.target)
+        else:
+            climbs = [0.0]
         if not self._decided(frame.measured):
             drawn = 2.0 * self.known.paths * frame.measured.controls
-            self.ahead = Ahead(max(self._control_paths(frame.measured, frame.measured.likely) - drawn, drawn), times=1)
-            if self._climbing_decides(frame, frame.measured, [prices.path * each for each in climbs]):
+            self.ahead = Ahead(
+                max(self._control_paths(frame.measured, frame.measured.likely) - drawn, drawn),
+                times=1,
+            )
+            if self._climbing_decides(
+                frame, frame.measured, [prices.path * each for each in climbs]
+            ):
                 return self._climb(frame)
             return self._add_controls(frame.measured, uncertainty, tiles)
         plan = self._cheapest(frame, frame.measured, uncertainty, climbs, prices)
-        first, last = (
-            2.0 * self.known.paths * FIRST_CONTROLS,
-            self._control_paths(frame.measured, self._aim(frame.measured)),
-        )
-        self.coarse, self.ahead = plan.finer, plan.ahead(first, last)
+        first = 2.0 * self.known.paths * FIRST_CONTROLS
+        last = self._control_paths(frame.measured, self._aim(frame.measured))
+        self.coarse = plan.finer
+        self.ahead = plan.ahead(first, last)
         if plan.rungs:
             return not plan.finer and self._climb(frame, rungs_at_once(plan.rungs, climbs, first))
         return self._grow(Growth(plan.choice, self.known.own), tiles)
 
     def decline(self) -> None:
         """Go on without finer texels: there is no memory for them."""
-        self.coarse, self.declined, self.known = False, True, replace(self.known, ended=False)
+        self.known = replace(self.known, ended=False)
+        self.coarse = False
+        self.declined = True
 
     def _decided(self, measured: TotalError) -> bool:
-        """Whether a picture that is not at its target needs better light, and no further controls."""
-        most = MAX_CONTROLS if measured.likely <= self.known.target else CONTROLS_IF_MISSED
+        """Whether a picture that is not at its target needs better light, and no further
+        controls.
+        """
+        if measured.likely <= self.known.target:
+            most = MAX_CONTROLS
+        else:
+            most = CONTROLS_IF_MISSED
         return measured.low > self.known.target or measured.controls >= most
 
-    def _climbing_decides(self, frame: Frame, measured: TotalError, climbs: Sequence[float]) -> bool:
-        """Whether a rung would bring the interval below the target, for less than as many controls again cost.
+    def _climbing_decides(
+        self, frame: Frame, measured: TotalError, climbs: Sequence[float]
+    ) -> bool:
+        """Whether a rung would bring the interval below the target, for less than as many controls
+        again cost.
 
         ``climbs`` are what texels cost, in paths of pixels.
         """
-        more, gained = 2.0 * self.known.paths * measured.controls, (1.0 - QUIETER) * noise_of_climbers(frame)
+        more = 2.0 * self.known.paths * measured.controls
+        gained = (1.0 - QUIETER) * noise_of_climbers(frame)
         quiet = measured.high**2 - gained * frame.noise**2 <= self.known.target**2
         return quiet and len(climbs) > 1 and more > climbs[1]
 
     def _begin_rung(self, frame: Frame, uncertainty: np.ndarray, tiles: Tiles) -> bool:
-        """Draw the first controls of a rung, or of an attempt: as exactly as the picture's noise is worth."""
-        known, paths = self.known, paths_for(max(self.known.target, frame.noise))
+        """Draw the first controls of a rung, or of an attempt: as exactly as the picture's noise is
+        worth.
+        """
+        known = self.known
+        paths = paths_for(max(self.known.target, frame.noise))
         first = self._draw(uncertainty, 0, FIRST_CONTROLS, paths, tiles)
-        self.known = replace(known, uncertainty=uncertainty, controls=first, drawn=known.enough, paths=paths)
+        self.known = replace(
+            known, uncertainty=uncertainty, controls=first, drawn=known.enough, paths=paths
+        )
         return True
 
     def _add_controls(self, measured: TotalError, uncertainty: np.ndarray, tiles: Tiles) -> bool:
-        """Draw as many controls again as it takes to decide: at least as many as there are, at most three times."""
-        known, before = self.known, len(self.known.controls.places)
-        most = MAX_CONTROLS if measured.likely <= known.target else CONTROLS_IF_MISSED
+        """Draw as many controls again as it takes to decide: at least as many as there are, at most
+        three times.
+        """
+        known = self.known
+        before = len(self.known.controls.places)
+        if measured.likely <= known.target:
+            most = MAX_CONTROLS
+        else:
+            most = CONTROLS_IF_MISSED
         wanted = min(controls_to(measured, measured.likely, known.target), most)
-        more = self._draw(uncertainty, before, int(np.clip(wanted - before, before, 3 * before)), known.paths, tiles)
+        more = self._draw(
+            uncertainty,
+            before,
+            int(np.clip(wanted - before, before, 3 * before)),
+            known.paths,
+            tiles,
+        )
         self.known = replace(known, uncertainty=uncertainty, controls=known.controls.joined(more))
         return True
 
-    def _draw(self, uncertainty: np.ndarray, before: int, count: int, paths: int, tiles: Tiles) -> ControlPixels:
-        """Draw ``count`` controls of so many ``paths`` a half, after those that there were ``before``."""
+    def _draw(
+        self, uncertainty: np.ndarray, before: int, count: int, paths: int, tiles: Tiles
+    ) -> ControlPixels:
+        """Draw ``count`` controls of so many ``paths`` a half, after those that there were
+        ``before``.
+        """
         attempt = self.known.attempt
         places = draw_places(self.gbuffer, uncertainty, (attempt, before), count)
         begun = time.perf_counter()
         halves = trace_controls(self.light, self.gbuffer, places, paths, attempt, tiles)
         self.pace = (time.perf_counter() - begun) / (2.0 * paths * count)
-        return ControlPixels(places, 1.0 / (len(uncertainty) * chances(uncertainty)[places]), halves)
+        return ControlPixels(
+            places, 1.0 / (len(uncertainty) * chances(uncertainty)[places]), halves
+        )
 
     def _climb(self, frame: Frame, rungs: int = 1) -> bool:
         """Have texels take twice as many samples, for each of so many ``rungs``."""
@@ -177,21 +230,40 @@ class PictureCheck:
         return True
 
     def _cheapest(
-        self, frame: Frame, measured: TotalError, uncertainty: np.ndarray, climbs: Sequence[float], prices: Prices
+        self,
+        frame: Frame,
+        measured: TotalError,
+        uncertainty: np.ndarray,
+        climbs: Sequence[float],
+        prices: Prices,
     ) -> Plan:
-        """The plan that costs least at these ``prices`` to what is aimed at: nearer by STRICTER than before, at least.
+        """The plan that costs least at these ``prices`` to what is aimed at: nearer by STRICTER
+        than before, at least.
 
-        By its texels, or by finer ones before any pixel has light of its own. Pixels that have some keep it.
+        By its texels, or by finer ones before any pixel has light of its own. Pixels that have some
+        keep it.
         """
-        known, noise = self.known, frame.pixel_noise**2
-        variance, aim = variance_of_halves(uncertainty, known.controls), self._aim(measured)
+        known = self.known
+        noise = frame.pixel_noise**2
+        variance = variance_of_halves(uncertainty, known.controls)
+        aim = self._aim(measured)
         own = OwnLight(variance, known.paths, known.own.places, (aim * frame.true_mean) ** 2)
         errors = spread_errors(uncertainty, known.controls, frame.controlled) ** 2
-        # controls of few pixels may find less than the noise that halves tell: then errors are as large as that
-        errors *= max((measured.likely * frame.true_mean) ** 2 / max(float(errors.mean()), 1e-300), 1.0)
+        # controls of few pixels may find less than the noise that halves tell: then errors are as
+        # large as that
+        errors *= max(
+            (measured.likely * frame.true_mean) ** 2 / max(float(errors.mean()), 1e-300), 1.0
+        )
         under = frame.quality.lacking and frame.quality.lacking.texels
-        texels, chunks = (len(under.places), len(under.chunks)) if under else (0, 0)
-        plans = by_rungs(own, errors, np.minimum(noise_of_climbers(frame) * noise, errors), climbs, chunks)
+        if under:
+            texels = len(under.places)
+            chunks = len(under.chunks)
+        else:
+            texels = 0
+            chunks = 0
+        plans = by_rungs(
+            own, errors, np.minimum(noise_of_climbers(frame) * noise, errors), climbs, chunks
+        )
         if texels and not (known.attempt or self.declined):
             plans += by_finer(own, errors, noise, texels, chunks, self._rung(frame), known.target)
         return min(plans, key=lambda plan: plan.cost(prices))
@@ -199,49 +271,67 @@ class PictureCheck:
     def _aim(self, measured: TotalError) -> float:
         """The relative error that the next attempt is to leave."""
         target = self.known.target
-        return min(AIM * STRICTER**self.known.attempt * target, max(STRICTER * measured.likely, DOUBTFUL * target))
+        return min(
+            AIM * STRICTER**self.known.attempt * target,
+            max(STRICTER * measured.likely, DOUBTFUL * target),
+        )
 
     def _control_paths(self, measured: TotalError, likely: float) -> float:
-        """Paths of all controls that it takes to say that the target is met by a picture with a ``likely`` error."""
+        """Paths of all controls that it takes to say that the target is met by a picture with a
+        ``likely`` error.
+        """
         return 2.0 * self.known.paths * controls_to(measured, likely, self.known.target)
 
     def _rung(self, frame: Frame) -> int:
         """The samples that all texels of a ``frame`` have that are not good enough with fewer."""
         lacking = frame.quality.lacking
-        samples = lacking.reading.samples if lacking else np.empty(0, np.int32)
+        if lacking:
+            samples = lacking.reading.samples
+        else:
+            samples = np.empty(0, np.int32)
         lit = samples[samples > 0]
         return max(self.known.enough, int(lit.min()) if len(lit) else 0)
 
     def _grow(self, growth: Growth, tiles: Tiles) -> bool:
-        """Trace further paths from the points of a ``growth``; they are shown, and controls drawn anew, once that will
-        do. Whether there was anything to trace.
+        """Trace further paths from the points of a ``growth``; they are shown, and controls drawn
+        anew, once that will do. Whether there was anything to trace.
         """
         count = growth.next
         if count > MOST_PATHS:
             return False
-        self.growing, begun = Growth(growth.choice, growth.light), time.perf_counter()
-        light = growth.light.grown(growth.choice, count, self.light, self.gbuffer, tiles, self.growing.note)
+        self.growing = Growth(growth.choice, growth.light)
+        begun = time.perf_counter()
+        light = growth.light.grown(
+            growth.choice, count, self.light, self.gbuffer, tiles, self.growing.note
+        )
         self.pace = (time.perf_counter() - begun) / max(self.growing.traced, 1)
         self.growing = Growth(growth.choice, light)
         if count == MOST_PATHS or self.growing.enough:
             known = self.known
-            self.known = PictureState(known.target, own=light, attempt=known.attempt + 1, enough=known.enough)
+            self.known = PictureState(
+                known.target, own=light, attempt=known.attempt + 1, enough=known.enough
+            )
             self.growing = None
         return True
 
 
 PIXELS = 0.25
-"""Paths that a pixel takes to an error over those that a texel takes, which is to hold for all turns of its light."""
+"""Paths that a pixel takes to an error over those that a texel takes, which is to hold for all
+turns of its light.
+"""
 
 FILTERED_NOISE_RATIO = 4.0
-"""A texel's noise over the noise of pixels that mix it and its neighbours, filtered: 3 to 5 after 16 samples."""
+"""A texel's noise over the noise of pixels that mix it and its neighbours, filtered: 3 to 5 after
+16 samples.
+"""
 
 
 class PathsLeft(NamedTuple):
-    """Paths that a picture has left to take after its texels' present samples: of ``pixels``, and of ``texels``.
+    """Paths that a picture has left to take after its texels' present samples: of ``pixels``, and
+    of ``texels``.
 
-    It is drawn so many ``times`` meanwhile. A path of a pixel takes a ``pace`` of so many seconds; None if that is
-    unknown.
+    It is drawn so many ``times`` meanwhile. A path of a pixel takes a ``pace`` of so many seconds;
+    None if that is unknown.
     """
 
     pixels: float = 0.0
@@ -255,30 +345,48 @@ class ViewChecks(Refinement[PictureCheck]):
 
     def __init__(self, kept: LruCache[Any], texels: TexelShading) -> None:
         """Keep them there, and ask ``texels`` how far they differ."""
-        self._kept, self._texels = kept, texels
+        self._kept = kept
+        self._texels = texels
 
     def check(self, light: RotatedLight, gbuffer: GBuffer, target: float) -> PictureCheck:
         """What is known of the picture of a view besides its texels' light."""
-        return self._kept.get(check_key(light.view, target), lambda: PictureCheck(light, gbuffer, PictureState(target)))
+        return self._kept.get(
+            check_key(light.view, target),
+            lambda: PictureCheck(light, gbuffer, PictureState(target)),
+        )
 
     def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> PictureCheck:
         """See ``Refinement``."""
         return self.check(light, frame.gbuffer, target)
 
-    def advance(self, found: PictureCheck, frame: Frame, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """See ``Refinement``. Pixels whose light grows were chosen before: nothing is drawn by the uncertainty then."""
-        uncertainty = found.known.uncertainty if found.growing else self._uncertainty(frame, found, tiles)
+    def advance(
+        self, found: PictureCheck, frame: Frame, target: float, tiles: Tiles, prices: Prices
+    ) -> bool:
+        """See ``Refinement``. Pixels whose light grows were chosen before: nothing is drawn by the
+        uncertainty then.
+        """
+        if found.growing:
+            uncertainty = found.known.uncertainty
+        else:
+            uncertainty = self._uncertainty(frame, found, tiles)
         return found.advance(frame, uncertainty, tiles, prices)
 
     def held(self, view: View, target: float) -> PictureCheck | None:
         """The check of a view's picture, where anything is known of it."""
-        return self._kept.held(check_key(view, target)) if is_checked(view) else None
+        if is_checked(view):
+            return self._kept.held(check_key(view, target))
+        return None
 
     def _uncertainty(self, frame: Frame, check: PictureCheck, tiles: Tiles) -> np.ndarray:
-        """How uncertain the light of each surface point is, by how texels around it differ, and its noise; (m,)."""
-        light, known = check.light, check.known
+        """How uncertain the light of each surface point is, by how texels around it differ, and its
+        noise; (m,).
+        """
+        light = check.light
+        known = check.known
         texels = self._texels.under(light.view, frame.gbuffer, tiles)
-        found = self._texels.lit(texels, light, Until(known.target, known.enough), tiles, Stopwatch())
+        found = self._texels.lit(
+            texels, light, Until(known.target, known.enough), tiles, Stopwatch()
+        )
         between = light.spec.unit * texel_disagreement(texels, *found)
         if light.coloured:
             between *= light.tints(frame.gbuffer, tiles) @ LUMINANCE_WEIGHTS
@@ -286,23 +394,33 @@ class ViewChecks(Refinement[PictureCheck]):
         return np.asarray(np.hypot(between, frame.pixel_noise))
 
     def asks_finer(self, view: View, target: float) -> bool:
-        """Whether the check of a view's picture found that finer texels are to be shown in its place."""
+        """Whether the check of a view's picture found that finer texels are to be shown in its
+        place.
+        """
         check = self.held(view, target)
         return check is not None and check.coarse
 
     def decline_finer(self, view: View, target: float) -> None:
-        """Have a view's picture reach its target without finer texels: there is no memory for them."""
+        """Have a view's picture reach its target without finer texels: there is no memory for
+        them.
+        """
         if (check := self.held(view, target)) is not None:
             check.decline()
 
     def left(self, frame: Frame, target: float) -> PathsLeft:
-        """The paths that a ``frame`` has left to take: as pixels' light grows, as its check expects, or as foreseen.
+        """The paths that a ``frame`` has left to take: as pixels' light grows, as its check
+        expects, or as foreseen.
 
-        Before it is measured they are foreseen by the error that the plan expects, and by the noise of its texels.
+        Before it is measured they are foreseen by the error that the plan expects, and by the noise
+        of its texels.
         """
         check = self.held(frame.view, target)
         if check and check.ahead is not None:
-            growing, ahead = check.growing.left if check.growing else 0.0, check.ahead
+            if check.growing:
+                growing = check.growing.left
+            else:
+                growing = 0.0
+            ahead = check.ahead
             return PathsLeft(growing + ahead.pixels, ahead.texels, ahead.times, check.pace)
         if frame.quality.target is None or frame.quality.lacking is None:
             return PathsLeft()
@@ -310,8 +428,9 @@ class ViewChecks(Refinement[PictureCheck]):
 
 
 def texels_until(until: Until, view: View, known: PictureState | None) -> Until:
-    """When texels of a ``view`` need no more samples: once they have as many as are enough for its check, where that is
-    ``known``; each at the target alone where nothing checks pictures, as of vicinity shading.
+    """When texels of a ``view`` need no more samples: once they have as many as are enough for its
+    check, where that is ``known``; each at the target alone where nothing checks pictures, as of
+    vicinity shading.
     """
     if view.shading != "gi":
         return Until(until.target)
@@ -319,13 +438,21 @@ def texels_until(until: Until, view: View, known: PictureState | None) -> Until:
 
 
 def foreseen_work(frame: Frame, reading: Reading, target: float) -> PathsLeft:
-    """Paths that a ``frame`` will take after its first ones, by the noise of its texels' ``reading``: the fewest."""
-    points, effort, ways = len(frame.gbuffer.pixels), reading.effort, []
+    """Paths that a ``frame`` will take after its first ones, by the noise of its texels'
+    ``reading``: the fewest.
+    """
+    points = len(frame.gbuffer.pixels)
+    effort = reading.effort
+    ways = []
     controls = 2.0 * paths_for(target) * CONTROLS_IF_MISSED
     for times, rung in enumerate([FIRST_LEVEL, *rungs_above(FIRST_LEVEL, target)], start=2):
         noise = (effort / rung) ** (1.0 / RATE) / FILTERED_NOISE_RATIO
-        own = foreseen_paths(points, math.hypot(noise, frame.quality.expected), target, PIXELS * effort)
-        ways.append(PathsLeft(own + controls, float(rung - FIRST_LEVEL) * len(reading.samples), times))
+        own = foreseen_paths(
+            points, math.hypot(noise, frame.quality.expected), target, PIXELS * effort
+        )
+        ways.append(
+            PathsLeft(own + controls, float(rung - FIRST_LEVEL) * len(reading.samples), times)
+        )
     return min(ways, key=lambda way: way.pixels + AWAITED.path * way.texels)
 
 

@@ -1,4 +1,6 @@
-"""The folder of compiled kernels: named after their sources, and pruned when sources have changed often."""
+"""The folder of compiled kernels: named after their sources, and pruned when sources have changed
+often.
+"""
 
 import fcntl
 import hashlib
@@ -16,8 +18,22 @@ KEPT_FOLDERS = 8
 """Folders of other sources that are kept besides the folder in use: the ones used last."""
 
 SETTINGS = (
-    *("BOUNDSCHECK", "OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "USING_SVML", "ENABLE_AVX", "DEBUGINFO_DEFAULT"),
-    *("EXTEND_VARIABLE_LIFETIMES", "LLVM_REFPRUNE_PASS", "LLVM_REFPRUNE_FLAGS", "NRT_STATS", "ENABLE_PROFILING"),
+    *(
+        "BOUNDSCHECK",
+        "OPT",
+        "LOOP_VECTORIZE",
+        "SLP_VECTORIZE",
+        "USING_SVML",
+        "ENABLE_AVX",
+        "DEBUGINFO_DEFAULT",
+    ),
+    *(
+        "EXTEND_VARIABLE_LIFETIMES",
+        "LLVM_REFPRUNE_PASS",
+        "LLVM_REFPRUNE_FLAGS",
+        "NRT_STATS",
+        "ENABLE_PROFILING",
+    ),
 )
 """Settings of Numba, from the environment, that change machine code."""
 
@@ -26,7 +42,9 @@ IN_USE = "in-use"
 
 
 def sources_digest() -> str:
-    """Digest of every kernel source, where and from when it is, the compiler and the processor, as hex."""
+    """Digest of every kernel source, where and from when it is, the compiler and the processor, as
+    hex.
+    """
     digest = hashlib.blake2b(digest_size=8)
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(f"{path} {path.stat().st_mtime_ns}".encode())
@@ -34,7 +52,9 @@ def sources_digest() -> str:
     cpu = numba.config.CPU_NAME or llvm.get_host_cpu_name()
     features = numba.config.CPU_FEATURES or llvm.get_host_cpu_features().flatten()
     settings = [str(getattr(numba.config, name, None)) for name in SETTINGS]
-    digest.update(f"{numba.__version__} {llvmlite.__version__} {settings} {cpu} {features}".encode())
+    digest.update(
+        f"{numba.__version__} {llvmlite.__version__} {settings} {cpu} {features}".encode()
+    )
     return digest.hexdigest()
 
 
@@ -61,7 +81,8 @@ def hold(folder: Path) -> int:
 
 
 def prune_folders(folder: Path) -> None:
-    """Remove the siblings of ``folder`` but the ``KEPT_FOLDERS`` used last, and but folders that a process holds.
+    """Remove the siblings of ``folder`` but the ``KEPT_FOLDERS`` used last, and but folders that a
+    process holds.
 
     What another process removes meanwhile, or another user owns, is passed over.
     """
@@ -74,7 +95,9 @@ def prune_folders(folder: Path) -> None:
 
 @contextmanager
 def locked(path: Path, wait: bool = True) -> Iterator[bool]:
-    """Lock the file ``path`` against all other threads and processes; yields whether the lock was free."""
+    """Lock the file ``path`` against all other threads and processes; yields whether the lock was
+    free.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a") as file:
         try:
@@ -86,7 +109,9 @@ def locked(path: Path, wait: bool = True) -> Iterator[bool]:
 
 
 def last_used(folder: Path) -> float:
-    """When a process began to use ``folder``, in seconds; where none has said so, when it was made; 0 if it is gone."""
+    """When a process began to use ``folder``, in seconds; where none has said so, when it was made;
+    0 if it is gone.
+    """
     for path in (folder / IN_USE, folder):
         with suppress(OSError):
             return path.stat().st_mtime
@@ -94,7 +119,9 @@ def last_used(folder: Path) -> float:
 
 
 def is_at(file: int, path: Path) -> bool:
-    """Whether the open ``file`` is the one at ``path``: it may have been removed, and made again, since."""
+    """Whether the open ``file`` is the one at ``path``: it may have been removed, and made again,
+    since.
+    """
     try:
         return os.path.samestat(os.fstat(file), path.stat())
     except FileNotFoundError:

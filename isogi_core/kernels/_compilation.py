@@ -1,4 +1,6 @@
-"""Compiling entry kernels ahead of the first call: on all cores, in processes of their own, with progress."""
+"""Compiling entry kernels ahead of the first call: on all cores, in processes of their own, with
+progress.
+"""
 
 import os
 import signal
@@ -20,11 +22,15 @@ MIN_TIMED_SHARE = 0.1
 """Share of a compilation after which its time is estimated."""
 
 COMPILER_NICENESS = 5
-"""Niceness of processes that compile beside a server: pictures that can be drawn already come first."""
+"""Niceness of processes that compile beside a server: pictures that can be drawn already come
+first.
+"""
 
 
 class KernelProgress(NamedTuple):
-    """How far a compilation is: ``done`` of ``total`` kernels, and the ``seconds`` left, None before that is known."""
+    """How far a compilation is: ``done`` of ``total`` kernels, and the ``seconds`` left, None
+    before that is known.
+    """
 
     done: int
     total: int
@@ -32,14 +38,17 @@ class KernelProgress(NamedTuple):
 
 
 class Compilation:
-    """Entry kernels that this machine lacks, stage by stage: each is compiled once for all processes.
+    """Entry kernels that this machine lacks, stage by stage: each is compiled once for all
+    processes.
 
-    All cores work at it, in processes of their own: within one, Numba compiles one kernel at a time. Any thread may ask
-    how far it is.
+    All cores work at it, in processes of their own: within one, Numba compiles one kernel at a
+    time. Any thread may ask how far it is.
     """
 
     def __init__(self, *stages: Iterable[Any]) -> None:
-        """Compile nothing yet: list the kernels of the ``stages``, and their callees, that are not stored."""
+        """Compile nothing yet: list the kernels of the ``stages``, and their callees, that are not
+        stored.
+        """
         listed: dict[Entry, None] = {}
         for stage in stages:
             listed |= dict.fromkeys(in_order(with_callees(stage), listed))
@@ -48,19 +57,25 @@ class Compilation:
         self._work: threading.Thread | None = None
 
     def begin(self, stopped: threading.Event, niceness: int = 0, start: str = "spawn") -> None:
-        """Have all compiled by processes whose ``niceness`` is so much higher than this one's, until ``stopped``.
+        """Have all compiled by processes whose ``niceness`` is so much higher than this one's,
+        until ``stopped``.
 
         They ``start`` by that method of multiprocessing.
         """
-        names, self._begun = [each.name for each in self._lacking], time.monotonic()
+        names = [each.name for each in self._lacking]
+        self._begun = time.monotonic()
         work = [names, stopped, niceness, start]
         self._work = threading.Thread(target=compile_beside, args=work, name="compiling")
         self._work.start()
 
     def wait(self, kernels: Iterable[Any]) -> None:
-        """Returns once ``kernels`` are compiled, or nobody is at it any more: it was stopped, or there is one core."""
+        """Returns once ``kernels`` are compiled, or nobody is at it any more: it was stopped, or
+        there is one core.
+        """
         for entry in with_callees(kernels):
-            while self._work and self._work.is_alive() and not entry.stored:  # a look at a folder: one at a time
+            while (
+                self._work and self._work.is_alive() and not entry.stored
+            ):  # a look at a folder: one at a time
                 self._work.join(POLL_SECONDS)
 
     def progress(self, kernels: Iterable[Any]) -> KernelProgress | None:
@@ -70,10 +85,14 @@ class Compilation:
         left = [each for each in lacking if not each.stored]
         if not left:
             return None
-        whole, rest = sum(each.size for each in lacking), sum(each.size for each in left)
+        whole = sum(each.size for each in lacking)
+        rest = sum(each.size for each in left)
         under_way = sum(each.size for each in left[: numba.config.NUMBA_DEFAULT_NUM_THREADS]) / 2
         pace = (time.monotonic() - self._begun) / (whole - rest + under_way)
-        seconds = pace * (rest - under_way) if whole - rest > MIN_TIMED_SHARE * whole else None
+        if whole - rest > MIN_TIMED_SHARE * whole:
+            seconds = pace * (rest - under_way)
+        else:
+            seconds = None
         return KernelProgress(len(lacking) - len(left), len(lacking), seconds)
 
 
@@ -82,7 +101,8 @@ def warm(kernels: Iterable[Any], stopped: threading.Event | None = None, nicenes
 
     Once ``stopped`` is set it returns as soon as it can. For the ``niceness`` see ``Compilation``.
     """
-    kernels, stopped = list(kernels), stopped or threading.Event()
+    kernels = list(kernels)
+    stopped = stopped or threading.Event()
     work = Compilation(kernels)
     work.begin(stopped, niceness)
     work.wait(kernels)
@@ -98,17 +118,28 @@ def with_callees(kernels: Iterable[Any]) -> list[Entry]:
 
 
 def in_order(entries: Iterable[Entry], before: Collection[Entry] = ()) -> list[Entry]:
-    """Kernels first that call none but ``before``, and of these the largest: what comes last is short."""
-    return sorted(entries, key=lambda entry: (any(each not in before for each in entry.callees), -entry.size))
+    """Kernels first that call none but ``before``, and of these the largest: what comes last is
+    short.
+    """
+    return sorted(
+        entries, key=lambda entry: (any(each not in before for each in entry.callees), -entry.size)
+    )
 
 
-def compile_beside(names: list[str], stopped: threading.Event, niceness: int = 0, start: str = "spawn") -> None:
-    """Compile kernels in processes, one for each core, until ``stopped``; none where that would be one process."""
+def compile_beside(
+    names: list[str], stopped: threading.Event, niceness: int = 0, start: str = "spawn"
+) -> None:
+    """Compile kernels in processes, one for each core, until ``stopped``; none where that would be
+    one process.
+    """
     processes = min(numba.config.NUMBA_DEFAULT_NUM_THREADS, len(names))
     if processes < 2:
         return
     context: Any = get_context(start)
-    helpers = [context.Process(target=compile_named, args=[names, niceness], daemon=True) for _ in range(processes)]
+    helpers = [
+        context.Process(target=compile_named, args=[names, niceness], daemon=True)
+        for _ in range(processes)
+    ]
     for helper in helpers:
         helper.start()
     for helper in helpers:

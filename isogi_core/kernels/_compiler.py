@@ -1,10 +1,13 @@
-"""The house's compiler: Numba's, with two differences that halve the time to compile and the time of a ray of shine.
+"""The house's compiler: Numba's, with two differences that halve the time to compile and the time
+of a ray of shine.
 
-Kernels that make no arrays borrow the arrays that they are given: they are compiled without counting references. Else
-Numba counts each array of a record again wherever a helper takes that record apart: an atomic addition for each, which
-took half of the time of a ray of shine. Whoever calls a kernel holds its arrays until that returns.
+Kernels that make no arrays borrow the arrays that they are given: they are compiled without
+counting references. Else Numba counts each array of a record again wherever a helper takes that
+record apart: an atomic addition for each, which took half of the time of a ray of shine. Whoever
+calls a kernel holds its arrays until that returns.
 
-Helpers are optimised and made machine code as parts of the entry kernels that call them, and not by themselves as well.
+Helpers are optimised and made machine code as parts of the entry kernels that call them, and not by
+themselves as well.
 """
 
 from typing import Any
@@ -37,7 +40,9 @@ class Uncalled:
 
 @register_pass(mutates_CFG=False, analysis_only=True)
 class ChooseLowering(FunctionPass):  # type: ignore[misc]
-    """Once types are known: choose how a kernel is lowered, without references, and as a helper's code or as it is."""
+    """Once types are known: choose how a kernel is lowered, without references, and as a helper's
+    code or as it is.
+    """
 
     _name = "choose_lowering"
 
@@ -71,15 +76,28 @@ def makes_arrays(state: Any) -> bool:
     if holds_arrays(state, state.return_type):
         return True
     statements = [each for block in state.func_ir.blocks.values() for each in block.body]
-    copies = [each.value.name for each in statements if isinstance(each, ir.SetItem | ir.StaticSetItem)]
-    if any(isinstance(state.typemap[name], types.Array) for name in copies):  # what overlaps is copied in between
+    copies = [
+        each.value.name for each in statements if isinstance(each, ir.SetItem | ir.StaticSetItem)
+    ]
+    if any(
+        isinstance(state.typemap[name], types.Array) for name in copies
+    ):  # what overlaps is copied in between
         return True
-    made = [each for each in statements if isinstance(each, ir.Assign) and isinstance(each.value, ir.Expr)]
-    return any(holds_arrays(state, state.typemap[each.target.name]) and not borrows(state, each.value) for each in made)
+    made = [
+        each
+        for each in statements
+        if isinstance(each, ir.Assign) and isinstance(each.value, ir.Expr)
+    ]
+    return any(
+        holds_arrays(state, state.typemap[each.target.name]) and not borrows(state, each.value)
+        for each in made
+    )
 
 
 def borrows(state: Any, expression: Any) -> bool:
-    """Whether the arrays of an ``expression`` are held elsewhere: parts of others, or a record made of such."""
+    """Whether the arrays of an ``expression`` are held elsewhere: parts of others, or a record made
+    of such.
+    """
     if expression.op == "call":
         return isinstance(state.typemap[expression.func.name], types.NamedTupleClass)
     return expression.op in TAKES_APART

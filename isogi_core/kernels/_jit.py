@@ -1,4 +1,6 @@
-"""The one place that owns Numba's options, and has entry kernels compiled or loaded before they are called."""
+"""The one place that owns Numba's options, and has entry kernels compiled or loaded before they are
+called.
+"""
 
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -40,7 +42,9 @@ COUNT_ARRAY = types.int32[::1]
 
 
 def no_blas() -> None:
-    """Tell Numba that there is no BLAS: to look for it, each process would import SciPy, where that is installed."""
+    """Tell Numba that there is no BLAS: to look for it, each process would import SciPy, where that
+    is installed.
+    """
     raise ImportError("Kernels call no BLAS.")
 
 
@@ -50,8 +54,9 @@ linalg.ensure_blas = no_blas
 class Entry:
     """An entry kernel, called from Python, and by other kernels through its address.
 
-    It is compiled once for all processes, or loaded, when it is first called, and only for the types of its
-    signature. Any thread may call it. Kernels that call it hold no copy of its code: they compile without it.
+    It is compiled once for all processes, or loaded, when it is first called, and only for the
+    types of its signature. Any thread may call it. Kernels that call it hold no copy of its code:
+    they compile without it.
     """
 
     def __init__(self, function: Callable[..., Any], given: Any, options: dict[str, Any]) -> None:
@@ -91,7 +96,9 @@ class Entry:
 
     @property
     def size(self) -> int:
-        """Bytes of Python's code that become its machine code: the time to compile it grows with these."""
+        """Bytes of Python's code that become its machine code: the time to compile it grows with
+        these.
+        """
         return sum(len(each.__code__.co_code) for each in self.parts if not isinstance(each, Entry))
 
     def offer(self) -> None:
@@ -115,18 +122,26 @@ class Entry:
         return any(KERNEL_FOLDER.glob(f"*/{module}.{name}-*.nbi"))
 
     def _compile(self) -> None:
-        ready = njit(self._signature, cache=True, no_cfunc_wrapper=True, **self.targetoptions)(self.__wrapped__)
+        ready = njit(self._signature, cache=True, no_cfunc_wrapper=True, **self.targetoptions)(
+            self.__wrapped__
+        )
         (compiled,) = ready.overloads.values()
-        llvm.add_symbol(self.name, compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
+        llvm.add_symbol(
+            self.name, compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+        )
         self._ready = ready
 
 
 def let_kernels_call(entry: Entry, arguments: tuple[Any, ...], result: Any) -> None:
-    """Have compiled code call an ``entry`` kernel by its name, at which its address stands once it is ready."""
+    """Have compiled code call an ``entry`` kernel by its name, at which its address stands once it
+    is ready.
+    """
     call = signature(result or types.none, *arguments)
 
     def _generic(self: Any, given: Any, kws: Any) -> Any:
-        return call if len(given) == len(arguments) else None
+        if len(given) == len(arguments):
+            return call
+        return None
 
     template = type("Call", (AbstractTemplate,), {"key": entry, "generic": _generic})
     builtin_registry.register_global(entry, types.Function(template))
@@ -136,14 +151,18 @@ def let_kernels_call(entry: Entry, arguments: tuple[Any, ...], result: Any) -> N
         entry.ready  # noqa: B018 (what is not known by name when its caller is loaded would end the process)
         kind = context.call_conv.get_function_type(sig.return_type, sig.args)
         function = cgutils.get_or_insert_function(builder.module, kind, entry.name)
-        status, value = context.call_conv.call_function(builder, function, sig.return_type, sig.args, values)
+        status, value = context.call_conv.call_function(
+            builder, function, sig.return_type, sig.args, values
+        )
         with cgutils.if_unlikely(builder, status.is_error):
             context.call_conv.return_status_propagate(builder, status)
         return value
 
 
 class Choice:
-    """A helper with one body for each kind of record that it is called with, chosen when its caller is compiled."""
+    """A helper with one body for each kind of record that it is called with, chosen when its caller
+    is compiled.
+    """
 
     __name__: str
 
@@ -158,7 +177,9 @@ class Choice:
         return self.chosen([type(each) for each in arguments])(*arguments)
 
     def case(self, *records: type) -> Callable[[Callable[..., Any]], Any]:
-        """Decorator: the body for calls that have all of these ``records`` among their arguments; others may follow."""
+        """Decorator: the body for calls that have all of these ``records`` among their arguments;
+        others may follow.
+        """
 
         def _add(body: Callable[..., Any]) -> Any:
             self._cases[frozenset(records)] = kernel()(body)
@@ -172,14 +193,17 @@ class Choice:
         return self._cases.values()
 
     def chosen(self, given: Iterable[Any]) -> Any:
-        """Return the body of the case that names the most of the types ``given``, which are Numba's or Python's.
+        """Return the body of the case that names the most of the types ``given``, which are Numba's
+        or Python's.
 
         TypeError where two cases name as many.
         """
         kinds = {getattr(each, "instance_class", each) for each in given}
         *others, best = sorted((case for case in self._cases if case <= kinds), key=len)
         if others and len(others[-1]) == len(best):
-            raise TypeError(f"{self.__name__} has two cases for {kinds}: name more records in one of them.")
+            raise TypeError(
+                f"{self.__name__} has two cases for {kinds}: name more records in one of them."
+            )
         return self._cases[best]
 
 
@@ -195,12 +219,16 @@ def let_kernels_choose(choice: Choice) -> None:
     def _key(_: Any, called: Any) -> Any:
         return _body(called.args).get_impl_key(called)
 
-    template = type("Chosen", (AbstractTemplate,), {"key": choice, "generic": _generic, "get_impl_key": _key})
+    template = type(
+        "Chosen", (AbstractTemplate,), {"key": choice, "generic": _generic, "get_impl_key": _key}
+    )
     builtin_registry.register_global(choice, types.Function(template))
 
 
 def find_parts(function: Callable[..., Any], found: dict[Any, None]) -> None:
-    """Add to ``found`` a function, all helpers that it reaches by calls, and entry kernels that any of them calls."""
+    """Add to ``found`` a function, all helpers that it reaches by calls, and entry kernels that any
+    of them calls.
+    """
     found[function] = None
     for name in names_in(function.__code__):
         each = function.__globals__.get(name)
@@ -229,13 +257,23 @@ def kernel(
 ) -> Callable[[Callable[..., Any]], Any]:
     """Decorator: compile with the house's options.
 
-    Without a signature the function is a helper, compiled where it is called; with one it is an ``Entry``.
-    What is ``exact`` gives the same bits wherever it is inlined: no product is fused with a sum. Sums in
-    ``any_order`` fill vectors: their bits belong to the processor, and to nothing else. What is
-    ``inline`` becomes part of its callers however long it is.
+    Without a signature the function is a helper, compiled where it is called; with one it is an
+    ``Entry``. What is ``exact`` gives the same bits wherever it is inlined: no product is fused
+    with a sum. Sums in ``any_order`` fill vectors: their bits belong to the processor, and to
+    nothing else. What is ``inline`` becomes part of its callers however long it is.
     """
-    fastmath = EXACT if exact else ANY_ORDER if any_order else FASTMATH
-    options = {"nogil": True, "error_model": "numpy", "fastmath": fastmath, "pipeline_class": Compiler}
+    if exact:
+        fastmath = EXACT
+    elif any_order:
+        fastmath = ANY_ORDER
+    else:
+        fastmath = FASTMATH
+    options = {
+        "nogil": True,
+        "error_model": "numpy",
+        "fastmath": fastmath,
+        "pipeline_class": Compiler,
+    }
     if numba.config.DISABLE_JIT:
         return lambda function: function
     if signature is None:
@@ -244,20 +282,28 @@ def kernel(
 
 
 def helper(function: Callable[..., Any], options: dict[str, Any]) -> Any:
-    """Numba's dispatcher of a helper. What compiled code calls is without wrappers, which take a quarter of the time.
+    """Numba's dispatcher of a helper. What compiled code calls is without wrappers, which take a
+    quarter of the time.
 
     A twin that has them is compiled where Python calls it, as tests do.
     """
     twin = njit(**options)(function)
     dispatcher = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)
-    twin._insert, dispatcher._insert = dispatcher._insert, lambda *_: None  # Python jumps to wrappers: to the twin's
+    twin._insert, dispatcher._insert = (
+        dispatcher._insert,
+        lambda *_: None,
+    )  # Python jumps to wrappers: to the twin's
     dispatcher._compile_for_args = twin._compile_for_args
     return dispatcher
 
 
 def plain(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator: a function for kernels and for Python alike, which runs it as it stands and compiles nothing."""
-    return function if numba.config.DISABLE_JIT else register_jitable(error_model="numpy")(function)
+    """Decorator: a function for kernels and for Python alike, which runs it as it stands and
+    compiles nothing.
+    """
+    if numba.config.DISABLE_JIT:
+        return function
+    return register_jitable(error_model="numpy")(function)
 
 
 def record(cls: type, *members: Any) -> Any:
@@ -266,12 +312,16 @@ def record(cls: type, *members: Any) -> Any:
 
 
 def load(kernels: Iterable[Any], stopped: threading.Event | None = None) -> None:
-    """Have ``kernels`` in this process, which compiles those that it must. Ends between two once ``stopped`` is set."""
+    """Have ``kernels`` in this process, which compiles those that it must. Ends between two once
+    ``stopped`` is set.
+    """
     for entry in entries_of(kernels):
         if stopped is None or not stopped.is_set():
             entry.ready  # noqa: B018
 
 
 def entries_of(kernels: Iterable[Any]) -> list[Entry]:
-    """The entry kernels among ``kernels``; none where Numba is switched off: they are plain functions then."""
+    """The entry kernels among ``kernels``; none where Numba is switched off: they are plain
+    functions then.
+    """
     return [kernel for kernel in kernels if isinstance(kernel, Entry)]

@@ -1,4 +1,6 @@
-"""A bound of the pages of files in a process's memory, kept by a thread that never waits for the interpreter."""
+"""A bound of the pages of files in a process's memory, kept by a thread that never waits for the
+interpreter.
+"""
 
 import ctypes
 import mmap
@@ -23,7 +25,9 @@ STATM_BYTES = 256
 """Bytes that a line of /proc/self/statm fits into."""
 
 NEVER_NEEDED = getattr(mmap, "MADV_DONTNEED", 4)
-SPACE_CODE, ZERO_CODE, RESIDENT_FIELD = ord(" "), ord("0"), 2
+SPACE_CODE = ord(" ")
+ZERO_CODE = ord("0")
+RESIDENT_FIELD = 2
 PAGE_BYTES = mmap.PAGESIZE
 
 C_TYPES = {types.int32: ctypes.c_int32, types.int64: ctypes.c_int64, types.uint32: ctypes.c_uint32}
@@ -34,7 +38,8 @@ def system_function(name: str, result: Any, *arguments: Any) -> Any:
     if not numba.config.DISABLE_JIT:
         return types.ExternalFunction(name, result(*arguments))
     found = getattr(ctypes.CDLL(None), name)
-    found.restype, found.argtypes = C_TYPES[result], [C_TYPES[each] for each in arguments]
+    found.restype = C_TYPES[result]
+    found.argtypes = [C_TYPES[each] for each in arguments]
     return found
 
 
@@ -47,9 +52,12 @@ unlock_mutex = system_function("pthread_mutex_unlock", types.int32, types.int64)
 
 @kernel()
 def resident(status, line):
-    """Bytes of files in memory: the third number in the open file ``status``, read into ``line`` (uint8)."""
+    """Bytes of files in memory: the third number in the open file ``status``, read into ``line``
+    (uint8).
+    """
     count = pread(status, line.ctypes.data, line.size, 0)
-    field, pages = 0, 0
+    field = 0
+    pages = 0
     for i in range(count):
         if line[i] == SPACE_CODE:
             field += 1
@@ -60,31 +68,39 @@ def resident(status, line):
 
 @kernel()
 def let_go(status, line, enough, table, row, start):
-    """Let go of pages from byte ``start`` of mapping ``row`` on, until ``enough`` bytes or fewer are resident.
+    """Let go of pages from byte ``start`` of mapping ``row`` on, until ``enough`` bytes or fewer
+    are resident.
 
-    Each mapping has its turn once at most. Returns where to go on, row and byte, and whether all pages were let go of.
+    Each mapping has its turn once at most. Returns where to go on, row and byte, and whether all
+    pages were let go of.
     """
-    total, done = table[:, 1].sum(), 0
+    total = table[:, 1].sum()
+    done = 0
     while done < total and resident(status, line) > enough:
         while start >= table[row, 1]:
-            row, start = (row + 1) % table.shape[0], 0
+            row = (row + 1) % table.shape[0]
+            start = 0
         size = min(RELEASE_BYTES, table[row, 1] - start)
         madvise(table[row, 0] + start, size, NEVER_NEEDED)
-        start, done = start + size, done + size
+        start = start + size
+        done = done + size
     return row, start, done >= total
 
 
 @kernel(types.void(types.int32, INTEGER_ARRAY, types.int64[:, ::1], INTEGER_ARRAY))
 def bound_pages(status, bounds, table, mutex):
-    """Let go of mappings' pages when more than ``bounds[0]`` bytes are resident, down to ``bounds[1]``, until it is 0.
+    """Let go of mappings' pages when more than ``bounds[0]`` bytes are resident, down to
+    ``bounds[1]``, until it is 0.
 
-    ``table`` (m, 2) holds address and bytes of each mapping, whole pages, zeros where there is none; it changes under
-    the ``mutex`` alone, which is the memory of one of the C library. Pages are let go of whether they are in use or
-    not: what is needed again is still in the system's cache. Other files do not count, such as libraries: the
-    ``bounds[2]`` bytes resident at first, and LIBRARY_BYTES more at most, by an eighth of what is left once all is let
-    go.
+    ``table`` (m, 2) holds address and bytes of each mapping, whole pages, zeros where there is
+    none; it changes under the ``mutex`` alone, which is the memory of one of the C library. Pages
+    are let go of whether they are in use or not: what is needed again is still in the system's
+    cache. Other files do not count, such as libraries: the ``bounds[2]`` bytes resident at first,
+    and LIBRARY_BYTES more at most, by an eighth of what is left once all is let go.
     """
-    line, row, start = np.empty(STATM_BYTES, np.uint8), 0, 0
+    line = np.empty(STATM_BYTES, np.uint8)
+    row = 0
+    start = 0
     others = bounds[2]
     while bounds[0] > 0:
         usleep(MICROSECONDS)

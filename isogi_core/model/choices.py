@@ -1,4 +1,6 @@
-"""What views may choose between, and how bright they may show what glows; for help too, which loads no NumPy."""
+"""What views may choose between, and how bright they may show what glows; for help too, which loads
+no NumPy.
+"""
 
 VIEW_SHADINGS = (
     "gi",

@@ -21,8 +21,9 @@ COLOUR_MAPS = {
     " ecd3c5 f5c4ac f7b093 f4987a eb7d62 dd5f4b ca3b37 b40426",
     "grey": "000000 ffffff",
 }
-"""Colour maps by name: sRGB at equal steps from the lowest value to the highest. Sources: viridis and magma (Smith and
-van der Walt 2015), cividis (Nuñez, Anderton and Renslow 2018), coolwarm (Moreland 2009).
+"""Colour maps by name: sRGB at equal steps from the lowest value to the highest. Sources: viridis
+and magma (Smith and van der Walt 2015), cividis (Nuñez, Anderton and Renslow 2018), coolwarm
+(Moreland 2009).
 """
 
 MAX_ALBEDO = 0.95
@@ -34,24 +35,35 @@ VALUES = 255
 
 def linear_of(code: float) -> float:
     """Linear light of an sRGB code from 0 to 1 (IEC 61966-2-1)."""
-    return code / 12.92 if code <= 0.04045 else ((code + 0.055) / 1.055) ** 2.4
+    if code <= 0.04045:
+        return code / 12.92
+    return ((code + 0.055) / 1.055) ** 2.4
 
 
 def table_of(name: str) -> np.ndarray:
-    """The albedos of all VALUES by the map of this ``name``, (255, 3) float64, linear RGB, at most MAX_ALBEDO."""
-    anchors = np.array([list(bytes.fromhex(colour)) for colour in COLOUR_MAPS[name].split()]) / 255.0
+    """The albedos of all VALUES by the map of this ``name``, (255, 3) float64, linear RGB, at most
+    MAX_ALBEDO.
+    """
+    anchors = (
+        np.array([list(bytes.fromhex(colour)) for colour in COLOUR_MAPS[name].split()]) / 255.0
+    )
     return np.vectorize(linear_of)(spread_colours(anchors)).clip(0.0, MAX_ALBEDO)
 
 
 def spread_colours(colours: np.ndarray) -> np.ndarray:
-    """Colours (n, 3) for all VALUES, linear between those given, which lie at equal steps; (255, 3)."""
-    place, at = np.linspace(0.0, 1.0, VALUES), np.linspace(0.0, 1.0, len(colours))
+    """Colours (n, 3) for all VALUES, linear between those given, which lie at equal steps; (255,
+    3).
+    """
+    place = np.linspace(0.0, 1.0, VALUES)
+    at = np.linspace(0.0, 1.0, len(colours))
     return np.stack([np.interp(place, at, channel) for channel in colours.T], axis=1)
 
 
 @dataclass(frozen=True)
 class Label:
-    """A part of a segmentation: its ``value`` there, its ``name``, its albedo, and whether it is ``shown``."""
+    """A part of a segmentation: its ``value`` there, its ``name``, its albedo, and whether it is
+    ``shown``.
+    """
 
     value: int
     name: str
@@ -61,11 +73,13 @@ class Label:
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """What values look like: the ``name`` of what they are, the ``span`` of values from the first colour to the last.
+    """What values look like: the ``name`` of what they are, the ``span`` of values from the first
+    colour to the last.
 
-    ``map`` is the name of the colours, one of COLOUR_MAPS, "own" or "labels"; ``table`` (255, 3) are their albedos,
-    linear RGB, and ``outside`` is the albedo of places without a value. ``labels`` are those of a segmentation, none of
-    other data: the shown ones have the codes from 1 on.
+    ``map`` is the name of the colours, one of COLOUR_MAPS, "own" or "labels"; ``table`` (255, 3)
+    are their albedos, linear RGB, and ``outside`` is the albedo of places without a value.
+    ``labels`` are those of a segmentation, none of other data: the shown ones have the codes from 1
+    on.
     """
 
     name: str
@@ -77,7 +91,9 @@ class Scale:
 
     @property
     def anchors(self) -> list[str]:
-        """Some of the colours at equal steps, or those of the shown labels, as ``#rrggbb``: what a legend shows."""
+        """Some of the colours at equal steps, or those of the shown labels, as ``#rrggbb``: what a
+        legend shows.
+        """
         if self.labels:
             return [hex_of(label.colour) for label in self.labels if label.shown]
         return [hex_of(self.table[round(place)]) for place in np.linspace(0, VALUES - 1, 17)]
@@ -92,9 +108,10 @@ def hex_of(albedo: np.ndarray | Colour) -> str:
 class SurfaceColours:
     """The albedo of isosurfaces by data.
 
-    ``places`` lie ``step`` voxels of the scene's volume apart, along x, y, z. Those of values, (nz, ny, nx) uint8, are
-    0 where there is none, else from 1 to 255 along the ``scale``. Those of labels, (nz, ny, nx, 3), are two of them and
-    the share of the second (``kernels.transport.colours``).
+    ``places`` lie ``step`` voxels of the scene's volume apart, along x, y, z. Those of values, (nz,
+    ny, nx) uint8, are 0 where there is none, else from 1 to 255 along the ``scale``. Those of
+    labels, (nz, ny, nx, 3), are two of them and the share of the second
+    (``kernels.transport.colours``).
     """
 
     places: np.ndarray
@@ -109,8 +126,13 @@ class SurfaceColours:
     @cached_property
     def brightest(self) -> Colour:
         """The most that any place reflects of each colour."""
-        codes = self.places if self.places.ndim == 3 else self.places[..., :2]
-        there = np.any([np.bincount(layer.ravel(), minlength=VALUES + 1) > 0 for layer in codes], axis=0)
+        if self.places.ndim == 3:
+            codes = self.places
+        else:
+            codes = self.places[..., :2]
+        there = np.any(
+            [np.bincount(layer.ravel(), minlength=VALUES + 1) > 0 for layer in codes], axis=0
+        )
         return triple(self.table[there].max(axis=0))
 
     @property

@@ -14,7 +14,9 @@ Pair = tuple[float, float]
 
 
 class Demo(NamedTuple):
-    """A demo: the function that makes its array (z, y, x), the isovalue where views start, a line of description."""
+    """A demo: the function that makes its array (z, y, x), the isovalue where views start, a line
+    of description.
+    """
 
     build: Callable[[], np.ndarray]
     isovalue: float
@@ -31,8 +33,9 @@ def demo_volume(name: str) -> Volume:
 def casting() -> np.ndarray:
     """A cast two-cylinder engine block, (96, 128, 128) float32 from 0 to 255, by a signed distance.
 
-    The value is 255 / (1 + e^(d/1.5)) of the distance d in voxels to the part's skin: isovalue 127.5 is the
-    part, lower ones grow it, higher ones thin it. From isovalue 1 on every surface is closed in the box.
+    The value is 255 / (1 + e^(d/1.5)) of the distance d in voxels to the part's skin: isovalue
+    127.5 is the part, lower ones grow it, higher ones thin it. From isovalue 1 on every surface is
+    closed in the box.
     """
     z, y, x = (np.arange(n, dtype=np.float32).reshape(s) for n, s in _AXES)
     distance = np.maximum(_metal(x, y, z), -_cuts(x, y, z))
@@ -40,7 +43,8 @@ def casting() -> np.ndarray:
 
 
 def orbital() -> np.ndarray:
-    """Probability density of the hydrogen orbital 4f z³, (96, 96, 96) float32, its greatest value 1.
+    """Probability density of the hydrogen orbital 4f z³, (96, 96, 96) float32, its greatest value
+    1.
 
     |ψ|² ∝ (z (5z² - 3r²) e^(-r/4))², lengths in Bohr radii, 36 from the middle to each face.
     """
@@ -72,14 +76,18 @@ def _metal(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _cuts(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Distance to the drilled parts: bores, crank tunnel, bolt holes, oil galleries, port channels."""
+    """Distance to the drilled parts: bores, crank tunnel, bolt holes, oil galleries, port
+    channels.
+    """
     bores = _extrude(_discs(x, y, _BARRELS, 13.0), _slab(z, 62.0, 36.0))
     tunnel = _extrude(_discs(y, z, [(64.0, 25.0)], 9.5), _slab(x, 64.0, 60.0))
     corners = [(64.0 + 46.5 * i, 64.0 + 44.0 * j) for i in (-1, 0, 1) for j in (-1, 1)]
     feet = _extrude(_discs(x, y, corners, 3.2), _slab(z, 13.0, 8.0))
     studs = [(64.0 + 39.0 * i, 64.0 + 20.0 * j) for i in (-1, 1) for j in (-1, 1)]
     bolts = _extrude(_discs(x, y, [*studs, (64.0, 43.5), (64.0, 84.5)], 2.6), _slab(z, 70.0, 32.0))
-    galleries = _extrude(_discs(x, z, [(64.0, 30.0), (28.0, 31.0), (100.0, 31.0)], 3.0), _slab(y, 64.0, 60.0))
+    galleries = _extrude(
+        _discs(x, z, [(64.0, 30.0), (28.0, 31.0), (100.0, 31.0)], 3.0), _slab(y, 64.0, 60.0)
+    )
     channels = _extrude(_discs(x, z, [(cx, 59.0) for cx, _ in _BARRELS], 5.2), _slab(y, 92.0, 26.0))
     flange = [(64.0 + 31.0 * i, 59.0 + 6.5 * j) for i in (-1, 1) for j in (-1, 1)]
     screws = _extrude(_discs(x, z, flange, 1.9), _slab(y, 108.0, 8.0))
@@ -98,8 +106,13 @@ def _discs(a: np.ndarray, b: np.ndarray, centres: Iterable[Pair], radius: float)
 
 
 def _rectangle(a: np.ndarray, b: np.ndarray, centre: Pair, half: Pair, radius: float) -> np.ndarray:
-    """Signed distance, in the plane of the axes ``a`` and ``b``, to a rectangle with round corners."""
-    return _extrude(_slab(a, centre[0], half[0] - radius), _slab(b, centre[1], half[1] - radius)) - radius
+    """Signed distance, in the plane of the axes ``a`` and ``b``, to a rectangle with round
+    corners.
+    """
+    return (
+        _extrude(_slab(a, centre[0], half[0] - radius), _slab(b, centre[1], half[1] - radius))
+        - radius
+    )
 
 
 def _slab(a: np.ndarray, centre: float, half: float) -> np.ndarray:
@@ -114,13 +127,17 @@ def _extrude(profile: np.ndarray, slab: np.ndarray) -> np.ndarray:
 
 
 def _blend(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Union with a fillet: the smaller distance, less where both are within 3 voxels of each other."""
+    """Union with a fillet: the smaller distance, less where both are within 3 voxels of each
+    other.
+    """
     near = np.maximum(3.0 - np.abs(a - b), 0.0)
     return np.asarray(np.minimum(a, b) - near * near / 12.0)
 
 
 DEMOS = {
-    "casting": Demo(casting, 127.5, "a cast engine block: deep bores, fins, ports, holes and thin webs"),
+    "casting": Demo(
+        casting, 127.5, "a cast engine block: deep bores, fins, ports, holes and thin webs"
+    ),
     "orbital": Demo(orbital, 0.03, "electron density of a hydrogen atom in the state 4f z³"),
 }
 """The demos by name."""

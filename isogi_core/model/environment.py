@@ -1,14 +1,16 @@
-"""The lights of a scene in two groups: the environment (constant and image) with its lobes, and fixed lamps.
+"""The lights of a scene in two groups: the environment (constant and image) with its lobes, and
+fixed lamps.
 
 Images are lat-long, (h, w, ...): all directions, with the solid angles of their pixels.
 
-Analytic clear sky after Preetham, Shirley and Smits, "A Practical Analytic Model for Daylight", 1999. Luminances are
-in kcd/m² as in the paper until the whole image is scaled.
+Analytic clear sky after Preetham, Shirley and Smits, "A Practical Analytic Model for Daylight",
+1999. Luminances are in kcd/m² as in the paper until the whole image is scaled.
 
-Environments by formula: surroundings that need no file, for scenes and views that name one. ``overcast`` is the
-standard overcast sky of Moon and Spencer 1942 (CIE S 011), ``noon`` and ``evening`` are clear skies after Preetham et
-al. 1999 (see ``sky``). ``studio`` is a dim room with two soft boxes, ``gallery`` a white one with two skylights; both
-are boxes seen from a point in them.
+Environments by formula: surroundings that need no file, for scenes and views that name one.
+``overcast`` is the standard overcast sky of Moon and Spencer 1942 (CIE S 011), ``noon`` and
+``evening`` are clear skies after Preetham et al. 1999 (see ``sky``). ``studio`` is a dim room with
+two soft boxes, ``gallery`` a white one with two skylights; both are boxes seen from a point in
+them.
 """
 
 import hashlib
@@ -44,9 +46,16 @@ _XYZ_TO_RGB = np.array(
     [[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]
 )  # IEC 61966-2-1
 
-# Rows are A to E of Perez's distribution, columns the weights of (turbidity, 1); the paper's appendix A.2.
+# Rows are A to E of Perez's distribution, columns the weights of (turbidity, 1); the paper's
+# appendix A.2.
 _PEREZ_LUMINANCE = np.array(
-    [[0.17872, -1.46303], [-0.35540, 0.42749], [-0.02266, 5.32505], [0.12064, -2.57705], [-0.06696, 0.37027]]
+    [
+        [0.17872, -1.46303],
+        [-0.35540, 0.42749],
+        [-0.02266, 5.32505],
+        [0.12064, -2.57705],
+        [-0.06696, 0.37027],
+    ]
 )
 _PEREZ_X = np.array(
     [
@@ -66,7 +75,8 @@ _PEREZ_Y = np.array(
         [-0.01092, 0.05291],
     ]
 )
-# Zenith chromaticity: rows are powers 2, 1, 0 of turbidity, columns powers 3 to 0 of the sun's zenith angle.
+# Zenith chromaticity: rows are powers 2, 1, 0 of turbidity, columns powers 3 to 0 of the sun's
+# zenith angle.
 _ZENITH_X = np.array(
     [
         [0.00166, -0.00375, 0.00209, 0.0],
@@ -88,9 +98,9 @@ _WAVELENGTHS = np.array([0.610, 0.550, 0.465])
 def sky_image(light: SkyLight, directions: np.ndarray, solid_angles: np.ndarray) -> np.ndarray:
     """Radiance (h, w, 3) float64 of sky, sun and ground in unit ``directions`` (h, w, 3), z up.
 
-    ``solid_angles`` (h, w), steradians, say what each direction stands for. The directions of the sun's disc
-    together hold exactly its irradiance; the ground reflects what sky and sun send down on it; the mean
-    luminance over the sphere is ``light.scale``.
+    ``solid_angles`` (h, w), steradians, say what each direction stands for. The directions of the
+    sun's disc together hold exactly its irradiance; the ground reflects what sky and sun send down
+    on it; the mean luminance over the sphere is ``light.scale``.
     """
     up = directions[..., 2] > 0.0
     sky = np.zeros(directions.shape)
@@ -110,8 +120,11 @@ def sun_direction(light: SkyLight) -> np.ndarray:
 
 
 def _sky_radiance(light: SkyLight, directions: np.ndarray) -> np.ndarray:
-    """Linear RGB (n, 3), kcd/m², of the sky without the sun, in ``directions`` (n, 3) above the horizon."""
-    turbidity, theta = light.turbidity, math.radians(90.0 - light.sun_elevation)
+    """Linear RGB (n, 3), kcd/m², of the sky without the sun, in ``directions`` (n, 3) above the
+    horizon.
+    """
+    turbidity = light.turbidity
+    theta = math.radians(90.0 - light.sun_elevation)
     cos_gamma = np.clip(directions @ sun_direction(light), -1.0, 1.0)
     chi = (4.0 / 9.0 - turbidity / 120.0) * (math.pi - 2.0 * theta)
     zenith = (4.0453 * turbidity - 4.9710) * math.tan(chi) - 0.2155 * turbidity + 2.4192
@@ -132,10 +145,16 @@ def _sky_radiance(light: SkyLight, directions: np.ndarray) -> np.ndarray:
 
 def _chromaticity(table: np.ndarray, turbidity: float, theta: float) -> float:
     """CIE x or y of the zenith, for the sun at zenith angle ``theta``."""
-    return float(np.array([turbidity**2, turbidity, 1.0]) @ table @ np.array([theta**3, theta**2, theta, 1.0]))
+    return float(
+        np.array([turbidity**2, turbidity, 1.0])
+        @ table
+        @ np.array([theta**3, theta**2, theta, 1.0])
+    )
 
 
-def _perez(table: np.ndarray, turbidity: float, cos_theta: np.ndarray, cos_gamma: np.ndarray) -> np.ndarray:
+def _perez(
+    table: np.ndarray, turbidity: float, cos_theta: np.ndarray, cos_gamma: np.ndarray
+) -> np.ndarray:
     """Perez's distribution at zenith angle θ and angle γ from the sun: eq. 3 of the paper."""
     a, b, c, d, e = table @ np.array([turbidity, 1.0])
     gradation = 1.0 + a * np.exp(b / cos_theta)
@@ -143,10 +162,11 @@ def _perez(table: np.ndarray, turbidity: float, cos_theta: np.ndarray, cos_gamma
 
 
 def _sun_disc(light: SkyLight, directions: np.ndarray, solid_angles: np.ndarray) -> np.ndarray:
-    """Radiance (n, 3) of the sun, spread evenly over the directions within its disc, or the nearest ones.
+    """Radiance (n, 3) of the sun, spread evenly over the directions within its disc, or the nearest
+    ones.
 
-    The beam is weakened by Rayleigh and aerosol scattering over the relative optical mass of the air (the
-    paper's appendix A.1; ozone, gases and water vapour weaken it little and are left out).
+    The beam is weakened by Rayleigh and aerosol scattering over the relative optical mass of the
+    air (the paper's appendix A.1; ozone, gases and water vapour weaken it little and are left out).
     """
     zenith = 90.0 - light.sun_elevation
     mass = 1.0 / (math.cos(math.radians(zenith)) + 0.15 * (93.885 - zenith) ** -1.253)
@@ -180,17 +200,23 @@ def mean_radiance(image: np.ndarray) -> np.ndarray:
 
 
 def resample(image: np.ndarray, height: int, width: int) -> np.ndarray:
-    """The image averaged by solid angle over the pixels of another grid, (height, width, 3) float64."""
+    """The image averaged by solid angle over the pixels of another grid, (height, width, 3)
+    float64.
+    """
     if image.shape[:2] == (height, width):
         return np.asarray(image, np.float64)
-    rows = _overlap(-np.cos(np.linspace(0, np.pi, height + 1)), -np.cos(np.linspace(0, np.pi, len(image) + 1)))
+    rows = _overlap(
+        -np.cos(np.linspace(0, np.pi, height + 1)), -np.cos(np.linspace(0, np.pi, len(image) + 1))
+    )
     columns = _overlap(np.linspace(0, 1, width + 1), np.linspace(0, 1, image.shape[1] + 1))
     wide = np.asarray(image, np.float64)
     return np.asarray(np.einsum("ij,jkc,lk->ilc", rows, wide, columns, optimize=True))
 
 
 def _overlap(to: np.ndarray, source: np.ndarray) -> np.ndarray:
-    """Share of each interval between the edges ``to`` that lies in each between ``source``; rows sum to 1."""
+    """Share of each interval between the edges ``to`` that lies in each between ``source``; rows
+    sum to 1.
+    """
     upper = np.minimum(to[1:, None], source[None, 1:])
     lower = np.maximum(to[:-1, None], source[None, :-1])
     return np.asarray(np.maximum(upper - lower, 0.0) / np.diff(to)[:, None])
@@ -201,7 +227,9 @@ Row = tuple[int, np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Lamps:
-    """All lamps of a scene, in its order: ``arrays`` for the kernels, and a hex ``digest`` of these."""
+    """All lamps of a scene, in its order: ``arrays`` for the kernels, and a hex ``digest`` of
+    these.
+    """
 
     arrays: LampArrays
     digest: str
@@ -212,10 +240,12 @@ class Lamps:
         return len(self.arrays.kinds) > 0
 
     def seen_from(self, point: Vector, least: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Unit directions (k, 3) from a world point to the lamps, and irradiance (k, 3) of what faces them there.
+        """Unit directions (k, 3) from a world point to the lamps, and irradiance (k, 3) of what
+        faces them there.
 
-        Shadows are left out. An area light counts as a point in its middle, and is dark from behind. A lamp nearer than
-        ``least`` counts as that far away and facing the point; one at the point itself has direction 0.
+        Shadows are left out. An area light counts as a point in its middle, and is dark from
+        behind. A lamp nearer than ``least`` counts as that far away and facing the point; one at
+        the point itself has direction 0.
         """
         kinds, places, edges, colours = self.arrays
         near = kinds != DIRECTIONAL
@@ -228,12 +258,16 @@ class Lamps:
         normals = np.cross(edges[:, 0], edges[:, 1])
         cosines = np.maximum(-(towards * normals).sum(axis=1), 0.0)
         cosines = np.where(distance < least, np.linalg.norm(normals, axis=1), cosines)
-        return towards, math.pi * colours * (spread * np.where(kinds == AREA, cosines, 1.0))[:, None]
+        return towards, math.pi * colours * (spread * np.where(kinds == AREA, cosines, 1.0))[
+            :, None
+        ]
 
     def approximate(self, order: int, centre: Vector, radius: float) -> np.ndarray:
-        """SH coefficients (3, n²) float64 of the lamps, each taken as infinitely far from ``centre``: Σ E Y_i(d).
+        """SH coefficients (3, n²) float64 of the lamps, each taken as infinitely far from
+        ``centre``: Σ E Y_i(d).
 
-        Lamps within ``radius`` count as that far away. A lamp at the centre shines evenly from all sides.
+        Lamps within ``radius`` count as that far away. A lamp at the centre shines evenly from all
+        sides.
         """
         coefficients = np.zeros((3, order**2))
         if self.any:
@@ -244,7 +278,8 @@ class Lamps:
         return coefficients
 
     def brightest(self, centre: Vector, radius: float) -> float:
-        """Irradiance over π, in luminance, of an unshadowed surface at ``centre`` that faces the best of the lamps.
+        """Irradiance over π, in luminance, of an unshadowed surface at ``centre`` that faces the
+        best of the lamps.
 
         Lamps within ``radius`` count as that far away, as most of the lit volume is farther away.
         """
@@ -255,7 +290,9 @@ class Lamps:
 
 
 def gather_lamps(lights: Sequence[Light], orientation: Orientation = PLAIN_ORIENTATION) -> Lamps:
-    """Gather the lamps among the lights into arrays, in the box of a volume with an ``orientation``."""
+    """Gather the lamps among the lights into arrays, in the box of a volume with an
+    ``orientation``.
+    """
     rows = [_row(light) for light in lights if isinstance(light, Lamp)]
     arrays = LampArrays(
         np.array([row[0] for row in rows], np.int8),
@@ -263,7 +300,8 @@ def gather_lamps(lights: Sequence[Light], orientation: Orientation = PLAIN_ORIEN
         np.array([row[2] for row in rows], np.float64).reshape(-1, 2, 3),
         np.array([row[3] for row in rows], np.float64).reshape(-1, 3),
     )
-    arrays = _in_box(arrays, orientation) if orientation.placed else arrays
+    if orientation.placed:
+        arrays = _in_box(arrays, orientation)
     digest = hashlib.blake2b(digest_size=16)
     for array in arrays:
         digest.update(array.tobytes())
@@ -274,7 +312,9 @@ def _in_box(lamps: LampArrays, orientation: Orientation) -> LampArrays:
     """Lamps of the world in the box: directional ones have a direction for their place."""
     near = (lamps.kinds != DIRECTIONAL)[:, None]
     places = np.where(near, lamps.places - np.array(orientation.origin), lamps.places)
-    return lamps._replace(places=places @ orientation.matrix, edges=lamps.edges @ orientation.matrix)
+    return lamps._replace(
+        places=places @ orientation.matrix, edges=lamps.edges @ orientation.matrix
+    )
 
 
 def _row(light: Lamp) -> Row:
@@ -283,18 +323,32 @@ def _row(light: Lamp) -> Row:
         colour = np.array(light.irradiance) / math.pi
         return DIRECTIONAL, *_disc(light), colour
     if isinstance(light, PointLight):
-        return POINT, np.array(light.position), np.zeros((2, 3)), np.array(light.intensity) / math.pi
+        return (
+            POINT,
+            np.array(light.position),
+            np.zeros((2, 3)),
+            np.array(light.intensity) / math.pi,
+        )
     if isinstance(light, AreaLight):
-        return AREA, np.array(light.corner), np.array([light.u, light.v]), np.array(light.radiance) / math.pi
+        return (
+            AREA,
+            np.array(light.corner),
+            np.array([light.u, light.v]),
+            np.array(light.radiance) / math.pi,
+        )
 
 
 def _disc(light: DirectionalLight) -> tuple[np.ndarray, np.ndarray]:
-    """The direction (3,) towards a directional light, and two radii (2, 3) of its disc, as long as its sine."""
+    """The direction (3,) towards a directional light, and two radii (2, 3) of its disc, as long as
+    its sine.
+    """
     azimuth, elevation = math.radians(light.azimuth), math.radians(light.elevation)
     east = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
     level = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
     towards = math.cos(elevation) * level + np.array([0.0, 0.0, math.sin(elevation)])
-    return towards, math.sin(math.radians(light.angle / 2.0)) * np.array([east, np.cross(towards, east)])
+    return towards, math.sin(math.radians(light.angle / 2.0)) * np.array(
+        [east, np.cross(towards, east)]
+    )
 
 
 OVERVIEW = (256, 512)
@@ -304,17 +358,20 @@ SAMPLES_PER_SIDE = 4
 """Samples along each side of a pixel of an image that is turned."""
 
 SHARP_VARIANCE = 1.0
-"""Relative variance of the luminance over the sphere from which shadow rays towards its bright parts pay.
+"""Relative variance of the luminance over the sphere from which shadow rays towards its bright
+parts pay.
 
-At equal time they make the variance of texels' irradiance smaller by 0.9 for half a sky (whose variance is 1), 1.4
-for a lobe cos² (2.6), 3.5 for pisa (2.4), 4.4 for uffizi (7.7), and by 6000 and more for grace and all with a sun
-(3700 and more); measured on the engine, with 2 × 512 samples and 4 bounces.
+At equal time they make the variance of texels' irradiance smaller by 0.9 for half a sky (whose
+variance is 1), 1.4 for a lobe cos² (2.6), 3.5 for pisa (2.4), 4.4 for uffizi (7.7), and by 6000 and
+more for grace and all with a sun (3700 and more); measured on the engine, with 2 × 512 samples and
+4 bounces.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Environment:
-    """Linear RGB radiance from infinitely far: ``constant`` (3,) float64 plus ``image`` (h, w, 3) float32.
+    """Linear RGB radiance from infinitely far: ``constant`` (3,) float64 plus ``image`` (h, w, 3)
+    float32.
 
     Where there is no image it is one black pixel. ``digest`` is a hex digest of both.
     """
@@ -325,7 +382,9 @@ class Environment:
     name: str
 
     def radiance(self, directions: np.ndarray) -> np.ndarray:
-        """Radiance (..., 3) float64 that arrives from ``directions`` (..., 3), which need not be unit."""
+        """Radiance (..., 3) float64 that arrives from ``directions`` (..., 3), which need not be
+        unit.
+        """
         x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
         height, width = self.image.shape[:2]
         row = np.arctan2(np.hypot(x, y), z) * (height / np.pi)
@@ -337,16 +396,19 @@ class Environment:
     @cached_property
     def sharp(self) -> bool:
         """Whether rays towards its bright parts pay: see ``SHARP_VARIANCE``."""
-        seen, shares = self._luminance, solid_angles(*self.image.shape[:2]) / (4.0 * np.pi)
+        seen = self._luminance
+        shares = solid_angles(*self.image.shape[:2]) / (4.0 * np.pi)
         mean = float((shares * seen).sum())
         return float((shares * seen**2).sum()) > (1.0 + SHARP_VARIANCE) * mean**2
 
     @cached_property
     def table(self) -> tuple[np.ndarray, np.ndarray]:
-        """Table for sampling directions, see ``cumulative``; two empty arrays where the environment is not ``sharp``.
+        """Table for sampling directions, see ``cumulative``; two empty arrays where the environment
+        is not ``sharp``.
 
-        Only light above the mean is sampled by it; the rest is left to cosine sampling at the surface.
-        Source: Karlík et al., "MIS Compensation", ACM Transactions on Graphics 38(6), 2019.
+        Only light above the mean is sampled by it; the rest is left to cosine sampling at the
+        surface. Source: Karlík et al., "MIS Compensation", ACM Transactions on Graphics 38(6),
+        2019.
         """
         if not self.sharp:
             return np.zeros(0), np.zeros((0, 0))
@@ -355,7 +417,9 @@ class Environment:
 
     @cached_property
     def overview(self) -> np.ndarray:
-        """Radiance (256, 512, 3) float64 of all light, averaged over each pixel; its grid is that of the image."""
+        """Radiance (256, 512, 3) float64 of all light, averaged over each pixel; its grid is that
+        of the image.
+        """
         return np.asarray(self.constant + resample(self.image, *OVERVIEW))
 
     @property
@@ -371,19 +435,22 @@ class Environment:
         if not self.image.any():
             return self
         height, width = self.image.shape[:2]
-        fine, image = (
-            pixel_directions(SAMPLES_PER_SIDE * height, SAMPLES_PER_SIDE * width),
-            np.zeros((height, width, 3)),
+        fine = pixel_directions(SAMPLES_PER_SIDE * height, SAMPLES_PER_SIDE * width)
+        image = np.zeros((height, width, 3))
+        weights = np.sin(
+            (np.arange(SAMPLES_PER_SIDE * height) + 0.5) * (np.pi / (SAMPLES_PER_SIDE * height))
         )
-        weights = np.sin((np.arange(SAMPLES_PER_SIDE * height) + 0.5) * (np.pi / (SAMPLES_PER_SIDE * height)))
         for i in range(height):
             rows = slice(SAMPLES_PER_SIDE * i, SAMPLES_PER_SIDE * (i + 1))
             seen = self.radiance(fine[rows] @ matrix.T) - self.constant
             shares = weights[rows] / (weights[rows].sum() * SAMPLES_PER_SIDE)
             image[i] = (
-                shares[:, None, None] * seen.reshape(SAMPLES_PER_SIDE, width, SAMPLES_PER_SIDE, 3).sum(axis=2)
+                shares[:, None, None]
+                * seen.reshape(SAMPLES_PER_SIDE, width, SAMPLES_PER_SIDE, 3).sum(axis=2)
             ).sum(axis=0)
-        digest = hashlib.blake2b(f"{self.digest} {matrix.round(9).tolist()}".encode(), digest_size=16).hexdigest()
+        digest = hashlib.blake2b(
+            f"{self.digest} {matrix.round(9).tolist()}".encode(), digest_size=16
+        ).hexdigest()
         return Environment(self.constant, image.astype(np.float32), digest, self.name)
 
     def mean(self) -> np.ndarray:
@@ -392,9 +459,11 @@ class Environment:
 
 
 def cumulative(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Cumulative shares of pixel weights (h, w): over the rows (h + 1,), and within each row (h, w + 1); float64.
+    """Cumulative shares of pixel weights (h, w): over the rows (h + 1,), and within each row (h, w
+    + 1); float64.
 
-    ``kernels.transport.sampling.sample_piecewise_2d`` takes them. A row without weight is even and never sampled.
+    ``kernels.transport.sampling.sample_piecewise_2d`` takes them. A row without weight is even and
+    never sampled.
     """
     rows = weights.sum(axis=1)
     within = np.where(rows[:, None] > 0.0, weights, 1.0).cumsum(axis=1)
@@ -404,7 +473,8 @@ def cumulative(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Lobe:
-    """A small bright part of an environment, as a disc of even radiance about the unit direction ``towards``.
+    """A small bright part of an environment, as a disc of even radiance about the unit direction
+    ``towards``.
 
     ``cosine`` is that of its half angle.
 
@@ -446,8 +516,8 @@ SOFT_BOXES = (
     ((5.0, 42.0), (30.0, 26.0), (17.0, 16.2, 15.0)),
     ((125.0, 18.0), (20.0, 30.0), (4.2, 4.6, 5.2)),
 )
-"""The soft boxes of the studio: azimuth and elevation of the middle, half width and half height in degrees, radiance:
-a large warm one before and above, a dimmer cool one to the side."""
+"""The soft boxes of the studio: azimuth and elevation of the middle, half width and half height in
+degrees, radiance: a large warm one before and above, a dimmer cool one to the side."""
 
 EDGE_DEGREES = 4.0
 """Degrees over which a soft box fades at its edges."""
@@ -455,17 +525,24 @@ EDGE_DEGREES = 4.0
 Image = np.ndarray
 
 
-def environment_image(light: EnvironmentLight, directions: np.ndarray, solid_angles: np.ndarray) -> Image:
+def environment_image(
+    light: EnvironmentLight, directions: np.ndarray, solid_angles: np.ndarray
+) -> Image:
     """Radiance (h, w, 3) float64 of a named environment in unit ``directions`` (h, w, 3), z up.
 
-    ``solid_angles`` (h, w), steradians, say what each direction stands for. The mean luminance over the sphere is 1.
+    ``solid_angles`` (h, w), steradians, say what each direction stands for. The mean luminance over
+    the sphere is 1.
     """
     image = FORMULAS[light.environment](directions, solid_angles)
-    return np.asarray(image * (np.sum(solid_angles) / np.sum(solid_angles * (image @ LUMINANCE_WEIGHTS))))
+    return np.asarray(
+        image * (np.sum(solid_angles) / np.sum(solid_angles * (image @ LUMINANCE_WEIGHTS)))
+    )
 
 
 def overcast(directions: np.ndarray, solid_angles: np.ndarray) -> Image:
-    """L = Lz (1 + 2 sin θ)/3 at the elevation θ, over a ground that reflects GROUND of it: E = 7π/9 Lz."""
+    """L = Lz (1 + 2 sin θ)/3 at the elevation θ, over a ground that reflects GROUND of it: E = 7π/9
+    Lz.
+    """
     height = directions[..., 2]
     sky = (1.0 + 2.0 * height) / 3.0
     grey = np.where(height > 0.0, sky, GROUND * 7.0 / 9.0)
@@ -473,7 +550,9 @@ def overcast(directions: np.ndarray, solid_angles: np.ndarray) -> Image:
 
 
 def studio(directions: np.ndarray, solid_angles: np.ndarray) -> Image:
-    """A dim grey room, darker towards the floor, and SOFT_BOXES that fade over EDGE_DEGREES degrees at their edges."""
+    """A dim grey room, darker towards the floor, and SOFT_BOXES that fade over EDGE_DEGREES degrees
+    at their edges.
+    """
     height = directions[..., 2]
     room = 0.16 + 0.12 * height
     image = np.repeat(room[..., None], 3, axis=-1)
@@ -482,14 +561,22 @@ def studio(directions: np.ndarray, solid_angles: np.ndarray) -> Image:
     return image
 
 
-def _box(directions: np.ndarray, azimuth: float, elevation: float, half: tuple[float, float]) -> np.ndarray:
-    """How much of a soft box is seen in each direction, from 0 to 1: a rectangle of a plane that faces the middle."""
-    turn, tilt = math.radians(azimuth), math.radians(elevation)
-    towards = np.array([math.cos(tilt) * math.cos(turn), math.cos(tilt) * math.sin(turn), math.sin(tilt)])
+def _box(
+    directions: np.ndarray, azimuth: float, elevation: float, half: tuple[float, float]
+) -> np.ndarray:
+    """How much of a soft box is seen in each direction, from 0 to 1: a rectangle of a plane that
+    faces the middle.
+    """
+    turn = math.radians(azimuth)
+    tilt = math.radians(elevation)
+    towards = np.array(
+        [math.cos(tilt) * math.cos(turn), math.cos(tilt) * math.sin(turn), math.sin(tilt)]
+    )
     right = np.array([-math.sin(turn), math.cos(turn), 0.0])
     before = directions @ towards
     across, along = (
-        np.degrees(np.arctan2(np.abs(directions @ axis), before)) for axis in (right, np.cross(towards, right))
+        np.degrees(np.arctan2(np.abs(directions @ axis), before))
+        for axis in (right, np.cross(towards, right))
     )
     inside = [
         np.clip((size - angle) / EDGE_DEGREES + 0.5, 0.0, 1.0)
@@ -502,14 +589,14 @@ GALLERY_HALF_SIZES = (3.0, 2.2, 1.0)
 """Half sizes of the gallery along x, y and z, seen from its middle."""
 
 SKYLIGHTS = (0.4, 1.4)
-"""From where to where along y, to either side, its ceiling is of glass; along x it is so from wall to wall."""
+"""From where to where along y, to either side, its ceiling is of glass; along x it is so from wall
+to wall.
+"""
 
-WALL_RADIANCE, CEILING_RADIANCE, FLOOR_RADIANCE, GLASS_RADIANCE = (
-    (0.62, 0.60, 0.57),
-    (0.5, 0.5, 0.49),
-    (0.30, 0.22, 0.15),
-    (3.6, 3.8, 4.1),
-)
+WALL_RADIANCE = (0.62, 0.60, 0.57)
+CEILING_RADIANCE = (0.5, 0.5, 0.49)
+FLOOR_RADIANCE = (0.30, 0.22, 0.15)
+GLASS_RADIANCE = (3.6, 3.8, 4.1)
 """Radiances, linear RGB: white walls, a ceiling, a wooden floor, and the sky through the glass."""
 
 
@@ -525,7 +612,9 @@ def gallery(directions: np.ndarray, solid_angles: np.ndarray) -> Image:
     image[(face == 2) & (up < 0.0)] = FLOOR_RADIANCE
     image[(face == 2) & (up > 0.0)] = CEILING_RADIANCE
     aside = np.abs(points[..., 1])
-    image[(face == 2) & (up > 0.0) & (aside > SKYLIGHTS[0]) & (aside < SKYLIGHTS[1])] = GLASS_RADIANCE
+    image[(face == 2) & (up > 0.0) & (aside > SKYLIGHTS[0]) & (aside < SKYLIGHTS[1])] = (
+        GLASS_RADIANCE
+    )
     return image
 
 
@@ -539,4 +628,6 @@ Formula = Callable[[np.ndarray, np.ndarray], Image]
 FORMULAS: dict[str, Formula] = dict(
     zip(ENVIRONMENTS, (overcast, studio, _clear(NOON), _clear(EVENING), gallery), strict=True)
 )
-"""The image of each environment, up to a factor, from directions (h, w, 3) and solid angles (h, w)."""
+"""The image of each environment, up to a factor, from directions (h, w, 3) and solid angles (h,
+w).
+"""

@@ -10,7 +10,14 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError
-from isogi_core.files.scene_file import TableReaders, are_numbers, is_number, read_colour, read_name, read_table
+from isogi_core.files.scene_file import (
+    TableReaders,
+    are_numbers,
+    is_number,
+    read_colour,
+    read_name,
+    read_table,
+)
 from isogi_core.files.vector import Vector, triple
 from isogi_core.model.lights import LARGEST_LIGHT, Colour
 from isogi_core.model.volume import Volume
@@ -30,12 +37,14 @@ REGION_ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Glow:
-    """A part of the volume that gives off ``radiance``, linear RGB: what a ray gathers over its mean chord.
+    """A part of the volume that gives off ``radiance``, linear RGB: what a ray gathers over its
+    mean chord.
 
-    It is a ``box``, two opposite corners in the world whose edges lie along the volume's axes, or a ``sphere``, world
-    x, y, z and radius, or else all of the volume's box, or the part of it that a ``mask``, a file of a volume, takes;
-    and within it what has ``values`` of the file from one to another, and is in the mask where there is one: where that
-    has one of the values ``labels``, or without these any but 0.
+    It is a ``box``, two opposite corners in the world whose edges lie along the volume's axes, or a
+    ``sphere``, world x, y, z and radius, or else all of the volume's box, or the part of it that a
+    ``mask``, a file of a volume, takes; and within it what has ``values`` of the file from one to
+    another, and is in the mask where there is one: where that has one of the values ``labels``, or
+    without these any but 0.
     """
 
     radiance: Colour = (1.0, 1.0, 1.0)
@@ -49,45 +58,75 @@ class Glow:
         if self.box is not None and self.sphere is not None:
             raise SceneError("A glow has a box and a sphere: give one of them.")
         if self.box is None and self.sphere is None and self.values == ALL_VALUES and not self.mask:
-            raise SceneError("A glow says nowhere what glows: give it a box, a sphere, a range of values or a mask.")
+            raise SceneError(
+                "A glow says nowhere what glows: give it a box, a sphere, a range of values or "
+                "a mask."
+            )
         if self.labels and not self.mask:
-            raise SceneError("A glow has labels of no mask: add mask, the file that they are in, or leave them out.")
+            raise SceneError(
+                "A glow has labels of no mask: add mask, the file that they are in, or leave "
+                "them out."
+            )
         if not all(0.0 <= light <= LARGEST_LIGHT for light in self.radiance):
             given = ", ".join(f"{light:g}" for light in self.radiance)
-            raise SceneError(f"A glow's radiance is {given}: it must be from 0 to {LARGEST_LIGHT:g}.")
+            raise SceneError(
+                f"A glow's radiance is {given}: it must be from 0 to {LARGEST_LIGHT:g}."
+            )
         if self.sphere is not None and not self.sphere[3] > 0.0:
-            raise SceneError(f"A glow's sphere has the radius {self.sphere[3]:g}: give it one above 0.")
+            raise SceneError(
+                f"A glow's sphere has the radius {self.sphere[3]:g}: give it one above 0."
+            )
         if self.box is not None and any(a == b for a, b in zip(*self.box, strict=True)):
-            raise SceneError("A glow's box has no volume: give two opposite corners that differ in x, y and z.")
+            raise SceneError(
+                "A glow's box has no volume: give two opposite corners that differ in x, y and z."
+            )
 
-    def place(self, volume: Volume, within: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """The glow's middle and half edges in the box of a ``volume``, (3,) each; SceneError where it reaches out.
+    def place(
+        self, volume: Volume, within: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The glow's middle and half edges in the box of a ``volume``, (3,) each; SceneError where
+        it reaches out.
 
-        Without a box and a sphere it is the box ``within`` two opposite corners (2, 3), in voxels, or all of it.
+        Without a box and a sphere it is the box ``within`` two opposite corners (2, 3), in voxels,
+        or all of it.
         """
-        orientation, extent = volume.orientation, np.array(volume.extent)
+        orientation = volume.orientation
+        extent = np.array(volume.extent)
         if self.sphere is not None:
-            middle, half = np.array(orientation.point_to_box(triple(self.sphere[:3]))), np.full(3, self.sphere[3])
+            middle = np.array(orientation.point_to_box(triple(self.sphere[:3])))
+            half = np.full(3, self.sphere[3])
         elif self.box is not None:
             corners = np.array([orientation.point_to_box(corner) for corner in self.box])
-            middle, half = corners.mean(axis=0), np.abs(corners[1] - corners[0]) / 2.0
+            middle = corners.mean(axis=0)
+            half = np.abs(corners[1] - corners[0]) / 2.0
         elif within is not None:
             low, high = within * volume.spacing
-            middle, half = (low + high) / 2.0, (high - low) / 2.0
+            middle = (low + high) / 2.0
+            half = (high - low) / 2.0
         else:
-            middle, half = extent / 2.0, extent / 2.0
-        if (np.abs(middle - extent / 2.0) + half > extent / 2.0 + REGION_ROUNDING * volume.radius).any():
-            low, high = ("[" + ", ".join(f"{x:g}" for x in corner) + "]" for corner in volume.world_bounds)
-            raise SceneError(f"A glow reaches out of the volume's box, {low} to {high}: move it, or make it smaller.")
+            middle = extent / 2.0
+            half = extent / 2.0
+        if (
+            np.abs(middle - extent / 2.0) + half > extent / 2.0 + REGION_ROUNDING * volume.radius
+        ).any():
+            low, high = (
+                "[" + ", ".join(f"{x:g}" for x in corner) + "]" for corner in volume.world_bounds
+            )
+            raise SceneError(
+                f"A glow reaches out of the volume's box, {low} to {high}: move it, or make it "
+                "smaller."
+            )
         return middle, half
 
 
 @dataclass(frozen=True, eq=False)
 class Glowing:
-    """The ``glows`` of a scene in the box of its volume: their ``middles`` and ``halves``, half edges or radii (k, 3).
+    """The ``glows`` of a scene in the box of its volume: their ``middles`` and ``halves``, half
+    edges or radii (k, 3).
 
-    ``ranges`` (k, 2) are of the voxels that glow, of which all do from -inf to inf. Of a glow with a mask it is the
-    voxels whose ``bits``, uint8 of the volume's shape, have its number; there are none where no glow has a mask.
+    ``ranges`` (k, 2) are of the voxels that glow, of which all do from -inf to inf. Of a glow with
+    a mask it is the voxels whose ``bits``, uint8 of the volume's shape, have its number; there are
+    none where no glow has a mask.
     """
 
     glows: tuple[Glow, ...]
@@ -118,9 +157,13 @@ class Glowing:
 
     @property
     def chords(self) -> np.ndarray:
-        """The mean chord of each: 4 V / S of a convex body (Cauchy 1841), 4 r / 3 of a ball; (k,) world units."""
+        """The mean chord of each: 4 V / S of a convex body (Cauchy 1841), 4 r / 3 of a ball; (k,)
+        world units.
+        """
         x, y, z = self.halves.T
-        return np.where(self.round, 4.0 / 3.0 * x, 4.0 * x * y * z / np.maximum(x * y + y * z + z * x, 1e-300))
+        return np.where(
+            self.round, 4.0 / 3.0 * x, 4.0 * x * y * z / np.maximum(x * y + y * z + z * x, 1e-300)
+        )
 
     @property
     def radii(self) -> np.ndarray:
@@ -128,7 +171,9 @@ class Glowing:
         return np.where(self.round, self.halves[:, 0], np.linalg.norm(self.halves, axis=1))
 
     def seen_from(self, distance: float) -> np.ndarray:
-        """E/π of all of them on a surface that faces them at a ``distance``, linear RGB, (3,): L S / (4 π d²)."""
+        """E/π of all of them on a surface that faces them at a ``distance``, linear RGB, (3,): L S
+        / (4 π d²).
+        """
         x, y, z = self.halves.T
         areas = np.where(self.round, 4.0 * math.pi * x**2, 8.0 * (x * y + y * z + z * x))
         return np.asarray((areas / (4.0 * math.pi * distance**2)) @ self.radiances)
@@ -136,9 +181,17 @@ class Glowing:
     @cached_property
     def digest(self) -> str:
         """Hex digest of where they are, and not of their colour and strength."""
-        places = [self.middles.tolist(), self.halves.tolist(), self.round.tolist(), self.ranges.tolist()]
-        places += [self.masked.tolist()] if self.masked.any() else []
-        places += ["even"] if np.isfinite(self.ranges).any() else []  # of values that go evenly between steps
+        places = [
+            self.middles.tolist(),
+            self.halves.tolist(),
+            self.round.tolist(),
+            self.ranges.tolist(),
+        ]
+        if self.masked.any():
+            places += [self.masked.tolist()]
+        places += (
+            ["even"] if np.isfinite(self.ranges).any() else []
+        )  # of values that go evenly between steps
         found = hashlib.blake2b(repr(places).encode(), digest_size=16)
         found.update(np.ascontiguousarray(self.bits).data)
         return found.hexdigest()
@@ -148,7 +201,8 @@ NO_GLOW = Glowing((), np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2)))
 
 
 def place_glows(glows: Sequence[Glow], volume: Volume, bits: np.ndarray = NO_BITS) -> Glowing:
-    """The ``glows`` of the world in a ``volume``, with the ``bits`` of their masks, as ``Glowing`` has them.
+    """The ``glows`` of the world in a ``volume``, with the ``bits`` of their masks, as ``Glowing``
+    has them.
 
     SceneError where one is not in it, or nothing is in its mask, or there are too many.
     """
@@ -159,21 +213,34 @@ def place_glows(glows: Sequence[Glow], volume: Volume, bits: np.ndarray = NO_BIT
     boxes = [_box_of(glow.mask, bits, k) if glow.mask else None for k, glow in enumerate(glows)]
     places = [glow.place(volume, box) for glow, box in zip(glows, boxes, strict=True)]
     middles, halves = (np.array(each) for each in zip(*places, strict=True))
-    return Glowing(tuple(glows), middles, halves, np.array([_voxels(glow.values, volume) for glow in glows]), bits)
+    return Glowing(
+        tuple(glows),
+        middles,
+        halves,
+        np.array([_voxels(glow.values, volume) for glow in glows]),
+        bits,
+    )
 
 
 def _box_of(mask: str, bits: np.ndarray, number: int) -> np.ndarray:
-    """Opposite corners (2, 3), x, y, z in voxels, of the box about the voxels in the mask of this ``number``.
+    """Opposite corners (2, 3), x, y, z in voxels, of the box about the voxels in the mask of this
+    ``number``.
 
-    A voxel reaches half a voxel around, and no farther than the volume. SceneError where there are none.
+    A voxel reaches half a voxel around, and no farther than the volume. SceneError where there are
+    none.
     """
     there = [(layer >> number) & 1 == 1 for layer in bits]
     planes = np.logical_or.reduce(there)
     sides = planes.any(axis=0), planes.any(axis=1), np.array([layer.any() for layer in there])
     if not sides[2].any():
-        raise SceneError(f"No voxel of the volume is in the glow's mask '{mask}': check its labels, and where it lies.")
+        raise SceneError(
+            f"No voxel of the volume is in the glow's mask '{mask}': check its labels, and "
+            "where it lies."
+        )
     spans = [np.flatnonzero(side)[[0, -1]] + [-0.5, 0.5] for side in sides]
-    return np.array([np.clip(span, 0.0, len(side) - 1.0) for span, side in zip(spans, sides, strict=True)]).T
+    return np.array(
+        [np.clip(span, 0.0, len(side) - 1.0) for span, side in zip(spans, sides, strict=True)]
+    ).T
 
 
 def _voxels(values: tuple[float, float], volume: Volume) -> tuple[float, float]:
@@ -183,20 +250,27 @@ def _voxels(values: tuple[float, float], volume: Volume) -> tuple[float, float]:
     low, high = volume.value_range
     if values[0] > high or values[1] < low:
         raise SceneError(
-            f"A glow's values are {values[0]:g} to {values[1]:g}, and the volume's {low:g} to {high:g}: none glows."
+            f"A glow's values are {values[0]:g} to {values[1]:g}, and the volume's {low:g} to "
+            f"{high:g}: none glows."
         )
     one, other = (float(volume.normalise_isovalue(value)) for value in values)
     return min(one, other), max(one, other)
 
 
 def glow_from_mapping(table: Mapping[str, Any]) -> Glow:
-    """The glow that one ``[[glow]]`` table describes. SceneError where a key is unknown, or has no meaning."""
+    """The glow that one ``[[glow]]`` table describes. SceneError where a key is unknown, or has no
+    meaning.
+    """
     return Glow(**read_table(table, "A glow", GLOW_READERS))
 
 
 def _box(name: str, value: Any) -> tuple[Vector, Vector]:
     """Two corners."""
-    if not isinstance(value, list) or len(value) != 2 or not all(are_numbers(corner, 3) for corner in value):
+    if (
+        not isinstance(value, list)
+        or len(value) != 2
+        or not all(are_numbers(corner, 3) for corner in value)
+    ):
         raise SceneError(f"{name} is {value!r}: give two opposite corners, [[x, y, z], [x, y, z]].")
     return triple(value[0]), triple(value[1])
 

@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from isogi_core.errors import LightError, SceneError, advice
-from isogi_core.files.scene_file import TableReaders, read_colour, read_name, read_number, read_table, read_vector
+from isogi_core.files.scene_file import (
+    TableReaders,
+    read_colour,
+    read_name,
+    read_number,
+    read_table,
+    read_vector,
+)
 from isogi_core.files.vector import Vector
 
 LARGEST_LIGHT = 1e30
@@ -18,7 +25,9 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class ConstantLight:
-    """Light of one linear RGB radiance from everywhere. LightError where it is not from 0 to LARGEST_LIGHT."""
+    """Light of one linear RGB radiance from everywhere. LightError where it is not from 0 to
+    LARGEST_LIGHT.
+    """
 
     radiance: Colour = (1.0, 1.0, 1.0)
 
@@ -35,9 +44,10 @@ class ConstantLight:
 class SkyLight:
     """Clear daylight after Preetham et al. 1999, with a sun disc over a diffuse ground.
 
-    ``sun_azimuth`` in degrees from +x towards +y, ``sun_elevation`` in degrees above the horizon (0 to 90),
-    ``turbidity`` (haze) from 1.9 to 10, ``ground`` the albedo of the lower half. ``scale`` is the mean
-    luminance over the sphere: with 1, a scene is about as bright as under a constant light of radiance 1.
+    ``sun_azimuth`` in degrees from +x towards +y, ``sun_elevation`` in degrees above the horizon (0
+    to 90), ``turbidity`` (haze) from 1.9 to 10, ``ground`` the albedo of the lower half. ``scale``
+    is the mean luminance over the sphere: with 1, a scene is about as bright as under a constant
+    light of radiance 1.
     """
 
     sun_azimuth: float = 135.0
@@ -79,9 +89,10 @@ class ProbeLight:
 class DirectionalLight:
     """A lamp as far away as the sun: the same light, from the same direction, everywhere.
 
-    ``azimuth`` in degrees from +x towards +y, ``elevation`` in degrees above the horizon, both towards the
-    light; ``irradiance`` is that of a surface which faces it: with π that surface has the radiance R.
-    ``angle`` is the apparent diameter in degrees (0 to 90) of a disc of even radiance; 0 makes hard shadows.
+    ``azimuth`` in degrees from +x towards +y, ``elevation`` in degrees above the horizon, both
+    towards the light; ``irradiance`` is that of a surface which faces it: with π that surface has
+    the radiance R. ``angle`` is the apparent diameter in degrees (0 to 90) of a disc of even
+    radiance; 0 makes hard shadows.
     """
 
     azimuth: float = 135.0
@@ -103,7 +114,9 @@ class DirectionalLight:
 
 @dataclass(frozen=True)
 class PointLight:
-    """A lamp without size at the world ``position``; a surface that faces it at distance r receives intensity/r²."""
+    """A lamp without size at the world ``position``; a surface that faces it at distance r receives
+    intensity/r².
+    """
 
     position: Vector
     intensity: Colour
@@ -120,9 +133,11 @@ class PointLight:
 
 @dataclass(frozen=True)
 class AreaLight:
-    """A parallelogram that emits ``radiance`` evenly from the side that u × v points to; its back is black.
+    """A parallelogram that emits ``radiance`` evenly from the side that u × v points to; its back
+    is black.
 
-    Its corners are ``corner``, and that plus ``u``, ``v`` and both, in the world. Rays pass through it.
+    Its corners are ``corner``, and that plus ``u``, ``v`` and both, in the world. Rays pass through
+    it.
     """
 
     corner: Vector
@@ -135,7 +150,9 @@ class AreaLight:
             _check_range(name, getattr(self, name), low=-LARGEST_LIGHT)
         _check_range("radiance", self.radiance)
         if not any(_cross(self.u, self.v)):
-            raise LightError("An area light's u and v span no area: give two edges that are not parallel.")
+            raise LightError(
+                "An area light's u and v span no area: give two edges that are not parallel."
+            )
 
     @property
     def name(self) -> str:
@@ -170,13 +187,18 @@ Light = ConstantLight | SkyLight | ProbeLight | EnvironmentLight | Lamp
 
 
 def light_named(environment: str, base: Path) -> EnvironmentLight | ProbeLight:
-    """The environment of that name, or the probe in a file, relative to ``base``. SceneError where it is neither."""
+    """The environment of that name, or the probe in a file, relative to ``base``. SceneError where
+    it is neither.
+    """
     if environment in ENVIRONMENTS:
         return EnvironmentLight(environment)
     if environment.lower().endswith(".hdr"):
         return ProbeLight(base / environment)
     names = ", ".join(ENVIRONMENTS)
-    raise SceneError(f"There is no environment '{environment[:80]}': choose {names}, or the file of a probe, .hdr.")
+    raise SceneError(
+        f"There is no environment '{environment[:80]}': choose {names}, or the file of a "
+        "probe, .hdr."
+    )
 
 
 def _cross(a: Vector, b: Vector) -> Vector:
@@ -184,7 +206,9 @@ def _cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def _check_range(name: str, values: tuple[float, ...], low: float = 0.0, high: float = LARGEST_LIGHT) -> None:
+def _check_range(
+    name: str, values: tuple[float, ...], low: float = 0.0, high: float = LARGEST_LIGHT
+) -> None:
     """LightError where a value is outside [low, high] or no number."""
     if not all(low <= value <= high for value in values):
         given = ", ".join(f"{value:g}" for value in values)
@@ -192,10 +216,11 @@ def _check_range(name: str, values: tuple[float, ...], low: float = 0.0, high: f
 
 
 def light_from_mapping(mapping: Mapping[str, Any], base: Path) -> Light:
-    """Read the light that one ``[[lights]]`` table of a scene describes; its files are relative to ``base``.
+    """Read the light that one ``[[lights]]`` table of a scene describes; its files are relative to
+    ``base``.
 
-    Raises SceneError where the type or a key is unknown, missing or of the wrong kind, and LightError where
-    a value has no meaning.
+    Raises SceneError where the type or a key is unknown, missing or of the wrong kind, and
+    LightError where a value has no meaning.
     """
     kind = mapping.get("type")
     if not isinstance(kind, str) or kind not in _KINDS:
@@ -222,8 +247,16 @@ _KINDS: dict[str, tuple[type[Light], TableReaders]] = {
     "probe": (ProbeLight, {"file": read_name, "scale": read_number}),
     "directional": (
         DirectionalLight,
-        {"azimuth": read_number, "elevation": read_number, "irradiance": read_colour, "angle": read_number},
+        {
+            "azimuth": read_number,
+            "elevation": read_number,
+            "irradiance": read_colour,
+            "angle": read_number,
+        },
     ),
     "point": (PointLight, {"position": read_vector, "intensity": read_colour}),
-    "area": (AreaLight, {"corner": read_vector, "u": read_vector, "v": read_vector, "radiance": read_colour}),
+    "area": (
+        AreaLight,
+        {"corner": read_vector, "u": read_vector, "v": read_vector, "radiance": read_colour},
+    ),
 }

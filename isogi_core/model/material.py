@@ -1,6 +1,8 @@
-"""What isosurfaces are made of: materials, what light does at them and behind; and shine, which they mirror, roughly.
+"""What isosurfaces are made of: materials, what light does at them and behind; and shine, which
+they mirror, roughly.
 
-Several isosurfaces may lie in a scene: those that are pinned beside the one that slides let light through, too.
+Several isosurfaces may lie in a scene: those that are pinned beside the one that slides let light
+through, too.
 """
 
 import math
@@ -17,7 +19,9 @@ if TYPE_CHECKING:
     from isogi_core.model.volume import Volume
 
 INDICES = (1.0, 4.0)
-"""Indices of refraction that a surface may have: from that of what is around it to that of germanium."""
+"""Indices of refraction that a surface may have: from that of what is around it to that of
+germanium.
+"""
 
 WINDOW_GLASS = 1.5
 """The index of refraction of a surface of glass that gives none."""
@@ -27,10 +31,11 @@ WINDOW_GLASS = 1.5
 class Material:
     """What a surface is made of, one of MATERIALS.
 
-    Glass has an ``index`` of refraction, and an ``absorption``, linear RGB: of light that goes a unit of the world's
-    length in it, the share exp(-absorption) is left. In a subsurface light goes the ``mean_free_path`` on the average,
-    in the world's units, until it is scattered, evenly to all sides; the surface's albedo is the share that is left of
-    it then. Raises SceneError where a number has no meaning.
+    Glass has an ``index`` of refraction, and an ``absorption``, linear RGB: of light that goes a
+    unit of the world's length in it, the share exp(-absorption) is left. In a subsurface light goes
+    the ``mean_free_path`` on the average, in the world's units, until it is scattered, evenly to
+    all sides; the surface's albedo is the share that is left of it then. Raises SceneError where a
+    number has no meaning.
     """
 
     kind: str = "diffuse"
@@ -41,12 +46,19 @@ class Material:
     def __post_init__(self) -> None:
         low, high = INDICES
         if not low <= self.index <= high:
-            raise SceneError(f"The index of refraction is {self.index:g}: give a number from {low:g} to {high:g}.")
+            raise SceneError(
+                f"The index of refraction is {self.index:g}: give a number from {low:g} to "
+                f"{high:g}."
+            )
         if not all(0.0 <= share <= LARGEST_LIGHT for share in self.absorption):
             given = ", ".join(f"{share:g}" for share in self.absorption)
-            raise SceneError(f"The absorption is {given}: it must not be less than 0, per unit of length.")
+            raise SceneError(
+                f"The absorption is {given}: it must not be less than 0, per unit of length."
+            )
         if not self.mean_free_path > 0.0:
-            raise SceneError(f"The mean free path is {self.mean_free_path:g}: it must be more than 0.")
+            raise SceneError(
+                f"The mean free path is {self.mean_free_path:g}: it must be more than 0."
+            )
 
     @property
     def refracts(self) -> bool:
@@ -71,7 +83,9 @@ DIFFUSE = Material()
 
 
 SHINE_KINDS = ("plastic", "metal")
-"""What a surface may shine as. Plastic mirrors 4 % of what arrives head on, in its own colour; metal its albedo."""
+"""What a surface may shine as. Plastic mirrors 4 % of what arrives head on, in its own colour;
+metal its albedo.
+"""
 
 MIN_ROUGHNESS = 0.02
 """The least roughness: such a surface mirrors light within about a twentieth of a degree."""
@@ -79,19 +93,26 @@ MIN_ROUGHNESS = 0.02
 
 @dataclass(frozen=True)
 class Shine:
-    """The shine of a surface: its ``kind``, the ``roughness`` of its facets, and how much it counts, ``strength``.
+    """The shine of a surface: its ``kind``, the ``roughness`` of its facets, and how much it
+    counts, ``strength``.
 
-    Roughness is the square root of GGX's α. Of metal the strength is the share of the surface that is metal; the rest
-    is diffuse. Raises ViewError where a number has no meaning.
+    Roughness is the square root of GGX's α. Of metal the strength is the share of the surface that
+    is metal; the rest is diffuse. Raises ViewError where a number has no meaning.
     """
 
     kind: str = "plastic"
-    roughness: float = field(default=0.3, metadata={"range": (MIN_ROUGHNESS, 1), "help": "Roughness of that shine"})
-    strength: float = field(default=1.0, metadata={"range": (0, 1), "help": "How much that shine counts"})
+    roughness: float = field(
+        default=0.3, metadata={"range": (MIN_ROUGHNESS, 1), "help": "Roughness of that shine"}
+    )
+    strength: float = field(
+        default=1.0, metadata={"range": (0, 1), "help": "How much that shine counts"}
+    )
 
     def __post_init__(self) -> None:
         if self.kind not in SHINE_KINDS:
-            raise ViewError(f"A surface cannot shine as '{self.kind}': choose {' or '.join(SHINE_KINDS)}.")
+            raise ViewError(
+                f"A surface cannot shine as '{self.kind}': choose {' or '.join(SHINE_KINDS)}."
+            )
         for name, (low, high) in SHINE_RANGES.items():
             if not low <= getattr(self, name) <= high:
                 given = f"The {name} of shine is {getattr(self, name):g}"
@@ -108,7 +129,9 @@ SHINE_RANGES: dict[str, tuple[float, float]] = {
 }
 """The least and the greatest value of each number of a shine."""
 
-SHINE_HELP: dict[str, str] = {each.name: each.metadata["help"] for each in fields(Shine) if "help" in each.metadata}
+SHINE_HELP: dict[str, str] = {
+    each.name: each.metadata["help"] for each in fields(Shine) if "help" in each.metadata
+}
 """What each number of a shine does, a line without its end."""
 
 SHINE_KNOBS = {"shine" if each.name == "kind" else each.name: each.name for each in fields(Shine)}
@@ -119,8 +142,12 @@ DULL = Shine(strength=0.0)
 
 
 def shine_from_mapping(table: Mapping[str, Any]) -> Shine:
-    """The shine that a scene's ``[shine]`` table describes. SceneError where a key is unknown or has no meaning."""
-    known = {each.name: "a number" if each.name in SHINE_RANGES else "a word" for each in fields(Shine)}
+    """The shine that a scene's ``[shine]`` table describes. SceneError where a key is unknown or
+    has no meaning.
+    """
+    known = {
+        each.name: "a number" if each.name in SHINE_RANGES else "a word" for each in fields(Shine)
+    }
     for key, value in table.items():
         if key not in known:
             raise SceneError(f"Shine has no '{key}': {advice(key, known)}")
@@ -142,14 +169,17 @@ OPAQUE: Colour = (0.0, 0.0, 0.0)
 """The transmission of a surface that gives none."""
 
 SHARE_ROUNDING = 1e-9
-"""How much more than all light may leave a surface: decimals add up to more than 1 by what floats round."""
+"""How much more than all light may leave a surface: decimals add up to more than 1 by what floats
+round.
+"""
 
 
 @dataclass(frozen=True)
 class PinnedSurface:
-    """An isosurface that stays: its ``isovalue`` in the units of the volume's file, the ``albedo`` of both its sides,
-    linear RGB, and the share of rays that passes straight through it, ``clear``. Its ``name`` is for display. Of the
-    light that falls on one side its ``transmission``, linear RGB, leaves the other, evenly to all sides.
+    """An isosurface that stays: its ``isovalue`` in the units of the volume's file, the ``albedo``
+    of both its sides, linear RGB, and the share of rays that passes straight through it, ``clear``.
+    Its ``name`` is for display. Of the light that falls on one side its ``transmission``, linear
+    RGB, leaves the other, evenly to all sides.
     """
 
     isovalue: float
@@ -171,37 +201,64 @@ class PinnedSurface:
     @property
     def table(self) -> dict[str, Any]:
         """The surface as a ``[[surfaces]]`` table."""
-        through = {"transmission": list(self.transmission)} if any(self.transmission) else {}
-        own = {"isovalue": self.isovalue, "albedo": list(self.albedo), "clear": self.clear, "name": self.name}
+        if any(self.transmission):
+            through = {"transmission": list(self.transmission)}
+        else:
+            through = {}
+        own = {
+            "isovalue": self.isovalue,
+            "albedo": list(self.albedo),
+            "clear": self.clear,
+            "name": self.name,
+        }
         return own | through
 
 
 def leaving(albedo: Colour, transmission: Colour) -> Colour:
-    """The share of light that leaves a surface on either side where as much falls on both: their sum."""
-    return triple(min(back + through, 1.0) for back, through in zip(albedo, transmission, strict=True))
+    """The share of light that leaves a surface on either side where as much falls on both: their
+    sum.
+    """
+    return triple(
+        min(back + through, 1.0) for back, through in zip(albedo, transmission, strict=True)
+    )
 
 
 def refuse_gain(albedo: Colour, transmission: Colour, surface: str) -> None:
-    """Raise SceneError where more light leaves a ``surface``, as messages name it, than falls on it."""
+    """Raise SceneError where more light leaves a ``surface``, as messages name it, than falls on
+    it.
+    """
     most = max(back + through for back, through in zip(albedo, transmission, strict=True))
     if most > 1.0 + SHARE_ROUNDING:
-        raise SceneError(f"{surface} has albedo + transmission = {most:g}: lower one, to 1 at most in each colour.")
+        raise SceneError(
+            f"{surface} has albedo + transmission = {most:g}: lower one, to 1 at most in each "
+            "colour."
+        )
 
 
 def pinned_from_mapping(table: Mapping[str, Any], volume: "Volume") -> PinnedSurface:
-    """The surface of a ``volume`` that a ``[[surfaces]]`` table describes. SceneError where it has no meaning."""
+    """The surface of a ``volume`` that a ``[[surfaces]]`` table describes. SceneError where it has
+    no meaning.
+    """
     if unknown := sorted(set(table) - set(SURFACE_KEYS)):
         raise SceneError(f"A surface has no '{unknown[0]}': {advice(unknown[0], SURFACE_KEYS)}")
     low, high = volume.value_range
-    isovalue, clear, name = table.get("isovalue", math.nan), table.get("clear", 0.0), table.get("name", "")
+    isovalue = table.get("isovalue", math.nan)
+    clear = table.get("clear", 0.0)
+    name = table.get("name", "")
     if not is_number(isovalue) or not low <= isovalue <= high:
         given = table.get("isovalue")
-        raise SceneError(f"A surface's isovalue is {given!r}: give a number from {low:g} to {high:g}.")
+        raise SceneError(
+            f"A surface's isovalue is {given!r}: give a number from {low:g} to {high:g}."
+        )
     if not is_number(clear) or not 0.0 <= clear <= 1.0:
-        raise SceneError(f"The surface at {isovalue:g} has clear = {clear!r}: give a number from 0, opaque, to 1.")
+        raise SceneError(
+            f"The surface at {isovalue:g} has clear = {clear!r}: give a number from 0, opaque, "
+            "to 1."
+        )
     if not isinstance(name, str) or not (name == "" or name.isprintable()):
         raise SceneError(f"The surface at {isovalue:g} is named {name!r}: give it a word or a few.")
-    albedo, transmission = _colour(table, "albedo", 0.7), _colour(table, "transmission", 0.0)
+    albedo = _colour(table, "albedo", 0.7)
+    transmission = _colour(table, "transmission", 0.0)
     refuse_gain(albedo, transmission, f"The surface at {isovalue:g}")
     return PinnedSurface(float(isovalue), albedo, float(clear), name.strip(), transmission)
 
@@ -216,9 +273,14 @@ def _colour(table: Mapping[str, Any], key: str, fallback: float) -> Colour:
 
 
 def pinned_surfaces(tables: list[Mapping[str, Any]], volume: "Volume") -> tuple[PinnedSurface, ...]:
-    """The pinned surfaces that tables describe. SceneError where one has no meaning, or two are the same."""
+    """The pinned surfaces that tables describe. SceneError where one has no meaning, or two are the
+    same.
+    """
     if len(tables) > MOST_PINNED:
-        raise SceneError(f"The scene has {len(tables)} [[surfaces]] beside the one that slides: give {MOST_PINNED}.")
+        raise SceneError(
+            f"The scene has {len(tables)} [[surfaces]] beside the one that slides: give "
+            f"{MOST_PINNED}."
+        )
     found = tuple(pinned_from_mapping(table, volume) for table in tables)
     levels = [volume.normalise_isovalue(each.isovalue) for each in found]
     if len(set(levels)) < len(levels):

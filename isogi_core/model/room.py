@@ -1,4 +1,6 @@
-"""Walls: flat rectangles beside the isosurface, read from ``[[walls]]`` tables, or a whole room about the volume."""
+"""Walls: flat rectangles beside the isosurface, read from ``[[walls]]`` tables, or a whole room
+about the volume.
+"""
 
 import hashlib
 import math
@@ -29,9 +31,9 @@ IN_WALL = 1e-6
 
 @dataclass(frozen=True)
 class Wall:
-    """A rectangle with a ``corner`` and two ``edges``, in the world, that reflects ``albedo`` and gives off
-    ``radiance``, both linear RGB. With one of its ``sides`` lit that is the one which the product of its edges points
-    to; the other is black, and the camera looks through it.
+    """A rectangle with a ``corner`` and two ``edges``, in the world, that reflects ``albedo`` and
+    gives off ``radiance``, both linear RGB. With one of its ``sides`` lit that is the one which the
+    product of its edges points to; the other is black, and the camera looks through it.
     """
 
     corner: Vector
@@ -45,14 +47,24 @@ class Wall:
         if not all(0.0 <= share <= 1.0 for share in self.albedo):
             raise SceneError(f"A wall's albedo is {_listed(self.albedo)}: it must be from 0 to 1.")
         if not all(0.0 <= light <= LARGEST_LIGHT for light in self.radiance):
-            raise SceneError(f"A wall's radiance is {_listed(self.radiance)}: it must be from 0 to {LARGEST_LIGHT:g}.")
+            raise SceneError(
+                f"A wall's radiance is {_listed(self.radiance)}: it must be from 0 to "
+                f"{LARGEST_LIGHT:g}."
+            )
 
     @property
     def lamps(self) -> tuple[AreaLight, ...]:
-        """What it gives off as area lights, one for each of its lit sides; none where it gives off nothing."""
+        """What it gives off as area lights, one for each of its lit sides; none where it gives off
+        nothing.
+        """
         u, v = self.edges
-        both = (AreaLight(self.corner, u, v, self.radiance), AreaLight(self.corner, v, u, self.radiance))
-        return both[: self.sides] if any(self.radiance) else ()
+        both = (
+            AreaLight(self.corner, u, v, self.radiance),
+            AreaLight(self.corner, v, u, self.radiance),
+        )
+        if any(self.radiance):
+            return both[: self.sides]
+        return ()
 
 
 def _check_edges(u: np.ndarray, v: np.ndarray) -> None:
@@ -70,7 +82,9 @@ def _listed(values: Sequence[float]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """The ``walls`` of a scene. ``corners`` (k, 3) and ``edges`` (k, 2, 3) are those in the volume's box."""
+    """The ``walls`` of a scene. ``corners`` (k, 3) and ``edges`` (k, 2, 3) are those in the
+    volume's box.
+    """
 
     walls: tuple[Wall, ...]
     corners: np.ndarray
@@ -105,16 +119,22 @@ class Room:
         return Room(dark, self.corners, self.edges).digest
 
     def wall_at(self, point: Vector, near: float) -> int | None:
-        """The number of the wall that a ``point`` of the box stands in, ``near`` as it may be; None where in none."""
+        """The number of the wall that a ``point`` of the box stands in, ``near`` as it may be; None
+        where in none.
+        """
         for k, (corner, (u, v)) in enumerate(zip(self.corners, self.edges, strict=True)):
-            away, normal = np.subtract(point, corner), np.cross(u, v)
+            away = np.subtract(point, corner)
+            normal = np.cross(u, v)
             shares = away @ u / (u @ u), away @ v / (v @ v)
-            if abs(away @ normal) <= near * np.linalg.norm(normal) and all(0.0 <= share <= 1.0 for share in shares):
+            if abs(away @ normal) <= near * np.linalg.norm(normal) and all(
+                0.0 <= share <= 1.0 for share in shares
+            ):
                 return k
         return None
 
     def refuse_camera(self, camera: Camera, radius: float) -> None:
-        """Raise ViewError where a ``camera`` stands in a wall about a volume of this ``radius``: it would see no more.
+        """Raise ViewError where a ``camera`` stands in a wall about a volume of this ``radius``: it
+        would see no more.
 
         Both are in the volume's box.
         """
@@ -127,18 +147,24 @@ NO_ROOM = Room((), np.empty((0, 3)), np.empty((0, 2, 3)))
 
 
 def place_walls(walls: Sequence[Wall], volume: Volume) -> Room:
-    """The room that some ``walls`` of the world make about a ``volume``. SceneError where there are too many."""
+    """The room that some ``walls`` of the world make about a ``volume``. SceneError where there are
+    too many.
+    """
     if len(walls) > MOST_WALLS:
         raise SceneError(f"The scene has {len(walls)} walls: give it at most {MOST_WALLS}.")
     if not walls:
         return NO_ROOM
-    matrix, origin = volume.orientation.matrix, np.array(volume.orientation.origin)
-    corners, edges = np.array([wall.corner for wall in walls]), np.array([wall.edges for wall in walls])
+    matrix = volume.orientation.matrix
+    origin = np.array(volume.orientation.origin)
+    corners = np.array([wall.corner for wall in walls])
+    edges = np.array([wall.edges for wall in walls])
     return Room(tuple(walls), (corners - origin) @ matrix, edges @ matrix)
 
 
 def wall_from_mapping(table: Mapping[str, Any]) -> Wall:
-    """The wall that one ``[[walls]]`` table describes. SceneError where a key is unknown, missing or has no meaning."""
+    """The wall that one ``[[walls]]`` table describes. SceneError where a key is unknown, missing
+    or has no meaning.
+    """
     return Wall(**read_table(table, "A wall", WALL_READERS, ("corner", "edges")))
 
 
@@ -168,23 +194,34 @@ WALL_READERS: TableReaders = {
 ROOMS = ("cornell",)
 """Names of whole rooms."""
 
-WHITE_ALBEDO, RED_ALBEDO, GREEN_ALBEDO = (0.73, 0.73, 0.73), (0.63, 0.065, 0.05), (0.14, 0.45, 0.09)
+WHITE_ALBEDO = (0.73, 0.73, 0.73)
+RED_ALBEDO = (0.63, 0.065, 0.05)
+GREEN_ALBEDO = (0.14, 0.45, 0.09)
 """Albedos of a Cornell room's walls."""
 
-ROOM_WIDTH, FLOOR_GAP = 1.5, 0.05
-"""The side of the room, and how far its floor is below the volume's box, over the box's longest side."""
+ROOM_WIDTH = 1.5
+FLOOR_GAP = 0.05
+"""The side of the room, and how far its floor is below the volume's box, over the box's longest
+side.
+"""
 
-LAMP, HANG = 1.0 / 3.0, 0.005
-"""The side of its luminaire, and how far that hangs below the ceiling, over the side of the room."""
+LAMP = 1.0 / 3.0
+HANG = 0.005
+"""The side of its luminaire, and how far that hangs below the ceiling, over the side of the
+room.
+"""
 
 LAMP_RADIANCE = 0.25 * math.pi / LAMP**2
-"""Radiance of the luminaire: it gives a white surface in the middle of the room, that faces it, a radiance of 1."""
+"""Radiance of the luminaire: it gives a white surface in the middle of the room, that faces it, a
+radiance of 1.
+"""
 
 
 def cornell_room(volume: Volume) -> tuple[Wall, ...]:
     """A cube about the box of a ``volume``, open towards +y, with a luminaire at its ceiling.
 
-    All walls are lit on their inner sides; red is at the left of who looks in from +y, and green at the right.
+    All walls are lit on their inner sides; red is at the left of who looks in from +y, and green at
+    the right.
     """
     low, high = np.array(volume.world_bounds, np.float64)
     longest = float((high - low).max())
@@ -193,15 +230,24 @@ def cornell_room(volume: Volume) -> tuple[Wall, ...]:
     z = low[2] - FLOOR_GAP * longest
     along = np.eye(3) * side
 
-    def wall(corner: Sequence[float], u: np.ndarray, v: np.ndarray, albedo: Colour, radiance: float = 0.0) -> Wall:
+    def wall(
+        corner: Sequence[float], u: np.ndarray, v: np.ndarray, albedo: Colour, radiance: float = 0.0
+    ) -> Wall:
         return Wall(triple(corner), (triple(u), triple(v)), albedo, (radiance,) * 3, sides=1)
 
-    rim, hung = 0.5 * (1.0 - LAMP) * side, z + (1.0 - HANG) * side
+    rim = 0.5 * (1.0 - LAMP) * side
+    hung = z + (1.0 - HANG) * side
     return (
         wall((x, y, z), along[0], along[1], WHITE_ALBEDO),
         wall((x, y, z + side), along[1], along[0], WHITE_ALBEDO),
         wall((x, y, z), along[2], along[0], WHITE_ALBEDO),
         wall((x + side, y, z), along[2], along[1], RED_ALBEDO),
         wall((x, y, z), along[1], along[2], GREEN_ALBEDO),
-        wall((x + rim, y + rim, hung), LAMP * along[1], LAMP * along[0], (0.0, 0.0, 0.0), LAMP_RADIANCE),
+        wall(
+            (x + rim, y + rim, hung),
+            LAMP * along[1],
+            LAMP * along[0],
+            (0.0, 0.0, 0.0),
+            LAMP_RADIANCE,
+        ),
     )

@@ -1,4 +1,6 @@
-"""A survey of a volume's values: their range without outliers and missing values, and their normalisation."""
+"""A survey of a volume's values: their range without outliers and missing values, and their
+normalisation.
+"""
 
 import hashlib
 import json
@@ -14,15 +16,23 @@ from isogi_core.errors import VolumeError
 from isogi_core.files.grid import Grid
 
 MAX_NORMALISED = 2.0**120
-"""Largest normalised voxel or isovalue, to which outliers are moved: float32 sums of a few such are finite."""
+"""Largest normalised voxel or isovalue, to which outliers are moved: float32 sums of a few such are
+finite.
+"""
 
 
 def offset_and_scale(low: float, high: float, solid: str) -> tuple[float, float]:
-    """The empty end of the range as a double, and ± the least power of two that spans it: both exact.
+    """The empty end of the range as a double, and ± the least power of two that spans it: both
+    exact.
 
     Integers beyond 2^53 may have no double: the offset is then the next one outside the range.
     """
-    sign, end = (1, low) if solid == "above" else (-1, high)
+    if solid == "above":
+        sign = 1
+        end = low
+    else:
+        sign = -1
+        end = high
     offset = float(end) + 0.0  # one zero
     if sign * (Fraction(offset) - Fraction(end)) > 0:
         offset = math.nextafter(offset, -sign * math.inf)
@@ -34,26 +44,35 @@ def offset_and_scale(low: float, high: float, solid: str) -> tuple[float, float]
 
 
 def normalise(values: np.ndarray, offset: float, scale: float) -> np.ndarray:
-    """``(values - offset) / scale`` in float64 without overflow on the way, never -0, and at most MAX_NORMALISED in
-    size.
+    """``(values - offset) / scale`` in float64 without overflow on the way, never -0, and at most
+    MAX_NORMALISED in size.
     """
-    sign, exponent = math.copysign(1.0, scale), math.frexp(scale)[1] - 1
+    sign = math.copysign(1.0, scale)
+    exponent = math.frexp(scale)[1] - 1
     shift = 2 if exponent > 1000 else 0
     with np.errstate(over="ignore"):
         distance = np.ldexp(values.astype(np.float64), -shift) - math.ldexp(offset, -shift)
         if values.dtype.kind in "iu" and values.dtype.itemsize == 8 and exponent < 63:
-            distance = np.where(np.abs(distance) < 2.0**63, _integer_distance(values, int(offset)), distance)
-        return np.clip(np.ldexp(sign * distance, shift - exponent) + 0.0, -MAX_NORMALISED, MAX_NORMALISED)
+            distance = np.where(
+                np.abs(distance) < 2.0**63, _integer_distance(values, int(offset)), distance
+            )
+        return np.clip(
+            np.ldexp(sign * distance, shift - exponent) + 0.0, -MAX_NORMALISED, MAX_NORMALISED
+        )
 
 
 def _integer_distance(values: np.ndarray, offset: int) -> np.ndarray:
-    """``values - offset``, where that is known to be less than 2^63 in size: exact modulo 2^64, then as float64."""
+    """``values - offset``, where that is known to be less than 2^63 in size: exact modulo 2^64,
+    then as float64.
+    """
     whole = values.astype(values.dtype.newbyteorder("=")).view(np.uint64)
     return (whole - np.uint64(offset % 2**64)).view(np.int64).astype(np.float64)
 
 
 def count_steps(low: float, high: float, dtype: np.dtype[Any]) -> float:
-    """How many steps a type has from one value to another: whole numbers, or units in the last place of the larger."""
+    """How many steps a type has from one value to another: whole numbers, or units in the last
+    place of the larger.
+    """
     if dtype.kind != "f":
         return float(high - low)
     unit = float(np.spacing(np.array(max(abs(low), abs(high)), dtype)))
@@ -71,7 +90,8 @@ OUTLIER_SPANS = 1024.0
 
 
 def sample_step(shape: tuple[int, ...]) -> int:
-    """The step between sampled voxels, of which a volume of ``shape`` (z, y, x) has at most MAX_SURVEYED_VOXELS.
+    """The step between sampled voxels, of which a volume of ``shape`` (z, y, x) has at most
+    MAX_SURVEYED_VOXELS.
 
     The step shares no divisor with the length of a row, so that every column is sampled.
     """
@@ -82,58 +102,76 @@ def sample_step(shape: tuple[int, ...]) -> int:
 
 
 def sample_values(array: np.ndarray) -> np.ndarray:
-    """The distinct finite values of at most MAX_SURVEYED_VOXELS voxels, evenly sampled from ``array`` (z, y, x).
+    """The distinct finite values of at most MAX_SURVEYED_VOXELS voxels, evenly sampled from
+    ``array`` (z, y, x).
 
     They ascend. A few layers are read at a time: an array that is a file need not fit into memory.
     """
-    step, layers = sample_step(array.shape), max(SLAB_BYTES // max(array[0].nbytes, 1), 1)
+    step = sample_step(array.shape)
+    layers = max(SLAB_BYTES // max(array[0].nbytes, 1), 1)
     parts = [sample_layers(array[z : z + layers], step, z) for z in range(0, len(array), layers)]
     return np.unique(np.concatenate(parts))
 
 
 def sample_layers(layers: np.ndarray, step: int, first: int) -> np.ndarray:
-    """The values that ``sample_values`` takes, with a ``step``, from the layers that begin at layer ``first``."""
+    """The values that ``sample_values`` takes, with a ``step``, from the layers that begin at layer
+    ``first``.
+    """
     values = np.unique(layers.flat[-first * layers[0].size % step :: step])
     return values[np.isfinite(values)]
 
 
 def find_core(values: np.ndarray) -> tuple[float, float]:
-    """The ends of the core of distinct ascending ``values``, exact Python numbers; without outliers all are the core.
+    """The ends of the core of distinct ascending ``values``, exact Python numbers; without outliers
+    all are the core.
 
-    The core begins as the two thirds of the values that lie closest together, and grows over gaps of up to
-    OUTLIER_SPANS times its span. Where the core has a smaller core itself, no value is an outlier: values may
-    fall by powers of ten.
+    The core begins as the two thirds of the values that lie closest together, and grows over gaps
+    of up to OUTLIER_SPANS times its span. Where the core has a smaller core itself, no value is an
+    outlier: values may fall by powers of ten.
     """
     first, last = grow_span(values)
     if grow_span(values[first : last + 1]) != (0, last - first):
-        first, last = 0, len(values) - 1
+        first = 0
+        last = len(values) - 1
     return values[first].item(), values[last].item()
 
 
 def grow_span(values: np.ndarray) -> tuple[int, int]:
-    """First and last index of the closest two thirds of the ``values``, grown over values that are not far off."""
-    places, count = positions(values), len(values)
-    gaps, most = np.diff(places), count - count // 3
+    """First and last index of the closest two thirds of the ``values``, grown over values that are
+    not far off.
+    """
+    places = positions(values)
+    count = len(values)
+    gaps = np.diff(places)
+    most = count - count // 3
     first = int(np.argmin(places[most - 1 :] - places[: count - most + 1]))
     last = first + most - 1
     while True:
         far = np.flatnonzero(gaps / OUTLIER_SPANS > places[last] - places[first])
-        ends = int(far[far < first].max(initial=-1)) + 1, int(far[far >= last].min(initial=count - 1))
+        ends = (
+            int(far[far < first].max(initial=-1)) + 1,
+            int(far[far >= last].min(initial=count - 1)),
+        )
         if ends == (first, last):
             return ends
         first, last = ends
 
 
 def positions(values: np.ndarray) -> np.ndarray:
-    """Numbers with the differences of ascending ``values``, or a quarter of these; no difference overflows."""
+    """Numbers with the differences of ascending ``values``, or a quarter of these; no difference
+    overflows.
+    """
     if values.dtype.kind in "iu":
         whole = values.astype(values.dtype.newbyteorder("=")).view(f"u{values.itemsize}")
         return whole - whole[0]
     reals = values.astype(np.float64)
-    return reals * 0.25 if np.abs(reals).max() > 2.0**1000 else reals
+    if np.abs(reals).max() > 2.0**1000:
+        return reals * 0.25
+    return reals
 
 
-LEAST_SPACING, MOST_SPACING = 1e-30, 1e30
+LEAST_SPACING = 1e-30
+MOST_SPACING = 1e30
 """Range of world units per voxel, as positions are float32."""
 
 COPY_STAGES = 3
@@ -151,9 +189,9 @@ def no_progress(done: int, total: int) -> None:
 class Survey:
     """Facts of a ``grid`` that are needed to make its voxels; see ``Volume``.
 
-    ``marks`` are the values that mean "missing", in the grid's own type, and ``holes`` counts voxels without a value.
-    ``value_range`` and ``core`` are exact Python numbers. ``tally`` counts the voxels of each code, see ``codes_of``,
-    where the type has few.
+    ``marks`` are the values that mean "missing", in the grid's own type, and ``holes`` counts
+    voxels without a value. ``value_range`` and ``core`` are exact Python numbers. ``tally`` counts
+    the voxels of each code, see ``codes_of``, where the type has few.
     """
 
     grid: Grid
@@ -169,7 +207,10 @@ class Survey:
 
     def planes(self) -> Iterator[np.ndarray]:
         """The normalised voxels, plane by plane along z; (ny, nx) float32 each, NaN for holes."""
-        known = None if self.tally is None else self.voxels_of(values_of(usable_type(self.grid.dtype)))
+        if self.tally is None:
+            known = None
+        else:
+            known = self.voxels_of(values_of(usable_type(self.grid.dtype)))
         for slab in self.grid.slabs():
             for plane in usable(slab):
                 yield self.voxels_of(plane) if known is None else known[codes_of(plane)]
@@ -182,14 +223,18 @@ class Survey:
         return voxels
 
     def tallied(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """The distinct voxels (m,) float32 and how many there are of each (m,); None where there was no tally."""
+        """The distinct voxels (m,) float32 and how many there are of each (m,); None where there
+        was no tally.
+        """
         if self.tally is None:
             return None
         there = np.flatnonzero(self.tally)
         return self.voxels_of(values_of(usable_type(self.grid.dtype))[there]), self.tally[there]
 
     def pour(self, write: Callable[[np.ndarray], object], progress: Progress = no_progress) -> str:
-        """Pass the ``planes`` to ``write`` one after the other, and return the digest of their volume."""
+        """Pass the ``planes`` to ``write`` one after the other, and return the digest of their
+        volume.
+        """
         digest = begin_digest(self.grid.shape, self.spacing, self.offset, self.scale)
         for z, voxels in enumerate(self.planes()):
             digest.update(voxels.data)
@@ -214,25 +259,43 @@ class Survey:
         }
 
 
-def survey(grid: Grid, solid: str, missing: Sequence[float] = (), progress: Progress = no_progress) -> Survey:
+def survey(
+    grid: Grid, solid: str, missing: Sequence[float] = (), progress: Progress = no_progress
+) -> Survey:
     """Read all values of a ``grid`` once; those equal to one of ``missing`` are holes.
 
-    Raises VolumeError where it is complex, not 3-D, thinner than two voxels or without a finite value, and where a
-    spacing is no positive number of a usable size.
+    Raises VolumeError where it is complex, not 3-D, thinner than two voxels or without a finite
+    value, and where a spacing is no positive number of a usable size.
     """
     check(grid, solid)
     spacing = checked_spacing(grid.spacing)
     kind = usable_type(grid.dtype)
     marks = find_marks(missing, kind)
-    narrow = kind.kind in "iu" and kind.itemsize <= COUNTED_BYTES and grid.size > MAX_UNSAMPLED_VOXELS
+    narrow = (
+        kind.kind in "iu" and kind.itemsize <= COUNTED_BYTES and grid.size > MAX_UNSAMPLED_VOXELS
+    )
     low, high, holes, some, tally = (tallying if narrow else scan)(grid, marks, progress)
     ends = np.array([low, high], kind)
     core = find_core(np.union1d(some[are_measured(some, marks)], ends))
-    return Survey(grid, spacing, solid, marks, (low, high), holes, core, *offset_and_scale(*core, solid), tally)
+    return Survey(
+        grid,
+        spacing,
+        solid,
+        marks,
+        (low, high),
+        holes,
+        core,
+        *offset_and_scale(*core, solid),
+        tally,
+    )
 
 
-def begin_digest(shape: Sequence[int], spacing: Sequence[float], offset: float, scale: float) -> "hashlib.blake2b":
-    """Begin a volume's digest with shape (z, y, x), spacing and units; update it with the voxels."""
+def begin_digest(
+    shape: Sequence[int], spacing: Sequence[float], offset: float, scale: float
+) -> "hashlib.blake2b":
+    """Begin a volume's digest with shape (z, y, x), spacing and units; update it with the
+    voxels.
+    """
     units = f"{tuple(shape)} {[step.hex() for step in spacing]} {offset.hex()} {scale.hex()}"
     return hashlib.blake2b(units.encode(), digest_size=16)
 
@@ -240,14 +303,20 @@ def begin_digest(shape: Sequence[int], spacing: Sequence[float], offset: float, 
 def check(grid: Grid, solid: str) -> None:
     """Raise VolumeError where the grid is no real 3-D field, or ``solid`` no side."""
     if solid not in ("above", "below"):
-        raise VolumeError(f"solid is '{solid}': say which side of the isovalue is solid, 'above' or 'below'.")
+        raise VolumeError(
+            f"solid is '{solid}': say which side of the isovalue is solid, 'above' or 'below'."
+        )
     if grid.dtype.kind not in "biuf":
         raise VolumeError(f"The volume holds {grid.dtype} values: give one real number per voxel.")
     if len(grid.shape) != 3:
-        raise VolumeError(f"The volume has {len(grid.shape)} dimensions, not 3: choose one scalar field of it.")
+        raise VolumeError(
+            f"The volume has {len(grid.shape)} dimensions, not 3: choose one scalar field of it."
+        )
     if min(grid.shape) < 2:
         sides = " × ".join(str(n) for n in grid.shape[::-1])
-        raise VolumeError(f"A volume of {sides} voxels has no cells: every side needs at least 2 voxels.")
+        raise VolumeError(
+            f"A volume of {sides} voxels has no cells: every side needs at least 2 voxels."
+        )
 
 
 def checked_spacing(spacing: Sequence[float]) -> tuple[float, float, float]:
@@ -264,7 +333,9 @@ def usable_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
     """The type in which values are processed: integers or floats of at most 64 bits."""
     if dtype.kind == "b":
         return np.dtype(np.uint8)
-    return dtype if dtype.itemsize <= 8 else np.dtype(np.float64)
+    if dtype.itemsize <= 8:
+        return dtype
+    return np.dtype(np.float64)
 
 
 def usable(slab: np.ndarray) -> np.ndarray:
@@ -281,7 +352,9 @@ def find_marks(missing: Sequence[float], dtype: np.dtype[Any]) -> np.ndarray:
         with np.errstate(over="ignore"):
             return np.array(missing, np.float64).astype(dtype)
     info = np.iinfo(dtype)
-    return np.array([int(mark) for mark in missing if info.min <= mark <= info.max and mark == int(mark)], dtype)
+    return np.array(
+        [int(mark) for mark in missing if info.min <= mark <= info.max and mark == int(mark)], dtype
+    )
 
 
 def are_measured(values: np.ndarray, marks: np.ndarray) -> np.ndarray:
@@ -293,13 +366,17 @@ def are_measured(values: np.ndarray, marks: np.ndarray) -> np.ndarray:
 
 
 COUNTED_BYTES = 2
-"""Bytes of whole numbers of so few values that each can be counted: what is worked out of one serves all its voxels."""
+"""Bytes of whole numbers of so few values that each can be counted: what is worked out of one
+serves all its voxels.
+"""
 
 MAX_UNSAMPLED_VOXELS = 1 << 20
 """Voxels up to which that would take longer."""
 
 Scanned = tuple[float, float, int, np.ndarray, np.ndarray | None]
-"""Minimum and maximum (exact Python numbers), the number of missing values, ``sample_values``, and a tally if any."""
+"""Minimum and maximum (exact Python numbers), the number of missing values, ``sample_values``, and
+a tally if any.
+"""
 
 
 def codes_of(values: np.ndarray) -> np.ndarray:
@@ -310,13 +387,18 @@ def codes_of(values: np.ndarray) -> np.ndarray:
 
 def values_of(dtype: np.dtype[Any]) -> np.ndarray:
     """The values of a narrow type, by their codes."""
-    return np.arange(1 << 8 * dtype.itemsize, dtype=f"u{dtype.itemsize}").view(dtype.newbyteorder("="))
+    return np.arange(1 << 8 * dtype.itemsize, dtype=f"u{dtype.itemsize}").view(
+        dtype.newbyteorder("=")
+    )
 
 
 def tallying(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
     """What ``scan`` finds in a grid of a narrow type, by counting the voxels of each value."""
     values = values_of(usable_type(grid.dtype))
-    tally, some, z, step = np.zeros(len(values), np.int64), [], 0, sample_step(grid.shape)
+    tally = np.zeros(len(values), np.int64)
+    some = []
+    z = 0
+    step = sample_step(grid.shape)
     for slab in map(usable, grid.slabs()):
         some.append(sample_layers(slab, step, z))
         for plane in slab:
@@ -327,7 +409,13 @@ def tallying(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
     found = values[there & (tally > 0)]
     if not len(found):
         raise VolumeError(NO_FINITE_VALUE)
-    return found.min().item(), found.max().item(), int(tally[~there].sum()), np.unique(np.concatenate(some)), tally
+    return (
+        found.min().item(),
+        found.max().item(),
+        int(tally[~there].sum()),
+        np.unique(np.concatenate(some)),
+        tally,
+    )
 
 
 NO_FINITE_VALUE = "The volume has no finite value: every voxel is NaN, infinite or missing."
@@ -335,8 +423,12 @@ NO_FINITE_VALUE = "The volume has no finite value: every voxel is NaN, infinite 
 
 def scan(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
     """Look at all values once."""
-    lows, highs, some = [], [], []
-    z, count, step = 0, 0, sample_step(grid.shape)
+    lows = []
+    highs = []
+    some = []
+    z = 0
+    count = 0
+    step = sample_step(grid.shape)
     for slab in map(usable, grid.slabs()):
         some.append(sample_layers(slab, step, z))
         for plane in slab:

@@ -15,8 +15,11 @@ from isogi_core.model.volume import PLAIN_ORIENTATION, Orientation
 MAX_WINDOW_PLANES = 12
 """Most planes of a window: six at any angle, and the six of a box."""
 
-MIN_NORMAL_LENGTH, MAX_PLANE_NUMBER = 1e-12, 1e12
-"""The least and the greatest length of a plane's normal, and the greatest distance of a plane from the origin."""
+MIN_NORMAL_LENGTH = 1e-12
+MAX_PLANE_NUMBER = 1e12
+"""The least and the greatest length of a plane's normal, and the greatest distance of a plane from
+the origin.
+"""
 
 AXIS_NORMALS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
@@ -30,9 +33,11 @@ Plane = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Window:
-    """What is left to see: points p with n · p + w ≥ 0 for each of the ``planes`` (n, w), whose normals are units.
+    """What is left to see: points p with n · p + w ≥ 0 for each of the ``planes`` (n, w), whose
+    normals are units.
 
-    What is left is convex, so that a ray sees one part of it. Planes are in the volume's box, or in the world.
+    What is left is convex, so that a ray sees one part of it. Planes are in the volume's box, or in
+    the world.
     """
 
     planes: tuple[Plane, ...]
@@ -47,15 +52,21 @@ class Window:
 
 
 def _plane_in_box(plane: Plane, orientation: Orientation) -> Plane:
-    normal, offset = plane[:3], plane[3]
-    moved = offset + float(np.dot(normal, orientation.origin)) if orientation.placed else offset
+    normal = plane[:3]
+    offset = plane[3]
+    if orientation.placed:
+        moved = offset + float(np.dot(normal, orientation.origin))
+    else:
+        moved = offset
     return (*orientation.direction_to_box(normal), moved)
 
 
 def read_window(text: str) -> Window:
-    """The window that a ``text`` such as ``x>40;0,1,-1<12.5`` spells: each term takes away what it is true of.
+    """The window that a ``text`` such as ``x>40;0,1,-1<12.5`` spells: each term takes away what it
+    is true of.
 
-    An axis stands for its unit normal; other normals, of any length, are three numbers. Raises ViewError.
+    An axis stands for its unit normal; other normals, of any length, are three numbers. Raises
+    ViewError.
     """
     terms = [part.replace(" ", "") for part in text.split(";")]
     if len(terms) > MAX_WINDOW_PLANES:
@@ -64,16 +75,31 @@ def read_window(text: str) -> Window:
 
 
 def _read_term(term: str) -> Plane:
-    match = TERM_PATTERN.fullmatch(term) if len(term) <= 200 else None
+    if len(term) <= 200:
+        match = TERM_PATTERN.fullmatch(term)
+    else:
+        match = None
     if match is None:
-        shown = term if len(term) <= 40 else f"{term[:39]}…"
-        raise ViewError(f"A plane takes away, such as x>40 or 0,1,-1<12.5, with ; between planes; '{shown}' is none.")
-    named, sign, limit = match[1], -1.0 if match[2] == ">" else 1.0, float(match[3])
+        if len(term) <= 40:
+            shown = term
+        else:
+            shown = f"{term[:39]}…"
+        raise ViewError(
+            "A plane takes away, such as x>40 or 0,1,-1<12.5, with ; between planes; "
+            f"'{shown}' is none."
+        )
+    named = match[1]
+    sign = -1.0 if match[2] == ">" else 1.0
+    limit = float(match[3])
     normal = AXIS_NORMALS.get(named) or triple([float(each) for each in named.split(",")])
     length = math.hypot(*normal)
-    if not MIN_NORMAL_LENGTH <= length <= MAX_PLANE_NUMBER or not abs(limit) <= MAX_PLANE_NUMBER * length:
+    if (
+        not MIN_NORMAL_LENGTH <= length <= MAX_PLANE_NUMBER
+        or not abs(limit) <= MAX_PLANE_NUMBER * length
+    ):
         raise ViewError(
-            f"The plane '{term}' has no direction, or is too far away: give a longer normal or a less limit."
+            f"The plane '{term}' has no direction, or is too far away: give a longer normal or "
+            "a less limit."
         )
     x, y, z = (sign * each / length + 0.0 for each in normal)  # no -0
     return x, y, z, -sign * limit / length + 0.0
@@ -82,8 +108,8 @@ def _read_term(term: str) -> Plane:
 Quaternion = tuple[float, float, float, float]
 
 ORTHOGRAPHIC_RADII = 1e7
-"""Radii of the volume from which an orthographic camera looks: its rays meet no more than a ten-millionth of their way,
-which is what the float32 coordinates of the points hold that they find.
+"""Radii of the volume from which an orthographic camera looks: its rays meet no more than a
+ten-millionth of their way, which is what the float32 coordinates of the points hold that they find.
 """
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
@@ -104,7 +130,9 @@ class Camera:
 
     def __post_init__(self) -> None:
         if not np.isfinite([*self.eye, *self.target, *self.up, self.fov]).all():
-            raise ViewError("The camera has a number that is not finite: give finite eye, target, up and fov.")
+            raise ViewError(
+                "The camera has a number that is not finite: give finite eye, target, up and fov."
+            )
         if not 0.0 < self.fov < 180.0:
             raise ViewError(f"fov {self.fov:g} is not between 0 and 180 degrees.")
         forward = np.subtract(self.target, self.eye)
@@ -112,14 +140,19 @@ class Camera:
         if length == 0.0:
             raise ViewError("The camera's eye and target are the same point: move one of them.")
         lift = float(np.linalg.norm(self.up))
-        if lift == 0.0 or np.linalg.norm(np.cross(forward / length, np.divide(self.up, lift))) < 1e-9:
+        if (
+            lift == 0.0
+            or np.linalg.norm(np.cross(forward / length, np.divide(self.up, lift))) < 1e-9
+        ):
             raise ViewError("The camera's up is zero or along the view direction: give another up.")
 
     def basis(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Unit vectors (right, up, forward), right-handed, each of shape (3,), float64."""
         forward = np.subtract(self.target, self.eye)
         forward = forward / np.linalg.norm(forward)
-        up = np.ldexp(self.up, -int(np.frexp(max(map(abs, self.up)))[1]))  # no product of its parts underflows
+        up = np.ldexp(
+            self.up, -int(np.frexp(max(map(abs, self.up)))[1])
+        )  # no product of its parts underflows
         right = np.cross(forward, up)
         right = right / np.linalg.norm(right)
         return right, np.cross(right, forward), forward
@@ -128,7 +161,8 @@ class Camera:
         """This camera of the world in the box of a volume with an ``orientation``."""
         if not orientation.placed:
             return self
-        eye, target = orientation.point_to_box(self.eye), orientation.point_to_box(self.target)
+        eye = orientation.point_to_box(self.eye)
+        target = orientation.point_to_box(self.target)
         return replace(self, eye=eye, target=target, up=orientation.direction_to_box(self.up))
 
     def in_world(self, orientation: Orientation) -> "Camera":
@@ -137,10 +171,13 @@ class Camera:
         return replace(self, eye=eye, target=target, up=triple(orientation.matrix @ self.up))
 
 
-def orbit(centre: Vector, radius: float, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
+def orbit(
+    centre: Vector, radius: float, azimuth: float, elevation: float, distance: float, fov: float
+) -> Camera:
     """Camera on a sphere about ``centre``; angles in degrees, ``distance`` in units of ``radius``.
 
-    Azimuth 0 looks from +x, 90 from +y; elevation 90 looks straight down (up is then along the azimuth).
+    Azimuth 0 looks from +x, 90 from +y; elevation 90 looks straight down (up is then along the
+    azimuth).
     """
     a, e = math.radians(azimuth), math.radians(elevation)
     out = (math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e))
@@ -150,12 +187,15 @@ def orbit(centre: Vector, radius: float, azimuth: float, elevation: float, dista
 
 
 def orthographic(camera: Camera, radius: float) -> Camera:
-    """A ``camera`` of a volume with that ``radius``, with parallel rays; what is at the target is as large as before.
+    """A ``camera`` of a volume with that ``radius``, with parallel rays; what is at the target is
+    as large as before.
 
-    It is the same camera ORTHOGRAPHIC_RADII radii away, with the field of view that keeps the height of the picture at
-    the target. It sees all that lies along its rays, also behind the eye of the perspective one.
+    It is the same camera ORTHOGRAPHIC_RADII radii away, with the field of view that keeps the
+    height of the picture at the target. It sees all that lies along its rays, also behind the eye
+    of the perspective one.
     """
-    away, afar = math.dist(camera.eye, camera.target), ORTHOGRAPHIC_RADII * radius
+    away = math.dist(camera.eye, camera.target)
+    afar = ORTHOGRAPHIC_RADII * radius
     _, _, (x, y, z) = camera.basis()
     fov = 2.0 * math.degrees(math.atan(math.tan(math.radians(camera.fov) / 2.0) * away / afar))
     eye = (camera.target[0] - afar * x, camera.target[1] - afar * y, camera.target[2] - afar * z)
@@ -163,7 +203,9 @@ def orthographic(camera: Camera, radius: float) -> Camera:
 
 
 def quaternion_from_angles(yaw: float, pitch: float, roll: float) -> Quaternion:
-    """Unit quaternion (w, x, y, z) of intrinsic yaw about z, then pitch about y, then roll about x, degrees."""
+    """Unit quaternion (w, x, y, z) of intrinsic yaw about z, then pitch about y, then roll about x,
+    degrees.
+    """
     cy, sy = math.cos(math.radians(yaw) / 2), math.sin(math.radians(yaw) / 2)
     cp, sp = math.cos(math.radians(pitch) / 2), math.sin(math.radians(pitch) / 2)
     cr, sr = math.cos(math.radians(roll) / 2), math.sin(math.radians(roll) / 2)
@@ -176,7 +218,9 @@ def quaternion_from_angles(yaw: float, pitch: float, roll: float) -> Quaternion:
 
 
 def unit_quaternion(values: Quaternion) -> Quaternion:
-    """The quaternion scaled to unit length; ViewError where its length is not within [1e-3, 1e3]."""
+    """The quaternion scaled to unit length; ViewError where its length is not within [1e-3,
+    1e3].
+    """
     norm = math.sqrt(sum(v * v for v in values))
     if not 1e-3 <= norm <= 1e3:
         raise ViewError("The light's quaternion w,x,y,z must have a length between 0.001 and 1000.")
@@ -200,32 +244,46 @@ def rotation_matrix(q: Quaternion) -> np.ndarray:
 def quaternion_of(matrix: np.ndarray) -> Quaternion:
     """The unit quaternion (w, x, y, z), w not negative, of a rotation ``matrix`` (3, 3).
 
-    It is the eigenvector of the greatest eigenvalue of Bar-Itzhack's symmetric matrix, exact to rounding everywhere.
-    Source: Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", 2000.
+    It is the eigenvector of the greatest eigenvalue of Bar-Itzhack's symmetric matrix, exact to
+    rounding everywhere. Source: Bar-Itzhack, "New method for extracting the quaternion from a
+    rotation matrix", 2000.
     """
     m = np.asarray(matrix, np.float64)
     skew = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
-    symmetric = np.block([[np.array([[np.trace(m)]]), skew[None]], [skew[:, None], m + m.T - np.trace(m) * np.eye(3)]])
+    symmetric = np.block(
+        [
+            [np.array([[np.trace(m)]]), skew[None]],
+            [skew[:, None], m + m.T - np.trace(m) * np.eye(3)],
+        ]
+    )
     w, x, y, z = (float(value) for value in np.linalg.eigh(symmetric)[1][:, -1])
-    return (w, x, y, z) if w >= 0.0 else (-w, -x, -y, -z)
+    if w >= 0.0:
+        return (w, x, y, z)
+    return (-w, -x, -y, -z)
 
 
 def light_in_box(light: Quaternion, orientation: Orientation) -> Quaternion:
-    """A rotation of light in the world, in the box: there it is followed by the box's own rotation, backwards."""
-    return quaternion_of(orientation.matrix.T @ rotation_matrix(light)) if orientation.turned else light
+    """A rotation of light in the world, in the box: there it is followed by the box's own rotation,
+    backwards.
+    """
+    if orientation.turned:
+        return quaternion_of(orientation.matrix.T @ rotation_matrix(light))
+    return light
 
 
 @dataclass(frozen=True)
 class View:
-    """The parameters of one frame. ``isovalue`` is in the volume's own units; ``light`` rotates the environment.
+    """The parameters of one frame. ``isovalue`` is in the volume's own units; ``light`` rotates the
+    environment.
 
-    Camera and light are those of the volume's box; the ``orientation`` says where that is in the world.
-    ``samples`` is the number of paths per pixel and is read by ``path_traced`` alone. ``albedo``, linear RGB, is that
-    of the surface, the scene's own by default, see ``Scene.albedo_for``; so is its ``shine``, see ``shine_for``.
-    What glows in the scene is ``glow`` times as bright as that says.
-    Texels of a view that is ``moving`` are not projected: its pictures are to come quickly. Else, where it is
-    ``smooth``, pixels at edges have more samples. A ``strip`` is rows of a larger picture: the first of them there, and
-    how many that picture has. A ``window`` is what planes in the box leave to the eye; None where all is seen.
+    Camera and light are those of the volume's box; the ``orientation`` says where that is in the
+    world. ``samples`` is the number of paths per pixel and is read by ``path_traced`` alone.
+    ``albedo``, linear RGB, is that of the surface, the scene's own by default, see
+    ``Scene.albedo_for``; so is its ``shine``, see ``shine_for``. What glows in the scene is
+    ``glow`` times as bright as that says. Texels of a view that is ``moving`` are not projected:
+    its pictures are to come quickly. Else, where it is ``smooth``, pixels at edges have more
+    samples. A ``strip`` is rows of a larger picture: the first of them there, and how many that
+    picture has. A ``window`` is what planes in the box leave to the eye; None where all is seen.
     """
 
     isovalue: float
@@ -246,15 +304,22 @@ class View:
 
     @property
     def whole(self) -> tuple[int, int]:
-        """The first row of the picture in the whole that its camera sees, and how many rows that has."""
+        """The first row of the picture in the whole that its camera sees, and how many rows that
+        has.
+        """
         return self.strip or (0, self.height)
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.isovalue):
             raise ViewError("The isovalue is not a finite number.")
         if self.width < 1 or self.height < 1:
-            raise ViewError(f"A picture of {self.width} × {self.height} pixels holds nothing: ask for at least 1 × 1.")
+            raise ViewError(
+                f"A picture of {self.width} × {self.height} pixels holds nothing: ask for at "
+                "least 1 × 1."
+            )
         if self.shading not in VIEW_SHADINGS:
-            raise ViewError(f"There is no shading '{self.shading}': choose one of {', '.join(VIEW_SHADINGS)}.")
+            raise ViewError(
+                f"There is no shading '{self.shading}': choose one of {', '.join(VIEW_SHADINGS)}."
+            )
         if self.samples < 1:
             raise ViewError("At least one sample per pixel is needed.")

@@ -1,7 +1,7 @@
 """A volume: a scalar field on a regular grid, normalised once, so that kernels never see its units.
 
-Its orientation is where its box lies in the world, and what the world's cameras, lights and points are in the box.
-Voxels are never turned: cameras and lights are, once, where a view is made.
+Its orientation is where its box lies in the world, and what the world's cameras, lights and points
+are in the box. Voxels are never turned: cameras and lights are, once, where a view is made.
 """
 
 import hashlib
@@ -27,11 +27,12 @@ OPPOSITE = dict(zip("RASLPI", "LPIRAS", strict=True))
 
 @dataclass(frozen=True)
 class Orientation:
-    """``world = rotation · box + origin``; a point of the box is voxel indices times spacing, x first.
+    """``world = rotation · box + origin``; a point of the box is voxel indices times spacing, x
+    first.
 
-    ``rotation`` is the rows of a rotation. ``unit`` is that of the world's lengths, empty where unknown. ``letters``
-    say where the world's axes point in a patient, "RAS", else empty. ``notes`` tell what was done to the file's field,
-    and ``read_as`` in a line what the file was taken for.
+    ``rotation`` is the rows of a rotation. ``unit`` is that of the world's lengths, empty where
+    unknown. ``letters`` say where the world's axes point in a patient, "RAS", else empty. ``notes``
+    tell what was done to the file's field, and ``read_as`` in a line what the file was taken for.
     """
 
     rotation: Rows = STRAIGHT
@@ -48,7 +49,9 @@ class Orientation:
             return cls(unit=grid.unit, notes=grid.notes, read_as=grid.read_as)
         directions = np.array(grid.affine.matrix) / np.array(grid.spacing)
         a, b, c = (triple(row) for row in np.where(np.abs(directions) < 1e-12, 0.0, directions))
-        return cls((a, b, c), grid.affine.origin, grid.unit, grid.affine.letters, grid.notes, grid.read_as)
+        return cls(
+            (a, b, c), grid.affine.origin, grid.unit, grid.affine.letters, grid.notes, grid.read_as
+        )
 
     @property
     def turned(self) -> bool:
@@ -67,33 +70,49 @@ class Orientation:
         return np.array(self.rotation)
 
     def affine(self, spacing: Vector) -> np.ndarray:
-        """From voxel indices of a volume with this ``spacing`` to the world: a matrix, and the origin; (3, 4)."""
+        """From voxel indices of a volume with this ``spacing`` to the world: a matrix, and the
+        origin; (3, 4).
+        """
         return np.column_stack([self.matrix * np.array(spacing), self.origin])
 
     def to_world(self, points: Any) -> np.ndarray:
         """Points (..., 3) of the box, in the world."""
-        return np.asarray(points) @ self.matrix.T + np.array(self.origin) if self.placed else np.asarray(points)
+        if self.placed:
+            return np.asarray(points) @ self.matrix.T + np.array(self.origin)
+        return np.asarray(points)
 
     def point_to_box(self, point: Vector) -> Vector:
         """A point of the world, in the box."""
-        return self.direction_to_box(triple(np.subtract(point, self.origin))) if self.placed else point
+        if self.placed:
+            return self.direction_to_box(triple(np.subtract(point, self.origin)))
+        return point
 
     def direction_to_box(self, direction: Vector) -> Vector:
         """A direction of the world, in the box."""
-        return triple(self.matrix.T @ np.array(direction)) if self.turned else direction
+        if self.turned:
+            return triple(self.matrix.T @ np.array(direction))
+        return direction
 
     def letter(self, direction: Vector) -> str:
-        """The letter of the patient's side that a world ``direction`` points to most; empty without letters."""
+        """The letter of the patient's side that a world ``direction`` points to most; empty without
+        letters.
+        """
         if not self.letters:
             return ""
         axis = int(np.argmax(np.abs(direction)))
         letter = self.letters[axis]
-        return letter if direction[axis] > 0.0 else OPPOSITE[letter]
+        if direction[axis] > 0.0:
+            return letter
+        return OPPOSITE[letter]
 
     def sides(self, point: Vector) -> str:
-        """The sides of the patient that a world ``point`` lies on, seen from the world's origin, such as "LAS"."""
+        """The sides of the patient that a world ``point`` lies on, seen from the world's origin,
+        such as "LAS".
+        """
         pairs = zip(self.letters, point, strict=False)
-        return "".join(letter if coordinate >= 0.0 else OPPOSITE[letter] for letter, coordinate in pairs)
+        return "".join(
+            letter if coordinate >= 0.0 else OPPOSITE[letter] for letter, coordinate in pairs
+        )
 
     @property
     def axes(self) -> str:
@@ -120,10 +139,12 @@ SLAB_BYTES = 1 << 26
 """Bytes of voxels that are processed together."""
 
 Isovalue = NewType("Isovalue", np.floating[Any])
-"""An isovalue in the units of a volume's voxels. Plain floats, as scenes and views have, are in the units of its file.
+"""An isovalue in the units of a volume's voxels. Plain floats, as scenes and views have, are in the
+units of its file.
 
-``Volume.normalise_isovalue`` alone makes them, of float64. For mypy they are no floats, nor floats they: it refuses an
-isovalue that was not normalised, and one that was where the file's units are meant.
+``Volume.normalise_isovalue`` alone makes them, of float64. For mypy they are no floats, nor floats
+they: it refuses an isovalue that was not normalised, and one that was where the file's units are
+meant.
 """
 
 
@@ -133,17 +154,20 @@ UNMEASURED_FIELDS = ("voxels", "orientation", "moment", "segmented")
 
 @dataclass(frozen=True, eq=False)
 class Volume:
-    """A scalar field: ``value = offset + scale · voxel``, solid where ``voxel > normalised isovalue``.
+    """A scalar field: ``value = offset + scale · voxel``, solid where ``voxel > normalised
+    isovalue``.
 
-    ``voxels`` is (nz, ny, nx) float32, C-contiguous, NaN where the source was not finite or its value is missing;
-    ``spacing`` is (x, y, z), world units per voxel. ``scale`` is ± a power of two and negative where ``solid`` is
-    "below". ``value_range`` is the finite minimum and maximum in the volume's own units, ``core`` the same without
-    outliers, and ``steps`` how many values of that range the source's type can distinguish. ``holes`` is the number of
-    voxels that are NaN, ``digest`` a hex digest of everything that light depends on. ``counts`` are those of the
-    ``histogram`` and ``span`` is the ``core_span``, where they were kept. ``orientation`` says where the box lies in
-    the world; light does not depend on it, but on where the world's lights are in the box. It is the ``moment`` of a
-    series in time: which step it is, and of how many. It is ``segmented`` where it is the field of a segmentation's
-    labels, as its file says or the scene.
+    ``voxels`` is (nz, ny, nx) float32, C-contiguous, NaN where the source was not finite or its
+    value is missing; ``spacing`` is (x, y, z), world units per voxel. ``scale`` is ± a power of two
+    and negative where ``solid`` is "below". ``value_range`` is the finite minimum and maximum in
+    the volume's own units, ``core`` the same without outliers, and ``steps`` how many values of
+    that range the source's type can distinguish. ``holes`` is the number of voxels that are NaN,
+    ``digest`` a hex digest of everything that light depends on. ``counts`` are those of the
+    ``histogram`` and ``span`` is the ``core_span``, where they were kept. ``orientation`` says
+    where the box lies in the world; light does not depend on it, but on where the world's lights
+    are in the box. It is the ``moment`` of a series in time: which step it is, and of how many. It
+    is ``segmented`` where it is the field of a segmentation's labels, as its file says or the
+    scene.
     """
 
     voxels: np.ndarray
@@ -196,7 +220,9 @@ class Volume:
     @property
     def world_bounds(self) -> tuple[Vector, Vector]:
         """The least and the greatest world x, y, z of the box's corners."""
-        corners = self.orientation.to_world(np.array(list(product(*((0.0, length) for length in self.extent)))))
+        corners = self.orientation.to_world(
+            np.array(list(product(*((0.0, length) for length in self.extent))))
+        )
         return triple(corners.min(axis=0)), triple(corners.max(axis=0))
 
     @property
@@ -205,11 +231,17 @@ class Volume:
         return math.hypot(*self.extent) / 2
 
     def normalise_isovalue(self, value: float) -> Isovalue:
-        """An isovalue of the volume's file, in the units of its voxels and rounded to float32 exactly as they are."""
-        return Isovalue(np.float64(np.float32(normalise(np.array(float(value)), self.offset, self.scale))))
+        """An isovalue of the volume's file, in the units of its voxels and rounded to float32
+        exactly as they are.
+        """
+        return Isovalue(
+            np.float64(np.float32(normalise(np.array(float(value)), self.offset, self.scale)))
+        )
 
     def normalise_span(self, one: float, other: float) -> tuple[Isovalue, Isovalue]:
-        """A range of isovalues of the volume's file, in the units of its voxels; the least comes first."""
+        """A range of isovalues of the volume's file, in the units of its voxels; the least comes
+        first.
+        """
         ends = self.normalise_isovalue(one), self.normalise_isovalue(other)
         return min(ends), max(ends)
 
@@ -218,7 +250,9 @@ class Volume:
         return self.offset + self.scale * voxel
 
     def slabs(self) -> Iterator[np.ndarray]:
-        """The voxels a few layers at a time, (layers, ny, nx) each, for work that makes arrays of their size."""
+        """The voxels a few layers at a time, (layers, ny, nx) each, for work that makes arrays of
+        their size.
+        """
         layers = max(SLAB_BYTES // self.voxels[0].nbytes, 1)
         for z in range(0, len(self.voxels), layers):
             yield self.voxels[z : z + layers]
@@ -233,17 +267,22 @@ class Volume:
         """The least and the greatest voxel of the core."""
         if self.span:
             return self.span[0], self.span[1]
-        ends = [(float(inner.min()), float(inner.max())) for inner in self.core_voxels() if inner.size]
+        ends = [
+            (float(inner.min()), float(inner.max())) for inner in self.core_voxels() if inner.size
+        ]
         return min(low for low, _ in ends), max(high for _, high in ends)
 
     def plane(self, axis: int, at: float) -> np.ndarray:
-        """The file's values on the plane at index ``at`` across an ``axis``, 0 for x; linear between voxels, float64.
+        """The file's values on the plane at index ``at`` across an ``axis``, 0 for x; linear
+        between voxels, float64.
 
-        Columns go along the first of the other two axes, rows down the second: its end is at the top. NaN in holes.
+        Columns go along the first of the other two axes, rows down the second: its end is at the
+        top. NaN in holes.
         """
         planes = np.moveaxis(self.voxels, 2 - axis, 0)
         first = min(int(at), len(planes) - 1)
-        values, share = planes[first].astype(np.float64), at - first
+        values = planes[first].astype(np.float64)
+        share = at - first
         if share > 0.0:
             values = (1.0 - share) * values + share * planes[first + 1]
         return self.offset + self.scale * values[::-1]
@@ -254,10 +293,11 @@ class Volume:
         progress: Progress = no_progress,
         tally: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> "Volume":
-        """The volume with its histogram's counts and the core's span kept, which take passes over all voxels.
+        """The volume with its histogram's counts and the core's span kept, which take passes over
+        all voxels.
 
-        Where there is a ``tally``, distinct voxels and how many there are of each, they take none. ``progress`` is
-        called for the last stage of making a copy.
+        Where there is a ``tally``, distinct voxels and how many there are of each, they take none.
+        ``progress`` is called for the last stage of making a copy.
         """
         if len(self.counts) == bins and self.span:
             return self
@@ -273,34 +313,51 @@ class Volume:
 
     @cached_property
     def inside_out(self) -> "Volume":
-        """The volume with its other side solid: what was the inner side of an isosurface is then the outer one.
+        """The volume with its other side solid: what was the inner side of an isosurface is then
+        the outer one.
 
         Its voxels are 1 - v. Turned twice it is the volume itself.
         """
         digest = hashlib.blake2b(f"{self.digest} inside out".encode(), digest_size=16).hexdigest()
-        solid, voxels = "below" if self.solid == "above" else "above", np.float32(1.0) - self.voxels
+        if self.solid == "above":
+            solid = "below"
+        else:
+            solid = "above"
+        voxels = np.float32(1.0) - self.voxels
         turned = replace(self, voxels=voxels, solid=solid, digest=digest, counts=(), span=())
         turned = replace(turned, offset=self.offset + self.scale, scale=-self.scale)
         vars(turned)["inside_out"] = self
         return turned
 
     def histogram(self, bins: int = HISTOGRAM_BINS) -> tuple[np.ndarray, np.ndarray]:
-        """Counts (bins,) int64 of the voxels in the core, and the ``bins + 1`` edges, float64, in own units."""
-        counts = self._usual if bins == HISTOGRAM_BINS else self._count(bins)
+        """Counts (bins,) int64 of the voxels in the core, and the ``bins + 1`` edges, float64, in
+        own units.
+        """
+        if bins == HISTOGRAM_BINS:
+            counts = self._usual
+        else:
+            counts = self._count(bins)
         low, high = self.core
         if low == high:
-            low, high = low - 0.5, high + 0.5
+            low = low - 0.5
+            high = high + 0.5
         t = np.linspace(0.0, 1.0, bins + 1)
         return counts[:: 1 if self.scale > 0 else -1].copy(), low * (1 - t) + high * t
 
     @cached_property
     def _usual(self) -> np.ndarray:
-        """The counts that were kept with the volume, or those of HISTOGRAM_BINS bins, which are counted once."""
-        return np.array(self.counts) if len(self.counts) == HISTOGRAM_BINS else self._count(HISTOGRAM_BINS)
+        """The counts that were kept with the volume, or those of HISTOGRAM_BINS bins, which are
+        counted once.
+        """
+        if len(self.counts) == HISTOGRAM_BINS:
+            return np.array(self.counts)
+        return self._count(HISTOGRAM_BINS)
 
     def _count(self, bins: int, progress: Progress = no_progress) -> np.ndarray:
         """Counts (bins,) int64 of the voxels in the core, ascending in the voxels' units."""
-        span, counts, layers = self.core_span(), np.zeros(bins, np.int64), len(self.voxels)
+        span = self.core_span()
+        counts = np.zeros(bins, np.int64)
+        layers = len(self.voxels)
         slabs = sum(1 for _ in self.slabs())
         for number, inner in enumerate(self.core_voxels(), 1):
             counts += np.histogram(inner, bins, span)[0]
@@ -315,12 +372,14 @@ def make_volume(
     name: str = "",
     missing: Sequence[float] = (),
 ) -> Volume:
-    """Normalise an array (z, y, x) of any real type into a Volume; voxels equal to one of ``missing`` are holes.
+    """Normalise an array (z, y, x) of any real type into a Volume; voxels equal to one of
+    ``missing`` are holes.
 
-    The offset is the core's minimum (maximum where ``solid`` is "below"), the scale the power of two that brings
-    the core into [0, 1] ([0, 4] where its range passes 2^1023). Both are removed before the values become float32,
-    from integers of 64 bits as integers: a small range on a large offset keeps its digits, and tiny and subnormal
-    ranges are like any other. A constant volume has scale ± 1. Raises VolumeError as ``survey`` does.
+    The offset is the core's minimum (maximum where ``solid`` is "below"), the scale the power of
+    two that brings the core into [0, 1] ([0, 4] where its range passes 2^1023). Both are removed
+    before the values become float32, from integers of 64 bits as integers: a small range on a large
+    offset keeps its digits, and tiny and subnormal ranges are like any other. A constant volume has
+    scale ± 1. Raises VolumeError as ``survey`` does.
     """
     found = survey(Grid.of(np.asarray(array), spacing), solid, missing)
     voxels = np.empty(found.grid.shape, np.float32)

@@ -1,4 +1,6 @@
-"""Scene assembly: from a scene file, a volume or a demo to a scene with checked settings and a plan."""
+"""Scene assembly: from a scene file, a volume or a demo to a scene with checked settings and a
+plan.
+"""
 
 import math
 import re
@@ -33,15 +35,16 @@ from isogi_core.plan.volumes.masks import cut_away
 from isogi_core.plan.volumes.opening import open_volume
 
 INSIDE_OUT = 0.6
-"""Share of a volume's border above the isovalue from which the volume is taken as inside out. Seventeen volumes with
-their objects in air had 0 to 0.11 of it there, a ramp has half."""
+"""Share of a volume's border above the isovalue from which the volume is taken as inside out.
+Seventeen volumes with their objects in air had 0 to 0.11 of it there, a ramp has half."""
 
 
 def load_scene(target: str | Path | None = None, **settings: Any) -> Scene:
-    """Load a scene file (.toml), a volume (.nrrd, .nhdr, .zarr) or a demo ("demo:casting", also the default).
+    """Load a scene file (.toml), a volume (.nrrd, .nhdr, .zarr) or a demo ("demo:casting", also the
+    default).
 
-    ``settings`` replace those of the scene, by their names in a scene file. Raises SceneError, VolumeError and
-    LightError.
+    ``settings`` replace those of the scene, by their names in a scene file. Raises SceneError,
+    VolumeError and LightError.
     """
     return build_scene(find_source(target, settings))
 
@@ -55,13 +58,14 @@ def build_scene(
 ) -> Scene:
     """Open the volume and the lights of ``source``, check every setting, and make the plan.
 
-    ``progress`` is called while a copy of a large volume is made. A ``volume`` that is given replaces the one that the
-    scene names, ``colours`` its own, and ``glow_bits`` what is read of the masks of its glows. Raises SceneError,
-    VolumeError or LightError.
+    ``progress`` is called while a copy of a large volume is made. A ``volume`` that is given
+    replaces the one that the scene names, ``colours`` its own, and ``glow_bits`` what is read of
+    the masks of its glows. Raises SceneError, VolumeError or LightError.
     """
     settings = Settings(source)
     settings.text("volume", DEFAULT_DEMO)  # named by the scene, also where another way led to it
-    cut, whole = settings.text("cut", ""), None
+    cut = settings.text("cut", "")
+    whole = None
     if volume is None:
         settings, whole = open_whole(settings, progress)
         colours = colours or colours_by_data(settings, whole)
@@ -71,11 +75,15 @@ def build_scene(
     scene = scene_around(volume, settings, colours, glow_bits)
     settings.refuse_unknown()
     # what is cut away does not change how bright the rest is
-    return replace(scene, exposed_for=replace(scene, volume=whole).seen) if whole is not None and cut else scene
+    if whole is not None and cut:
+        return replace(scene, exposed_for=replace(scene, volume=whole).seen)
+    return scene
 
 
 def open_whole(settings: Settings, progress: Progress) -> tuple[Settings, Volume]:
-    """The volume that a scene names, before it is cut, and the settings, which say where its file holds labels."""
+    """The volume that a scene names, before it is cut, and the settings, which say where its file
+    holds labels.
+    """
     whole = open_volume(settings, progress)
     settings = with_labels(settings, whole)
     return settings, right_side_out(settings, whole, progress)
@@ -85,7 +93,8 @@ def scene_around(
     volume: Volume, settings: Settings, colours: SurfaceColours | None, glow_bits: np.ndarray | None
 ) -> Scene:
     """The scene of a ``volume`` that is open, by its ``settings``."""
-    isovalues, overrides = settings.interval("isovalues", volume.value_range, volume.core), plan_overrides(settings)
+    isovalues = settings.interval("isovalues", volume.value_range, volume.core)
+    overrides = plan_overrides(settings)
     surfaces = read_surfaces(settings, volume, colours, overrides)
     lighting = read_lighting(settings, volume, surfaces, glow_bits)
     inputs = plan_inputs(volume, surfaces, lighting, overrides, settings.target_error)
@@ -104,8 +113,12 @@ def scene_around(
     )
 
 
-def read_settings(settings: Settings, isovalues: tuple[float, float], overrides: PlanOverrides) -> SceneSettings:
-    """What a scene's file says of texels, rays and views. SceneError where a value has no meaning."""
+def read_settings(
+    settings: Settings, isovalues: tuple[float, float], overrides: PlanOverrides
+) -> SceneSettings:
+    """What a scene's file says of texels, rays and views. SceneError where a value has no
+    meaning.
+    """
     return SceneSettings(
         lattice=settings.number("lattice", 1.0, 0.125, 4.0),
         chunk=settings.choice("chunk", CHUNK_SIDES) or DEFAULT_CHUNK_SIDE,
@@ -119,10 +132,15 @@ def read_settings(settings: Settings, isovalues: tuple[float, float], overrides:
 
 
 def plan_inputs(
-    volume: Volume, surfaces: SceneSurfaces, lighting: SceneLighting, overrides: PlanOverrides, target_error: float
+    volume: Volume,
+    surfaces: SceneSurfaces,
+    lighting: SceneLighting,
+    overrides: PlanOverrides,
+    target_error: float,
 ) -> PlanInputs:
     """The facts of a scene that its plan depends on."""
-    own, colours = leaving(surfaces.albedo, surfaces.transmission), surfaces.colours
+    own = leaving(surfaces.albedo, surfaces.transmission)
+    colours = surfaces.colours
     return PlanInputs(
         lighting.environment,
         lighting.lamps,
@@ -139,22 +157,31 @@ def plan_inputs(
 
 
 def with_labels(settings: Settings, whole: Volume) -> Settings:
-    """The settings of the scene, which say from now on that its volume is a segmentation where the file said so."""
+    """The settings of the scene, which say from now on that its volume is a segmentation where the
+    file said so.
+    """
     source = settings.source
     if not whole.segmented or source.document.get("labels"):
         return settings
-    return Settings(replace(source, document={**source.document, "labels": ALL_LABELS}), settings.known)
+    return Settings(
+        replace(source, document={**source.document, "labels": ALL_LABELS}), settings.known
+    )
 
 
 def colours_by_data(settings: Settings, whole: Volume) -> SurfaceColours | None:
-    """The colours of a scene, None where it has one albedo; ``whole`` is its volume before it is cut.
+    """The colours of a scene, None where it has one albedo; ``whole`` is its volume before it is
+    cut.
 
     Raises SceneError and VolumeError.
     """
-    table, labels = find_table(settings), find_labels(settings)
+    table = find_table(settings)
+    labels = find_labels(settings)
     if labels is not None:
         if table is not None:
-            raise SceneError(f"Labels of the scene '{settings.source.name}' have colours: leave the other volume out.")
+            raise SceneError(
+                f"Labels of the scene '{settings.source.name}' have colours: leave the other "
+                "volume out."
+            )
         return colours_of_labels(labels, settings, whole)
     if table is None:
         return None
@@ -175,30 +202,41 @@ def plan_overrides(settings: Settings) -> PlanOverrides:
 
 
 def right_side_out(settings: Settings, volume: Volume, progress: Progress) -> Volume:
-    """The volume, solid below where the scene does not say and its object is low: a distance field, pores."""
+    """The volume, solid below where the scene does not say and its object is low: a distance field,
+    pores.
+    """
     given = settings.text("solid", "") or find_labels(settings) is not None
     if given or settings.text("volume", DEFAULT_DEMO).startswith("demo:"):
         return volume
     outside = border_above(volume, start_isovalue(settings, volume, volume.value_range))
-    return open_volume(settings, progress, "below") if outside > INSIDE_OUT else volume
+    if outside > INSIDE_OUT:
+        return open_volume(settings, progress, "below")
+    return volume
 
 
 def border_above(volume: Volume, isovalue: float) -> float:
-    """The share of the box's border above an ``isovalue``; faces across x are left out: they are all over the file."""
-    voxels, level = volume.voxels, volume.normalise_isovalue(isovalue)
+    """The share of the box's border above an ``isovalue``; faces across x are left out: they are
+    all over the file.
+    """
+    voxels = volume.voxels
+    level = volume.normalise_isovalue(isovalue)
     faces = (voxels[0], voxels[-1], voxels[:, 0], voxels[:, -1])
     return sum(int((face > level).sum()) for face in faces) / sum(face.size for face in faces)
 
 
 def start_isovalue(settings: Settings, volume: Volume, within: tuple[float, float]) -> float:
-    """The isovalue where views start: the scene's own, or the default as near as it is to that ``within`` a range."""
+    """The isovalue where views start: the scene's own, or the default as near as it is to that
+    ``within`` a range.
+    """
     given = settings.number("isovalue", math.nan, *within)
-    return min(max(default_isovalue(settings, volume), within[0]), within[1]) if math.isnan(given) else given
+    if math.isnan(given):
+        return min(max(default_isovalue(settings, volume), within[0]), within[1])
+    return given
 
 
 def default_isovalue(settings: Settings, volume: Volume) -> float:
-    """An isovalue for a scene that gives none: the demo's, that of a segmentation, or Otsu's threshold, half-way
-    between the values on its two sides.
+    """An isovalue for a scene that gives none: the demo's, that of a segmentation, or Otsu's
+    threshold, half-way between the values on its two sides.
     """
     if find_labels(settings) is not None:
         return LABEL_ISOVALUE
@@ -212,12 +250,14 @@ SAMPLED_LAYERS = 16
 """Layers of a volume whose voxels are looked at for values beside an isovalue."""
 
 NEAR_VALUES_SHARE = 2 / HISTOGRAM_BINS
-"""Share of the core's span up to which values are near each other: they fill the histogram's bins."""
+"""Share of the core's span up to which values are near each other: they fill the histogram's
+bins.
+"""
 
 
 def halfway(volume: Volume, isovalue: float) -> float:
-    """The middle between the values next to an ``isovalue``, as in a mask or few whole numbers; itself where values
-    are near each other, or on one side alone. Some layers are looked at.
+    """The middle between the values next to an ``isovalue``, as in a mask or few whole numbers;
+    itself where values are near each other, or on one side alone. Some layers are looked at.
     """
     layers = volume.voxels[:: max(len(volume.voxels) // SAMPLED_LAYERS, 1)]
     level = volume.normalise_isovalue(isovalue)
@@ -230,8 +270,8 @@ def halfway(volume: Volume, isovalue: float) -> float:
 
 
 def otsu(counts: np.ndarray, edges: np.ndarray) -> float:
-    """The value that splits a histogram of even bins into the two classes farthest apart (Otsu 1979): an edge, or
-    half-way over the empty bins between the classes.
+    """The value that splits a histogram of even bins into the two classes farthest apart (Otsu
+    1979): an edge, or half-way over the empty bins between the classes.
 
     Distances are counted in bins, as squares of values may overflow or underflow a double.
     """

@@ -5,17 +5,25 @@ from typing import Literal
 
 import numpy as np
 
-from isogi_core.kernels.transport.harmonics import DIAGONAL, MAX_ORDER, RECURRENCE_OFFSET, RECURRENCE_SLOPE
+from isogi_core.kernels.transport.harmonics import (
+    DIAGONAL,
+    MAX_ORDER,
+    RECURRENCE_OFFSET,
+    RECURRENCE_SLOPE,
+)
 from isogi_core.model.environment import LUMINANCE_WEIGHTS, Environment
 
 # Gauss nodes and weights on [0, 1]: exact to rounding up to MAX_ORDER, even over a whole meridian.
 GAUSS_NODES, GAUSS_WEIGHTS = (
-    0.5 * (g + shift) for g, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0), strict=True)
+    0.5 * (g + shift)
+    for g, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0), strict=True)
 )
 
 
 def project_environment(environment: Environment, order: int) -> np.ndarray:
-    """Project an environment: SH coefficients, linear RGB, (3, n²) float64; constant exactly, image by quadrature."""
+    """Project an environment: SH coefficients, linear RGB, (3, n²) float64; constant exactly, image
+    by quadrature.
+    """
     coefficients = np.zeros((3, order**2))
     if environment.image.any():
         coefficients += project_image(environment.image, order)
@@ -24,10 +32,11 @@ def project_environment(environment: Environment, order: int) -> np.ndarray:
 
 
 def project_image(image: np.ndarray, order: int) -> np.ndarray:
-    """Coefficients ∫ L Y_i dω of a lat-long image (h, w, 3) for ``order`` <= MAX_ORDER; (3, order²) float64.
+    """Coefficients ∫ L Y_i dω of a lat-long image (h, w, 3) for ``order`` <= MAX_ORDER; (3, order²)
+    float64.
 
-    Exact for the image as it is looked up, constant over each pixel: the integral over a pixel is one in
-    θ times one in φ, so pixel solid angles are exact too. S1, eq. 7.
+    Exact for the image as it is looked up, constant over each pixel: the integral over a pixel is
+    one in θ times one in φ, so pixel solid angles are exact too. S1, eq. 7.
     """
     height, width = image.shape[:2]
     moments = np.tensordot(_waves(order, width), image, (2, 1))
@@ -49,7 +58,9 @@ def _waves(order: int, width: int) -> np.ndarray:
 
 
 def _profiles(order: int, height: int) -> np.ndarray:
-    """∫ Y_lm(θ, 0) sinθ dθ over each of the ``height`` rows, m >= 0; (order, order, height) at [m, l], 0 for l < m."""
+    """∫ Y_lm(θ, 0) sinθ dθ over each of the ``height`` rows, m >= 0; (order, order, height) at [m,
+    l], 0 for l < m.
+    """
     row = math.pi / height
     theta = (np.arange(height)[:, None] + GAUSS_NODES) * row
     weights = row * GAUSS_WEIGHTS * np.sin(theta)
@@ -61,9 +72,12 @@ def _profiles(order: int, height: int) -> np.ndarray:
 
 
 def _meridian(order: int, m: int, theta: np.ndarray) -> list[np.ndarray]:
-    """Y_lm(θ, 0) for l = m … order - 1: the recurrence of ``harmonics.accumulate``, array by array."""
+    """Y_lm(θ, 0) for l = m … order - 1: the recurrence of ``harmonics.accumulate``, array by
+    array.
+    """
     z = np.cos(theta)
-    before, values = np.zeros_like(z), [DIAGONAL[m] * np.sin(theta) ** m]
+    before = np.zeros_like(z)
+    values = [DIAGONAL[m] * np.sin(theta) ** m]
     for l in range(m + 1, order):
         values.append(RECURRENCE_SLOPE[l, m] * z * values[-1] - RECURRENCE_OFFSET[l, m] * before)
         before = values[-2]
@@ -71,7 +85,9 @@ def _meridian(order: int, m: int, theta: np.ndarray) -> list[np.ndarray]:
 
 
 def sphere_nodes(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points θ, φ of the sphere and their weights, (points,) each: exact for harmonics below ``degree``."""
+    """Points θ, φ of the sphere and their weights, (points,) each: exact for harmonics below
+    ``degree``.
+    """
     z, weights = np.polynomial.legendre.leggauss(degree // 2 + 1)
     phi = 2.0 * math.pi / degree * np.arange(degree)
     theta, phi = (grid.ravel() for grid in np.meshgrid(np.arccos(z), phi, indexing="ij"))
@@ -94,21 +110,30 @@ Kind = Literal["direct", "indirect"]
 MEASURED_ALBEDO = 0.7
 """The albedo of the surfaces that the transfer was measured on."""
 
-TRANSFER_DIRECT = np.array([0.871, 0.417, 0.0797, 6.44e-3, 3.79e-3, 1.52e-3, 1.07e-3, 5.87e-4, 4.49e-4, 3.01e-4])
-TRANSFER_INDIRECT = np.array([0.0212, 6.18e-3, 9.83e-4, 1.34e-4, 7.48e-5, 2.59e-5, 1.60e-5, 7.71e-6, 5.10e-6, 2.98e-6])
-"""T_l = 4π |τ_l|² / (2l + 1) for l < MAX_ORDER, over the square of the mean transfer, direct and indirect.
+TRANSFER_DIRECT = np.array(
+    [0.871, 0.417, 0.0797, 6.44e-3, 3.79e-3, 1.52e-3, 1.07e-3, 5.87e-4, 4.49e-4, 3.01e-4]
+)
+TRANSFER_INDIRECT = np.array(
+    [0.0212, 6.18e-3, 9.83e-4, 1.34e-4, 7.48e-5, 2.59e-5, 1.60e-5, 7.71e-6, 5.10e-6, 2.98e-6]
+)
+"""T_l = 4π |τ_l|² / (2l + 1) for l < MAX_ORDER, over the square of the mean transfer, direct and
+indirect.
 
-Geometric means over the engine at 70, the CT head at 110, the MNI brain at 90, the bonsai at 80 and heptane at
-100: of each 512 texels at the surface, counted by how much random views see of them, 8192 paths, 4 bounces,
-albedo 0.7. An open surface has (A_l/π)² of the cosine lobe: 1, 0.444, 0.0625, 0, 1.7e-3, 0; the edges of
-shadows add the slow decay.
+Geometric means over the engine at 70, the CT head at 110, the MNI brain at 90, the bonsai at 80 and
+heptane at 100: of each 512 texels at the surface, counted by how much random views see of them,
+8192 paths, 4 bounces, albedo 0.7. An open surface has (A_l/π)² of the cosine lobe: 1, 0.444,
+0.0625, 0, 1.7e-3, 0; the edges of shadows add the slow decay.
 """
 
 DECAY: dict[Kind, float] = {"direct": 2.8, "indirect": 3.9}
-"""From MAX_ORDER on T_l falls as (l + ½)^-DECAY: fitted to bands 8 … 31 and 8 … 20 of the same texels."""
+"""From MAX_ORDER on T_l falls as (l + ½)^-DECAY: fitted to bands 8 … 31 and 8 … 20 of the same
+texels.
+"""
 
 STEEPEST_SLOPE = -4.0
-"""The steepest slope that is assumed for a light's power per coefficient: beyond band 9 probes level off."""
+"""The steepest slope that is assumed for a light's power per coefficient: beyond band 9 probes
+level off.
+"""
 
 _TRANSFER: dict[Kind, np.ndarray] = {"direct": TRANSFER_DIRECT, "indirect": TRANSFER_INDIRECT}
 
@@ -120,7 +145,9 @@ Under uffizi the error of orders 6 and 8 is 3.2 and 1.7 %, with 48 and 79 bytes 
 """
 
 FAR_BANDS_ERROR = 0.02
-"""The error that FAR_BANDS pay for at any target below, so that a smaller one never takes fewer bands."""
+"""The error that FAR_BANDS pay for at any target below, so that a smaller one never takes fewer
+bands.
+"""
 
 
 def band_energy(light: np.ndarray) -> np.ndarray:
@@ -133,31 +160,39 @@ def band_energy(light: np.ndarray) -> np.ndarray:
     return np.add.reduceat(squares, np.arange(order) ** 2)
 
 
-def truncation_error(energy: np.ndarray, order: int, kind: Kind, albedo: float = MEASURED_ALBEDO) -> float:
-    """Relative error of a lit surface when its ``kind`` of light keeps the bands below ``order`` <= MAX_ORDER.
+def truncation_error(
+    energy: np.ndarray, order: int, kind: Kind, albedo: float = MEASURED_ALBEDO
+) -> float:
+    """Relative error of a lit surface when its ``kind`` of light keeps the bands below ``order`` <=
+    MAX_ORDER.
 
-    The root mean square over the surface that views see and all turns of the light, over the mean of direct and
-    indirect luminance. ``energy`` (MAX_ORDER,) is that of ``band_energy``; what lies beyond it is taken from its
-    decay. Indirect light's error is about in proportion to the ``albedo``; direct light's changes by 15 % at
-    most, which is left out.
+    The root mean square over the surface that views see and all turns of the light, over the mean
+    of direct and indirect luminance. ``energy`` (MAX_ORDER,) is that of ``band_energy``; what lies
+    beyond it is taken from its decay. Indirect light's error is about in proportion to the
+    ``albedo``; direct light's changes by 15 % at most, which is left out.
 
-    Measured on those five surfaces and five others (carp, teapot, tooth, neghip, T1 brain) under eight probes and
-    two skies, up to order 5: within a factor 1.6 on eight, up to 2.3 times too large on the smooth tooth and teapot.
+    Measured on those five surfaces and five others (carp, teapot, tooth, neghip, T1 brain) under
+    eight probes and two skies, up to order 5: within a factor 1.6 on eight, up to 2.3 times too
+    large on the smooth tooth and teapot.
     """
     if not energy[0] > 0.0:
         return 0.0
     lost = float(_TRANSFER[kind][order:] @ energy[order:]) + _beyond(energy, kind)
-    reflected = albedo / MEASURED_ALBEDO if kind == "indirect" else 1.0
+    if kind == "indirect":
+        reflected = albedo / MEASURED_ALBEDO
+    else:
+        reflected = 1.0
     return reflected * math.sqrt(lost / float(energy[0]))
 
 
 def choose_order(
     energy: np.ndarray, target: float, kind: Kind, most: int = 5, albedo: float = MEASURED_ALBEDO
 ) -> tuple[int, float]:
-    """Least order whose ``truncation_error`` is within ``target``, or else ``most``; and that error.
+    """Least order whose ``truncation_error`` is within ``target``, or else ``most``; and that
+    error.
 
-    Bytes grow as n², while the error falls about as 1/n² under a soft light, as 1/n under lamps and only as 1/√n
-    under a sun. A constant light has order 1 and no error.
+    Bytes grow as n², while the error falls about as 1/n² under a soft light, as 1/n under lamps and
+    only as 1/√n under a sun. A constant light has order 1 and no error.
     """
     for order in range(1, most):
         error = truncation_error(energy, order, kind, albedo)
@@ -169,14 +204,17 @@ def choose_order(
 def _beyond(energy: np.ndarray, kind: Kind) -> float:
     """Σ T_l B_l over the bands l >= MAX_ORDER, by the integral over x = l + ½ from there on.
 
-    T falls as x^-DECAY. The light's power per coefficient, B_l / 2x, goes on as it went from bands 4 … 6 to
-    bands 7 … 9: as x^slope, never rising.
+    T falls as x^-DECAY. The light's power per coefficient, B_l / 2x, goes on as it went from bands
+    4 … 6 to bands 7 … 9: as x^slope, never rising.
     """
     per_coefficient = energy / (2.0 * np.arange(MAX_ORDER) + 1.0)
     near, far = float(per_coefficient[4:7].mean()), float(per_coefficient[7:10].mean())
     if far == 0.0:
         return 0.0
-    slope = max(math.log(far / near) / math.log(8.5 / 5.5), STEEPEST_SLOPE) if far < near else 0.0
+    if far < near:
+        slope = max(math.log(far / near) / math.log(8.5 / 5.5), STEEPEST_SLOPE)
+    else:
+        slope = 0.0
     light = 2.0 * MAX_ORDER * far * (MAX_ORDER / 8.5) ** slope
     transfer = _TRANSFER[kind][-1] * (MAX_ORDER / (MAX_ORDER - 0.5)) ** -DECAY[kind]
     return float(light * transfer * MAX_ORDER / (DECAY[kind] - slope - 2.0))

@@ -18,13 +18,17 @@ from isogi_core.plan.bands import band_energy, project_environment
 from isogi_core.plan.lobe_choice import energy_beside, find_lobes
 
 FOUND: WeakKeyDictionary[Any, dict[Hashable, Any]] = WeakKeyDictionary()
-"""What was worked out of the environments and volumes in use, which scenes share that have the same."""
+"""What was worked out of the environments and volumes in use, which scenes share that have the
+same.
+"""
 
 Input = TypeVar("Input")
 
 
 def found(subject: Environment | Volume, what: Hashable, find: Callable[[], Input]) -> Input:
-    """What was found of a ``subject``, or is found now: ``what`` holds all that it depends on besides."""
+    """What was found of a ``subject``, or is found now: ``what`` holds all that it depends on
+    besides.
+    """
     known = FOUND.setdefault(subject, {})
     if what not in known:
         known[what] = find()
@@ -47,12 +51,13 @@ class PlanOverrides:
 
 @dataclass(frozen=True)
 class PlanInputs:
-    """Facts of a scene that its plan depends on: lights, whether they may turn, albedo, and relative target error.
+    """Facts of a scene that its plan depends on: lights, whether they may turn, albedo, and
+    relative target error.
 
-    ``centre`` and ``radius`` are of the ball around the volume, in world units. ``albedo`` is the highest that views
-    may ask for, ``walls`` are the albedos of walls, or of several surfaces. The surface may have its albedo
-    ``by_data``, at most this one, and is then ``coloured`` where these are not all grey. So many ``glows`` are in the
-    volume.
+    ``centre`` and ``radius`` are of the ball around the volume, in world units. ``albedo`` is the
+    highest that views may ask for, ``walls`` are the albedos of walls, or of several surfaces. The
+    surface may have its albedo ``by_data``, at most this one, and is then ``coloured`` where these
+    are not all grey. So many ``glows`` are in the volume.
     """
 
     environment: Environment
@@ -91,12 +96,20 @@ class PlanInputs:
 
     @cached_property
     def brightest(self) -> float:
-        """Upper bound of irradiance over π, in luminance, of an unshadowed surface at the centre facing the light.
+        """Upper bound of irradiance over π, in luminance, of an unshadowed surface at the centre
+        facing the light.
 
-        The environment's part is taken from bands 0 and 1, which hold nearly all of it: mean + 2 |mean of L·ω|.
+        The environment's part is taken from bands 0 and 1, which hold nearly all of it: mean + 2
+        |mean of L·ω|.
         """
-        mean, *slope = (LUMINANCE_WEIGHTS @ self.harmonics[:, :4] / math.sqrt(4.0 * math.pi)).tolist()
-        return mean + 2.0 * math.hypot(*slope) / math.sqrt(3.0) + self.lamps.brightest(self.centre, self.radius)
+        mean, *slope = (
+            LUMINANCE_WEIGHTS @ self.harmonics[:, :4] / math.sqrt(4.0 * math.pi)
+        ).tolist()
+        return (
+            mean
+            + 2.0 * math.hypot(*slope) / math.sqrt(3.0)
+            + self.lamps.brightest(self.centre, self.radius)
+        )
 
     @cached_property
     def energy(self) -> np.ndarray:
@@ -104,18 +117,24 @@ class PlanInputs:
         return band_energy(self.harmonics)
 
     def energy_beside(self, lobes: int) -> np.ndarray:
-        """``energy`` without that of the first ``lobes`` lobes, band 0 excepted; (MAX_ORDER,) float64."""
+        """``energy`` without that of the first ``lobes`` lobes, band 0 excepted; (MAX_ORDER,)
+        float64.
+        """
         return self._energies[lobes]
 
     @cached_property
     def _energies(self) -> tuple[np.ndarray, ...]:
-        return tuple(energy_beside(self.harmonics, self.lobes[:n]) for n in range(len(self.lobes) + 1))
+        return tuple(
+            energy_beside(self.harmonics, self.lobes[:n]) for n in range(len(self.lobes) + 1)
+        )
 
     @cached_property
     def lobes(self) -> tuple[Lobe, ...]:
         """The environment's lobes; none where it does not turn, as it is then baked as it is."""
         find = partial(find_lobes, self.environment, self.harmonics, self.target_error)
-        return found(self.environment, self.target_error, find) if self.rotating else ()
+        if self.rotating:
+            return found(self.environment, self.target_error, find)
+        return ()
 
     @cached_property
     def harmonics(self) -> np.ndarray:

@@ -1,9 +1,11 @@
-"""Isovalue presets and the first view: isovalues that a scene names, or boundaries between its materials.
+"""Isovalue presets and the first view: isovalues that a scene names, or boundaries between its
+materials.
 
-How a scene is seen at first: from where, and how bright. The exposure belongs to the scene: pictures keep it while
-camera, light and isovalue move. It is found before any ray is cast, from the light that the surface would have
-without shadows, whose brightest parts few shadows reach. Of 66 path-traced pictures, of 20 volumes and under 14
-lights, the 98th percentile was 0.58 to 1.09 of the bare surface's; it was 0.93 to 1.06 in four of five.
+How a scene is seen at first: from where, and how bright. The exposure belongs to the scene:
+pictures keep it while camera, light and isovalue move. It is found before any ray is cast, from the
+light that the surface would have without shadows, whose brightest parts few shadows reach. Of 66
+path-traced pictures, of 20 volumes and under 14 lights, the 98th percentile was 0.58 to 1.09 of the
+bare surface's; it was 0.93 to 1.06 in four of five.
 """
 
 import math
@@ -21,7 +23,12 @@ from isogi_core.model.lights import Colour
 from isogi_core.model.view import orbit
 from isogi_core.model.volume import CORE_LIMIT, Isovalue, Volume
 from isogi_core.plan.bands import evaluate_harmonics
-from isogi_core.plan.projection import CELLS_WAITED_FOR, edges_between, extremes_between, slopes_between
+from isogi_core.plan.projection import (
+    CELLS_WAITED_FOR,
+    edges_between,
+    extremes_between,
+    slopes_between,
+)
 
 TRIED_ISOVALUES = 256
 """Number of isovalues that are tried, evenly over the core."""
@@ -45,11 +52,15 @@ PEAK_SHARE = 0.95
 """Share of its height down to which a peak reaches; the middle of that range is suggested."""
 
 RANGE_MARGIN = 0.02
-"""Share of the range at either end in which peaks are left out: they are of values that were cut off."""
+"""Share of the range at either end in which peaks are left out: they are of values that were cut
+off.
+"""
 
 
 def find_boundaries(volume: Volume, isovalues: tuple[float, float]) -> tuple[float, ...]:
-    """Find at most MAX_SUGGESTED_PRESETS isovalues in a range, ascending, in the volume's units; see ``_own_value``."""
+    """Find at most MAX_SUGGESTED_PRESETS isovalues in a range, ascending, in the volume's units;
+    see ``_own_value``.
+    """
     total, area = surface_integrals(volume)
     sharpness = smooth(total / np.maximum(area, np.finfo(float).tiny))
     sharpness[smooth(area) < LEAST_AREA * area.max()] = 0.0
@@ -59,24 +70,35 @@ def find_boundaries(volume: Volume, isovalues: tuple[float, float]) -> tuple[flo
 
 
 def _own_value(volume: Volume, share: float) -> float:
-    """The value at a share of the core, rounded to a power of ten that is at most a hundredth of the core."""
+    """The value at a share of the core, rounded to a power of ten that is at most a hundredth of
+    the core.
+    """
     low, high = volume.core
-    value, hundredth = low * (1.0 - share) + high * share, high / 100.0 - low / 100.0
-    step = 10.0 ** math.floor(math.log10(hundredth)) if hundredth > 0.0 else 0.0
-    return float(f"{round(value / step) * step:.15g}") if step > 0.0 else value
+    value = low * (1.0 - share) + high * share
+    hundredth = high / 100.0 - low / 100.0
+    if hundredth > 0.0:
+        step = 10.0 ** math.floor(math.log10(hundredth))
+    else:
+        step = 0.0
+    if step > 0.0:
+        return float(f"{round(value / step) * step:.15g}")
+    return value
 
 
 def surface_integrals(volume: Volume) -> tuple[np.ndarray, np.ndarray]:
-    """For TRIED_ISOVALUES isovalues in the core: the gradient's integral over the isosurface, and the surface's area;
-    (TRIED_ISOVALUES,).
+    """For TRIED_ISOVALUES isovalues in the core: the gradient's integral over the isosurface, and
+    the surface's area; (TRIED_ISOVALUES,).
 
-    Both up to a factor that all share, and the area along the axes, 1 to √3 of the true one. An edge along an axis
-    stands for the area between it and its neighbours.
+    Both up to a factor that all share, and the area along the axes, 1 to √3 of the true one. An
+    edge along an axis stands for the area between it and its neighbours.
     """
-    voxels, (dx, dy, dz) = volume.voxels, volume.spacing
-    sums, span = np.zeros((2, TRIED_ISOVALUES + 1)), volume.core_span()
+    voxels = volume.voxels
+    (dx, dy, dz) = volume.spacing
+    sums = np.zeros((2, TRIED_ISOVALUES + 1))
+    span = volume.core_span()
     for z in range(0, len(voxels) - 1, max(voxels.size // SAMPLED_VOXELS, 1)):
-        layer, above = voxels[z], voxels[z + 1]
+        layer = voxels[z]
+        above = voxels[z + 1]
         _count_edges(layer, above, 1.0 / dz, span, sums)
         _count_edges(layer[1:], layer[:-1], 1.0 / dy, span, sums)
         _count_edges(layer[:, 1:], layer[:, :-1], 1.0 / dx, span, sums)
@@ -84,17 +106,23 @@ def surface_integrals(volume: Volume) -> tuple[np.ndarray, np.ndarray]:
     return total, area
 
 
-def _count_edges(a: np.ndarray, b: np.ndarray, density: float, span: tuple[float, float], sums: np.ndarray) -> None:
-    """Add to ``sums`` (2, TRIED_ISOVALUES + 1) where the isovalues begin and end that edges from ``a`` to ``b`` pass.
+def _count_edges(
+    a: np.ndarray, b: np.ndarray, density: float, span: tuple[float, float], sums: np.ndarray
+) -> None:
+    """Add to ``sums`` (2, TRIED_ISOVALUES + 1) where the isovalues begin and end that edges from
+    ``a`` to ``b`` pass.
 
-    ``density`` is the inverse length of an edge: the area that it stands for, but for a factor that all axes share.
+    ``density`` is the inverse length of an edge: the area that it stands for, but for a factor that
+    all axes share.
     """
     there = (a != b) & (np.abs(a) <= CORE_LIMIT) & (np.abs(b) <= CORE_LIMIT)
     low, high = np.minimum(a[there], b[there]), np.maximum(a[there], b[there])
     scale = TRIED_ISOVALUES / ((span[1] - span[0]) or 1.0)
     gradient = (high - low) * density
     for ends, sign in ((low, density), (high, -density)):
-        places = np.clip(np.ceil((ends - span[0]) * scale - 0.5), 0, TRIED_ISOVALUES).astype(np.int64)
+        places = np.clip(np.ceil((ends - span[0]) * scale - 0.5), 0, TRIED_ISOVALUES).astype(
+            np.int64
+        )
         sums[0] += sign * np.bincount(places, gradient, TRIED_ISOVALUES + 1)
         sums[1] += sign * np.bincount(places, minlength=TRIED_ISOVALUES + 1)
 
@@ -107,8 +135,8 @@ def smooth(curve: np.ndarray) -> np.ndarray:
 
 
 def peaks(curve: np.ndarray) -> list[float]:
-    """The middles of the MAX_SUGGESTED_PRESETS most prominent peaks, or fewer: see LEAST_FALL, PEAK_SHARE and
-    RANGE_MARGIN.
+    """The middles of the MAX_SUGGESTED_PRESETS most prominent peaks, or fewer: see LEAST_FALL,
+    PEAK_SHARE and RANGE_MARGIN.
     """
     falls = np.array([prominence(curve, at) for at in range(len(curve))])
     found: list[tuple[int, int]] = []
@@ -117,20 +145,28 @@ def peaks(curve: np.ndarray) -> list[float]:
         if not taken and falls[at] >= LEAST_FALL * curve[at] > 0.0:
             found.append(_top(curve, at))
     middles = [(first + last) / 2 for first, last in found]
-    return [middle for middle in middles if RANGE_MARGIN <= (middle + 0.5) / len(curve) <= 1.0 - RANGE_MARGIN][
-        :MAX_SUGGESTED_PRESETS
-    ]
+    return [
+        middle
+        for middle in middles
+        if RANGE_MARGIN <= (middle + 0.5) / len(curve) <= 1.0 - RANGE_MARGIN
+    ][:MAX_SUGGESTED_PRESETS]
 
 
 def prominence(curve: np.ndarray, at: int) -> float:
-    """How far the curve falls on both sides of a place before it rises higher; it is 0 beyond its ends."""
-    return float(curve[at]) - max(_saddle(side, curve[at]) for side in (curve[:at][::-1], curve[at + 1 :]))
+    """How far the curve falls on both sides of a place before it rises higher; it is 0 beyond its
+    ends.
+    """
+    return float(curve[at]) - max(
+        _saddle(side, curve[at]) for side in (curve[:at][::-1], curve[at + 1 :])
+    )
 
 
 def _saddle(side: np.ndarray, height: float) -> float:
     """The lowest that one goes on a side, from its start, before it is higher than ``height``."""
     higher = np.flatnonzero(side > height)
-    return float(side[: higher[0]].min(initial=height)) if len(higher) else 0.0
+    if len(higher):
+        return float(side[: higher[0]].min(initial=height))
+    return 0.0
 
 
 def _top(curve: np.ndarray, at: int) -> tuple[int, int]:
@@ -148,7 +184,9 @@ MAX_NAME_LENGTH = 40
 
 @dataclass(frozen=True)
 class Preset:
-    """An isovalue with a name, in the volume's own units; ``suggested`` where the scene does not name it."""
+    """An isovalue with a name, in the volume's own units; ``suggested`` where the scene does not
+    name it.
+    """
 
     name: str
     isovalue: float
@@ -156,7 +194,9 @@ class Preset:
 
 
 def read_presets(settings: Settings, isovalues: tuple[float, float]) -> tuple[Preset, ...]:
-    """Read the scene's own presets, in its order; SceneError where one has no name or lies outside ``isovalues``."""
+    """Read the scene's own presets, in its order; SceneError where one has no name or lies outside
+    ``isovalues``.
+    """
     entries = settings.tables("presets", MOST_NAMED)
     presets = tuple(_preset(entry, isovalues) for entry in entries)
     if len({preset.name for preset in presets}) < len(presets):
@@ -172,13 +212,26 @@ def suggested_presets(values: tuple[float, ...]) -> tuple[Preset, ...]:
 def _preset(entry: Mapping[str, Any], isovalues: tuple[float, float]) -> Preset:
     if set(entry) != {"name", "isovalue"}:
         given = ", ".join(sorted(map(str, entry))) or "nothing"
-        raise SceneError(f"A preset of the scene has {given}: give it name and isovalue, and no more.")
-    name, isovalue = entry["name"], entry["isovalue"]
-    if not isinstance(name, str) or not name.strip() or len(name) > MAX_NAME_LENGTH or not name.isprintable():
-        raise SceneError(f"A preset's name is {name!r}: give it a word or a few, {MAX_NAME_LENGTH} characters at most.")
+        raise SceneError(
+            f"A preset of the scene has {given}: give it name and isovalue, and no more."
+        )
+    name = entry["name"]
+    isovalue = entry["isovalue"]
+    if (
+        not isinstance(name, str)
+        or not name.strip()
+        or len(name) > MAX_NAME_LENGTH
+        or not name.isprintable()
+    ):
+        raise SceneError(
+            f"A preset's name is {name!r}: give it a word or a few, {MAX_NAME_LENGTH} "
+            "characters at most."
+        )
     low, high = isovalues
     if not is_number(isovalue) or not low <= isovalue <= high:
-        raise SceneError(f"The preset '{name}' has isovalue {isovalue!r}, not a number from {low:g} to {high:g}.")
+        raise SceneError(
+            f"The preset '{name}' has isovalue {isovalue!r}, not a number from {low:g} to {high:g}."
+        )
     return Preset(name.strip(), float(isovalue))
 
 
@@ -201,11 +254,13 @@ BRIGHT_SHARE = 0.98
 """Share of the seen surface that shows its albedo or less."""
 
 MAX_SHOWN_ALBEDO = 0.75
-"""Highest albedo that is shown as it is: lighter surfaces are darkened to it, so that their highlights keep shape."""
+"""Highest albedo that is shown as it is: lighter surfaces are darkened to it, so that their
+highlights keep shape.
+"""
 
 FALL = 0.5
-"""Least brightness that the front counts as having, of that on the brightest side of a ball: no turn of the camera ends
-in white.
+"""Least brightness that the front counts as having, of that on the brightest side of a ball: no
+turn of the camera ends in white.
 """
 
 BALL_DIRECTIONS = pixel_directions(16, 32).reshape(-1, 3)
@@ -213,14 +268,17 @@ BALL_DIRECTIONS = pixel_directions(16, 32).reshape(-1, 3)
 
 
 class SeenNormals(NamedTuple):
-    """Outward unit ``normals`` (n, 3) of a surface in the volume's box, and how much each is seen of, (n,)."""
+    """Outward unit ``normals`` (n, 3) of a surface in the volume's box, and how much each is seen
+    of, (n,).
+    """
 
     normals: np.ndarray
     weights: np.ndarray
 
 
 def front_of(volume: Volume, inside: bool) -> tuple[float, float]:
-    """The azimuth and the elevation from which a ``volume`` is seen at first: its longer side lies across.
+    """The azimuth and the elevation from which a ``volume`` is seen at first: its longer side lies
+    across.
 
     ``inside`` a room it is seen from the open side.
     """
@@ -234,27 +292,37 @@ def front_of(volume: Volume, inside: bool) -> tuple[float, float]:
 
 
 def find_seen(volume: Volume, level: Isovalue, front: tuple[float, float]) -> SeenNormals:
-    """The normals of an isosurface that look to the ``front``, weighted by the area that is seen of them from there.
+    """The normals of an isosurface that look to the ``front``, weighted by the area that is seen of
+    them from there.
 
     Parts that others hide count, too. A ball stands for a surface that is not there.
     """
-    towards = np.array(volume.orientation.direction_to_box(orbit((0.0, 0.0, 0.0), 1.0, *front, 1.0, 1.0).eye))
+    towards = np.array(
+        volume.orientation.direction_to_box(orbit((0.0, 0.0, 0.0), 1.0, *front, 1.0, 1.0).eye)
+    )
     found = surface_normals(volume, level)
     facing = found[found @ towards > 0.0]
-    normals = facing[:: max(math.ceil(len(facing) / MAX_NORMALS), 1)] if len(facing) else BALL_DIRECTIONS
+    if len(facing):
+        normals = facing[:: max(math.ceil(len(facing) / MAX_NORMALS), 1)]
+    else:
+        normals = BALL_DIRECTIONS
     weights = np.maximum(normals @ towards, 0.0) / (np.abs(normals) @ np.array(volume.spacing))
     return SeenNormals(normals, weights)
 
 
 def surface_normals(volume: Volume, level: Isovalue) -> np.ndarray:
-    """Outward unit normals (n, 3) of the cells that an isosurface passes, among about CELLS_WAITED_FOR cells."""
+    """Outward unit normals (n, 3) of the cells that an isosurface passes, among about
+    CELLS_WAITED_FOR cells.
+    """
     step = max(math.ceil(math.sqrt(volume.voxels.size / CELLS_WAITED_FOR)), 1)
     found = [np.empty((0, 3))]
     for z in range(0, len(volume.voxels) - 1, step):
         edges = edges_between(volume.voxels[z], volume.voxels[z + 1], step)
         low, high = extremes_between(edges)
         passed = (low <= level) & (level < high)
-        found.append(-np.stack([slope[passed] for slope in slopes_between(edges, volume.spacing)], axis=1))
+        found.append(
+            -np.stack([slope[passed] for slope in slopes_between(edges, volume.spacing)], axis=1)
+        )
     slopes = np.concatenate(found)
     lengths = np.linalg.norm(slopes, axis=1)
     sound = np.isfinite(lengths) & (lengths > 0.0)
@@ -262,25 +330,33 @@ def surface_normals(volume: Volume, level: Isovalue) -> np.ndarray:
 
 
 def exposure_for(light: np.ndarray, albedo: Colour, seen: SeenNormals) -> float:
-    """The exposure at which BRIGHT_SHARE of what is ``seen`` shows its ``albedo`` or less, and at most
-    MAX_SHOWN_ALBEDO; three digits.
+    """The exposure at which BRIGHT_SHARE of what is ``seen`` shows its ``albedo`` or less, and at
+    most MAX_SHOWN_ALBEDO; three digits.
 
-    ``light`` is all that shines on it, as harmonics, linear RGB (3, n²). The exposure is 1 where that is nothing.
+    ``light`` is all that shines on it, as harmonics, linear RGB (3, n²). The exposure is 1 where
+    that is nothing.
     """
-    tint = np.array(albedo) / max(albedo) if any(albedo) else np.ones(3)
+    if any(albedo):
+        tint = np.array(albedo) / max(albedo)
+    else:
+        tint = np.ones(3)
     front = percentile(brightness(light, tint, seen.normals), seen.weights, BRIGHT_SHARE)
     white = max(front, FALL * float(brightness(light, tint, BALL_DIRECTIONS).max()))
-    return float(f"{MAX_SHOWN_ALBEDO / max(*albedo, MAX_SHOWN_ALBEDO) / white:.3g}") if white > 0.0 else 1.0
+    if white > 0.0:
+        return float(f"{MAX_SHOWN_ALBEDO / max(*albedo, MAX_SHOWN_ALBEDO) / white:.3g}")
+    return 1.0
 
 
 def brightness(light: np.ndarray, tint: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """The brightest channel of a surface of colour ``tint`` (3,) under a ``light``, without shadows: tint · E/π at each
-    of the ``normals`` (n, 3); (n,).
+    """The brightest channel of a surface of colour ``tint`` (3,) under a ``light``, without
+    shadows: tint · E/π at each of the ``normals`` (n, 3); (n,).
     """
     order = math.isqrt(light.shape[1])
     x, y, z = normals.T
     bands = np.repeat(cosine_lobe_factors(order) / math.pi, 2 * np.arange(order) + 1)
-    arriving = (light * bands) @ evaluate_harmonics(order, np.arctan2(np.hypot(x, y), z), np.arctan2(y, x))
+    arriving = (light * bands) @ evaluate_harmonics(
+        order, np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)
+    )
     return np.asarray((tint[:, None] * arriving).max(axis=0))
 
 

@@ -1,4 +1,6 @@
-"""What a plan leaves out, why, and what that saves, each compared with the same plan and that one thing put back."""
+"""What a plan leaves out, why, and what that saves, each compared with the same plan and that one
+thing put back.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -9,14 +11,28 @@ from isogi_core.model.material import Shine
 from isogi_core.model.scene_plan import GLOW_KIND, Layer, LeftOut, Saving, ScenePlan
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.bands import truncation_error
-from isogi_core.plan.budget import LONGEST_PATH, ROULETTE_RAYS, bounces_for, rounding_error, tail_of_bounces
+from isogi_core.plan.budget import (
+    LONGEST_PATH,
+    ROULETTE_RAYS,
+    bounces_for,
+    rounding_error,
+    tail_of_bounces,
+)
 from isogi_core.plan.inputs import PlanInputs
 from isogi_core.plan.projection import ProjectionPlan
 from isogi_core.plan.reachable_texels import TexelCount
 from isogi_core.plan.surfaces import mixing_error
 
 LOBE_KERNELS = (
-    *("prepare_points", "sort_by_turn", "see_middles", "mark_edges", "see_rims", "spread_edges", "find_sides"),
+    *(
+        "prepare_points",
+        "sort_by_turn",
+        "see_middles",
+        "mark_edges",
+        "see_rims",
+        "spread_edges",
+        "find_sides",
+    ),
     *("see_discs", "share_rays", "light_points", "add_halves", "add_lobes"),
 )
 """Names of the kernels that only lights with lobes call."""
@@ -38,18 +54,24 @@ S1_BYTES = 3 * MEASURED_BANDS**2 * 4
 FLOAT_BYTES = 4
 
 MAX_MEASURED_ALBEDO = 0.95
-"""The highest albedo at which ROULETTE_RAYS was measured, with at least as many bounces as the planner chooses."""
+"""The highest albedo at which ROULETTE_RAYS was measured, with at least as many bounces as the
+planner chooses.
+"""
 
 REASONS = {
     "vicinity": "The light is the same from all sides: a texel keeps the share of it that arrives.",
-    "constant": "The light is the same from all sides: a texel keeps how much arrives, not from where.",
+    "constant": (
+        "The light is the same from all sides: a texel keeps how much arrives, not from where."
+    ),
     "irradiance": "The light stays where it is: a texel keeps how much arrives, not from where.",
 }
 """Why a representation needs no harmonics."""
 
 
 def left_out(plan: ScenePlan, inputs: PlanInputs) -> tuple[LeftOut, ...]:
-    """Everything that a plan leaves out because of the scene's lights, material and target error."""
+    """Everything that a plan leaves out because of the scene's lights, material and target
+    error.
+    """
     return tuple(each for find in FINDERS for each in find(plan, inputs))
 
 
@@ -57,7 +79,9 @@ def harmonics(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
     """S1's harmonics, where a texel keeps none."""
     if plan.representation in REASONS:
         saved = Saving(S1_BYTES - plan.bytes_per_texel, "bytes per texel beside S1")
-        yield LeftOut("S1's harmonics in floats of three channels", REASONS[plan.representation], (saved,))
+        yield LeftOut(
+            "S1's harmonics in floats of three channels", REASONS[plan.representation], (saved,)
+        )
 
 
 def bands(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
@@ -75,11 +99,20 @@ def bands(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 
 
 def cut(layer: Layer, order: int, error: float, inputs: PlanInputs) -> LeftOut:
-    """The bands below ``order`` that a layer does not keep, and the relative ``error`` that this causes."""
-    names = f"bands {layer.order} to {order - 1}" if layer.order < order - 1 else f"band {layer.order}"
-    kind = "reflected" if layer.kind == "indirect" else "direct"
+    """The bands below ``order`` that a layer does not keep, and the relative ``error`` that this
+    causes.
+    """
+    if layer.order < order - 1:
+        names = f"bands {layer.order} to {order - 1}"
+    else:
+        names = f"band {layer.order}"
+    if layer.kind == "indirect":
+        kind = "reflected"
+    else:
+        kind = "direct"
     why = (
-        f"Without them the error of the lit surface is {percent(error)}; the target is {percent(inputs.target_error)}."
+        f"Without them the error of the lit surface is {percent(error)}; the target is "
+        f"{percent(inputs.target_error)}."
     )
     return LeftOut(f"{names} of {kind} light", why, (added(layer, replace(layer, order=order)),))
 
@@ -89,14 +122,21 @@ def lobes(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     more = len(inputs.lobes) - plan.lobes
     if plan.representation == "transfer" and more:
         errors = [
-            truncation_error(inputs.energy_beside(n), plan.order, "direct") for n in (plan.lobes, plan.lobes + more)
+            truncation_error(inputs.energy_beside(n), plan.order, "direct")
+            for n in (plan.lobes, plan.lobes + more)
         ]
-        what = f"lobes {plan.lobes + 1} to {plan.lobes + more}" if more > 1 else f"lobe {plan.lobes + 1}"
+        if more > 1:
+            what = f"lobes {plan.lobes + 1} to {plan.lobes + more}"
+        else:
+            what = f"lobe {plan.lobes + 1}"
         why = (
-            f"As light of their own they would bring the error of direct light's harmonics from {percent(errors[0])} to"
+            "As light of their own they would bring the error of direct light's harmonics "
+            f"from {percent(errors[0])} to"
         )
         yield LeftOut(
-            f"{what} of the light", f"{why} {percent(errors[1])}.", (Saving(more, "shadow rays per pixel, or more"),)
+            f"{what} of the light",
+            f"{why} {percent(errors[1])}.",
+            (Saving(more, "shadow rays per pixel, or more"),),
         )
 
 
@@ -111,7 +151,10 @@ def channels(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
 
 SINGLE_CHANNELS = {
     "direct": ("direct light", "What was not reflected yet has no colour of the surface."),
-    "indirect": ("reflected light", "The albedo is grey, so that reflected light keeps its colour."),
+    "indirect": (
+        "reflected light",
+        "The albedo is grey, so that reflected light keeps its colour.",
+    ),
     "whole": ("light", "The albedo is grey, so that reflected light keeps its colour."),
     "irradiance": ("irradiance", "The albedo and all lights are grey."),
     GLOW_KIND: ("what glows", "The albedo is grey: what glows has the colour that frames give it."),
@@ -124,8 +167,14 @@ def one_albedo(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     if inputs.by_data and plan.bounces:
         one = [layer for layer in plan.layers if layer.reflected and layer.channels == 3]
         more = sum(added(replace(layer, channels=1), layer).amount for layer in one)
-        cost = f", which takes {more:g} bytes a texel more than that of one grey albedo" if more else ""
-        why = f"Reflected light carries the colours of what it met{cost}: it is baked for these alone."
+        if more:
+            cost = f", which takes {more:g} bytes a texel more than that of one grey albedo"
+        else:
+            cost = ""
+        why = (
+            f"Reflected light carries the colours of what it met{cost}: it is baked for "
+            "these alone."
+        )
         yield LeftOut("albedos that views choose", why)
 
 
@@ -133,34 +182,50 @@ def nodes(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
     """Light after each bounce on its own, where views may ask for another albedo."""
     for layer in plan.layers:
         if 0 < len(layer.nodes) < plan.bounces:
-            albedos, error = ", ".join(f"{node:.2g}" for node in layer.nodes), mixing_error(layer.nodes, plan.bounces)
+            albedos = ", ".join(f"{node:.2g}" for node in layer.nodes)
+            error = mixing_error(layer.nodes, plan.bounces)
             mixed = f"Light of any other albedo is mixed of that of {albedos}"
             why = f"{mixed}, at an error of {percent(error)} where all hits are alike."
-            yield LeftOut("light after each bounce", why, (added(layer, replace(layer, channels=plan.bounces)),))
+            yield LeftOut(
+                "light after each bounce",
+                why,
+                (added(layer, replace(layer, channels=plan.bounces)),),
+            )
 
 
 def reflections(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """Reflected light, or what paths of more bounces would bring of it."""
     tail = tail_of_bounces(inputs.reflecting, plan.bounces)
     if plan.bounces == 0:
-        why = (
-            "Nothing is reflected at albedo 0." if tail == 0.0 else f"It would be at most {percent(tail)} of the light."
-        )
-        why = why if tail <= inputs.target_error else "The scene asks for light before it is reflected."
+        if tail == 0.0:
+            why = "Nothing is reflected at albedo 0."
+        else:
+            why = f"It would be at most {percent(tail)} of the light."
+        if not (tail <= inputs.target_error):
+            why = "The scene asks for light before it is reflected."
         yield LeftOut(
-            "reflected light", why, (Saving(LONGEST_PATH, "rays per path, at most"), *unreflected(plan, inputs))
+            "reflected light",
+            why,
+            (Saving(LONGEST_PATH, "rays per path, at most"), *unreflected(plan, inputs)),
         )
     else:
         why = f"They would bring at most {percent(tail)} of the light."
         longer = Saving(LONGEST_PATH - plan.bounces, "rays per path, at most")
-        yield LeftOut(f"bounces after number {plan.bounces}", why, (longer,) if longer.amount > 0 else ())
+        yield LeftOut(
+            f"bounces after number {plan.bounces}", why, (longer,) if longer.amount > 0 else ()
+        )
 
 
 def ends(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
-    """The rest of paths that end by chance, with the rays that this saves where that was measured."""
+    """The rest of paths that end by chance, with the rays that this saves where that was
+    measured.
+    """
     if plan.survival == 1.0:
         return
-    why = f"From its second hit on a path goes on with the chance {plan.survival:.2g}, and stands for those that end."
+    why = (
+        f"From its second hit on a path goes on with the chance {plan.survival:.2g}, and "
+        "stands for those that end."
+    )
     long = plan.bounces >= bounces_for(inputs.reflecting, inputs.target_error)
     saved = (
         (Saving(ROULETTE_RAYS, "percent of rays", True),)
@@ -183,13 +248,17 @@ def halves(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
         return
     halved = tuple(replace(layer, coarse=None) for layer in plan.layers)
     saved = sum(added(layer, replace(layer, half=False)).amount for layer in plan.layers)
-    error, target = rounding_error(halved, inputs, plan.lobes), inputs.target_error
+    error = rounding_error(halved, inputs, plan.lobes)
+    target = inputs.target_error
     why = f"The error of half floats is {percent(error)}; the target is {percent(target)}."
     yield LeftOut("half of each float", why, (Saving(saved, "bytes per texel"),))
     if plan.layers != halved:
         saved = sum(added(*pair).amount for pair in zip(plan.layers, halved, strict=True))
         error = rounding_error(plan.layers, inputs, plan.lobes)
-        why = f"Higher bands carry little: with them in bytes, the error of rounding is {percent(error)} in all."
+        why = (
+            "Higher bands carry little: with them in bytes, the error of rounding is "
+            f"{percent(error)} in all."
+        )
         yield LeftOut("second bytes of higher bands", why, (Saving(saved, "bytes per texel"),))
 
 
@@ -199,23 +268,31 @@ def records(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
     yield LeftOut("isovalue of each texel", why, (Saving(FLOAT_BYTES, "bytes per texel"),))
     codes = sum(layer.noises + 1 for layer in plan.layers)
     why = "A byte holds noise to 5 %, and sample counts, which are powers of two, exactly."
-    yield LeftOut("noise and samples as floats", why, (Saving((FLOAT_BYTES - 1) * codes, "bytes per texel"),))
+    yield LeftOut(
+        "noise and samples as floats", why, (Saving((FLOAT_BYTES - 1) * codes, "bytes per texel"),)
+    )
     spreads = sum(layer.coefficients - layer.noises for layer in plan.layers if layer.order > 1)
     if spreads:
         why = "The noise of band 0 and that of the bands above give the noise of the luminance."
-        yield LeftOut("noise of each coefficient", why, (Saving(FLOAT_BYTES * spreads, "bytes per texel"),))
+        yield LeftOut(
+            "noise of each coefficient", why, (Saving(FLOAT_BYTES * spreads, "bytes per texel"),)
+        )
 
 
 def turning(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """Rotation of the light."""
     if plan.representation in ("vicinity", "constant"):
-        yield LeftOut("turning of the light", "It is the same from all sides, however it is turned.")
+        yield LeftOut(
+            "turning of the light", "It is the same from all sides, however it is turned."
+        )
     elif not inputs.rotating:
         yield LeftOut("turning of the light", "The scene's light does not turn.")
 
 
 def shadow_rays(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
-    """Shadow rays towards bright parts of the environment, and the table that they are sampled from."""
+    """Shadow rays towards bright parts of the environment, and the table that they are sampled
+    from.
+    """
     if inputs.environment.sharp:
         return
     if not inputs.lamps.any:
@@ -230,12 +307,18 @@ def shadow_rays(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 
 def kernels(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """Kernels that neither frames under global illumination nor their bake call."""
-    bakes = ["bake_texels"] if plan.representation == "irradiance" else ["bake_irradiance"]
-    bakes += ["bake_irradiance"] if plan.representation == "irradiance" and (inputs.walls or inputs.by_data) else []
-    bakes += ["bake_texels"] if plan.representation != "irradiance" and inputs.by_data and plan.bounces else []
+    if plan.representation == "irradiance":
+        bakes = ["bake_texels"]
+    else:
+        bakes = ["bake_irradiance"]
+    if plan.representation == "irradiance" and (inputs.walls or inputs.by_data):
+        bakes += ["bake_irradiance"]
+    if plan.representation != "irradiance" and inputs.by_data and plan.bounces:
+        bakes += ["bake_texels"]
     idle = (*bakes, *uncalled(inputs.rotating, inputs.environment, inputs.lamps, plan.lobes))
     why = (
-        "Neither frames under global illumination nor their bake call them: a server of this scene alone does not"
+        "Neither frames under global illumination nor their bake call them: a server of this "
+        "scene alone does not"
         " compile them for either."
     )
     yield LeftOut(f"kernels {', '.join(idle)}", why, (Saving(len(idle), "kernels"),))
@@ -244,13 +327,26 @@ def kernels(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 def unseen(texels: TexelCount, plan: ScenePlan) -> tuple[LeftOut, ...]:
     """Texels and chunks that no view ever shows, and texels that can hold no light."""
     empty = texels.chunks - texels.shown_chunks
-    kept = Saving(lattice_bytes(empty, texels.chunk, plan.bytes_per_texel) / 1e6, "megabytes before compression")
+    kept = Saving(
+        lattice_bytes(empty, texels.chunk, plan.bytes_per_texel) / 1e6,
+        "megabytes before compression",
+    )
     left = (
-        ("unseen", "No isovalue that may be asked for has a surface at them.", texels.total - texels.shown),
-        ("void", "They have no gradient, no side of their own in a thin wall, or no room in a crease.", texels.void),
+        (
+            "unseen",
+            "No isovalue that may be asked for has a surface at them.",
+            texels.total - texels.shown,
+        ),
+        (
+            "void",
+            "They have no gradient, no side of their own in a thin wall, or no room in a crease.",
+            texels.void,
+        ),
     )
     found = [
-        LeftOut(f"{sort} texels", why, (Saving(count, "texels", sort == "void"),)) for sort, why, count in left if count
+        LeftOut(f"{sort} texels", why, (Saving(count, "texels", sort == "void"),))
+        for sort, why, count in left
+        if count
     ]
     if empty:
         why = "None of their texels is ever shown: they are neither asked for nor written."
@@ -262,40 +358,72 @@ def unprojected(projection: ProjectionPlan, isovalue: Isovalue) -> tuple[LeftOut
     """Surface-projected texels, where views of an ``isovalue`` have none."""
     if projection.projects(isovalue):
         return ()
-    error, allowed = projection.error(isovalue), projection.allowed
-    why = f"The error of interpolation is about {percent(error)} where views start; {percent(allowed)} is allowed."
-    why = why if allowed else "The scene forbids them."
-    return (LeftOut("surface-projected texels", why, (Saving(100, "percent of a view's texels, at most"),)),)
+    error = projection.error(isovalue)
+    allowed = projection.allowed
+    why = (
+        f"The error of interpolation is about {percent(error)} where views start; "
+        f"{percent(allowed)} is allowed."
+    )
+    if not (allowed):
+        why = "The scene forbids them."
+    return (
+        LeftOut(
+            "surface-projected texels", why, (Saving(100, "percent of a view's texels, at most"),)
+        ),
+    )
 
 
 def unshining(shine: Shine | None) -> tuple[LeftOut, ...]:
-    """Rays that a surface without ``shine`` does not mirror, or light that one with it does not keep."""
+    """Rays that a surface without ``shine`` does not mirror, or light that one with it does not
+    keep.
+    """
     if shine is not None:
-        return (LeftOut("baked light of shine", "Its rays read the diffuse light of texels where they end."),)
+        return (
+            LeftOut(
+                "baked light of shine", "Its rays read the diffuse light of texels where they end."
+            ),
+        )
     why = "The surface is diffuse: no ray is mirrored, and no kernel of shine is compiled."
     return (LeftOut("shine", why, (Saving(1, "ray per pixel, or more"),)),)
 
 
 def unshared(pinned: int, levels: int, plan: ScenePlan) -> tuple[LeftOut, ...]:
-    """What several surfaces do not show, and the isovalues at which those that are ``pinned`` keep no light: all but so
-    many ``levels``.
+    """What several surfaces do not show, and the isovalues at which those that are ``pinned`` keep
+    no light: all but so many ``levels``.
     """
-    why = "The last that a pixel shows is the first opaque one that is left; what counts less than 1/512 is left out."
+    why = (
+        "The last that a pixel shows is the first opaque one that is left; what counts less "
+        "than 1/512 is left out."
+    )
     deep = LeftOut(
-        f"surfaces behind the first {MAX_PEELED_LAYERS} in a pixel", why, (Saving(1, "surface a pixel, or more"),)
+        f"surfaces behind the first {MAX_PEELED_LAYERS} in a pixel",
+        why,
+        (Saving(1, "surface a pixel, or more"),),
     )
     if not pinned:
         return (deep,)
     size = plan.bytes_per_texel
-    kept = f"either side keeps {size} bytes a texel at each of {levels} levels that views need, and views mix two"
+    kept = (
+        f"either side keeps {size} bytes a texel at each of {levels} levels that views "
+        "need, and views mix two"
+    )
     why = f"The surface that slides moves about a voxel from level to level: {kept}."
     return (deep, LeftOut("light of pinned surfaces at each isovalue", why))
 
 
 def untold_sides(plan: ScenePlan) -> tuple[LeftOut, ...]:
     """What texels of a surface that light gets through, diffuse, do not tell apart."""
-    why = "A texel keeps what leaves its own side: some of its paths start on the other, by what gets through."
-    return (LeftOut("irradiance of each side by itself", why, (Saving(plan.bytes_per_texel, "bytes per texel"),)),)
+    why = (
+        "A texel keeps what leaves its own side: some of its paths start on the other, by "
+        "what gets through."
+    )
+    return (
+        LeftOut(
+            "irradiance of each side by itself",
+            why,
+            (Saving(plan.bytes_per_texel, "bytes per texel"),),
+        ),
+    )
 
 
 def lattice_bytes(chunks: int, side: int, bytes_per_texel: int) -> int:

@@ -50,8 +50,9 @@ SKY_SIZE = (512, 1024)
 class SceneLighting:
     """What lights a scene, and the walls that it meets.
 
-    The ``environment`` sums all of the ``lights`` that are far away; ``lamps`` are the others, and the luminaires of
-    the ``room``. ``rotating`` is whether views may turn the light. ``glowing`` is what glows in the volume.
+    The ``environment`` sums all of the ``lights`` that are far away; ``lamps`` are the others, and
+    the luminaires of the ``room``. ``rotating`` is whether views may turn the light. ``glowing`` is
+    what glows in the volume.
     """
 
     lights: tuple[Light, ...]
@@ -69,21 +70,31 @@ class SceneLighting:
     @property
     def walls(self) -> list[Any]:
         """What digests hold of the walls; nothing where there are none."""
-        return ["walls", self.room.digest] if self.room.any else []
+        if self.room.any:
+            return ["walls", self.room.digest]
+        return []
 
     @property
     def glow(self) -> list[Any]:
         """What digests hold of what glows; nothing where nothing does."""
-        return ["glow", self.glowing.digest, self.glowing.radiances.tolist()] if self.glowing.any else []
+        if self.glowing.any:
+            return ["glow", self.glowing.digest, self.glowing.radiances.tolist()]
+        return []
 
     def glow_for(self, asked: float) -> float:
-        """How bright what glows is to be, over the scene's own, as ``asked``; ViewError where nothing glows."""
+        """How bright what glows is to be, over the scene's own, as ``asked``; ViewError where
+        nothing glows.
+        """
         if asked == 1.0 or (self.glowing.any and 0.0 <= asked <= MAX_GLOW_STRENGTH):
             return asked
         if self.glowing.any:
-            raise ViewError(f"glow must be from 0 to {MAX_GLOW_STRENGTH:g} times the scene's own, not {asked:g}.")
+            raise ViewError(
+                f"glow must be from 0 to {MAX_GLOW_STRENGTH:g} times the scene's own, not "
+                f"{asked:g}."
+            )
         raise ViewError(
-            "glow is for scenes in which something glows: leave it out, or give the scene a [[glow]] table."
+            "glow is for scenes in which something glows: leave it out, or give the scene a "
+            "[[glow]] table."
         )
 
 
@@ -92,44 +103,59 @@ def read_lighting(
 ) -> SceneLighting:
     """The scene's lighting; of masks of its glows that were read, their ``glow_bits``.
 
-    Raises SceneError, VolumeError and LightError where a value has no meaning, or the ``surfaces`` cannot be lit so.
+    Raises SceneError, VolumeError and LightError where a value has no meaning, or the ``surfaces``
+    cannot be lit so.
     """
-    room, glowing = read_room(settings, volume), read_glow(settings, volume, glow_bits)
+    room = read_room(settings, volume)
+    glowing = read_glow(settings, volume, glow_bits)
     lights = read_lights(settings, room)
     refuse_lamps(surfaces.material, lights)
     lamps = gather_lamps((*lights, *room.lamps), volume.orientation)
-    environment, rotating = assemble_environment(lights), may_rotate(settings, lamps, room, surfaces.passed)
+    environment = assemble_environment(lights)
+    rotating = may_rotate(settings, lamps, room, surfaces.passed)
     if volume.orientation.turned and not rotating:
         environment = environment.turned(volume.orientation.matrix)
     return SceneLighting(lights, environment, lamps, rotating, room, glowing)
 
 
 def read_lights(settings: Settings, room: Room) -> tuple[Light, ...]:
-    """The scene's lights: the environment that it names, in whose place its [[lights]] are not read, or those.
+    """The scene's lights: the environment that it names, in whose place its [[lights]] are not
+    read, or those.
 
     Raises SceneError, and LightError where a value has no meaning.
     """
-    tables, base = settings.lights(room.lamps), settings.source.base
+    tables = settings.lights(room.lamps)
+    base = settings.source.base
     named = settings.text("environment", "")
-    return (light_named(named, base),) if named else tuple(light_from_mapping(entry, base) for entry in tables)
+    if named:
+        return (light_named(named, base),)
+    return tuple(light_from_mapping(entry, base) for entry in tables)
 
 
 def read_room(settings: Settings, volume: Volume) -> Room:
-    """The scene's walls: those of a whole room that it names, and its own. SceneError where one has no meaning."""
-    named = cornell_room(volume) if settings.choice("room", ROOMS) else ()
+    """The scene's walls: those of a whole room that it names, and its own. SceneError where one has
+    no meaning.
+    """
+    if settings.choice("room", ROOMS):
+        named = cornell_room(volume)
+    else:
+        named = ()
     return place_walls((*named, *map(wall_from_mapping, settings.tables("walls"))), volume)
 
 
 def read_glow(settings: Settings, volume: Volume, bits: np.ndarray | None) -> Glowing:
-    """What glows in the volume; of masks that were read, the ``bits``. SceneError where a table has no meaning, and
-    VolumeError where a mask cannot be used.
+    """What glows in the volume; of masks that were read, the ``bits``. SceneError where a table has
+    no meaning, and VolumeError where a mask cannot be used.
     """
     glows = [glow_from_mapping(table) for table in settings.tables("glow")]
-    return place_glows(glows, volume, read_glow_masks(glows, settings, volume) if bits is None else bits)
+    return place_glows(
+        glows, volume, read_glow_masks(glows, settings, volume) if bits is None else bits
+    )
 
 
 def read_glow_masks(glows: Sequence[Glow], settings: Settings, volume: Volume) -> np.ndarray:
-    """Of each voxel of a ``volume`` the numbers of the ``glows`` whose masks take it, a bit each; as ``Glowing.bits``.
+    """Of each voxel of a ``volume`` the numbers of the ``glows`` whose masks take it, a bit each;
+    as ``Glowing.bits``.
 
     Raises SceneError and VolumeError where a mask cannot be used.
     """
@@ -140,32 +166,40 @@ def read_glow_masks(glows: Sequence[Glow], settings: Settings, volume: Volume) -
     bits = np.zeros(volume.shape, np.uint8)
     for number, glow in enumerate(glows):
         if glow.mask:
-            mask = place(MaskTable(glow.mask, glow.labels), open_beside(settings, glow.mask), whole, straight)
+            mask = place(
+                MaskTable(glow.mask, glow.labels), open_beside(settings, glow.mask), whole, straight
+            )
             for z in range(len(bits)):
                 bits[z] |= mask.layer(z, volume.shape).astype(np.uint8) << np.uint8(number)
     return bits
 
 
 def may_rotate(settings: Settings, lamps: Lamps, room: Room, passed: bool) -> bool:
-    """Whether the light may be turned: the scene decides, by default yes; never where there are lamps or walls, or
-    light passes surfaces (SceneError).
+    """Whether the light may be turned: the scene decides, by default yes; never where there are
+    lamps or walls, or light passes surfaces (SceneError).
     """
     rotating = settings.flag("rotating", not (lamps.any or room.any or passed))
     for what, there in (("walls", room.any), ("lamps", lamps.any)):
         if rotating and there:
-            raise SceneError(f"{what.capitalize()} stay where they are: leave out rotating = true, or the {what}.")
+            raise SceneError(
+                f"{what.capitalize()} stay where they are: leave out rotating = true, or the "
+                f"{what}."
+            )
     if rotating and passed:
-        raise SceneError("Light that passes surfaces is baked as it falls: leave out rotating = true.")
+        raise SceneError(
+            "Light that passes surfaces is baked as it falls: leave out rotating = true."
+        )
     return rotating
 
 
 ASSEMBLED: WeakValueDictionary[Sequence[Light] | str, Environment] = WeakValueDictionary()
-"""The environments in use: scenes under the same lights share one, which takes megabytes. Those that come from no file
-are found by their lights, others by their digest."""
+"""The environments in use: scenes under the same lights share one, which takes megabytes. Those
+that come from no file are found by their lights, others by their digest."""
 
 
 def assemble_environment(lights: Sequence[Light]) -> Environment:
-    """Sum the lights that are no lamps. Images are resampled to the largest grid without change of energy.
+    """Sum the lights that are no lamps. Images are resampled to the largest grid without change of
+    energy.
 
     Raises LightError where a probe cannot be read or holds a negative or non-finite radiance.
     """
@@ -174,7 +208,9 @@ def assemble_environment(lights: Sequence[Light]) -> Environment:
         read = _sum(around)
         return ASSEMBLED.setdefault(read.digest, read)
     known = ASSEMBLED.get(around)
-    return known if known is not None else ASSEMBLED.setdefault(around, _sum(around))
+    if known is not None:
+        return known
+    return ASSEMBLED.setdefault(around, _sum(around))
 
 
 def _sum(around: Sequence[ConstantLight | SkyLight | ProbeLight | EnvironmentLight]) -> Environment:
@@ -202,15 +238,22 @@ def _sum(around: Sequence[ConstantLight | SkyLight | ProbeLight | EnvironmentLig
 def _image(light: SkyLight | ProbeLight | EnvironmentLight) -> np.ndarray:
     """The lat-long image (h, w, 3) of a sky, a probe or an environment by formula."""
     if isinstance(light, ProbeLight):
-        return light.scale * _checked(read_hdr(light.file), f"The probe '{light.file}'").astype(np.float64)
+        return light.scale * _checked(read_hdr(light.file), f"The probe '{light.file}'").astype(
+            np.float64
+        )
     return _sky(light)
 
 
 @lru_cache(maxsize=4)
 def _sky(light: SkyLight | EnvironmentLight) -> np.ndarray:
-    """The image of light by formula, read-only: scenes that are planned again have the sky they had."""
+    """The image of light by formula, read-only: scenes that are planned again have the sky they
+    had.
+    """
     grid = pixel_directions(*SKY_SIZE), solid_angles(*SKY_SIZE)
-    image = sky_image(light, *grid) if isinstance(light, SkyLight) else environment_image(light, *grid)
+    if isinstance(light, SkyLight):
+        image = sky_image(light, *grid)
+    else:
+        image = environment_image(light, *grid)
     image.flags.writeable = False
     return image
 
@@ -219,5 +262,7 @@ def _checked(image: np.ndarray, what: str) -> np.ndarray:
     """Return the image; LightError where a radiance is not finite or is negative."""
     bad = int((~(np.isfinite(image) & (image >= 0.0))).any(axis=-1).sum())
     if bad:
-        raise LightError(f"{what} has {bad} pixels of negative or non-finite radiance: give another light.")
+        raise LightError(
+            f"{what} has {bad} pixels of negative or non-finite radiance: give another light."
+        )
     return image

@@ -1,4 +1,6 @@
-"""Lobes of an environment that are worth a light of their own: found, chosen, and taken out of the harmonics."""
+"""Lobes of an environment that are worth a light of their own: found, chosen, and taken out of the
+harmonics.
+"""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -8,10 +10,19 @@ import numpy as np
 
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.environment import LUMINANCE_WEIGHTS, Environment, Lobe, solid_angles
-from isogi_core.plan.bands import FAR_BANDS, FAR_BANDS_ERROR, band_energy, evaluate_harmonics, truncation_error
+from isogi_core.plan.bands import (
+    FAR_BANDS,
+    FAR_BANDS_ERROR,
+    band_energy,
+    evaluate_harmonics,
+    truncation_error,
+)
 
-FEW_LOBES_SEARCHED, MANY_LOBES_SEARCHED = 4, 64
-"""Lobes that are searched for in any environment, and in one that these leave too sharp for harmonics."""
+FEW_LOBES_SEARCHED = 4
+MANY_LOBES_SEARCHED = 64
+"""Lobes that are searched for in any environment, and in one that these leave too sharp for
+harmonics.
+"""
 
 JUDGED_ORDER = 6
 """The order of harmonics whose error the lobes are to make small."""
@@ -20,7 +31,9 @@ MAX_GAIN_SHARE = 0.9
 """The search ends where lobes no longer bring the error below this share of what it was."""
 
 LOBES_TOGETHER = 8
-"""Lobes that are to do so together where many are searched for: of sixty lamps each alone changes next to nothing."""
+"""Lobes that are to do so together where many are searched for: of sixty lamps each alone changes
+next to nothing.
+"""
 
 LOBE_ERROR = 0.004
 """Error below which no more lobes are taken."""
@@ -29,10 +42,12 @@ GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(MAX_ORDER)
 
 
 def find_lobes(environment: Environment, light: np.ndarray, target: float) -> tuple[Lobe, ...]:
-    """Find the lobes of an environment whose coefficients are ``light`` (3, MAX_ORDER²), each with its best edge.
+    """Find the lobes of an environment whose coefficients are ``light`` (3, MAX_ORDER²), each with
+    its best edge.
 
-    The brightest peak comes first. FEW_LOBES_SEARCHED are enough where the error of harmonics of FAR_BANDS is
-    then below the ``target``; of light with more lamps, a street at night, up to MANY_LOBES_SEARCHED are taken.
+    The brightest peak comes first. FEW_LOBES_SEARCHED are enough where the error of harmonics of
+    FAR_BANDS is then below the ``target``; of light with more lamps, a street at night, up to
+    MANY_LOBES_SEARCHED are taken.
     """
     few = search(environment, light, FEW_LOBES_SEARCHED, 1)
     if error_beside(light, few, FAR_BANDS) <= max(target, FAR_BANDS_ERROR):
@@ -40,14 +55,17 @@ def find_lobes(environment: Environment, light: np.ndarray, target: float) -> tu
     return search(environment, light, MANY_LOBES_SEARCHED, LOBES_TOGETHER)
 
 
-def search(environment: Environment, light: np.ndarray, most: int, patience: int) -> tuple[Lobe, ...]:
+def search(
+    environment: Environment, light: np.ndarray, most: int, patience: int
+) -> tuple[Lobe, ...]:
     """Take up to ``most`` lobes out of an environment.
 
-    It ends when the error of JUDGED_ORDER is small, or when the last lobes, so many as the ``patience``, hardly reduced
-    it; these are then left in.
+    It ends when the error of JUDGED_ORDER is small, or when the last lobes, so many as the
+    ``patience``, hardly reduced it; these are then left in.
     """
     lobes: list[Lobe] = []
-    radiance, errors = environment.image.astype(np.float64), [error_beside(light, ())]
+    radiance = environment.image.astype(np.float64)
+    errors = [error_beside(light, ())]
     while len(lobes) < most and errors[-1] > LOBE_ERROR:
         found = {error_beside(light, (*lobes, each.lobe)): each for each in outlines(radiance)}
         if not found:
@@ -61,12 +79,15 @@ def search(environment: Environment, light: np.ndarray, most: int, patience: int
 
 
 def error_beside(light: np.ndarray, lobes: Sequence[Lobe], order: int = JUDGED_ORDER) -> float:
-    """Relative error of harmonics of an ``order`` for a ``light`` (3, MAX_ORDER²) without its ``lobes``."""
+    """Relative error of harmonics of an ``order`` for a ``light`` (3, MAX_ORDER²) without its
+    ``lobes``.
+    """
     return truncation_error(energy_beside(light, lobes), order, "direct")
 
 
 def energy_beside(light: np.ndarray, lobes: Sequence[Lobe]) -> np.ndarray:
-    """Mean square luminance of each band of a ``light`` (3, n²) without its ``lobes``; (n,) float64.
+    """Mean square luminance of each band of a ``light`` (3, n²) without its ``lobes``; (n,)
+    float64.
 
     Band 0 is that of the whole light, as errors are relative to the whole.
     """
@@ -76,18 +97,23 @@ def energy_beside(light: np.ndarray, lobes: Sequence[Lobe]) -> np.ndarray:
 
 
 def project_lobes(lobes: Sequence[Lobe], order: int) -> np.ndarray:
-    """Coefficients of discs of even radiance, Φ Y_i(d) times the mean of P_l over the disc; (3, order²) float64."""
+    """Coefficients of discs of even radiance, Φ Y_i(d) times the mean of P_l over the disc; (3,
+    order²) float64.
+    """
     coefficients = np.zeros((3, order**2))
     for lobe in lobes:
         x, y, z = lobe.towards
-        theta, phi = np.array([math.atan2(math.hypot(x, y), z)]), np.array([math.atan2(y, x)])
+        theta = np.array([math.atan2(math.hypot(x, y), z)])
+        phi = np.array([math.atan2(y, x)])
         bands = np.repeat(disc_means(lobe.cosine, order), 2 * np.arange(order) + 1)
         coefficients += np.outer(lobe.flux, bands * evaluate_harmonics(order, theta, phi)[:, 0])
     return coefficients
 
 
 def disc_means(cosine: float, order: int) -> np.ndarray:
-    """Means of the Legendre polynomials P_l, l < ``order``, from ``cosine`` to 1: 1 for a disc without size."""
+    """Means of the Legendre polynomials P_l, l < ``order``, from ``cosine`` to 1: 1 for a disc
+    without size.
+    """
     heights = cosine + (1.0 - cosine) * (GAUSS_NODES + 1.0) / 2.0
     return np.asarray(GAUSS_WEIGHTS / 2.0 @ np.polynomial.legendre.legvander(heights, order - 1))
 
@@ -107,7 +133,9 @@ RIM_WIDTH = 2
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """A ``lobe`` as found: flat indices of the texels of its ``region``, and the radiance ``level`` (3,) around it."""
+    """A ``lobe`` as found: flat indices of the texels of its ``region``, and the radiance ``level``
+    (3,) around it.
+    """
 
     lobe: Lobe
     region: np.ndarray
@@ -120,12 +148,14 @@ class Outline:
 
 
 def outlines(radiance: np.ndarray) -> Iterator[Outline]:
-    """Outlines around the brightest texel of a lat-long ``radiance`` (h, w, 3) float64, one for each edge of
-    EDGE_SHARES.
+    """Outlines around the brightest texel of a lat-long ``radiance`` (h, w, 3) float64, one for
+    each edge of EDGE_SHARES.
 
-    Edges that give the same region give one outline. There is none where the peak does not stand out.
+    Edges that give the same region give one outline. There is none where the peak does not stand
+    out.
     """
-    seen, known = radiance @ LUMINANCE_WEIGHTS, {0}
+    seen = radiance @ LUMINANCE_WEIGHTS
+    known = {0}
     angles = solid_angles(*seen.shape)
     peak = int(seen.argmax())
     if not seen.flat[peak] > MIN_CONTRAST * float((seen * angles).sum()) / (4.0 * math.pi):
@@ -139,13 +169,17 @@ def outlines(radiance: np.ndarray) -> Iterator[Outline]:
 
 
 def grow_lobe(mask: np.ndarray, seed: int, angles: np.ndarray) -> np.ndarray:
-    """Flat indices of the marked texels connected with ``seed``; none where they fill more than MAX_SOLID_ANGLE.
+    """Flat indices of the marked texels connected with ``seed``; none where they fill more than
+    MAX_SOLID_ANGLE.
 
-    ``mask`` (h, w) bool is a lat-long image, whose columns close to a ring and whose rows go on beyond the poles;
-    ``angles`` (h,) are the solid angles of a texel by row.
+    ``mask`` (h, w) bool is a lat-long image, whose columns close to a ring and whose rows go on
+    beyond the poles; ``angles`` (h,) are the solid angles of a texel by row.
     """
-    left, front, found = mask.ravel().copy(), np.array([seed]), []
-    left[seed], filled = False, 0.0
+    left = mask.ravel().copy()
+    front = np.array([seed])
+    found = []
+    left[seed] = False
+    filled = 0.0
     while len(front):
         found.append(front)
         filled += float(angles[front // mask.shape[1]].sum())
@@ -158,12 +192,18 @@ def grow_lobe(mask: np.ndarray, seed: int, angles: np.ndarray) -> np.ndarray:
 
 
 def neighbours(places: np.ndarray, height: int, width: int, reach: int) -> np.ndarray:
-    """Flat indices of all texels up to ``reach`` rows and columns from any of ``places``, each once."""
+    """Flat indices of all texels up to ``reach`` rows and columns from any of ``places``, each
+    once.
+    """
     steps = np.arange(-reach, reach + 1)
     rows = (places // width)[:, None, None] + steps[:, None]
     columns = (places % width)[:, None, None] + steps
     beyond = (rows < 0) | (rows >= height)
-    rows = np.clip(np.where(rows < 0, -1 - rows, np.where(rows >= height, 2 * height - 1 - rows, rows)), 0, height - 1)
+    rows = np.clip(
+        np.where(rows < 0, -1 - rows, np.where(rows >= height, 2 * height - 1 - rows, rows)),
+        0,
+        height - 1,
+    )
     return np.unique(rows * width + (columns + np.where(beyond, width // 2, 0)) % width)
 
 
@@ -178,13 +218,15 @@ def surround(radiance: np.ndarray, region: np.ndarray) -> np.ndarray:
 
 
 def lobe_of(radiance: np.ndarray, region: np.ndarray, level: np.ndarray) -> Lobe:
-    """The disc with the flux, direction and spread of the radiance above a ``level`` (3,) in a ``region``.
+    """The disc with the flux, direction and spread of the radiance above a ``level`` (3,) in a
+    ``region``.
 
     The mean direction of a disc of half angle a has the length (1 + cos a)/2, which gives a.
     """
     moments = moments_of(region, *radiance.shape[:2])
     excess = np.maximum(radiance.reshape(-1, 3)[region] - level, 0.0)
-    flux, vector = moments[:, 3] @ excess, (excess @ LUMINANCE_WEIGHTS) @ moments[:, :3]
+    flux = moments[:, 3] @ excess
+    vector = (excess @ LUMINANCE_WEIGHTS) @ moments[:, :3]
     length = float(np.linalg.norm(vector))
     cosine = min(2.0 * length / float(flux @ LUMINANCE_WEIGHTS) - 1.0, 1.0)
     x, y, z = (vector / length).tolist()
@@ -193,11 +235,14 @@ def lobe_of(radiance: np.ndarray, region: np.ndarray, level: np.ndarray) -> Lobe
 
 
 def moments_of(places: np.ndarray, height: int, width: int) -> np.ndarray:
-    """∫ ω dω and ∫ dω over texels of a lat-long image, in closed form; (m, 4) float64: x, y, z, steradians."""
+    """∫ ω dω and ∫ dω over texels of a lat-long image, in closed form; (m, 4) float64: x, y, z,
+    steradians.
+    """
     theta = np.pi / height * (places // width + np.array([[0], [1]]))
     phi = 2.0 * np.pi / width * (places % width + np.array([[0], [1]]))
     up = np.diff(theta / 2.0 - np.sin(2.0 * theta) / 4.0, axis=0)
-    x, y = up * np.diff(np.sin(phi), axis=0), -up * np.diff(np.cos(phi), axis=0)
+    x = up * np.diff(np.sin(phi), axis=0)
+    y = -up * np.diff(np.cos(phi), axis=0)
     z = np.diff(np.sin(theta) ** 2, axis=0) / 2.0 * np.diff(phi, axis=0)
     whole = -np.diff(np.cos(theta), axis=0) * np.diff(phi, axis=0)
     return np.concatenate([x, y, z, whole]).T

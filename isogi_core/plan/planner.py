@@ -1,4 +1,6 @@
-"""The planner: from a scene's lights, albedo and target error to the least that its texels must keep."""
+"""The planner: from a scene's lights, albedo and target error to the least that its texels must
+keep.
+"""
 
 import math
 from collections.abc import Iterator
@@ -23,19 +25,30 @@ from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.left_out import left_out, percent
 from isogi_core.plan.surfaces import choose_nodes, mixing_error
 
-MIN_RADIANCE, MAX_RADIANCE = 1e-32, 1e32
-"""Radiances of a white surface that frames of single floats show with all shades from a millionth up."""
+MIN_RADIANCE = 1e-32
+MAX_RADIANCE = 1e32
+"""Radiances of a white surface that frames of single floats show with all shades from a millionth
+up.
+"""
 
 
 def refuse_brightness(inputs: PlanInputs) -> None:
-    """Raise LightError where all lights together are too bright for frames to hold, or so dim that frames are black."""
+    """Raise LightError where all lights together are too bright for frames to hold, or so dim that
+    frames are black.
+    """
     if inputs.brightest != 0.0 and not MIN_RADIANCE <= inputs.brightest <= MAX_RADIANCE:
         given = f"The lights give a white surface the radiance {inputs.brightest:.3g}"
-        raise LightError(f"{given}: scale them to give it from {MIN_RADIANCE:g} to {MAX_RADIANCE:g}, or nothing.")
+        raise LightError(
+            f"{given}: scale them to give it from {MIN_RADIANCE:g} to {MAX_RADIANCE:g}, or nothing."
+        )
 
 
-def refuse_idle(representation: str, bounces: int, inputs: PlanInputs, overrides: PlanOverrides) -> None:
-    """Raise SceneError for overrides that cannot show the scene's light, or that change nothing in its plan."""
+def refuse_idle(
+    representation: str, bounces: int, inputs: PlanInputs, overrides: PlanOverrides
+) -> None:
+    """Raise SceneError for overrides that cannot show the scene's light, or that change nothing in
+    its plan.
+    """
     refuse_lights(representation, inputs)
     refuse_orders(representation, bounces, overrides)
     refuse_lobes(representation, inputs, overrides)
@@ -47,25 +60,36 @@ def refuse_idle(representation: str, bounces: int, inputs: PlanInputs, overrides
 def refuse_lights(representation: str, inputs: PlanInputs) -> None:
     """Raise SceneError where the representation cannot show the lights."""
     if representation in ("vicinity", "constant") and not even(inputs):
-        raise SceneError(f"representation = '{representation}' shows constant light alone: leave it out.")
+        raise SceneError(
+            f"representation = '{representation}' shows constant light alone: leave it out."
+        )
     if representation == "transfer" and inputs.lamps.any:
-        raise SceneError("representation = 'transfer' is of light from far away, and lamps are near: leave it out.")
+        raise SceneError(
+            "representation = 'transfer' is of light from far away, and lamps are near: leave "
+            "it out."
+        )
     if representation != "irradiance" and inputs.walls:
         raise SceneError(
-            f"representation = '{representation}' is of a surface alone, and there are walls or others: leave it out."
+            f"representation = '{representation}' is of a surface alone, and there are walls "
+            "or others: leave it out."
         )
     if representation == "irradiance" and inputs.rotating:
-        raise SceneError("representation = 'irradiance' is of light that does not turn: set rotating = false.")
+        raise SceneError(
+            "representation = 'irradiance' is of light that does not turn: set rotating = false."
+        )
 
 
 def refuse_orders(representation: str, bounces: int, overrides: PlanOverrides) -> None:
     """Raise SceneError for orders of harmonics where no harmonics are kept."""
     for name, order in (("order", overrides.order), ("indirect_order", overrides.indirect_order)):
         if order is not None and representation != "transfer":
-            raise SceneError(f"{name} = {order} is of harmonics, and this light needs none: leave it out.")
+            raise SceneError(
+                f"{name} = {order} is of harmonics, and this light needs none: leave it out."
+            )
     if overrides.indirect_order is not None and not bounces:
         raise SceneError(
-            f"indirect_order = {overrides.indirect_order} is of reflected light, and there is none: leave it out."
+            f"indirect_order = {overrides.indirect_order} is of reflected light, and there is "
+            "none: leave it out."
         )
     if (
         overrides.order is not None
@@ -73,47 +97,73 @@ def refuse_orders(representation: str, bounces: int, overrides: PlanOverrides) -
         and overrides.indirect_order > overrides.order
     ):
         raise SceneError(
-            f"indirect_order = {overrides.indirect_order} is above order = {overrides.order}: take at most that."
+            f"indirect_order = {overrides.indirect_order} is above order = {overrides.order}: "
+            "take at most that."
         )
 
 
 def refuse_lobes(representation: str, inputs: PlanInputs, overrides: PlanOverrides) -> None:
-    """Raise SceneError for more lobes than the light has, and for lobes of light that needs no harmonics."""
+    """Raise SceneError for more lobes than the light has, and for lobes of light that needs no
+    harmonics.
+    """
     if overrides.lobes and representation != "transfer":
-        raise SceneError(f"lobes = {overrides.lobes} go with harmonics, and this light needs none: leave it out.")
+        raise SceneError(
+            f"lobes = {overrides.lobes} go with harmonics, and this light needs none: leave it out."
+        )
     if overrides.lobes and overrides.lobes > len(inputs.lobes):
-        raise SceneError(f"lobes = {overrides.lobes} is more than this light has: take at most {len(inputs.lobes)}.")
+        raise SceneError(
+            f"lobes = {overrides.lobes} is more than this light has: take at most "
+            f"{len(inputs.lobes)}."
+        )
 
 
 def refuse_reflections(bounces: int, inputs: PlanInputs, overrides: PlanOverrides) -> None:
     """Raise SceneError for overrides of reflected light where there is none."""
     if overrides.representation == "vicinity" and overrides.bounces:
-        raise SceneError("representation = 'vicinity' is of light before it is reflected: leave out 'bounces'.")
+        raise SceneError(
+            "representation = 'vicinity' is of light before it is reflected: leave out 'bounces'."
+        )
     if overrides.bounces and max(inputs.reflecting) == 0.0:
-        raise SceneError(f"bounces = {overrides.bounces} is of reflected light, and albedo 0 has none: leave it out.")
+        raise SceneError(
+            f"bounces = {overrides.bounces} is of reflected light, and albedo 0 has none: "
+            "leave it out."
+        )
     if overrides.representation == "constant" and not bounces:
-        raise SceneError("representation = 'constant' is of reflected light too, and there is none: leave it out.")
+        raise SceneError(
+            "representation = 'constant' is of reflected light too, and there is none: leave "
+            "it out."
+        )
 
 
 def refuse_albedos(representation: str, bounces: int, overrides: PlanOverrides) -> None:
-    """Raise SceneError where views may ask for other albedos, and texels keep irradiance under the scene's lights."""
+    """Raise SceneError where views may ask for other albedos, and texels keep irradiance under the
+    scene's lights.
+    """
     if overrides.albedos is not None and representation == "irradiance" and bounces:
         given = f"albedos = [{overrides.albedos[0]:g}, {overrides.albedos[1]:g}]"
         advice = "set rotating = true, bounces = 0, or leave it out"
-        raise SceneError(f"{given} is of light that may turn, and this is baked as it stands: {advice}.")
+        raise SceneError(
+            f"{given} is of light that may turn, and this is baked as it stands: {advice}."
+        )
 
 
 def refuse_glow(bounces: int, inputs: PlanInputs, overrides: PlanOverrides) -> None:
-    """Raise SceneError where views may ask for other albedos, and texels keep what was reflected of glows."""
+    """Raise SceneError where views may ask for other albedos, and texels keep what was reflected of
+    glows.
+    """
     if overrides.albedos is not None and inputs.glows and bounces:
         given = f"albedos = [{overrides.albedos[0]:g}, {overrides.albedos[1]:g}]"
-        raise SceneError(f"{given} is of lights alone, and something glows: set bounces = 0, or leave it out.")
+        raise SceneError(
+            f"{given} is of lights alone, and something glows: set bounces = 0, or leave it out."
+        )
 
 
 def refuse_no_bytes(layers: tuple[Layer, ...]) -> tuple[Layer, ...]:
     """Return the layers; SceneError where none of them has a band that is kept in bytes."""
     if all(layer.coarse is None for layer in layers):
-        raise SceneError("precision = 'bytes' is of higher bands of harmonics, and there are none: leave it out.")
+        raise SceneError(
+            "precision = 'bytes' is of higher bands of harmonics, and there are none: leave it out."
+        )
     return layers
 
 
@@ -124,10 +174,14 @@ LOWEST_BYTES = 2
 """The lowest band of direct light that bytes may hold."""
 
 MOST_BANDS = 6
-"""The order of light that misses the target at any order: bytes grow as n², and the error under a sun falls as 1/√n."""
+"""The order of light that misses the target at any order: bytes grow as n², and the error under a
+sun falls as 1/√n.
+"""
 
 MOST_REFLECTED = 5
-"""Highest order of reflected light beside lobes: their reflections stay in harmonics, and direct light needs fewer."""
+"""Highest order of reflected light beside lobes: their reflections stay in harmonics, and direct
+light needs fewer.
+"""
 
 MUCH = 1.125
 """Factor on the least possible error of harmonics that is accepted for the sake of fewer lobes."""
@@ -136,26 +190,38 @@ MUCH = 1.125
 def plan_scene(inputs: PlanInputs, overrides: PlanOverrides) -> ScenePlan:
     """Derive the plan of a scene.
 
-    Raises LightError where the lights are beyond what frames can hold, and SceneError where the overrides do not fit
-    them or change nothing.
+    Raises LightError where the lights are beyond what frames can hold, and SceneError where the
+    overrides do not fit them or change nothing.
     """
     refuse_brightness(inputs)
-    bounces = bounces_for(inputs.reflecting, inputs.target_error) if overrides.bounces is None else overrides.bounces
+    if overrides.bounces is None:
+        bounces = bounces_for(inputs.reflecting, inputs.target_error)
+    else:
+        bounces = overrides.bounces
     if overrides.representation == "vicinity" or max(inputs.reflecting) == 0.0:
         bounces = 0
     representation = overrides.representation or choose_representation(inputs, overrides, bounces)
     refuse_idle(representation, bounces, inputs, overrides)
-    lobes = lobes_for(inputs, overrides) if representation == "transfer" else 0
-    layers = rounded(planned_layers(representation, inputs, overrides, bounces, lobes), inputs, overrides, lobes)
+    if representation == "transfer":
+        lobes = lobes_for(inputs, overrides)
+    else:
+        lobes = 0
+    layers = rounded(
+        planned_layers(representation, inputs, overrides, bounces, lobes), inputs, overrides, lobes
+    )
     layers += glow_layers(inputs, bounces)
-    order, samples = max(layer.order for layer in layers), most_samples(inputs.target_error)
-    survival, branches = survival_for(inputs.reflecting, bounces), branches_for(layers, inputs)
+    order = max(layer.order for layer in layers)
+    samples = most_samples(inputs.target_error)
+    survival = survival_for(inputs.reflecting, bounces)
+    branches = branches_for(layers, inputs)
     plan = ScenePlan(representation, layers, order, bounces, survival, samples, lobes, branches)
     return complete(plan, inputs, overrides)
 
 
 def complete(plan: ScenePlan, inputs: PlanInputs, overrides: PlanOverrides) -> ScenePlan:
-    """Add to a plan what follows from its layers: expected errors, notes on them, and what is left out."""
+    """Add to a plan what follows from its layers: expected errors, notes on them, and what is left
+    out.
+    """
     plan = replace(plan, errors=errors_of(plan, inputs, overrides))
     return replace(plan, notes=notes_on(plan, inputs), left_out=left_out(plan, inputs))
 
@@ -166,18 +232,25 @@ def choose_representation(inputs: PlanInputs, overrides: PlanOverrides, bounces:
         return "irradiance"
     if even(inputs) and (overrides.order is None or inputs.constant):
         return "constant" if bounces else "vicinity"
-    return "transfer" if inputs.rotating else "irradiance"
+    if inputs.rotating:
+        return "transfer"
+    return "irradiance"
 
 
 def lobes_for(inputs: PlanInputs, overrides: PlanOverrides) -> int:
-    """Choose how many lobes pay: the fewest with which direct light's harmonics stay within their share of the target.
+    """Choose how many lobes pay: the fewest with which direct light's harmonics stay within their
+    share of the target.
 
-    Where no number reaches that, the fewest with which they err at most an eighth more than with all.
+    Where no number reaches that, the fewest with which they err at most an eighth more than with
+    all.
     """
     if overrides.lobes is not None:
         return overrides.lobes
     counts = range(len(inputs.lobes) + 1)
-    errors = [truncation_error(inputs.energy_beside(n), overrides.order or MOST_BANDS, "direct") for n in counts]
+    errors = [
+        truncation_error(inputs.energy_beside(n), overrides.order or MOST_BANDS, "direct")
+        for n in counts
+    ]
     allowed = max(HARMONICS * inputs.target_error, MUCH * min(errors))
     return next(n for n in counts if errors[n] <= allowed)
 
@@ -193,23 +266,36 @@ def planned_layers(
     if representation == "constant":
         return (Layer("whole", channels=1 if inputs.grey else 3),)
     if representation == "irradiance":
-        return (Layer("irradiance", channels=1 if inputs.grey and inputs.grey_light else 3, scale=unit_of(inputs)),)
+        return (
+            Layer(
+                "irradiance",
+                channels=1 if inputs.grey and inputs.grey_light else 3,
+                scale=unit_of(inputs),
+            ),
+        )
     direct = Layer("direct", overrides.order or direct_order(inputs, lobes))
     if not bounces:
         return (direct,)
-    most = max(direct.order, MOST_REFLECTED) if lobes and overrides.order is None else direct.order
+    if lobes and overrides.order is None:
+        most = max(direct.order, MOST_REFLECTED)
+    else:
+        most = direct.order
     order = overrides.indirect_order or indirect_order(inputs, direct.order, lobes, most)
     return direct, reflected(order, inputs, overrides, bounces)
 
 
 GLOW_SCALE = 2.0**-6
-"""The unit that the light of glows is kept in: half floats hold what is a millionth of radiance 1 to a thousandth."""
+"""The unit that the light of glows is kept in: half floats hold what is a millionth of radiance 1
+to a thousandth.
+"""
 
 
 def glow_layers(inputs: PlanInputs, bounces: int) -> tuple[GlowLayer, ...]:
     """The layer of what glows, beside any other light; none where nothing does."""
     colours = 1 if inputs.grey or not bounces else 3
-    layer = GlowLayer(GLOW_KIND, channels=colours * inputs.glows, scale=GLOW_SCALE, glows=inputs.glows)
+    layer = GlowLayer(
+        GLOW_KIND, channels=colours * inputs.glows, scale=GLOW_SCALE, glows=inputs.glows
+    )
     return (layer,) if inputs.glows else ()
 
 
@@ -224,41 +310,58 @@ def reflected(order: int, inputs: PlanInputs, overrides: PlanOverrides, bounces:
 def direct_order(inputs: PlanInputs, lobes: int) -> int:
     """Choose the order of direct light beside ``lobes``: the least within its share of the target.
 
-    Where MOST_BANDS are too few for that, the least order up to FAR_BANDS that is within the target; else FAR_BANDS
-    where these bring the error within FAR_BANDS_ERROR, or MOST_BANDS.
+    Where MOST_BANDS are too few for that, the least order up to FAR_BANDS that is within the
+    target; else FAR_BANDS where these bring the error within FAR_BANDS_ERROR, or MOST_BANDS.
     """
-    energy, target = inputs.energy_beside(lobes), inputs.target_error
+    energy = inputs.energy_beside(lobes)
+    target = inputs.target_error
     order, error = choose_order(energy, HARMONICS * target, "direct", MOST_BANDS)
     if error <= HARMONICS * target:
         return order
     further, left = choose_order(energy, target, "direct", FAR_BANDS)
-    return max(order, further) if left <= max(target, FAR_BANDS_ERROR) else order
+    if left <= max(target, FAR_BANDS_ERROR):
+        return max(order, further)
+    return order
 
 
 def indirect_order(inputs: PlanInputs, direct: int, lobes: int, most: int) -> int:
-    """Choose the order of reflected light, at most ``most``: the least with which both kinds are within the target.
+    """Choose the order of reflected light, at most ``most``: the least with which both kinds are
+    within the target.
 
-    Where direct light alone misses the target, the least order that errs by half as much and still turns with the
-    light: both together then err by an eighth more than direct light alone. Under uffizi orders 6 and 2 err by 5.1 %, 6
-    and 3 by 3.5 %, 6 and 4 by 3.3 %, in 59, 64 and 71 bytes.
+    Where direct light alone misses the target, the least order that errs by half as much and still
+    turns with the light: both together then err by an eighth more than direct light alone. Under
+    uffizi orders 6 and 2 err by 5.1 %, 6 and 3 by 3.5 %, 6 and 4 by 3.3 %, in 59, 64 and 71 bytes.
     """
-    target, error = inputs.target_error, truncation_error(inputs.energy_beside(lobes), direct, "direct")
+    target = inputs.target_error
+    error = truncation_error(inputs.energy_beside(lobes), direct, "direct")
     within = error < target
-    allowed = math.sqrt(target**2 - error**2) if within else error / 2.0
+    if within:
+        allowed = math.sqrt(target**2 - error**2)
+    else:
+        allowed = error / 2.0
     order, _ = choose_order(inputs.energy, allowed, "indirect", most, max(inputs.albedo))
-    return order if within else min(max(order, DIRECTED_ORDER), most)
+    if within:
+        return order
+    return min(max(order, DIRECTED_ORDER), most)
 
 
 def unit_of(inputs: PlanInputs) -> float:
-    """The unit that irradiance is stored in: a power of two; the brightest unshadowed irradiance is 1 to 2 units.
+    """The unit that irradiance is stored in: a power of two; the brightest unshadowed irradiance is
+    1 to 2 units.
 
     The whole layer has one unit, as a texel's bits must not depend on the others in its chunk.
     """
-    return 2.0 ** math.floor(math.log2(inputs.brightest)) if inputs.brightest > 0.0 else 1.0
+    if inputs.brightest > 0.0:
+        return 2.0 ** math.floor(math.log2(inputs.brightest))
+    return 1.0
 
 
-def rounded(layers: tuple[Layer, ...], inputs: PlanInputs, overrides: PlanOverrides, lobes: int) -> tuple[Layer, ...]:
-    """The layers in the least precision whose error is within its share of the target, or in the scene's own."""
+def rounded(
+    layers: tuple[Layer, ...], inputs: PlanInputs, overrides: PlanOverrides, lobes: int
+) -> tuple[Layer, ...]:
+    """The layers in the least precision whose error is within its share of the target, or in the
+    scene's own.
+    """
     if overrides.precision is None:
         return next(kept for kept in precisions(layers) if fits(kept, inputs, lobes))
     if overrides.precision == "bytes":
@@ -267,7 +370,9 @@ def rounded(layers: tuple[Layer, ...], inputs: PlanInputs, overrides: PlanOverri
 
 
 def precisions(layers: tuple[Layer, ...]) -> Iterator[tuple[Layer, ...]]:
-    """The layers in all precisions, the least first: higher bands in bytes, half floats, single floats."""
+    """The layers in all precisions, the least first: higher bands in bytes, half floats, single
+    floats.
+    """
     for band in range(LOWEST_BYTES, max(layer.order for layer in layers)):
         yield tuple(in_bytes(layer, band) for layer in layers)
     yield tuple(replace(layer, half=True) for layer in layers)
@@ -275,21 +380,31 @@ def precisions(layers: tuple[Layer, ...]) -> Iterator[tuple[Layer, ...]]:
 
 
 def in_bytes(layer: Layer, band: int) -> Layer:
-    """The layer with its bands from ``band`` on in bytes; reflected light is softer, so from one band earlier on."""
-    first = band - 1 if layer.kind == "indirect" else band
+    """The layer with its bands from ``band`` on in bytes; reflected light is softer, so from one
+    band earlier on.
+    """
+    if layer.kind == "indirect":
+        first = band - 1
+    else:
+        first = band
     return replace(layer, half=True, coarse=first if first < layer.order else None)
 
 
 def fits(layers: tuple[Layer, ...], inputs: PlanInputs, lobes: int) -> bool:
     """Whether the rounding error is within its share of the target; single floats always fit."""
-    return not layers[0].half or rounding_error(layers, inputs, lobes) <= ROUNDING_SHARE * inputs.target_error
+    return (
+        not layers[0].half
+        or rounding_error(layers, inputs, lobes) <= ROUNDING_SHARE * inputs.target_error
+    )
 
 
-def errors_of(plan: ScenePlan, inputs: PlanInputs, overrides: PlanOverrides) -> tuple[tuple[str, float], ...]:
+def errors_of(
+    plan: ScenePlan, inputs: PlanInputs, overrides: PlanOverrides
+) -> tuple[tuple[str, float], ...]:
     """Expected relative errors of what is cut off, by cause; zeros are left out.
 
-    The error of bounces is an upper bound, given where the plan chose them. Bands of a layer beyond the plan's order
-    are kept and not read.
+    The error of bounces is an upper bound, given where the plan chose them. Bands of a layer beyond
+    the plan's order are kept and not read.
     """
     chosen = overrides.bounces is None and plan.representation != "vicinity"
     read = tuple(replace(layer, order=min(layer.order, plan.order)) for layer in plan.layers)
@@ -308,15 +423,25 @@ def notes_on(plan: ScenePlan, inputs: PlanInputs) -> tuple[str, ...]:
     target = f"more than the target of {percent(inputs.target_error)}."
     notes = []
     if "harmonics" in above:
-        advice = " Where it need not turn, rotating = false bakes the light as it is." if inputs.rotating else ""
+        if inputs.rotating:
+            advice = " Where it need not turn, rotating = false bakes the light as it is."
+        else:
+            advice = ""
         sharp = f"The light is too sharp for harmonics of order {plan.order}"
         notes.append(f"{sharp}: expect an error of {above['harmonics']}, {target}{advice}")
     if "bounces" in above:
-        notes.append(f"Paths end after {plan.bounces} bounces: what is lost is {above['bounces']} at most, {target}")
+        notes.append(
+            f"Paths end after {plan.bounces} bounces: what is lost is {above['bounces']} at "
+            f"most, {target}"
+        )
     return tuple(notes)
 
 
 def vicinity_plan(plan: ScenePlan) -> ScenePlan:
-    """The plan of vicinity shading in a scene: band 0 of direct light, from a layer that is kept anyway if possible."""
-    direct = next((layer for layer in plan.layers if layer.kind == "direct"), Layer("direct", half=plan.half))
+    """The plan of vicinity shading in a scene: band 0 of direct light, from a layer that is kept
+    anyway if possible.
+    """
+    direct = next(
+        (layer for layer in plan.layers if layer.kind == "direct"), Layer("direct", half=plan.half)
+    )
     return ScenePlan("vicinity", (direct,), 1, 0, 1.0, plan.samples)

@@ -1,4 +1,6 @@
-"""Texels that views can ever show, counted before anything is baked, and the texels of whole isosurfaces."""
+"""Texels that views can ever show, counted before anything is baked, and the texels of whole
+isosurfaces.
+"""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -23,10 +25,11 @@ SAMPLED_TEXELS = 1 << 15
 
 @dataclass(frozen=True)
 class TexelCount:
-    """Texels of a lattice: ``total``; ``shown``, which some view can read; ``void``, shown ones that are never lit.
+    """Texels of a lattice: ``total``; ``shown``, which some view can read; ``void``, shown ones
+    that are never lit.
 
-    ``chunks`` and ``shown_chunks`` count chunks likewise; a chunk has ``chunk`` texels along each side. ``void`` is
-    estimated from at most SAMPLED_TEXELS of the shown ones.
+    ``chunks`` and ``shown_chunks`` count chunks likewise; a chunk has ``chunk`` texels along each
+    side. ``void`` is estimated from at most SAMPLED_TEXELS of the shown ones.
     """
 
     total: int
@@ -37,33 +40,47 @@ class TexelCount:
     chunk: int
 
 
-def count_texels(field: Field, shape: Shape, lowest: Isovalue, highest: Isovalue, chunk: int) -> TexelCount:
-    """Count the texels of a lattice of ``shape`` (z, y, x) over a ``field`` for a range of isovalues.
+def count_texels(
+    field: Field, shape: Shape, lowest: Isovalue, highest: Isovalue, chunk: int
+) -> TexelCount:
+    """Count the texels of a lattice of ``shape`` (z, y, x) over a ``field`` for a range of
+    isovalues.
 
-    Macrocells are not asked for. The outermost texels lie on the outermost voxels; ``chunk`` is the side of a chunk
-    in texels.
+    Macrocells are not asked for. The outermost texels lie on the outermost voxels; ``chunk`` is the
+    side of a chunk in texels.
     """
     nz, ny, nx = (n - 1 for n in field.voxels.shape)
 
     def cells(first: int, last: int) -> np.ndarray:
         return surface_cells(field.voxels[first : last + 1], lowest, highest)
 
-    sample, touched = Sample(SAMPLED_TEXELS), 0
+    sample = Sample(SAMPLED_TEXELS)
+    touched = 0
     for n, block in enumerate(shown_blocks(cells, (nz, ny, nx), shape, chunk)):
         for z, layer in enumerate(block):
             sample.add(np.flatnonzero(layer) + (n * chunk + z) * layer.size)
         touched += touched_chunks(block, chunk)
-    few, count = sample.places, sample.passed
-    share = float(void_texels(field, shape, few).mean()) if len(few) else 0.0
+    few = sample.places
+    count = sample.passed
+    if len(few):
+        share = float(void_texels(field, shape, few).mean())
+    else:
+        share = 0.0
     chunks = math.prod(-(-n // chunk) for n in shape)
     return TexelCount(math.prod(shape), count, round(share * count), chunks, touched, chunk)
 
 
 def touched_chunks(block: np.ndarray, chunk: int) -> int:
-    """Count the chunks of one layer of chunks that hold any mark of the ``block`` (layers, y, x)."""
+    """Count the chunks of one layer of chunks that hold any mark of the ``block`` (layers, y,
+    x).
+    """
     columns = np.asarray(block.any(axis=0))
     firsts = [np.arange(0, n, chunk) for n in columns.shape]
-    return int(np.count_nonzero(any_within(columns, firsts, [np.full(len(each), chunk) for each in firsts])))
+    return int(
+        np.count_nonzero(
+            any_within(columns, firsts, [np.full(len(each), chunk) for each in firsts])
+        )
+    )
 
 
 class Sample:
@@ -71,7 +88,9 @@ class Sample:
 
     def __init__(self, most: int) -> None:
         """Begin with every place; later take every second, fourth and so on."""
-        self._most, self._step, self._taken = most, 1, [np.zeros(0, np.int64)]
+        self._most = most
+        self._step = 1
+        self._taken = [np.zeros(0, np.int64)]
         self.passed = 0
 
     def add(self, places: np.ndarray) -> None:
@@ -79,7 +98,8 @@ class Sample:
         self._taken.append(places[-self.passed % self._step :: self._step].copy())
         self.passed += len(places)
         while sum(map(len, self._taken)) > self._most:
-            self._taken, self._step = [self.places[::2]], 2 * self._step
+            self._taken = [self.places[::2]]
+            self._step = 2 * self._step
 
     @property
     def places(self) -> np.ndarray:
@@ -88,10 +108,11 @@ class Sample:
 
 
 def surface_cells(voxels: np.ndarray, lowest: Isovalue, highest: Isovalue) -> np.ndarray:
-    """Whether each cell of ``voxels`` may show a surface of some isovalue from ``lowest`` to ``highest``; bool.
+    """Whether each cell of ``voxels`` may show a surface of some isovalue from ``lowest`` to
+    ``highest``; bool.
 
-    A cell does where such an isovalue lies between its least and greatest corner, both included, as a hit on a face
-    may be rounded into the cell beyond. A cell with a NaN shows none.
+    A cell does where such an isovalue lies between its least and greatest corner, both included, as
+    a hit on a face may be rounded into the cell beyond. A cell with a NaN shows none.
     """
     cells = np.empty(tuple(n - 1 for n in voxels.shape), np.bool_)
     mark_cells(voxels, lowest, highest, cells)
@@ -99,15 +120,18 @@ def surface_cells(voxels: np.ndarray, lowest: Isovalue, highest: Isovalue) -> np
 
 
 def shown_blocks(cells: Cells, extent: Shape, shape: Shape, size: int) -> Iterator[np.ndarray]:
-    """Whether each texel is a corner of a lattice cell that shares some room with a marked one of the ``cells``; bool.
+    """Whether each texel is a corner of a lattice cell that shares some room with a marked one of
+    the ``cells``; bool.
 
-    There are ``extent`` cells (z, y, x), of which ``cells(first, last)`` marks some layers, and ``shape`` texels; these
-    come ``size`` layers at a time, so that no more need be in memory.
+    There are ``extent`` cells (z, y, x), of which ``cells(first, last)`` marks some layers, and
+    ``shape`` texels; these come ``size`` layers at a time, so that no more need be in memory.
     """
     spans = [lattice_spans(n, t) for n, t in zip(extent, shape, strict=True)]
-    (first, count), top = spans[0], shape[0] - 1
+    (first, count) = spans[0]
+    top = shape[0] - 1
     for a in range(0, shape[0], size):
-        low, high = max(a - 1, 0), min(a + size, top)
+        low = max(a - 1, 0)
+        high = min(a + size, top)
         begin = first[low]
         marks = cells(begin, first[high - 1] + count[high - 1])
         own = [(first[low:high] - begin, count[low:high]), *spans[1:]]
@@ -116,7 +140,9 @@ def shown_blocks(cells: Cells, extent: Shape, shape: Shape, size: int) -> Iterat
 
 
 def widened(held: np.ndarray, axis: int, before: bool = True, after: bool = True) -> np.ndarray:
-    """Corners along an axis that belong to a marked cell; the cells ``before`` and ``after`` all count as unmarked."""
+    """Corners along an axis that belong to a marked cell; the cells ``before`` and ``after`` all
+    count as unmarked.
+    """
     wide = [(0, 0)] * 3
     wide[axis] = (int(before), int(after))
     layers = np.moveaxis(np.pad(held, wide), axis, 0)
@@ -124,7 +150,9 @@ def widened(held: np.ndarray, axis: int, before: bool = True, after: bool = True
 
 
 def lattice_spans(cells: int, texels: int) -> tuple[np.ndarray, np.ndarray]:
-    """For each lattice cell along an axis: the first voxel cell that it overlaps, and the number of these."""
+    """For each lattice cell along an axis: the first voxel cell that it overlaps, and the number of
+    these.
+    """
     edges = np.arange(texels) * (cells / (texels - 1))
     first = np.floor(edges[:-1]).astype(int)
     last = np.ceil(edges[1:]).astype(int)
@@ -132,7 +160,9 @@ def lattice_spans(cells: int, texels: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def any_within(marks: np.ndarray, firsts: list[np.ndarray], counts: list[np.ndarray]) -> np.ndarray:
-    """Whether any mark is set in each box of ``counts`` marks from ``firsts`` on, both by axis; none is set outside."""
+    """Whether any mark is set in each box of ``counts`` marks from ``firsts`` on, both by axis;
+    none is set outside.
+    """
     for axis, (first, count) in enumerate(zip(firsts, counts, strict=True)):
         most = marks.shape[axis] - 1
         if np.array_equal(first, np.arange(most + 1)) and (count == 1).all():
@@ -143,10 +173,16 @@ def any_within(marks: np.ndarray, firsts: list[np.ndarray], counts: list[np.ndar
 
 
 def void_texels(field: Field, shape: Shape, places: np.ndarray) -> np.ndarray:
-    """Whether the texels at flat ``places`` of the lattice can hold no light, see ``locate_texels``; bool."""
-    step = np.array([(n - 1) / (m - 1) for n, m in zip(field.voxels.shape[::-1], shape[::-1], strict=True)])
+    """Whether the texels at flat ``places`` of the lattice can hold no light, see
+    ``locate_texels``; bool.
+    """
+    step = np.array(
+        [(n - 1) / (m - 1) for n, m in zip(field.voxels.shape[::-1], shape[::-1], strict=True)]
+    )
     texels = np.stack(np.unravel_index(places, shape), axis=-1).astype(np.int32)
-    points, normals, isovalues = np.empty((3, len(texels))), np.empty((3, len(texels))), np.empty(len(texels))
+    points = np.empty((3, len(texels)))
+    normals = np.empty((3, len(texels)))
+    isovalues = np.empty(len(texels))
     void = np.empty(len(texels), np.bool_)
     locate_texels(field, step, texels, points, normals, isovalues, void)
     return void
@@ -159,10 +195,11 @@ Range = tuple[Isovalue, Isovalue]
 def surface_texels(
     voxels: np.ndarray, shape: Shape, chunk: int, ranges: Sequence[Range]
 ) -> Iterator[tuple[Shape, np.ndarray]]:
-    """The chunks (z, y, x) that hold texels of isosurfaces in the ``ranges``, with ascending offsets of these texels.
+    """The chunks (z, y, x) that hold texels of isosurfaces in the ``ranges``, with ascending
+    offsets of these texels.
 
-    The lattice of ``shape`` (z, y, x) has ``chunk`` texels along each side of a chunk; offsets are int32. One layer
-    of chunks is in memory at a time.
+    The lattice of ``shape`` (z, y, x) has ``chunk`` texels along each side of a chunk; offsets are
+    int32. One layer of chunks is in memory at a time.
     """
     nz, ny, nx = (n - 1 for n in voxels.shape)
 
@@ -175,4 +212,7 @@ def surface_texels(
             for x in range(0, shape[2], chunk):
                 z, j, i = np.nonzero(shown[:, y : y + chunk, x : x + chunk])
                 if len(z):
-                    yield (layer, y // chunk, x // chunk), ((z * chunk + j) * chunk + i).astype(np.int32)
+                    yield (
+                        (layer, y // chunk, x // chunk),
+                        ((z * chunk + j) * chunk + i).astype(np.int32),
+                    )

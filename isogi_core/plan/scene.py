@@ -38,35 +38,51 @@ from isogi_core.plan.reachable_texels import TexelCount, count_texels
 from isogi_core.plan.surfaces import SceneSurfaces, find_levels, unrefracted
 
 BAKE_FORMAT = 6
-"""Version of baked light: increased when a chunk's content, or the way its light is computed, changes."""
+"""Version of baked light: increased when a chunk's content, or the way its light is computed,
+changes.
+"""
 
 NORMAL_KINDS = ("bspline", "gradient")
-"""Gradients that normals may be made of: smoothed with the tricubic B-spline, or plain (S1, figure 5)."""
+"""Gradients that normals may be made of: smoothed with the tricubic B-spline, or plain (S1, figure
+5).
+"""
 
-ROOM_KIND, COLOURED_KIND, AMONG_KIND, INSIDE_KIND, GLOW_AMONG_KIND = "room", "coloured", "among", "inside", "glow among"
-"""Stand for the kinds of layers that are baked among walls, on a surface with colours where its light may turn, among
-several surfaces, or inside of one.
+ROOM_KIND = "room"
+COLOURED_KIND = "coloured"
+AMONG_KIND = "among"
+INSIDE_KIND = "inside"
+GLOW_AMONG_KIND = "glow among"
+"""Stand for the kinds of layers that are baked among walls, on a surface with colours where its
+light may turn, among several surfaces, or inside of one.
 """
 
 PATH_KINDS: dict[tuple[type, type], str] = {
-    **{(InRoom, Surroundings): ROOM_KIND, (Among, Surroundings): AMONG_KIND, (Through, Surroundings): INSIDE_KIND},
+    **{
+        (InRoom, Surroundings): ROOM_KIND,
+        (Among, Surroundings): AMONG_KIND,
+        (Through, Surroundings): INSIDE_KIND,
+    },
     **{(InRoom, Glows): GLOW_KIND, (Among, Glows): GLOW_AMONG_KIND},
 }
 """The kinds of layers by what their paths meet and gather: those of ``transport.entries``."""
 
 CHUNK_SIDES = (8, 16, 32)
-"""Sides that a chunk may have, in texels. Small chunks spread over more workers; large ones are fewer objects."""
+"""Sides that a chunk may have, in texels. Small chunks spread over more workers; large ones are
+fewer objects.
+"""
 
 
 @dataclass(frozen=True)
 class SceneSettings:
     """What a scene's file says of texels, rays and views.
 
-    ``lattice`` is texels per voxel along each axis, ``chunk`` texels along each side of a chunk. ``normals`` names the
-    gradient that they are made of, "bspline" (smoothed) or "gradient" (plain). Rays start ``offset`` voxels above a
-    surface. ``projected`` settles whether texels that are far from the isosurface of a view at rest are projected onto
-    it; None leaves that to the plan, see ``plan.projection``. ``presets`` are the isovalues that the scene names, and
-    ``projection``, one of PROJECTIONS, is that of views that ask for none. ``overrides`` are choices for the plan.
+    ``lattice`` is texels per voxel along each axis, ``chunk`` texels along each side of a chunk.
+    ``normals`` names the gradient that they are made of, "bspline" (smoothed) or "gradient"
+    (plain). Rays start ``offset`` voxels above a surface. ``projected`` settles whether texels that
+    are far from the isosurface of a view at rest are projected onto it; None leaves that to the
+    plan, see ``plan.projection``. ``presets`` are the isovalues that the scene names, and
+    ``projection``, one of PROJECTIONS, is that of views that ask for none. ``overrides`` are
+    choices for the plan.
     """
 
     lattice: float
@@ -81,11 +97,12 @@ class SceneSettings:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A scene that can be rendered. ``isovalue`` and the range ``isovalues`` are in the volume's own units.
+    """A scene that can be rendered. ``isovalue`` and the range ``isovalues`` are in the volume's
+    own units.
 
-    ``target_error`` is the relative error at which a pixel counts as final. ``plan`` was made for ``inputs``. Where the
-    scene is a variant of another, or cut open, ``exposed_for`` is the other's surface as it is seen at first: the same
-    light is as bright in pictures of both.
+    ``target_error`` is the relative error at which a pixel counts as final. ``plan`` was made for
+    ``inputs``. Where the scene is a variant of another, or cut open, ``exposed_for`` is the other's
+    surface as it is seen at first: the same light is as bright in pictures of both.
     """
 
     id: str
@@ -115,7 +132,8 @@ class Scene:
 
     @property
     def meets(self) -> type:
-        """The record of what paths meet that gather light: it chooses their kernels, see ``transport.entries``.
+        """The record of what paths meet that gather light: it chooses their kernels, see
+        ``transport.entries``.
 
         One place decides: paths go Through matter, Among several surfaces, InRoom, or in the Open.
         """
@@ -131,13 +149,17 @@ class Scene:
         return Among if self.surfaces.several else InRoom
 
     def kind_of(self, layer: Layer, plan: ScenePlan) -> str:
-        """The kind of a ``layer`` of a ``plan``, or what stands for it, by whose kernels it is baked."""
+        """The kind of a ``layer`` of a ``plan``, or what stands for it, by whose kernels it is
+        baked.
+        """
         if layer.kind == "irradiance":
             return PATH_KINDS.get((self.meets, Surroundings), layer.kind)
         if layer.kind == GLOW_KIND:
             return PATH_KINDS[self.glow_meets, Glows]
         reflected = any(each.reflected and each.kind != GLOW_KIND for each in plan.layers)
-        return COLOURED_KIND if self.surfaces.colours and reflected else layer.kind
+        if self.surfaces.colours and reflected:
+            return COLOURED_KIND
+        return layer.kind
 
     @property
     def name(self) -> str:
@@ -156,7 +178,9 @@ class Scene:
 
     @property
     def lattice_shape(self) -> tuple[int, int, int]:
-        """Texels along z, y, x: ``lattice`` per voxel, the outermost on the outermost voxels, at least 2."""
+        """Texels along z, y, x: ``lattice`` per voxel, the outermost on the outermost voxels, at
+        least 2.
+        """
         z, y, x = (max(round((n - 1) * self.settings.lattice) + 1, 2) for n in self.volume.shape)
         return z, y, x
 
@@ -173,12 +197,19 @@ class Scene:
         lamps = self.lighting.lamps.approximate(MAX_ORDER, self.volume.centre, self.volume.radius)
         light = self.inputs.harmonics + lamps
         light[:, 0] += self.glow_around * math.sqrt(4.0 * math.pi)
-        turn = self.volume.orientation.matrix.T if self.lighting.rotating else np.eye(3)
-        return exposure_for(light, self.surfaces.albedo, self.seen._replace(normals=self.seen.normals @ turn))
+        if self.lighting.rotating:
+            turn = self.volume.orientation.matrix.T
+        else:
+            turn = np.eye(3)
+        return exposure_for(
+            light, self.surfaces.albedo, self.seen._replace(normals=self.seen.normals @ turn)
+        )
 
     @property
     def glow_around(self) -> np.ndarray:
-        """What arrives of glows, E/π linear RGB (3,), as far from them as the volume reaches from its middle."""
+        """What arrives of glows, E/π linear RGB (3,), as far from them as the volume reaches from
+        its middle.
+        """
         return self.lighting.glowing.seen_from(self.volume.radius)
 
     @property
@@ -195,7 +226,11 @@ class Scene:
     def texels(self) -> TexelCount:
         """Texels of the lattice, and how many of them views can show."""
         facts = self.lattice_shape, *self.span, self.settings.chunk
-        return found(self.volume, ("texels", *facts, *self._rays), partial(count_texels, self._bare_field, *facts))
+        return found(
+            self.volume,
+            ("texels", *facts, *self._rays),
+            partial(count_texels, self._bare_field, *facts),
+        )
 
     @property
     def projection(self) -> ProjectionPlan:
@@ -220,13 +255,17 @@ class Scene:
     @property
     def _bare_field(self) -> Field:
         """The volume as kernels take it, without macrocells."""
-        none, smooth = np.empty((0, 0, 0), np.float32), self.settings.normals == NORMAL_KINDS[0]
-        return Field(self.volume.voxels, none, none, self.volume.spacing, smooth, self.settings.offset)
+        none = np.empty((0, 0, 0), np.float32)
+        smooth = self.settings.normals == NORMAL_KINDS[0]
+        return Field(
+            self.volume.voxels, none, none, self.volume.spacing, smooth, self.settings.offset
+        )
 
     @property
     def presets(self) -> tuple[Preset, ...]:
         """Isovalues worth seeing: the scene's own, else boundaries in its volume, but of labels."""
-        colours, own = self.surfaces.colours, self.settings.presets
+        colours = self.surfaces.colours
+        own = self.settings.presets
         if own or (colours is not None and colours.scale.labels):
             return own
         find = partial(find_boundaries, self.volume, self.isovalues)
@@ -240,16 +279,23 @@ class Scene:
 
     @cached_property
     def left_out(self) -> tuple[LeftOut, ...]:
-        """Everything that is left out: by the plan, texels that are never lit or not projected, and shine."""
+        """Everything that is left out: by the plan, texels that are never lit or not projected, and
+        shine.
+        """
         texels = (*unseen(self.texels, self.plan), *unprojected(self.projection, self.start))
-        levels = len(self.levels) if self.surfaces.pinned else 0
-        beside = (
-            unshared(len(self.surfaces.pinned), levels, self.plan)
-            if self.surfaces.pinned or self.surfaces.clear > 0.0
-            else ()
+        if self.surfaces.pinned:
+            levels = len(self.levels)
+        else:
+            levels = 0
+        if self.surfaces.pinned or self.surfaces.clear > 0.0:
+            beside = unshared(len(self.surfaces.pinned), levels, self.plan)
+        else:
+            beside = ()
+        if self.surfaces.transmits:
+            beside += untold_sides(self.plan)
+        beside += unrefracted(
+            self.surfaces.material, self.lighting.lights, self.lighting.environment.sharp
         )
-        beside += untold_sides(self.plan) if self.surfaces.transmits else ()
-        beside += unrefracted(self.surfaces.material, self.lighting.lights, self.lighting.environment.sharp)
         return (*self.plan.left_out, *texels, *beside, *unshining(self.surfaces.shine))
 
     def with_settings(self, **changes: Any) -> "Scene":
@@ -257,44 +303,72 @@ class Scene:
         return replace(self, settings=replace(self.settings, **changes))
 
     def require_texels(self) -> None:
-        """Raise SceneError where the surface keeps no texels: what is asked for is the light that these keep."""
+        """Raise SceneError where the surface keeps no texels: what is asked for is the light that
+        these keep.
+        """
         if self.surfaces.material.refracts:
             raise SceneError(
-                f"The surface of '{self.name}' is glass and keeps no light of its own: render views of it."
+                f"The surface of '{self.name}' is glass and keeps no light of its own: render "
+                "views of it."
             )
 
     def layer_digest(self, layer: Layer, shown: Isovalue | None = None) -> str:
         """Digest (hex) of everything that a layer's light depends on, and of nothing else.
 
-        Irradiance depends on the scene's lights (S1, eq. 6), and reflected light on bounces and albedos. Texels that
-        lie on the isosurface ``shown``, a normalised isovalue, depend on that.
+        Irradiance depends on the scene's lights (S1, eq. 6), and reflected light on bounces and
+        albedos. Texels that lie on the isosurface ``shown``, a normalised isovalue, depend on that.
         """
         if isinstance(layer, GlowLayer):
             return self._glow_digest(layer, shown)
-        surfaces, lighting = self.surfaces, self.lighting
+        surfaces = self.surfaces
+        lighting = self.lighting
         *kept, nodes = astuple(layer)
         parts = [BAKE_FORMAT, self.volume.digest, self.settings.lattice, *kept, *self.departures]
         parts += [] if shown is None else ["shown", shown]
         if layer.reflected:
             parts += [["nodes", *nodes] if nodes else surfaces.albedo[: layer.channels]]
             parts += [self.bounces, self.plan.survival]
-            parts += ["branches", self.plan.branches] if self.plan.branches > 1 else []
+            if self.plan.branches > 1:
+                parts += ["branches", self.plan.branches]
         if layer.kind == "irradiance":
             parts += [*lighting.sources, surfaces.albedo, *lighting.walls]
             parts += [*surfaces.company, *(surfaces.matter if surfaces.material.scatters else [])]
         return digest_of(parts + (surfaces.by_data if layer.reflected else []))
 
     def _glow_digest(self, layer: GlowLayer, shown: Isovalue | None) -> str:
-        """The digest of a layer of glow: where glow is, and what reflects it; no colour or strength, no other light."""
-        surfaces, lighting = self.surfaces, self.lighting
-        parts = [BAKE_FORMAT, self.volume.digest, self.settings.lattice, *astuple(layer), *self.departures]
-        parts += ["shown", shown, surfaces.albedo[: layer.colours], self.bounces, self.plan.survival]
-        walls = ["walls", lighting.room.dark_digest] if lighting.room.any else []
-        return digest_of([*parts, lighting.glowing.digest, *walls, *surfaces.company, *surfaces.by_data])
+        """The digest of a layer of glow: where glow is, and what reflects it; no colour or
+        strength, no other light.
+        """
+        surfaces = self.surfaces
+        lighting = self.lighting
+        parts = [
+            BAKE_FORMAT,
+            self.volume.digest,
+            self.settings.lattice,
+            *astuple(layer),
+            *self.departures,
+        ]
+        parts += [
+            "shown",
+            shown,
+            surfaces.albedo[: layer.colours],
+            self.bounces,
+            self.plan.survival,
+        ]
+        if lighting.room.any:
+            walls = ["walls", lighting.room.dark_digest]
+        else:
+            walls = []
+        return digest_of(
+            [*parts, lighting.glowing.digest, *walls, *surfaces.company, *surfaces.by_data]
+        )
 
     def wall_digest(self, *state: Any) -> str:
-        """Digest (hex) of everything that the light of walls depends on, besides the numbers of a ``state``."""
-        surfaces, lighting = self.surfaces, self.lighting
+        """Digest (hex) of everything that the light of walls depends on, besides the numbers of a
+        ``state``.
+        """
+        surfaces = self.surfaces
+        lighting = self.lighting
         lights = [*lighting.sources, lighting.room.digest, *lighting.glow]
         paths = [self.bounces, self.plan.survival, self.settings.normals, self.settings.offset]
         parts = [BAKE_FORMAT, self.volume.digest, *lights, *paths]
@@ -302,9 +376,16 @@ class Scene:
 
     @property
     def departures(self) -> list[Any]:
-        """Settings of rays and chunks that differ from the defaults; digests hold these alone, and old ones last."""
-        rays = [] if self._rays == (NORMAL_KINDS[0], RAY_OFFSET_VOXELS) else [*self._rays]
-        return rays if self.settings.chunk == DEFAULT_CHUNK_SIDE else [*rays, self.settings.chunk]
+        """Settings of rays and chunks that differ from the defaults; digests hold these alone, and
+        old ones last.
+        """
+        if self._rays == (NORMAL_KINDS[0], RAY_OFFSET_VOXELS):
+            rays = []
+        else:
+            rays = [*self._rays]
+        if self.settings.chunk == DEFAULT_CHUNK_SIDE:
+            return rays
+        return [*rays, self.settings.chunk]
 
     def plan_digest(self, plan: ScenePlan, shown: Isovalue | None = None) -> str:
         """Digest (hex) of all layers of a ``plan`` for this scene."""
@@ -318,22 +399,41 @@ class Scene:
     @cached_property
     def digest(self) -> str:
         """Digest (hex) of everything that a frame of this scene depends on, its view left out."""
-        surfaces, lighting, projected = self.surfaces, self.lighting, self.settings.projected
-        settled = [] if projected is None else ["projected", projected]
+        surfaces = self.surfaces
+        lighting = self.lighting
+        projected = self.settings.projected
+        if projected is None:
+            settled = []
+        else:
+            settled = ["projected", projected]
         orientation = self.volume.orientation
-        placed = [orientation.rotation, orientation.origin] if orientation.placed else []
+        if orientation.placed:
+            placed = [orientation.rotation, orientation.origin]
+        else:
+            placed = []
         lit = [surfaces.albedo, self.plan.order, self.plan.lobes, self.target_error]
-        shine = ["shine", *astuple(surfaces.shine)] if surfaces.shine else []
+        if surfaces.shine:
+            shine = ["shine", *astuple(surfaces.shine)]
+        else:
+            shine = []
         beside = [*lighting.walls, *shine, *surfaces.by_data, *surfaces.company, *surfaces.matter]
-        return digest_of([self.bake_digest, *lighting.sources, *lit, *settled, *placed, *beside, *lighting.glow])
+        return digest_of(
+            [self.bake_digest, *lighting.sources, *lit, *settled, *placed, *beside, *lighting.glow]
+        )
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
-        """Camera, in the volume's box, around its middle; angles in the world, degrees; distance in bounding radii."""
-        camera = orbit(self.volume.world_centre, self.volume.radius, azimuth, elevation, distance, fov)
+        """Camera, in the volume's box, around its middle; angles in the world, degrees; distance in
+        bounding radii.
+        """
+        camera = orbit(
+            self.volume.world_centre, self.volume.radius, azimuth, elevation, distance, fov
+        )
         return self.in_box(camera)
 
     def in_box(self, camera: Camera, projection: str | None = None) -> Camera:
-        """A perspective ``camera`` of the world, in the volume's box, with a ``projection``: by default the scene's."""
+        """A perspective ``camera`` of the world, in the volume's box, with a ``projection``: by
+        default the scene's.
+        """
         if (projection or self.settings.projection) == "orthographic":
             camera = orthographic(camera, self.volume.radius)
         return camera.in_box(self.volume.orientation)

@@ -1,1 +1,3 @@
-"""Prepared scenes: what rays meet. The field, its active-cell maps and its lattice, worked out once."""
+"""Prepared scenes: what rays meet. The field, its active-cell maps and its lattice, worked out
+once.
+"""

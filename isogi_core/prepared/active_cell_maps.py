@@ -1,7 +1,8 @@
 """Voxel codes and active-cell maps of one volume, kept for the next isovalues.
 
-Voxel codes: a volume's voxels in the smallest numbers that hold them exactly, for drawing away from here. Voxels that
-no isosurface of a range is drawn by may be any number on their side, which takes no bytes.
+Voxel codes: a volume's voxels in the smallest numbers that hold them exactly, for drawing away from
+here. Voxels that no isosurface of a range is drawn by may be any number on their side, which takes
+no bytes.
 """
 
 import math
@@ -32,13 +33,15 @@ from isogi_core.runs import Run, serially
 CORE_GROUPS = 64
 """Groups over the core of the values, [0, 1] as voxels have it.
 
-A map 1/64 of the value range wide made 512 × 512 primary rays up to 7 % slower than one of the isovalue
-alone (engine 1 %, bonsai 5 %, CT head 6 %), one of 1/32 up to 13 %; a slider crosses four values of a
-byte in such a step, for which one map is made.
+A map 1/64 of the value range wide made 512 × 512 primary rays up to 7 % slower than one of the
+isovalue alone (engine 1 %, bonsai 5 %, CT head 6 %), one of 1/32 up to 13 %; a slider crosses four
+values of a byte in such a step, for which one map is made.
 """
 
 CROWDED_SHARE = 15 / 16
-"""Share of a volume's values in one group from which on it is parted by their ranks: smooth fields reach 0.86."""
+"""Share of a volume's values in one group from which on it is parted by their ranks: smooth fields
+reach 0.86.
+"""
 
 
 NEAR_ZERO_LEVEL = 2.0**-30
@@ -46,20 +49,28 @@ NEAR_ZERO_LEVEL = 2.0**-30
 
 
 def find_levels(voxels: np.ndarray) -> np.ndarray:
-    """The levels of a volume, ascending from -inf to inf, float64: parts of the core, and of a crowded group.
+    """The levels of a volume, ascending from -inf to inf, float64: parts of the core, and of a
+    crowded group.
 
-    Where one bright voxel stretches the range, or values fall off by powers of ten, all surfaces lie in one part of
-    it: a map of that would hold every cell. Such a part has CORE_GROUPS quantiles of its own values between its ends.
+    Where one bright voxel stretches the range, or values fall off by powers of ten, all surfaces
+    lie in one part of it: a map of that would hold every cell. Such a part has CORE_GROUPS
+    quantiles of its own values between its ends.
     """
     values = sample_values(voxels).astype(np.float64)
     levels = [-np.inf, *(np.arange(CORE_GROUPS + 1) / CORE_GROUPS), np.inf]
     return np.unique(
-        [*chain.from_iterable(parted(values, *ends) for ends in pairwise(levels)), NEAR_ZERO_LEVEL, np.inf]
+        [
+            *chain.from_iterable(parted(values, *ends) for ends in pairwise(levels)),
+            NEAR_ZERO_LEVEL,
+            np.inf,
+        ]
     )
 
 
 def parted(values: np.ndarray, low: float, high: float) -> list[float]:
-    """The levels of one group, without its upper end; ``values`` are all, distinct and ascending."""
+    """The levels of one group, without its upper end; ``values`` are all, distinct and
+    ascending.
+    """
     inner = values[np.searchsorted(values, low) : np.searchsorted(values, high)]
     if len(inner) <= max(CROWDED_SHARE * len(values), CORE_GROUPS):
         return [low]
@@ -68,7 +79,9 @@ def parted(values: np.ndarray, low: float, high: float) -> list[float]:
 
 
 MAP_BYTES = 768 << 20
-"""Bytes of maps that are kept (for each 64 cells and map 4 bytes, and 16 more where any of them is marked)."""
+"""Bytes of maps that are kept (for each 64 cells and map 4 bytes, and 16 more where any of them is
+marked).
+"""
 
 USUAL_BLOCK_BYTES = 6
 """Bytes that a map which is yet to be made is taken to have for each 64 cells."""
@@ -76,7 +89,8 @@ USUAL_BLOCK_BYTES = 6
 NARROW_LEVELS = 2
 """Levels across which the maps of a bake reach, as long as all that it asks for are kept.
 
-Through maps 12 levels wide paths in a volume of 1024³ voxels took 1.7 times as long: they look at more cells.
+Through maps 12 levels wide paths in a volume of 1024³ voxels took 1.7 times as long: they look at
+more cells.
 """
 
 MARKED_LAYERS = 4
@@ -93,13 +107,16 @@ def anew(name: str, measure: Callable[[], np.ndarray]) -> np.ndarray:
 
 
 class ActiveCellMaps:
-    """The maps of one volume. Safe to use from many threads; two that want the same map make it once.
+    """The maps of one volume. Safe to use from many threads; two that want the same map make it
+    once.
 
-    ``levels`` are where maps begin and end, from -inf to inf in the voxels' units, as all isovalues here are.
+    ``levels`` are where maps begin and end, from -inf to inf in the voxels' units, as all isovalues
+    here are.
     """
 
     def __init__(self, voxels: np.ndarray, most: int = MAP_BYTES, survey: Survey = anew) -> None:
-        """Find the ranges of the ``voxels``' blocks, by a ``survey``; keep maps of at most ``most`` bytes.
+        """Find the ranges of the ``voxels``' blocks, by a ``survey``; keep maps of at most ``most``
+        bytes.
 
         Maps that are large beside the budget of voxels lie in files, as voxels do.
         """
@@ -111,8 +128,11 @@ class ActiveCellMaps:
         self._ranges = block_ranges(voxels, take=self._take, measured=measured)
         self.levels = survey("levels", lambda: find_levels(voxels))
         self._kept: LruCache[tuple[int, int]] = LruCache(most)
-        self._most, self._sizes, self._lock = most, dict[tuple[int, int], int](), threading.Lock()
-        self._width, self._asked = NARROW_LEVELS, np.zeros(len(self.levels) - 1, np.bool_)
+        self._most = most
+        self._sizes = dict[tuple[int, int], int]()
+        self._lock = threading.Lock()
+        self._asked = np.zeros(len(self.levels) - 1, np.bool_)
+        self._width = NARROW_LEVELS
         self._grouped: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
@@ -121,11 +141,15 @@ class ActiveCellMaps:
         return self._kept.nbytes
 
     def at(self, isovalue: Isovalue, run: Run = serially) -> ActiveCells:
-        """The map of one isosurface and those near it, made by means of ``run`` when it is not kept."""
+        """The map of one isosurface and those near it, made by means of ``run`` when it is not
+        kept.
+        """
         return self._between(float(isovalue), float(isovalue), run)
 
     def covering(self, isovalues: np.ndarray, run: Run = serially) -> ActiveCells:
-        """The map from the least to the greatest of some ``isovalues`` (m,), made by means of ``run`` if not kept."""
+        """The map from the least to the greatest of some ``isovalues`` (m,), made by means of
+        ``run`` if not kept.
+        """
         return self._between(float(isovalues.min()), float(isovalues.max()), run)
 
     def _between(self, lowest: float, highest: float, run: Run) -> ActiveCells:
@@ -135,10 +159,12 @@ class ActiveCellMaps:
         return self._kept.get((first, last), lambda: self._make(first, last, run))
 
     def groups(self, isovalues: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """For isovalues (m,), none NaN: the number of the group that each is in; and the span (2,) of each group.
+        """For isovalues (m,), none NaN: the number of the group that each is in; and the span (2,)
+        of each group.
 
-        Spans reach over what was asked for. Groups are NARROW_LEVELS, or so wide that the maps of all that were asked
-        for are kept: each may be needed again and again. They become wider as more is asked for; each call has its own.
+        Spans reach over what was asked for. Groups are NARROW_LEVELS, or so wide that the maps of
+        all that were asked for are kept: each may be needed again and again. They become wider as
+        more is asked for; each call has its own.
         """
         places = np.searchsorted(self.levels, isovalues, "right") - 1
         with self._lock:
@@ -146,18 +172,23 @@ class ActiveCellMaps:
                 self._ask(places)
                 self._widen()
                 self._grouped = None
-            ends, spans = self._grouped = self._grouped or (self.levels[self._edges()], self.levels[self._spans()])
+            ends, spans = self._grouped = self._grouped or (
+                self.levels[self._edges()],
+                self.levels[self._spans()],
+            )
         return np.searchsorted(ends, isovalues, "right") - 1, spans
 
     def _ask(self, places: np.ndarray) -> None:
         """Note what was asked for. Where maps are dear it becomes twice as wide whenever it grows.
 
-        In a volume of 1024³ voxels a map takes seconds, and each batch of texels asks for a little more than the last.
+        In a volume of 1024³ voxels a map takes seconds, and each batch of texels asks for a little
+        more than the last.
         """
         before = np.flatnonzero(self._asked)
         self._asked[places] = True
         if self._dear and len(before):
-            first, last = int(before[0]), int(before[-1])
+            first = int(before[0])
+            last = int(before[-1])
             width = last + 1 - first
             if places.min() < first:
                 self._asked[max(first - width, 0) : first] = True
@@ -172,7 +203,9 @@ class ActiveCellMaps:
         """The map from one level to another."""
         ends = float(self.levels[first]), float(self.levels[last])
         self._kept.make_room(USUAL_BLOCK_BYTES * self._bricks)
-        made = make_active_cells(self._voxels, self._ranges, *ends, partial(run, size=MARKED_LAYERS), self._take)
+        made = make_active_cells(
+            self._voxels, self._ranges, *ends, partial(run, size=MARKED_LAYERS), self._take
+        )
         with self._lock:
             self._sizes[first, last] = made.nbytes
             self._widen()
@@ -181,7 +214,8 @@ class ActiveCellMaps:
     def _widen(self) -> None:
         """Make groups so wide that the maps of all that were asked for are kept."""
         while self._together() > self._most and self._width < len(self._asked):
-            self._width, self._grouped = self._width + 1, None
+            self._width = self._width + 1
+            self._grouped = None
 
     def _edges(self) -> np.ndarray:
         """Places of the groups' ends among the levels."""
@@ -189,7 +223,9 @@ class ActiveCellMaps:
         return np.array([0, *range(1, last, self._width), last])
 
     def _spans(self) -> np.ndarray:
-        """Places of the ends of what was asked for in each group, of the group's own where that is nothing; (m, 2)."""
+        """Places of the ends of what was asked for in each group, of the group's own where that is
+        nothing; (m, 2).
+        """
         edges = self._edges()
         asked = [np.flatnonzero(self._asked[first:last]) for first, last in pairwise(edges)]
         spans = [
@@ -200,7 +236,8 @@ class ActiveCellMaps:
 
     def _together(self) -> int:
         """Bytes of the maps of all groups that were asked for, as far as their sizes are known."""
-        usual, spans = USUAL_BLOCK_BYTES * self._bricks, map(tuple, self._spans().tolist())
+        usual = USUAL_BLOCK_BYTES * self._bricks
+        spans = map(tuple, self._spans().tolist())
         asked = [span for span in spans if self._asked[slice(*span)].any()]
         return sum(self._sizes.get(span, usual) + OVERHEAD_BYTES for span in asked)
 
@@ -221,8 +258,8 @@ INTEGER_CODES: tuple[CodeType, ...] = ("uint8", "uint16")
 class VoxelCodes:
     """``voxel = base + gain · code`` exactly, with codes of a NumPy type, their ``kind``.
 
-    ``gain`` is a power of two, so that order and normals are those of the voxels. Voxels without a value have the code
-    ``hole``, None where there are none; ``shape`` are the codes along z, y, x.
+    ``gain`` is a power of two, so that order and normals are those of the voxels. Voxels without a
+    value have the code ``hole``, None where there are none; ``shape`` are the codes along z, y, x.
     """
 
     kind: CodeType
@@ -246,7 +283,10 @@ class VoxelCodes:
     def code(self, voxels: np.ndarray) -> np.ndarray:
         """The codes of ``voxels`` of any shape, little-endian."""
         if self.kind == "float32":
-            codes = voxels if self.hole is None else np.where(np.isnan(voxels), np.float32(self.hole), voxels)
+            if self.hole is None:
+                codes = voxels
+            else:
+                codes = np.where(np.isnan(voxels), np.float32(self.hole), voxels)
             return np.asarray(codes, "<f4")
         return np.rint((voxels.astype(np.float64) - self.base) / self.gain).astype(
             np.dtype(self.kind).newbyteorder("<")
@@ -254,11 +294,14 @@ class VoxelCodes:
 
     def holds(self, voxels: np.ndarray) -> bool:
         """Whether the codes of ``voxels`` are these voxels again."""
-        return bool(np.array_equal((self.base + self.gain * self.code(voxels)).astype(np.float32), voxels))
+        return bool(
+            np.array_equal((self.base + self.gain * self.code(voxels)).astype(np.float32), voxels)
+        )
 
 
 def find_codes(volume: Volume) -> VoxelCodes:
-    """The codes of a ``volume``: of whole numbers where its file has such, and few enough, else its voxels as they are.
+    """The codes of a ``volume``: of whole numbers where its file has such, and few enough, else its
+    voxels as they are.
 
     All voxels are looked at.
     """
@@ -267,39 +310,55 @@ def find_codes(volume: Volume) -> VoxelCodes:
     if np.issubdtype(np.dtype(volume.dtype), np.integer) and not volume.holes:
         for kind in INTEGER_CODES:
             codes = VoxelCodes(kind, gain, ends[0], None, volume.shape)
-            if ends[1] - ends[0] <= gain * np.iinfo(kind).max and all(map(codes.holds, volume.slabs())):
+            if ends[1] - ends[0] <= gain * np.iinfo(kind).max and all(
+                map(codes.holds, volume.slabs())
+            ):
                 return codes
     return VoxelCodes("float32", 1.0, 0.0, HOLE_CODE if volume.holes else None, volume.shape)
 
 
-VOXELS_BEFORE, VOXELS_AFTER = 1, 2
-"""Voxels along each axis that drawing a cell reads before the cell's first one, and from that on: the B-spline's."""
+VOXELS_BEFORE = 1
+VOXELS_AFTER = 2
+"""Voxels along each axis that drawing a cell reads before the cell's first one, and from that on:
+the B-spline's.
+"""
 
 
 class IdleVoxels:
-    """A volume's ``voxels`` (z, y, x), as isosurfaces from the ``low`` isovalue to the ``high`` one need them."""
+    """A volume's ``voxels`` (z, y, x), as isosurfaces from the ``low`` isovalue to the ``high`` one
+    need them.
+    """
 
     def __init__(self, voxels: np.ndarray, low: Isovalue, high: Isovalue) -> None:
         """Find the values that stand for idle voxels: the nearest to the range on either side."""
-        self._voxels, self._range = voxels, (low, high)
+        self._voxels = voxels
+        self._range = (low, high)
         above = [float(layer[layer > high].min(initial=np.inf)) for layer in voxels]
         below = [float(layer[layer <= low].max(initial=-np.inf)) for layer in voxels]
         self._sides = max(below), min(above)
 
     def flattened(self, first: int, last: int) -> np.ndarray:
-        """Layers from ``first`` to before ``last`` with all idle voxels of a side alike; those without a value stay."""
-        a, b = max(first - VOXELS_AFTER, 0), min(last + VOXELS_AFTER, len(self._voxels))
-        slab, (low, high), (below, above) = self._voxels[a:b], self._range, self._sides
+        """Layers from ``first`` to before ``last`` with all idle voxels of a side alike; those
+        without a value stay.
+        """
+        a = max(first - VOXELS_AFTER, 0)
+        b = min(last + VOXELS_AFTER, len(self._voxels))
+        slab = self._voxels[a:b]
+        (low, high) = self._range
+        (below, above) = self._sides
         needed = surface_cells(slab, low, high)
         for axis in range(3):
             needed = voxels_read(needed, axis)
-        own, idle = slab[first - a : last - a], ~needed[first - a : last - a]
+        own = slab[first - a : last - a]
+        idle = ~needed[first - a : last - a]
         sided = np.where(idle & (own <= low), np.float32(below), own)
         return np.asarray(np.where(idle & (own > high), np.float32(above), sided), np.float32)
 
 
 def voxels_read(cells: np.ndarray, axis: int) -> np.ndarray:
-    """The voxels along an ``axis`` that drawing marked ``cells`` reads; bool, one more along that axis."""
+    """The voxels along an ``axis`` that drawing marked ``cells`` reads; bool, one more along that
+    axis.
+    """
     marks = np.moveaxis(cells, axis, 0)
     wide = np.zeros((len(marks) + VOXELS_BEFORE + VOXELS_AFTER, *marks.shape[1:]), np.bool_)
     for shift in range(VOXELS_BEFORE + VOXELS_AFTER + 1):

@@ -1,4 +1,6 @@
-"""A prepared scene: the field, lattice, surfaces and lights as kernels take them, worked out once."""
+"""A prepared scene: the field, lattice, surfaces and lights as kernels take them, worked out
+once.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -26,13 +28,21 @@ from isogi_core.model.lights import Colour
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.bands import project_environment
 from isogi_core.plan.scene import Scene
-from isogi_core.prepared.active_cell_maps import MAP_BYTES, ActiveCellMaps, Survey, VoxelCodes, anew, find_codes
+from isogi_core.prepared.active_cell_maps import (
+    MAP_BYTES,
+    ActiveCellMaps,
+    Survey,
+    VoxelCodes,
+    anew,
+    find_codes,
+)
 from isogi_core.runs import Run, serially
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The isosurface of a ``field`` at a normalised ``isovalue``; ``maps`` are the field's active-cell maps.
+    """The isosurface of a ``field`` at a normalised ``isovalue``; ``maps`` are the field's
+    active-cell maps.
 
     ``PreparedScene.surface`` makes it from an isovalue in the units of the volume's file.
     """
@@ -42,7 +52,9 @@ class Surface:
     maps: ActiveCellMaps
 
     def cells(self, run: Run = serially) -> ActiveCells:
-        """The cells that may hold the surface; made when first needed, by means of ``run``, and kept by ``maps``."""
+        """The cells that may hold the surface; made when first needed, by means of ``run``, and
+        kept by ``maps``.
+        """
         return self.maps.at(self.isovalue, run)
 
     def traced(self, run: Run = serially) -> TracedSurface:
@@ -51,7 +63,9 @@ class Surface:
 
 
 UNSHADOWED_ORDER = 3
-"""The harmonics' order of unshadowed light: the cosine lobe keeps 99 % of any light in it (Ramamoorthi, Hanrahan)."""
+"""The harmonics' order of unshadowed light: the cosine lobe keeps 99 % of any light in it
+(Ramamoorthi, Hanrahan).
+"""
 
 Index = tuple[int, int, int]
 """Position of a chunk in the lattice, in chunks along z, y, x."""
@@ -70,7 +84,9 @@ class PreparedScene:
     @cached_property
     def field(self) -> Field:
         """The volume with its macrocells."""
-        return make_field(self.scene.volume, self.scene.settings.normals == "bspline", self.scene.settings.offset)
+        return make_field(
+            self.scene.volume, self.scene.settings.normals == "bspline", self.scene.settings.offset
+        )
 
     @cached_property
     def maps(self) -> ActiveCellMaps:
@@ -83,13 +99,17 @@ class PreparedScene:
         return find_codes(self.scene.volume)
 
     def beside(self, scene: Scene) -> "PreparedScene":
-        """A ``scene`` of the same volume in finer or other light: what was worked out of the voxels serves both."""
+        """A ``scene`` of the same volume in finer or other light: what was worked out of the voxels
+        serves both.
+        """
         made = PreparedScene(scene, self.most)
         vars(made).update(field=self.field, maps=self.maps)
         return made
 
     def surface(self, isovalue: float) -> Surface:
-        """The isosurface at an ``isovalue`` in the units of the volume's file, as scenes and views have it."""
+        """The isosurface at an ``isovalue`` in the units of the volume's file, as scenes and views
+        have it.
+        """
         return Surface(self.scene.volume.normalise_isovalue(isovalue), self.field, self.maps)
 
     @property
@@ -100,7 +120,12 @@ class PreparedScene:
     @cached_property
     def step(self) -> np.ndarray:
         """Voxels per texel along x, y, z; (3,) float64."""
-        return np.array([(n - 1) / (t - 1) for n, t in zip(self.scene.volume.size, self.shape[::-1], strict=True)])
+        return np.array(
+            [
+                (n - 1) / (t - 1)
+                for n, t in zip(self.scene.volume.size, self.shape[::-1], strict=True)
+            ]
+        )
 
     @cached_property
     def lattice(self) -> Lattice:
@@ -115,38 +140,56 @@ class PreparedScene:
 
     @cached_property
     def around(self) -> np.ndarray:
-        """ℓ of the unturned lights as a surface without shadows has them, linear RGB, (3, n²) float64.
+        """ℓ of the unturned lights as a surface without shadows has them, linear RGB, (3, n²)
+        float64.
 
         Of order UNSHADOWED_ORDER, and 1 for constant light.
         """
-        environment, lamps, volume = self.scene.lighting.environment, self.scene.lighting.lamps, self.scene.volume
-        order = UNSHADOWED_ORDER if lamps.any or environment.image.any() else 1
-        return project_environment(environment, order) + lamps.approximate(order, volume.centre, volume.radius)
+        environment = self.scene.lighting.environment
+        lamps = self.scene.lighting.lamps
+        volume = self.scene.volume
+        if lamps.any or environment.image.any():
+            order = UNSHADOWED_ORDER
+        else:
+            order = 1
+        return project_environment(environment, order) + lamps.approximate(
+            order, volume.centre, volume.radius
+        )
 
     def room(self, albedo: tuple[float, float, float]) -> Room:
-        """The walls of the scene as paths meet them, about an isosurface with its colours, or with this ``albedo``."""
+        """The walls of the scene as paths meet them, about an isosurface with its colours, or with
+        this ``albedo``.
+        """
         return self._room._replace(albedo=np.array(albedo), colours=self.colours)
 
     @cached_property
     def colours(self) -> Colours:
         """The isosurface's colours by data; none where it has one albedo."""
         given = self.scene.surfaces.colours
-        return NO_COLOURS if given is None else colours_of(given.places, given.step, given.table)
+        if given is None:
+            return NO_COLOURS
+        return colours_of(given.places, given.step, given.table)
 
     @cached_property
     def passable(self) -> Passable:
         """The walls, and what is behind the isosurface, as rays meet them that pass it."""
         material = self.scene.surfaces.material
         scattering = 1.0 / material.mean_free_path, np.array(self.scene.surfaces.albedo, np.float64)
-        return Passable(self._room, Matter(material.index, np.array(material.absorption), *scattering))
+        return Passable(
+            self._room, Matter(material.index, np.array(material.absorption), *scattering)
+        )
 
     def met(self, albedo: Colour, cells: ActiveCells, run: Run = serially) -> Met:
-        """What paths meet that start on isosurfaces of this ``albedo``, within their active ``cells``."""
+        """What paths meet that start on isosurfaces of this ``albedo``, within their active
+        ``cells``.
+        """
         if self.scene.meets is Through:
             return Through(self.field, cells, *self.passable)
         if self.scene.meets is Among:
             return Among(self.field, self.company(cells, run), self._room)
-        return InRoom(self.field, cells, self.room(albedo)) if self.scene.meets is InRoom else Open(self.field, cells)
+        if self.scene.meets is InRoom:
+            return InRoom(self.field, cells, self.room(albedo))
+        return Open(self.field, cells)
 
     def met_by_glow(self, albedo: Colour, cells: ActiveCells) -> InRoom | Among:
         """What paths ``met`` that gather glow alone: walls give off no light."""
@@ -163,18 +206,28 @@ class PreparedScene:
         middles, halves = (np.ascontiguousarray(each.T) for each in (given.middles, given.halves))
         lows, highs = np.ascontiguousarray(given.ranges.T)
         lows = np.where(given.masked, np.maximum(lows, np.finfo(np.float64).min), lows)
-        rest = given.radii, lows, highs, 1.0 / given.chords, given.masked.astype(np.float64), given.bits
+        rest = (
+            given.radii,
+            lows,
+            highs,
+            1.0 / given.chords,
+            given.masked.astype(np.float64),
+            given.bits,
+        )
         return Glows(middles, halves, given.round.astype(np.float64), *rest)
 
     @cached_property
     def _room(self) -> Room:
         """The walls about a black isosurface; none of them lets any ray through."""
-        room, spacing = self.scene.lighting.room, np.array(self.scene.volume.spacing)
+        room = self.scene.lighting.room
+        spacing = np.array(self.scene.volume.spacing)
         normals = np.cross(room.edges[:, 0], room.edges[:, 1])
         areas = np.linalg.norm(normals, axis=1)
         normals = normals / areas[:, None]
         across = room.edges / (room.edges**2).sum(axis=2, keepdims=True) * spacing
-        walls = Walls(room.corners / spacing, normals * spacing, across, np.full(len(areas), np.inf))
+        walls = Walls(
+            room.corners / spacing, normals * spacing, across, np.full(len(areas), np.inf)
+        )
         given = [(wall.albedo, wall.radiance) for wall in room.walls]
         albedos, radiances = np.array(given, np.float64).reshape(-1, 2, 3).transpose(1, 0, 2).copy()
         twofold = np.array([wall.sides == 2 for wall in room.walls], np.float64)
@@ -183,22 +236,31 @@ class PreparedScene:
 
     @cached_property
     def walls_in_view(self) -> Walls | None:
-        """The walls as the camera meets them, which looks through backs that are not lit; None where there are none."""
+        """The walls as the camera meets them, which looks through backs that are not lit; None
+        where there are none.
+        """
         if not self.scene.lighting.room.any:
             return None
         backs = np.where(self._room.twofold > 0.0, np.inf, 0.0)
         return self._room.walls._replace(backs=backs)
 
     def company(self, cells: ActiveCells, run: Run = serially) -> Surfaces:
-        """The surfaces of the scene as paths meet them about an isosurface whose active ``cells`` are given."""
+        """The surfaces of the scene as paths meet them about an isosurface whose active ``cells``
+        are given.
+        """
         scene = self.scene
         levels = [scene.volume.normalise_isovalue(each.isovalue) for each in scene.surfaces.pinned]
         maps = [cells, *(self.maps.at(level, run) for level in levels)]
-        albedos = np.array([scene.surfaces.albedo, *(each.albedo for each in scene.surfaces.pinned)], np.float64)
-        clears = np.array([scene.surfaces.clear, *(each.clear for each in scene.surfaces.pinned)], np.float64)
+        albedos = np.array(
+            [scene.surfaces.albedo, *(each.albedo for each in scene.surfaces.pinned)], np.float64
+        )
+        clears = np.array(
+            [scene.surfaces.clear, *(each.clear for each in scene.surfaces.pinned)], np.float64
+        )
         filled = tuple(maps + [cells] * (MAX_SURFACES - len(maps)))
         through = np.array(
-            [scene.surfaces.transmission, *(each.transmission for each in scene.surfaces.pinned)], np.float64
+            [scene.surfaces.transmission, *(each.transmission for each in scene.surfaces.pinned)],
+            np.float64,
         )
         return Surfaces(filled, np.array([np.nan, *levels], np.float64), albedos, clears, through)
 
@@ -207,19 +269,26 @@ class PreparedScene:
 
         Luminaires are left to the walls, which paths meet: see ``room``.
         """
-        environment, arrays = self.scene.lighting.environment, self.scene.lighting.lamps.arrays
+        environment = self.scene.lighting.environment
+        arrays = self.scene.lighting.lamps.arrays
         if luminaires := len(self.scene.lighting.room.lamps):
             arrays = LampArrays(*(each[:-luminaires] for each in arrays))
-        return Surroundings(environment.constant, environment.image, matrix, environment.table, arrays)
+        return Surroundings(
+            environment.constant, environment.image, matrix, environment.table, arrays
+        )
 
 
 def survey_of(volume: Volume) -> Survey:
-    """How a ``volume`` is measured: where it is large beside the budget once on this machine, by files of its digest.
+    """How a ``volume`` is measured: where it is large beside the budget once on this machine, by
+    files of its digest.
 
-    To read all voxels of 1024³ takes each process seconds, and lets go of those pages that its rays need.
+    To read all voxels of 1024³ takes each process seconds, and lets go of those pages that its rays
+    need.
     """
     large = volume.voxels.nbytes > UNMAPPED_SHARE * budget()
-    return partial(get_survey, f"{volume.digest}-{SURVEY_VERSION}") if large else anew
+    if large:
+        return partial(get_survey, f"{volume.digest}-{SURVEY_VERSION}")
+    return anew
 
 
 SURVEY_VERSION = 1
@@ -227,7 +296,9 @@ SURVEY_VERSION = 1
 
 
 def make_field(volume: Volume, smooth: bool = True, offset: float = RAY_OFFSET_VOXELS) -> Field:
-    """The volume's voxels with the macrocells that serve every isovalue, and how rays leave a surface."""
+    """The volume's voxels with the macrocells that serve every isovalue, and how rays leave a
+    surface.
+    """
 
     def measure() -> np.ndarray:
         found = np.empty((2, *macrocell_shape(volume.shape)), np.float32)

@@ -19,20 +19,25 @@ def user_cache(name: str) -> Path:
 
 
 def check_folder(output: Path) -> None:
-    """Raise ViewError where the folder is missing that ``output``, a file or folder, is to be written to."""
+    """Raise ViewError where the folder is missing that ``output``, a file or folder, is to be
+    written to.
+    """
     if not output.parent.is_dir():
         raise ViewError(f"There is no folder {output.parent} for {output.name}: make it first.")
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write the bytes to the file ``path``. A reader sees the former file or the new one, never a part of it."""
+    """Write the bytes to the file ``path``. A reader sees the former file or the new one, never a
+    part of it.
+    """
     with partial_file(path, data) as written:
         os.replace(written, path)
 
 
 @contextmanager
 def partial_file(path: Path, data: bytes, sync: bool = False) -> Iterator[Path]:
-    """Write ``data`` to a new file beside ``path``, for the block to rename; delete it afterwards where it is left.
+    """Write ``data`` to a new file beside ``path``, for the block to rename; delete it afterwards
+    where it is left.
 
     ``sync`` brings the data to the disk before the block begins. Raises OSError.
     """
@@ -50,7 +55,9 @@ def partial_file(path: Path, data: bytes, sync: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(path: Path) -> Iterator[Path]:
-    """A new folder beside ``path`` for the block to fill. It gets that name afterwards; one that failed is deleted."""
+    """A new folder beside ``path`` for the block to fill. It gets that name afterwards; one that
+    failed is deleted.
+    """
     partial = path.with_name(f"{path.name}{PARTIAL_SUFFIX}")
     shutil.rmtree(partial, ignore_errors=True)
     try:

@@ -1,4 +1,6 @@
-"""Backends: the operations that every kind of store offers on objects by key, and the meaning of its errors."""
+"""Backends: the operations that every kind of store offers on objects by key, and the meaning of
+its errors.
+"""
 
 import errno
 import re
@@ -10,7 +12,18 @@ from typing import NamedTuple, Protocol
 from isogi_core.errors import StoreAwayError, StoreFullError, StoreReadOnlyError, StoreUrlError
 
 BUCKET_SCHEMES = frozenset(
-    ("s3", "s3a", "gs", "az", "adl", "azure", "abfs", "abfss", "http", "https")  # what obstore knows
+    (
+        "s3",
+        "s3a",
+        "gs",
+        "az",
+        "adl",
+        "azure",
+        "abfs",
+        "abfss",
+        "http",
+        "https",
+    )  # what obstore knows
 )
 """Schemes of object stores."""
 
@@ -20,7 +33,8 @@ SECRET_PARTS = re.compile(r"://[^/]*@|[?#]")
 
 @dataclass(frozen=True)
 class StoreUrl:
-    """A folder or ``url``, the ``seconds`` that one call to an object store may take, and its ``retries``.
+    """A folder or ``url``, the ``seconds`` that one call to an object store may take, and its
+    ``retries``.
 
     Raises StoreUrlError where the URL holds a secret: each process has credentials of its own.
     """
@@ -33,7 +47,8 @@ class StoreUrl:
         if "://" in self.url and SECRET_PARTS.search(self.url):
             scheme = self.url.partition("://")[0]
             raise StoreUrlError(
-                f"The store's {scheme}:// URL must not hold a password or a key (user:password@, or what follows ?):"
+                f"The store's {scheme}:// URL must not hold a password or a key "
+                "(user:password@, or what follows ?):"
                 " put credentials into the environment of the server and of each worker."
             )
 
@@ -43,7 +58,9 @@ class StoreUrl:
     @classmethod
     def of(cls, name: "str | Path | StoreUrl") -> "StoreUrl":
         """The store URL of this name; a StoreUrl is returned as it is."""
-        return name if isinstance(name, StoreUrl) else cls(str(name))
+        if isinstance(name, StoreUrl):
+            return name
+        return cls(str(name))
 
     @property
     def scheme(self) -> str:
@@ -69,14 +86,17 @@ class StoreUrl:
 
 @dataclass(frozen=True)
 class StoredObject:
-    """The bytes of an object, and the ``tag`` (ETag) of this content; empty where the store has no tags."""
+    """The bytes of an object, and the ``tag`` (ETag) of this content; empty where the store has no
+    tags.
+    """
 
     data: bytes
     tag: str = field(default="", compare=False)
 
 
 class Entry(NamedTuple):
-    """An object in a listing: key, size in bytes, time of writing by the store's calendar (NaN where unknown).
+    """An object in a listing: key, size in bytes, time of writing by the store's calendar (NaN
+    where unknown).
 
     Ages serve display and cleaning up. They never decide which writer may write.
     """
@@ -91,14 +111,20 @@ class Entry(NamedTuple):
 
 
 class Backend(Protocol):
-    """Objects by keys such as ``a/b``. Methods raise OSError, with an errno where the cause is known."""
+    """Objects by keys such as ``a/b``. Methods raise OSError, with an errno where the cause is
+    known.
+    """
 
     def get(self, key: str, known: StoredObject | None = None) -> StoredObject | None:
-        """Read an object; None where there is none. Returns ``known`` itself where the store says it is unchanged."""
+        """Read an object; None where there is none. Returns ``known`` itself where the store says
+        it is unchanged.
+        """
         ...
 
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
-        """Write an object in place of ``former``; ChangedError where another was written meanwhile, if detectable."""
+        """Write an object in place of ``former``; ChangedError where another was written meanwhile,
+        if detectable.
+        """
         ...
 
     def create_sentinel(self, data: bytes) -> None:
@@ -110,7 +136,9 @@ class Backend(Protocol):
         ...
 
     def folders(self, folder: str) -> list[str]:
-        """List the names of the folders right under ``folder``; an empty ``folder`` is the top of the store."""
+        """List the names of the folders right under ``folder``; an empty ``folder`` is the top of
+        the store.
+        """
         ...
 
     def keys(self, folder: str) -> Iterator[str]:
@@ -126,7 +154,9 @@ class Backend(Protocol):
         ...
 
     def check_writable(self, data: bytes) -> None:
-        """Raise the error that a write would raise. ``data`` is the sentinel's content; nothing is changed."""
+        """Raise the error that a write would raise. ``data`` is the sentinel's content; nothing is
+        changed.
+        """
         ...
 
 
@@ -138,17 +168,27 @@ WRITING_VERBS = ("write", "make", "delete")
 
 
 def store_error(action: str, store_url: StoreUrl, error: Exception) -> StoreAwayError:
-    """Translate a backend's ``error`` into one of ours. ``action`` completes "Cannot …", such as "write a/b to"."""
-    number = error.errno if isinstance(error, OSError) else None
+    """Translate a backend's ``error`` into one of ours. ``action`` completes "Cannot …", such as
+    "write a/b to".
+    """
+    if isinstance(error, OSError):
+        number = error.errno
+    else:
+        number = None
     sentence = f"Cannot {action} the store at {store_url}: {one_line(error)}"
     if number in FULL_ERRNOS:
         return StoreFullError(f"{sentence}; the store is full: make room, and baking goes on.")
     if number in READ_ONLY_ERRNOS and action.startswith(WRITING_VERBS):
-        return StoreReadOnlyError(f"{sentence}; what is there is served, and nothing more is baked.")
+        return StoreReadOnlyError(
+            f"{sentence}; what is there is served, and nothing more is baked."
+        )
     return StoreAwayError(f"{sentence}.")
 
 
 def one_line(error: Exception) -> str:
     """The message of a foreign error on one line, without full stop and errno."""
-    message = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    if isinstance(error, OSError) and error.strerror:
+        message = error.strerror
+    else:
+        message = str(error)
     return " ".join(message.split()).rstrip(".") or type(error).__name__

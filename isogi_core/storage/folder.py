@@ -1,6 +1,8 @@
-"""Folders as backends of a store: on a local disk, on a network drive, or behind an fsspec file system.
+"""Folders as backends of a store: on a local disk, on a network drive, or behind an fsspec file
+system.
 
-A folder of this machine also keeps copies of a remote store's objects: what is read again is not sent again.
+A folder of this machine also keeps copies of a remote store's objects: what is read again is not
+sent again.
 """
 
 import fcntl
@@ -20,7 +22,13 @@ from zarr.core.sync import sync
 from zarr.storage._common import make_store
 
 from isogi_core.errors import ChangedError
-from isogi_core.storage.atomic_file import PARTIAL_SUFFIX, partial_file, sync_folder, user_cache, write_whole
+from isogi_core.storage.atomic_file import (
+    PARTIAL_SUFFIX,
+    partial_file,
+    sync_folder,
+    user_cache,
+    write_whole,
+)
 from isogi_core.storage.backend import Entry, StoredObject, StoreUrl
 
 ABSENT_ERRORS = (FileNotFoundError, NotADirectoryError)
@@ -32,9 +40,11 @@ FOLDER_TRIES = 9
 
 
 class Folder:
-    """Objects as files under ``path``. Each is written beside its path and then renamed: it is whole or absent.
+    """Objects as files under ``path``. Each is written beside its path and then renamed: it is
+    whole or absent.
 
-    A writer locks the file ``sentinel`` while it compares and replaces, so that nobody writes in between.
+    A writer locks the file ``sentinel`` while it compares and replaces, so that nobody writes in
+    between.
     """
 
     def __init__(self, path: Path, sentinel: str) -> None:
@@ -51,9 +61,14 @@ class Folder:
             return None
 
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
-        """Write an object in place of ``former``; ChangedError where another was written meanwhile."""
+        """Write an object in place of ``former``; ChangedError where another was written
+        meanwhile.
+        """
         path = self.path / key
-        with open_descriptor(self.path / self.sentinel, os.O_RDWR) as lock, self._partial(path, data) as written:
+        with (
+            open_descriptor(self.path / self.sentinel, os.O_RDWR) as lock,
+            self._partial(path, data) as written,
+        ):
             fcntl.flock(lock, fcntl.LOCK_EX)
             if self.get(key) != former:
                 raise ChangedError(f"Another writer has changed {key} meanwhile: read it again.")
@@ -61,7 +76,9 @@ class Folder:
 
     @contextmanager
     def _partial(self, path: Path, data: bytes) -> Iterator[Path]:
-        """A partial file for ``path``; its folder is made, and made again where a deleter removes it meanwhile."""
+        """A partial file for ``path``; its folder is made, and made again where a deleter removes
+        it meanwhile.
+        """
         for left in reversed(range(FOLDER_TRIES)):
             with ExitStack() as stack:
                 try:
@@ -75,7 +92,9 @@ class Folder:
                 return
 
     def create_sentinel(self, data: bytes) -> None:
-        """Write the sentinel, and bring it to the disk before anything else; ChangedError where there is one."""
+        """Write the sentinel, and bring it to the disk before anything else; ChangedError where
+        there is one.
+        """
         self.path.mkdir(parents=True, exist_ok=True)
         with partial_file(self.path / self.sentinel, data, sync=True) as written:
             try:
@@ -92,7 +111,9 @@ class Folder:
         self._remove_empty((self.path / key).parent)
 
     def _remove_empty(self, folder: Path) -> None:
-        """Remove empty folders from here up to the top, which stays; a writer makes its folder again."""
+        """Remove empty folders from here up to the top, which stays; a writer makes its folder
+        again.
+        """
         with suppress(OSError):
             while folder != self.path:
                 folder.rmdir()
@@ -119,7 +140,9 @@ class Folder:
             for path in (Path(base, name) for name in files):
                 with suppress(FileNotFoundError):
                     state = path.lstat()
-                    yield Entry(path.relative_to(self.path).as_posix(), state.st_size, state.st_mtime)
+                    yield Entry(
+                        path.relative_to(self.path).as_posix(), state.st_size, state.st_mtime
+                    )
 
     def move(self, key: str, to: str) -> None:
         """Rename a file, if it is there: it is whole under one of its names at any time."""
@@ -128,7 +151,9 @@ class Folder:
             os.replace(self.path / key, self.path / to)
 
     def check_writable(self, data: bytes) -> None:
-        """Raise the error that a write would raise. The file that is written for this is deleted again."""
+        """Raise the error that a write would raise. The file that is written for this is deleted
+        again.
+        """
         with partial_file(self.path / "probe", TRIAL_OBJECT):
             pass
 
@@ -154,7 +179,9 @@ class FileSystem:
     def get(self, key: str, known: StoredObject | None = None) -> StoredObject | None:
         """Read an object; None where there is none."""
         stored = sync(self._store.get(key, default_buffer_prototype()))
-        return None if stored is None else StoredObject(stored.to_bytes())
+        if stored is None:
+            return None
+        return StoredObject(stored.to_bytes())
 
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
         """Write an object; ChangedError where another is found right before."""
@@ -171,7 +198,9 @@ class FileSystem:
         sync(self._store.delete(key))
 
     def folders(self, folder: str) -> list[str]:
-        """List the names of the folders right under ``folder``; names with a dot are objects here."""
+        """List the names of the folders right under ``folder``; names with a dot are objects
+        here.
+        """
         names = {name.partition("/")[0] for name in sync(listed(self._store.list_dir(folder)))}
         return sorted(name for name in names if "." not in name)
 
@@ -212,10 +241,11 @@ ROOM_MADE = 0.9
 
 
 class Copies:
-    """At most ``most`` bytes of objects of the store ``url`` in ``folder``; the oldest of any store are deleted first.
+    """At most ``most`` bytes of objects of the store ``url`` in ``folder``; the oldest of any store
+    are deleted first.
 
-    Several processes may share the folder. A copy that cannot be written is left out, and a damaged one is not used.
-    Safe to use from many threads.
+    Several processes may share the folder. A copy that cannot be written is left out, and a damaged
+    one is not used. Safe to use from many threads.
     """
 
     def __init__(self, url: str, most: int, folder: Path | None = None) -> None:
@@ -236,7 +266,9 @@ class Copies:
             return None
         checksum, _, rest = kept.partition(b"\n")
         tag, _, data = rest.partition(b"\n")
-        return StoredObject(data, tag.decode()) if checksum == checksum_of(rest) else None
+        if checksum == checksum_of(rest):
+            return StoredObject(data, tag.decode())
+        return None
 
     def put(self, key: str, found: StoredObject) -> None:
         """Write a copy. An object without a tag gets none: it could never be used."""
@@ -254,14 +286,18 @@ class Copies:
         return self._folder / blake2b(f"{self._url}/{key}".encode(), digest_size=16).hexdigest()
 
     def _make_room(self, size: int) -> None:
-        """Delete the oldest copies, each time that a tenth of the room was filled since the last scan."""
+        """Delete the oldest copies, each time that a tenth of the room was filled since the last
+        scan.
+        """
         with self._lock:
             self._grown += size
             if self._grown <= (1.0 - ROOM_MADE) * self._most:
                 return
             self._grown = 0
             with os.scandir(self._folder) as entries:
-                files = sorted((entry.stat().st_mtime, entry.stat().st_size, entry.path) for entry in entries)
+                files = sorted(
+                    (entry.stat().st_mtime, entry.stat().st_size, entry.path) for entry in entries
+                )
             total = sum(kept for _, kept, _ in files)
             for _, kept, path in files:
                 if total <= ROOM_MADE * self._most:

@@ -14,14 +14,23 @@ from isogi_core.storage.backend import Entry, StoredObject, StoreUrl
 CONNECT_SECONDS = 2.0
 """Seconds within which a connection must be made; less where the whole call has less."""
 
-FIRST_PAUSE, LONGEST_PAUSE = timedelta(milliseconds=100), timedelta(seconds=1)
+FIRST_PAUSE = timedelta(milliseconds=100)
+LONGEST_PAUSE = timedelta(seconds=1)
 """Shortest and longest pause between two tries of a call."""
 
 VARIABLE_PREFIXES = {"s3": "AWS", "s3a": "AWS", "gs": "GOOGLE", "http": "HTTP", "https": "HTTP"}
 """Prefixes of environment variables by scheme; AZURE for all others."""
 
-CALL_VARIABLES = ("ALLOW_HTTP", "ALLOW_INVALID_CERTIFICATES", "PROXY_URL", "PROXY_CA_CERTIFICATE", "PROXY_EXCLUDES")
-"""Environment variables, without their prefix, that say how calls are made; obstore reads the others by itself."""
+CALL_VARIABLES = (
+    "ALLOW_HTTP",
+    "ALLOW_INVALID_CERTIFICATES",
+    "PROXY_URL",
+    "PROXY_CA_CERTIFICATE",
+    "PROXY_EXCLUDES",
+)
+"""Environment variables, without their prefix, that say how calls are made; obstore reads the
+others by itself.
+"""
 
 FULL_ANSWERS = ("status code: 507", "QuotaExceeded", "StorageFull", "storage quota")
 """Words in the answers of object stores that have no room."""
@@ -34,33 +43,45 @@ READ_ONLY_ANSWERS = ("status code: 405", NOT_IMPLEMENTED)
 
 
 class Bucket:
-    """Objects under a bucket's prefix. Raises OSError with EACCES, ENOSPC or EROFS, and with EIO for all else."""
+    """Objects under a bucket's prefix. Raises OSError with EACCES, ENOSPC or EROFS, and with EIO
+    for all else.
+    """
 
     def __init__(self, store_url: StoreUrl, sentinel: str) -> None:
-        """Connect to nothing yet. StoreError where obstore is missing, or the environment is not enough."""
+        """Connect to nothing yet. StoreError where obstore is missing, or the environment is not
+        enough.
+        """
         try:
             import obstore  # noqa: PLC0415 (an extra)
             from obstore.store import from_url  # noqa: PLC0415
         except ImportError:
             raise StoreError(
-                f"A store at {store_url.scheme}:// needs a library that is not installed: pip install 'isogi[s3]'."
+                f"A store at {store_url.scheme}:// needs a library that is not installed: pip "
+                "install 'isogi[s3]'."
             ) from None
         self.sentinel = sentinel
         self._obstore: Any = obstore
         try:
             connect: Any = from_url
             self._store = connect(
-                store_url.url, client_options=call_options(store_url), retry_config=retry_options(store_url)
+                store_url.url,
+                client_options=call_options(store_url),
+                retry_config=retry_options(store_url),
             )
         except Exception as error:
-            raise StoreError(f"The store at {store_url} cannot be used: {sentence(error)}.") from None
+            raise StoreError(
+                f"The store at {store_url} cannot be used: {sentence(error)}."
+            ) from None
 
     def get(self, key: str, known: StoredObject | None = None) -> StoredObject | None:
         """Read an object; None where it, or the bucket, is not there."""
         errors = self._obstore.exceptions
         with self._translated_errors():
             try:
-                options = {"if_none_match": known.tag} if known is not None and known.tag else None
+                if known is not None and known.tag:
+                    options = {"if_none_match": known.tag}
+                else:
+                    options = None
                 got = self._obstore.get(self._store, key, options=options)
                 return StoredObject(bytes(got.bytes()), got.meta["e_tag"] or "")
             except errors.NotModifiedError:
@@ -69,14 +90,20 @@ class Bucket:
                 return None
 
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
-        """Write an object in place of ``former``. A store without conditional writes takes it in any case."""
+        """Write an object in place of ``former``. A store without conditional writes takes it in
+        any case.
+        """
         errors = self._obstore.exceptions
-        mode: Any = "create" if former is None else {"e_tag": former.tag} if former.tag else "overwrite"
+        mode: Any = (
+            "create" if former is None else {"e_tag": former.tag} if former.tag else "overwrite"
+        )
         with self._translated_errors():
             try:
                 self._put(key, data, mode)
             except (errors.AlreadyExistsError, errors.PreconditionError):
-                raise ChangedError(f"Another writer has changed {key} meanwhile: read it again.") from None
+                raise ChangedError(
+                    f"Another writer has changed {key} meanwhile: read it again."
+                ) from None
 
     def _put(self, key: str, data: bytes, mode: Any) -> None:
         try:
@@ -98,7 +125,9 @@ class Bucket:
     def folders(self, folder: str) -> list[str]:
         """List the names of the folders right under ``folder``."""
         with self._translated_errors():
-            prefixes = self._obstore.list_with_delimiter(self._store, folder or None)["common_prefixes"]
+            prefixes = self._obstore.list_with_delimiter(self._store, folder or None)[
+                "common_prefixes"
+            ]
         return sorted(prefix.rstrip("/").rpartition("/")[2] for prefix in prefixes)
 
     def keys(self, folder: str) -> Iterator[str]:
@@ -111,7 +140,10 @@ class Bucket:
         """List all objects, page by page."""
         with self._translated_errors():
             for page in self._obstore.list(self._store):
-                yield from (Entry(each["path"], each["size"], each["last_modified"].timestamp()) for each in page)
+                yield from (
+                    Entry(each["path"], each["size"], each["last_modified"].timestamp())
+                    for each in page
+                )
 
     def move(self, key: str, to: str) -> None:
         """Copy an object, if it is there, and then delete it."""
@@ -139,8 +171,13 @@ class Bucket:
             raise PermissionError(errno.EACCES, sentence(error)) from None
         except (errors.BaseError, FileNotFoundError, NotImplementedError) as error:
             message = str(error)
-            full, closed = (any(word in message for word in words) for words in (FULL_ANSWERS, READ_ONLY_ANSWERS))
-            raise OSError(errno.ENOSPC if full else errno.EROFS if closed else errno.EIO, sentence(error)) from None
+            full, closed = (
+                any(word in message for word in words)
+                for words in (FULL_ANSWERS, READ_ONLY_ANSWERS)
+            )
+            raise OSError(
+                errno.ENOSPC if full else errno.EROFS if closed else errno.EIO, sentence(error)
+            ) from None
 
 
 def call_options(store_url: StoreUrl) -> dict[str, Any]:
@@ -150,9 +187,21 @@ def call_options(store_url: StoreUrl) -> dict[str, Any]:
     """
     connecting = timedelta(seconds=min(CONNECT_SECONDS, store_url.seconds))
     prefix = VARIABLE_PREFIXES.get(store_url.scheme, "AZURE")
-    given = {name.lower(): value for name in CALL_VARIABLES if (value := os.environ.get(f"{prefix}_{name}"))}
-    plain = {"allow_http": "true"} if store_url.scheme == "http" else {}
-    return {**plain, **given, "timeout": timedelta(seconds=store_url.seconds), "connect_timeout": connecting}
+    given = {
+        name.lower(): value
+        for name in CALL_VARIABLES
+        if (value := os.environ.get(f"{prefix}_{name}"))
+    }
+    if store_url.scheme == "http":
+        plain = {"allow_http": "true"}
+    else:
+        plain = {}
+    return {
+        **plain,
+        **given,
+        "timeout": timedelta(seconds=store_url.seconds),
+        "connect_timeout": connecting,
+    }
 
 
 def retry_options(store_url: StoreUrl) -> dict[str, Any]:
@@ -174,8 +223,12 @@ CONNECTION_FAULTS = {
 
 
 def sentence(error: Exception) -> str:
-    """The server's answer in an error of obstore, without addresses, queries, documents and debug text."""
-    if broken := next((said for words, said in CONNECTION_FAULTS.items() if words in str(error)), None):
+    """The server's answer in an error of obstore, without addresses, queries, documents and debug
+    text.
+    """
+    if broken := next(
+        (said for words, said in CONNECTION_FAULTS.items() if words in str(error)), None
+    ):
         return broken
     first = re.split(r": [<{]", str(error).partition("\n")[0])[0].rpartition(" - ")[2]
     return re.sub(r"\?\S+", "?…", first).strip().rstrip(".") or type(error).__name__

@@ -41,7 +41,9 @@ SENTINEL_CONTENT = json.dumps({"kind": "isogi light", "format": STORE_FORMAT}).e
 """The sentinel's content."""
 
 CHECKED = 1.0
-"""Seconds for which a check of the sentinel stands, and after which an unreachable store is checked again."""
+"""Seconds for which a check of the sentinel stands, and after which an unreachable store is checked
+again.
+"""
 
 CHECK_SECONDS = 0.5
 """Seconds that one caller waits for a check of a remote store that was away."""
@@ -52,7 +54,10 @@ LOG_SECONDS = 600.0
 WRITE_RETRY_SECONDS = 10.0
 """Seconds after which a read-only store is tested again for writing."""
 
-SENTINEL_GONE = "its isogi.json is missing; bring the store back, or start isogi again to begin with an empty one"
+SENTINEL_GONE = (
+    "its isogi.json is missing; bring the store back, or start isogi again to "
+    "begin with an empty one"
+)
 
 
 def check_sentinel(sentinel: bytes, url: StoreUrl) -> None:
@@ -61,7 +66,8 @@ def check_sentinel(sentinel: bytes, url: StoreUrl) -> None:
         version = json.loads(sentinel)["format"]
     except (ValueError, KeyError, TypeError):
         raise StoreError(
-            f"{SENTINEL_KEY} in the store at {url} is damaged: delete it, and start isogi again, which makes it."
+            f"{SENTINEL_KEY} in the store at {url} is damaged: delete it, and start isogi "
+            "again, which makes it."
         ) from None
     if version != STORE_FORMAT:
         raise StoreError(
@@ -73,9 +79,9 @@ def check_sentinel(sentinel: bytes, url: StoreUrl) -> None:
 class Store:
     """All objects at a ``url``. Safe to use from many threads.
 
-    ``make`` is whether a place without a sentinel is taken for a new store and gets one; workers do not make stores.
-    ``copies`` are local copies of remote objects. A pickled store holds its URL alone: the other process connects with
-    its own credentials.
+    ``make`` is whether a place without a sentinel is taken for a new store and gets one; workers do
+    not make stores. ``copies`` are local copies of remote objects. A pickled store holds its URL
+    alone: the other process connects with its own credentials.
     """
 
     def __init__(
@@ -112,7 +118,9 @@ class Store:
     @classmethod
     def of(cls, store: "StoreLike") -> "Store":
         """The store at a URL; a Store is returned as it is."""
-        return store if isinstance(store, Store) else cls(store)
+        if isinstance(store, Store):
+            return store
+        return cls(store)
 
     def open(self) -> None:
         """Check that the store is there, and write the sentinel of a new one. Raises StoreError."""
@@ -123,16 +131,22 @@ class Store:
         return self._get(key, None)
 
     def read(self, key: str) -> bytes | None:
-        """Read the bytes of an object from the store; None where there is none. Raises StoreError."""
+        """Read the bytes of an object from the store; None where there is none. Raises
+        StoreError.
+        """
         found = self.get(key)
         return None if found is None else found.data
 
     def now(self) -> float:
-        """The time of this machine's calendar, which is taken to be near the one that objects are dated by."""
+        """The time of this machine's calendar, which is taken to be near the one that objects are
+        dated by.
+        """
         return time.time()
 
     def view(self, key: str) -> bytes | None:
-        """Read the bytes of an object, from a local copy where the store confirms that it is unchanged."""
+        """Read the bytes of an object, from a local copy where the store confirms that it is
+        unchanged.
+        """
         if self.copies is None:
             found = self._get(key, None)
         else:
@@ -145,7 +159,8 @@ class Store:
     def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
         """Write an object in place of ``former``, which is None where there was none.
 
-        Raises StoreError, and ChangedError where another was written meanwhile, if the store can detect that.
+        Raises StoreError, and ChangedError where another was written meanwhile, if the store can
+        detect that.
         """
         with self._writing(f"write {key} to"):
             self._backend.put(key, data, former)
@@ -171,7 +186,9 @@ class Store:
         return self.folders("")
 
     def folders(self, folder: str) -> list[str]:
-        """List the folders right under ``folder``. The list is empty only where the store is there to say so."""
+        """List the folders right under ``folder``. The list is empty only where the store is there
+        to say so.
+        """
         self._check_after_failure()
         with self._translated_errors(f"list {folder or 'all'} in"):
             names = self._backend.folders(folder)
@@ -188,8 +205,8 @@ class Store:
     def check_reachable(self) -> None:
         """Raise StoreAwayError unless the sentinel can be read; a check stands for CHECKED seconds.
 
-        While one thread checks a store that was away, the others get the former error at once; so does the one that
-        asks, where a remote store does not answer soon.
+        While one thread checks a store that was away, the others get the former error at once; so
+        does the one that asks, where a remote store does not answer soon.
         """
         away = self._away
         if away is not None and self.url.remote:
@@ -228,7 +245,9 @@ class Store:
             return self._told.setdefault(text, now) == now
 
     def check_writable(self) -> None:
-        """Check that the store is there and takes writes; sets ``read_only``. Raises StoreAwayError and its kinds."""
+        """Check that the store is there and takes writes; sets ``read_only``. Raises StoreAwayError
+        and its kinds.
+        """
         self._checked_until = -1.0
         self.check_reachable()
         try:
@@ -240,7 +259,9 @@ class Store:
             raise trouble from None
 
     def only_read(self) -> bool:
-        """Whether the store is read-only. One that was is tested again every WRITE_RETRY_SECONDS."""
+        """Whether the store is read-only. One that was is tested again every
+        WRITE_RETRY_SECONDS.
+        """
         if self.read_only and self._clock() >= self._tried + WRITE_RETRY_SECONDS:
             self._tried = self._clock()
             with suppress(StoreError):
@@ -248,9 +269,13 @@ class Store:
         return self.read_only
 
     def _look_again(self) -> None:
-        """Have a thread check the store, unless one does or has just done so, and wait a little for what it finds."""
+        """Have a thread check the store, unless one does or has just done so, and wait a little for
+        what it finds.
+        """
         with self._opening:
-            if self._clock() < self._checked_until or (self._looking is not None and self._looking.is_alive()):
+            if self._clock() < self._checked_until or (
+                self._looking is not None and self._looking.is_alive()
+            ):
                 return
             self._looking = looking = threading.Thread(target=self._look, name="store", daemon=True)
             looking.start()
@@ -292,7 +317,9 @@ class Store:
         """Check before a write, and translate its errors."""
         self._check_after_failure()
         if self.read_only:
-            raise StoreReadOnlyError(f"The store at {self.url} can only be read: nothing more is baked into it.")
+            raise StoreReadOnlyError(
+                f"The store at {self.url} can only be read: nothing more is baked into it."
+            )
         with self._translated_errors(action, writing=True):
             yield
 
@@ -315,7 +342,9 @@ class Store:
         return self._create_sentinel()
 
     def _create_sentinel(self) -> StoreAwayError | None:
-        """Write the sentinel; returns why that failed, or None. A read-only place is used without one."""
+        """Write the sentinel; returns why that failed, or None. A read-only place is used without
+        one.
+        """
         try:
             self._backend.create_sentinel(SENTINEL_CONTENT)
         except ChangedError:
@@ -330,9 +359,11 @@ class Store:
 
     @contextmanager
     def _translated_errors(self, action: str, writing: bool = False) -> Iterator[None]:
-        """Raise a backend's error as StoreAwayError where the store is away too, else as StoreError of this object.
+        """Raise a backend's error as StoreAwayError where the store is away too, else as StoreError
+        of this object.
 
-        A write that failed for want of room or of permission raises StoreFullError or StoreReadOnlyError.
+        A write that failed for want of room or of permission raises StoreFullError or
+        StoreReadOnlyError.
         """
         try:
             yield
@@ -357,7 +388,9 @@ def backend_at(url: StoreUrl) -> Backend:
     """The backend of a URL, by its scheme. Raises StoreError where a library is missing."""
     if url.remote:
         return Bucket(url, SENTINEL_KEY)
-    return Folder(url.folder, SENTINEL_KEY) if url.scheme == "file" else FileSystem(url, SENTINEL_KEY)
+    if url.scheme == "file":
+        return Folder(url.folder, SENTINEL_KEY)
+    return FileSystem(url, SENTINEL_KEY)
 
 
 METADATA_KEY = "zarr.json"
@@ -372,9 +405,11 @@ def description(**array: Any) -> bytes:
 
 @lru_cache(maxsize=64)
 def described_array(document: bytes) -> "zarr.Array[Any]":
-    """The array that a ``zarr.json`` describes, without its chunks. Raises errors of many kinds for other documents.
+    """The array that a ``zarr.json`` describes, without its chunks. Raises errors of many kinds for
+    other documents.
 
-    Kept, as it is read before each new chunk, and Zarr takes as long for it as a small task for its light.
+    Kept, as it is read before each new chunk, and Zarr takes as long for it as a small task for its
+    light.
     """
     store = MemoryStore({METADATA_KEY: default_buffer_prototype().buffer.from_bytes(document)})
     return zarr.open_array(store, mode="r", zarr_format=3)
@@ -398,7 +433,8 @@ def unwrap(stored: bytes, size: int) -> np.ndarray:
 
 
 def unwrap_all(stored: Sequence[bytes], size: int) -> np.ndarray:
-    """The records in objects, (objects, ``size``) uint8. Raises DamagedChunkError where any is damaged.
+    """The records in objects, (objects, ``size``) uint8. Raises DamagedChunkError where any is
+    damaged.
 
     The bodies are decoded as one stream, so that Zstandard is set up once.
     """
@@ -414,7 +450,8 @@ def unwrap_all(stored: Sequence[bytes], size: int) -> np.ndarray:
 
 def body_of(stored: bytes) -> bytes:
     """An object without its checksum; DamagedChunkError where the checksum is wrong."""
-    body, checksum = stored[:-CRC_BYTES], stored[-CRC_BYTES:]
+    body = stored[:-CRC_BYTES]
+    checksum = stored[-CRC_BYTES:]
     if len(stored) <= CRC_BYTES or checksum_of(body) != checksum:
         raise DamagedChunkError("its checksum is wrong")
     return body
@@ -430,7 +467,9 @@ MAX_TRIES = 5
 
 
 class Documents:
-    """The documents in one ``folder`` of a ``store``. Methods block: do not call them in an event loop."""
+    """The documents in one ``folder`` of a ``store``. Methods block: do not call them in an event
+    loop.
+    """
 
     def __init__(self, store: StoreLike, folder: str) -> None:
         """Touch nothing yet."""
@@ -445,7 +484,10 @@ class Documents:
         """Read a document; None where there is none. StoreError where it is no JSON object."""
         found = self.store.get(self._key(name))
         try:
-            document = None if found is None else json.loads(found.data)
+            if found is None:
+                document = None
+            else:
+                document = json.loads(found.data)
         except ValueError as error:
             raise StoreError(f"{self.path_of(name)} is damaged ({error}): move it away.") from error
         if document is not None and not isinstance(document, dict):
@@ -453,8 +495,11 @@ class Documents:
         return document
 
     def write(self, name: str, document: dict[str, Any]) -> None:
-        """Write a document in place of the former one. StoreError where others keep writing it at the same time."""
-        key, content = self._key(name), json.dumps(document, indent=1, allow_nan=False).encode()
+        """Write a document in place of the former one. StoreError where others keep writing it at
+        the same time.
+        """
+        key = self._key(name)
+        content = json.dumps(document, indent=1, allow_nan=False).encode()
         for _ in range(MAX_TRIES):
             with suppress(ChangedError):
                 return self.store.put(key, content, self.store.get(key))

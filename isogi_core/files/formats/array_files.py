@@ -1,4 +1,6 @@
-"""Arrays: NumPy's own files, .npy and .npz, and bare voxels, whose sizes and type a file's name or a person says."""
+"""Arrays: NumPy's own files, .npy and .npz, and bare voxels, whose sizes and type a file's name or
+a person says.
+"""
 
 import math
 import re
@@ -26,7 +28,8 @@ from isogi_core.files.formats.source import (
 from isogi_core.files.grid import Grid, Shape, read_as
 from isogi_core.files.packed_files import read_end
 
-NPY_MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK\x03\x04"
+NPY_MAGIC = b"\x93NUMPY"
+ZIP_MAGIC = b"PK\x03\x04"
 
 UNPACK_HINT = "unpack it, and give what is in it, such as a folder of Zarr or of slices"
 
@@ -46,9 +49,22 @@ def open_numpy(source: Source) -> Grid:
     picked, moment, _ = pick_axes(source, field)
     source.check(field[-3:])
     slabs = partial(_array_slabs, source, picked, coloured)
-    notes, known = (LUMINANCE_NOTE,) if coloured else (), read_as("NumPy", dtype)
-    values = np.dtype(np.float32) if coloured else dtype
-    return Grid(field[-3:], values, (1.0, 1.0, 1.0), slabs, source.stamp, notes=notes, moment=moment, read_as=known)
+    notes = (LUMINANCE_NOTE,) if coloured else ()
+    known = read_as("NumPy", dtype)
+    if coloured:
+        values = np.dtype(np.float32)
+    else:
+        values = dtype
+    return Grid(
+        field[-3:],
+        values,
+        (1.0, 1.0, 1.0),
+        slabs,
+        source.stamp,
+        notes=notes,
+        moment=moment,
+        read_as=known,
+    )
 
 
 @contextmanager
@@ -60,13 +76,20 @@ def _array(source: Source) -> Iterator[IO[bytes]]:
             yield file
             return
         with zipfile.ZipFile(file) as whole:
-            names = [name.removesuffix(".npy") for name in whole.namelist() if name.endswith(".npy")]
+            names = [
+                name.removesuffix(".npy") for name in whole.namelist() if name.endswith(".npy")
+            ]
             chosen = source.chosen.get("part") or (names[0] if len(names) == 1 else None)
             if not names:
-                raise VolumeError(f"'{source.name}' is a ZIP file without an array of NumPy: {UNPACK_HINT}.")
+                raise VolumeError(
+                    f"'{source.name}' is a ZIP file without an array of NumPy: {UNPACK_HINT}."
+                )
             if chosen not in names:
                 listed = ", ".join(f"'{source.name}#{name}'" for name in names[:8])
-                raise VolumeError(f"'{source.name}' holds several arrays, or none of that name: choose of {listed}.")
+                raise VolumeError(
+                    f"'{source.name}' holds several arrays, or none of that name: choose of "
+                    f"{listed}."
+                )
             with whole.open(f"{chosen}.npy") as member:
                 yield member
 
@@ -74,7 +97,10 @@ def _array(source: Source) -> Iterator[IO[bytes]]:
 def _array_header(file: IO[bytes]) -> tuple[Shape, bool, np.dtype[Any]]:
     """Shape, order and type of an array, whose values come next."""
     version = np.lib.format.read_magic(file)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    if version == (1, 0):
+        read = np.lib.format.read_array_header_1_0
+    else:
+        read = np.lib.format.read_array_header_2_0
     shape, fortran, dtype = read(file)
     return tuple(int(n) for n in shape), bool(fortran), dtype
 
@@ -85,10 +111,15 @@ def _array_slabs(source: Source, picked: tuple[int, ...], coloured: bool) -> Ite
         shape, fortran, dtype = _array_header(file)
         inner = shape[len(picked) :]
         if fortran:
-            whole = read_numbers(file, source.name, math.prod(shape), dtype).reshape(shape, order="F")
+            whole = read_numbers(file, source.name, math.prod(shape), dtype).reshape(
+                shape, order="F"
+            )
             yield _values(whole[picked], coloured)
             return
-        before = int(np.ravel_multi_index(picked, shape[: len(picked)])) if picked else 0
+        if picked:
+            before = int(np.ravel_multi_index(picked, shape[: len(picked)]))
+        else:
+            before = 0
         skip(file, before * math.prod(inner) * dtype.itemsize)
         for slab in slabs_in(file, source.name, inner, dtype):
             yield _values(slab, coloured)
@@ -96,14 +127,20 @@ def _array_slabs(source: Source, picked: tuple[int, ...], coloured: bool) -> Ite
 
 
 def _values(slab: np.ndarray, coloured: bool) -> np.ndarray:
-    return luminance_of_colours(slab) if coloured else slab
+    if coloured:
+        return luminance_of_colours(slab)
+    return slab
 
 
 RAW_SUFFIXES = (".raw", ".bin", ".dat", ".data", ".vol")
 PACKED_SUFFIXES = (".gz", ".bz2")
 
 _TYPES = {
-    **{f"{kind}{8 * size}": f"{code}{size}" for kind, code in (("int", "i"), ("uint", "u")) for size in (1, 2, 4, 8)},
+    **{
+        f"{kind}{8 * size}": f"{code}{size}"
+        for kind, code in (("int", "i"), ("uint", "u"))
+        for size in (1, 2, 4, 8)
+    },
     **{"uchar": "u1", "byte": "u1", "ushort": "u2", "short": "i2", "float16": "f2"},
     **{"float32": "f4", "float": "f4", "float64": "f8", "double": "f8"},
 }
@@ -117,24 +154,45 @@ RAW_EXAMPLE = "raw = '256x256x128,uint8,little'"
 def is_raw(name: str) -> bool:
     """Whether a file seems to be bare voxels by its ``name``, which has their sizes in it."""
     path = PurePath(name.lower())
-    bare = path.with_suffix("") if path.suffix in PACKED_SUFFIXES else path
+    if path.suffix in PACKED_SUFFIXES:
+        bare = path.with_suffix("")
+    else:
+        bare = path
     return bare.suffix in RAW_SUFFIXES and any(_SIZES.fullmatch(word) for word in _words(name))
 
 
 @reader("bare voxels", "raw")
 def open_raw(source: Source) -> Grid:
-    """Open bare voxels as a grid, of the sizes and the type that are given, else in the name. Raises VolumeError."""
+    """Open bare voxels as a grid, of the sizes and the type that are given, else in the name.
+    Raises VolumeError.
+    """
     given = source.chosen.get("raw")
-    shape, dtype = _read(source, given.split(",") if given else _words(source.name), "as given" if given else "")
+    shape, dtype = _read(
+        source, given.split(",") if given else _words(source.name), "as given" if given else ""
+    )
     source.check(shape)
     if PurePath(source.name).suffix.lower() not in PACKED_SUFFIXES:
         _check_length(source, shape, dtype)
     sizes = " × ".join(map(str, shape[::-1]))
-    order = "" if dtype.itemsize == 1 else f", {'big' if dtype.byteorder == '>' else 'little'}-endian"
+    if dtype.itemsize == 1:
+        order = ""
+    else:
+        order = f", {'big' if dtype.byteorder == '>' else 'little'}-endian"
     how = f"{sizes} voxels of {dtype.name}{order}, {'as given' if given else 'by its name'}"
-    notes = (f"The file has no header: it is read as {how}.", *source.cut_notes(math.prod(shape) * dtype.itemsize))
+    notes = (
+        f"The file has no header: it is read as {how}.",
+        *source.cut_notes(math.prod(shape) * dtype.itemsize),
+    )
     slabs = partial(raw_slabs, source, 0, shape, dtype, exact=True)
-    return Grid(shape, dtype, (1.0, 1.0, 1.0), slabs, source.stamp, notes=notes, read_as=read_as("bare voxels", dtype))
+    return Grid(
+        shape,
+        dtype,
+        (1.0, 1.0, 1.0),
+        slabs,
+        source.stamp,
+        notes=notes,
+        read_as=read_as("bare voxels", dtype),
+    )
 
 
 def _words(name: str) -> list[str]:
@@ -143,14 +201,21 @@ def _words(name: str) -> list[str]:
 
 
 def _read(source: Source, words: Sequence[str], given: str) -> tuple[Shape, np.dtype[Any]]:
-    """The shape (z, y, x) and the type that words say; bytes where the file has as many as voxels, and no type."""
+    """The shape (z, y, x) and the type that words say; bytes where the file has as many as voxels,
+    and no type.
+    """
     plain = [word.strip().lower() for word in words]
     sizes = next((match for word in plain if (match := _SIZES.fullmatch(word))), None)
     kind = next((_TYPES[word] for word in plain if word in _TYPES), "")
     order = next((_ORDERS[word] for word in plain if word in _ORDERS), "<")
-    unknown = [word for word in plain if not _SIZES.fullmatch(word) and word not in (*_TYPES, *_ORDERS)]
+    unknown = [
+        word for word in plain if not _SIZES.fullmatch(word) and word not in (*_TYPES, *_ORDERS)
+    ]
     if sizes is None or (given and (unknown or not kind)):
-        raise VolumeError(f"The voxels of '{source.name}' need their sizes, a type and a byte order: {RAW_EXAMPLE}.")
+        raise VolumeError(
+            f"The voxels of '{source.name}' need their sizes, a type and a byte order: "
+            f"{RAW_EXAMPLE}."
+        )
     x, y, z = (int(n) for n in sizes.groups())
     return (z, y, x), np.dtype(f"{order}{kind or 'u1'}")
 
@@ -158,8 +223,11 @@ def _read(source: Source, words: Sequence[str], given: str) -> tuple[Shape, np.d
 def _check_length(source: Source, shape: Shape, dtype: np.dtype[Any]) -> None:
     """Raise VolumeError where the file has other bytes than its voxels take."""
     with source.open() as file:
-        length, size = file.seek(0, 2), math.prod(shape) * dtype.itemsize
+        length = file.seek(0, 2)
+        size = math.prod(shape) * dtype.itemsize
     if length != size:
         sizes = " × ".join(map(str, shape[::-1]))
-        wrong = f"'{source.name}' has {length} bytes, and {sizes} voxels of {dtype.name} take {size}"
+        wrong = (
+            f"'{source.name}' has {length} bytes, and {sizes} voxels of {dtype.name} take {size}"
+        )
         raise VolumeError(f"{wrong}: say what it holds, {RAW_EXAMPLE}.")

@@ -1,4 +1,5 @@
-"""Files of brains, read by nibabel: NIfTI-1 and -2, FreeSurfer's MGH, Analyze 7.5, AFNI, and MINC 1 and 2.
+"""Files of brains, read by nibabel: NIfTI-1 and -2, FreeSurfer's MGH, Analyze 7.5, AFNI, and MINC 1
+and 2.
 
 NIfTI and Analyze are one file or a pair. Voxels are streamed, as a packed file is read but once.
 """
@@ -26,7 +27,15 @@ from isogi_core.files.formats.source import (
     raw_slabs,
     reader,
 )
-from isogi_core.files.grid import PATIENT_AXES, SINGLE_MOMENT, Affine, Grid, Shape, read_as, slab_layers
+from isogi_core.files.grid import (
+    PATIENT_AXES,
+    SINGLE_MOMENT,
+    Affine,
+    Grid,
+    Shape,
+    read_as,
+    slab_layers,
+)
 from isogi_core.files.packing import Scaling
 
 NIFTI_UNITS = {"mm": "mm", "meter": "m", "micron": "µm"}
@@ -50,9 +59,15 @@ def is_nifti(head: bytes) -> bool:
 def open_nifti(source: Source) -> Grid:
     """Open a NIfTI file as a grid: only the header is read now. Raises VolumeError."""
     header = _nifti_header(library("nibabel", "NIfTI"), source)
-    voxels = source if header.is_single or source.path is None else replace(source, path=image_beside(source))
+    if header.is_single or source.path is None:
+        voxels = source
+    else:
+        voxels = replace(source, path=image_beside(source))
     grid = _grid_of(source, voxels, header, "NIfTI", _placed_by(header))
-    labels = () if int(header["intent_code"]) == LABELS else None
+    if int(header["intent_code"]) == LABELS:
+        labels = ()
+    else:
+        labels = None
     unit = NIFTI_UNITS.get(header.get_xyzt_units()[0], "")
     return _placed_by_header(replace(grid, unit=unit, labels=labels), header)
 
@@ -61,14 +76,27 @@ def _nifti_header(nib: Any, source: Source) -> Any:
     """The header, of whichever version and byte order."""
     with source.unpacked() as file:
         head = file.read(348)
-    one, pair = 348 in (int.from_bytes(head[:4], order) for order in ("little", "big")), b"ni" in head[4:8] + head[344:]
+    one = 348 in (int.from_bytes(head[:4], order) for order in ("little", "big"))
+    pair = b"ni" in head[4:8] + head[344:]
     if pair and source.path is None:
-        raise VolumeError(f"'{source.name}' is a header whose voxels are in another file: save both as one .nii file.")
+        raise VolumeError(
+            f"'{source.name}' is a header whose voxels are in another file: save both as one "
+            ".nii file."
+        )
     kinds = nib.nifti1.Nifti1PairHeader, nib.nifti1.Nifti1Header, nib.Nifti2Header
-    kind = nib.nifti2.Nifti2PairHeader if pair and not one else kinds[0] if pair else kinds[1] if one else kinds[2]
+    if pair and not one:
+        kind = nib.nifti2.Nifti2PairHeader
+    elif pair:
+        kind = kinds[0]
+    elif one:
+        kind = kinds[1]
+    else:
+        kind = kinds[2]
     with source.unpacked() as file:
         whole = file.read(kind.template_dtype.itemsize)
-    return kind.from_fileobj(io.BytesIO(whole + bytes(4)))  # without extensions, which may claim any size
+    return kind.from_fileobj(
+        io.BytesIO(whole + bytes(4))
+    )  # without extensions, which may claim any size
 
 
 PAIR_ENDINGS = re.compile(r"\.(?:hdr|img)(\.gz|\.bz2)?$", re.IGNORECASE)
@@ -76,10 +104,17 @@ PAIR_ENDINGS = re.compile(r"\.(?:hdr|img)(\.gz|\.bz2)?$", re.IGNORECASE)
 
 
 def beside(path: Path, end: str) -> Path | None:
-    """The other file of a pair, whose name ends in ``.hdr`` or ``.img``; None where there is none."""
+    """The other file of a pair, whose name ends in ``.hdr`` or ``.img``; None where there is
+    none.
+    """
     stem = PAIR_ENDINGS.sub("", path.name)
-    names = [f"{stem}{case}{packed}" for case in (end, end.upper()) for packed in ("", ".gz", ".bz2")]
-    return next((found for name in names if (found := path.with_name(name)).is_file() and found != path), None)
+    names = [
+        f"{stem}{case}{packed}" for case in (end, end.upper()) for packed in ("", ".gz", ".bz2")
+    ]
+    return next(
+        (found for name in names if (found := path.with_name(name)).is_file() and found != path),
+        None,
+    )
 
 
 def image_beside(source: Source) -> Path:
@@ -88,26 +123,38 @@ def image_beside(source: Source) -> Path:
     found = beside(source.path, ".img")
     if found is None:
         wanted = PAIR_ENDINGS.sub("", source.path.name) + ".img"
-        raise VolumeError(f"'{source.name}' is a header, and '{wanted}' with its voxels is not beside it.")
+        raise VolumeError(
+            f"'{source.name}' is a header, and '{wanted}' with its voxels is not beside it."
+        )
     return found
 
 
 def _placed_by(header: Any) -> str:
     """Which of its two transforms says where a file lies: the sform, where there is one."""
-    return "its sform" if int(header["sform_code"]) else "its qform" if int(header["qform_code"]) else ""
+    if int(header["sform_code"]):
+        return "its sform"
+    if int(header["qform_code"]):
+        return "its qform"
+    return ""
 
 
 def _placed_by_header(grid: Grid, header: Any) -> Grid:
-    """The grid with the affine that the header prefers, in a patient's right, anterior, superior."""
+    """The grid with the affine that the header prefers, in a patient's right, anterior,
+    superior.
+    """
     sform, qform = int(header["sform_code"]), int(header["qform_code"])
     if not sform and not qform:
         return replace(grid, notes=(*grid.notes, UNPLACED_NOTE))
-    affine, notes = header.get_best_affine(), grid.notes
+    affine = header.get_best_affine()
+    notes = grid.notes
     if sform and qform:
         apart = np.linalg.solve(affine[:3, :3], (header.get_qform() - affine)[:3])
         corner = np.abs(apart) @ np.array([*(n - 1 for n in grid.shape[::-1]), 1.0])
         if corner.max() > MAX_TRANSFORM_GAP:
-            notes = (*notes, f"Its two transforms differ by {corner.max():.3g} voxels: the sform is taken.")
+            notes = (
+                *notes,
+                f"Its two transforms differ by {corner.max():.3g} voxels: the sform is taken.",
+            )
     return replace(grid, affine=Affine.of(affine, PATIENT_AXES), notes=notes)
 
 
@@ -120,24 +167,39 @@ def _grid_of(
     shape: Shape = (),
     scalings: Sequence[Scaling] = (),
 ) -> Grid:
-    """The grid of one of nibabel's headers, whose ``voxels`` may be in another file, without its place in the world.
+    """The grid of one of nibabel's headers, whose ``voxels`` may be in another file, without its
+    place in the world.
 
     It has a ``shape``, and ``scalings`` of its fields, where the header does not say these itself.
     """
-    shape, dtype = tuple(int(n) for n in shape or header.get_data_shape()), header.get_data_dtype()
+    shape = tuple(int(n) for n in shape or header.get_data_shape())
+    dtype = header.get_data_dtype()
     (time, unchosen), channel, times, (nx, ny, nz) = _frame_of(source, shape)
     source.check((nz, ny, nx))
-    first, field = int(header.get_data_offset()), time + times * channel
+    first = int(header.get_data_offset())
+    field = time + times * channel
     start = first + field * nx * ny * nz * dtype.itemsize
-    scaling = scalings[field] if scalings else _scaling_of(header)
+    if scalings:
+        scaling = scalings[field]
+    else:
+        scaling = _scaling_of(header)
     x, y, z = (abs(float(step)) for step in header.get_zooms()[:3])
-    others = [voxels.path] if voxels.path is not None and voxels.path != source.path else []
+    if voxels.path is not None and voxels.path != source.path:
+        others = [voxels.path]
+    else:
+        others = []
     slabs = partial(_field_slabs, voxels, start, (nz, ny, nx), dtype, scaling)
     cut = voxels.cut_notes(first + math.prod(shape) * dtype.itemsize)
-    values = np.dtype(np.float32) if dtype.names else scaling.dtype(dtype)
+    if dtype.names:
+        values = np.dtype(np.float32)
+    else:
+        values = scaling.dtype(dtype)
     grid = Grid((nz, ny, nx), values, (x, y, z), slabs, partial(source.stamp, *others))
     known = read_as(kind, dtype, placed, scaling.slope, scaling.intercept)
-    notes = (LUMINANCE_NOTE, *cut) if dtype.names else cut
+    if dtype.names:
+        notes = (LUMINANCE_NOTE, *cut)
+    else:
+        notes = cut
     return replace(grid, notes=notes, moment=(time, times), unchosen=unchosen, read_as=known)
 
 
@@ -149,13 +211,23 @@ def _scaling_of(header: Any) -> Scaling:
     return Scaling(float(slope), float(intercept or 0.0))
 
 
-def _frame_of(source: Source, shape: Shape) -> tuple[tuple[int, bool], int, int, tuple[int, int, int]]:
-    """The step in time, as of ``pick_step``, the channel, how many steps there are, and the size along x, y, z."""
+def _frame_of(
+    source: Source, shape: Shape
+) -> tuple[tuple[int, bool], int, int, tuple[int, int, int]]:
+    """The step in time, as of ``pick_step``, the channel, how many steps there are, and the size
+    along x, y, z.
+    """
     nx, ny, nz, *extra = (*shape, *(1,) * (3 - len(shape)))
     while extra and extra[-1] == 1:
         extra.pop()
-    times, channels = (*extra[:1], 1)[0], math.prod(extra[1:])
-    return pick_step(source, times), pick(source, "channel", channels, "channels"), times, (nx, ny, nz)
+    times = (*extra[:1], 1)[0]
+    channels = math.prod(extra[1:])
+    return (
+        pick_step(source, times),
+        pick(source, "channel", channels, "channels"),
+        times,
+        (nx, ny, nz),
+    )
 
 
 def _field_slabs(
@@ -169,12 +241,16 @@ def _field_slabs(
             yield scaling.apply(slab)
 
 
-MGH, MGH_SUFFIXES = b"\0\0\0\1", (".mgh", ".mgz")
+MGH = b"\0\0\0\1"
+MGH_SUFFIXES = (".mgh", ".mgz")
 
-ANALYZE_HEADER_BYTES, REGULAR_MARK = 348, slice(38, 39)
+ANALYZE_HEADER_BYTES = 348
+REGULAR_MARK = slice(38, 39)
 """The size of Analyze's header, its first number, and where most of its files have an r."""
 
-NO_SIDES = "Analyze does not say where left is: x is taken to go to the patient's left, as SPM does."
+NO_SIDES = (
+    "Analyze does not say where left is: x is taken to go to the patient's left, as SPM does."
+)
 
 
 def is_mgh(head: bytes, suffix: str) -> bool:
@@ -183,7 +259,9 @@ def is_mgh(head: bytes, suffix: str) -> bool:
 
 
 def is_analyze(head: bytes, suffix: str) -> bool:
-    """Whether a file begins as Analyze does, and is named so or has its r; NIfTI begins so, too, and has a mark."""
+    """Whether a file begins as Analyze does, and is named so or has its r; NIfTI begins so, too,
+    and has a mark.
+    """
     sized = ANALYZE_HEADER_BYTES in (int.from_bytes(head[:4], order) for order in ("little", "big"))
     return sized and (head[REGULAR_MARK] == b"r" or suffix in (".hdr", ".gz"))
 
@@ -202,13 +280,20 @@ def open_mgh(source: Source) -> Grid:
 def open_analyze(source: Source) -> Grid:
     """Open the header of a pair as a grid. Raises VolumeError."""
     if source.path is None:
-        raise VolumeError(f"'{source.name}' is a header whose voxels are in another file: save both as one .nii file.")
+        raise VolumeError(
+            f"'{source.name}' is a header whose voxels are in another file: save both as one "
+            ".nii file."
+        )
     kind = library("nibabel", "Analyze").spm2analyze.Spm2AnalyzeHeader
     with source.unpacked() as file:
         header = kind.from_fileobj(file)
     grid = _grid_of(source, replace(source, path=image_beside(source)), header, "Analyze")
     placed = source.path.with_suffix(".mat").is_file()
-    lost = (f"SPM's '{source.path.stem}.mat' beside it is not read: convert both to NIfTI.",) if placed else ()
+    lost = (
+        (f"SPM's '{source.path.stem}.mat' beside it is not read: convert both to NIfTI.",)
+        if placed
+        else ()
+    )
     affine = Affine.of(header.get_best_affine(), PATIENT_AXES)
     return replace(grid, affine=affine, notes=(*grid.notes, NO_SIDES, *lost))
 
@@ -225,31 +310,46 @@ def is_afni(head: bytes, suffix: str) -> bool:
 def afni_header(path: Path) -> Path | None:
     """The header of AFNI's voxels; None where a file is none, or has no header beside it."""
     header = path.with_name(AFNI_ENDINGS.sub(".HEAD", path.name))
-    return header if ".BRIK" in path.name and header != path and header.is_file() else None
+    if ".BRIK" in path.name and header != path and header.is_file():
+        return header
+    return None
 
 
 @reader("AFNI", "time", "channel")
 def open_afni(source: Source) -> Grid:
-    """Open the header of AFNI's pair as a grid: a series in time, or channels, a brick each. Raises VolumeError."""
+    """Open the header of AFNI's pair as a grid: a series in time, or channels, a brick each. Raises
+    VolumeError.
+    """
     if source.path is None:
         one = "save both as one .nii file, by 3dAFNItoNIFTI"
         raise VolumeError(f"'{source.name}' is a header whose voxels are in another file: {one}.")
     kind = library("nibabel.brikhead", "AFNI").AFNIHeader
     names = [AFNI_ENDINGS.sub(f".BRIK{packed}", source.path.name) for packed in ("", ".gz", ".bz2")]
-    voxels = next((found for name in names if (found := source.path.with_name(name)).is_file()), None)
+    voxels = next(
+        (found for name in names if (found := source.path.with_name(name)).is_file()), None
+    )
     if voxels is None:
-        raise VolumeError(f"'{source.name}' is a header, and '{names[0]}' with its voxels is not beside it.")
+        raise VolumeError(
+            f"'{source.name}' is a header, and '{names[0]}' with its voxels is not beside it."
+        )
     with source.open() as file:
         header = kind.from_fileobj(io.StringIO(file.read().decode("latin-1").replace("\r\n", "\n")))
         nx, ny, nz, bricks = header.get_data_shape()
         slopes = header.get_data_scaling()
     shape = (nx, ny, nz, bricks) if "TAXIS_NUMS" in header.info else (nx, ny, nz, 1, bricks)
-    scalings = [Scaling()] * bricks if slopes is None else [Scaling(float(slope)) for slope in slopes]
-    grid = _grid_of(source, replace(source, path=voxels), header, "AFNI", shape=shape, scalings=scalings)
+    if slopes is None:
+        scalings = [Scaling()] * bricks
+    else:
+        scalings = [Scaling(float(slope)) for slope in slopes]
+    grid = _grid_of(
+        source, replace(source, path=voxels), header, "AFNI", shape=shape, scalings=scalings
+    )
     return replace(grid, affine=Affine.of(header.get_affine(), PATIENT_AXES), unit="mm")
 
 
-MINC1_MAGIC, MINC2_MAGIC, MINC_SUFFIX = b"CDF", b"\x89HDF", ".mnc"
+MINC1_MAGIC = b"CDF"
+MINC2_MAGIC = b"\x89HDF"
+MINC_SUFFIX = ".mnc"
 """How MINC 1 and MINC 2 begin, as other files do, too, and how both are named."""
 
 SCALED_SLICES = "MINC, each slice of a slope of its own,"
@@ -264,10 +364,17 @@ def is_minc(head: bytes, suffix: str) -> bool:
 def open_minc(source: Source) -> Grid:
     """Open a file as a grid: of MINC 2 only its description is read now. Raises VolumeError."""
     with _image(source) as image:
-        shape, stored = tuple(int(n) for n in image.get_data_shape()), np.dtype(image.get_data_dtype())
+        shape = tuple(int(n) for n in image.get_data_shape())
+        stored = np.dtype(image.get_data_dtype())
         names = list(map(str, image._dim_names))
-        if not all(name.endswith("space") for name in names[-3:]) or names[:-3] not in ([], ["time"]):
-            raise VolumeError(f"'{source.name}' has the axes {', '.join(names)}: save z, y and x alone, or in time.")
+        if not all(name.endswith("space") for name in names[-3:]) or names[:-3] not in (
+            [],
+            ["time"],
+        ):
+            raise VolumeError(
+                f"'{source.name}' has the axes {', '.join(names)}: save z, y and x alone, or "
+                "in time."
+            )
         source.check(shape[-3:])
         matrix = image.get_affine()[:3, [2, 1, 0, 3]]
     times = shape[0] if len(shape) > 3 else 1
@@ -300,12 +407,15 @@ def _image(source: Source) -> Iterator[Any]:
             classic = library("nibabel.externals.netcdf", "MINC").netcdf_file(file, mmap=False)
             yield library("nibabel.minc1", "MINC").Minc1File(classic)
             return
-        kind, h5py = library("nibabel.minc2", "MINC").Minc2File, library("h5py", "MINC")
+        kind = library("nibabel.minc2", "MINC").Minc2File
+        h5py = library("h5py", "MINC")
         with h5py.File(source.path or file, "r", locking=False) as whole:
             yield kind(whole)
 
 
-def _image_slabs(source: Source, picked: tuple[int, ...], shape: Shape, dtype: np.dtype[Any]) -> Iterator[np.ndarray]:
+def _image_slabs(
+    source: Source, picked: tuple[int, ...], shape: Shape, dtype: np.dtype[Any]
+) -> Iterator[np.ndarray]:
     """Some layers at a time, scaled to the range that each slice says."""
     with _image(source) as image:
         step = slab_layers(shape[1] * shape[2] * 8)

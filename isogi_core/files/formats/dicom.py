@@ -32,26 +32,60 @@ from isogi_core.files.grid import PATIENT_AXES, Affine, Grid, read_as
 from isogi_core.files.packed_files import READ_BYTES, line_of, open_regular, stamp_of
 from isogi_core.files.packing import Packing, Scaling, holed
 
-DECODER_PACKAGES = {"JPEG-LS": "pyjpegls", "JPEG 2000": "pylibjpeg pylibjpeg-openjpeg", "JPEG": "python-gdcm"}
-"""What to install for pixels packed in some way, by a part of its name; all under free licences without conditions."""
+DECODER_PACKAGES = {
+    "JPEG-LS": "pyjpegls",
+    "JPEG 2000": "pylibjpeg pylibjpeg-openjpeg",
+    "JPEG": "python-gdcm",
+}
+"""What to install for pixels packed in some way, by a part of its name; all under free licences
+without conditions.
+"""
 
 DICOM_TO_RAS = np.diag([-1.0, -1.0, 1.0])
 """From a patient's left, posterior, superior, which DICOM means, to right, anterior, superior."""
 
 HEADER_TAGS = (
-    *("SeriesInstanceUID", "SeriesNumber", "SeriesDescription", "SOPInstanceUID", "InstanceNumber", "ImageType"),
-    *("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing", "SpacingBetweenSlices", "SliceThickness"),
-    *("Rows", "Columns", "NumberOfFrames", "SamplesPerPixel", "PhotometricInterpretation", "BitsAllocated"),
+    *(
+        "SeriesInstanceUID",
+        "SeriesNumber",
+        "SeriesDescription",
+        "SOPInstanceUID",
+        "InstanceNumber",
+        "ImageType",
+    ),
+    *(
+        "ImagePositionPatient",
+        "ImageOrientationPatient",
+        "PixelSpacing",
+        "SpacingBetweenSlices",
+        "SliceThickness",
+    ),
+    *(
+        "Rows",
+        "Columns",
+        "NumberOfFrames",
+        "SamplesPerPixel",
+        "PhotometricInterpretation",
+        "BitsAllocated",
+    ),
     *("BitsStored", "HighBit", "PixelRepresentation", "RescaleSlope", "RescaleIntercept"),
     *("PerFrameFunctionalGroupsSequence", "SharedFunctionalGroupsSequence", "TransferSyntaxUID"),
     *("FloatPixelData", "DoubleFloatPixelData", "GridFrameOffsetVector", "DoseGridScaling"),
     *SEGMENT_TAGS,
-    *(f"{kind}PixelPadding{end}" for kind in ("", "Float", "DoubleFloat") for end in ("Value", "RangeLimit")),
+    *(
+        f"{kind}PixelPadding{end}"
+        for kind in ("", "Float", "DoubleFloat")
+        for end in ("Value", "RangeLimit")
+    ),
 )
 
 
-DEFLATED_SYNTAX, META_BYTES, META_START = b"1.2.840.10008.1.2.1.99", 1 << 20, 144
-"""The transfer syntax of deflated data, bytes within which a file names it, and the byte after its length."""
+DEFLATED_SYNTAX = b"1.2.840.10008.1.2.1.99"
+META_BYTES = 1 << 20
+META_START = 144
+"""The transfer syntax of deflated data, bytes within which a file names it, and the byte after its
+length.
+"""
 
 
 Headers = list[tuple[Path | None, Any]]
@@ -60,7 +94,8 @@ Headers = list[tuple[Path | None, Any]]
 
 @dataclass(frozen=True)
 class Place:
-    """Where the pixels of a slice are: a file, None for an upload, and the number of the frame in it.
+    """Where the pixels of a slice are: a file, None for an upload, and the number of the frame in
+    it.
 
     In a segmentation they are those of a ``segment``, which are then its number.
     """
@@ -77,7 +112,9 @@ def is_dicom(head: bytes) -> bool:
 
 @reader("DICOM", "series", "time")
 def open_dicom(source: Source) -> Grid:
-    """Open a file, or a folder with a series, as a grid: only headers are read now. Raises VolumeError."""
+    """Open a file, or a folder with a series, as a grid: only headers are read now. Raises
+    VolumeError.
+    """
     library("pydicom", "DICOM")
     _check_inflated(source)
     folder = source.path is not None and source.path.is_dir()
@@ -86,32 +123,60 @@ def open_dicom(source: Source) -> Grid:
         raise VolumeError(f"'{source.name}' holds no DICOM image: check the volume's path.")
     chosen = _series(source, headers)
     for _, header in chosen:
-        source.check((int(header.get("NumberOfFrames") or 1), int(header.Rows), int(header.Columns)))
-    first, segmented = chosen[0][1], is_segmentation(chosen[0][1])
+        source.check(
+            (int(header.get("NumberOfFrames") or 1), int(header.Rows), int(header.Columns))
+        )
+    first = chosen[0][1]
+    segmented = is_segmentation(chosen[0][1])
     slices = [each for path, header in chosen for each in _slices_of(path, header)]
     slices = overlaid(slices) if segmented else slices
     stack, notes = stack_of(source.name, slices, partial(pick, source, "time"), segmented)
     if len(stack.layers) == 1 and not folder:
-        raise VolumeError(f"'{source.name}' is one slice: give the folder of its series, or a file of many frames.")
+        raise VolumeError(
+            f"'{source.name}' is one slice: give the folder of its series, or a file of many "
+            "frames."
+        )
     source.check((len(stack.layers), int(first.Rows), int(first.Columns)))
     packings = {each.packing for each in slices}
     coloured = int(first.get("SamplesPerPixel", 1)) > 1
     if str(first.get("PhotometricInterpretation", "")) == "PALETTE COLOR" and not segmented:
         raise VolumeError(f"'{source.name}' holds colours of a palette: save its values.")
     labels = segments_of(first) if segmented else None
-    dtype = np.dtype(np.uint16) if segmented else _value_type(packings, coloured or stack.between)
-    affine = Affine.of(DICOM_TO_RAS @ stack.affine, PATIENT_AXES) if stack.affine is not None else None
+    if segmented:
+        dtype = np.dtype(np.uint16)
+    else:
+        dtype = _value_type(packings, coloured or stack.between)
+    if stack.affine is not None:
+        affine = Affine.of(DICOM_TO_RAS @ stack.affine, PATIENT_AXES)
+    else:
+        affine = None
     shape = (len(stack.layers), int(first.Rows), int(first.Columns))
     layers = partial(_layers, source, stack.layers, shape, dtype)
     files = sorted({path for path, _ in chosen if path is not None})
     notes = (*notes, *((LUMINANCE_NOTE,) if coloured else slices[0].packing.notes))
     stamp = partial(_stamp_of_files, source, files)
-    placed = "its slices' positions" if affine is not None else "its slices' numbers"
+    if affine is not None:
+        placed = "its slices' positions"
+    else:
+        placed = "its slices' numbers"
     known = slices[0].packing.read_as("DICOM segmentation" if segmented else "DICOM", placed)
     if len(packings) > 1:
-        known = read_as("DICOM, each slice of a slope of its own,", slices[0].packing.stored, placed)
+        known = read_as(
+            "DICOM, each slice of a slope of its own,", slices[0].packing.stored, placed
+        )
     unit = "mm" if stack.measured else ""
-    return Grid(shape, dtype, stack.spacing, layers, stamp, affine, unit, notes, labels=labels, read_as=known)
+    return Grid(
+        shape,
+        dtype,
+        stack.spacing,
+        layers,
+        stamp,
+        affine,
+        unit,
+        notes,
+        labels=labels,
+        read_as=known,
+    )
 
 
 def _stamp_of_files(source: Source, files: list[Path]) -> str:
@@ -119,7 +184,9 @@ def _stamp_of_files(source: Source, files: list[Path]) -> str:
 
 
 def _check_inflated(source: Source) -> None:
-    """Raise VolumeError where an upload inflates to more than its voxels may be: pydicom does that all at once."""
+    """Raise VolumeError where an upload inflates to more than its voxels may be: pydicom does that
+    all at once.
+    """
     if source.path is not None:
         return
     with source.open() as file:
@@ -127,17 +194,26 @@ def _check_inflated(source: Source) -> None:
         if DEFLATED_SYNTAX not in head:
             return
         file.seek(META_START + int.from_bytes(head[META_START - 4 : META_START], "little"))
-        inflater, left = zlib.decompressobj(-zlib.MAX_WBITS), 4 * source.voxels + META_BYTES
-        while left > 0 and not inflater.eof and (data := inflater.unconsumed_tail or file.read(READ_BYTES)):
+        inflater = zlib.decompressobj(-zlib.MAX_WBITS)
+        left = 4 * source.voxels + META_BYTES
+        while (
+            left > 0
+            and not inflater.eof
+            and (data := inflater.unconsumed_tail or file.read(READ_BYTES))
+        ):
             left -= len(inflater.decompress(data, READ_BYTES))
     if left <= 0:
-        raise VolumeError(f"'{source.name}' inflates to more than {4 * source.voxels} bytes: save a smaller part.")
+        raise VolumeError(
+            f"'{source.name}' inflates to more than {4 * source.voxels} bytes: save a smaller part."
+        )
 
 
 def _read_header(source: Source) -> Any:
     pydicom = library("pydicom", "DICOM")
     with source.open() as file:
-        return pydicom.dcmread(file, stop_before_pixels=True, force=True, specific_tags=list(HEADER_TAGS))
+        return pydicom.dcmread(
+            file, stop_before_pixels=True, force=True, specific_tags=list(HEADER_TAGS)
+        )
 
 
 def _headers(source: Source) -> Iterator[tuple[Path | None, Any]]:
@@ -152,20 +228,26 @@ def _headers(source: Source) -> Iterator[tuple[Path | None, Any]]:
 
 
 def _may_be_dicom(path: Path) -> bool:
-    """Whether a file has DICOM's mark, or begins with a tag of its first groups: the mark was not always written."""
+    """Whether a file has DICOM's mark, or begins with a tag of its first groups: the mark was not
+    always written.
+    """
     with open_regular(path) as file:
         head = file.read(132)
     return is_dicom(head) or (head[1:2] == b"\0" and head[0] in (2, 8) and head[3:4] == b"\0")
 
 
 def _series(source: Source, headers: Any) -> Headers:
-    """The images of the series that is chosen: one of several must be. Orientation and size divide a series too."""
+    """The images of the series that is chosen: one of several must be. Orientation and size divide
+    a series too.
+    """
     groups: dict[tuple[Any, ...], Headers] = {}
     for path, header in headers:
         pose = tuple(np.round(np.array(header.get("ImageOrientationPatient") or (), float), 3))
         key = str(header.get("SeriesInstanceUID", "")), pose, int(header.Rows), int(header.Columns)
         groups.setdefault(key, []).append((path, header))
-    found = sorted(groups.values(), key=lambda each: (int(each[0][1].get("SeriesNumber") or 0), -len(each)))
+    found = sorted(
+        groups.values(), key=lambda each: (int(each[0][1].get("SeriesNumber") or 0), -len(each))
+    )
     number = source.chosen.get("series")
     if number is None and len(found) == 1:
         return found[0]
@@ -173,7 +255,10 @@ def _series(source: Source, headers: Any) -> Headers:
     if number is not None and (number in uids or (number.isdecimal() and int(number) < len(found))):
         return found[uids.index(number) if number in uids else int(number)]
     listed = "; ".join(f"#series={n}: {_about(each)}" for n, each in enumerate(found[:8]))
-    wrong = f"'{source.name}' holds {len(found)} series" if number is None else f"There is no series '{number}'"
+    if number is None:
+        wrong = f"'{source.name}' holds {len(found)} series"
+    else:
+        wrong = f"There is no series '{number}'"
     raise VolumeError(f"{wrong}: choose of {listed}.")
 
 
@@ -199,43 +284,58 @@ def _slices_of(path: Path | None, header: Any) -> Iterator[Slice]:
 def _slice(place: Place, header: Any, groups: list[Any]) -> Slice:
     """One slice, by what its frame's groups say, else the header."""
     read = partial(_frame_value, header, groups)
-    position, pose = (
-        read("PlanePositionSequence", "ImagePositionPatient"),
-        _floats(read("PlaneOrientationSequence", "ImageOrientationPatient")),
-    )
+    position = read("PlanePositionSequence", "ImagePositionPatient")
+    pose = _floats(read("PlaneOrientationSequence", "ImageOrientationPatient"))
     spacing = _floats(read("PixelMeasuresSequence", "PixelSpacing"))
-    between = read("PixelMeasuresSequence", "SpacingBetweenSlices") or read("PixelMeasuresSequence", "SliceThickness")
+    between = read("PixelMeasuresSequence", "SpacingBetweenSlices") or read(
+        "PixelMeasuresSequence", "SliceThickness"
+    )
     alone = bool(groups) or int(header.get("NumberOfFrames") or 1) == 1
     scale = "PixelValueTransformationSequence"
-    slope, intercept = read(scale, "RescaleSlope"), read(scale, "RescaleIntercept")
-    slope = header.get("DoseGridScaling") if slope is None else slope
+    slope = read(scale, "RescaleSlope")
+    intercept = read(scale, "RescaleIntercept")
+    if slope is None:
+        slope = header.get("DoseGridScaling")
     return Slice(
         place=(place,),
         uid=f"{header.get('SOPInstanceUID', '')} {place.frame}",
         number=(int(header.get("InstanceNumber") or 0), place.frame),
-        position=_shifted(_floats(position), pose, header.get("GridFrameOffsetVector"), place.frame, alone),
+        position=_shifted(
+            _floats(position), pose, header.get("GridFrameOffsetVector"), place.frame, alone
+        ),
         pose=pose,
         pixel=(spacing[1], spacing[0]) if spacing else None,
         between=float(between) if between else None,
-        packing=_rescaling(header, Scaling(1.0 if slope is None else float(slope), float(intercept or 0.0))),
+        packing=_rescaling(
+            header, Scaling(1.0 if slope is None else float(slope), float(intercept or 0.0))
+        ),
     )
 
 
 def _shifted(
-    position: tuple[float, ...] | None, pose: tuple[float, ...] | None, offsets: Any, frame: int, alone: bool
+    position: tuple[float, ...] | None,
+    pose: tuple[float, ...] | None,
+    offsets: Any,
+    frame: int,
+    alone: bool,
 ) -> tuple[float, ...] | None:
-    """The position of a frame that lies so far from the first along the normal, as those of dose grids do.
+    """The position of a frame that lies so far from the first along the normal, as those of dose
+    grids do.
 
     None where it is not ``alone`` with a position that is one for all.
     """
     if position is None or pose is None or not offsets:
         return position if alone else None
     normal = np.cross(pose[:3], pose[3:])
-    return tuple((np.array(position) + normal * (float(offsets[frame]) - float(offsets[0]))).tolist())
+    return tuple(
+        (np.array(position) + normal * (float(offsets[frame]) - float(offsets[0]))).tolist()
+    )
 
 
 def _frame_value(header: Any, groups: list[Any], sequence: str, name: str) -> Any:
-    """A value of the frame's own groups, else of the shared ones, else of the header; None where none has it."""
+    """A value of the frame's own groups, else of the shared ones, else of the header; None where
+    none has it.
+    """
     for group in groups:
         inner = group.get(sequence)
         if inner and name in inner[0]:
@@ -244,25 +344,33 @@ def _frame_value(header: Any, groups: list[Any], sequence: str, name: str) -> An
 
 
 def _floats(values: Any) -> tuple[float, ...] | None:
-    return tuple(float(value) for value in values) if values else None
+    if values:
+        return tuple(float(value) for value in values)
+    return None
 
 
 def _stored_type(header: Any) -> np.dtype[Any]:
     """The type of stored values."""
     if "FloatPixelData" in header or "DoubleFloatPixelData" in header:
         return np.dtype(np.float32 if "FloatPixelData" in header else np.float64)
-    kind = "i" if int(header.get("PixelRepresentation", 0)) else "u"
+    if int(header.get("PixelRepresentation", 0)):
+        kind = "i"
+    else:
+        kind = "u"
     return np.dtype(f"{kind}{max(int(header.BitsAllocated) // 8, 1)}")
 
 
 def _value_type(packings: set[Packing], floating: bool) -> np.dtype[Any]:
     """The type of values: one for all slices, whatever their slopes."""
     found = np.result_type(*(each.dtype for each in packings))
-    return np.result_type(found, np.float32) if floating else found
+    if floating:
+        return np.result_type(found, np.float32)
+    return found
 
 
 def _rescaling(header: Any, scaling: Scaling) -> Packing:
-    """What stored pixels of an image mean; those of a value, or of a range, that says "no pixel" are holes.
+    """What stored pixels of an image mean; those of a value, or of a range, that says "no pixel"
+    are holes.
 
     Source: DICOM PS3.3, C.7.5.1.1.2. Colours and labels have no such value.
     """
@@ -272,7 +380,9 @@ def _rescaling(header: Any, scaling: Scaling) -> Packing:
         return Packing(np.dtype(np.float32), scaling=scaling)
     stored = _stored_type(header)
     ends = [_padding(header, stored, end) for end in ("Value", "RangeLimit")]
-    return replace(holed(stored, ends if ends[0] is not None else (), "the padding value"), scaling=scaling)
+    return replace(
+        holed(stored, ends if ends[0] is not None else (), "the padding value"), scaling=scaling
+    )
 
 
 def _padding(header: Any, stored: np.dtype[Any], end: str) -> float | None:
@@ -280,7 +390,9 @@ def _padding(header: Any, stored: np.dtype[Any], end: str) -> float | None:
     prefix = {"f4": "Float", "f8": "DoubleFloat"}.get(stored.str[1:], "")
     value = header.get(f"{prefix}PixelPadding{end}")
     if isinstance(value, bytes):  # where the file leaves its type to that of the pixels
-        return int.from_bytes(value[:2], "little") if len(value) >= 2 else None
+        if len(value) >= 2:
+            return int.from_bytes(value[:2], "little")
+        return None
     return None if value is None else float(value)
 
 
@@ -290,22 +402,32 @@ Layer = tuple[tuple[tuple[Place, ...], float, Packing], ...]
 def _layers(
     source: Source, layers: tuple[Layer, ...], shape: tuple[int, int, int], dtype: np.dtype[Any]
 ) -> Iterator[np.ndarray]:
-    """The layers of a stack, one at a time; (1, rows, columns) each; where no slice is, NaN, or 0 of whole numbers."""
+    """The layers of a stack, one at a time; (1, rows, columns) each; where no slice is, NaN, or 0
+    of whole numbers.
+    """
     frames = Frames(source)
     for layer in layers:
         if not layer:
             yield np.full((1, *shape[1:]), np.nan if dtype.kind == "f" else 0, dtype)
             continue
-        parts = [packing.apply(reduce(np.maximum, map(frames.pixels, places))) for places, _, packing in layer]
+        parts = [
+            packing.apply(reduce(np.maximum, map(frames.pixels, places)))
+            for places, _, packing in layer
+        ]
         if len(parts) == 1:
             yield parts[0].astype(dtype, copy=False)[None]
         else:
-            mix = sum(part.astype(np.float64) * weight for part, (_, weight, _) in zip(parts, layer, strict=True))
+            mix = sum(
+                part.astype(np.float64) * weight
+                for part, (_, weight, _) in zip(parts, layer, strict=True)
+            )
             yield np.asarray(mix).astype(dtype)[None]
 
 
 class Frames:
-    """Reads the pixels of slices; those read last are kept, as two layers may be made of one slice."""
+    """Reads the pixels of slices; those read last are kept, as two layers may be made of one
+    slice.
+    """
 
     def __init__(self, source: Source) -> None:
         """Read nothing yet."""
@@ -324,14 +446,19 @@ class Frames:
     def _decoded(self, place: Place) -> np.ndarray:
         pydicom = library("pydicom", "DICOM")
         if self._file is None or self._file[0] != place.path or place.path is None is self._file:
-            source = self._source if place.path is None else Source(str(place.path), place.path)
+            if place.path is None:
+                source = self._source
+            else:
+                source = Source(str(place.path), place.path)
             with source.open() as file:
                 self._file = place.path, pydicom.dcmread(file, force=True)
         data = self._file[1]
         values = np.asarray(self._decode(data, place.frame))
         if int(data.get("SamplesPerPixel", 1)) > 1:
             return luminance_of_colours(values)
-        return numbered(used_bits(values, data) if values.dtype.kind in "iu" else values, place.segment, data)
+        return numbered(
+            used_bits(values, data) if values.dtype.kind in "iu" else values, place.segment, data
+        )
 
     def _decode(self, data: Any, frame: int) -> Any:
         decode: Callable[..., Any] = library("pydicom.pixels", "DICOM").pixel_array
@@ -341,9 +468,14 @@ class Frames:
             syntax = data.file_meta.TransferSyntaxUID
             if syntax.is_compressed and "plugin" in str(error):
                 needed = f"The pixels of '{self._source.name}' are packed as {syntax.name}"
-                plugin = next((each for part, each in DECODER_PACKAGES.items() if part in syntax.name), "python-gdcm")
+                plugin = next(
+                    (each for part, each in DECODER_PACKAGES.items() if part in syntax.name),
+                    "python-gdcm",
+                )
                 raise VolumeError(f"{needed}, which needs: pip install {plugin}.") from error
-            raise VolumeError(f"The pixels of '{self._source.name}' cannot be decoded ({line_of(error)}).") from error
+            raise VolumeError(
+                f"The pixels of '{self._source.name}' cannot be decoded ({line_of(error)})."
+            ) from error
 
 
 def used_bits(values: np.ndarray, header: Any) -> np.ndarray:

@@ -1,8 +1,10 @@
-"""Stacks of DICOM slices, their order along the normal, gaps, doubles and positions; and DICOM segmentations.
+"""Stacks of DICOM slices, their order along the normal, gaps, doubles and positions; and DICOM
+segmentations.
 
-DICOM's segmentations: which frames are of which segment, and the names and colours of these. Source: DICOM PS3.3,
-A.51 and C.8.20. A frame has the voxels of one segment, as bits or as fractions, or, in a label map, the numbers of
-all segments. Frames in which nothing is are left out of files.
+DICOM's segmentations: which frames are of which segment, and the names and colours of these.
+Source: DICOM PS3.3, A.51 and C.8.20. A frame has the voxels of one segment, as bits or as
+fractions, or, in a label map, the numbers of all segments. Frames in which nothing is are left out
+of files.
 """
 
 from collections.abc import Callable
@@ -26,10 +28,12 @@ Layers = tuple[tuple[tuple[Any, float, Packing], ...], ...]
 
 @dataclass(frozen=True)
 class Slice:
-    """One slice: the ``place`` of its pixels, its ``uid`` and its ``number``, and how it lies, as far as is known.
+    """One slice: the ``place`` of its pixels, its ``uid`` and its ``number``, and how it lies, as
+    far as is known.
 
-    ``position`` is that of its first pixel, ``pose`` the directions of rows and columns, ``pixel`` the step along each
-    and ``between`` that to the next slice, millimetres of a patient's left, posterior, superior.
+    ``position`` is that of its first pixel, ``pose`` the directions of rows and columns, ``pixel``
+    the step along each and ``between`` that to the next slice, millimetres of a patient's left,
+    posterior, superior.
     """
 
     place: Any
@@ -44,10 +48,12 @@ class Slice:
 
 @dataclass(frozen=True)
 class Stack:
-    """Layers from first to last: each is mixed of slices by weights, or of none where a slice is missing.
+    """Layers from first to last: each is mixed of slices by weights, or of none where a slice is
+    missing.
 
-    ``affine`` (3, 4) brings voxel indices to the patient's left, posterior, superior, None where that is unknown;
-    ``measured`` says whether the file gives lengths. ``between`` tells that some layer is no slice itself.
+    ``affine`` (3, 4) brings voxel indices to the patient's left, posterior, superior, None where
+    that is unknown; ``measured`` says whether the file gives lengths. ``between`` tells that some
+    layer is no slice itself.
     """
 
     layers: Layers
@@ -61,17 +67,25 @@ Pick = Callable[[int, str], int]
 """Chooses one of so many fields, which are named for a person."""
 
 
-def stack_of(name: str, slices: list[Slice], pick: Pick, sparse: bool = False) -> tuple[Stack, tuple[str, ...]]:
-    """The stack of ``slices`` in any order, with notes on what was mended. Raises VolumeError for what cannot be.
+def stack_of(
+    name: str, slices: list[Slice], pick: Pick, sparse: bool = False
+) -> tuple[Stack, tuple[str, ...]]:
+    """The stack of ``slices`` in any order, with notes on what was mended. Raises VolumeError for
+    what cannot be.
 
     Of ``sparse`` ones some are left out as nothing is in them, and none is mixed of two.
     """
     distinct = list({each.uid: each for each in slices}.values())
     doubled = len(slices) - len(distinct)
-    notes = [f"{doubled} doubled slices were left out."] if doubled else []
+    if doubled:
+        notes = [f"{doubled} doubled slices were left out."]
+    else:
+        notes = []
     if any(each.position is None or each.pose is None for each in distinct):
         ordered = sorted(distinct, key=lambda each: each.number)
-        notes.append("The slices do not say where they lie: they are in the order of their numbers.")
+        notes.append(
+            "The slices do not say where they lie: they are in the order of their numbers."
+        )
         return _unplaced(ordered), tuple(notes)
     normal = _normal(name, distinct[0])
     heights = np.array([np.dot(normal, each.position or ()) for each in distinct])
@@ -88,19 +102,31 @@ def _unplaced(slices: list[Slice]) -> Stack:
 
 def _normal(name: str, first: Slice) -> np.ndarray:
     pose = np.array(first.pose)
-    normal = np.cross(pose[:3], pose[3:]) if pose.shape == (6,) else np.zeros(3)
+    if pose.shape == (6,):
+        normal = np.cross(pose[:3], pose[3:])
+    else:
+        normal = np.zeros(3)
     if not np.linalg.norm(normal) > 0.5:
-        raise VolumeError(f"The slices of '{name}' have no orientation that can be: write them again.")
+        raise VolumeError(
+            f"The slices of '{name}' have no orientation that can be: write them again."
+        )
     return np.asarray(normal / np.linalg.norm(normal))
 
 
-def _one_time(name: str, slices: list[Slice], heights: np.ndarray, pick: Pick) -> tuple[list[Slice], np.ndarray]:
-    """The slices of one time step in the order of their heights: where each place has several, one is chosen."""
-    order = sorted(range(len(slices)), key=lambda n: (round(float(heights[n]), 3), slices[n].number))
+def _one_time(
+    name: str, slices: list[Slice], heights: np.ndarray, pick: Pick
+) -> tuple[list[Slice], np.ndarray]:
+    """The slices of one time step in the order of their heights: where each place has several, one
+    is chosen.
+    """
+    order = sorted(
+        range(len(slices)), key=lambda n: (round(float(heights[n]), 3), slices[n].number)
+    )
     places, counts = np.unique(np.round(heights, 3), return_counts=True)
     if len(set(counts.tolist())) > 1 and counts.max() > 1:
         raise VolumeError(
-            f"'{name}' has {len(slices)} slices at {len(places)} places, some doubled: leave the odd ones out."
+            f"'{name}' has {len(slices)} slices at {len(places)} places, some doubled: leave "
+            "the odd ones out."
         )
     times = int(counts[0])
     chosen = order[pick(times, "slices at each place") :: times]
@@ -110,33 +136,50 @@ def _one_time(name: str, slices: list[Slice], heights: np.ndarray, pick: Pick) -
 def _placed(
     name: str, slices: list[Slice], heights: np.ndarray, notes: list[str], sparse: bool
 ) -> tuple[Stack, tuple[str, ...]]:
-    """The stack of slices in order, with layers where steps are even, and mixed ones where they are not."""
-    first, last = slices[0], slices[-1]
+    """The stack of slices in order, with layers where steps are even, and mixed ones where they are
+    not.
+    """
+    first = slices[0]
+    last = slices[-1]
     steps = np.diff(heights)
-    given = first.between if sparse or not len(steps) else None
+    if sparse or not len(steps):
+        given = first.between
+    else:
+        given = None
     usual = given or (float(np.median(steps)) if len(steps) else 1.0)
     whole = np.round(steps / usual)
     if np.all(np.abs(steps - usual * whole) <= EVEN_STEP_SHARE * usual) and np.all(whole >= 1):
         layers = _with_gaps(slices, whole.astype(int))
         missing = len(layers) - len(slices)
         if missing and not sparse:
-            notes.append(f"{missing} of {len(layers)} slices are missing: there are holes in their place.")
+            notes.append(
+                f"{missing} of {len(layers)} slices are missing: there are holes in their place."
+            )
     elif sparse:
-        raise VolumeError(f"The slices of the segmentation '{name}' are unevenly spaced: save it in even ones.")
+        raise VolumeError(
+            f"The slices of the segmentation '{name}' are unevenly spaced: save it in even ones."
+        )
     else:
         usual = float(steps.min())
         count = round(float(heights[-1] - heights[0]) / usual) + 1
         if count > MAX_LAYERS_PER_SLICE * len(slices):
-            raise VolumeError(f"The slices of '{name}' lie from {usual:.3g} to {steps.max():.3g} apart: resample them.")
+            raise VolumeError(
+                f"The slices of '{name}' lie from {usual:.3g} to {steps.max():.3g} apart: "
+                "resample them."
+            )
         usual = float(heights[-1] - heights[0]) / (count - 1)
         layers = _mixed(slices, heights, heights[0] + usual * np.arange(count))
-        notes.append(f"The slices are unevenly spaced: layers {usual:.4g} apart were interpolated, linearly.")
+        notes.append(
+            f"The slices are unevenly spaced: layers {usual:.4g} apart were interpolated, linearly."
+        )
     return _stack(layers, first, last, usual, len(layers)), tuple(notes)
 
 
 def _with_gaps(slices: list[Slice], steps: np.ndarray) -> Layers:
     """A layer for each slice, and empty ones where a step is of several."""
-    layers: list[tuple[tuple[Any, float, Packing], ...]] = [((slices[0].place, 1.0, slices[0].packing),)]
+    layers: list[tuple[tuple[Any, float, Packing], ...]] = [
+        ((slices[0].place, 1.0, slices[0].packing),)
+    ]
     for each, step in zip(slices[1:], steps.tolist(), strict=True):
         layers += [()] * (step - 1)
         layers.append(((each.place, 1.0, each.packing),))
@@ -150,15 +193,23 @@ def _mixed(slices: list[Slice], heights: np.ndarray, at: np.ndarray) -> Layers:
         n = int(np.clip(np.searchsorted(heights, height, "right") - 1, 0, len(slices) - 2))
         share = float(np.clip((height - heights[n]) / (heights[n + 1] - heights[n]), 0.0, 1.0))
         pair = ((slices[n], 1.0 - share), (slices[n + 1], share))
-        layers.append(tuple((each.place, weight, each.packing) for each, weight in pair if weight > 1e-6))
+        layers.append(
+            tuple((each.place, weight, each.packing) for each, weight in pair if weight > 1e-6)
+        )
     return tuple(layers)
 
 
 def _stack(layers: Layers, first: Slice, last: Slice, usual: float, count: int) -> Stack:
-    """The stack with its affine: the step between layers follows the slices' positions, tilted or not."""
+    """The stack with its affine: the step between layers follows the slices' positions, tilted or
+    not.
+    """
     x, y = first.pixel or (1.0, 1.0)
-    pose, origin = np.array(first.pose), np.array(first.position)
-    along = (np.array(last.position) - origin) / (count - 1) if count > 1 else np.cross(pose[:3], pose[3:]) * usual
+    pose = np.array(first.pose)
+    origin = np.array(first.position)
+    if count > 1:
+        along = (np.array(last.position) - origin) / (count - 1)
+    else:
+        along = np.cross(pose[:3], pose[3:]) * usual
     affine = np.column_stack([pose[:3] * x, pose[3:] * y, along, origin])
     mixed = any(len(layer) != 1 for layer in layers)
     return Stack(layers, affine, (x, y, float(np.linalg.norm(along))), True, mixed)
@@ -174,7 +225,9 @@ TO_RED_GREEN_BLUE = np.array(
         [0.0719453, -0.2289914, 1.4052427],
     ]
 )
-"""From XYZ under D50 to linear sRGB, adapted by Bradford's method. Source: Lindbloom, brucelindbloom.com."""
+"""From XYZ under D50 to linear sRGB, adapted by Bradford's method. Source: Lindbloom,
+brucelindbloom.com.
+"""
 
 D50_WHITE = np.array([0.96422, 1.0, 0.82521])
 """XYZ of D50."""
@@ -186,11 +239,15 @@ def is_segmentation(header: Any) -> bool:
 
 
 def segments_of(header: Any) -> tuple[LabelName, ...]:
-    """The segments of a segmentation, whose numbers are the labels; a label map may list its background as 0."""
+    """The segments of a segmentation, whose numbers are the labels; a label map may list its
+    background as 0.
+    """
     listed = ((int(each.SegmentNumber), each) for each in header.SegmentSequence)
     return tuple(
         LabelName(
-            number, str(each.get("SegmentLabel", "")), _colour_of_segment(each.get("RecommendedDisplayCIELabValue"))
+            number,
+            str(each.get("SegmentLabel", "")),
+            _colour_of_segment(each.get("RecommendedDisplayCIELabValue")),
         )
         for number, each in listed
         if number
@@ -198,18 +255,24 @@ def segments_of(header: Any) -> tuple[LabelName, ...]:
 
 
 def _colour_of_segment(lab: Any) -> str:
-    """The sRGB ``#rrggbb`` of CIELab in 16 bits each; empty where there is none. Source: DICOM PS3.3, C.10.7.1.1."""
+    """The sRGB ``#rrggbb`` of CIELab in 16 bits each; empty where there is none. Source: DICOM
+    PS3.3, C.10.7.1.1.
+    """
     if lab is None or len(lab) != 3:
         return ""
     lightness, a, b = np.array(lab, float) / 65535.0 * (100.0, 255.0, 255.0) - (0.0, 128.0, 128.0)
     y = (lightness + 16.0) / 116.0
     curve = np.array([y + a / 500.0, y, y - b / 200.0])
-    xyz = D50_WHITE * np.where(curve > 6.0 / 29.0, curve**3, 3.0 * (6.0 / 29.0) ** 2 * (curve - 4.0 / 29.0))
+    xyz = D50_WHITE * np.where(
+        curve > 6.0 / 29.0, curve**3, 3.0 * (6.0 / 29.0) ** 2 * (curve - 4.0 / 29.0)
+    )
     return "#" + srgb_bytes(TO_RED_GREEN_BLUE @ xyz).tobytes().hex()
 
 
 def segment_in(header: Any, groups: list[Any]) -> int:
-    """The number of the segment that a frame is of, by the ``groups`` of what is said of it; 0 where it has numbers."""
+    """The number of the segment that a frame is of, by the ``groups`` of what is said of it; 0
+    where it has numbers.
+    """
     if header.get("SegmentationType") == "LABELMAP":
         return 0
     for group in groups:
@@ -219,7 +282,8 @@ def segment_in(header: Any, groups: list[Any]) -> int:
 
 
 def numbered(pixels: np.ndarray, segment: int, header: Any) -> np.ndarray:
-    """The number of the ``segment`` where a frame has at least half of it, else 0; the numbers of a label map, uint16.
+    """The number of the ``segment`` where a frame has at least half of it, else 0; the numbers of a
+    label map, uint16.
 
     Pixels of other images stay as they are.
     """
@@ -227,7 +291,10 @@ def numbered(pixels: np.ndarray, segment: int, header: Any) -> np.ndarray:
         return pixels
     if not segment:
         return pixels.astype(np.uint16)
-    full = int(header.get("MaximumFractionalValue", 1)) if header.get("SegmentationType") == "FRACTIONAL" else 1
+    if header.get("SegmentationType") == "FRACTIONAL":
+        full = int(header.get("MaximumFractionalValue", 1))
+    else:
+        full = 1
     return np.where(2.0 * pixels >= full, np.uint16(segment), np.uint16(0))
 
 
@@ -237,5 +304,8 @@ def overlaid(slices: list[Slice]) -> list[Slice]:
     for number, each in enumerate(slices):
         position = number if each.position is None else tuple(round(x, 3) for x in each.position)
         known = at.get(position)
-        at[position] = each if known is None else replace(known, place=(*known.place, *each.place))
+        if known is None:
+            at[position] = each
+        else:
+            at[position] = replace(known, place=(*known.place, *each.place))
     return list(at.values())

@@ -1,4 +1,5 @@
-"""HDF5 and NetCDF-4, read by h5py, and classic NetCDF, CDF-1 and CDF-2, read by nibabel's copy of SciPy's reader.
+"""HDF5 and NetCDF-4, read by h5py, and classic NetCDF, CDF-1 and CDF-2, read by nibabel's copy of
+SciPy's reader.
 
 One dataset, or variable, is chosen by its path in the file.
 """
@@ -24,14 +25,23 @@ from isogi_core.files.formats.source import (
     reader,
 )
 from isogi_core.files.grid import Affine, Grid, slab_layers
-from isogi_core.files.packing import NETCDF_FILL_VALUES, PACKING_ATTRIBUTES, Packing, as_stored, climate_packing
+from isogi_core.files.packing import (
+    NETCDF_FILL_VALUES,
+    PACKING_ATTRIBUTES,
+    Packing,
+    as_stored,
+    climate_packing,
+)
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 EVEN_STEP_SHARE = 1e-3
 """Largest part of a step by which a coordinate may stray for its axis to be even."""
 
-MINC_NOTE = "The file is MINC: the scaling of its slices, and where it lies, are read of files named .mnc alone."
+MINC_NOTE = (
+    "The file is MINC: the scaling of its slices, and where it lies, are read of files "
+    "named .mnc alone."
+)
 
 MICROMETRES_ATTRIBUTE = "element_size_um"
 """The attribute by which microscopists' tools give spacing, z first."""
@@ -39,10 +49,15 @@ MICROMETRES_ATTRIBUTE = "element_size_um"
 
 @reader("HDF5", "part", "time", "channel")
 def open_hdf5(source: Source) -> Grid:
-    """Open a dataset of an HDF5 file as a grid: only its description is read now. Raises VolumeError."""
+    """Open a dataset of an HDF5 file as a grid: only its description is read now. Raises
+    VolumeError.
+    """
     with _dataset(source) as data:
         if data.dtype.kind not in "biufc":
-            raise VolumeError(f"'{source.name}#{data.name}' holds {data.dtype} values: choose a dataset of numbers.")
+            raise VolumeError(
+                f"'{source.name}#{data.name}' holds {data.dtype} values: choose a dataset of "
+                "numbers."
+            )
         _check_storage(source, data)
         others = _sources(source, data)
         _check_filters(source, data)
@@ -56,16 +71,30 @@ def open_hdf5(source: Source) -> Grid:
     slabs = partial(_dataset_slabs, source, picked, packing)
     notes = (*packing.notes, *minc, *layered(film and not picked), *notes)
     stamp = partial(source.stamp, *others)
-    placed = "the coordinates of its axes" if affine else f"'{MICROMETRES_ATTRIBUTE}'" if unit else ""
+    if affine:
+        placed = "the coordinates of its axes"
+    elif unit:
+        placed = f"'{MICROMETRES_ATTRIBUTE}'"
+    else:
+        placed = ""
     facts = spacing, slabs, stamp, affine, unit, notes, moment, first
     return Grid(shape, packing.dtype, *facts, read_as=packing.read_as("HDF5", placed))
 
 
 HDF5_FILTERS = {
-    **{307: "bzip2", 32001: "Blosc", 32004: "LZ4", 32008: "Bitshuffle", 32013: "ZFP", 32015: "Zstandard"},
+    **{
+        307: "bzip2",
+        32001: "Blosc",
+        32004: "LZ4",
+        32008: "Bitshuffle",
+        32013: "ZFP",
+        32015: "Zstandard",
+    },
     **{32017: "SZ", 32018: "FCIDECOMP", 32023: "Sperr", 32024: "SZ3", 32026: "Blosc2"},
 }
-"""Names of filters that h5py does not have, by their registered numbers; hdf5plugin has all of them."""
+"""Names of filters that h5py does not have, by their registered numbers; hdf5plugin has all of
+them.
+"""
 
 
 def _check_filters(source: Source, data: Any) -> None:
@@ -76,42 +105,69 @@ def _check_filters(source: Source, data: Any) -> None:
     if not all(map(h5z.filter_avail, numbers)):
         with suppress(ImportError):
             import_module("hdf5plugin")
-    lacking = [HDF5_FILTERS.get(number, f"filter {number}") for number in numbers if not h5z.filter_avail(number)]
+    lacking = [
+        HDF5_FILTERS.get(number, f"filter {number}")
+        for number in numbers
+        if not h5z.filter_avail(number)
+    ]
     if lacking:
-        needed = f"The voxels of '{source.name}#{data.name.strip('/')}' are packed by {' and '.join(lacking)}"
+        needed = (
+            f"The voxels of '{source.name}#{data.name.strip('/')}' are packed by "
+            f"{' and '.join(lacking)}"
+        )
         raise VolumeError(f"{needed}, which is not installed: pip install hdf5plugin.")
 
 
 def _check_storage(source: Source, data: Any) -> None:
-    """Raise VolumeError where values are elsewhere, which an upload lacks, or a chunk has more than may be read."""
+    """Raise VolumeError where values are elsewhere, which an upload lacks, or a chunk has more than
+    may be read.
+    """
     if source.path is None and (data.is_virtual or data.external):
-        raise VolumeError(f"The values of '{source.name}#{data.name}' are in other datasets: save it with its values.")
+        raise VolumeError(
+            f"The values of '{source.name}#{data.name}' are in other datasets: save it with "
+            "its values."
+        )
     voxels = math.prod(data.chunks or ())
     if voxels > source.voxels:
         most = f"{source.voxels} are the most that may be"
         raise VolumeError(
-            f"Chunks of '{source.name}#{data.name}' have {voxels} voxels, and {most}: save it in smaller."
+            f"Chunks of '{source.name}#{data.name}' have {voxels} voxels, and {most}: save it "
+            "in smaller."
         )
 
 
 def _sources(source: Source, data: Any) -> list[Path]:
-    """The other files that hold voxels of a dataset. VolumeError where one is missing: HDF5 would fill its part."""
-    names = {each.file_name for each in data.virtual_sources()} - {"."} if data.is_virtual else set()
+    """The other files that hold voxels of a dataset. VolumeError where one is missing: HDF5 would
+    fill its part.
+    """
+    if data.is_virtual:
+        names = {each.file_name for each in data.virtual_sources()} - {"."}
+    else:
+        names = set()
     names |= {str(name) for name, _, _ in data.external or ()}
     files = [source.path.parent / name for name in sorted(names) if source.path is not None]
     missing = next((path.name for path in files if not path.is_file()), None)
     if missing is not None:
-        raise VolumeError(f"'{source.name}' is made of other files, and '{missing}' is not beside it: put it there.")
+        raise VolumeError(
+            f"'{source.name}' is made of other files, and '{missing}' is not beside it: put it "
+            "there."
+        )
     return files
 
 
 def _is_time(axis: Any) -> bool:
-    """Whether a dimension is time, by its name, or by its coordinates' unit, such as days since 1970-01-01."""
-    return says_time((axis.label, *axis.keys()), [scale.attrs.get("units", "") for scale in axis.values()])
+    """Whether a dimension is time, by its name, or by its coordinates' unit, such as days since
+    1970-01-01.
+    """
+    return says_time(
+        (axis.label, *axis.keys()), [scale.attrs.get("units", "") for scale in axis.values()]
+    )
 
 
 def says_time(names: Iterable[str], units: Iterable[Any]) -> bool:
-    """Whether one of a dimension's ``names`` is time, or one of its coordinates' ``units`` counts since a date."""
+    """Whether one of a dimension's ``names`` is time, or one of its coordinates' ``units`` counts
+    since a date.
+    """
     return any(name.lower() in ("time", "t") for name in names) or any(
         " since " in attribute_text(unit) for unit in units
     )
@@ -119,12 +175,16 @@ def says_time(names: Iterable[str], units: Iterable[Any]) -> bool:
 
 def layered(film: bool) -> tuple[str, ...]:
     """The note that planes of a ``film`` are shown as layers; none of what is none."""
-    return (LAYERED.format(what=TIME_STEPS),) if film else ()
+    if film:
+        return (LAYERED.format(what=TIME_STEPS),)
+    return ()
 
 
 def attribute_text(value: Any) -> str:
     """An attribute as a text."""
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    return str(value)
 
 
 @contextmanager
@@ -138,7 +198,9 @@ def _dataset(source: Source) -> Iterator[Any]:
             yield found
             return
         fields: list[Any] = []
-        whole.visititems(lambda _, each: fields.append(each) if isinstance(each, h5py.Dataset) else None)
+        whole.visititems(
+            lambda _, each: fields.append(each) if isinstance(each, h5py.Dataset) else None
+        )
         fields = [each for each in fields if each.ndim >= 3]
         if part is None and len(fields) == 1:
             yield fields[0]
@@ -147,18 +209,30 @@ def _dataset(source: Source) -> Iterator[Any]:
 
 
 def unchosen(source: Source, names: Sequence[str]) -> VolumeError:
-    """What is wrong where no volume of a file is chosen, or one that it does not have; its volumes have ``names``."""
-    part, listed = source.chosen.get("part"), ", ".join(f"'{source.name}#{name}'" for name in names[:8])
-    wrong = f"'{source.name}' has no volume '{part}'" if part else f"'{source.name}' holds several volumes"
-    return VolumeError(f"{wrong}: choose of {listed}." if names else f"'{source.name}' holds no volume.")
+    """What is wrong where no volume of a file is chosen, or one that it does not have; its volumes
+    have ``names``.
+    """
+    part = source.chosen.get("part")
+    listed = ", ".join(f"'{source.name}#{name}'" for name in names[:8])
+    if part:
+        wrong = f"'{source.name}' has no volume '{part}'"
+    else:
+        wrong = f"'{source.name}' holds several volumes"
+    return VolumeError(
+        f"{wrong}: choose of {listed}." if names else f"'{source.name}' holds no volume."
+    )
 
 
 def _climate(data: Any) -> dict[str, Any]:
-    """The attributes of a dataset that are of CF's vocabulary; others may be of types that h5py cannot read."""
+    """The attributes of a dataset that are of CF's vocabulary; others may be of types that h5py
+    cannot read.
+    """
     return {name: data.attrs[name] for name in PACKING_ATTRIBUTES if name in data.attrs}
 
 
-def _dataset_slabs(source: Source, picked: tuple[int, ...], packing: Packing) -> Iterator[np.ndarray]:
+def _dataset_slabs(
+    source: Source, picked: tuple[int, ...], packing: Packing
+) -> Iterator[np.ndarray]:
     """Some layers of chunks at a time."""
     with _dataset(source) as data:
         depth, ny, nx = data.shape[-3:]
@@ -172,25 +246,38 @@ Place = tuple[tuple[float, float, float], Affine | None, str, tuple[str, ...]]
 
 
 def _place(data: Any, shape: tuple[int, ...]) -> Place:
-    """Spacing, affine, unit and notes of a dataset: by its own attribute, or by the coordinates of its dimensions."""
-    if MICROMETRES_ATTRIBUTE in data.attrs and len(np.ravel(data.attrs[MICROMETRES_ATTRIBUTE])) == 3:
+    """Spacing, affine, unit and notes of a dataset: by its own attribute, or by the coordinates of
+    its dimensions.
+    """
+    if (
+        MICROMETRES_ATTRIBUTE in data.attrs
+        and len(np.ravel(data.attrs[MICROMETRES_ATTRIBUTE])) == 3
+    ):
         z, y, x = (float(step) for step in data.attrs[MICROMETRES_ATTRIBUTE])
         return (x, y, z), None, "µm", ()
     return place_by([_coordinates(data, data.ndim - 1 - axis) for axis in range(3)])
 
 
 def place_by(scales: Sequence[tuple[np.ndarray, str] | None]) -> Place:
-    """Spacing, affine, unit and notes by the coordinates along x, y, z and their units, None where there are none."""
+    """Spacing, affine, unit and notes by the coordinates along x, y, z and their units, None where
+    there are none.
+    """
     known = [scale for scale in scales if scale is not None]
     if len(known) < 3 or len({unit for _, unit in known}) > 1:
         return (1.0, 1.0, 1.0), None, "", ()
     steps = [np.diff(values) for values, _ in known]
     mean = [float(step.mean()) if step.size else 1.0 for step in steps]
     uneven = any(
-        step.size and np.abs(step - m).max() > EVEN_STEP_SHARE * abs(m) for step, m in zip(steps, mean, strict=True)
+        step.size and np.abs(step - m).max() > EVEN_STEP_SHARE * abs(m)
+        for step, m in zip(steps, mean, strict=True)
     )
     if uneven or 0.0 in mean:
-        return (1.0, 1.0, 1.0), None, "", ("The coordinates of its axes are uneven: its voxels are taken as cubes.",)
+        return (
+            (1.0, 1.0, 1.0),
+            None,
+            "",
+            ("The coordinates of its axes are uneven: its voxels are taken as cubes.",),
+        )
     x, y, z = (abs(m) for m in mean)
     affine = np.column_stack([np.diag(mean), [float(values[0]) for values, _ in known]])
     return (x, y, z), Affine.of(affine), known[0][1], ()
@@ -204,10 +291,15 @@ def _coordinates(data: Any, axis: int) -> tuple[np.ndarray, str] | None:
     return None
 
 
-NETCDF_MAGIC, READ_VERSIONS = b"CDF", (1, 2)
-"""How files begin, and the versions that are read, of the byte after that; the fifth has sizes of 64 bits."""
+NETCDF_MAGIC = b"CDF"
+READ_VERSIONS = (1, 2)
+"""How files begin, and the versions that are read, of the byte after that; the fifth has sizes of
+64 bits.
+"""
 
-CDF5_REFUSAL = "is NetCDF with sizes of 64 bits (CDF-5): write it as NetCDF-4, by nccopy -k netCDF-4 IN OUT"
+CDF5_REFUSAL = (
+    "is NetCDF with sizes of 64 bits (CDF-5): write it as NetCDF-4, by nccopy -k netCDF-4 IN OUT"
+)
 
 
 @reader("NetCDF", "part", "time", "channel")
@@ -218,28 +310,47 @@ def open_netcdf(source: Source) -> Grid:
     """
     with _variables(source) as variables:
         data = _chosen(source, variables)
-        stored, names = data.data.dtype, tuple(map(str, data.dimensions))
-        extra, shape = tuple(map(int, data.data.shape[:-3])), tuple(map(int, data.data.shape[-3:]))
+        stored = data.data.dtype
+        names = tuple(map(str, data.dimensions))
+        extra = tuple(map(int, data.data.shape[:-3]))
+        shape = tuple(map(int, data.data.shape[-3:]))
         film = says_time(names[:1], _units(variables, names[0]))
         picked, moment, first = pick_axes(source, (*extra, *shape), film)
         source.check(shape)
         packing = climate_packing(data._attributes, stored, _filled(data.data[picked]))
-        spacing, affine, unit, notes = place_by([_classic_coordinates(variables, name) for name in names[:-4:-1]])
-    slabs, notes = (
-        partial(_variable_slabs, source, picked, packing),
-        (*packing.notes, *layered(film and not extra), *notes),
-    )
+        spacing, affine, unit, notes = place_by(
+            [_classic_coordinates(variables, name) for name in names[:-4:-1]]
+        )
+    slabs = partial(_variable_slabs, source, picked, packing)
+    notes = (*packing.notes, *layered(film and not extra), *notes)
     known = packing.read_as("classic NetCDF", "the coordinates of its axes" if affine else "")
-    return Grid(shape, packing.dtype, spacing, slabs, source.stamp, affine, unit, notes, moment, first, read_as=known)
+    return Grid(
+        shape,
+        packing.dtype,
+        spacing,
+        slabs,
+        source.stamp,
+        affine,
+        unit,
+        notes,
+        moment,
+        first,
+        read_as=known,
+    )
 
 
 @contextmanager
 def _variables(source: Source) -> Iterator[dict[str, Any]]:
-    """The variables of a file, by their names; of one that ends too early what it has is no more than its bytes."""
+    """The variables of a file, by their names; of one that ends too early what it has is no more
+    than its bytes.
+    """
     reader = library("nibabel.externals.netcdf", "NetCDF").netcdf_file
     with source.open() as file:
         content = BytesIO(file.read())
-    if content.getbuffer()[len(NETCDF_MAGIC) : len(NETCDF_MAGIC) + 1].tobytes()[0] not in READ_VERSIONS:
+    if (
+        content.getbuffer()[len(NETCDF_MAGIC) : len(NETCDF_MAGIC) + 1].tobytes()[0]
+        not in READ_VERSIONS
+    ):
         raise VolumeError(f"'{source.name}' {CDF5_REFUSAL}.")
     yield reader(content, mmap=False).variables
 
@@ -247,17 +358,26 @@ def _variables(source: Source) -> Iterator[dict[str, Any]]:
 def _chosen(source: Source, variables: dict[str, Any]) -> Any:
     """The variable that is chosen, the only one of three dimensions or more by default."""
     fields = {
-        name: each for name, each in variables.items() if len(each.dimensions) > 2 and each.data.dtype.kind in "if"
+        name: each
+        for name, each in variables.items()
+        if len(each.dimensions) > 2 and each.data.dtype.kind in "if"
     }
     part = source.chosen.get("part")
-    found = fields.get(part.strip("/")) if part else next(iter(fields.values()), None) if len(fields) == 1 else None
+    if part:
+        found = fields.get(part.strip("/"))
+    elif len(fields) == 1:
+        found = next(iter(fields.values()), None)
+    else:
+        found = None
     if found is None:
         raise unchosen(source, list(fields))
     return found
 
 
 def _filled(field: np.ndarray) -> Any:
-    """What NetCDF fills variables of a type with by default, where any voxel of a ``field`` has it; else None."""
+    """What NetCDF fills variables of a type with by default, where any voxel of a ``field`` has it;
+    else None.
+    """
     mark = as_stored(NETCDF_FILL_VALUES.get(field.dtype.str[1:], math.nan), field.dtype)
     return mark if (field == mark).any() else None
 
@@ -265,7 +385,9 @@ def _filled(field: np.ndarray) -> Any:
 def _units(variables: dict[str, Any], name: str) -> list[str]:
     """The unit of a dimension's coordinates, as a list; empty where it has none."""
     found = variables.get(name)
-    return [] if found is None else [attribute_text(found._attributes.get("units", ""))]
+    if found is None:
+        return []
+    return [attribute_text(found._attributes.get("units", ""))]
 
 
 def _classic_coordinates(variables: dict[str, Any], name: str) -> tuple[np.ndarray, str] | None:
@@ -276,7 +398,9 @@ def _classic_coordinates(variables: dict[str, Any], name: str) -> tuple[np.ndarr
     return np.array(found.data, np.float64), _units(variables, name)[0]
 
 
-def _variable_slabs(source: Source, picked: tuple[int, ...], packing: Packing) -> Iterator[np.ndarray]:
+def _variable_slabs(
+    source: Source, picked: tuple[int, ...], packing: Packing
+) -> Iterator[np.ndarray]:
     """Some layers at a time."""
     with _variables(source) as variables:
         field = _chosen(source, variables).data[picked]

@@ -1,4 +1,6 @@
-"""MetaImage (.mha, .mhd) and what else SimpleITK reads, and VTK's image files (.vti), read by VTK: both are extras."""
+"""MetaImage (.mha, .mhd) and what else SimpleITK reads, and VTK's image files (.vti), read by VTK:
+both are extras.
+"""
 
 from collections.abc import Iterator
 from functools import partial
@@ -8,7 +10,15 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick, pick_step, reader
-from isogi_core.files.grid import PATIENT_AXES, SINGLE_MOMENT, Affine, Grid, Shape, read_as, slab_layers
+from isogi_core.files.grid import (
+    PATIENT_AXES,
+    SINGLE_MOMENT,
+    Affine,
+    Grid,
+    Shape,
+    read_as,
+    slab_layers,
+)
 
 ITK_SUFFIXES = (".mha", ".mhd", ".vtk", ".gipl", ".hdr", ".img")
 ITK_TO_RAS = np.diag([-1.0, -1.0, 1.0])
@@ -23,14 +33,22 @@ ANATOMICAL_SUFFIXES = (".mha", ".mhd", ".gipl")
 def open_itk(source: Source) -> Grid:
     """Open an image as a grid: only its header is read now. Raises VolumeError."""
     if source.path is None:
-        raise VolumeError(f"'{source.name}' cannot be uploaded in this form: save it as NIfTI or NRRD.")
+        raise VolumeError(
+            f"'{source.name}' cannot be uploaded in this form: save it as NIfTI or NRRD."
+        )
     if not source.path.is_file():
         raise VolumeError(f"There is no file '{source.path}': check the volume's path.")
     image, size = _reader(source)
     channel = pick(source, "channel", int(image.GetNumberOfComponents()), "channels")
     if not 3 <= len(size) <= 4:
-        raise VolumeError(f"'{source.name}' has {len(size)} dimensions, not 3: save one scalar field of it.")
-    time, unchosen = pick_step(source, size[3]) if len(size) == 4 else (None, False)
+        raise VolumeError(
+            f"'{source.name}' has {len(size)} dimensions, not 3: save one scalar field of it."
+        )
+    if len(size) == 4:
+        time, unchosen = pick_step(source, size[3])
+    else:
+        time = None
+        unchosen = False
     nx, ny, nz = size[:3]
     source.check((nz, ny, nx))
     dtype = _block(source, (time, channel), 0, 1).dtype
@@ -39,16 +57,34 @@ def open_itk(source: Source) -> Grid:
     origin = np.array(image.GetOrigin()[:3])
     anatomical = source.path.suffix.lower() in ANATOMICAL_SUFFIXES
     affine = np.column_stack([direction * steps, origin])
-    placed = Affine.of(ITK_TO_RAS @ affine, PATIENT_AXES) if anatomical else Affine.of(affine)
+    if anatomical:
+        placed = Affine.of(ITK_TO_RAS @ affine, PATIENT_AXES)
+    else:
+        placed = Affine.of(affine)
     spacing = (float(steps[0]), float(steps[1]), float(steps[2]))
     slabs = partial(_itk_slabs, source, (time, channel), (nz, ny, nx), dtype.itemsize)
-    unit, moment = "mm" if anatomical else "", SINGLE_MOMENT if time is None else (time, int(size[3]))
+    unit = "mm" if anatomical else ""
+    if time is None:
+        moment = SINGLE_MOMENT
+    else:
+        moment = (time, int(size[3]))
     stamp = partial(source.stamp, *_data_files(source))
     known = read_as(
-        f"{ITK_KINDS.get(source.path.suffix.lower(), 'an image of ITK')}", dtype, "its directions and origin"
+        f"{ITK_KINDS.get(source.path.suffix.lower(), 'an image of ITK')}",
+        dtype,
+        "its directions and origin",
     )
     return Grid(
-        (nz, ny, nx), dtype, spacing, slabs, stamp, placed, unit, moment=moment, unchosen=unchosen, read_as=known
+        (nz, ny, nx),
+        dtype,
+        spacing,
+        slabs,
+        stamp,
+        placed,
+        unit,
+        moment=moment,
+        unchosen=unchosen,
+        read_as=known,
     )
 
 
@@ -72,7 +108,9 @@ Chosen = tuple[int | None, int]
 """The step in time, None where there is no such axis, and the number of each voxel."""
 
 
-def _itk_slabs(source: Source, chosen: Chosen, shape: tuple[int, ...], itemsize: int) -> Iterator[np.ndarray]:
+def _itk_slabs(
+    source: Source, chosen: Chosen, shape: tuple[int, ...], itemsize: int
+) -> Iterator[np.ndarray]:
     step = slab_layers(shape[1] * shape[2] * itemsize)
     for z in range(0, shape[0], step):
         yield _block(source, chosen, z, min(step, shape[0] - z))
@@ -86,18 +124,25 @@ def _block(source: Source, chosen: Chosen, first: int, count: int) -> np.ndarray
     reader.SetExtractSize([size[0], size[1], count, *(0 for _ in extra)])
     sitk = library("SimpleITK", "MetaImage", "'isogi[itk]'")
     voxels = np.asarray(sitk.GetArrayFromImage(reader.Execute()))
-    return voxels[..., chosen[1]] if voxels.ndim > 3 else voxels
+    if voxels.ndim > 3:
+        return voxels[..., chosen[1]]
+    return voxels
 
 
 VTK_EXTRA = "'isogi[vtk]'"
 
-CLOSING_TAG, TAIL_BYTES = b"</VTKFile>", 64
-"""How a file ends that is whole, and how many of its last bytes are looked at: VTK reads others as if they were."""
+CLOSING_TAG = b"</VTKFile>"
+TAIL_BYTES = 64
+"""How a file ends that is whole, and how many of its last bytes are looked at: VTK reads others as
+if they were.
+"""
 
 
 @reader("VTI", "part", "channel")
 def open_vti(source: Source) -> Grid:
-    """Open an array of an image file as a grid: only its description is read now. Raises VolumeError."""
+    """Open an array of an image file as a grid: only its description is read now. Raises
+    VolumeError.
+    """
     image = ImageFile(source)
     name = _name(source, image.names)
     shape = image.shape(name)
@@ -108,15 +153,29 @@ def open_vti(source: Source) -> Grid:
     origin = image.origin + matrix @ (np.array(image.extent[::2]) + 0.5 * image.of_cells(name))
     steps = image.spacing
     spacing = (float(steps[0]), float(steps[1]), float(steps[2]))
-    slabs = partial(_point_slabs, image, (name, number), shape[0], slab_layers(shape[1] * shape[2] * dtype.itemsize))
+    slabs = partial(
+        _point_slabs,
+        image,
+        (name, number),
+        shape[0],
+        slab_layers(shape[1] * shape[2] * dtype.itemsize),
+    )
     affine = Affine.of(np.column_stack([matrix, origin]))
     return Grid(
-        shape, dtype, spacing, slabs, source.stamp, affine, read_as=read_as("VTI", dtype, "its origin and spacing")
+        shape,
+        dtype,
+        spacing,
+        slabs,
+        source.stamp,
+        affine,
+        read_as=read_as("VTI", dtype, "its origin and spacing"),
     )
 
 
 class ImageFile:
-    """An image file that VTK reads: from its path, or, of an upload, from memory. Raises VolumeError on damage."""
+    """An image file that VTK reads: from its path, or, of an upload, from memory. Raises
+    VolumeError on damage.
+    """
 
     def __init__(self, source: Source) -> None:
         """Read the description."""
@@ -136,10 +195,16 @@ class ImageFile:
         self._check()
         about = self._reader.GetOutputInformation(0)
         keys = library("vtkmodules.vtkCommonDataModel", "VTI", VTK_EXTRA).vtkDataObject
-        steps = library("vtkmodules.vtkCommonExecutionModel", "VTI", VTK_EXTRA).vtkStreamingDemandDrivenPipeline
+        steps = library(
+            "vtkmodules.vtkCommonExecutionModel", "VTI", VTK_EXTRA
+        ).vtkStreamingDemandDrivenPipeline
         self.extent = [int(n) for n in about.Get(steps.WHOLE_EXTENT())]
-        self.spacing, self.origin = np.array(about.Get(keys.SPACING())), np.array(about.Get(keys.ORIGIN()))
-        turned = about.Get(keys.DIRECTION()) if about.Has(keys.DIRECTION()) else np.eye(3).ravel()
+        self.spacing = np.array(about.Get(keys.SPACING()))
+        self.origin = np.array(about.Get(keys.ORIGIN()))
+        if about.Has(keys.DIRECTION()):
+            turned = about.Get(keys.DIRECTION())
+        else:
+            turned = np.eye(3).ravel()
         self.direction = np.array(turned).reshape(3, 3)
 
     @property
@@ -149,24 +214,34 @@ class ImageFile:
 
     @property
     def _points(self) -> list[str]:
-        return [self._reader.GetPointArrayName(n) for n in range(self._reader.GetNumberOfPointArrays())]
+        return [
+            self._reader.GetPointArrayName(n) for n in range(self._reader.GetNumberOfPointArrays())
+        ]
 
     @property
     def _cells(self) -> list[str]:
-        return [self._reader.GetCellArrayName(n) for n in range(self._reader.GetNumberOfCellArrays())]
+        return [
+            self._reader.GetCellArrayName(n) for n in range(self._reader.GetNumberOfCellArrays())
+        ]
 
     def of_cells(self, name: str) -> bool:
-        """Whether an array has a value for each cell, which is a voxel then, and not for each point."""
+        """Whether an array has a value for each cell, which is a voxel then, and not for each
+        point.
+        """
         return name not in self._points
 
     def shape(self, name: str) -> Shape:
         """The size of an array along z, y, x."""
-        points = [last - first + 1 for first, last in zip(self.extent[::2], self.extent[1::2], strict=True)]
+        points = [
+            last - first + 1
+            for first, last in zip(self.extent[::2], self.extent[1::2], strict=True)
+        ]
         return tuple(n - self.of_cells(name) for n in points[::-1])
 
     def layers(self, name: str, first: int, count: int) -> np.ndarray:
         """Some layers of an array, (count, ny, nx, numbers of a point)."""
-        lowest, cells = self.extent[4] + first, self.of_cells(name)
+        lowest = self.extent[4] + first
+        cells = self.of_cells(name)
         self._reader.UpdateExtent([*self.extent[:4], lowest, lowest + count - (not cells)])
         self._check()
         image = self._reader.GetOutput()
@@ -187,7 +262,9 @@ class ImageFile:
             size = file.seek(0, 2)
             file.seek(max(size - TAIL_BYTES, 0))
             if CLOSING_TAG not in file.read(TAIL_BYTES):
-                raise VolumeError(f"'{self.name}' ends too early for an image file of VTK: copy it again.")
+                raise VolumeError(
+                    f"'{self.name}' ends too early for an image file of VTK: copy it again."
+                )
             file.seek(0)
 
     def _check(self) -> None:
@@ -197,15 +274,21 @@ class ImageFile:
 
 def _name(source: Source, names: list[str]) -> str:
     """The name of the array that is chosen, the only one by default."""
-    chosen = source.chosen.get("part") or ("value" if "value" in names else names[0] if len(names) == 1 else None)
+    chosen = source.chosen.get("part") or (
+        "value" if "value" in names else names[0] if len(names) == 1 else None
+    )
     if chosen not in names:
         if not names:
             raise VolumeError(f"'{source.name}' holds no array of values: write it again.")
         listed = ", ".join(f"'{source.name}#{name}'" for name in names)
-        raise VolumeError(f"'{source.name}' holds several arrays, or none of that name: choose of {listed}.")
+        raise VolumeError(
+            f"'{source.name}' holds several arrays, or none of that name: choose of {listed}."
+        )
     return str(chosen)
 
 
-def _point_slabs(image: ImageFile, chosen: tuple[str, int], depth: int, step: int) -> Iterator[np.ndarray]:
+def _point_slabs(
+    image: ImageFile, chosen: tuple[str, int], depth: int, step: int
+) -> Iterator[np.ndarray]:
     for z in range(0, depth, step):
         yield image.layers(chosen[0], z, min(step, depth - z))[..., chosen[1]]

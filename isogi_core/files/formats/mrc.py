@@ -11,7 +11,8 @@ from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick, raw_slabs, reader
 from isogi_core.files.grid import Affine, Grid, read_as
 
-MRC_HEADER_BYTES, EXTENDED_SIZE_BYTE = 1024, 92
+MRC_HEADER_BYTES = 1024
+EXTENDED_SIZE_BYTE = 92
 """Bytes of a header, and the byte from which on it says how long the extended header is."""
 
 
@@ -25,10 +26,13 @@ def open_mrc(source: Source) -> Grid:
     """Open a map as a grid: only the header is read now. Raises VolumeError."""
     library("mrcfile", "MRC")
     header = _header(source)
-    shape, extended = tuple(int(header[name]) for name in ("nz", "ny", "nx")), int(header["nsymbt"])
+    shape = tuple(int(header[name]) for name in ("nz", "ny", "nx"))
+    extended = int(header["nsymbt"])
     source.check(shape)
     if extended < 0:
-        raise VolumeError(f"The extended header of '{source.name}' has {extended} bytes: write it again.")
+        raise VolumeError(
+            f"The extended header of '{source.name}' has {extended} bytes: write it again."
+        )
     dtype, notes = _dtype(header)
     volumes = _volumes(header, shape[0])
     time = pick(source, "time", volumes, "volumes")
@@ -53,7 +57,9 @@ def open_mrc(source: Source) -> Grid:
 
 
 def _header(source: Source) -> Any:
-    """The header, without the extended one: mrcfile would take as much memory for that as the header says."""
+    """The header, without the extended one: mrcfile would take as much memory for that as the
+    header says.
+    """
     interpreter = library("mrcfile.mrcinterpreter", "MRC").MrcInterpreter
     with source.unpacked() as file:
         head = file.read(MRC_HEADER_BYTES)
@@ -63,8 +69,12 @@ def _header(source: Source) -> Any:
     return header
 
 
-IMOD_MARK_BYTE, IMOD_FLAGS_BYTE, SIGNED_BYTES_FLAG = 152, 156, 1
-"""Bytes of the header where IMOD writes its mark and its flags, and the flag of bytes with a sign."""
+IMOD_MARK_BYTE = 152
+IMOD_FLAGS_BYTE = 156
+SIGNED_BYTES_FLAG = 1
+"""Bytes of the header where IMOD writes its mark and its flags, and the flag of bytes with a
+sign.
+"""
 
 IMOD_MARK = 1146047817
 """IMOD's mark. Source: IMOD's description of the MRC format, "The MRC File Header"."""
@@ -74,16 +84,22 @@ BY_STANDARD = "as MRC2014 says: programs before it wrote them without one."
 
 
 def _dtype(header: Any) -> tuple[np.dtype[Any], tuple[str, ...]]:
-    """The type of voxels, and a note where it is that of bytes: whether these have a sign is said by IMOD alone."""
+    """The type of voxels, and a note where it is that of bytes: whether these have a sign is said
+    by IMOD alone.
+    """
     dtype: np.dtype[Any] = library("mrcfile.utils", "MRC").data_dtype_from_header(header)
     if dtype != np.int8:
         return dtype, ()
     order = np.dtype(np.uint32).newbyteorder(header["mode"].dtype.byteorder)
     stamp, flags = (
-        int(np.frombuffer(header.tobytes(), order, 1, place)[0]) for place in (IMOD_MARK_BYTE, IMOD_FLAGS_BYTE)
+        int(np.frombuffer(header.tobytes(), order, 1, place)[0])
+        for place in (IMOD_MARK_BYTE, IMOD_FLAGS_BYTE)
     )
     signed = stamp != IMOD_MARK or bool(flags & SIGNED_BYTES_FLAG)
-    why = BY_IMOD if stamp == IMOD_MARK else BY_STANDARD
+    if stamp == IMOD_MARK:
+        why = BY_IMOD
+    else:
+        why = BY_STANDARD
     return np.dtype(np.int8 if signed else np.uint8), (
         f"The voxels are bytes {'with' if signed else 'without'} a sign, {why}",
     )
@@ -92,18 +108,25 @@ def _dtype(header: Any) -> tuple[np.dtype[Any], tuple[str, ...]]:
 def _volumes(header: Any, sections: int) -> int:
     """Volumes in a stack of volumes; one in all other files."""
     deep = int(header["mz"])
-    return sections // deep if int(header["ispg"]) >= 401 and deep > 0 and sections % deep == 0 else 1
+    if int(header["ispg"]) >= 401 and deep > 0 and sections % deep == 0:
+        return sections // deep
+    return 1
 
 
 def _affine(header: Any, first: int) -> Affine:
-    """Columns, rows and sections to Ångström: the header's axes, cell and origin; a voxel is 1 Å where it has no cell.
+    """Columns, rows and sections to Ångström: the header's axes, cell and origin; a voxel is 1 Å
+    where it has no cell.
 
-    The origin is the header's own (MRC2014), else where the map starts in its cell. Source: the CCP4 map format.
+    The origin is the header's own (MRC2014), else where the map starts in its cell. Source: the
+    CCP4 map format.
     """
     axes = [int(header[name]) - 1 for name in ("mapc", "mapr", "maps")]
     if sorted(axes) != [0, 1, 2]:
         if any(int(header[name]) for name in ("mapc", "mapr", "maps")):
-            raise VolumeError(f"The map's axes are {[axis + 1 for axis in axes]}, which cannot be: write it again.")
+            raise VolumeError(
+                f"The map's axes are {[axis + 1 for axis in axes]}, which cannot be: write it "
+                "again."
+            )
         axes = [0, 1, 2]
     size = np.array([int(header[name]) for name in ("nx", "ny", "nz")])
     intervals = np.array([float(header[name]) for name in ("mx", "my", "mz")])
@@ -115,18 +138,25 @@ def _affine(header: Any, first: int) -> Affine:
     cell = _cell([float(header["cellb"][name]) for name in ("alpha", "beta", "gamma")]) * steps
     starts = np.array([int(header[name]) for name in ("nxstart", "nystart", "nzstart")], float)
     starts[2] += first
-    matrix, origin = cell[:, axes], np.array([float(header["origin"][name]) for name in "xyz"])
+    matrix = cell[:, axes]
+    origin = np.array([float(header["origin"][name]) for name in "xyz"])
     if not origin.any():
         origin = matrix @ starts
     return Affine.of(np.column_stack([matrix, origin]))
 
 
 def _cell(angles: list[float]) -> np.ndarray:
-    """Unit vectors along a cell's axes a, b, c as columns, at its angles in degrees; a along x, b in the xy plane."""
-    known = angles if all(0.0 < angle < 180.0 for angle in angles) else [90.0] * 3
+    """Unit vectors along a cell's axes a, b, c as columns, at its angles in degrees; a along x, b
+    in the xy plane.
+    """
+    if all(0.0 < angle < 180.0 for angle in angles):
+        known = angles
+    else:
+        known = [90.0] * 3
     if known == [90.0] * 3:
         return np.eye(3)
-    cosine, sine = np.cos(np.radians(known)), math.sin(math.radians(known[2]))
+    cosine = np.cos(np.radians(known))
+    sine = math.sin(math.radians(known[2]))
     y = (cosine[0] - cosine[1] * cosine[2]) / sine
     z = math.sqrt(max(1.0 - cosine[1] ** 2 - y**2, 0.0))
     return np.array([[1.0, cosine[2], cosine[1]], [0.0, sine, y], [0.0, 0.0, z]])

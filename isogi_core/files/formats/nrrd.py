@@ -1,7 +1,9 @@
-"""NRRD: pynrrd parses a header's lines; what they mean, and the voxels, are read here, never more than promised.
+"""NRRD: pynrrd parses a header's lines; what they mean, and the voxels, are read here, never more
+than promised.
 
-Format: https://teem.sourceforge.net/nrrd/format.html. pynrrd does not read the voxels, as it inflates whole files
-before it checks the sizes, and follows a header's data file anywhere on the disk.
+Format: https://teem.sourceforge.net/nrrd/format.html. pynrrd does not read the voxels, as it
+inflates whole files before it checks the sizes, and follows a header's data file anywhere on the
+disk.
 """
 
 import bz2
@@ -20,8 +22,25 @@ import nrrd
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import LUMINANCE_NOTE, Source, luminance_of_colours, pick, pick_step, reader, skip
-from isogi_core.files.grid import MAX_VOXELS, PATIENT_AXES, SINGLE_MOMENT, Affine, Grid, LabelName, read_as, slab_layers
+from isogi_core.files.formats.source import (
+    LUMINANCE_NOTE,
+    Source,
+    luminance_of_colours,
+    pick,
+    pick_step,
+    reader,
+    skip,
+)
+from isogi_core.files.grid import (
+    MAX_VOXELS,
+    PATIENT_AXES,
+    SINGLE_MOMENT,
+    Affine,
+    Grid,
+    LabelName,
+    read_as,
+    slab_layers,
+)
 from isogi_core.files.packed_files import (
     PACKING_DAMAGE,
     READ_BYTES,
@@ -43,7 +62,9 @@ _SPELLINGS = {
     "u2": "ushort, unsigned short, unsigned short int, uint16, uint16_t",
     "i4": "int, signed int, int32, int32_t",
     "u4": "uint, unsigned int, uint32, uint32_t",
-    "i8": "longlong, long long, long long int, signed long long, signed long long int, int64, int64_t",
+    "i8": (
+        "longlong, long long, long long int, signed long long, signed long long int, int64, int64_t"
+    ),
     "u8": "ulonglong, unsigned long long, unsigned long long int, uint64, uint64_t",
     "f4": "float",
     "f8": "double",
@@ -58,11 +79,9 @@ TEXT_ENCODINGS = ("ascii", "text", "txt")
 NAMES_KEY = "data file names"
 """The key under which a header has the lines that follow ``data file: LIST``."""
 
-SPACE_KINDS, TIME_KINDS, COLOUR_KINDS = (
-    ("domain", "space"),
-    ("time",),
-    {"rgb-color": 3, "rgba-color": 4, "3-color": 3, "4-color": 4},
-)
+SPACE_KINDS = ("domain", "space")
+TIME_KINDS = ("time",)
+COLOUR_KINDS = {"rgb-color": 3, "rgba-color": 4, "3-color": 3, "4-color": 4}
 """Kinds of axes: of space, of time, and of colours; others but UNKNOWN_VALUES are channels."""
 
 UNKNOWN_VALUES = ("none", "???", "")
@@ -75,25 +94,34 @@ _SPACES = {
     **dict.fromkeys(("left-anterior-superior", "las"), ((-1, 1, 1), PATIENT_AXES)),
     **dict.fromkeys(("left-posterior-superior", "lps"), ((-1, -1, 1), PATIENT_AXES)),
 }
-"""Signs that bring coordinates of a space to those of a patient's right, anterior and superior, and their letters."""
+"""Signs that bring coordinates of a space to those of a patient's right, anterior and superior, and
+their letters.
+"""
 
 Header = dict[str, Any]
 
 
 def read_header(source: Source, file: IO[bytes]) -> Header:
-    """Read the header's fields, and leave ``file`` at the byte after it. That of an upload ends within MAX_HEADER."""
+    """Read the header's fields, and leave ``file`` at the byte after it. That of an upload ends
+    within MAX_HEADER.
+    """
     name = source.name
     if file.read(4) != b"NRRD":
         raise VolumeError(f"'{name}' is not a NRRD file: give an .nrrd or .nhdr volume.")
     if source.path is None and not _HEADER_END.search(file.read(MAX_HEADER)):
-        raise VolumeError(f"The NRRD header of '{name}' does not end within {MAX_HEADER} bytes: save the file again.")
+        raise VolumeError(
+            f"The NRRD header of '{name}' does not end within {MAX_HEADER} bytes: save the "
+            "file again."
+        )
     file.seek(0)
     lines = _lines(file)
     listed = next((place + 1 for place, line in enumerate(lines) if _LIST.match(line)), len(lines))
     try:
         header: Header = nrrd.read_header(lines[:listed])
     except Exception as error:  # pynrrd raises some twenty kinds on damaged headers
-        raise VolumeError(f"The NRRD header of '{name}' is damaged ({error}): write the file again.") from error
+        raise VolumeError(
+            f"The NRRD header of '{name}' is damaged ({error}): write the file again."
+        ) from error
     missing = [field for field in ("dimension", "type", "encoding", "sizes") if field not in header]
     if missing:
         raise VolumeError(f"The NRRD header of '{name}' has no {missing[0]}: write the file again.")
@@ -112,21 +140,27 @@ def number_type(name: str, header: Header) -> np.dtype[Any]:
     """The NumPy type of the header's type and byte order."""
     code = _TYPES.get(header["type"])
     if code is None:
-        raise VolumeError(f"'{name}' holds type '{header['type']}': save it as an integer or float type.")
+        raise VolumeError(
+            f"'{name}' holds type '{header['type']}': save it as an integer or float type."
+        )
     order = {"little": "<", "big": ">"}.get(header.get("endian", ""))
     if header["encoding"].lower() in TEXT_ENCODINGS:
         order = "="
     if order is None and code[1] != "1":
-        raise VolumeError(f"'{name}' does not say its byte order: add 'endian: little' or 'big' to its header.")
+        raise VolumeError(
+            f"'{name}' does not say its byte order: add 'endian: little' or 'big' to its header."
+        )
     return np.dtype((order or "|") + code)
 
 
 @dataclass(frozen=True)
 class Layout:
-    """How the numbers of a file lie: ``fields`` of a ``shape`` (z, y, x), of ``each`` numbers a voxel.
+    """How the numbers of a file lie: ``fields`` of a ``shape`` (z, y, x), of ``each`` numbers a
+    voxel.
 
-    Of these field number ``field`` is meant, and number ``number`` of each voxel, or all as a colour where that is
-    None. ``axes`` are the places of x, y, z in the header. The ``moment`` is as in ``Grid``.
+    Of these field number ``field`` is meant, and number ``number`` of each voxel, or all as a
+    colour where that is None. ``axes`` are the places of x, y, z in the header. The ``moment`` is
+    as in ``Grid``.
     """
 
     shape: tuple[int, int, int]
@@ -146,19 +180,26 @@ class Layout:
 
 
 def layout_of(source: Source, header: Header) -> Layout:
-    """The layout that a header tells, of what is chosen. VolumeError where it is not of scalar fields in space."""
+    """The layout that a header tells, of what is chosen. VolumeError where it is not of scalar
+    fields in space.
+    """
     sizes = [int(n) for n in header["sizes"]]
     if header["dimension"] != len(sizes):
         raise VolumeError(
-            f"'{source.name}' has {header['dimension']} dimensions and {len(sizes)} sizes: mend its header."
+            f"'{source.name}' has {header['dimension']} dimensions and {len(sizes)} sizes: "
+            "mend its header."
         )
     if not sizes or min(sizes) < 1 or math.prod(sizes) > MAX_VOXELS:
-        raise VolumeError(f"'{source.name}' claims sizes {sizes}, which cannot be: mend its header.")
+        raise VolumeError(
+            f"'{source.name}' claims sizes {sizes}, which cannot be: mend its header."
+        )
     kinds = _kinds(header, sizes)
     x, y, z = _space(source.name, header, kinds, sizes)
     shape = (sizes[z], sizes[y], sizes[x])
     source.check(shape)
-    inner, outer = ([n for n in span if sizes[n] > 1] for span in (range(x), range(z + 1, len(sizes))))
+    inner, outer = (
+        [n for n in span if sizes[n] > 1] for span in (range(x), range(z + 1, len(sizes)))
+    )
     if len(inner) > 1 or len(outer) > 1:
         raise VolumeError(f"'{source.name}' has sizes {sizes}: save one scalar field of it.")
     facts: dict[str, Any] = {"fields": math.prod(sizes[z + 1 :]), "each": math.prod(sizes[:x])}
@@ -169,11 +210,19 @@ def layout_of(source: Source, header: Header) -> Layout:
 
 
 def _kinds(header: Header, sizes: list[int]) -> list[str]:
-    """What each axis is: a kind of SPACE_KINDS, TIME_KINDS or COLOUR_KINDS, a channel, or one of UNKNOWN_VALUES."""
+    """What each axis is: a kind of SPACE_KINDS, TIME_KINDS or COLOUR_KINDS, a channel, or one of
+    UNKNOWN_VALUES.
+    """
     given = [str(kind).lower() for kind in header.get("kinds", ())]
-    kinds = given if len(given) == len(sizes) else [""] * len(sizes)
+    if len(given) == len(sizes):
+        kinds = given
+    else:
+        kinds = [""] * len(sizes)
     rows = header.get("space directions")
-    rows = np.asarray(rows, np.float64) if rows is not None else np.zeros((0, 0))
+    if rows is not None:
+        rows = np.asarray(rows, np.float64)
+    else:
+        rows = np.zeros((0, 0))
     if not given and len(rows) == len(sizes) > 3:  # an axis without a direction is none of space
         kinds = ["domain" if np.isfinite(row).all() else "list" for row in rows]
     series = any(key in TIME_KEYS for key in map(str.lower, header))
@@ -181,7 +230,9 @@ def _kinds(header: Header, sizes: list[int]) -> list[str]:
 
 
 def _space(name: str, header: Header, kinds: list[str], sizes: list[int]) -> tuple[int, int, int]:
-    """The places of x, y, z. Axes of unknown kinds are of space where these are needed, the fastest first."""
+    """The places of x, y, z. Axes of unknown kinds are of space where these are needed, the fastest
+    first.
+    """
     unknown = [n for n, kind in enumerate(kinds) if kind in UNKNOWN_VALUES]
     spatial = [n for n, kind in enumerate(kinds) if kind in SPACE_KINDS]
     for n in sorted(unknown, key=lambda n: (sizes[n] == 1, n)):
@@ -190,28 +241,52 @@ def _space(name: str, header: Header, kinds: list[str], sizes: list[int]) -> tup
         spatial += [n for n, kind in enumerate(kinds) if kind in TIME_KINDS]
     spatial.sort()
     given = header.get("kinds", kinds)
-    other = next((given[n] for n, kind in enumerate(kinds) if n not in spatial and kind not in UNKNOWN_VALUES), "")
+    other = next(
+        (
+            given[n]
+            for n, kind in enumerate(kinds)
+            if n not in spatial and kind not in UNKNOWN_VALUES
+        ),
+        "",
+    )
     if len(spatial) != 3:
-        why = f"an axis of kind '{other}', and " if other else ""
-        raise VolumeError(f"'{name}' has {why}{len(spatial)} dimensions in space, not 3: save one scalar field of it.")
-    x, y, z = spatial
-    if (y, z) != (x + 1, x + 2) and math.prod(sizes[n] for n in range(x, z + 1) if n not in spatial) > 1:
+        if other:
+            why = f"an axis of kind '{other}', and "
+        else:
+            why = ""
         raise VolumeError(
-            f"'{name}' has an axis of kind '{other}' between those of space: save one scalar field of it."
+            f"'{name}' has {why}{len(spatial)} dimensions in space, not 3: save one scalar "
+            "field of it."
+        )
+    x, y, z = spatial
+    if (y, z) != (x + 1, x + 2) and math.prod(
+        sizes[n] for n in range(x, z + 1) if n not in spatial
+    ) > 1:
+        raise VolumeError(
+            f"'{name}' has an axis of kind '{other}' between those of space: save one scalar "
+            "field of it."
         )
     return x, y, z
 
 
 def _chosen(source: Source, header: Header, kind: str, length: int, key: str) -> Header:
-    """What a layout has along an axis that is not of space: under the ``key`` the element that is chosen."""
+    """What a layout has along an axis that is not of space: under the ``key`` the element that is
+    chosen.
+    """
     if kind in TIME_KINDS:
         step, unchosen = pick_step(source, length)
         return {key: step, "moment": (step, length), "unchosen": unchosen}
     if key == "number" and COLOUR_KINDS.get(kind) == length and "channel" not in source.chosen:
         return {key: None, "notes": (LUMINANCE_NOTE,)}
     if segments_of(header) and "channel" not in source.chosen:
-        others = f"channel = 1 to {length - 1} chooses another" if length > 2 else "channel = 1 chooses the other"
-        return {key: 0, "notes": (f"The segmentation has {length} layers: the first is shown, and {others}.",)}
+        if length > 2:
+            others = f"channel = 1 to {length - 1} chooses another"
+        else:
+            others = "channel = 1 chooses the other"
+        return {
+            key: 0,
+            "notes": (f"The segmentation has {length} layers: the first is shown, and {others}.",),
+        }
     return {key: pick(source, "channel", length, "channels")}
 
 
@@ -219,12 +294,16 @@ _SEGMENT = re.compile(r"Segment(\d+)_(\w+)")
 
 
 def segments_of(header: Header) -> dict[int, dict[str, str]]:
-    """What 3D Slicer says of the segments of a segmentation, by their numbers; empty of other volumes."""
+    """What 3D Slicer says of the segments of a segmentation, by their numbers; empty of other
+    volumes.
+    """
     found: dict[int, dict[str, str]] = {}
     for key, value in header.items():
         if (match := _SEGMENT.fullmatch(key)) is not None:
             found.setdefault(int(match[1]), {})[match[2]] = str(value)
-    return {number: each for number, each in found.items() if "LabelValue" in each or "Name" in each}
+    return {
+        number: each for number, each in found.items() if "LabelValue" in each or "Name" in each
+    }
 
 
 def labels_of(header: Header, layer: int) -> tuple[LabelName, ...] | None:
@@ -235,16 +314,25 @@ def labels_of(header: Header, layer: int) -> tuple[LabelName, ...] | None:
     segments = segments_of(header)
     if not segments:
         return None
-    layers = {n: _number(each.get("Layer"), 0 if "LabelValue" in each else n) for n, each in segments.items()}
+    layers = {
+        n: _number(each.get("Layer"), 0 if "LabelValue" in each else n)
+        for n, each in segments.items()
+    }
     there = [each for n, each in segments.items() if layers[n] == layer]
     return tuple(
-        LabelName(_number(each.get("LabelValue"), 1), each.get("Name", ""), _segment_colour(each.get("Color", "")))
+        LabelName(
+            _number(each.get("LabelValue"), 1),
+            each.get("Name", ""),
+            _segment_colour(each.get("Color", "")),
+        )
         for each in there
     )
 
 
 def _number(text: str | None, fallback: int) -> int:
-    return int(text) if text is not None and re.fullmatch(r"\d{1,18}", text) else fallback
+    if text is not None and re.fullmatch(r"\d{1,18}", text):
+        return int(text)
+    return fallback
 
 
 def _segment_colour(text: str) -> str:
@@ -254,18 +342,28 @@ def _segment_colour(text: str) -> str:
         shares = [min(max(float(part), 0.0), 1.0) for part in parts]
     except ValueError:
         return ""
-    return "#" + "".join(f"{round(255.0 * share):02x}" for share in shares) if len(shares) == 3 else ""
+    if len(shares) == 3:
+        return "#" + "".join(f"{round(255.0 * share):02x}" for share in shares)
+    return ""
 
 
 def spacing_of(name: str, header: Header, layout: Layout) -> Vector:
-    """Lengths of the space directions of x, y, z (one row per axis), else their ``spacings``, else 1."""
+    """Lengths of the space directions of x, y, z (one row per axis), else their ``spacings``, else
+    1.
+    """
     if "space directions" in header:
         rows = np.asarray(header["space directions"], np.float64)
-        steps = [math.hypot(*row) for row in rows] if rows.ndim == 2 else []
+        if rows.ndim == 2:
+            steps = [math.hypot(*row) for row in rows]
+        else:
+            steps = []
     else:
         steps = [float(step) for step in header.get("spacings", (1.0,) * len(header["sizes"]))]
     if len(steps) != len(header["sizes"]):
-        raise VolumeError(f"'{name}' gives {len(steps)} spacings for {len(header['sizes'])} axes: mend its header.")
+        raise VolumeError(
+            f"'{name}' gives {len(steps)} spacings for {len(header['sizes'])} axes: mend its "
+            "header."
+        )
     x, y, z = (steps[axis] for axis in layout.axes)
     return x, y, z
 
@@ -275,22 +373,30 @@ def affine_of(header: Header, layout: Layout) -> Affine | None:
     rows = np.asarray(header.get("space directions", ()), np.float64)
     if rows.shape != (len(header["sizes"]), 3):
         return None
-    signs, letters = _SPACES.get(str(header.get("space", "")).lower().removesuffix("-time"), ((1, 1, 1), ""))
+    signs, letters = _SPACES.get(
+        str(header.get("space", "")).lower().removesuffix("-time"), ((1, 1, 1), "")
+    )
     origin = np.asarray(header.get("space origin", (0.0, 0.0, 0.0)), np.float64)
-    known = origin if origin.shape == (3,) and np.isfinite(origin).all() else np.zeros(3)
-    return Affine.of(np.column_stack([rows[list(layout.axes)].T, known]) * np.array(signs)[:, None], letters)
+    if origin.shape == (3,) and np.isfinite(origin).all():
+        known = origin
+    else:
+        known = np.zeros(3)
+    return Affine.of(
+        np.column_stack([rows[list(layout.axes)].T, known]) * np.array(signs)[:, None], letters
+    )
 
 
 def placed_by(header: Header) -> str:
     """What in a header says where voxels lie, or how far apart; empty where nothing does."""
-    space = f" in {header['space']}" if "space" in header else ""
-    return (
-        f"its space directions{space}"
-        if "space directions" in header
-        else "its spacings"
-        if "spacings" in header
-        else ""
-    )
+    if "space" in header:
+        space = f" in {header['space']}"
+    else:
+        space = ""
+    if "space directions" in header:
+        return f"its space directions{space}"
+    if "spacings" in header:
+        return "its spacings"
+    return ""
 
 
 def unit_of(header: Header) -> str:
@@ -303,16 +409,31 @@ _PATTERN = re.compile(r"(\S*%0?\d*d\S*)((?:\s+-?\d+){3,4})")
 
 
 def data_names(source: Source, header: Header) -> list[str] | None:
-    """Names of the files with the voxels, in their order; None where these follow the header. VolumeError."""
-    given = next((value for field, value in header.items() if field.lower() in ("data file", "datafile")), None)
+    """Names of the files with the voxels, in their order; None where these follow the header.
+    VolumeError.
+    """
+    given = next(
+        (value for field, value in header.items() if field.lower() in ("data file", "datafile")),
+        None,
+    )
     if given is None:
         return None
     if source.path is None:
-        raise VolumeError(f"'{source.name}' is a header whose data is in another file: save both as one .nrrd file.")
+        raise VolumeError(
+            f"'{source.name}' is a header whose data is in another file: save both as one "
+            ".nrrd file."
+        )
     pattern = _PATTERN.fullmatch(given)
-    names = header[NAMES_KEY] if given.split()[:1] == ["LIST"] else _numbered(pattern) if pattern else [given]
+    if given.split()[:1] == ["LIST"]:
+        names = header[NAMES_KEY]
+    elif pattern:
+        names = _numbered(pattern)
+    else:
+        names = [given]
     if not names or len(names) > max(header["sizes"]):
-        raise VolumeError(f"'{source.name}' names {len(names)} data files, which cannot be: mend its header.")
+        raise VolumeError(
+            f"'{source.name}' names {len(names)} data files, which cannot be: mend its header."
+        )
     return [_inside(source.name, name) for name in names]
 
 
@@ -328,25 +449,32 @@ def _numbered(pattern: re.Match[str]) -> list[str]:
 def _inside(name: str, data: str) -> str:
     where = Path(data)
     if where.is_absolute() or ".." in where.parts:
-        raise VolumeError(f"'{name}' points at '{data}' outside its folder: put the data beside the header.")
+        raise VolumeError(
+            f"'{name}' points at '{data}' outside its folder: put the data beside the header."
+        )
     return data
 
 
-_RAW, _GZIP, _BZIP2 = ("raw",), ("gzip", "gz"), ("bzip2", "bz2")
+_RAW = ("raw",)
+_GZIP = ("gzip", "gz")
+_BZIP2 = ("bzip2", "bz2")
 
 
 @reader("NRRD", "channel", "time")
 def open_nrrd(source: Source) -> Grid:
-    """Open one scalar volume as a grid; only the header is read now. No memory is taken on its word alone.
+    """Open one scalar volume as a grid; only the header is read now. No memory is taken on its word
+    alone.
 
-    Attached or, but for uploads, detached (data files at or below the header's folder); raw, gzip, bzip2 or text; every
-    integer and float type, both byte orders. Spacing is the length of each space direction, else ``spacings``, else 1,
-    as the file gives it, even where that is not positive. Raises VolumeError where the file is missing, not NRRD or not
-    of scalar fields in space; the slabs raise it where the file does not hold exactly the promised voxels.
+    Attached or, but for uploads, detached (data files at or below the header's folder); raw, gzip,
+    bzip2 or text; every integer and float type, both byte orders. Spacing is the length of each
+    space direction, else ``spacings``, else 1, as the file gives it, even where that is not
+    positive. Raises VolumeError where the file is missing, not NRRD or not of scalar fields in
+    space; the slabs raise it where the file does not hold exactly the promised voxels.
     """
     with _readable(source), source.open() as file:
         header = read_header(source, file)
-        layout, dtype = layout_of(source, header), number_type(source.name, header)
+        layout = layout_of(source, header)
+        dtype = number_type(source.name, header)
         with _data(source, header, file) as parts:
             files = [Path(part.name) for part in parts if part is not file]
             cut = _cut_notes(source, header, parts, layout.numbers * dtype.itemsize)
@@ -368,8 +496,14 @@ def open_nrrd(source: Source) -> Grid:
 
 def _stamp(source: Source, files: list[Path]) -> str:
     """The state of the header and of its data files, and what is chosen of them."""
-    paths = [source.path] if source.path is not None else []
-    chosen = f" {sorted(source.chosen.items())}" if source.chosen else ""
+    if source.path is not None:
+        paths = [source.path]
+    else:
+        paths = []
+    if source.chosen:
+        chosen = f" {sorted(source.chosen.items())}"
+    else:
+        chosen = ""
     return f"{stamp_of([*paths, *(files or paths)])}{chosen}"
 
 
@@ -377,11 +511,14 @@ def _slabs(source: Source) -> Iterator[np.ndarray]:
     """Read the voxels of a file, some layers at a time; (layers, ny, nx) each."""
     with _readable(source), source.open() as file:
         header = read_header(source, file)
-        layout, dtype = layout_of(source, header), number_type(source.name, header)
+        layout = layout_of(source, header)
+        dtype = number_type(source.name, header)
         with _data(source, header, file) as parts:
             size = layout.numbers * dtype.itemsize
             blocks = (
-                block for part in parts for block in _decoded_bytes(source.name, header, part, size // len(parts))
+                block
+                for part in parts
+                for block in _decoded_bytes(source.name, header, part, size // len(parts))
             )
             yield from _field(layout, _layers(layout, dtype, blocks))
 
@@ -390,7 +527,8 @@ def _layers(layout: Layout, dtype: np.dtype[Any], blocks: Iterator[bytes]) -> It
     """The numbers of a file, some layers at a time; (layers, ny, nx, each)."""
     inner = (*layout.shape[1:], layout.each)
     layer = int(np.prod(inner)) * dtype.itemsize
-    slab, rest = slab_layers(layer) * layer, bytearray()
+    slab = slab_layers(layer) * layer
+    rest = bytearray()
     for block in blocks:
         rest += block
         while len(rest) >= slab:
@@ -401,9 +539,12 @@ def _layers(layout: Layout, dtype: np.dtype[Any], blocks: Iterator[bytes]) -> It
 
 
 def _field(layout: Layout, slabs: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
-    """The layers of the field that is chosen, and of each voxel the number; all are passed, so that all are counted."""
+    """The layers of the field that is chosen, and of each voxel the number; all are passed, so that
+    all are counted.
+    """
     first = layout.field * layout.shape[0]
-    last, z = first + layout.shape[0], 0
+    last = first + layout.shape[0]
+    z = 0
     for slab in slabs:
         part = slab[max(first - z, 0) : max(last - z, 0)]
         z += len(slab)
@@ -417,56 +558,80 @@ def _readable(source: Source) -> Iterator[None]:
     try:
         yield
     except FileNotFoundError as error:
-        raise VolumeError(f"There is no file '{error.filename}': check the volume's path.") from error
+        raise VolumeError(
+            f"There is no file '{error.filename}': check the volume's path."
+        ) from error
     except (OSError, ValueError) as error:  # ValueError: a data file's name that no system can hold
-        raise VolumeError(f"The volume '{source.name}' cannot be read ({error}): check the file.") from error
+        raise VolumeError(
+            f"The volume '{source.name}' cannot be read ({error}): check the file."
+        ) from error
 
 
 @contextmanager
 def _data(source: Source, header: Header, file: IO[bytes]) -> Iterator[list[IO[bytes]]]:
-    """The files with the voxels: ``file``, which is at the byte after the header, or the header's data files."""
+    """The files with the voxels: ``file``, which is at the byte after the header, or the header's
+    data files.
+    """
     names = data_names(source, header)
     if names is None:
         yield [file]
         return
     assert source.path is not None, "a header that names files has a path"
     with ExitStack() as opened:
-        yield [opened.enter_context(open_regular(_beside(source.path.parent, name))) for name in names]
+        yield [
+            opened.enter_context(open_regular(_beside(source.path.parent, name))) for name in names
+        ]
 
 
 def _beside(folder: Path, name: str) -> Path:
-    """The path of a file in a ``folder``, whose name's letters may be composed otherwise there: å of one or of two."""
+    """The path of a file in a ``folder``, whose name's letters may be composed otherwise there: å
+    of one or of two.
+    """
     forms = (name, normalize("NFC", name), normalize("NFD", name))
     return next((folder / form for form in forms if (folder / form).exists()), folder / name)
 
 
 def _decoded_bytes(name: str, header: Header, file: IO[bytes], size: int) -> Iterator[bytes]:
-    """Yield ``size`` bytes after line skip, decoding and byte skip; VolumeError where there are fewer or more."""
-    encoding, passed = header["encoding"].lower(), 0
+    """Yield ``size`` bytes after line skip, decoding and byte skip; VolumeError where there are
+    fewer or more.
+    """
+    encoding = header["encoding"].lower()
+    passed = 0
     if encoding not in (*_RAW, *_GZIP, *_BZIP2, *TEXT_ENCODINGS):
-        raise VolumeError(f"'{name}' has encoding '{encoding}': save it as raw, gzip, bzip2 or text.")
+        raise VolumeError(
+            f"'{name}' has encoding '{encoding}': save it as raw, gzip, bzip2 or text."
+        )
     before = _skip_lines(name, header, file, size)
     try:
         stream = _decoded(encoding, file)
         skip(stream, before)
         dtype = number_type(name, header)
-        blocks = _written_out(name, stream, dtype) if encoding in TEXT_ENCODINGS else _blocks(stream, size)
+        if encoding in TEXT_ENCODINGS:
+            blocks = _written_out(name, stream, dtype)
+        else:
+            blocks = _blocks(stream, size)
         for block in blocks:
             passed += len(block)
             yield block[: size - passed] if passed > size else block
         passed += read_end(stream)
     except PACKING_DAMAGE as error:
-        raise VolumeError(f"The voxels of '{name}' are damaged or cut short ({error}): copy it again.") from error
+        raise VolumeError(
+            f"The voxels of '{name}' are damaged or cut short ({error}): copy it again."
+        ) from error
     if passed != size:
         less = "fewer" if passed < size else "more"
-        raise VolumeError(f"'{name}' holds {less} than the {size} bytes that its sizes need: copy it again.")
+        raise VolumeError(
+            f"'{name}' holds {less} than the {size} bytes that its sizes need: copy it again."
+        )
 
 
 def _decoded(encoding: str, file: IO[bytes]) -> Content:
     """The stream of decoded voxel bytes in ``file``."""
     if encoding in _GZIP:
         return gzip.GzipFile(fileobj=file)
-    return bz2.BZ2File(file) if encoding in _BZIP2 else file
+    if encoding in _BZIP2:
+        return bz2.BZ2File(file)
+    return file
 
 
 def _written_out(name: str, stream: Content, dtype: np.dtype[Any]) -> Iterator[bytes]:
@@ -475,7 +640,10 @@ def _written_out(name: str, stream: Content, dtype: np.dtype[Any]) -> Iterator[b
     while block := stream.read(READ_BYTES >> 4):
         text = (rest + block).replace(b",", b" ")
         words = text.split()
-        rest = words.pop() if words and not text[-1:].isspace() else b""
+        if words and not text[-1:].isspace():
+            rest = words.pop()
+        else:
+            rest = b""
         yield _header_numbers(name, words, dtype)
     yield _header_numbers(name, rest.split(), dtype)
 
@@ -483,16 +651,23 @@ def _written_out(name: str, stream: Content, dtype: np.dtype[Any]) -> Iterator[b
 def _header_numbers(name: str, words: list[bytes], dtype: np.dtype[Any]) -> bytes:
     """The bytes of written numbers in a type. VolumeError where one is no number of it."""
     try:
-        return np.array([int(word) if dtype.kind in "iu" else float(word) for word in words], dtype).tobytes()
+        return np.array(
+            [int(word) if dtype.kind in "iu" else float(word) for word in words], dtype
+        ).tobytes()
     except (ValueError, OverflowError) as error:
-        raise VolumeError(f"'{name}' holds a word that is no {dtype} ({error}): write it again.") from error
+        raise VolumeError(
+            f"'{name}' holds a word that is no {dtype} ({error}): write it again."
+        ) from error
 
 
-def _cut_notes(source: Source, header: Header, parts: list[IO[bytes]], size: int) -> tuple[str, ...]:
+def _cut_notes(
+    source: Source, header: Header, parts: list[IO[bytes]], size: int
+) -> tuple[str, ...]:
     """What there is to say of how packed files end."""
     if header["encoding"].lower() not in _GZIP:
         return ()
-    each, notes = size // len(parts), dict[str, None]()
+    each = size // len(parts)
+    notes = dict[str, None]()
     for part in parts:
         start = part.tell()
         before = _skip_lines(source.name, header, part, each)
@@ -506,10 +681,15 @@ def _skip_lines(name: str, header: Header, file: IO[bytes], size: int) -> int:
 
     A byte skip of -1 (raw data only) means that the voxels are the file's last ``size`` bytes.
     """
-    lines, count = (int(header.get(f"{what} skip") or header.get(f"{what}skip") or 0) for what in ("line", "byte"))
+    lines, count = (
+        int(header.get(f"{what} skip") or header.get(f"{what}skip") or 0)
+        for what in ("line", "byte")
+    )
     from_end = count == -1 and header["encoding"] == "raw"
     if lines < 0 or (count < 0 and not from_end):
-        raise VolumeError(f"'{name}' skips {lines} lines and {count} bytes, which cannot be: mend its header.")
+        raise VolumeError(
+            f"'{name}' skips {lines} lines and {count} bytes, which cannot be: mend its header."
+        )
     while lines > 0 and file.readline():
         lines -= 1
     if not from_end:

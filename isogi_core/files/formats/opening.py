@@ -1,20 +1,36 @@
-"""Opening volumes of any kind but Zarr: the kind is told by how a file begins, and then by its name."""
+"""Opening volumes of any kind but Zarr: the kind is told by how a file begins, and then by its
+name.
+"""
 
 import zlib
 from pathlib import Path
 from typing import IO, Any
 
 from isogi_core.errors import VolumeError, advice
-from isogi_core.files.formats import array_files, brain_files, dicom, hdf5, image_files, mrc, nrrd, tiff
+from isogi_core.files.formats import (
+    array_files,
+    brain_files,
+    dicom,
+    hdf5,
+    image_files,
+    mrc,
+    nrrd,
+    tiff,
+)
 from isogi_core.files.formats.source import FILE_CHOICES, Reader, Source
 from isogi_core.files.grid import Grid
 
-PICTURE_HINT = "a picture, and a volume is many slices: give the folder of a stack of TIFFs, or one NRRD"
+PICTURE_HINT = (
+    "a picture, and a volume is many slices: give the folder of a stack of TIFFs, or one NRRD"
+)
 MESH_HINT = "a mesh of triangles, which has no values inside: give the volume that it was made from"
 BARE_VOXELS_HINT = (
-    "bare voxels without a header: say what they are by --raw 256x256x128,uint8,little, or in the name of the file"
+    "bare voxels without a header: say what they are by --raw "
+    "256x256x128,uint8,little, or in the name of the file"
 )
-LIGHT_PROBE_HINT = "a light probe: give it as --environment, or name it in a scene, environment = 'file.hdr'"
+LIGHT_PROBE_HINT = (
+    "a light probe: give it as --environment, or name it in a scene, environment = 'file.hdr'"
+)
 
 KINDS: tuple[tuple[bytes, str], ...] = (
     (b"\x89PNG", PICTURE_HINT),
@@ -44,20 +60,29 @@ WRONG_SUFFIXES = {
 
 
 def sort_of(head: bytes, suffix: str = "") -> str:
-    """What a file that begins with ``head`` seems to be, and what to do then; empty where nothing tells."""
-    return next((words for mark, words in KINDS if head.startswith(mark)), WRONG_SUFFIXES.get(suffix, ""))
+    """What a file that begins with ``head`` seems to be, and what to do then; empty where nothing
+    tells.
+    """
+    return next(
+        (words for mark, words in KINDS if head.startswith(mark)), WRONG_SUFFIXES.get(suffix, "")
+    )
 
 
 HEAD_BYTES = 544
 """Bytes by which a kind is told."""
 
-KNOWN_KINDS = "NRRD, NIfTI, DICOM, TIFF, MRC, HDF5, NetCDF, NumPy, MGH, Analyze, AFNI, MINC, MetaImage, VTI or Zarr"
+KNOWN_KINDS = (
+    "NRRD, NIfTI, DICOM, TIFF, MRC, HDF5, NetCDF, NumPy, MGH, Analyze, AFNI, MINC, "
+    "MetaImage, VTI or Zarr"
+)
 
 
 def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Reader | None:
-    """The function that opens files which begin with ``head``; by their ``suffix`` where that says nothing.
+    """The function that opens files which begin with ``head``; by their ``suffix`` where that says
+    nothing.
 
-    ``unpacked`` is how the content of a packed file begins: NIfTI, MRC and others are read out of such.
+    ``unpacked`` is how the content of a packed file begins: NIfTI, MRC and others are read out of
+    such.
     """
     kinds: list[tuple[bool, Reader]] = [
         (head.startswith(b"NRRD") or suffix in (".nrrd", ".nhdr"), nrrd.open_nrrd),
@@ -73,7 +98,10 @@ def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Reader | None:
         (head.startswith(hdf5.NETCDF_MAGIC), hdf5.open_netcdf),
         (head.startswith((array_files.NPY_MAGIC, array_files.ZIP_MAGIC)), array_files.open_numpy),
         (b"<VTKFile" in head and b"ImageData" in head, image_files.open_vti),
-        (b"NDims" in head or b"ObjectType" in head or head.startswith(b"# vtk DataFile"), image_files.open_itk),
+        (
+            b"NDims" in head or b"ObjectType" in head or head.startswith(b"# vtk DataFile"),
+            image_files.open_itk,
+        ),
         (suffix in (".dcm", ".ima"), dicom.open_dicom),
         (suffix == ".vti", image_files.open_vti),
         (suffix in image_files.ITK_SUFFIXES, image_files.open_itk),
@@ -82,7 +110,9 @@ def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Reader | None:
 
 
 def open_file(path: Path, chosen: dict[str, Any]) -> Grid:
-    """Open a file or a folder of slices as a grid; only headers are read now. Raises VolumeError."""
+    """Open a file or a folder of slices as a grid; only headers are read now. Raises
+    VolumeError.
+    """
     path = _header_of(path)
     source = Source(str(path), path, chosen={key: str(value) for key, value in chosen.items()})
     if path.is_dir():
@@ -93,7 +123,8 @@ def open_file(path: Path, chosen: dict[str, Any]) -> Grid:
 
 
 def open_upload(file: IO[bytes], name: str, most: int) -> Grid:
-    """Open an untrusted file as a grid: no other file is opened, and no memory is taken on a header's word.
+    """Open an untrusted file as a grid: no other file is opened, and no memory is taken on a
+    header's word.
 
     Raises VolumeError, also where it has more than ``most`` voxels.
     """
@@ -107,7 +138,10 @@ def _open_by_head(source: Source) -> Grid:
         head = file.read(HEAD_BYTES)
     if sort_of(head):
         raise unknown(source.name, head)
-    bare = array_files.open_raw if array_files.is_raw(source.name) else None
+    if array_files.is_raw(source.name):
+        bare = array_files.open_raw
+    else:
+        bare = None
     opener = opener_for(head, _unpacked_head(source), suffix) or bare
     if opener is None:
         raise unknown(source.name, head, suffix)
@@ -124,7 +158,9 @@ def unknown(name: str, head: bytes, suffix: str = "") -> VolumeError:
     """What is wrong with a file that is no volume, with what it seems to be where that is known."""
     sort = sort_of(head, suffix)
     return VolumeError(
-        f"'{name}' seems to be {sort}." if sort else f"'{name}' is no volume that is known here: give {KNOWN_KINDS}."
+        f"'{name}' seems to be {sort}."
+        if sort
+        else f"'{name}' is no volume that is known here: give {KNOWN_KINDS}."
     )
 
 
@@ -140,7 +176,9 @@ def _unpacked_head(source: Source) -> bytes:
 def _open_folder(source: Source) -> Grid:
     """Open a folder of slices: TIFF where it holds such, else DICOM."""
     assert source.path is not None, "a folder has a path"
-    return tiff.open_tiff_folder(source) if tiff.slices_in(source.path) else dicom.open_dicom(source)
+    if tiff.slices_in(source.path):
+        return tiff.open_tiff_folder(source)
+    return dicom.open_dicom(source)
 
 
 TIFF_CODECS = ("imcd", "zlib", "deflate", "jpeg8", "zstd")
@@ -159,7 +197,13 @@ PILLOW_FORMATS = ("Bmp", "Gif", "Ppm", "Png", "Jpeg", "Jpeg2K")
 JPEG_MODULES = ("openjpeg", *(f"PIL.{name}ImagePlugin" for name in PILLOW_FORMATS))
 """What DICOM's packed pixels are unpacked by, where it is installed."""
 
-VTK_MODULES = ("vtk", *(f"vtkmodules.{name}" for name in ("vtkIOXML", "vtkCommonExecutionModel", "util.numpy_support")))
+VTK_MODULES = (
+    "vtk",
+    *(
+        f"vtkmodules.{name}"
+        for name in ("vtkIOXML", "vtkCommonExecutionModel", "util.numpy_support")
+    ),
+)
 
 BRAIN_MODULES = ("nibabel", "nibabel.freesurfer.mghformat")
 
@@ -169,7 +213,15 @@ LIBRARIES: tuple[tuple[int, bytes, tuple[str, ...]], ...] = (
     (0, b"BZh", (*BRAIN_MODULES, "mrcfile.utils", "mrcfile.mrcinterpreter")),
     (344, b"n", ("nibabel",)),
     (4, b"n", ("nibabel",)),
-    (128, b"DICM", ("pydicom.pixels", *(f"pydicom.pixels.decoders.{name}" for name in DICOM_DECODERS), *JPEG_MODULES)),
+    (
+        128,
+        b"DICM",
+        (
+            "pydicom.pixels",
+            *(f"pydicom.pixels.decoders.{name}" for name in DICOM_DECODERS),
+            *JPEG_MODULES,
+        ),
+    ),
     (0, b"II", TIFF_MODULES),
     (0, b"MM", TIFF_MODULES),
     (208, b"MAP", ("mrcfile.utils", "mrcfile.mrcinterpreter")),
@@ -182,12 +234,15 @@ LIBRARIES: tuple[tuple[int, bytes, tuple[str, ...]], ...] = (
 
 
 def libraries_for(head: bytes) -> list[str]:
-    """Modules that a file may need which begins with ``head``: more than it does, and never less."""
+    """Modules that a file may need which begins with ``head``: more than it does, and never
+    less.
+    """
     return [name for at, mark, names in LIBRARIES if head[at:].startswith(mark) for name in names]
 
 
 def split_part(name: str) -> tuple[str, dict[str, str]]:
-    """A volume's name without what follows its last #, and what that chooses: ``#time=3``, or a path in the file.
+    """A volume's name without what follows its last #, and what that chooses: ``#time=3``, or a
+    path in the file.
 
     Raises VolumeError for a key that is none of FILE_CHOICES.
     """

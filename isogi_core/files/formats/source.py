@@ -1,4 +1,6 @@
-"""Sources of volumes: a file by its path, or an open and untrusted one; and what all readers share."""
+"""Sources of volumes: a file by its path, or an open and untrusted one; and what all readers
+share.
+"""
 
 import math
 import re
@@ -27,12 +29,15 @@ from isogi_core.files.packed_files import (
 )
 
 FILE_CHOICES = ("level", "channel", "time", "series", "raw", "part")
-"""What may be chosen of a file; ``part`` is a path inside it, and ``raw`` says what bare voxels are."""
+"""What may be chosen of a file; ``part`` is a path inside it, and ``raw`` says what bare voxels
+are.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A file, or a folder of slices, at a ``path``; or an open ``file`` that has none. ``name`` is for messages.
+    """A file, or a folder of slices, at a ``path``; or an open ``file`` that has none. ``name`` is
+    for messages.
 
     ``chosen`` says which part of it is meant, by FILE_CHOICES. At most so many ``voxels`` are read.
     """
@@ -45,7 +50,9 @@ class Source:
 
     @contextmanager
     def open(self) -> Iterator[IO[bytes]]:
-        """The file at its beginning, as it lies on the disk. Raises VolumeError where it cannot be read."""
+        """The file at its beginning, as it lies on the disk. Raises VolumeError where it cannot be
+        read.
+        """
         if self.path is None:
             assert self.file is not None, "a source has a path or a file"
             self.file.seek(0)
@@ -54,9 +61,13 @@ class Source:
         try:
             file = open_regular(self.path)
         except FileNotFoundError as error:
-            raise VolumeError(f"There is no file '{self.path}': check the volume's path.") from error
+            raise VolumeError(
+                f"There is no file '{self.path}': check the volume's path."
+            ) from error
         except OSError as error:
-            raise VolumeError(f"The volume '{self.path}' cannot be read ({error}): check the file.") from error
+            raise VolumeError(
+                f"The volume '{self.path}' cannot be read ({error}): check the file."
+            ) from error
         with file:
             yield file
 
@@ -72,8 +83,13 @@ class Source:
             return cut_notes(file, size)
 
     def stamp(self, *others: Path) -> str:
-        """Names the state of the file, of ``others`` that belong to it, and what is chosen; see ``Grid``."""
-        files = [self.path] if self.path is not None else []
+        """Names the state of the file, of ``others`` that belong to it, and what is chosen; see
+        ``Grid``.
+        """
+        if self.path is not None:
+            files = [self.path]
+        else:
+            files = []
         return f"{stamp_of([*files, *others])} {sorted(self.chosen.items())}"
 
     def refuse_others(self, *keys: str) -> None:
@@ -83,7 +99,9 @@ class Source:
             raise VolumeError(f"'{self.name}' has no '{other}' to choose: leave it out.")
 
     def count(self, key: str) -> int | None:
-        """A number that is chosen; None where none is. Raises VolumeError where it is no whole number."""
+        """A number that is chosen; None where none is. Raises VolumeError where it is no whole
+        number.
+        """
         given = self.chosen.get(key)
         if given is None:
             return None
@@ -92,17 +110,25 @@ class Source:
         return int(given)
 
     def check(self, shape: Shape) -> None:
-        """Raise VolumeError where a field of ``shape`` is larger than may be read, before any memory is taken."""
+        """Raise VolumeError where a field of ``shape`` is larger than may be read, before any
+        memory is taken.
+        """
         if min(shape, default=0) < 1:
-            raise VolumeError(f"'{self.name}' claims sizes {shape[::-1]}, which cannot be: write it again.")
+            raise VolumeError(
+                f"'{self.name}' claims sizes {shape[::-1]}, which cannot be: write it again."
+            )
         voxels = math.prod(shape)
         if voxels > self.voxels:
             most = f"{self.voxels} are the most that may be"
-            raise VolumeError(f"'{self.name}' has {voxels} voxels, and {most}: save a smaller part.")
+            raise VolumeError(
+                f"'{self.name}' has {voxels} voxels, and {most}: save a smaller part."
+            )
 
 
 def library(name: str, kind: str, install: str = "'isogi[formats]'") -> Any:
-    """The library that reads files of a ``kind``. VolumeError, with the line that installs it, where it is missing."""
+    """The library that reads files of a ``kind``. VolumeError, with the line that installs it,
+    where it is missing.
+    """
     try:
         return import_module(name)
     except ImportError as error:
@@ -123,9 +149,11 @@ Reader = Callable[[Source], Grid]
 
 
 def reader(kind: str, *choices: str) -> Callable[[Reader], Reader]:
-    """Decorator: a function that opens sources of a ``kind``, of which the ``choices`` may be chosen, as grids.
+    """Decorator: a function that opens sources of a ``kind``, of which the ``choices`` may be
+    chosen, as grids.
 
-    It raises VolumeError for whatever a library makes of a damaged file, and so do the slabs of its grids.
+    It raises VolumeError for whatever a library makes of a damaged file, and so do the slabs of its
+    grids.
     """
 
     def decorate(read: Reader) -> Reader:
@@ -141,7 +169,9 @@ def reader(kind: str, *choices: str) -> Callable[[Reader], Reader]:
     return decorate
 
 
-def _read_slabs(name: str, kind: str, slabs: Callable[[], Iterator[np.ndarray]]) -> Iterator[np.ndarray]:
+def _read_slabs(
+    name: str, kind: str, slabs: Callable[[], Iterator[np.ndarray]]
+) -> Iterator[np.ndarray]:
     with reading(name, kind):
         yield from slabs()
 
@@ -157,25 +187,32 @@ def reading(name: str, kind: str) -> Iterator[None]:
         if lacking := MISSING_PACKAGE.search(str(error)):
             needed = f"'{name}' is packed in a way that {lacking[1]} reads, which is not installed"
             raise VolumeError(f"{needed}: pip install {lacking[1]}.") from error
-        raise VolumeError(f"'{name}' cannot be read as {kind} ({line_of(error)}): copy or write it again.") from error
+        raise VolumeError(
+            f"'{name}' cannot be read as {kind} ({line_of(error)}): copy or write it again."
+        ) from error
 
 
 def raw_slabs(
     source: Source, start: int, shape: Shape, dtype: np.dtype[Any], exact: bool = False
 ) -> Iterator[np.ndarray]:
-    """The voxels (z, y, x) that lie one after the other from byte ``start`` of the content on; some layers at a time.
+    """The voxels (z, y, x) that lie one after the other from byte ``start`` of the content on; some
+    layers at a time.
 
-    VolumeError where the file ends before the last, or where it should be ``exact`` and does not end with it: no memory
-    is taken on a header's word.
+    VolumeError where the file ends before the last, or where it should be ``exact`` and does not
+    end with it: no memory is taken on a header's word.
     """
     with source.unpacked() as file:
         try:
             skip(file, start)
             yield from slabs_in(file, source.name, shape, dtype)
             if read_end(file) and exact:
-                raise VolumeError(f"'{source.name}' goes on after its last voxel: check its sizes and its type.")
+                raise VolumeError(
+                    f"'{source.name}' goes on after its last voxel: check its sizes and its type."
+                )
         except PACKING_DAMAGE as error:
-            raise VolumeError(f"The voxels of '{source.name}' are damaged ({error}): copy it again.") from error
+            raise VolumeError(
+                f"The voxels of '{source.name}' are damaged ({error}): copy it again."
+            ) from error
 
 
 def skip(file: Content, count: int) -> None:
@@ -185,19 +222,25 @@ def skip(file: Content, count: int) -> None:
 
 
 def slabs_in(file: Content, name: str, shape: Shape, dtype: np.dtype[Any]) -> Iterator[np.ndarray]:
-    """The next numbers of a file as an array of a ``shape``, some layers at a time. Raises as ``read_numbers``."""
+    """The next numbers of a file as an array of a ``shape``, some layers at a time. Raises as
+    ``read_numbers``.
+    """
     layer = math.prod(shape[1:])
     deep = slab_layers(layer * dtype.itemsize)
     for z in range(0, shape[0], deep):
-        yield read_numbers(file, name, min(deep, shape[0] - z) * layer, dtype).reshape(-1, *shape[1:])
+        yield read_numbers(file, name, min(deep, shape[0] - z) * layer, dtype).reshape(
+            -1, *shape[1:]
+        )
 
 
 def read_numbers(file: Content, name: str, count: int, dtype: np.dtype[Any]) -> np.ndarray:
-    """The next numbers of a file, (count,). VolumeError, which names the volume, where there are fewer.
+    """The next numbers of a file, (count,). VolumeError, which names the volume, where there are
+    fewer.
 
     Memory is taken as they are read.
     """
-    data, size = bytearray(), count * dtype.itemsize
+    data = bytearray()
+    size = count * dtype.itemsize
     while len(data) < size:
         block = file.read(min(size - len(data), READ_BYTES))
         if not block:
@@ -218,18 +261,23 @@ def luminance_of_colours(colours: np.ndarray) -> np.ndarray:
 
 
 def pick(source: Source, key: str, length: int, steps: str) -> int:
-    """Which of ``length`` elements is chosen by ``key``, the only one by default. Raises VolumeError."""
+    """Which of ``length`` elements is chosen by ``key``, the only one by default. Raises
+    VolumeError.
+    """
     chosen = source.count(key)
     if chosen is None and length > 1:
         one = f"choose one by {key} = 0 to {length - 1} in the scene, or as '{source.name}#{key}=0'"
         raise VolumeError(f"'{source.name}' has {length} {steps}: {one}.")
     if not 0 <= (chosen or 0) < length:
-        raise VolumeError(f"{key} = {chosen} is not in '{source.name}', which has 0 to {length - 1}.")
+        raise VolumeError(
+            f"{key} = {chosen} is not in '{source.name}', which has 0 to {length - 1}."
+        )
     return chosen or 0
 
 
 def pick_step(source: Source, length: int) -> tuple[int, bool]:
-    """Which of ``length`` steps in time is chosen, the first by default, and whether nobody chose among several.
+    """Which of ``length`` steps in time is chosen, the first by default, and whether nobody chose
+    among several.
 
     It is for files that say that an axis is time. Raises VolumeError for a step that is not there.
     """
@@ -237,16 +285,21 @@ def pick_step(source: Source, length: int) -> tuple[int, bool]:
     return 0 if unchosen else pick(source, "time", length, "time steps"), unchosen
 
 
-def pick_axes(source: Source, shape: Shape, in_time: bool = False) -> tuple[tuple[int, ...], tuple[int, int], bool]:
-    """Which elements are chosen along the axes before the last three of an array: time and then channel, of two.
+def pick_axes(
+    source: Source, shape: Shape, in_time: bool = False
+) -> tuple[tuple[int, ...], tuple[int, int], bool]:
+    """Which elements are chosen along the axes before the last three of an array: time and then
+    channel, of two.
 
-    An only one is chosen by either key, unless the first is said to be ``in_time``: then its first step is taken where
-    none is chosen. Returns the moment, too, and whether nobody chose a step among several; see ``Grid``. Raises
-    VolumeError where there are more axes.
+    An only one is chosen by either key, unless the first is said to be ``in_time``: then its first
+    step is taken where none is chosen. Returns the moment, too, and whether nobody chose a step
+    among several; see ``Grid``. Raises VolumeError where there are more axes.
     """
     extra = shape[:-3]
     if len(extra) > 2:
-        raise VolumeError(f"'{source.name}' has {len(shape)} dimensions: save one scalar field of it.")
+        raise VolumeError(
+            f"'{source.name}' has {len(shape)} dimensions: save one scalar field of it."
+        )
     if not extra:
         return (), SINGLE_MOMENT, False
     if in_time:
@@ -254,10 +307,14 @@ def pick_axes(source: Source, shape: Shape, in_time: bool = False) -> tuple[tupl
         rest = [pick(source, "channel", n, "elements of channel") for n in extra[1:]]
         return (step, *rest), (step, extra[0]), unchosen
     if len(extra) == 1:
-        key = "channel" if "channel" in source.chosen else "time"
+        if "channel" in source.chosen:
+            key = "channel"
+        else:
+            key = "time"
         picked = pick(source, key, extra[0], "fields")
         return (picked,), SINGLE_MOMENT if key == "channel" else (picked, extra[0]), False
     time, channel = (
-        pick(source, key, n, f"elements of {key}") for key, n in zip(("time", "channel"), extra, strict=True)
+        pick(source, key, n, f"elements of {key}")
+        for key, n in zip(("time", "channel"), extra, strict=True)
     )
     return (time, channel), (time, extra[0]), False

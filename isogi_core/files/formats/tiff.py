@@ -29,12 +29,25 @@ from isogi_core.files.packed_files import stamp_of
 from isogi_core.files.packing import Packing, Scaling, holed
 
 TIFF_SUFFIXES = (".tif", ".tiff")
-TIFF_UNITS = {"micron": "µm", "um": "µm", "\\u00B5m": "µm", "µm": "µm", "nm": "nm", "mm": "mm", "cm": "cm", "pixel": ""}
-PLANE_AXES, COLOUR_AXIS = "YX", "S"
+TIFF_UNITS = {
+    "micron": "µm",
+    "um": "µm",
+    "\\u00B5m": "µm",
+    "µm": "µm",
+    "nm": "nm",
+    "mm": "mm",
+    "cm": "cm",
+    "pixel": "",
+}
+PLANE_AXES = "YX"
+COLOUR_AXIS = "S"
 COLOUR_PAGES = (PLANE_AXES + COLOUR_AXIS, COLOUR_AXIS + PLANE_AXES)
 """Axes of pages of colours: each voxel's together, or plane by plane."""
 
-TIME_AXIS, REPEAT_AXIS, CHANNEL_AXES, DEPTH_AXIS = "T", "R", "CL", "Z"
+TIME_AXIS = "T"
+REPEAT_AXIS = "R"
+CHANNEL_AXES = "CL"
+DEPTH_AXIS = "Z"
 """Letters of axes along which a field is chosen; other ones before y and x are z, as Z is."""
 
 PLANE_COUNTS = {
@@ -52,33 +65,61 @@ def is_tiff(head: bytes) -> bool:
 
 @reader("TIFF", "time", "channel", "series")
 def open_tiff(source: Source) -> Grid:
-    """Open the first series of a TIFF file as a grid: only its description is read now. Raises VolumeError."""
+    """Open the first series of a TIFF file as a grid: only its description is read now. Raises
+    VolumeError.
+    """
     tifffile = library("tifffile", "TIFF")
     with source.open() as file, tifffile.TiffFile(file, name=source.name) as whole:
         series = _series(source, whole)
-        axes, shape, dtype = series.axes, tuple(int(n) for n in series.shape), series.dtype
+        axes = series.axes
+        shape = tuple(int(n) for n in series.shape)
+        dtype = series.dtype
         pages, moment = _pages(source, axes, shape)
-        coloured, (ny, nx) = COLOUR_AXIS in axes, (shape[axes.rindex(axis)] for axis in PLANE_AXES)
+        coloured = COLOUR_AXIS in axes
+        (ny, nx) = (shape[axes.rindex(axis)] for axis in PLANE_AXES)
         _check_page(source, series, coloured)
         source.check((len(pages), ny, nx))
         spacing, unit = _spacing(whole)
-        kind = "OME-TIFF" if whole.is_ome else "ImageJ's TIFF" if whole.is_imagej else "TIFF"
-        packing = _calibrated(_packing(series.keyframe, dtype, coloured), whole.imagej_metadata or {})
+        if whole.is_ome:
+            kind = "OME-TIFF"
+        elif whole.is_imagej:
+            kind = "ImageJ's TIFF"
+        else:
+            kind = "TIFF"
+        packing = _calibrated(
+            _packing(series.keyframe, dtype, coloured), whole.imagej_metadata or {}
+        )
     slabs = partial(_page_slabs, source, pages, (ny, nx), packing)
     guess, doubt = _layers_of(axes, shape)
     notes = ((LUMINANCE_NOTE,) if coloured else packing.notes) + doubt
     known = packing.read_as(kind, f"{kind}'s sizes of voxels" if kind != "TIFF" else "") + guess
-    grid = Grid((len(pages), ny, nx), packing.dtype, spacing, slabs, source.stamp, None, unit, notes, read_as=known)
-    return replace(grid, moment=moment, unchosen=moment != SINGLE_MOMENT and source.count("time") is None)
+    grid = Grid(
+        (len(pages), ny, nx),
+        packing.dtype,
+        spacing,
+        slabs,
+        source.stamp,
+        None,
+        unit,
+        notes,
+        read_as=known,
+    )
+    return replace(
+        grid, moment=moment, unchosen=moment != SINGLE_MOMENT and source.count("time") is None
+    )
 
 
 def _layers_of(axes: str, shape: Shape) -> tuple[str, tuple[str, ...]]:
-    """What planes were taken for, for ``read_as``; and a note where the file says that they are no depth.
+    """What planes were taken for, for ``read_as``; and a note where the file says that they are no
+    depth.
 
-    A film of one plane is no volume: its frames are shown as layers, as no other picture of it is one.
+    A film of one plane is no volume: its frames are shown as layers, as no other picture of it is
+    one.
     """
     outer = [
-        axis for axis, length in zip(axes, shape, strict=False) if length > 1 and axis not in PLANE_AXES + COLOUR_AXIS
+        axis
+        for axis, length in zip(axes, shape, strict=False)
+        if length > 1 and axis not in PLANE_AXES + COLOUR_AXIS
     ]
     if len(outer) != 1 or outer[0] == DEPTH_AXIS:
         return "", ()
@@ -90,22 +131,35 @@ def _layers_of(axes: str, shape: Shape) -> tuple[str, tuple[str, ...]]:
 
 
 def _calibrated(packing: Packing, about: Mapping[str, Any]) -> Packing:
-    """The packing with ImageJ's calibration of values, where that is a straight line; a note where it is another."""
-    kind, (offset, slope) = about.get("cf"), (about.get(name) for name in ("c0", "c1"))
+    """The packing with ImageJ's calibration of values, where that is a straight line; a note where
+    it is another.
+    """
+    kind = about.get("cf")
+    (offset, slope) = (about.get(name) for name in ("c0", "c1"))
     if kind is None or int(kind) in UNCALIBRATED_FUNCTIONS:
         return packing
     if int(kind) != STRAIGHT_LINE or offset is None or slope is None:
-        return replace(packing, notes=(*packing.notes, "ImageJ's calibration of values is no straight line: left out."))
+        return replace(
+            packing,
+            notes=(*packing.notes, "ImageJ's calibration of values is no straight line: left out."),
+        )
     scaling = Scaling(float(slope), float(offset))
-    notes = () if scaling.trivial else (f"Values are {slope:g} · stored + {offset:g}, ImageJ's calibration.",)
+    notes = (
+        ()
+        if scaling.trivial
+        else (f"Values are {slope:g} · stored + {offset:g}, ImageJ's calibration.",)
+    )
     return replace(packing, scaling=scaling, notes=(*packing.notes, *notes))
 
 
-STRAIGHT_LINE, UNCALIBRATED_FUNCTIONS = 0, (20, 21)
+STRAIGHT_LINE = 0
+UNCALIBRATED_FUNCTIONS = (20, 21)
 """ImageJ's numbers of calibration functions. Source: ij.measure.Calibration."""
 
 NO_DATA = 42113
-"""The tag in which geographers' files name the value of pixels without data, as text. Source: GDAL's GeoTIFF driver."""
+"""The tag in which geographers' files name the value of pixels without data, as text. Source:
+GDAL's GeoTIFF driver.
+"""
 
 
 def _packing(page: Any, stored: np.dtype[Any], coloured: bool) -> Packing:
@@ -113,7 +167,10 @@ def _packing(page: Any, stored: np.dtype[Any], coloured: bool) -> Packing:
     if coloured:
         return Packing(np.dtype(np.float32))
     tag = page.tags.get(NO_DATA)
-    text = "" if tag is None else str(tag.value).strip("\0 ")
+    if tag is None:
+        text = ""
+    else:
+        text = str(tag.value).strip("\0 ")
     try:
         return holed(stored, [float(text)] if text else [], "no data")
     except ValueError:
@@ -140,30 +197,47 @@ def _is_stack(series: Any) -> bool:
 
 
 def _pages(source: Source, axes: str, shape: Shape) -> tuple[list[int], tuple[int, int]]:
-    """Numbers of the planes that make up the field that is chosen, in its order along z, and its moment."""
+    """Numbers of the planes that make up the field that is chosen, in its order along z, and its
+    moment.
+    """
     inner = next((each for each in COLOUR_PAGES if axes.endswith(each)), PLANE_AXES)
     if not axes.endswith(inner) or (inner == PLANE_AXES and len(axes) < 3):
         raise VolumeError(f"'{source.name}' has the axes {axes}: save a stack of planes.")
     outer = list(zip(axes.removesuffix(inner), shape, strict=False))
-    alone = sum(length > 1 for _, length in outer) == 1  # a stack without z: planes are one upon the other
+    alone = (
+        sum(length > 1 for _, length in outer) == 1
+    )  # a stack without z: planes are one upon the other
     picks: list[Any] = [_pick(source, axis, length, alone) for axis, length in outer]
     times = [
-        (step, n) for (axis, n), step in zip(outer, picks, strict=True) if axis == TIME_AXIS and n > 1 and not alone
+        (step, n)
+        for (axis, n), step in zip(outer, picks, strict=True)
+        if axis == TIME_AXIS and n > 1 and not alone
     ]
-    numbers = np.arange(int(np.prod([n for _, n in outer]))).reshape([n for _, n in outer])[tuple(picks)]
+    numbers = np.arange(int(np.prod([n for _, n in outer]))).reshape([n for _, n in outer])[
+        tuple(picks)
+    ]
     if numbers.ndim > 1 and sum(n > 1 for n in numbers.shape) > 1:
         raise VolumeError(f"'{source.name}' has the axes {axes}: save one scalar field of it.")
     return [int(number) for number in numbers.ravel()], (times or [SINGLE_MOMENT])[0]
 
 
 def _pick(source: Source, axis: str, length: int, alone: bool) -> Any:
-    """What is taken along an axis: all where it is z, or ``alone``, else the element that is chosen."""
+    """What is taken along an axis: all where it is z, or ``alone``, else the element that is
+    chosen.
+    """
     if alone and length > 1:
         return slice(None)
     if axis == TIME_AXIS:
         return pick_step(source, length)[0]
-    key = "time" if axis in REPEAT_AXIS else "channel" if axis in CHANNEL_AXES else None
-    return slice(None) if key is None else pick(source, key, length, f"elements of {key}")
+    if axis in REPEAT_AXIS:
+        key = "time"
+    elif axis in CHANNEL_AXES:
+        key = "channel"
+    else:
+        key = None
+    if key is None:
+        return slice(None)
+    return pick(source, key, length, f"elements of {key}")
 
 
 def _check_page(source: Source, series: Any, coloured: bool) -> None:
@@ -178,7 +252,9 @@ def _check_page(source: Source, series: Any, coloured: bool) -> None:
         raise VolumeError(f"'{source.name}' holds pages of {page.axes}: save a plane a page.")
 
 
-def _page_slabs(source: Source, pages: list[int], plane: Shape, packing: Packing) -> Iterator[np.ndarray]:
+def _page_slabs(
+    source: Source, pages: list[int], plane: Shape, packing: Packing
+) -> Iterator[np.ndarray]:
     """The planes of a series, one at a time; (1, ny, nx) each."""
     tifffile = library("tifffile", "TIFF")
     with source.open() as file, tifffile.TiffFile(file, name=source.name) as whole:
@@ -201,8 +277,11 @@ def _plane(source: Source, whole: Any, series: Any, number: int, plane: Shape) -
         if page is None:
             raise VolumeError(f"Plane {number} of '{source.name}' is missing: write it again.")
         values = page.asarray()
-        values = np.moveaxis(values, 0, -1) if page.axes == COLOUR_AXIS + PLANE_AXES else values
-    return luminance_of_colours(values) if coloured else values.reshape(plane)
+        if page.axes == COLOUR_AXIS + PLANE_AXES:
+            values = np.moveaxis(values, 0, -1)
+    if coloured:
+        return luminance_of_colours(values)
+    return values.reshape(plane)
 
 
 def _spacing(whole: Any) -> tuple[tuple[float, float, float], str]:
@@ -227,7 +306,10 @@ def _resolution(page: Any, name: str) -> float:
 def _ome_spacing(text: str) -> tuple[tuple[float, float, float], str]:
     """Physical sizes of the first image; in its x axis's unit where all have the same."""
     found = re.search(r"<(?:\w+:)?Pixels\b[^>]*>", text)
-    given = dict(re.findall(r'PhysicalSize(\w+)="([^"]*)"', found[0])) if found else {}
+    if found:
+        given = dict(re.findall(r'PhysicalSize(\w+)="([^"]*)"', found[0]))
+    else:
+        given = {}
     if not {"X", "Y"} <= set(given):
         return (1.0, 1.0, 1.0), ""
     units = {given.get(f"{axis}Unit", "µm") for axis in "XYZ" if axis in given}
@@ -240,16 +322,24 @@ def _ome_spacing(text: str) -> tuple[tuple[float, float, float], str]:
 
 def slices_in(folder: Path) -> list[Path]:
     """The TIFF files in a folder, in the order of the numbers in their names."""
-    return sorted((path for path in folder.iterdir() if path.suffix.lower() in TIFF_SUFFIXES), key=_numbers)
+    return sorted(
+        (path for path in folder.iterdir() if path.suffix.lower() in TIFF_SUFFIXES), key=_numbers
+    )
 
 
 def _numbers(path: Path) -> list[tuple[int, str]]:
     """Orders names as people do: by their numbers, not by their digits."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", path.name) if part]
+    return [
+        (int(part), "") if part.isdecimal() else (-1, part)
+        for part in re.split(r"(\d+)", path.name)
+        if part
+    ]
 
 
 def open_tiff_folder(source: Source) -> Grid:
-    """Open a folder of TIFF slices as a grid. Raises VolumeError where slices are missing, or unlike the others."""
+    """Open a folder of TIFF slices as a grid. Raises VolumeError where slices are missing, or
+    unlike the others.
+    """
     tifffile = library("tifffile", "TIFF")
     assert source.path is not None, "a folder has a path"
     source.refuse_others()
@@ -262,15 +352,20 @@ def open_tiff_folder(source: Source) -> Grid:
             coloured = page.axes.endswith(COLOUR_AXIS)
             kinds.append((page.shape, _packing(page, page.dtype, coloured), coloured))
             if len(whole.pages) > 1:
-                raise VolumeError(f"'{file}' is a stack among the slices of '{source.name}': move it elsewhere.")
+                raise VolumeError(
+                    f"'{file}' is a stack among the slices of '{source.name}': move it elsewhere."
+                )
     usual = Counter(kinds).most_common(1)[0][0]
     for file, kind in zip(files, kinds, strict=True):
         if kind != usual:
-            others = f"is {kind[0]} {kind[1].stored}, and most others are {usual[0]} {usual[1].stored}"
+            others = (
+                f"is {kind[0]} {kind[1].stored}, and most others are {usual[0]} {usual[1].stored}"
+            )
             raise VolumeError(f"'{file.name}' in '{source.name}' {others}: move it elsewhere.")
     (ny, nx, *_), packing, coloured = usual
     source.check((len(files), ny, nx))
-    slabs, stamp = partial(_slices, files, coloured, packing), partial(stamp_of, files)
+    slabs = partial(_slices, files, coloured, packing)
+    stamp = partial(stamp_of, files)
     notes = (LUMINANCE_NOTE,) if coloured else packing.notes
     return Grid(
         (len(files), ny, nx),
@@ -288,13 +383,19 @@ def _check_gaps(source: Source, files: list[Path]) -> None:
     numbers = [[part for part, text in _numbers(file) if not text] for file in files]
     lasts = [each[-1] for each in numbers if each]
     steps = np.diff(lasts)
-    if len(lasts) != len(files) or not len(steps) or len({tuple(each[:-1]) for each in numbers}) > 1:
+    if (
+        len(lasts) != len(files)
+        or not len(steps)
+        or len({tuple(each[:-1]) for each in numbers}) > 1
+    ):
         return
     usual = int(np.median(steps))
     for file, after, step in zip(files, files[1:], steps, strict=False):
         if step != usual:
             wrong = f"'{file.name}' is followed by '{after.name}', where others are {usual} apart"
-            raise VolumeError(f"Slices of '{source.name}' are missing or doubled ({wrong}): complete the folder.")
+            raise VolumeError(
+                f"Slices of '{source.name}' are missing or doubled ({wrong}): complete the folder."
+            )
 
 
 def _slices(files: list[Path], coloured: bool, packing: Packing) -> Iterator[np.ndarray]:

@@ -1,4 +1,6 @@
-"""Pictures as cards draw them of coded transfer, and how far they are from the truth, by control pixels."""
+"""Pictures as cards draw them of coded transfer, and how far they are from the truth, by control
+pixels.
+"""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -38,18 +40,23 @@ CONTROLS = 256
 
 
 def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) -> Framebuffer:
-    """The picture of a ``view`` that a card draws of all texels' transfer in few bits, with lobes as at rest.
+    """The picture of a ``view`` that a card draws of all texels' transfer in few bits, with lobes
+    as at rest.
 
     Light is final at a ``target`` error. Raises what ``Loader.ensure`` does.
     """
-    tiles, loader, scene = renderer.tiles, renderer.caches.of("gi"), renderer.prepared.scene
-    gbuffer, light = renderer.gbuffer(view), RotatedLight(renderer.caches.spec("gi"), view)
+    tiles = renderer.tiles
+    loader = renderer.caches.of("gi")
+    scene = renderer.prepared.scene
+    gbuffer = renderer.gbuffer(view)
+    light = RotatedLight(renderer.caches.spec("gi"), view)
     texels = renderer.texels(view, gbuffer)
     loader.ensure(texels.chunks, tiles.check)
     with loader.pool.hold(texels.chunks) as held:
         reading = read_texels(texels, held.slots, loader.pool, Until(target, FIRST_LEVEL), tiles)
         numbers = raw_numbers(reading, loader.pool)
-    about, lit = normals_of(renderer, texels, tiles), fold(coding.numbers(coding.codes(numbers)), light)
+    about = normals_of(renderer, texels, tiles)
+    lit = fold(coding.numbers(coding.codes(numbers)), light)
     if reading.grainy.any():
         reading, lit = filter_texel_light(texels, reading, lit, about, light, tiles)
     points = gbuffer.shown(tiles)
@@ -65,8 +72,10 @@ def draw_coded(renderer: Renderer, view: View, coding: Coding, target: float) ->
 
 def fold(numbers: np.ndarray, light: RotatedLight) -> np.ndarray:
     """The light of texels by their ``raw_numbers`` (m, n); (m, LIGHT_NUMBERS)."""
-    spec, lit = light.spec, np.zeros((len(numbers), LIGHT_NUMBERS), np.float32)
-    kept, scatter = numbers[:, :-2].reshape(len(numbers), spec.channels, spec.columns), np.exp2(numbers[:, -2])
+    spec = light.spec
+    lit = np.zeros((len(numbers), LIGHT_NUMBERS), np.float32)
+    kept = numbers[:, :-2].reshape(len(numbers), spec.channels, spec.columns)
+    scatter = np.exp2(numbers[:, -2])
     transfer = np.float32(raw_scale(spec)) * kept
     light_texels(np.arange(len(numbers), dtype=np.int32), transfer, scatter, *light.in_units, lit)
     return lit
@@ -74,7 +83,9 @@ def fold(numbers: np.ndarray, light: RotatedLight) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Control:
-    """Control pixels of a ``view``: rows of its G-buffer's points, and what two halves of paths bring there."""
+    """Control pixels of a ``view``: rows of its G-buffer's points, and what two halves of paths
+    bring there.
+    """
 
     view: View
     gbuffer: GBuffer
@@ -82,19 +93,28 @@ class Control:
 
 
 class ControlPictures:
-    """Pictures of ``views`` whose control pixels are traced once, and then measure the light of texels as it grows."""
+    """Pictures of ``views`` whose control pixels are traced once, and then measure the light of
+    texels as it grows.
+    """
 
     def __init__(
-        self, renderer: Renderer, views: Iterable[View], target: float, report: Callable[[int], None] = lambda _: None
+        self,
+        renderer: Renderer,
+        views: Iterable[View],
+        target: float,
+        report: Callable[[int], None] = lambda _: None,
     ) -> None:
         """Trace paths for pictures of about a ``target`` error.
 
         ``report`` is given how many views are done, here and whenever they are measured.
         """
-        self._renderer, self._target, self._report = renderer, target, report
+        self._renderer = renderer
+        self._target = target
+        self._report = report
         self._controls = []
         for number, view in enumerate(views):
-            self._controls += [each] if (each := self._control(number, view)) else []
+            if each := self._control(number, view):
+                self._controls += [each]
             report(number + 1)
 
     def __len__(self) -> int:
@@ -102,16 +122,20 @@ class ControlPictures:
 
     def _control(self, number: int, view: View) -> Control | None:
         """The control pixels of a view; None where no surface is seen."""
-        renderer, gbuffer = self._renderer, self._renderer.gbuffer(view)
+        renderer = self._renderer
+        gbuffer = self._renderer.gbuffer(view)
         if not (points := len(gbuffer.points)):
             return None
         light = RotatedLight(renderer.caches.spec("gi"), view)
         places = draw_places(gbuffer, np.zeros(points), (number, 0), CONTROLS)
-        halves = trace_controls(light, gbuffer, places, paths_for(self._target), number, renderer.tiles)
+        halves = trace_controls(
+            light, gbuffer, places, paths_for(self._target), number, renderer.tiles
+        )
         return Control(view, gbuffer, ControlPixels(places, np.ones(len(places)), halves))
 
     def measure(self, coding: Coding) -> TotalError:
-        """The error of all pictures with the light that there is now, in the ``coding``, relative to each one's light.
+        """The error of all pictures with the light that there is now, in the ``coding``, relative
+        to each one's light.
 
         Raises what ``Loader.ensure`` does.
         """

@@ -7,7 +7,9 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 
 BYTES = 64 << 20
-"""Bytes of voxels that are sent at most: small cards have room for them, and networks bring them in some seconds."""
+"""Bytes of voxels that are sent at most: small cards have room for them, and networks bring them in
+some seconds.
+"""
 
 SHADINGS = ("gi", "lambert")
 """Shadings that a card draws."""
@@ -22,7 +24,10 @@ class Obstacle(NamedTuple):
 
 Test = Callable[[Scene, View], bool]
 TESTS: tuple[tuple[Obstacle, Test], ...] = (
-    (Obstacle("rooms", "Walls are lit by paths of the server."), lambda scene, _: scene.lighting.room.any),
+    (
+        Obstacle("rooms", "Walls are lit by paths of the server."),
+        lambda scene, _: scene.lighting.room.any,
+    ),
     (
         Obstacle("glass", "Rays through glass are followed by the server."),
         lambda scene, _: scene.surfaces.material.refracts,
@@ -39,7 +44,10 @@ TESTS: tuple[tuple[Obstacle, Test], ...] = (
         Obstacle("shine", "Rays of shine are cast by the server."),
         lambda scene, view: scene.surfaces.shine_for(view.shine) is not None,
     ),
-    (Obstacle("glow", "What glows is gathered by the server."), lambda scene, _: scene.lighting.glowing.any),
+    (
+        Obstacle("glow", "What glows is gathered by the server."),
+        lambda scene, _: scene.lighting.glowing.any,
+    ),
     (
         Obstacle("colours", "Colours by data are found by the server."),
         lambda scene, _: scene.surfaces.colours is not None,
@@ -50,11 +58,14 @@ TESTS: tuple[tuple[Obstacle, Test], ...] = (
     ),
 )
 
-VOLUME_TOO_LARGE = Obstacle("volume too large", f"The volume takes more than {BYTES >> 20} MB: the server draws it.")
+VOLUME_TOO_LARGE = Obstacle(
+    "volume too large", f"The volume takes more than {BYTES >> 20} MB: the server draws it."
+)
 
 
 def find_obstacles(scene: Scene, view: View, nbytes: int) -> list[Obstacle]:
-    """What keeps a card from drawing a ``view`` of a ``scene`` whose voxels take so many bytes; nothing where it can.
+    """What keeps a card from drawing a ``view`` of a ``scene`` whose voxels take so many bytes;
+    nothing where it can.
 
     ViewError where views of the scene may not ask for the view's shine.
     """

@@ -1,1 +1,3 @@
-"""Light that a view has of its own, by rays: lobes, shine, walls, and the control pixels that measure its error."""
+"""Light that a view has of its own, by rays: lobes, shine, walls, and the control pixels that
+measure its error.
+"""

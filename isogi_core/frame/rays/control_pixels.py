@@ -1,19 +1,23 @@
-"""Control pixels: whole paths from a few pixels measure the error of a picture, and the tail of its errors.
+"""Control pixels: whole paths from a few pixels measure the error of a picture, and the tail of its
+errors.
 
-A control pixel has two independent halves of paths, a and b, beside the light s that the picture shows. As both halves
-are right on the average and independent of each other, (s - a)(s - b) is right on the average for the squared error of
-s, whatever its causes: noise, interpolation, harmonics, light that leaks, bounces that are cut off. Before there are
-controls the total is a prediction.
+A control pixel has two independent halves of paths, a and b, beside the light s that the picture
+shows. As both halves are right on the average and independent of each other, (s - a)(s - b) is
+right on the average for the squared error of s, whatever its causes: noise, interpolation,
+harmonics, light that leaks, bounces that are cut off. Before there are controls the total is a
+prediction.
 
-The tail of a picture's errors: the error that 99 % of its pixels stay below, by control pixels. A control shows an
-error that is part noise of its own paths. The distribution of the errors without that noise is what makes all
-controls together most likely (Laird, Journal of the American Statistical Association 73, 1978, by expectation
-maximisation), where what is expected counts as some controls do (Dempster, Laird and Rubin, Journal of the Royal
-Statistical Society B 39, 1977, section 1): pixels err normally, as the controls of their class do, or by anything,
-for some err far more than their class. Few controls lie in the tail, each with a weight: the share of pixels above an
-error has a gamma interval (Fay and Feuer, Statistics in Medicine 16, 1997, with the mean weight of Tiwari, Clegg and
-Zou, Statistical Methods in Medical Research 15, 2006). The errors at which the ends of that interval come down to 1 %
-are the interval of the percentile (Woodruff, Journal of the American Statistical Association 47, 1952).
+The tail of a picture's errors: the error that 99 % of its pixels stay below, by control pixels. A
+control shows an error that is part noise of its own paths. The distribution of the errors without
+that noise is what makes all controls together most likely (Laird, Journal of the American
+Statistical Association 73, 1978, by expectation maximisation), where what is expected counts as
+some controls do (Dempster, Laird and Rubin, Journal of the Royal Statistical Society B 39, 1977,
+section 1): pixels err normally, as the controls of their class do, or by anything, for some err far
+more than their class. Few controls lie in the tail, each with a weight: the share of pixels above
+an error has a gamma interval (Fay and Feuer, Statistics in Medicine 16, 1997, with the mean weight
+of Tiwari, Clegg and Zou, Statistical Methods in Medical Research 15, 2006). The errors at which the
+ends of that interval come down to 1 % are the interval of the percentile (Woodruff, Journal of the
+American Statistical Association 47, 1952).
 """
 
 import math
@@ -33,17 +37,23 @@ from isogi_core.plan.budget import BOUNCES_SHARE, bounces_for
 from isogi_core.plan.scene import Scene
 
 CUT = 0.001
-"""Share of the light that bounces beyond those of control paths may bring, where the plan chose the bounces."""
+"""Share of the light that bounces beyond those of control paths may bring, where the plan chose the
+bounces.
+"""
 
-FIRST_CONTROLS, CONTROLS_IF_MISSED, MAX_CONTROLS = 256, 1024, 4096
-"""Pixels of the first round of controls; of all rounds of a picture that seems to miss its target, and of one that
-seems to reach it, whose interval costs less to narrow than better light. Each further round doubles what there is.
+FIRST_CONTROLS = 256
+CONTROLS_IF_MISSED = 1024
+MAX_CONTROLS = 4096
+"""Pixels of the first round of controls; of all rounds of a picture that seems to miss its target,
+and of one that seems to reach it, whose interval costs less to narrow than better light. Each
+further round doubles what there is.
 """
 
 EVENLY_DRAWN = 0.5
 """Share of the controls that is drawn evenly from the picture; the others where it is uncertain."""
 
-FEWEST_PATHS, MOST_PATHS = 16, 512
+FEWEST_PATHS = 16
+MOST_PATHS = 512
 """Paths of each half, at least and at most."""
 
 
@@ -51,8 +61,8 @@ FEWEST_PATHS, MOST_PATHS = 16, 512
 class ControlPixels:
     """Points of a view that were drawn at random, and what paths from each brought.
 
-    ``places`` (k,) int64 are rows of the G-buffer's points, ``weights`` (k,) over k what each counts in a mean over all
-    points, and ``halves`` (k, 2) float64 the luminance by either half.
+    ``places`` (k,) int64 are rows of the G-buffer's points, ``weights`` (k,) over k what each
+    counts in a mean over all points, and ``halves`` (k, 2) float64 the luminance by either half.
     """
 
     places: np.ndarray
@@ -71,18 +81,22 @@ class ControlPixels:
 
     def joined(self, other: "ControlPixels") -> "ControlPixels":
         """The controls and ``other`` ones of the same picture."""
-        places, weights = np.append(self.places, other.places), np.append(self.weights, other.weights)
+        places = np.append(self.places, other.places)
+        weights = np.append(self.weights, other.weights)
         return ControlPixels(places, weights, np.concatenate([self.halves, other.halves]))
 
     def mean(self, shown: np.ndarray, mean: float) -> float:
-        """The true mean luminance of all points, at least 0: the picture's ``mean`` less what controls find too much.
+        """The true mean luminance of all points, at least 0: the picture's ``mean`` less what
+        controls find too much.
 
         The picture shows the luminance ``shown`` (k,) at the controls.
         """
         return max(mean - float((self.weights * (shown - self.halves.mean(axis=1))).mean()), 0.0)
 
     def squares(self, shown: np.ndarray) -> np.ndarray:
-        """The squared error of each control's luminance, ``shown`` (k,), right on the average; (k,)."""
+        """The squared error of each control's luminance, ``shown`` (k,), right on the average;
+        (k,).
+        """
         wrong = shown[:, None] - self.halves
         return np.asarray(wrong[:, 0] * wrong[:, 1])
 
@@ -92,7 +106,9 @@ BINS = 8
 
 
 def classes_of(uncertainty: np.ndarray, controls: ControlPixels) -> np.ndarray:
-    """The class of each point (m,) by its ``uncertainty``, least first, with as many ``controls`` in each; (m,)."""
+    """The class of each point (m,) by its ``uncertainty``, least first, with as many ``controls``
+    in each; (m,).
+    """
     edges = np.quantile(uncertainty[controls.places], np.arange(1, BINS) / BINS)
     return np.searchsorted(edges, uncertainty)
 
@@ -105,42 +121,66 @@ def means_of(classes: np.ndarray, controls: ControlPixels, values: np.ndarray) -
 
 
 def squares_of(classes: np.ndarray, controls: ControlPixels, shown: np.ndarray) -> np.ndarray:
-    """The mean squared error of each class by its controls, whose luminance is ``shown`` (k,); (BINS,), at least 0."""
+    """The mean squared error of each class by its controls, whose luminance is ``shown`` (k,);
+    (BINS,), at least 0.
+    """
     return np.maximum(means_of(classes, controls, controls.squares(shown)), 0.0)
 
 
 def variance_of_halves(uncertainty: np.ndarray, controls: ControlPixels) -> np.ndarray:
-    """The variance of each point's luminance by a half of its paths, as the controls of its class show it; (m,)."""
-    classes, apart = classes_of(uncertainty, controls), controls.halves[:, 0] - controls.halves[:, 1]
+    """The variance of each point's luminance by a half of its paths, as the controls of its class
+    show it; (m,).
+    """
+    classes = classes_of(uncertainty, controls)
+    apart = controls.halves[:, 0] - controls.halves[:, 1]
     return np.asarray(means_of(classes, controls, apart**2 / 2.0)[classes])
 
 
-def spread_errors(uncertainty: np.ndarray, controls: ControlPixels, shown: np.ndarray) -> np.ndarray:
-    """The error of each point's luminance: what its class errs by, shared out by the ``uncertainty`` (m,); (m,)."""
+def spread_errors(
+    uncertainty: np.ndarray, controls: ControlPixels, shown: np.ndarray
+) -> np.ndarray:
+    """The error of each point's luminance: what its class errs by, shared out by the
+    ``uncertainty`` (m,); (m,).
+    """
     classes = classes_of(uncertainty, controls)
-    means = np.bincount(classes, uncertainty**2, BINS) / np.maximum(np.bincount(classes, minlength=BINS), 1)
+    means = np.bincount(classes, uncertainty**2, BINS) / np.maximum(
+        np.bincount(classes, minlength=BINS), 1
+    )
     shares = uncertainty / np.sqrt(np.maximum(means, 1e-300))[classes]
     return np.asarray(
-        np.where(means[classes] > 0.0, shares, 1.0) * np.sqrt(squares_of(classes, controls, shown))[classes]
+        np.where(means[classes] > 0.0, shares, 1.0)
+        * np.sqrt(squares_of(classes, controls, shown))[classes]
     )
 
 
-def draw_places(gbuffer: GBuffer, uncertainty: np.ndarray, key: tuple[int, int], count: int) -> np.ndarray:
-    """Rows of ``count`` points, drawn in strata along a curve that fills the picture, more where it is uncertain.
+def draw_places(
+    gbuffer: GBuffer, uncertainty: np.ndarray, key: tuple[int, int], count: int
+) -> np.ndarray:
+    """Rows of ``count`` points, drawn in strata along a curve that fills the picture, more where it
+    is uncertain.
 
-    Half of them are drawn evenly, the others by the ``uncertainty`` (m,) of each point; random numbers follow from the
-    ``key``. Returns rows (count,) int64.
+    Half of them are drawn evenly, the others by the ``uncertainty`` (m,) of each point; random
+    numbers follow from the ``key``. Returns rows (count,) int64.
     """
-    order = np.argsort(interleaved(gbuffer.pixels % gbuffer.shape[1], gbuffer.pixels // gbuffer.shape[1]))
+    order = np.argsort(
+        interleaved(gbuffer.pixels % gbuffer.shape[1], gbuffer.pixels // gbuffer.shape[1])
+    )
     reached = np.cumsum(chances(uncertainty)[order])
-    strata = (np.arange(count) + np.random.default_rng((streams.CONTROLS_STREAM, *key)).random(count)) / count
-    return np.asarray(order[np.minimum(np.searchsorted(reached, strata * reached[-1]), len(order) - 1)])
+    strata = (
+        np.arange(count) + np.random.default_rng((streams.CONTROLS_STREAM, *key)).random(count)
+    ) / count
+    return np.asarray(
+        order[np.minimum(np.searchsorted(reached, strata * reached[-1]), len(order) - 1)]
+    )
 
 
 def chances(uncertainty: np.ndarray) -> np.ndarray:
     """The chance of each point (m,) to be drawn."""
     total = float(uncertainty.sum())
-    uneven = uncertainty / total if total > 0.0 else np.full(len(uncertainty), 1.0 / len(uncertainty))
+    if total > 0.0:
+        uneven = uncertainty / total
+    else:
+        uneven = np.full(len(uncertainty), 1.0 / len(uncertainty))
     return np.asarray(EVENLY_DRAWN / len(uncertainty) + (1.0 - EVENLY_DRAWN) * uneven)
 
 
@@ -158,14 +198,17 @@ def spread_bits(words: np.ndarray) -> np.ndarray:
 
 
 def paths_for(target: float) -> int:
-    """Paths of each half for pictures of about a ``target`` error: a power of two, whose noise is about as large."""
+    """Paths of each half for pictures of about a ``target`` error: a power of two, whose noise is
+    about as large.
+    """
     return int(np.clip(2 ** math.ceil(math.log2(8.0 / target)), FEWEST_PATHS, MOST_PATHS))
 
 
 def trace_controls(
     light: RotatedLight, gbuffer: GBuffer, places: np.ndarray, paths: int, stream: int, tiles: Tiles
 ) -> np.ndarray:
-    """The luminance of points at ``places`` (k,) by two halves of so many ``paths`` each; (k, 2). Raises Cancelled.
+    """The luminance of points at ``places`` (k,) by two halves of so many ``paths`` each; (k, 2).
+    Raises Cancelled.
 
     Halves of another ``stream`` draw random numbers of their own.
     """
@@ -177,14 +220,20 @@ def trace_controls(
 
 
 def bounces_of_truth(light: RotatedLight) -> int:
-    """Bounces of paths that nothing of worth is cut off from; the scene's own where somebody gave them."""
+    """Bounces of paths that nothing of worth is cut off from; the scene's own where somebody gave
+    them.
+    """
     plan = light.spec.prepared.scene.plan
     chosen = "bounces" in dict(plan.errors)
-    return max(bounces_for(light.reflecting, CUT / BOUNCES_SHARE), plan.bounces) if chosen else plan.bounces
+    if chosen:
+        return max(bounces_for(light.reflecting, CUT / BOUNCES_SHARE), plan.bounces)
+    return plan.bounces
 
 
 CONTROL_STANDARD_ERRORS = 2.2
-"""Standard errors to either side: with 1.96 of them 256 controls of seven views held 86 to 95 %, not 95 %."""
+"""Standard errors to either side: with 1.96 of them 256 controls of seven views held 86 to 95 %,
+not 95 %.
+"""
 
 FARTHEST = 20.0
 """The logarithm that an interval's half is cut off at."""
@@ -192,7 +241,8 @@ FARTHEST = 20.0
 
 @dataclass(frozen=True)
 class TotalError:
-    """Relative RMSE of a picture's luminance over its surface, ``likely``, and the 95 % interval ``low`` to ``high``.
+    """Relative RMSE of a picture's luminance over its surface, ``likely``, and the 95 % interval
+    ``low`` to ``high``.
 
     So many ``controls`` measured it; of none it is a prediction.
     """
@@ -203,7 +253,9 @@ class TotalError:
     controls: int = 0
 
     def at_least(self, noise: float) -> "TotalError":
-        """The error of a picture whose ``noise`` alone is this large: controls of few pixels may find less."""
+        """The error of a picture whose ``noise`` alone is this large: controls of few pixels may
+        find less.
+        """
         return replace(self, likely=max(self.likely, noise), high=max(self.high, noise))
 
     @property
@@ -213,25 +265,38 @@ class TotalError:
 
 
 def measure_total(squares: np.ndarray, mean: float) -> TotalError:
-    """The total error by the weighted squared errors (k,) of control pixels, relative to the true ``mean`` luminance.
+    """The total error by the weighted squared errors (k,) of control pixels, relative to the true
+    ``mean`` luminance.
 
-    The interval is that of the logarithm of their mean, for a few large ones make most of it; it never leaves 0 to 1.
+    The interval is that of the logarithm of their mean, for a few large ones make most of it; it
+    never leaves 0 to 1.
     """
-    count, square = len(squares), float(squares.mean())
+    count = len(squares)
+    square = float(squares.mean())
     spread = float(squares.std()) / math.sqrt(count)
     if mean <= 0.0:
         worst = float(squares.any())
         return TotalError(worst, worst, worst, count)
-    factor = math.exp(min(CONTROL_STANDARD_ERRORS * spread / square, FARTHEST)) if square > 0.0 else 1.0
-    above = square * factor if square > 0.0 else CONTROL_STANDARD_ERRORS * spread
-    low, likely, high = (min(math.sqrt(max(each, 0.0)) / mean, 1.0) for each in (square / factor, square, above))
+    if square > 0.0:
+        factor = math.exp(min(CONTROL_STANDARD_ERRORS * spread / square, FARTHEST))
+    else:
+        factor = 1.0
+    if square > 0.0:
+        above = square * factor
+    else:
+        above = CONTROL_STANDARD_ERRORS * spread
+    low, likely, high = (
+        min(math.sqrt(max(each, 0.0)) / mean, 1.0) for each in (square / factor, square, above)
+    )
     return TotalError(likely, low, high, count)
 
 
 def expected_error(scene: Scene, isovalue: Isovalue) -> float:
     """The error that the plan and the survey of the volume let expect beside noise; relative."""
     surveyed = scene.projection
-    return math.hypot(min(surveyed.error(isovalue), surveyed.allowed), *(error for _, error in scene.plan.errors))
+    return math.hypot(
+        min(surveyed.error(isovalue), surveyed.allowed), *(error for _, error in scene.plan.errors)
+    )
 
 
 def predict_total(noise: float, expected: float) -> TotalError:
@@ -254,8 +319,11 @@ BORDERS = np.sqrt(ERRORS[1:] * ERRORS[:-1])
 ODD = 0.5
 """The share of pixels of which nothing is expected: each of the errors is as likely."""
 
-TRUSTED_CONTROLS, ROUNDS = 512, 10
-"""Controls that what is expected counts as much as, and rounds of maximisation: more of them change the tail by 1 %."""
+TRUSTED_CONTROLS = 512
+ROUNDS = 10
+"""Controls that what is expected counts as much as, and rounds of maximisation: more of them change
+the tail by 1 %.
+"""
 
 TRUSTED = 4.0
 """What the noise of a control's class counts in its noise, beside the two halves of its paths."""
@@ -269,7 +337,8 @@ TAIL_STANDARD_ERRORS = 1.96
 
 @dataclass(frozen=True)
 class TailError:
-    """The error relative to the mean luminance that 99 % of a picture's pixels stay below, and its 95 % interval.
+    """The error relative to the mean luminance that 99 % of a picture's pixels stay below, and its
+    95 % interval.
 
     An interval up to 1 says that there are too few controls to bound it.
     """
@@ -279,11 +348,14 @@ class TailError:
     high: float
 
 
-def tail_of(controls: ControlPixels, shown: np.ndarray, uncertainty: np.ndarray, mean: float) -> TailError:
-    """The tail of a picture that shows the luminance ``shown`` (k,) at its ``controls``; see ``measure_tail``.
+def tail_of(
+    controls: ControlPixels, shown: np.ndarray, uncertainty: np.ndarray, mean: float
+) -> TailError:
+    """The tail of a picture that shows the luminance ``shown`` (k,) at its ``controls``; see
+    ``measure_tail``.
 
-    They were drawn by the ``uncertainty`` (m,) of its points, whose true ``mean`` luminance errors are relative to.
-    A pixel that was drawn again and again is one control.
+    They were drawn by the ``uncertainty`` (m,) of its points, whose true ``mean`` luminance errors
+    are relative to. A pixel that was drawn again and again is one control.
     """
     places, first, each = np.unique(controls.places, return_index=True, return_inverse=True)
     if not len(places) or mean <= 0.0:
@@ -295,11 +367,14 @@ def tail_of(controls: ControlPixels, shown: np.ndarray, uncertainty: np.ndarray,
     return measure_tail(wrong, np.bincount(each, controls.weights), classes, expected)
 
 
-def measure_tail(wrong: np.ndarray, weights: np.ndarray, classes: np.ndarray, expected: np.ndarray) -> TailError:
-    """The tail by control pixels: by their two halves of paths they err by ``wrong`` (k, 2), relative to the mean.
+def measure_tail(
+    wrong: np.ndarray, weights: np.ndarray, classes: np.ndarray, expected: np.ndarray
+) -> TailError:
+    """The tail by control pixels: by their two halves of paths they err by ``wrong`` (k, 2),
+    relative to the mean.
 
-    ``weights`` (k,) say what each counts among all pixels, and ``classes`` (k,) from 0 which controls have about
-    as much noise. All pixels (m,) are ``expected`` to err by so much.
+    ``weights`` (k,) say what each counts among all pixels, and ``classes`` (k,) from 0 which
+    controls have about as much noise. All pixels (m,) are ``expected`` to err by so much.
     """
     counts = weights / weights.sum()
     seen = likelihoods(wrong, noise_of(wrong, classes))
@@ -309,36 +384,50 @@ def measure_tail(wrong: np.ndarray, weights: np.ndarray, classes: np.ndarray, ex
 
 
 def noise_of(wrong: np.ndarray, classes: np.ndarray) -> np.ndarray:
-    """The variance of the mean of each control's halves (k,): of its class, corrected a little by the two."""
+    """The variance of the mean of each control's halves (k,): of its class, corrected a little by
+    the two.
+    """
     each = (wrong[:, 0] - wrong[:, 1]) ** 2 / 4.0
     pooled = np.bincount(classes, each) / np.maximum(np.bincount(classes), 1)
     return np.asarray((TRUSTED * pooled[classes] + each) / (TRUSTED + 1.0))
 
 
 def likelihoods(wrong: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """How likely what each control shows is if it errs by each of the ERRORS, either way; (k, errors), at most 1."""
-    seen, spread = np.minimum(np.abs(wrong.mean(axis=1)), 1.0)[:, None], np.maximum(variance, MIN_ERROR**2)[:, None]
+    """How likely what each control shows is if it errs by each of the ERRORS, either way; (k,
+    errors), at most 1.
+    """
+    seen = np.minimum(np.abs(wrong.mean(axis=1)), 1.0)[:, None]
+    spread = np.maximum(variance, MIN_ERROR**2)[:, None]
     apart = -((seen - ERRORS) ** 2) / (2.0 * spread)
     return np.asarray(np.exp(apart - apart.max(axis=1, keepdims=True)))
 
 
 def shares_of(expected: np.ndarray) -> np.ndarray:
-    """The share of pixels that err by each of the ERRORS, where they are ``expected`` (m,) to err; (errors,)."""
-    of_scale = np.bincount(np.searchsorted(BORDERS, expected), minlength=len(ERRORS)) / len(expected)
+    """The share of pixels that err by each of the ERRORS, where they are ``expected`` (m,) to err;
+    (errors,).
+    """
+    of_scale = np.bincount(np.searchsorted(BORDERS, expected), minlength=len(ERRORS)) / len(
+        expected
+    )
     return np.asarray(ODD / len(ERRORS) + (1.0 - ODD) * (normal_shares() @ of_scale))
 
 
 @cache
 def normal_shares() -> np.ndarray:
-    """How much of a normal error, whose scale is each of the ERRORS, is about each of them; (errors, scales)."""
+    """How much of a normal error, whose scale is each of the ERRORS, is about each of them;
+    (errors, scales).
+    """
     scales = math.sqrt(2.0) * ERRORS
     below = np.array([[math.erf(border / scale) for scale in scales] for border in BORDERS])
     return np.diff(below, axis=0, prepend=0.0, append=1.0)
 
 
 def shares_above(likely: np.ndarray, counts: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    """The chance that each control errs by more than each of the errors, whose shares are ``expected``; (k, errors)."""
-    shares, trusted = expected, TRUSTED_CONTROLS / (TRUSTED_CONTROLS + len(counts))
+    """The chance that each control errs by more than each of the errors, whose shares are
+    ``expected``; (k, errors).
+    """
+    shares = expected
+    trusted = TRUSTED_CONTROLS / (TRUSTED_CONTROLS + len(counts))
     for _ in range(ROUNDS):
         found = shares * ((counts / (likely @ shares)) @ likely)
         shares = trusted * expected + (1.0 - trusted) * found
@@ -347,10 +436,14 @@ def shares_above(likely: np.ndarray, counts: np.ndarray, expected: np.ndarray) -
 
 
 def bounds(above: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The share of pixels that err by more than each of the errors, with the ends of its interval; (errors,) each."""
-    likely, known = counts @ above, counts**2 @ above
+    """The share of pixels that err by more than each of the errors, with the ends of its interval;
+    (errors,) each.
+    """
+    likely = counts @ above
+    known = counts**2 @ above
     variance = known**2 / np.maximum(counts**2 @ above**2, 1e-300)
-    one, square = 1.0 / len(counts), float((counts**2).mean())
+    one = 1.0 / len(counts)
+    square = float((counts**2).mean())
     low = gamma_quantile(likely, variance, -TAIL_STANDARD_ERRORS)
     high = gamma_quantile(likely + one, variance + square, TAIL_STANDARD_ERRORS)
     return low, likely, np.asarray(np.maximum(high, likely))
@@ -359,14 +452,17 @@ def bounds(above: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def gamma_quantile(mean: np.ndarray, variance: np.ndarray, deviations: float) -> np.ndarray:
     """The quantile, so many standard ``deviations`` from the middle, of a gamma distribution.
 
-    Source: Wilson and Hilferty, Proceedings of the National Academy of Sciences 17, 1931: its cube root is normal.
+    Source: Wilson and Hilferty, Proceedings of the National Academy of Sciences 17, 1931: its cube
+    root is normal.
     """
     ninth = variance / np.maximum(9.0 * mean**2, 1e-300)
     return np.asarray(mean * np.maximum(1.0 - ninth + deviations * np.sqrt(ninth), 0.0) ** 3)
 
 
 def falls_below(share: float, shares: np.ndarray, errors: np.ndarray) -> float:
-    """The error at which falling ``shares`` (errors,) of pixels above an error come down to one; 0 to 1."""
+    """The error at which falling ``shares`` (errors,) of pixels above an error come down to one; 0
+    to 1.
+    """
     over = np.flatnonzero(shares > share)
     if not len(over):
         return 0.0

@@ -1,13 +1,15 @@
-"""Light from the paths of single pixels: which pixels have it, how many paths that takes, and the filter over it.
+"""Light from the paths of single pixels: which pixels have it, how many paths that takes, and the
+filter over it.
 
-Filtering of pixels' own light, and of what it corrects in texels' light: no border shows where one meets the other. A
-pixel of few paths takes over what pixels around it on the surface agree on. The filter is that of texels
-(``kernels.shading.filtering``) among pixels: two passes over 3 × 3 pixels, the second at twice the distance (Dammertz
-and others 2010), and as much of a pixel's own light as pixels around it differ by more than their noise (Lee 1980).
+Filtering of pixels' own light, and of what it corrects in texels' light: no border shows where one
+meets the other. A pixel of few paths takes over what pixels around it on the surface agree on. The
+filter is that of texels (``kernels.shading.filtering``) among pixels: two passes over 3 × 3 pixels,
+the second at twice the distance (Dammertz and others 2010), and as much of a pixel's own light as
+pixels around it differ by more than their noise (Lee 1980).
 
-Pixels' own light differs from the light of texels by their error, which is smooth, and by noise. The mean difference
-over pixels around corrects the light of texels, there and beside, where it fades out. Of own light as much is kept as
-differs from the corrected light by more than noise.
+Pixels' own light differs from the light of texels by their error, which is smooth, and by noise.
+The mean difference over pixels around corrects the light of texels, there and beside, where it
+fades out. Of own light as much is kept as differs from the corrected light by more than noise.
 """
 
 import math
@@ -32,41 +34,55 @@ from isogi_core.kernels.transport import streams
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
 FILTER_PASSES = ((1, 1.0), (2, 1.8))
-"""Distances, in pixels, between those that a pass mixes; and how much more variance their mean has than that of
-independent ones: those of the second pass took over from the same pixels (1.8 times, on even light).
+"""Distances, in pixels, between those that a pass mixes; and how much more variance their mean has
+than that of independent ones: those of the second pass took over from the same pixels (1.8 times,
+on even light).
 """
 
 FULL_COVERAGE = 0.4
-"""The share of pixels around one, by what they count, that corrects it wholly: less than at a straight border."""
+"""The share of pixels around one, by what they count, that corrects it wholly: less than at a
+straight border.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Pixels around each point of a ``gbuffer``, as far as they show the same surface; on threads of ``tiles``."""
+    """Pixels around each point of a ``gbuffer``, as far as they show the same surface; on threads
+    of ``tiles``.
+    """
 
     gbuffer: GBuffer
     tiles: Tiles
 
     @cached_property
     def shown(self) -> tuple[np.ndarray, SurfacePoints]:
-        """The number of the point in each pixel, and the points, in the world here. Raises Cancelled."""
-        shown, spacing = self.gbuffer.shown(self.tiles), np.array(self.gbuffer.spacing, np.float32)
+        """The number of the point in each pixel, and the points, in the world here. Raises
+        Cancelled.
+        """
+        shown = self.gbuffer.shown(self.tiles)
+        spacing = np.array(self.gbuffer.spacing, np.float32)
         return self.gbuffer.rows, shown._replace(points=shown.points * spacing)
 
     @property
     def voxel(self) -> float:
-        """Width of a voxel in the picture, in pixels: the median over pixels beside others that show the surface."""
+        """Width of a voxel in the picture, in pixels: the median over pixels beside others that
+        show the surface.
+        """
         beside = np.flatnonzero(np.diff(self.gbuffer.pixels.astype(np.int64)) == 1)
         if not len(beside):
             return 1.0
         ways = np.diff(self.gbuffer.points.astype(np.float64), axis=0)[beside]
         return 1.0 / max(float(np.median(np.linalg.norm(ways, axis=1))), 1e-3)
 
-    def means(self, values: np.ndarray, variance: np.ndarray, step: int = 1) -> tuple[np.ndarray, np.ndarray]:
-        """The mean of ``values`` (m, n) over 3 × 3 pixels at a distance of ``step``; and its variance, (m,), where that
-        of independent values is ``variance`` (m,). Raises Cancelled.
+    def means(
+        self, values: np.ndarray, variance: np.ndarray, step: int = 1
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The mean of ``values`` (m, n) over 3 × 3 pixels at a distance of ``step``; and its
+        variance, (m,), where that of independent values is ``variance`` (m,). Raises Cancelled.
         """
-        shown, means, left = self.shown, np.empty_like(values), np.empty(len(values))
+        shown = self.shown
+        means = np.empty_like(values)
+        left = np.empty(len(values))
 
         def _piece(a: int, b: int) -> None:
             mean_around(*shown, step, a, values, variance, means[a:b], left[a:b])
@@ -78,7 +94,8 @@ class Surroundings:
 def filter_pixels(
     light: np.ndarray, variance: np.ndarray, gbuffer: GBuffer, tiles: Tiles
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Linear RGB (m, 3) of the points of a G-buffer, filtered, and the ``variance`` (m,) that its luminance has then.
+    """Linear RGB (m, 3) of the points of a G-buffer, filtered, and the ``variance`` (m,) that its
+    luminance has then.
 
     Raises Cancelled.
     """
@@ -86,7 +103,9 @@ def filter_pixels(
     for step, shared in FILTER_PASSES:
         shown = light @ LUMINANCE_WEIGHTS
         means, taken = around.means(np.column_stack([light, variance, shown**2]), variance, step)
-        mean, noise, square = means[:, :3], means[:, 3], means[:, 4]
+        mean = means[:, :3]
+        noise = means[:, 3]
+        square = means[:, 4]
         kept = beyond_noise(square - (mean @ LUMINANCE_WEIGHTS) ** 2, noise)
         light = mean + kept[:, None] * (light - mean)
         variance = np.minimum(kept * noise + (1.0 - kept) ** 2 * shared * taken, variance)
@@ -94,7 +113,9 @@ def filter_pixels(
 
 
 def beyond_noise(apart: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """The share of values (k,) to be kept that are so far ``apart``, squared, with so much ``noise``: Wiener's."""
+    """The share of values (k,) to be kept that are so far ``apart``, squared, with so much
+    ``noise``: Wiener's.
+    """
     signal = np.maximum(apart - noise, 0.0)
     return np.asarray(signal / np.maximum(signal + noise, 1e-300))
 
@@ -108,20 +129,25 @@ def correct(
     gbuffer: GBuffer,
     tiles: Tiles,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The texels' ``light`` (m, 3) of a picture, corrected by the ``own`` light (k, 3) of points in rows ``places``.
+    """The texels' ``light`` (m, 3) of a picture, corrected by the ``own`` light (k, 3) of points in
+    rows ``places``.
 
-    Its luminance has so much ``variance`` (k,); returns what is left of it, too. A texel's error reaches as far as the
-    texel, so differences are spread a voxel and more: by the error that is ``expected`` (m,) of each point, so that
-    little changes where little is expected. Raises Cancelled.
+    Its luminance has so much ``variance`` (k,); returns what is left of it, too. A texel's error
+    reaches as far as the texel, so differences are spread a voxel and more: by the error that is
+    ``expected`` (m,) of each point, so that little changes where little is expected. Raises
+    Cancelled.
     """
-    around, known = Surroundings(gbuffer, tiles), np.zeros((len(light), 4))
+    around = Surroundings(gbuffer, tiles)
+    known = np.zeros((len(light), 4))
     scale = np.maximum(expected, 1e-3 * expected.mean() + 1e-30)[:, None]
     known[places] = np.column_stack([(own - light[places]) / scale[places], np.ones(len(places))])
     none = np.zeros(len(light))
     for level in range(max(math.ceil(math.log2(around.voxel)), 0) + 1):
         known, _ = around.means(known, none, 1 << level)
     share = np.minimum(known[:, 3:] / FULL_COVERAGE, 1.0)
-    light = light + share**2 * (3.0 - 2.0 * share) * scale * known[:, :3] / np.maximum(known[:, 3:], 1e-300)
+    light = light + share**2 * (3.0 - 2.0 * share) * scale * known[:, :3] / np.maximum(
+        known[:, 3:], 1e-300
+    )
     apart = own - light[places]
     near = Surroundings(gbuffer.part(places, tiles), tiles)
     means, _ = near.means(np.column_stack([variance, (apart @ LUMINANCE_WEIGHTS) ** 2]), variance)
@@ -130,33 +156,38 @@ def correct(
     return light, kept * variance
 
 
-REPLICAS, FIRST_PATHS = 4, 16
+REPLICAS = 4
+FIRST_PATHS = 16
 """Independent randomisations of each pixel, and paths of each after the first step."""
 
 MOST_PATHS = 1 << 14
 """Paths of each replica, at most: 65,536 from a pixel."""
 
 FILTERED_VARIANCE_SHARE = 0.7
-"""What filtering leaves of the variance of light that pixels have of their own: 0.46 to 0.9, as it is most at edges.
+"""What filtering leaves of the variance of light that pixels have of their own: 0.46 to 0.9, as it
+is most at edges.
 
-Where it corrects the light of texels 0.3 to 1 is left of that: all where texels are much noisier, so that none is
-counted on.
+Where it corrects the light of texels 0.3 to 1 is left of that: all where texels are much noisier,
+so that none is counted on.
 """
 
 BLACK_SHARE = 1e-3
 """The share of the brightest colour below which a surface counts as black."""
 
 AIM = 0.85
-"""Share of the target error that a picture is brought to: the interval of what is measured has some width."""
+"""Share of the target error that a picture is brought to: the interval of what is measured has some
+width.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class PixelLight:
-    """Surface points with light of their own: rows ``places`` (k,), ascending, and the ``estimate`` by their paths.
+    """Surface points with light of their own: rows ``places`` (k,), ascending, and the ``estimate``
+    by their paths.
 
-    It is of REPLICAS, and all points have as many paths of each. They show ``light`` (k, 3), linear RGB, which is
-    filtered, and whose luminance has the ``variance`` (k,). Of all points (m,) the luminance of texels' light is
-    ``expected`` to be so wrong.
+    It is of REPLICAS, and all points have as many paths of each. They show ``light`` (k, 3), linear
+    RGB, which is filtered, and whose luminance has the ``variance`` (k,). Of all points (m,) the
+    luminance of texels' light is ``expected`` to be so wrong.
     """
 
     places: np.ndarray
@@ -172,11 +203,18 @@ class PixelLight:
         return cls(np.empty(0, np.int64), empty, np.empty((0, 3)), np.empty(0), np.empty(0))
 
     @classmethod
-    def of(cls, places: np.ndarray, estimate: Estimate, paths: Paths, expected: np.ndarray) -> "PixelLight":
-        """The light of points by an ``estimate``, filtered without their colours. Raises Cancelled."""
-        means, buffer, tiles = estimate.means, paths.gbuffer, paths.tiles
+    def of(
+        cls, places: np.ndarray, estimate: Estimate, paths: Paths, expected: np.ndarray
+    ) -> "PixelLight":
+        """The light of points by an ``estimate``, filtered without their colours. Raises
+        Cancelled.
+        """
+        means = estimate.means
+        buffer = paths.gbuffer
+        tiles = paths.tiles
         tints = tints_of(paths.light, buffer, tiles)
-        grey, variance = (tints @ LUMINANCE_WEIGHTS) ** 2, pooled_variance(variance_of_mean(means), buffer)
+        grey = (tints @ LUMINANCE_WEIGHTS) ** 2
+        variance = pooled_variance(variance_of_mean(means), buffer)
         light, variance = filter_pixels(means.mean(axis=1) / tints, variance / grey, buffer, tiles)
         return cls(places, estimate, light * tints, variance * grey, expected)
 
@@ -200,53 +238,79 @@ class PixelLight:
         tiles: Tiles,
         progress: Callable[[int], object] | None = None,
     ) -> "PixelLight":
-        """Light of the points of a ``choice``, or after more paths: those known are not traced again. Raises Cancelled.
+        """Light of the points of a ``choice``, or after more paths: those known are not traced
+        again. Raises Cancelled.
 
         ``progress`` is called with the number of paths that each piece traced.
         """
-        places, expected = choice.places, choice.errors.copy()
+        places = choice.places
+        expected = choice.errors.copy()
         expected[self.places] = self.expected[self.places]
         paths = Paths(light, gbuffer.part(places, tiles), tiles, bounces_of_truth(light))
-        estimate, known = Estimate.none(len(places), REPLICAS), np.isin(places, self.places, assume_unique=True)
+        estimate = Estimate.none(len(places), REPLICAS)
+        known = np.isin(places, self.places, assume_unique=True)
         kept = np.isin(self.places, places, assume_unique=True)
-        estimate.sums[known], estimate.counts[known] = self.estimate.sums[kept], self.estimate.counts[kept]
+        estimate.sums[known] = self.estimate.sums[kept]
+        estimate.counts[known] = self.estimate.counts[kept]
         for first in np.unique(estimate.counts[estimate.counts < count]).tolist():
             rows = np.flatnonzero(estimate.counts == first)
             some = estimate.sums[rows]
             paths.of(rows).add(some, streams.PIXEL_LIGHT_STREAM, first, count - first, progress)
-            estimate.sums[rows], estimate.counts[rows] = some, count
+            estimate.sums[rows] = some
+            estimate.counts[rows] = count
         return PixelLight.of(places, estimate, paths, expected)
 
-    def put(self, framebuffer: Framebuffer, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> None:
-        """Write it into a picture of a G-buffer, as final light, and correct pixels around it. Raises Cancelled."""
+    def put(
+        self, framebuffer: Framebuffer, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles
+    ) -> None:
+        """Write it into a picture of a G-buffer, as final light, and correct pixels around it.
+        Raises Cancelled.
+        """
         if not len(self.places):
             return
-        pixels, own, tints = gbuffer.pixels, gbuffer.pixels[self.places], tints_of(light, gbuffer, tiles)
-        some, grey = tints[self.places], (tints[self.places] @ LUMINANCE_WEIGHTS) ** 2
-        given = self.expected / (tints @ LUMINANCE_WEIGHTS), self.places, self.light / some, self.variance / grey
+        pixels = gbuffer.pixels
+        own = gbuffer.pixels[self.places]
+        tints = tints_of(light, gbuffer, tiles)
+        some = tints[self.places]
+        grey = (tints[self.places] @ LUMINANCE_WEIGHTS) ** 2
+        given = (
+            self.expected / (tints @ LUMINANCE_WEIGHTS),
+            self.places,
+            self.light / some,
+            self.variance / grey,
+        )
         whole, variance = correct(framebuffer.radiance[pixels] / tints, *given, gbuffer, tiles)
         framebuffer.radiance[pixels] = np.clip(whole * tints, 0.0, np.finfo(np.float32).max)
-        shown = np.maximum(framebuffer.radiance[own] @ LUMINANCE_WEIGHTS, MIN_LIGHT * light.spec.unit)
-        framebuffer.state[own], framebuffer.error[own] = FINAL, np.minimum(np.sqrt(variance * grey) / shown, 1.0)
+        shown = np.maximum(
+            framebuffer.radiance[own] @ LUMINANCE_WEIGHTS, MIN_LIGHT * light.spec.unit
+        )
+        framebuffer.state[own] = FINAL
+        framebuffer.error[own] = np.minimum(np.sqrt(variance * grey) / shown, 1.0)
 
 
 def tints_of(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
-    """What to divide light by, so that colours of the surface do not show in it; (m, 3), never 0. Raises Cancelled."""
+    """What to divide light by, so that colours of the surface do not show in it; (m, 3), never 0.
+    Raises Cancelled.
+    """
     if not light.coloured:
         return np.ones((len(gbuffer.points), 3), np.float32)
     return np.maximum(light.tints(gbuffer, tiles), BLACK_SHARE)
 
 
 def times_as_many(found: np.ndarray | float, allowed: np.ndarray | float) -> np.ndarray:
-    """How many times as many paths bring a variance that was ``found`` to what is ``allowed``; see RATE."""
+    """How many times as many paths bring a variance that was ``found`` to what is ``allowed``; see
+    RATE.
+    """
     return np.asarray((found / np.maximum(allowed, 1e-300)) ** (RATE / 2.0))
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """The points at ``places`` (k,), ascending, are to have light of their own whose variances add up to ``variance``.
+    """The points at ``places`` (k,), ascending, are to have light of their own whose variances add
+    up to ``variance``.
 
-    That is expected to take ``count`` paths of each replica. Texels leave ``errors`` (m,) in the luminance of points.
+    That is expected to take ``count`` paths of each replica. Texels leave ``errors`` (m,) in the
+    luminance of points.
     """
 
     places: np.ndarray
@@ -262,7 +326,9 @@ class Choice:
 
 @dataclass(eq=False)
 class Growth:
-    """The ``light`` that chosen points have so far; ``traced`` counts the paths of what is added to it just now."""
+    """The ``light`` that chosen points have so far; ``traced`` counts the paths of what is added to
+    it just now.
+    """
 
     choice: Choice
     light: PixelLight
@@ -294,7 +360,9 @@ class Growth:
 
     @property
     def next(self) -> int:
-        """Paths of each replica after the next step: twice as many at most, so that little is lost with a step."""
+        """Paths of each replica after the next step: twice as many at most, so that little is lost
+        with a step.
+        """
         before = self.light.count
         if self.has_new:
             return max(before, FIRST_PATHS)
@@ -312,12 +380,15 @@ class Growth:
             self.traced += paths
 
 
-def choose_points(errors: np.ndarray, variance: np.ndarray, paths: int, own: np.ndarray, allowed: float) -> Choice:
-    """The points that are to have light of their own, so that a picture's mean squared error is ``allowed``.
+def choose_points(
+    errors: np.ndarray, variance: np.ndarray, paths: int, own: np.ndarray, allowed: float
+) -> Choice:
+    """The points that are to have light of their own, so that a picture's mean squared error is
+    ``allowed``.
 
-    The points with the largest squared ``errors`` (m,) come first, after those that have their ``own``, (k,); so
-    many ``paths`` leave the ``variance`` (m,) of each. What the others err by leaves so much to the noise of these: the
-    number of points is that which takes fewest paths.
+    The points with the largest squared ``errors`` (m,) come first, after those that have their
+    ``own``, (k,); so many ``paths`` leave the ``variance`` (m,) of each. What the others err by
+    leaves so much to the noise of these: the number of points is that which takes fewest paths.
     """
     rest = np.ones(len(errors), bool)
     rest[own] = False
@@ -325,13 +396,17 @@ def choose_points(errors: np.ndarray, variance: np.ndarray, paths: int, own: np.
     order = np.concatenate([own, others[np.argsort(-errors[others], kind="stable")]])
     left = np.append(errors[order][::-1].cumsum()[::-1], 0.0)[len(own) :]
     room = allowed * len(errors) - left
-    noise = FILTERED_VARIANCE_SHARE * np.append(0.0, variance[order].cumsum())[len(own) :] / REPLICAS
+    noise = (
+        FILTERED_VARIANCE_SHARE * np.append(0.0, variance[order].cumsum())[len(own) :] / REPLICAS
+    )
     many = np.arange(len(own), len(errors) + 1)
     counts = np.clip(paths * times_as_many(noise, room), FIRST_PATHS, MOST_PATHS)
     costs = np.where(room > 0.0, many * counts, np.inf)
     costs[-1] = many[-1] * counts[-1]  # of all points also where nothing is allowed, as in the dark
     best = int(np.argmin(costs))
-    return Choice(np.sort(order[: many[best]]), float(room[best]), float(counts[best]), np.sqrt(errors))
+    return Choice(
+        np.sort(order[: many[best]]), float(room[best]), float(counts[best]), np.sqrt(errors)
+    )
 
 
 SHARES = 64
@@ -341,11 +416,13 @@ SHARES = 64
 def foreseen_paths(points: int, error: float, target: float, effort: float) -> float:
     """Paths of their own that a picture's ``points`` will take before anything is measured.
 
-    Their errors, whose root mean square is ``error``, are taken to have squares that are distributed exponentially: a
-    share x of the points, those that err most, leaves 1 - x + x ln x of the sum to the others. To a relative error e a
-    point takes ``effort`` / e^RATE paths.
+    Their errors, whose root mean square is ``error``, are taken to have squares that are
+    distributed exponentially: a share x of the points, those that err most, leaves 1 - x + x ln x
+    of the sum to the others. To a relative error e a point takes ``effort`` / e^RATE paths.
     """
     share = np.arange(1, SHARES + 1) / SHARES
     variance = (AIM * target) ** 2 - error**2 * (1.0 - share + share * np.log(share))
     taken = share * points * effort * times_as_many(share, variance)
-    return float(taken[variance > 0.0].min()) if error > AIM * target else 0.0
+    if error > AIM * target:
+        return float(taken[variance > 0.0].min())
+    return 0.0

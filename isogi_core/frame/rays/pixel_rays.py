@@ -18,8 +18,11 @@ from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.plan.budget import survival_for
 
-PATH_POINTS, MAX_PATHS = 256, 1 << 16
-"""Surface points of a tile when each of them sends paths, and paths of one, at most: some 30 ms until it can end."""
+PATH_POINTS = 256
+MAX_PATHS = 1 << 16
+"""Surface points of a tile when each of them sends paths, and paths of one, at most: some 30 ms
+until it can end.
+"""
 
 BINOMIAL = np.array([1.0, 4.0, 6.0, 4.0, 1.0])
 """What neighbours count along an axis, where variances are pooled."""
@@ -41,17 +44,23 @@ class Paths:
     def survival(self) -> float:
         """The chance with which a path goes on from its second and later hits."""
         plan = self.light.spec.prepared.scene.plan
-        return plan.survival if self.bounces is None else survival_for(self.light.reflecting, self.bounces)
+        if self.bounces is None:
+            return plan.survival
+        return survival_for(self.light.reflecting, self.bounces)
 
     @cached_property
     def weights(self) -> np.ndarray:
         """R^(k + 1) after k = 0 … bounces, over the chance to get there; (bounces + 1, 3) float64.
 
-        Where paths carry the colours that they meet they count 1 at the start, which is all that is read of these. The
-        eye's rays that pass a surface reach the first that reflects them by one bounce more.
+        Where paths carry the colours that they meet they count 1 at the start, which is all that is
+        read of these. The eye's rays that pass a surface reach the first that reflects them by one
+        bounce more.
         """
         scene = self.light.spec.prepared.scene
-        bounces = scene.plan.bounces if self.bounces is None else self.bounces
+        if self.bounces is None:
+            bounces = scene.plan.bounces
+        else:
+            bounces = self.bounces
         if scene.surfaces.material.refracts:
             return path_weights(np.ones(3), bounces + 1, 1.0)
         if self.light.coloured or scene.surfaces.material.scatters:
@@ -70,23 +79,36 @@ class Paths:
         count: int,
         progress: Callable[[int], object] | None = None,
     ) -> None:
-        """Add samples first … first + count of each replica to ``sums`` (points, replicas, 3) float64, in place.
+        """Add samples first … first + count of each replica to ``sums`` (points, replicas, 3)
+        float64, in place.
 
-        Replicas are the randomisations from number ``stream`` on; ``progress`` is called with the number of paths
-        that each piece traced. Of a surface that shines as many rays of shine are among them. Raises Cancelled.
+        Replicas are the randomisations from number ``stream`` on; ``progress`` is called with the
+        number of paths that each piece traced. Of a surface that shines as many rays of shine are
+        among them. Raises Cancelled.
         """
-        buffer, alone = self.gbuffer, self.light.shine is None and not self.light.coloured
-        prepared, replicas = self.light.spec.prepared, range(stream, stream + sums.shape[1])
+        buffer = self.gbuffer
+        alone = self.light.shine is None and not self.light.coloured
+        prepared = self.light.spec.prepared
+        replicas = range(stream, stream + sums.shape[1])
         own = sums if alone else np.zeros_like(sums)
         refracts = prepared.scene.surfaces.material.refracts
-        points = sight_lines(buffer) if refracts else buffer.shown(self.tiles)
-        traced, around = buffer.surface.traced(self.tiles.run), self.light.surroundings
+        if refracts:
+            points = sight_lines(buffer)
+        else:
+            points = buffer.shown(self.tiles)
+        traced = buffer.surface.traced(self.tiles.run)
+        around = self.light.surroundings
         met = prepared.met(self.light.seen.albedo, traced.cells, self.tiles.run)
-        rules, samples = PathRules(self.weights, self.survival), SampleRange(first, count)
+        rules = PathRules(self.weights, self.survival)
+        samples = SampleRange(first, count)
 
         def _piece(a: int, b: int) -> None:
-            starts, here = path_starts(traced, points.part(slice(a, b)), replicas), own[a:b].reshape(-1, 3)
-            added = here if isinstance(met, Open) else np.zeros_like(here)
+            starts = path_starts(traced, points.part(slice(a, b)), replicas)
+            here = own[a:b].reshape(-1, 3)
+            if isinstance(met, Open):
+                added = here
+            else:
+                added = np.zeros_like(here)
             add_path_light(met, starts, samples, rules, around, added)
             if added is not here:  # goes among walls are added up one by one
                 here += added
@@ -94,7 +116,9 @@ class Paths:
             if progress is not None:
                 progress((b - a) * sums.shape[1] * count)
 
-        self.tiles.run(_piece, len(sums), max(min(PATH_POINTS, MAX_PATHS // (sums.shape[1] * count)), 1))
+        self.tiles.run(
+            _piece, len(sums), max(min(PATH_POINTS, MAX_PATHS // (sums.shape[1] * count)), 1)
+        )
         if self.light.coloured:
             own *= buffer.albedos(self.light.spec.prepared.colours, self.tiles)[: len(own), None]
         if self.light.shine is not None:
@@ -104,34 +128,48 @@ class Paths:
             sums += own
 
     def prepare(self) -> None:
-        """Do what comes before the first paths, by tracing one: find normals, map the surface, compile."""
+        """Do what comes before the first paths, by tracing one: find normals, map the surface,
+        compile.
+        """
         self.add(np.zeros((min(len(self.gbuffer.points), 1), 1, 3)), 0, 0, 1)
 
 
 def variance_of_mean(means: np.ndarray) -> np.ndarray:
-    """Variance of the luminance of the mean over independent replicas ``means`` (m, replicas, 3); (m,) float64."""
+    """Variance of the luminance of the mean over independent replicas ``means`` (m, replicas, 3);
+    (m,) float64.
+    """
     return np.asarray((means @ LUMINANCE_WEIGHTS).var(axis=1, ddof=1) / means.shape[1])
 
 
 def replicas_for(samples: int) -> int:
     """How many replicas a frame of ``samples`` paths per pixel is made of.
 
-    More of them estimate the error better, and make it larger, since each is a shorter sequence: at 256 paths eight
-    have 1.1 times the error of four (engine under uffizi and grace, CT head under noon_grass).
+    More of them estimate the error better, and make it larger, since each is a shorter sequence: at
+    256 paths eight have 1.1 times the error of four (engine under uffizi and grace, CT head under
+    noon_grass).
     """
-    return 2 if samples < 8 else 4 if samples < 256 else 8
+    if samples < 8:
+        return 2
+    if samples < 256:
+        return 4
+    return 8
 
 
-def pooled_variance(variance: np.ndarray, gbuffer: GBuffer, shown: np.ndarray | None = None) -> np.ndarray:
-    """Variances (m,) of the surface pixels, each a mean with its neighbours', by the weights NEAR both ways.
+def pooled_variance(
+    variance: np.ndarray, gbuffer: GBuffer, shown: np.ndarray | None = None
+) -> np.ndarray:
+    """Variances (m,) of the surface pixels, each a mean with its neighbours', by the weights NEAR
+    both ways.
 
     Or of the pixels ``shown`` (m,), of something else.
 
-    A few replicas say too little of one pixel alone: of four, 1.96 standard deviations would hold 86 % of Gaussian
-    errors, and none where all replicas met the same by chance. With these they held 91 to 96 % of the pixels
-    of frames of 8 to 256 paths (engine under uffizi and grace, CT head under noon_grass, MNI under constant light).
+    A few replicas say too little of one pixel alone: of four, 1.96 standard deviations would hold
+    86 % of Gaussian errors, and none where all replicas met the same by chance. With these they
+    held 91 to 96 % of the pixels of frames of 8 to 256 paths (engine under uffizi and grace, CT
+    head under noon_grass, MNI under constant light).
     """
-    pixels, both = gbuffer.pixels if shown is None else shown, np.zeros((2, *gbuffer.shape))
+    pixels = gbuffer.pixels if shown is None else shown
+    both = np.zeros((2, *gbuffer.shape))
     both.reshape(2, -1)[:, pixels] = variance, np.ones_like(variance)
     for axis in (1, 2):
         padded = np.pad(both, [(2 * int(a == axis),) * 2 for a in range(3)])

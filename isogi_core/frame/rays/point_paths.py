@@ -1,4 +1,6 @@
-"""Paths from points of a picture: where they start, and sums of what they bring by replicas that show the noise."""
+"""Paths from points of a picture: where they start, and sums of what they bring by replicas that
+show the noise.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -17,14 +19,17 @@ from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
 
 def path_starts(traced: TracedSurface, points: SurfacePoints, replicas: range) -> PathStarts:
-    """Where paths of some ``replicas``, by number, start from the points of a picture: all of a point side by side."""
+    """Where paths of some ``replicas``, by number, start from the points of a picture: all of a
+    point side by side.
+    """
     each, replica = (part.ravel() for part in np.indices((len(points.pixels), len(replicas))))
     seeds = seeds_of(np.column_stack([points.pixels[each], replicas.start + replica]))
     return starts_at(points.points[each], points.normals[each], traced.isovalue, seeds)
 
 
 def sight_lines(gbuffer: GBuffer) -> SurfacePoints:
-    """Where the eye's rays are just before the points of a G-buffer, and their unit world ways as normals; float64.
+    """Where the eye's rays are just before the points of a G-buffer, and their unit world ways as
+    normals; float64.
 
     In glass rays soon part from those that start a rounding beside.
     """
@@ -44,7 +49,8 @@ def add_glow(
     rules: PathRules,
     samples: SampleRange,
 ) -> None:
-    """Add a ``SampleRange`` of E/π of what glows at ``starts`` about a surface to ``sums`` (g, 3), where there is any.
+    """Add a ``SampleRange`` of E/π of what glows at ``starts`` about a surface to ``sums`` (g, 3),
+    where there is any.
 
     Bounces count as in ``light_in_room``, the first weight of the ``rules`` all.
     """
@@ -63,18 +69,23 @@ HALVES = 2
 
 @dataclass(frozen=True, eq=False)
 class NoisyLight:
-    """What rays bring to points of a picture: ``light`` (m, 3) linear RGB, and its luminance's ``variance`` (m,)."""
+    """What rays bring to points of a picture: ``light`` (m, 3) linear RGB, and its luminance's
+    ``variance`` (m,).
+    """
 
     light: np.ndarray
     variance: np.ndarray
 
     @classmethod
     def of(cls, means: np.ndarray, gbuffer: GBuffer, tiles: Tiles) -> Self:
-        """The light of halves' ``means`` (m, 1 or 2, 3); of a single half, neighbouring pixels give the noise.
+        """The light of halves' ``means`` (m, 1 or 2, 3); of a single half, neighbouring pixels give
+        the noise.
 
         Raises Cancelled.
         """
-        values, rows, variance = np.ascontiguousarray(means @ LUMINANCE_WEIGHTS), gbuffer.rows, np.empty(len(means))
+        values = np.ascontiguousarray(means @ LUMINANCE_WEIGHTS)
+        rows = gbuffer.rows
+        variance = np.empty(len(means))
 
         def _piece(a: int, b: int) -> None:
             pool_noise(rows, gbuffer.pixels, a, values, variance[a:b])
@@ -85,7 +96,8 @@ class NoisyLight:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The ``sums`` (m, replicas, 3) of ``counts`` (m,) rays, or paths, of each replica from as many points.
+    """The ``sums`` (m, replicas, 3) of ``counts`` (m,) rays, or paths, of each replica from as many
+    points.
 
     Points whose noise is small enough take no more: the others have as many rays as any.
     """
@@ -119,20 +131,24 @@ class Estimate:
         return np.asarray(self.sums / np.maximum(self.counts, 1)[:, None, None])
 
     def next(self, rays: int) -> range:
-        """The numbers of the rays that points take next: so many, one at least, and at most as many as there are."""
+        """The numbers of the rays that points take next: so many, one at least, and at most as many
+        as there are.
+        """
         count = self.most
         return range(count, count + min(max(rays, 1), count or 1))
 
     def noisy(self, variance: np.ndarray, allowed: float) -> np.ndarray:
-        """Rows of the points that are to have more rays: none where the picture's noise is what is ``allowed``, a
-        luminance; of points whose own ``variance`` (m,) is more.
+        """Rows of the points that are to have more rays: none where the picture's noise is what is
+        ``allowed``, a luminance; of points whose own ``variance`` (m,) is more.
         """
         if not len(variance) or float(variance.mean()) <= allowed**2:
             return np.empty(0, np.int64)
         return np.flatnonzero((variance > allowed**2) & (self.counts == self.most))
 
     def joined(self, places: np.ndarray, added: np.ndarray, last: int) -> "Estimate":
-        """The sums with what was ``added`` (k, replicas, 3) to the points in ``places``: these have ``last`` rays."""
+        """The sums with what was ``added`` (k, replicas, 3) to the points in ``places``: these have
+        ``last`` rays.
+        """
         found = replace(self, sums=self.sums.copy(), counts=self.counts.copy())
         found.sums[places] += added
         found.counts[places] = last

@@ -1,7 +1,9 @@
-"""Shine: rays of a microfacet lobe from the points of a picture; what they bring, and what is seen where they end.
+"""Shine: rays of a microfacet lobe from the points of a picture; what they bring, and what is seen
+where they end.
 
-A shiny surface mirrors light to the eye alone: light that it sends to other places of the scene is diffuse, as in the
-texels. So shine needs nothing baked, and what a ray sees of the surface is what its texels, or paths from there, show.
+A shiny surface mirrors light to the eye alone: light that it sends to other places of the scene is
+diffuse, as in the texels. So shine needs nothing baked, and what a ray sees of the surface is what
+its texels, or paths from there, show.
 """
 
 from dataclasses import dataclass, replace
@@ -44,19 +46,26 @@ from isogi_core.plan.budget import survival_for
 PLASTIC = 0.04
 """What plastic mirrors head on: Fresnel's ((n - 1)/(n + 1))² for an index of refraction of 1.5."""
 
-ASIDE, ROUGH = 0.5, 0.4
-"""Share of the rays that are drawn towards lights from this roughness on; of smoother lobes the less, as their own rays
-find lights better.
+ASIDE = 0.5
+ROUGH = 0.4
+"""Share of the rays that are drawn towards lights from this roughness on; of smoother lobes the
+less, as their own rays find lights better.
 """
 
 WAYS = 8
-"""Ways of which each ray is chosen, where there are lights to be drawn towards: each ray is then worth several."""
+"""Ways of which each ray is chosen, where there are lights to be drawn towards: each ray is then
+worth several.
+"""
 
 LOW_WORD = np.uint64(0xFFFFFFFF)
 """What of a ray's sequence names the sequence of a path in the open from its end."""
 
-RAYS_TOGETHER, PATHS_TOGETHER, RAYS_OF_PATHS = 1 << 14, 256, 1 << 17
-"""Rays that are cast together, paths from their ends, and rays whose ends are kept together where all send paths."""
+RAYS_TOGETHER = 1 << 14
+PATHS_TOGETHER = 256
+RAYS_OF_PATHS = 1 << 17
+"""Rays that are cast together, paths from their ends, and rays whose ends are kept together where
+all send paths.
+"""
 
 NO_ROOM = Room(
     NO_WALLS,
@@ -76,19 +85,27 @@ def energy_of(alpha: float) -> np.ndarray:
 
 
 def lobe_of(light: RotatedLight) -> ShineLobe:
-    """The lobe of the surface in a ``light``; metal mirrors its albedo head on. A surface without shine has none."""
-    shine, albedo = light.shine or DULL, light.albedo
-    metal, aside = shine.kind == "metal", ASIDE * min(1.0, shine.roughness / ROUGH)
+    """The lobe of the surface in a ``light``; metal mirrors its albedo head on. A surface without
+    shine has none.
+    """
+    shine = light.shine or DULL
+    albedo = light.albedo
+    metal = shine.kind == "metal"
+    aside = ASIDE * min(1.0, shine.roughness / ROUGH)
     facing = triple(albedo if metal else np.full(3, PLASTIC))
     return ShineLobe(shine.alpha, facing, shine.strength, metal, aside, energy_of(shine.alpha))
 
 
 def lights_of(light: RotatedLight, ways: int) -> ShineLights:
-    """What rays of shine may be drawn towards and bring, of a turned ``light``; each is chosen of so many ``ways``."""
-    around, room = light.surroundings, light.spec.prepared.scene.lighting.room
+    """What rays of shine may be drawn towards and bring, of a turned ``light``; each is chosen of
+    so many ``ways``.
+    """
+    around = light.surroundings
+    room = light.spec.prepared.scene.lighting.room
     kinds, places, edges, colours = around.lamps
     discs = (kinds == DIRECTIONAL) & edges.any(axis=(1, 2))
-    flat, sharp = kinds == AREA, (kinds != AREA) & ~discs
+    flat = kinds == AREA
+    sharp = (kinds != AREA) & ~discs
     squares = (edges[discs, 0] ** 2).sum(axis=1)[:, None]
     lit = np.array([any(wall.radiance) for wall in room.walls], bool)
     twofold = np.array([wall.sides == 2 for wall in room.walls], np.float64)[lit]
@@ -108,8 +125,11 @@ def lights_of(light: RotatedLight, ways: int) -> ShineLights:
 
 
 def light_below(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
-    """The share of diffuse light that shine leaves at each point of a G-buffer; (m, 3) float32. Raises Cancelled."""
-    lobe, shown = lobe_of(light), gbuffer.shown(tiles)
+    """The share of diffuse light that shine leaves at each point of a G-buffer; (m, 3) float32.
+    Raises Cancelled.
+    """
+    lobe = lobe_of(light)
+    shown = gbuffer.shown(tiles)
     below = np.empty_like(shown.points)
 
     def _piece(a: int, b: int) -> None:
@@ -121,10 +141,12 @@ def light_below(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class ShineRays:
-    """Rays of shine, ``each`` from as many points of a G-buffer, in order, and what they have ``brought`` (rays, 3).
+    """Rays of shine, ``each`` from as many points of a G-buffer, in order, and what they have
+    ``brought`` (rays, 3).
 
-    ``ends`` are of the h rays that end on something lit, ascending. Random numbers there belong to ``seeds`` (h,).
-    ``hits`` shows what these rays see, as a picture of one row, which has a ``number`` of its own.
+    ``ends`` are of the h rays that end on something lit, ascending. Random numbers there belong to
+    ``seeds`` (h,). ``hits`` shows what these rays see, as a picture of one row, which has a
+    ``number`` of its own.
     """
 
     each: int
@@ -146,12 +168,18 @@ class ShineRays:
         return np.asarray(self.ends.points.pixels)
 
     def view(self, view: View) -> View:
-        """The view of ``hits`` beside the ``view`` whose points they started from; of diffuse light."""
-        row = replace(view, width=max(len(self.seen), 1), height=1, strip=(self.number, self.number + 1))
+        """The view of ``hits`` beside the ``view`` whose points they started from; of diffuse
+        light.
+        """
+        row = replace(
+            view, width=max(len(self.seen), 1), height=1, strip=(self.number, self.number + 1)
+        )
         return replace(row, moving=True, smooth=False, shine=DULL)
 
     def gather(self, light: np.ndarray) -> np.ndarray:
-        """What each ray brings where ``light`` (h, 3) leaves what the rays see; (points, each, 3) float64."""
+        """What each ray brings where ``light`` (h, 3) leaves what the rays see; (points, each, 3)
+        float64.
+        """
         total = self.brought.astype(np.float64)
         total[self.seen] += self.ends.weights * light.astype(np.float64)
         return total.reshape(-1, self.each, 3)
@@ -164,37 +192,61 @@ NUMBERS = count()
 def room_of(light: RotatedLight) -> Room:
     """The walls about a surface with its colours, or of the albedo that is seen."""
     prepared = light.spec.prepared
-    return prepared.room(light.seen.albedo) if prepared.scene.many_albedos else NO_ROOM
+    if prepared.scene.many_albedos:
+        return prepared.room(light.seen.albedo)
+    return NO_ROOM
 
 
 def cast_rays(
-    light: RotatedLight, gbuffer: GBuffer, replicas: range, samples: range, tiles: Tiles, ways: int = WAYS
+    light: RotatedLight,
+    gbuffer: GBuffer,
+    replicas: range,
+    samples: range,
+    tiles: Tiles,
+    ways: int = WAYS,
 ) -> ShineRays:
-    """Cast rays of shine from each point of a G-buffer: of each of the ``replicas`` the ``samples``.
+    """Cast rays of shine from each point of a G-buffer: of each of the ``replicas`` the
+    ``samples``.
 
-    Replicas are numbers of independent randomisations; each ray is chosen of so many ``ways``. Raises Cancelled.
+    Replicas are numbers of independent randomisations; each ray is chosen of so many ``ways``.
+    Raises Cancelled.
     """
     shown = gbuffer.shown(tiles)
-    lobe, lights, room = lobe_of(light), lights_of(light, ways), room_of(light)
-    traced, each = gbuffer.surface.traced(tiles.run), len(replicas) * len(samples)
+    lobe = lobe_of(light)
+    lights = lights_of(light, ways)
+    room = room_of(light)
+    traced = gbuffer.surface.traced(tiles.run)
+    each = len(replicas) * len(samples)
     total = each * len(shown.pixels)
     brought, weights, here, around = np.empty((4, total, 3), np.float32)
     points = SurfacePoints(here, around, np.arange(total, dtype=np.uint32))
     ends = ShineEnds(brought, weights, points, np.empty(total, np.int8))
 
     def _piece(a: int, b: int) -> None:
-        some, own = shown.part(slice(a, b)), slice(a * each, b * each)
-        point, replica, sample = (part.ravel() for part in np.indices((b - a, len(replicas), len(samples))))
-        seeds = seeds_of(np.column_stack([some.pixels[point], streams.SHINE_STREAM + replicas.start + replica]))
+        some = shown.part(slice(a, b))
+        own = slice(a * each, b * each)
+        point, replica, sample = (
+            part.ravel() for part in np.indices((b - a, len(replicas), len(samples)))
+        )
+        seeds = seeds_of(
+            np.column_stack([some.pixels[point], streams.SHINE_STREAM + replicas.start + replica])
+        )
         draws = ShineDraws(point, seeds, samples.start + sample)
         cast_shine(traced, room, some, gbuffer.eye, lobe, lights, draws, some_of(ends, own))
 
-    tiles.run(_piece, len(shown.pixels), max(min(RAYS_TOGETHER // each, tiles.even(len(shown.pixels))), 1))
+    tiles.run(
+        _piece, len(shown.pixels), max(min(RAYS_TOGETHER // each, tiles.even(len(shown.pixels))), 1)
+    )
     seen = np.flatnonzero(ends.met > MET_NOTHING)
     point, rest = np.divmod(seen, each)
     replica, sample = np.divmod(rest, len(samples))
-    words = [shown.pixels[point], streams.SHINE_STREAM + replicas.start + replica, samples.start + sample]
-    kept, seeds = some_of(ends, seen), seeds_of(np.column_stack(words))
+    words = [
+        shown.pixels[point],
+        streams.SHINE_STREAM + replicas.start + replica,
+        samples.start + sample,
+    ]
+    kept = some_of(ends, seen)
+    seeds = seeds_of(np.column_stack(words))
     return ShineRays(each, brought, kept, seeds, seen_by(kept, gbuffer), next(NUMBERS))
 
 
@@ -204,27 +256,42 @@ def some_of(ends: ShineEnds, rows: slice | np.ndarray) -> ShineEnds:
 
 
 def seen_by(ends: ShineEnds, gbuffer: GBuffer) -> GBuffer:
-    """The picture of one row that shows where rays end, as a G-buffer beside the one that they start from."""
-    met, on = ends.met, ends.met == MET_ISOSURFACE
+    """The picture of one row that shows where rays end, as a G-buffer beside the one that they
+    start from.
+    """
+    met = ends.met
+    on = ends.met == MET_ISOSURFACE
     shown = ends.points._replace(pixels=np.arange(len(met), dtype=np.uint32))
     walls = PointsBeside(shown.pixels[~on], shown.points[~on], met[~on])
     row = GBuffer.of_points(gbuffer.surface, gbuffer.eye, shown.points)
     return row.of_these(shown.part(on), walls)
 
 
-def paths_from(rays: ShineRays, rows: np.ndarray, light: RotatedLight, bounces: int, tiles: Tiles) -> np.ndarray:
-    """What leaves where rays end that are ``seen``, those in ``rows`` (k,), by one path each; (k, 3) float64.
+def paths_from(
+    rays: ShineRays, rows: np.ndarray, light: RotatedLight, bounces: int, tiles: Tiles
+) -> np.ndarray:
+    """What leaves where rays end that are ``seen``, those in ``rows`` (k,), by one path each; (k,
+    3) float64.
 
     Paths have so many ``bounces``. Raises Cancelled.
     """
-    traced, found, ends = rays.hits.surface.traced(tiles.run), np.zeros((len(rows), 3)), some_of(rays.ends, rows)
-    on, points, survival = ends.met == MET_ISOSURFACE, ends.points, survival_for(light.reflecting, bounces)
+    traced = rays.hits.surface.traced(tiles.run)
+    found = np.zeros((len(rows), 3))
+    ends = some_of(rays.ends, rows)
+    on = ends.met == MET_ISOSURFACE
+    points = ends.points
+    survival = survival_for(light.reflecting, bounces)
     walls = np.where(on, NO_WALL, ends.met)
     starts = starts_at(points.points, points.normals, traced.isovalue, rays.seeds[rows], walls)
-    own, carried = starts, PathRules(path_weights(np.ones(3), bounces, 1.0), survival)
-    met, rules, one = light.spec.prepared.met(light.seen.albedo, traced.cells, tiles.run), carried, SampleRange(0, 1)
+    own = starts
+    carried = PathRules(path_weights(np.ones(3), bounces, 1.0), survival)
+    met = light.spec.prepared.met(light.seen.albedo, traced.cells, tiles.run)
+    rules = carried
+    one = SampleRange(0, 1)
     if isinstance(met, Open):
-        words = np.column_stack([(starts.seeds & LOW_WORD).astype(np.int64), np.full(len(rows), streams.SHINE_STREAM)])
+        words = np.column_stack(
+            [(starts.seeds & LOW_WORD).astype(np.int64), np.full(len(rows), streams.SHINE_STREAM)]
+        )
         own = starts._replace(seeds=seeds_of(words))
         rules = PathRules(path_weights(light.albedo, bounces, survival), survival)
 
@@ -234,8 +301,10 @@ def paths_from(rays: ShineRays, rows: np.ndarray, light: RotatedLight, bounces: 
 
     tiles.run(_piece, len(rows), PATHS_TOGETHER)
     room = room_of(light)
-    albedos, given = albedos_at(points.points, light), np.zeros((len(rows), 3))
-    albedos[~on], given[~on] = room.albedos[ends.met[~on]], room.radiances[ends.met[~on]]
+    albedos = albedos_at(points.points, light)
+    given = np.zeros((len(rows), 3))
+    albedos[~on] = room.albedos[ends.met[~on]]
+    given[~on] = room.radiances[ends.met[~on]]
     return np.asarray(given + albedos * found)
 
 
@@ -249,9 +318,15 @@ def albedos_at(points: np.ndarray, light: RotatedLight) -> np.ndarray:
 
 
 def trace_shine(
-    light: RotatedLight, gbuffer: GBuffer, replicas: range, samples: range, bounces: int, tiles: Tiles
+    light: RotatedLight,
+    gbuffer: GBuffer,
+    replicas: range,
+    samples: range,
+    bounces: int,
+    tiles: Tiles,
 ) -> np.ndarray:
-    """Sums of what shine brings to each point, by whole paths: rays of all ``samples``, and a path from each end.
+    """Sums of what shine brings to each point, by whole paths: rays of all ``samples``, and a path
+    from each end.
 
     Returns (points, replicas, 3) float64. Raises Cancelled.
     """
@@ -261,9 +336,16 @@ def trace_shine(
 
 
 def add_shine(
-    sums: np.ndarray, light: RotatedLight, gbuffer: GBuffer, stream: int, samples: range, bounces: int, tiles: Tiles
+    sums: np.ndarray,
+    light: RotatedLight,
+    gbuffer: GBuffer,
+    stream: int,
+    samples: range,
+    bounces: int,
+    tiles: Tiles,
 ) -> None:
-    """Let a surface shine that scatters ``sums`` (points, replicas, 3) of so many samples, in place; see ``Paths.add``.
+    """Let a surface shine that scatters ``sums`` (points, replicas, 3) of so many samples, in
+    place; see ``Paths.add``.
 
     Shine takes its share of what is scattered, and adds what it mirrors. Raises Cancelled.
     """

@@ -1,7 +1,9 @@
-"""Surfaces that light passes in pictures: their pixels show walls and what lies outside, refracted and mirrored.
+"""Surfaces that light passes in pictures: their pixels show walls and what lies outside, refracted
+and mirrored.
 
-The first picture follows the greater part of light where rays can part no more, and says how much went that way. While
-the view rests trees are drawn by chance, in halves that tell their noise, until that is small enough.
+The first picture follows the greater part of light where rays can part no more, and says how much
+went that way. While the view rests trees are drawn by chance, in halves that tell their noise,
+until that is small enough.
 """
 
 import threading
@@ -28,26 +30,32 @@ from isogi_core.kernels.transport.matter.sight import NO_SAMPLE, Chances, Leaves
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 
-FIRST_BREADTH, BREADTH = 8, 64
-"""Places that a point sees, at most, by its first tree, and by each of those drawn while the view rests: trees with 64
-take twice as long as those with 8, and have a tenth of the noise.
+FIRST_BREADTH = 8
+BREADTH = 64
+"""Places that a point sees, at most, by its first tree, and by each of those drawn while the view
+rests: trees with 64 take twice as long as those with 8, and have a tenth of the noise.
 """
 
 DEEP = 256
 """Interfaces that a point's light passes, at most."""
 
-TILE_PLACES, PLACES_TOGETHER, STEP_PLACES = 1 << 13, 1 << 18, 1 << 22
-"""Places of a tile; those that are looked up together; and those of a step, about: of a point by one tree of each half
-at least, and by as many again as there are at most.
+TILE_PLACES = 1 << 13
+PLACES_TOGETHER = 1 << 18
+STEP_PLACES = 1 << 22
+"""Places of a tile; those that are looked up together; and those of a step, about: of a point by
+one tree of each half at least, and by as many again as there are at most.
 """
 
-MIN_TREES, MAX_TREES = 8, 1 << 12
-"""Trees of each half that all points have before some may have more than others, as fewer say too little of one point;
-and at most.
+MIN_TREES = 8
+MAX_TREES = 1 << 12
+"""Trees of each half that all points have before some may have more than others, as fewer say too
+little of one point; and at most.
 """
 
 SURE = 0.25
-"""What the first trees may tell of their error, over what is allowed, where no others are drawn: it is a guess."""
+"""What the first trees may tell of their error, over what is allowed, where no others are drawn: it
+is a guess.
+"""
 
 SEEN_NOISE_SHARE = 0.5
 """Share of the target error that the noise of what is seen may have, beside that of walls."""
@@ -55,7 +63,8 @@ SEEN_NOISE_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Trees:
-    """Trees of rays from each point of a picture, one of each of the ``replicas`` and ``samples``, in this order.
+    """Trees of rays from each point of a picture, one of each of the ``replicas`` and ``samples``,
+    in this order.
 
     They see so many places at most, their ``breadth``. Sample NO_SAMPLE leaves nothing to chance.
     """
@@ -73,7 +82,9 @@ class Trees:
         """How they choose, of points in ``pixels`` (m,)."""
         shape = len(pixels), len(self.replicas), len(self.samples)
         point, replica, sample = (part.ravel() for part in np.indices(shape))
-        words = np.column_stack([pixels[point], streams.GLASS_STREAM + self.replicas.start + replica])
+        words = np.column_stack(
+            [pixels[point], streams.GLASS_STREAM + self.replicas.start + replica]
+        )
         return Chances(seeds_of(words), self.samples.start + sample, DEEP)
 
 
@@ -83,11 +94,13 @@ GREATEST = Trees(FIRST_BREADTH, range(1), range(NO_SAMPLE, NO_SAMPLE + 1))
 
 @dataclass(frozen=True, eq=False)
 class SeenThrough:
-    """What the trees of a G-buffer's points, n of them in all, show: ``sky`` (n, 3) of what lies outside, and walls.
+    """What the trees of a G-buffer's points, n of them in all, show: ``sky`` (n, 3) of what lies
+    outside, and walls.
 
-    Each of h places on walls counts ``weights`` (h, 3) in the light of the tree in row ``rows`` (h,), ascending. They
-    are the ``walls`` of a picture of one row, whose pixel i is place i, and seen from their ``sides`` (h,). ``cut``
-    (n,) is the share of a tree's light that went the way of another.
+    Each of h places on walls counts ``weights`` (h, 3) in the light of the tree in row ``rows``
+    (h,), ascending. They are the ``walls`` of a picture of one row, whose pixel i is place i, and
+    seen from their ``sides`` (h,). ``cut`` (n,) is the share of a tree's light that went the way of
+    another.
     """
 
     sky: np.ndarray
@@ -106,22 +119,31 @@ class SeenThrough:
     @classmethod
     def of(cls, gbuffer: GBuffer, light: RotatedLight, trees: Trees, tiles: Tiles) -> "SeenThrough":
         """What is seen through the points of a G-buffer. Raises Cancelled."""
-        prepared, count = light.spec.prepared, len(gbuffer.points) * trees.each
-        passable, traced = prepared.passable, gbuffer.surface.traced(tiles.run)
-        starts, (seeds, samples, deep) = np.repeat(gbuffer.points, trees.each, axis=0), trees.chances(gbuffer.pixels)
+        prepared = light.spec.prepared
+        count = len(gbuffer.points) * trees.each
+        passable = prepared.passable
+        traced = gbuffer.surface.traced(tiles.run)
+        starts = np.repeat(gbuffer.points, trees.each, axis=0)
+        (seeds, samples, deep) = trees.chances(gbuffer.pixels)
         weights, points = np.empty((2, count * trees.breadth, 3), np.float32)
         met, sides = np.empty((2, count * trees.breadth), np.int8)
-        sky, cut = np.empty((count, 3), np.float32), np.empty(count, np.float32)
+        sky = np.empty((count, 3), np.float32)
+        cut = np.empty(count, np.float32)
 
         def _piece(a: int, b: int) -> None:
-            own, chances = slice(a * trees.breadth, b * trees.breadth), Chances(seeds[a:b], samples[a:b], deep)
+            own = slice(a * trees.breadth, b * trees.breadth)
+            chances = Chances(seeds[a:b], samples[a:b], deep)
             leaves = Leaves(sky[a:b], weights[own], points[own], met[own], sides[own], cut[a:b])
-            see_through(traced, passable, light.surroundings, gbuffer.eye, starts[a:b], chances, leaves)
+            see_through(
+                traced, passable, light.surroundings, gbuffer.eye, starts[a:b], chances, leaves
+            )
 
         tiles.run(_piece, count, TILE_PLACES // trees.breadth)
         seen = np.flatnonzero(met >= 0)
         walls = PointsBeside(np.arange(len(seen), dtype=np.uint32), points[seen], met[seen])
-        return cls(sky, weights[seen], seen // trees.breadth, walls, sides[seen].astype(np.int64), cut)
+        return cls(
+            sky, weights[seen], seen // trees.breadth, walls, sides[seen].astype(np.int64), cut
+        )
 
     def views(self, gbuffer: GBuffer, light: RotatedLight) -> list[WallView]:
         """The walls that are seen, fronts and backs apart."""
@@ -129,13 +151,17 @@ class SeenThrough:
         return WallView.of_sides(row, light, self.sides)
 
     def gather(self, lit: Framebuffer) -> tuple[np.ndarray, np.ndarray]:
-        """What trees bring where walls are ``lit``, linear RGB, (n, 3) float64; and the error of its luminance (n,).
+        """What trees bring where walls are ``lit``, linear RGB, (n, 3) float64; and the error of
+        its luminance (n,).
 
         Errors of walls count as those of one, as a place beside another errs as it does.
         """
-        light, brought = self.sky.astype(np.float64), self.weights * lit.radiance[: len(self.rows)].astype(np.float64)
+        light = self.sky.astype(np.float64)
+        brought = self.weights * lit.radiance[: len(self.rows)].astype(np.float64)
         np.add.at(light, self.rows, brought)
-        wrong = np.bincount(self.rows, (brought @ LUMINANCE_WEIGHTS) * lit.error[: len(self.rows)], len(self.sky))
+        wrong = np.bincount(
+            self.rows, (brought @ LUMINANCE_WEIGHTS) * lit.error[: len(self.rows)], len(self.sky)
+        )
         return light, wrong
 
     def states(self, lit: Framebuffer) -> np.ndarray:
@@ -147,8 +173,9 @@ class SeenThrough:
 
 @dataclass(eq=False)
 class SurfaceSeen:
-    """What a view of a target error shows of its surface, ``gbuffer``: by the ``first`` trees, or by the ``sums`` of
-    those drawn by chance since all walls that they see are final. Threads wait for each other.
+    """What a view of a target error shows of its surface, ``gbuffer``: by the ``first`` trees, or
+    by the ``sums`` of those drawn by chance since all walls that they see are final. Threads wait
+    for each other.
     """
 
     gbuffer: GBuffer
@@ -167,22 +194,30 @@ class SurfaceSeen:
         return frame.quality.rays == self.sums.version
 
     def put(self, lit: Framebuffer, target: float, framebuffer: Framebuffer, tiles: Tiles) -> bytes:
-        """Write what is seen to a picture where walls are ``lit``; what names the trees. Raises Cancelled.
+        """Write what is seen to a picture where walls are ``lit``; what names the trees. Raises
+        Cancelled.
 
-        Pixels have the least state of what they show, and are not final before the noise of what they see is allowed.
+        Pixels have the least state of what they show, and are not final before the noise of what
+        they see is allowed.
         """
-        sums, pixels = self.sums, self.gbuffer.pixels  # another thread may add to the sums meanwhile
+        sums = self.sums
+        pixels = self.gbuffer.pixels  # another thread may add to the sums meanwhile
         shown, wrong = self.shown(sums, lit, tiles)
-        light, state = np.minimum(shown.light, np.finfo(np.float32).max), self.first.states(lit)
+        light = np.minimum(shown.light, np.finfo(np.float32).max)
+        state = self.first.states(lit)
         if len(self.noisy(sums, shown, target)):
             np.minimum(state, CONVERGING, out=state)
         error = np.sqrt(shown.variance + wrong**2) / np.maximum(light @ LUMINANCE_WEIGHTS, 1e-30)
-        framebuffer.radiance[pixels], framebuffer.state[pixels] = light, state
+        framebuffer.radiance[pixels] = light
+        framebuffer.state[pixels] = state
         framebuffer.error[pixels] = np.minimum(error, 1.0)
         return sums.version
 
-    def shown(self, sums: Estimate, lit: Framebuffer, tiles: Tiles) -> tuple[NoisyLight, np.ndarray]:
-        """What is seen by ``sums`` where walls are ``lit``, and by how much these make its luminance err (m,).
+    def shown(
+        self, sums: Estimate, lit: Framebuffer, tiles: Tiles
+    ) -> tuple[NoisyLight, np.ndarray]:
+        """What is seen by ``sums`` where walls are ``lit``, and by how much these make its
+        luminance err (m,).
 
         What went the way of another light errs by how much neighbours differ. Raises Cancelled.
         """
@@ -193,7 +228,9 @@ class SurfaceSeen:
         return NoisyLight(light, 2.0 * self.first.cut.astype(np.float64) ** 2 * apart), wrong
 
     def noisy(self, sums: Estimate, shown: NoisyLight, target: float) -> np.ndarray:
-        """Rows of the points that are to have more trees than in ``sums`` before what is ``shown`` is at its target."""
+        """Rows of the points that are to have more trees than in ``sums`` before what is ``shown``
+        is at its target.
+        """
         allowed = (
             (SEEN_NOISE_SHARE if len(self.first.rows) else 1.0)
             * target
@@ -203,17 +240,23 @@ class SurfaceSeen:
         if count >= MAX_TREES:
             return np.empty(0, np.int64)
         found = sums.noisy(shown.variance, allowed if count else SURE * allowed)
-        return found if count >= MIN_TREES or not len(found) else np.arange(len(shown.light))
+        if count >= MIN_TREES or not len(found):
+            return found
+        return np.arange(len(shown.light))
 
 
 @dataclass(frozen=True, eq=False)
 class ViewThrough(Refinement[SurfaceSeen]):
-    """Pictures of what light passes; what is seen in a view is among what is ``kept``, and so is the light of walls."""
+    """Pictures of what light passes; what is seen in a view is among what is ``kept``, and so is
+    the light of walls.
+    """
 
     kept: LruCache[Any]
     walls: ViewWalls
 
-    def draw(self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
+    def draw(
+        self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
+    ) -> Frame:
         """The frame of a G-buffer with the walls' light as it is now. Raises Cancelled."""
         framebuffer = empty_framebuffer(gbuffer)
         with watch.stage("through"):
@@ -224,31 +267,46 @@ class ViewThrough(Refinement[SurfaceSeen]):
             waiting = int((framebuffer.state[gbuffer.pixels] < FINAL).sum())
             if len(gbuffer.walls.pixels):
                 more, own = self.walls.put(gbuffer, light, target, framebuffer, tiles)
-                waiting, version = waiting + more, version + own
+                waiting = waiting + more
+                version = version + own
         frame = frame_of(gbuffer, light, framebuffer, watch, rays=rays)
-        return replace(frame, quality=replace(frame.quality, waiting=waiting), version=f"{frame.version}{version}")
+        return replace(
+            frame,
+            quality=replace(frame.quality, waiting=waiting),
+            version=f"{frame.version}{version}",
+        )
 
     def of(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> SurfaceSeen:
         """See ``Refinement``."""
         return self._seen(frame.gbuffer, light, target, tiles)
 
-    def advance(self, found: SurfaceSeen, frame: Frame, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """Have the walls in a picture, and those seen through its surface, that are not final take as many paths again;
-        once all are, draw more trees for what is seen through it. See ``Refinement``.
+    def advance(
+        self, found: SurfaceSeen, frame: Frame, target: float, tiles: Tiles, prices: Prices
+    ) -> bool:
+        """Have the walls in a picture, and those seen through its surface, that are not final take
+        as many paths again; once all are, draw more trees for what is seen through it. See
+        ``Refinement``.
         """
-        gbuffer, light = frame.gbuffer, found.light
-        if self.walls.grow([WallView.of(gbuffer, light), *found.first.views(gbuffer, light)], target, tiles):
+        gbuffer = frame.gbuffer
+        light = found.light
+        if self.walls.grow(
+            [WallView.of(gbuffer, light), *found.first.views(gbuffer, light)], target, tiles
+        ):
             return True
         lit, _ = self._lit(found.first, gbuffer, light, target, tiles)
         places = found.noisy(found.sums, found.shown(found.sums, lit, tiles)[0], target)
         return len(places) > 0 and self._draw_trees(found, places, target, tiles)
 
-    def _draw_trees(self, seen: SurfaceSeen, places: np.ndarray, target: float, tiles: Tiles) -> bool:
-        """Draw as many trees again for the points at ``places``; where walls that they see are not final these take as
-        many paths again in place of that. Whether anything was taken. Raises Cancelled.
+    def _draw_trees(
+        self, seen: SurfaceSeen, places: np.ndarray, target: float, tiles: Tiles
+    ) -> bool:
+        """Draw as many trees again for the points at ``places``; where walls that they see are not
+        final these take as many paths again in place of that. Whether anything was taken. Raises
+        Cancelled.
         """
         numbers = seen.sums.next(STEP_PLACES // (HALVES * BREADTH * len(places)))
-        trees, added = Trees(BREADTH, range(HALVES), numbers), np.zeros((len(places), HALVES, 3))
+        trees = Trees(BREADTH, range(HALVES), numbers)
+        added = np.zeros((len(places), HALVES, 3))
         some = max(PLACES_TOGETHER // (BREADTH * trees.each), 1)
         for a in range(0, len(places), some):
             rows = places[a : a + some]
@@ -263,11 +321,15 @@ class ViewThrough(Refinement[SurfaceSeen]):
     def _lit(
         self, seen: SeenThrough, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles
     ) -> tuple[Framebuffer, str]:
-        """The walls that are ``seen`` as they are lit now, and what names their paths. Raises Cancelled."""
+        """The walls that are ``seen`` as they are lit now, and what names their paths. Raises
+        Cancelled.
+        """
         lit = dark_row(len(seen.rows))
         return lit, self.walls.put_seen(seen.views(gbuffer, light), target, lit, tiles)
 
-    def _seen(self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles) -> SurfaceSeen:
+    def _seen(
+        self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles
+    ) -> SurfaceSeen:
         """What the points of a G-buffer show."""
 
         def make() -> SurfaceSeen:
@@ -280,4 +342,6 @@ class ViewThrough(Refinement[SurfaceSeen]):
 def dark_row(count: int) -> Framebuffer:
     """A picture of one row in which nothing is lit."""
     n = max(count, 1)
-    return Framebuffer(np.zeros((n, 3), np.float32), np.full(n, FINAL, np.uint8), np.zeros(n, np.float32))
+    return Framebuffer(
+        np.zeros((n, 3), np.float32), np.full(n, FINAL, np.uint8), np.zeros(n, np.float32)
+    )

@@ -1,7 +1,9 @@
-"""The light of walls: what texels on them hold for the isovalue that is shown, as far as time allowed.
+"""The light of walls: what texels on them hold for the isovalue that is shown, as far as time
+allowed.
 
-The first picture has a few coarse ones, or what lies between the isovalues around that were lit before; each step while
-the view rests then makes them fine, and takes as many paths again. The store keeps them.
+The first picture has a few coarse ones, or what lies between the isovalues around that were lit
+before; each step while the view rests then makes them fine, and takes as many paths again. The
+store keeps them.
 """
 
 import threading
@@ -45,9 +47,11 @@ from isogi_core.prepared.prepared_scene import Surface
 
 @dataclass(eq=False)
 class WallLight:
-    """The light of a side of a wall about the ``surface`` that is shown: its ``texels``, as far as they have come.
+    """The light of a side of a wall about the ``surface`` that is shown: its ``texels``, as far as
+    they have come.
 
-    What is ``lent`` by the isovalues around stands in for texels that err more. Threads wait for each other.
+    What is ``lent`` by the isovalues around stands in for texels that err more. Threads wait for
+    each other.
     """
 
     light: RotatedLight
@@ -59,17 +63,24 @@ class WallLight:
     @property
     def nbytes(self) -> int:
         """Bytes that it takes once its texels are fine, or finer if they are."""
-        own = self.texels.nbytes * (1 if self.texels.fine else (FINE_WALL_TEXELS // COARSE_WALL_TEXELS) ** 2)
+        own = self.texels.nbytes * (
+            1 if self.texels.fine else (FINE_WALL_TEXELS // COARSE_WALL_TEXELS) ** 2
+        )
         return own + (self.lent.nbytes if self.lent else 0)
 
     def best(self, target: float, tiles: Tiles) -> WallTexels:
-        """The wall's texels where these are final at a ``target``, else the ones with the least error that have light.
+        """The wall's texels where these are final at a ``target``, else the ones with the least
+        error that have light.
 
         Raises Cancelled.
         """
         with self.lock:
             own = self.texels
-            if self.lent and not own.final(target) and not (own.count and own.error <= self.lent.error):
+            if (
+                self.lent
+                and not own.final(target)
+                and not (own.count and own.error <= self.lent.error)
+            ):
                 return self.lent
             self.lent = None
             if not self.texels.count:
@@ -77,7 +88,9 @@ class WallLight:
             return self.texels
 
     def grow(self, target: float, tiles: Tiles) -> bool:
-        """Bring its texels a step nearer to a ``target`` error; False if they are final. Raises Cancelled."""
+        """Bring its texels a step nearer to a ``target`` error; False if they are final. Raises
+        Cancelled.
+        """
         with self.lock:
             if self.texels.final(target):
                 return False
@@ -87,9 +100,11 @@ class WallLight:
 
 @dataclass(eq=False)
 class RoomLight:
-    """The light of all walls in one ``state``, about the ``surface`` that is shown: that of each side that was seen.
+    """The light of all walls in one ``state``, about the ``surface`` that is shown: that of each
+    side that was seen.
 
-    It begins with what the ``store`` kept of it, and with what lies between the isovalues around that it kept.
+    It begins with what the ``store`` kept of it, and with what lies between the isovalues around
+    that it kept.
     """
 
     light: RotatedLight
@@ -101,11 +116,18 @@ class RoomLight:
 
     @classmethod
     def of(cls, light: RotatedLight, surface: Surface, store: WallStore) -> "RoomLight":
-        """The light about a ``surface`` that a ``light`` falls on, as far as a ``store`` kept it."""
-        found = cls(light, surface, WallState(float(surface.isovalue), light.seen.albedo, light.glow), store)
-        own, lent = found._kept(found.state), found._lent()
+        """The light about a ``surface`` that a ``light`` falls on, as far as a ``store`` kept
+        it.
+        """
+        found = cls(
+            light, surface, WallState(float(surface.isovalue), light.seen.albedo, light.glow), store
+        )
+        own = found._kept(found.state)
+        lent = found._lent()
         for side in {*own, *lent}:
-            found.sides[side] = WallLight(light, surface, own.get(side) or found._begun(side), lent.get(side))
+            found.sides[side] = WallLight(
+                light, surface, own.get(side) or found._begun(side), lent.get(side)
+            )
         return found
 
     @property
@@ -114,7 +136,9 @@ class RoomLight:
         return sum(each.nbytes for each in list(self.sides.values()))
 
     def is_shown(self, frame: Frame) -> bool:
-        """True: a step from a ``frame`` that is behind takes paths for walls that still need some."""
+        """True: a step from a ``frame`` that is behind takes paths for walls that still need
+        some.
+        """
         return True
 
     def side(self, side: Side) -> WallLight:
@@ -127,11 +151,13 @@ class RoomLight:
         """Have the store keep what of these has ``grown``."""
         for across in sorted({each.across for each in grown if each.fine}):
             shape = 4 * len(self.light.spec.prepared.scene.lighting.room.walls), across, across
-            means, counts = np.zeros((*shape, 3)), np.zeros(shape, np.int64)
+            means = np.zeros((*shape, 3))
+            counts = np.zeros(shape, np.int64)
             for each in (each for each in grown if each.across == across):
                 rows, columns = each.settled.shape
                 own = planes_of((each.wall, each.side)), slice(rows), slice(columns)
-                means[own], counts[own] = np.moveaxis(each.means, 2, 0), each.count * each.asked
+                means[own] = np.moveaxis(each.means, 2, 0)
+                counts[own] = each.count * each.asked
             self.store.keep(self.state, (means, counts))
 
     def _begun(self, side: Side) -> WallTexels:
@@ -144,7 +170,11 @@ class RoomLight:
             planes := self.store.planes(state, across)
         ) is not None:
             kept[across] = planes
-        sides = product(range(len(self.light.spec.prepared.scene.lighting.room.walls)), (1, -1)) if kept else ()
+        sides = (
+            product(range(len(self.light.spec.prepared.scene.lighting.room.walls)), (1, -1))
+            if kept
+            else ()
+        )
         found = {side: WallTexels.restored(self.light, side, kept) for side in sides}
         return {side: texels for side, texels in found.items() if texels is not None}
 
@@ -154,7 +184,9 @@ class RoomLight:
         if around is None:
             return {}
         low, high = (self._kept(each, FINE_WALL_TEXELS) for each in around)
-        share = (self.state.isovalue - around[0].isovalue) / (around[1].isovalue - around[0].isovalue)
+        share = (self.state.isovalue - around[0].isovalue) / (
+            around[1].isovalue - around[0].isovalue
+        )
         return {
             side: low[side].mixed(high[side], share, f"-{low[side].count:x}~{high[side].count:x}")
             for side in low.keys() & high.keys()
@@ -163,7 +195,9 @@ class RoomLight:
 
 @dataclass(frozen=True, eq=False)
 class WallView:
-    """The walls in a picture, each of which shows one of its ``sides`` (k,) int: 1 its front, -1 its back."""
+    """The walls in a picture, each of which shows one of its ``sides`` (k,) int: 1 its front, -1
+    its back.
+    """
 
     gbuffer: GBuffer
     light: RotatedLight
@@ -172,14 +206,16 @@ class WallView:
     @classmethod
     def of(cls, gbuffer: GBuffer, light: RotatedLight) -> "WallView":
         """The walls that a G-buffer shows."""
-        room, eye = light.spec.prepared.room(light.seen.albedo), np.multiply(gbuffer.eye, gbuffer.spacing)
+        room = light.spec.prepared.room(light.seen.albedo)
+        eye = np.multiply(gbuffer.eye, gbuffer.spacing)
         front = ((eye - room.corners) * room.normals).sum(axis=1) > 0.0
         return cls(gbuffer, light, np.where(front, 1, -1))
 
     @classmethod
     def of_sides(cls, gbuffer: GBuffer, light: RotatedLight, sides: np.ndarray) -> list["WallView"]:
         """The walls that a G-buffer shows, seen from ``sides`` (m,): fronts and backs apart."""
-        count, walls = len(light.spec.prepared.scene.lighting.room.walls), gbuffer.walls
+        count = len(light.spec.prepared.scene.lighting.room.walls)
+        walls = gbuffer.walls
         found = [(side, np.flatnonzero(sides == side)) for side in (1, -1)]
         return [
             cls(replace(gbuffer, walls=walls.part(some)), light, np.full(count, side))
@@ -197,14 +233,19 @@ class WallView:
         """The walls that are seen, by number, each with the side that is seen."""
         return [(wall, int(self.sides[wall])) for wall in np.flatnonzero(self.counts).tolist()]
 
-    def put(self, texels: Sequence[WallTexels], target: float, framebuffer: Framebuffer, tiles: Tiles) -> int:
-        """Write the light of ``texels``, those of each wall that is seen, into a picture; pixels that are not final.
+    def put(
+        self, texels: Sequence[WallTexels], target: float, framebuffer: Framebuffer, tiles: Tiles
+    ) -> int:
+        """Write the light of ``texels``, those of each wall that is seen, into a picture; pixels
+        that are not final.
 
         Raises Cancelled.
         """
-        walls, prepared = self.gbuffer.walls, self.light.spec.prepared
+        walls = self.gbuffer.walls
+        prepared = self.light.spec.prepared
         finals = {each.wall: each.final(target) for each in texels}
-        table, darkest = self._table(texels, finals), np.float32(MIN_LIGHT * self.light.spec.unit)
+        table = self._table(texels, finals)
+        darkest = np.float32(MIN_LIGHT * self.light.spec.unit)
         met = prepared.room(self.light.seen.albedo).walls
 
         def _piece(a: int, b: int) -> None:
@@ -216,30 +257,50 @@ class WallView:
 
     def _table(self, texels: Sequence[WallTexels], finals: dict[int, bool]) -> WallTable:
         """The texels as kernels take them, and which walls are final."""
-        light, count = [each.leaving for each in texels], len(self.light.spec.prepared.scene.lighting.room.walls)
+        light = [each.leaving for each in texels]
+        count = len(self.light.spec.prepared.scene.lighting.room.walls)
         firsts, rows, columns = np.zeros((3, count), np.int64)
-        states, ends = np.zeros(count, np.uint8), np.cumsum([0, *map(len, light)])
+        states = np.zeros(count, np.uint8)
+        ends = np.cumsum([0, *map(len, light)])
         for each, first in zip(texels, ends, strict=False):
             k = each.wall
-            firsts[k], (rows[k], columns[k]) = first, each.settled.shape
-            states[k] = FINAL if finals[k] else CONVERGING if each.fine else PROVISIONAL
+            firsts[k] = first
+            (rows[k], columns[k]) = each.settled.shape
+            if finals[k]:
+                states[k] = FINAL
+            elif each.fine:
+                states[k] = CONVERGING
+            else:
+                states[k] = PROVISIONAL
         return WallTable(np.concatenate(light), firsts, rows, columns, states)
 
     def put_paths(self, target: float, framebuffer: Framebuffer, tiles: Tiles) -> None:
-        """Write the walls into a path-traced picture, as many paths from each pixel. Raises Cancelled."""
-        walls, plan, samples = self.gbuffer.walls, self.light.spec.prepared.scene.plan, self.light.view.samples
+        """Write the walls into a path-traced picture, as many paths from each pixel. Raises
+        Cancelled.
+        """
+        walls = self.gbuffer.walls
+        plan = self.light.spec.prepared.scene.plan
+        samples = self.light.view.samples
         replicas = replicas_for(samples)
-        count, room = max(samples // replicas, 1), self.light.spec.prepared.room(self.light.seen.albedo)
+        count = max(samples // replicas, 1)
+        room = self.light.spec.prepared.room(self.light.seen.albedo)
         each, replica = (part.ravel() for part in np.indices((len(walls.pixels), replicas)))
         seeds = seeds_of(np.column_stack([walls.pixels[each], replica]))
-        isovalue, numbers = self.gbuffer.surface.isovalue, walls.numbers[each]
+        isovalue = self.gbuffer.surface.isovalue
+        numbers = walls.numbers[each]
         starts = starts_at(walls.points[each], self._normals[each], isovalue, seeds, numbers)
         rules = PathRules(path_weights(np.ones(3), plan.bounces, 1.0), plan.survival)
-        sums = light_starts(self.light, self.gbuffer.surface, starts, rules, SampleRange(0, count), tiles)
+        sums = light_starts(
+            self.light, self.gbuffer.surface, starts, rules, SampleRange(0, count), tiles
+        )
         means = room.albedos[walls.numbers][:, None] * sums.reshape(-1, replicas, 3) / count
         variance = pooled_variance(variance_of_mean(means), self.gbuffer, walls.pixels)
-        light = np.minimum(means.mean(axis=1) + room.radiances[walls.numbers], np.finfo(np.float32).max)
-        error = np.sqrt(variance) / np.maximum(light @ LUMINANCE_WEIGHTS, MIN_LIGHT * self.light.spec.unit)
+        light = np.minimum(
+            means.mean(axis=1) + room.radiances[walls.numbers], np.finfo(np.float32).max
+        )
+        error = np.sqrt(variance) / np.maximum(
+            light @ LUMINANCE_WEIGHTS, MIN_LIGHT * self.light.spec.unit
+        )
         framebuffer.radiance[walls.pixels] = light
         framebuffer.state[walls.pixels] = np.where(error <= target, FINAL, CONVERGING)
         framebuffer.error[walls.pixels] = np.clip(error, 0.0, 1.0)
@@ -250,10 +311,17 @@ class WallView:
         room = self.light.spec.prepared.room(self.light.seen.albedo)
         return np.asarray((self.sides[:, None] * room.normals)[self.gbuffer.walls.numbers])
 
-    def put_locally(self, shading: str, depths: tuple[float, float], framebuffer: Framebuffer, tiles: Tiles) -> None:
-        """Write the walls into a picture by a local model, whose shadows are those of the surface. Raises Cancelled."""
-        walls, gbuffer, room = self.gbuffer.walls, self.gbuffer, self.light.spec.prepared.scene.lighting.room
-        traced, normals = gbuffer.surface.traced(tiles.run), self._normals.astype(np.float32)
+    def put_locally(
+        self, shading: str, depths: tuple[float, float], framebuffer: Framebuffer, tiles: Tiles
+    ) -> None:
+        """Write the walls into a picture by a local model, whose shadows are those of the surface.
+        Raises Cancelled.
+        """
+        walls = self.gbuffer.walls
+        gbuffer = self.gbuffer
+        room = self.light.spec.prepared.scene.lighting.room
+        traced = gbuffer.surface.traced(tiles.run)
+        normals = self._normals.astype(np.float32)
         shown = SurfacePoints(walls.points, normals, walls.pixels)
         for number, _ in self.seen:
             rows = np.flatnonzero(walls.numbers == number)
@@ -270,36 +338,62 @@ class ViewWalls(Refinement[RoomLight]):
 
     def __init__(self, kept: LruCache[Any], volume: Volume, store: WallStore) -> None:
         """Keep the light of walls where results of views are, and in a ``store``."""
-        self._kept, self._volume, self._store = kept, volume, store
+        self._kept = kept
+        self._volume = volume
+        self._store = store
 
     def put(
-        self, gbuffer: GBuffer, light: RotatedLight, target: float, framebuffer: Framebuffer, tiles: Tiles
+        self,
+        gbuffer: GBuffer,
+        light: RotatedLight,
+        target: float,
+        framebuffer: Framebuffer,
+        tiles: Tiles,
     ) -> tuple[int, str]:
-        """Write the walls into a picture; how many of their pixels are not final, and what names the paths taken.
+        """Write the walls into a picture; how many of their pixels are not final, and what names
+        the paths taken.
 
         Raises Cancelled.
         """
-        view, walls = light.view, WallView.of(gbuffer, light)
+        view = light.view
+        walls = WallView.of(gbuffer, light)
         if view.shading == "path_traced":
             walls.put_paths(target, framebuffer, tiles)
         elif view.shading != "gi":
-            shading = "lambert" if view.shading == "vicinity" else view.shading
+            if view.shading == "vicinity":
+                shading = "lambert"
+            else:
+                shading = view.shading
             walls.put_locally(shading, fog_depths(view, self._volume), framebuffer, tiles)
         else:
             texels = self._best(walls, target, tiles)
-            return walls.put(texels, target, framebuffer, tiles), "".join(each.version for each in texels)
+            return walls.put(texels, target, framebuffer, tiles), "".join(
+                each.version for each in texels
+            )
         return 0, ""
 
-    def add(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
-        """A ``frame`` with the walls that it shows, which are written into its picture. Raises Cancelled."""
+    def add(
+        self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
+    ) -> Frame:
+        """A ``frame`` with the walls that it shows, which are written into its picture. Raises
+        Cancelled.
+        """
         if not len(frame.gbuffer.walls.pixels):
             return frame
         with watch.stage("walls"):
             waiting, version = self.put(frame.gbuffer, light, target, frame.framebuffer, tiles)
-        return replace(frame, quality=replace(frame.quality, waiting=waiting), version=f"{frame.version}{version}")
+        return replace(
+            frame,
+            quality=replace(frame.quality, waiting=waiting),
+            version=f"{frame.version}{version}",
+        )
 
-    def put_seen(self, views: Iterable[WallView], target: float, framebuffer: Framebuffer, tiles: Tiles) -> str:
-        """Write what several views see of walls into one picture; what names the paths taken. Raises Cancelled."""
+    def put_seen(
+        self, views: Iterable[WallView], target: float, framebuffer: Framebuffer, tiles: Tiles
+    ) -> str:
+        """Write what several views see of walls into one picture; what names the paths taken.
+        Raises Cancelled.
+        """
         version = ""
         for walls in views:
             texels = self._best(walls, target, tiles)
@@ -311,16 +405,22 @@ class ViewWalls(Refinement[RoomLight]):
         """See ``Refinement``."""
         return self._room(WallView.of(frame.gbuffer, light))
 
-    def advance(self, found: RoomLight, frame: Frame, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """Have the walls in a ``frame`` that are not final take as many paths again: see ``Refinement``."""
+    def advance(
+        self, found: RoomLight, frame: Frame, target: float, tiles: Tiles, prices: Prices
+    ) -> bool:
+        """Have the walls in a ``frame`` that are not final take as many paths again: see
+        ``Refinement``.
+        """
         return self.grow([WallView.of(frame.gbuffer, found.light)], target, tiles)
 
     def grow(self, views: Sequence[WallView], target: float, tiles: Tiles) -> bool:
-        """Have the walls in some ``views`` of one light, that are not final, take as many paths again.
+        """Have the walls in some ``views`` of one light, that are not final, take as many paths
+        again.
 
         The store keeps what they come to, also where this raises Cancelled.
         """
-        room, grown = self._room(views[0]), list[WallTexels]()
+        room = self._room(views[0])
+        grown = list[WallTexels]()
         try:
             for side in dict.fromkeys(side for walls in views for side in walls.seen):
                 lit = room.side(side)
@@ -337,7 +437,10 @@ class ViewWalls(Refinement[RoomLight]):
         return [room.side(side).best(target, tiles) for side in walls.seen]
 
     def _room(self, walls: WallView) -> RoomLight:
-        """The light of walls for the isovalue, the albedo and the glow that are shown; kept beside views."""
-        light, surface = walls.light, walls.gbuffer.surface
+        """The light of walls for the isovalue, the albedo and the glow that are shown; kept beside
+        views.
+        """
+        light = walls.light
+        surface = walls.gbuffer.surface
         key = (RoomLight, light.view.isovalue, light.view.albedo, light.view.glow)
         return self._kept.get(key, lambda: RoomLight.of(light, surface, self._store))

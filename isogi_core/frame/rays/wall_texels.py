@@ -1,7 +1,9 @@
-"""Texels of walls: a lattice on each, lit for the isovalue that is shown, as fine as their light asks for.
+"""Texels of walls: a lattice on each, lit for the isovalue that is shown, as fine as their light
+asks for.
 
-The first are a few coarse ones. Where what lies between fine ones is the greater part of their error, at edges of
-shadows and in caustics, there are twice as many each way, and twice as many again.
+The first are a few coarse ones. Where what lies between fine ones is the greater part of their
+error, at edges of shadows and in caustics, there are twice as many each way, and twice as many
+again.
 """
 
 import math
@@ -25,28 +27,40 @@ from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRang
 from isogi_core.model.environment import LUMINANCE_WEIGHTS
 from isogi_core.prepared.prepared_scene import Surface
 
-COARSE_WALL_TEXELS, FINE_WALL_TEXELS, MAX_WALL_TEXELS = 16, 64, 256
+COARSE_WALL_TEXELS = 16
+FINE_WALL_TEXELS = 64
+MAX_WALL_TEXELS = 256
 """Texels along the longest edge of any wall: of the first picture, of all others, and at most."""
 
 EDGY = 1.0 / 12.0
-"""What interpolation adds to the variance, over the squared second differences of texels' light, at an edge.
+"""What interpolation adds to the variance, over the squared second differences of texels' light, at
+an edge.
 
-That is anywhere between two texels: these are twice its height squared together, and a ramp in its place errs by a
-sixth of that. Where light is smooth it is a tenth of this.
+That is anywhere between two texels: these are twice its height squared together, and a ramp in its
+place errs by a sixth of that. Where light is smooth it is a tenth of this.
 """
 
-FIRST_PATHS, MAX_PATHS = 8, 1 << 12
+FIRST_PATHS = 8
+MAX_PATHS = 1 << 12
 """Paths of each half of a texel at first, and at most."""
 
 
 def light_starts(
-    light: RotatedLight, surface: Surface, starts: PathStarts, rules: PathRules, samples: SampleRange, tiles: Tiles
+    light: RotatedLight,
+    surface: Surface,
+    starts: PathStarts,
+    rules: PathRules,
+    samples: SampleRange,
+    tiles: Tiles,
 ) -> np.ndarray:
-    """Sums (g, 3) of a ``SampleRange`` of E/π, glow's too, at ``starts`` about a ``surface``; see ``add_paths``.
+    """Sums (g, 3) of a ``SampleRange`` of E/π, glow's too, at ``starts`` about a ``surface``; see
+    ``add_paths``.
 
     Raises Cancelled.
     """
-    traced, sums, prepared = surface.traced(tiles.run), np.zeros((len(starts.seeds), 3)), light.spec.prepared
+    traced = surface.traced(tiles.run)
+    sums = np.zeros((len(starts.seeds), 3))
+    prepared = light.spec.prepared
     met = prepared.met(light.seen.albedo, traced.cells, tiles.run)
 
     def _piece(a: int, b: int) -> None:
@@ -61,15 +75,17 @@ def light_starts(
 
 @dataclass(frozen=True, eq=False)
 class WallTexels:
-    """Texels on a side of the wall number ``wall``: E/π by halves of ``count`` paths, ``means`` (rows, columns, 2, 3).
+    """Texels on a side of the wall number ``wall``: E/π by halves of ``count`` paths, ``means``
+    (rows, columns, 2, 3).
 
-    Rows are along the wall's second edge, and ``side`` is 1 for its front, -1 for its back. There are so many
-    ``across`` the longest edge of any wall. The wall has an ``albedo`` and gives off ``radiance`` (3,). Where coarser
-    ones were fine enough, ``settled`` (rows, columns) is what they told to be ``unsharp``, and no paths are sent from
-    texels; it is NaN elsewhere, and for all of the first.
+    Rows are along the wall's second edge, and ``side`` is 1 for its front, -1 for its back. There
+    are so many ``across`` the longest edge of any wall. The wall has an ``albedo`` and gives off
+    ``radiance`` (3,). Where coarser ones were fine enough, ``settled`` (rows, columns) is what they
+    told to be ``unsharp``, and no paths are sent from texels; it is NaN elsewhere, and for all of
+    the first.
 
-    What is mixed of texels at two other isovalues has no paths, is ``made_of`` these, and errs by the variance
-    ``moved`` (rows, columns), too, as light is another in between.
+    What is mixed of texels at two other isovalues has no paths, is ``made_of`` these, and errs by
+    the variance ``moved`` (rows, columns), too, as light is another in between.
     """
 
     wall: int
@@ -85,16 +101,24 @@ class WallTexels:
 
     @classmethod
     def begun(cls, light: RotatedLight, wall: int, side: int, across: int) -> "WallTexels":
-        """Texels that no path has been sent from yet, ``across`` of them along the longest edge of any wall."""
+        """Texels that no path has been sent from yet, ``across`` of them along the longest edge of
+        any wall.
+        """
         room = light.spec.prepared.room(light.seen.albedo)
         edges = np.linalg.norm(room.edges, axis=2)
-        columns, rows = np.maximum(np.ceil(across * edges[wall] / edges.max()), 2).astype(int).tolist()
-        means, settled = np.zeros((rows, columns, 2, 3)), np.full((rows, columns), np.nan)
+        columns, rows = (
+            np.maximum(np.ceil(across * edges[wall] / edges.max()), 2).astype(int).tolist()
+        )
+        means = np.zeros((rows, columns, 2, 3))
+        settled = np.full((rows, columns), np.nan)
         return cls(wall, side, room.albedos[wall], room.radiances[wall], means, across, settled)
 
     @classmethod
-    def restored(cls, light: RotatedLight, side: Side, kept: Mapping[int, Planes]) -> "WallTexels | None":
-        """Texels on a ``side`` of a wall with what was ``kept`` of them, as fine as that is; None where nothing was.
+    def restored(
+        cls, light: RotatedLight, side: Side, kept: Mapping[int, Planes]
+    ) -> "WallTexels | None":
+        """Texels on a ``side`` of a wall with what was ``kept`` of them, as fine as that is; None
+        where nothing was.
 
         ``kept`` is by how many are across. What was not asked is what coarser ones tell.
         """
@@ -106,7 +130,8 @@ class WallTexels:
             asked = counts[own][0] > 0
             if not asked.any() or (found is None and not asked.all()):
                 break
-            begun = begun if found is None else found.finer(light, asked)
+            if found is not None:
+                begun = found.finer(light, asked)
             some = np.where(asked[..., None, None], np.moveaxis(means[own], 0, 2), begun.means)
             found = replace(begun, means=some, count=int(counts[own].max()))
         return found
@@ -126,32 +151,41 @@ class WallTexels:
         """Names the paths that were taken."""
         if self.made_of:
             return self.made_of
-        return f"-{self.count:x}" if self.across == FINE_WALL_TEXELS else f"-{self.count:x}a{self.across:x}"
+        if self.across == FINE_WALL_TEXELS:
+            return f"-{self.count:x}"
+        return f"-{self.count:x}a{self.across:x}"
 
     @cached_property
     def variance(self) -> np.ndarray:
-        """Variance of the luminance that leaves each texel, a mean with its neighbours', by NEAR; (rows, columns)."""
+        """Variance of the luminance that leaves each texel, a mean with its neighbours', by NEAR;
+        (rows, columns).
+        """
         halves = self.means @ (LUMINANCE_WEIGHTS * self.albedo)
         return pooled(((halves[..., 0] - halves[..., 1]) / 2.0) ** 2)
 
     @cached_property
     def unsharp(self) -> np.ndarray:
-        """Variance of the luminance that light between texels adds, as it is interpolated; (rows, columns).
+        """Variance of the luminance that light between texels adds, as it is interpolated; (rows,
+        columns).
 
-        It is found by how light bends. About an edge that is half as much between next texels as between those two
-        apart; where it is less, light is smoother than that.
+        It is found by how light bends. About an edge that is half as much between next texels as
+        between those two apart; where it is less, light is smoother than that.
         """
         near, far = self._bends(1), self._bends(2)
         found = EDGY * near * np.minimum(2.0 * near / np.maximum(far, 1e-30), 1.0)
         return np.where(self.asked, found, self.settled)
 
     def _bends(self, step: int) -> np.ndarray:
-        """Squared second differences of light between texels a ``step`` apart, both ways, less those of noise."""
-        light, found = self.luminance, np.zeros(self.settled.shape)
+        """Squared second differences of light between texels a ``step`` apart, both ways, less
+        those of noise.
+        """
+        light = self.luminance
+        found = np.zeros(self.settled.shape)
         for axis in (0, 1):
             if light.shape[axis] > 2 * step:
                 low, here, high = (
-                    light.take(np.arange(k * step, light.shape[axis] - (2 - k) * step), axis) for k in range(3)
+                    light.take(np.arange(k * step, light.shape[axis] - (2 - k) * step), axis)
+                    for k in range(3)
                 )
                 ends = [(step * int(a == axis),) * 2 for a in range(2)]
                 found += np.pad((low - 2.0 * here + high) ** 2, ends) - 6.0 * self.variance
@@ -168,36 +202,62 @@ class WallTexels:
         return np.asarray(self.means.mean(axis=2) @ (LUMINANCE_WEIGHTS * self.albedo))
 
     def relative(self, variance: np.ndarray) -> float:
-        """The error that a ``variance`` (rows, columns) makes of all of them, relative; 0 where no light arrives."""
+        """The error that a ``variance`` (rows, columns) makes of all of them, relative; 0 where no
+        light arrives.
+        """
         mean = float(self.luminance.mean())
-        return math.sqrt(float(variance.mean())) / mean if mean > 0.0 else 0.0
+        if mean > 0.0:
+            return math.sqrt(float(variance.mean())) / mean
+        return 0.0
 
     @property
     def error(self) -> float:
         """All that they err by, relative."""
-        return self.relative(self.variance + self.unsharp + (0.0 if self.moved is None else self.moved))
+        return self.relative(
+            self.variance + self.unsharp + (0.0 if self.moved is None else self.moved)
+        )
 
     def final(self, target: float) -> bool:
         """Whether their error is within a ``target``, or as small as it may become."""
-        return self.fine and self.count > 0 and self.has_enough_paths(target) and not self.too_coarse(target)
+        return (
+            self.fine
+            and self.count > 0
+            and self.has_enough_paths(target)
+            and not self.too_coarse(target)
+        )
 
     def has_enough_paths(self, target: float) -> bool:
-        """Whether their noise is within a ``target``, or they have taken all paths that they may."""
+        """Whether their noise is within a ``target``, or they have taken all paths that they
+        may.
+        """
         return self.count >= MAX_PATHS or self.relative(self.variance) <= target
 
     def too_coarse(self, target: float) -> bool:
-        """Whether what lies between them errs more than they do, and by more than half of a ``target``."""
-        if not FINE_WALL_TEXELS <= self.across < MAX_WALL_TEXELS or self.unsharp.mean() <= self.variance.mean():
+        """Whether what lies between them errs more than they do, and by more than half of a
+        ``target``.
+        """
+        if (
+            not FINE_WALL_TEXELS <= self.across < MAX_WALL_TEXELS
+            or self.unsharp.mean() <= self.variance.mean()
+        ):
             return False
         return self.relative(self.unsharp) > 0.5 * target
 
-    def nearer(self, light: RotatedLight, surface: Surface, target: float, tiles: Tiles) -> "WallTexels":
-        """The texels a step nearer to a ``target``: fine ones, more paths, or twice as fine ones. Raises Cancelled."""
+    def nearer(
+        self, light: RotatedLight, surface: Surface, target: float, tiles: Tiles
+    ) -> "WallTexels":
+        """The texels a step nearer to a ``target``: fine ones, more paths, or twice as fine ones.
+        Raises Cancelled.
+        """
         if not self.fine:
-            return WallTexels.begun(light, self.wall, self.side, FINE_WALL_TEXELS).grown(light, surface, tiles)
+            return WallTexels.begun(light, self.wall, self.side, FINE_WALL_TEXELS).grown(
+                light, surface, tiles
+            )
         if not self.has_enough_paths(target):
             return self.grown(light, surface, tiles, self.count)
-        return self.finer(light, self._unsharp_places(light, target)).grown(light, surface, tiles, self.count)
+        return self.finer(light, self._unsharp_places(light, target)).grown(
+            light, surface, tiles, self.count
+        )
 
     def _unsharp_places(self, light: RotatedLight, target: float) -> np.ndarray:
         """Which of twice as many texels each way are to be asked; (2 rows, 2 columns) bool, about.
@@ -211,7 +271,9 @@ class WallTexels:
         return np.asarray(self.unsharp[self._near(finer)] >= few)
 
     def finer(self, light: RotatedLight, asked: np.ndarray) -> "WallTexels":
-        """Twice as many each way, dark where they are ``asked``; elsewhere, what these tell of the places between."""
+        """Twice as many each way, dark where they are ``asked``; elsewhere, what these tell of the
+        places between.
+        """
         finer = WallTexels.begun(light, self.wall, self.side, 2 * self.across)
         settled = np.where(asked, np.nan, self.unsharp[self._near(finer)])
         known = np.where(asked[..., None, None], 0.0, between(self.means, *self._places(finer)))
@@ -227,32 +289,44 @@ class WallTexels:
         return np.ix_(*(np.rint(each).astype(int) for each in self._places(finer)))
 
     def mixed(self, other: "WallTexels", share: float, made_of: str) -> "WallTexels":
-        """What lies between these and those at an ``other`` isovalue, which has so much of a ``share``.
+        """What lies between these and those at an ``other`` isovalue, which has so much of a
+        ``share``.
 
-        Where light is another at both, it is taken to change from one to the other somewhere between, all at once:
-        a mean of both then errs by share (1 - share) of the squared difference (the Bernoulli distribution's variance).
+        Where light is another at both, it is taken to change from one to the other somewhere
+        between, all at once: a mean of both then errs by share (1 - share) of the squared
+        difference (the Bernoulli distribution's variance).
         """
         means = (1.0 - share) * self.means + share * other.means
         apart = (self.luminance - other.luminance) ** 2 - self.variance - other.variance
         moved = share * (1.0 - share) * np.maximum(pooled(apart), 0.0)
         return replace(self, means=means, count=0, made_of=made_of, moved=moved)
 
-    def grown(self, light: RotatedLight, surface: Surface, tiles: Tiles, more: int = FIRST_PATHS) -> "WallTexels":
-        """The texels after ``more`` paths of each half of the ones asked, rounded as the store keeps them.
+    def grown(
+        self, light: RotatedLight, surface: Surface, tiles: Tiles, more: int = FIRST_PATHS
+    ) -> "WallTexels":
+        """The texels after ``more`` paths of each half of the ones asked, rounded as the store
+        keeps them.
 
         Raises Cancelled.
         """
-        plan, asked, count = light.spec.plan, self.asked, self.count + more
+        plan = light.spec.plan
+        asked = self.asked
+        count = self.count + more
         rules = PathRules(path_weights(np.ones(3), plan.bounces, 1.0), plan.survival)
-        starts, samples = self._starts(light, surface), SampleRange(self.count, more)
+        starts = self._starts(light, surface)
+        samples = SampleRange(self.count, more)
         added = light_starts(light, surface, starts, rules, samples, tiles).reshape(-1, 2, 3)
-        means, layer = self.means.copy(), wall_layer(light.spec.prepared.scene)
-        means[asked] = round_light((means[asked] * self.count + added)[..., None] / count, layer)[..., 0]
+        means = self.means.copy()
+        layer = wall_layer(light.spec.prepared.scene)
+        means[asked] = round_light((means[asked] * self.count + added)[..., None] / count, layer)[
+            ..., 0
+        ]
         return replace(self, means=means, count=count)
 
     def _starts(self, light: RotatedLight, surface: Surface) -> PathStarts:
         """Where the paths of each asked texel's halves start: in its middle."""
-        room, (rows, columns) = light.spec.prepared.room(light.seen.albedo), self.settled.shape
+        room = light.spec.prepared.room(light.seen.albedo)
+        (rows, columns) = self.settled.shape
         row, column, half = np.nonzero(np.repeat(self.asked[..., None], 2, axis=2))
         edges = room.edges[self.wall]
         points = room.corners[self.wall] + np.outer((column + 0.5) / columns, edges[0])
@@ -260,20 +334,33 @@ class WallTexels:
         points /= surface.field.spacing
         normals = np.tile(self.side * room.normals[self.wall], (len(points), 1))
         words = np.column_stack(
-            [np.full(len(row), streams.WALLS_STREAM + 2 * self.wall + (self.side < 0)), row, column, half]
+            [
+                np.full(len(row), streams.WALLS_STREAM + 2 * self.wall + (self.side < 0)),
+                row,
+                column,
+                half,
+            ]
         )
         return starts_at(points, normals, surface.isovalue, seeds_of(words), self.wall)
 
     @cached_property
     def leaving(self) -> np.ndarray:
-        """Linear RGB that leaves each texel, and the variance of its luminance; (texels, 4) float32."""
-        light = np.minimum(self.radiance + self.albedo * self.means.mean(axis=2), np.finfo(np.float32).max)
-        variance = (self.variance + self.unsharp + (0.0 if self.moved is None else self.moved))[..., None]
+        """Linear RGB that leaves each texel, and the variance of its luminance; (texels, 4)
+        float32.
+        """
+        light = np.minimum(
+            self.radiance + self.albedo * self.means.mean(axis=2), np.finfo(np.float32).max
+        )
+        variance = (self.variance + self.unsharp + (0.0 if self.moved is None else self.moved))[
+            ..., None
+        ]
         return np.concatenate([light, variance], axis=2, dtype=np.float32).reshape(-1, 4)
 
 
 def between(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """``values`` (h, w, …) at places between ``rows`` and ``columns``, linearly; beyond the ends the ends'."""
+    """``values`` (h, w, …) at places between ``rows`` and ``columns``, linearly; beyond the ends
+    the ends'.
+    """
     for axis, places in enumerate((rows, columns)):
         first = np.clip(np.floor(places).astype(int), 0, values.shape[axis] - 2)
         way = np.clip(places - first, 0.0, 1.0).reshape(-1, *(1,) * (values.ndim - axis - 1))
@@ -285,5 +372,7 @@ def pooled(variance: np.ndarray) -> np.ndarray:
     """Variances (rows, columns), each a mean with its neighbours', by NEAR."""
     for axis in (0, 1):
         padded = np.pad(variance, [(2 * int(a == axis),) * 2 for a in range(2)], "edge")
-        variance = np.lib.stride_tricks.sliding_window_view(padded, len(BINOMIAL), axis) @ (BINOMIAL / BINOMIAL.sum())
+        variance = np.lib.stride_tricks.sliding_window_view(padded, len(BINOMIAL), axis) @ (
+            BINOMIAL / BINOMIAL.sum()
+        )
     return variance

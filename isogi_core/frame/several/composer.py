@@ -1,4 +1,5 @@
-"""Pictures of several surfaces: a renderer lights each side, frames and walls are added up, and edges smoothed.
+"""Pictures of several surfaces: a renderer lights each side, frames and walls are added up, and
+edges smoothed.
 
 Samples at edges are peeled as pixels are, and each layer borrows light of the same layer near by.
 """
@@ -24,7 +25,15 @@ from isogi_core.frame.framing import paint_faces
 from isogi_core.frame.gbuffer import TILE_RAYS, surface_key
 from isogi_core.frame.rays.control_pixels import TotalError
 from isogi_core.frame.rays.picture_plan import Prices
-from isogi_core.frame.several.peels import Hits, Peeler, Peels, SideLayers, first_of, side_layers, walls_of
+from isogi_core.frame.several.peels import (
+    Hits,
+    Peeler,
+    Peels,
+    SideLayers,
+    first_of,
+    side_layers,
+    walls_of,
+)
 from isogi_core.frame.surface_renderer import SurfaceRenderer
 from isogi_core.frame.texel_reading import Level, Stage
 from isogi_core.frame.tiles import Stopwatch, Tiles
@@ -47,8 +56,8 @@ MIN_SHOWN_LUMINANCE = 1e-30
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What a picture shows of a ``side``, or of WALLS_SIDE: its ``layers``, their tall ``frame``, and the ``caches`` of
-    its light.
+    """What a picture shows of a ``side``, or of WALLS_SIDE: its ``layers``, their tall ``frame``,
+    and the ``caches`` of its light.
     """
 
     side: Side
@@ -67,16 +76,22 @@ class Part:
 
     @property
     def measured(self) -> TotalError | None:
-        """The total error by control pixels; walls have no control pixels, and report their noise."""
+        """The total error by control pixels; walls have no control pixels, and report their
+        noise.
+        """
         noise = self.frame.noise
-        return TotalError(noise, noise, noise) if self.side == WALLS_SIDE else self.frame.measured
+        if self.side == WALLS_SIDE:
+            return TotalError(noise, noise, noise)
+        return self.frame.measured
 
 
 @dataclass(frozen=True, eq=False)
 class SurfacesQuality(Quality):
-    """The quality of a frame that is composed of ``parts``, one for each side of a surface that is seen.
+    """The quality of a frame that is composed of ``parts``, one for each side of a surface that is
+    seen.
 
-    Pixels have the least state of what they show, and errors add up by weight. ``aim`` is the target of the picture.
+    Pixels have the least state of what they show, and errors add up by weight. ``aim`` is the
+    target of the picture.
     """
 
     parts: tuple[Part, ...] = ()
@@ -90,7 +105,9 @@ class SurfacesQuality(Quality):
     @property
     def given_up(self) -> bool:
         """See ``Quality``: whether each part is final, or its check ended."""
-        return bool(self.parts) and all(part.frame.quality.given_up or part.frame.final for part in self.parts)
+        return bool(self.parts) and all(
+            part.frame.quality.given_up or part.frame.final for part in self.parts
+        )
 
     @property
     def outdated(self) -> bool:
@@ -109,7 +126,9 @@ class SurfacesQuality(Quality):
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """All light that is to be baked until the picture is final: first of the side with the largest error."""
+        """All light that is to be baked until the picture is final: first of the side with the
+        largest error.
+        """
         return tuple(
             replace(stage, caches=None if part.side == OUTER else stage.caches or part.caches)
             for part in sorted(self.parts, key=wrong_of, reverse=True)
@@ -130,46 +149,62 @@ class SurfacesQuality(Quality):
 
     def walls_lag(self, frame: Frame) -> bool:
         """See ``Frame.walls_lag``: more wrong than the side with the largest error."""
-        walls = [part for part in self.parts if part.side == WALLS_SIDE and part.frame.quality.waiting]
+        walls = [
+            part for part in self.parts if part.side == WALLS_SIDE and part.frame.quality.waiting
+        ]
         worst = max((wrong_of(part) for part in self.parts if part.side != WALLS_SIDE), default=0.0)
-        return any(part.frame.quality.walls_coarse(part.frame) or wrong_of(part) > worst for part in walls)
+        return any(
+            part.frame.quality.walls_coarse(part.frame) or wrong_of(part) > worst for part in walls
+        )
 
     def true_mean(self, frame: Frame) -> float:
         """The mean luminance of the pixels that show something."""
-        return float((frame.radiance[frame.state > 0].astype(np.float64) @ LUMINANCE_WEIGHTS).sum()) / max(
-            frame.surface, 1
-        )
+        return float(
+            (frame.radiance[frame.state > 0].astype(np.float64) @ LUMINANCE_WEIGHTS).sum()
+        ) / max(frame.surface, 1)
 
     def measured(self, frame: Frame) -> TotalError | None:
-        """The total relative RMSE by the control pixels of all sides, whose errors count as independent of each other;
-        None before each side has some.
+        """The total relative RMSE by the control pixels of all sides, whose errors count as
+        independent of each other; None before each side has some.
         """
         found = [part.measured for part in self.parts]
         if not found or frame.view.shading != "gi" or frame.view.moving or not all(found):
             return None
         every = [each for each in found if each is not None]
         likely, low, high = (
-            self._sum(frame, [getattr(each, of) for each in every]) for of in ("likely", "low", "high")
+            self._sum(frame, [getattr(each, of) for each in every])
+            for of in ("likely", "low", "high")
         )
-        return TotalError(likely, low, high, sum(each.controls for each in every)).at_least(frame.noise)
+        return TotalError(likely, low, high, sum(each.controls for each in every)).at_least(
+            frame.noise
+        )
 
     def tail(self, frame: Frame) -> None:
-        """None: control pixels of one side tell nothing of how the errors of two in one pixel add up."""
+        """None: control pixels of one side tell nothing of how the errors of two in one pixel add
+        up.
+        """
 
     def total_error(self, frame: Frame) -> np.ndarray:
         """See ``Frame.total_error``."""
-        return summed_errors([(part, part.frame.total_error) for part in self.parts], frame.radiance)
+        return summed_errors(
+            [(part, part.frame.total_error) for part in self.parts], frame.radiance
+        )
 
     def _sum(self, frame: Frame, errors: Sequence[float]) -> float:
         """The relative RMSE of a ``frame`` by the ``errors`` of its parts."""
         parts = zip(errors, self.parts, strict=True)
         squares = sum((error * part.frame.true_mean) ** 2 * part.weight for error, part in parts)
-        return min(math.sqrt(squares / max(frame.surface, 1)) / max(frame.true_mean, MIN_SHOWN_LUMINANCE), 1.0)
+        return min(
+            math.sqrt(squares / max(frame.surface, 1)) / max(frame.true_mean, MIN_SHOWN_LUMINANCE),
+            1.0,
+        )
 
 
 def parts_of(frame: Frame) -> tuple[Part, ...]:
     """The parts that a frame is composed of; none of a frame of one surface."""
-    return frame.quality.parts if isinstance(frame.quality, SurfacesQuality) else ()
+    if isinstance(frame.quality, SurfacesQuality):
+        return frame.quality.parts
+    return ()
 
 
 def wrong_of(part: Part) -> float:
@@ -178,7 +213,9 @@ def wrong_of(part: Part) -> float:
 
 
 def summed_errors(errors: Sequence[tuple[Part, np.ndarray]], radiance: np.ndarray) -> np.ndarray:
-    """Relative errors (h, w) of a picture of this ``radiance``, by those of its parts' tall pictures."""
+    """Relative errors (h, w) of a picture of this ``radiance``, by those of its parts' tall
+    pictures.
+    """
     squares = np.zeros(radiance.shape[0] * radiance.shape[1])
     for part, error in errors:
         light = part.seen(part.frame.radiance).astype(np.float64) @ LUMINANCE_WEIGHTS
@@ -194,11 +231,15 @@ def summed_errors(errors: Sequence[tuple[Part, np.ndarray]], radiance: np.ndarra
 
 
 def summed(view: View, parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
-    """Linear light (h, w, 3) float32 and states (h, w) uint8 of a view's pixels, of all that they show together."""
+    """Linear light (h, w, 3) float32 and states (h, w) uint8 of a view's pixels, of all that they
+    show together.
+    """
     count = view.width * view.height
-    radiance, state = np.zeros((count, 3)), np.full(count, FINAL + 1, np.uint8)
+    radiance = np.zeros((count, 3))
+    state = np.full(count, FINAL + 1, np.uint8)
     for part in parts:
-        light, own = part.layers.weights[:, None] * part.seen(part.frame.radiance), part.seen(part.frame.state)
+        light = part.layers.weights[:, None] * part.seen(part.frame.radiance)
+        own = part.seen(part.frame.state)
         for rows, pixels in part.layers.each:
             radiance[pixels] += light[rows]
             state[pixels] = np.minimum(state[pixels], own[rows])
@@ -207,12 +248,20 @@ def summed(view: View, parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
     return radiance.astype(np.float32).reshape(*shape, 3), state.reshape(shape)
 
 
-def compose(view: View, peels: Peels, parts: Sequence[Part], watch: Stopwatch, target: float, scene: Scene) -> Frame:
-    """The frame of a ``view`` of a ``scene`` from the frames of its sides; the faces of its window are painted."""
+def compose(
+    view: View, peels: Peels, parts: Sequence[Part], watch: Stopwatch, target: float, scene: Scene
+) -> Frame:
+    """The frame of a ``view`` of a ``scene`` from the frames of its sides; the faces of its window
+    are painted.
+    """
     lit, state = summed(view, parts)
     error = summed_errors([(part, part.frame.error) for part in parts], lit)
     if len(peels.first.faces.pixels):
-        paint_faces(peels.first, scene, Framebuffer(lit.reshape(-1, 3), state.reshape(-1), error.reshape(-1)))
+        paint_faces(
+            peels.first,
+            scene,
+            Framebuffer(lit.reshape(-1, 3), state.reshape(-1), error.reshape(-1)),
+        )
     checked = view.shading == "gi" and not view.moving
     versions = repr([(part.side, part.frame.version) for part in parts]) + repr(view)
     frames = [part.frame for part in parts]
@@ -225,21 +274,32 @@ def compose(view: View, peels: Peels, parts: Sequence[Part], watch: Stopwatch, t
         aim=target if checked else None,
     )
     version = hashlib.blake2b(versions.encode(), digest_size=16).hexdigest()
-    return Frame(view, lit, state, error, peels.first, version, watch.seconds, quality, left=peels.left)
+    return Frame(
+        view, lit, state, error, peels.first, version, watch.seconds, quality, left=peels.left
+    )
 
 
-SHOWN, HELD = 2, 6
-"""Isovalues whose views of pinned surfaces are kept, and those whose light is: two levels of each, and it itself."""
+SHOWN = 2
+HELD = 6
+"""Isovalues whose views of pinned surfaces are kept, and those whose light is: two levels of each,
+and it itself.
+"""
 
 
 class Composer:
     """Draws views of a scene with several surfaces. Safe to use from many threads."""
 
-    def __init__(self, own: SurfaceRenderer, side: Callable[..., SurfaceRenderer], kept: LruCache[Any]) -> None:
-        """The scene's ``own`` renderer lights the outer side of the surface that slides, and a ``side`` made by caches
-        and levels each of the others. Peels are among what is ``kept`` of views.
+    def __init__(
+        self, own: SurfaceRenderer, side: Callable[..., SurfaceRenderer], kept: LruCache[Any]
+    ) -> None:
+        """The scene's ``own`` renderer lights the outer side of the surface that slides, and a
+        ``side`` made by caches and levels each of the others. Peels are among what is ``kept`` of
+        views.
         """
-        self._caches, self._own, self._make, self._kept = own.caches, own, side, kept
+        self._caches = own.caches
+        self._own = own
+        self._make = side
+        self._kept = kept
         self._scene = self._caches.prepared.scene
         self._inner: PreparedScene | None = None
         self._sides: OrderedDict[tuple[Side, float | None], SurfaceRenderer] = OrderedDict()
@@ -254,12 +314,14 @@ class Composer:
             return views + sum(each.nbytes for each in self._held.values())
 
     def draw(self, view: View, until: Until, tiles: Tiles, watch: Stopwatch) -> Frame:
-        """The frame of a view with the light that is there now. Raises Cancelled, and NoRoomError where the light of
-        one view takes more than the budget.
+        """The frame of a view with the light that is there now. Raises Cancelled, and NoRoomError
+        where the light of one view takes more than the budget.
         """
         try:
             return self._drawn(view, until, tiles, watch)
-        except NoRoomError:  # light of other isovalues takes the room: what this view reads is read again
+        except (
+            NoRoomError
+        ):  # light of other isovalues takes the room: what this view reads is read again
             self._let_go()
             return self._drawn(view, until, tiles, watch)
 
@@ -282,14 +344,16 @@ class Composer:
 
     def smooth(self, frame: Frame, tiles: Tiles) -> Frame:
         """A ``frame`` that was drawn, with more samples where it has edges. Raises Cancelled."""
-        glow, exposure = EyeGlow.of(self._caches.prepared, frame.view.glow), self._scene.default_exposure
+        glow = EyeGlow.of(self._caches.prepared, frame.view.glow)
+        exposure = self._scene.default_exposure
         return smooth_surfaces(frame, self._peeler(frame.view, tiles), exposure, tiles, glow)
 
     def _peeler(self, view: View, tiles: Tiles) -> Peeler:
         """What casts rays of a view at all surfaces."""
         every = surfaces_of(self._scene, view.isovalue)
         surfaces = [self._caches.prepared.surface(each.isovalue) for each in every]
-        clears, walls = np.array([each.clear for each in every]), self._caches.prepared.walls_in_view
+        clears = np.array([each.clear for each in every])
+        walls = self._caches.prepared.walls_in_view
         return Peeler.of(view, surfaces, clears, tiles, walls)
 
     def peels(self, view: View, tiles: Tiles) -> Peels:
@@ -297,46 +361,68 @@ class Composer:
         return self._kept.get((Peels, surface_key(view)), lambda: self._peels(view, tiles))
 
     def refine(self, view: View, target: float, tiles: Tiles, prices: Prices) -> bool:
-        """Bring the picture of a view whose light is final a step nearer to the ``target``; whether there was one.
+        """Bring the picture of a view whose light is final a step nearer to the ``target``; whether
+        there was one.
 
-        The side with the largest known error comes first. Sides have no finer texels, whatever the ``prices``.
+        The side with the largest known error comes first. Sides have no finer texels, whatever the
+        ``prices``.
         """
         frame = self.draw(view, Until(target, FIRST_LEVEL), tiles, Stopwatch())
         if not frame.refinable:
             return False
         waiting = [
-            part for part in parts_of(frame) if part.frame.checkable and (frame.checkable or part.side == WALLS_SIDE)
+            part
+            for part in parts_of(frame)
+            if part.frame.checkable and (frame.checkable or part.side == WALLS_SIDE)
         ]
         waiting.sort(key=wrong_of, reverse=True)
-        own, at = (self.renderer(part.side, view.isovalue) for part in waiting), prices.of_present
-        return any(each.refine_frame(part.frame, target, tiles, at) for each, part in zip(own, waiting, strict=True))
+        own = (self.renderer(part.side, view.isovalue) for part in waiting)
+        at = prices.of_present
+        return any(
+            each.refine_frame(part.frame, target, tiles, at)
+            for each, part in zip(own, waiting, strict=True)
+        )
 
     def renderer(self, side: Side, shown: float) -> SurfaceRenderer:
-        """The renderer of a ``side``, or of WALLS_SIDE, where the surface that slides shows the isovalue ``shown``."""
+        """The renderer of a ``side``, or of WALLS_SIDE, where the surface that slides shows the
+        isovalue ``shown``.
+        """
         if side in (OUTER, WALLS_SIDE):
             return self._own
         key = side, shown if side.number else None
         with self._lock:
             if key not in self._sides:
-                levels = self._levels(shown) if side.number else ((shown, 1.0),)
+                if side.number:
+                    levels = self._levels(shown)
+                else:
+                    levels = ((shown, 1.0),)
                 mix = tuple(Level(self._caches_of(side, level), share) for level, share in levels)
-                own = mix[0].caches if len(mix) == 1 else self._caches_of(side, shown)
+                if len(mix) == 1:
+                    own = mix[0].caches
+                else:
+                    own = self._caches_of(side, shown)
                 self._sides[key] = self._make(own, levels=mix)
             return newest(self._sides, key, SHOWN * len(sides_of(self._scene)))
 
     def _levels(self, shown: float) -> tuple[tuple[float, float], ...]:
         """The levels whose light is mixed where an isovalue is ``shown``, and their shares."""
-        return levels_around(self._scene.levels, [each.isovalue for each in self._scene.surfaces.pinned], shown)
+        return levels_around(
+            self._scene.levels, [each.isovalue for each in self._scene.surfaces.pinned], shown
+        )
 
     def _caches_of(self, side: Side, shown: float) -> Caches:
-        """Caches of a side's light where the isovalue ``shown`` is: a level, or what is between two."""
+        """Caches of a side's light where the isovalue ``shown`` is: a level, or what is between
+        two.
+        """
         key = side, shown if side.number else None
         if key not in self._held:
             self._held[key] = self._made(side, shown)
         return newest(self._held, key, HELD * len(sides_of(self._scene)))
 
     def _made(self, side: Side, shown: float) -> Caches:
-        """New caches of a side's light; what was worked out of the volume for other sides serves it too."""
+        """New caches of a side's light; what was worked out of the volume for other sides serves it
+        too.
+        """
         scene = scene_of_side(self._scene, side, shown)
         if not side.inner:
             prepared = self._caches.prepared.beside(scene)
@@ -352,7 +438,8 @@ class Composer:
             taken = sum(each.nbytes for each in self._held.values())
         if taken > self._caches.budget:
             raise NoRoomError(
-                f"The light of this view takes {taken >> 20} MB, and may take {self._caches.budget >> 20}:"
+                f"The light of this view takes {taken >> 20} MB, and may take "
+                f"{self._caches.budget >> 20}:"
                 " ask for a closer view or fewer pixels, or give light more memory."
             )
 
@@ -365,16 +452,27 @@ class Composer:
     def _view_of(self, side: Side, view: View, layers: int) -> View:
         """The view of a side's tall picture."""
         isovalue = surfaces_of(self._scene, view.isovalue)[side.number].isovalue
-        return replace(view, isovalue=isovalue, height=layers * view.height, strip=None, smooth=False, albedo=None)
+        return replace(
+            view,
+            isovalue=isovalue,
+            height=layers * view.height,
+            strip=None,
+            smooth=False,
+            albedo=None,
+        )
 
     def _peels(self, view: View, tiles: Tiles) -> Peels:
         """All that a view shows."""
-        every, (hits, left) = surfaces_of(self._scene, view.isovalue), self._peeler(view, tiles).whole(view, tiles)
-        first, sides = first_of(view, hits, self._caches.prepared.surface(view.isovalue)), {}
+        every = surfaces_of(self._scene, view.isovalue)
+        (hits, left) = self._peeler(view, tiles).whole(view, tiles)
+        first = first_of(view, hits, self._caches.prepared.surface(view.isovalue))
+        sides = {}
         for side in sides_of(self._scene):
             if len(hits.rows_of(side)):
                 prepared = self.renderer(side, view.isovalue).caches.prepared
-                sides[side] = side_layers(hits, side, first, prepared.surface(every[side.number].isovalue))
+                sides[side] = side_layers(
+                    hits, side, first, prepared.surface(every[side.number].isovalue)
+                )
         walls, seen = walls_of(hits, first)
         return Peels(first, sides | ({} if seen is None else {WALLS_SIDE: seen}), left, walls)
 
@@ -383,21 +481,32 @@ Kept = TypeVar("Kept")
 
 
 def newest(kept: OrderedDict[Any, Kept], key: Any, most: int) -> Kept:
-    """What is ``kept`` by a ``key``, which is now its newest; the oldest beyond the ``most`` are let go."""
+    """What is ``kept`` by a ``key``, which is now its newest; the oldest beyond the ``most`` are
+    let go.
+    """
     kept.move_to_end(key)
     while len(kept) > most:
         kept.popitem(last=False)
     return kept[key]
 
 
-def smooth_surfaces(frame: Frame, peeler: Peeler, exposure: float, tiles: Tiles, glow: EyeGlow | None = None) -> Frame:
-    """The ``frame`` with more samples where it has edges at its ``exposure``, and what glows. Raises Cancelled."""
-    pixels, count = find_edges(lit(frame.radiance, frame.state, exposure, marked=False), frame.state)
+def smooth_surfaces(
+    frame: Frame, peeler: Peeler, exposure: float, tiles: Tiles, glow: EyeGlow | None = None
+) -> Frame:
+    """The ``frame`` with more samples where it has edges at its ``exposure``, and what glows.
+    Raises Cancelled.
+    """
+    pixels, count = find_edges(
+        lit(frame.radiance, frame.state, exposure, marked=False), frame.state
+    )
     if not len(pixels):
         return frame
-    places, pictures = places_in(pixels, count, frame.view.width), pictures_of(frame)
-    light, left = np.zeros((len(places), 3), np.float32), np.empty(len(places), np.float32)
-    on, found = np.zeros(len(places), np.bool_), dict[int, Hits]()
+    places = places_in(pixels, count, frame.view.width)
+    pictures = pictures_of(frame)
+    light = np.zeros((len(places), 3), np.float32)
+    left = np.empty(len(places), np.float32)
+    on = np.zeros(len(places), np.bool_)
+    found = dict[int, Hits]()
 
     def _piece(a: int, b: int) -> None:
         hits, left[a:b] = peeler.through(*places[a:b].T)
@@ -418,10 +527,14 @@ def smooth_surfaces(frame: Frame, peeler: Peeler, exposure: float, tiles: Tiles,
 
 
 def pictures_of(frame: Frame) -> dict[int, Shown]:
-    """The tall picture of each side in a ``frame``, by the side's number as of ``Peeled``; and that with its faces."""
+    """The tall picture of each side in a ``frame``, by the side's number as of ``Peeled``; and that
+    with its faces.
+    """
     whole = shown_by(frame)
     tall = {part.side.peeled: shown_by(part.frame) for part in parts_of(frame)}
-    return {int(WINDOW_FACE): whole} | {side: picture._replace(fine=whole.fine) for side, picture in tall.items()}
+    return {int(WINDOW_FACE): whole} | {
+        side: picture._replace(fine=whole.fine) for side, picture in tall.items()
+    }
 
 
 def by_layer(hits: Hits) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -435,13 +548,18 @@ def by_layer(hits: Hits) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         yield hits.pixels[rows], hits.points[rows], hits.weights[rows]
 
 
-def add_light(hits: Hits, side: int, picture: Shown, height: int, places: np.ndarray, light: np.ndarray) -> None:
+def add_light(
+    hits: Hits, side: int, picture: Shown, height: int, places: np.ndarray, light: np.ndarray
+) -> None:
     """Add what rays through ``places`` (n, 2; x, y) meet of a ``side`` to their ``light`` (n, 3).
 
-    It is the light of the pixels around in the same layer of its tall ``picture``, by the weight of the hit.
+    It is the light of the pixels around in the same layer of its tall ``picture``, by the weight of
+    the hit.
     """
     some = np.flatnonzero(np.minimum(hits.sides, FIRST_WALL_SIDE) == side)
-    rays, down = hits.pixels[some], np.array([0.0, height], np.float32)
-    there, found = places[rays] + hits.ranks[some][:, None] * down, np.zeros((len(some), 3), np.float32)
+    rays = hits.pixels[some]
+    down = np.array([0.0, height], np.float32)
+    there = places[rays] + hits.ranks[some][:, None] * down
+    found = np.zeros((len(some), 3), np.float32)
     borrow_light(picture, there, np.arange(len(some), dtype=np.uint32), hits.points[some], found)
     np.add.at(light, rays, hits.weights[some][:, None] * found)

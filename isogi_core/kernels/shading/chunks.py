@@ -1,4 +1,6 @@
-"""Chunks: the cubes that the lattice's texels are kept in, and how a view numbers the texels that it reads."""
+"""Chunks: the cubes that the lattice's texels are kept in, and how a view numbers the texels that
+it reads.
+"""
 
 from typing import Any, NamedTuple
 
@@ -7,7 +9,13 @@ from numba import types
 
 from isogi_core.kernels._jit import COUNT_ARRAY, SINGLE_ARRAY, kernel, record
 from isogi_core.kernels.shading.framebuffer import FINAL, FRAMEBUFFER, luminance
-from isogi_core.kernels.shading.lattice import CORNER_ROWS, LATTICE, UNLIT_ROW, base_texel, trilinear
+from isogi_core.kernels.shading.lattice import (
+    CORNER_ROWS,
+    LATTICE,
+    UNLIT_ROW,
+    base_texel,
+    trilinear,
+)
 from isogi_core.kernels.shading.surface_points import PIXEL_ARRAY, POINT_ROWS
 
 PLACE_ARRAY = types.uint32[::1]
@@ -17,7 +25,9 @@ WORD_ARRAY = types.uint32[::1]
 
 @kernel()
 def within(place, bits):
-    """The last ``bits`` of a ``place``: where in its chunk a texel is, along one axis or counted through."""
+    """The last ``bits`` of a ``place``: where in its chunk a texel is, along one axis or counted
+    through.
+    """
     return np.int64(place) & ((1 << bits) - 1)
 
 
@@ -25,18 +35,26 @@ def within(place, bits):
 def borders(z, y, x, bits):
     """Along which axes (bit 0 is x, bit 1 is y, bit 2 is z) a texel is the last of its chunk."""
     last = (1 << bits) - 1
-    return int(within(x, bits) == last) | int(within(y, bits) == last) << 1 | int(within(z, bits) == last) << 2
+    return (
+        int(within(x, bits) == last)
+        | int(within(y, bits) == last) << 1
+        | int(within(z, bits) == last) << 2
+    )
 
 
 @kernel()
 def even_corner(z, y, x):
-    """The corner whose indices are all even of the cell whose lowest texel is this; that of odd ones is opposite."""
+    """The corner whose indices are all even of the cell whose lowest texel is this; that of odd
+    ones is opposite.
+    """
     return np.int64(x & 1 | (y & 1) << 1 | (z & 1) << 2)
 
 
 @kernel(types.void(LATTICE, POINT_ROWS, types.boolean, types.boolean[:, :, ::1]))
 def touch_chunks(lattice, points, coarse, touched):
-    """Set ``touched`` (chunks z, y, x) for each chunk that a point reads: all of its cell, or ``coarse`` texels."""
+    """Set ``touched`` (chunks z, y, x) for each chunk that a point reads: all of its cell, or
+    ``coarse`` texels.
+    """
     bits = lattice.bits
     for m in range(points.shape[0]):
         z, y, x, _, _, _ = base_texel(lattice, points, m)
@@ -63,11 +81,19 @@ def row_of(slots, bits, z, y, x):
 
 @kernel()
 def rows_around(slots, bits, z, y, x):
-    """``row_of`` the four rows of a lattice cell, y faster than z: from its own chunk where all are in that."""
-    r, last = row_of(slots, bits, z, y, x), (1 << bits) - 1
+    """``row_of`` the four rows of a lattice cell, y faster than z: from its own chunk where all are
+    in that.
+    """
+    r = row_of(slots, bits, z, y, x)
+    last = (1 << bits) - 1
     if within(z, bits) < last and within(y, bits) < last:
         return r, r + 1, r + last + 1, r + last + 2
-    return r, row_of(slots, bits, z, y + 1, x), row_of(slots, bits, z + 1, y, x), row_of(slots, bits, z + 1, y + 1, x)
+    return (
+        r,
+        row_of(slots, bits, z, y + 1, x),
+        row_of(slots, bits, z + 1, y, x),
+        row_of(slots, bits, z + 1, y + 1, x),
+    )
 
 
 @kernel()
@@ -81,8 +107,8 @@ def row_of_corner(slots, bits, z, y, x, c):
 def mark_texels(lattice, points, coarse, slots, read):
     """Set in ``read`` (slots · rows,), a bit for each texel of a row, those that a point reads.
 
-    They are all eight of its cell, or the two ``coarse`` ones: see ``find_coarse_corners``. ``slots`` (z, y, x) numbers
-    the touched chunks. Threads each need a ``read`` of their own.
+    They are all eight of its cell, or the two ``coarse`` ones: see ``find_coarse_corners``.
+    ``slots`` (z, y, x) numbers the touched chunks. Threads each need a ``read`` of their own.
     """
     bits = lattice.bits
     last = (1 << bits) - 1
@@ -104,17 +130,22 @@ def mark_texels(lattice, points, coarse, slots, read):
 
 @kernel()
 def ones(word):
-    """Bits that are set in a ``word`` of 32; sums of pairs of bits, then of fours, of bytes, and of all."""
+    """Bits that are set in a ``word`` of 32; sums of pairs of bits, then of fours, of bytes, and of
+    all.
+    """
     pairs = word - (word >> np.uint32(1) & np.uint32(0x55555555))
     fours = (pairs & np.uint32(0x33333333)) + (pairs >> np.uint32(2) & np.uint32(0x33333333))
     return (
-        (fours + (fours >> np.uint32(4)) & np.uint32(0x0F0F0F0F)) * np.uint32(0x01010101) & np.uint32(0xFFFFFFFF)
+        (fours + (fours >> np.uint32(4)) & np.uint32(0x0F0F0F0F)) * np.uint32(0x01010101)
+        & np.uint32(0xFFFFFFFF)
     ) >> np.uint32(24)
 
 
 @kernel()
 def number_in_row(read, first, r, i):
-    """The view's own number of the texel at place ``i`` of row ``r``, or of the next one there that it reads."""
+    """The view's own number of the texel at place ``i`` of row ``r``, or of the next one there that
+    it reads.
+    """
     return first[r] + np.uint32(ones(read[r] & ((np.uint32(1) << np.uint32(i)) - np.uint32(1))))
 
 
@@ -122,8 +153,8 @@ def number_in_row(read, first, r, i):
 def find_corners(lattice, points, slots, read, first, corners):
     """Fill ``corners`` (points, 8), x fastest, with the view's own numbers of the texels.
 
-    Texels are numbered row by row as ``mark_texels`` left them in ``read``; ``first`` (slots · rows,)
-    is the number of each row's first.
+    Texels are numbered row by row as ``mark_texels`` left them in ``read``; ``first`` (slots ·
+    rows,) is the number of each row's first.
     """
     bits = lattice.bits
     for m in range(points.shape[0]):
@@ -131,7 +162,8 @@ def find_corners(lattice, points, slots, read, first, corners):
         i = within(x, bits)
         for c, r in enumerate(rows_around(slots, bits, z, y, x)):
             number = number_in_row(read, first, r, i)
-            corners[m, 2 * c], corners[m, 2 * c + 1] = number, number + 1
+            corners[m, 2 * c] = number
+            corners[m, 2 * c + 1] = number + 1
         if i == (1 << bits) - 1:
             for c, r in enumerate(rows_around(slots, bits, z, y, x + 1)):
                 corners[m, 2 * c + 1] = first[r]
@@ -146,12 +178,14 @@ def is_nearer(c, corner):
 
 @kernel(types.void(LATTICE, POINT_ROWS, SLOTS, WORD_ARRAY, PLACE_ARRAY, CORNER_ROWS))
 def find_coarse_corners(lattice, points, slots, read, first, corners):
-    """Find corners of a view that reads the lattice coarsely: two texels of each cell stand for all.
+    """Find corners of a view that reads the lattice coarsely: two texels of each cell stand for
+    all.
 
-    They are the corners whose indices are all even or all odd (``view_texels.first_texels``), each for the four corners
-    that are nearer to it.
+    They are the corners whose indices are all even or all odd (``view_texels.first_texels``), each
+    for the four corners that are nearer to it.
     """
-    bits, numbers = lattice.bits, np.empty(2, np.uint32)
+    bits = lattice.bits
+    numbers = np.empty(2, np.uint32)
     for m in range(points.shape[0]):
         z, y, x, _, _, _ = base_texel(lattice, points, m)
         even = even_corner(z, y, x)
@@ -159,7 +193,10 @@ def find_coarse_corners(lattice, points, slots, read, first, corners):
             r, i = row_of_corner(slots, bits, z, y, x, c)
             numbers[n] = number_in_row(read, first, r, i)
         for c in range(8):
-            corners[m, c] = numbers[0] if is_nearer(c, even) else numbers[1]
+            if is_nearer(c, even):
+                corners[m, c] = numbers[0]
+            else:
+                corners[m, c] = numbers[1]
 
 
 @kernel(types.void(LATTICE, types.int64, types.int64, WORD_ARRAY, PLACE_ARRAY, PLACE_ARRAY))
@@ -169,7 +206,9 @@ def find_places(lattice, begin, end, read, first, places):
     A place is that of its chunk among the slots times the texels of a chunk, and the offset in it.
     """
     for r in range(begin, end):
-        word, place, number = int(read[r]), r << lattice.bits, first[r]
+        word = int(read[r])
+        place = r << lattice.bits
+        number = first[r]
         while word:
             if word & 1:
                 places[number] = place
@@ -183,7 +222,11 @@ def visible_error(framebuffer, pixel):
     """(luminance · error)² of a pixel, which is how wrong it looks; 0 where it is final."""
     if framebuffer.state[pixel] == FINAL:
         return 0.0
-    light = (framebuffer.radiance[pixel, 0], framebuffer.radiance[pixel, 1], framebuffer.radiance[pixel, 2])
+    light = (
+        framebuffer.radiance[pixel, 0],
+        framebuffer.radiance[pixel, 1],
+        framebuffer.radiance[pixel, 2],
+    )
     return np.float64(luminance(*light) * framebuffer.error[pixel]) ** 2
 
 
@@ -198,7 +241,14 @@ def is_new(places, corners, m, c, bits):
 
 @kernel(
     types.void(
-        LATTICE, CORNER_ROWS, PLACE_ARRAY, PIXEL_ARRAY, types.int64, types.int64, FRAMEBUFFER, types.float64[::1]
+        LATTICE,
+        CORNER_ROWS,
+        PLACE_ARRAY,
+        PIXEL_ARRAY,
+        types.int64,
+        types.int64,
+        FRAMEBUFFER,
+        types.float64[::1],
     )
 )
 def weigh_chunks(lattice, corners, places, pixels, width, height, framebuffer, weight):
@@ -222,8 +272,8 @@ def weigh_chunks(lattice, corners, places, pixels, width, height, framebuffer, w
 
 
 class Pages(NamedTuple):
-    """Where a pool keeps light: the ``table`` (slots, texels of a chunk) of rows, int32, and of each row its relative
-    ``error`` and its ``stamp``, float32, which says how far it is baked.
+    """Where a pool keeps light: the ``table`` (slots, texels of a chunk) of rows, int32, and of
+    each row its relative ``error`` and its ``stamp``, float32, which says how far it is baked.
     """
 
     table: Any
@@ -234,17 +284,23 @@ class Pages(NamedTuple):
 PAGES = record(Pages, types.int32[:, ::1], SINGLE_ARRAY, SINGLE_ARRAY)
 
 
-@kernel(types.void(LATTICE, PLACE_ARRAY, COUNT_ARRAY, PAGES, COUNT_ARRAY, SINGLE_ARRAY, SINGLE_ARRAY))
+@kernel(
+    types.void(LATTICE, PLACE_ARRAY, COUNT_ARRAY, PAGES, COUNT_ARRAY, SINGLE_ARRAY, SINGLE_ARRAY)
+)
 def find_rows(lattice, places, slots, pages, rows, error, stamp):
-    """Where the light of the texels at ``places`` is kept, and how far it is baked; all outputs (texels,).
+    """Where the light of the texels at ``places`` is kept, and how far it is baked; all outputs
+    (texels,).
 
-    ``slots`` (chunks of the view,) leads to the pages' table, -1 where a chunk is absent; texels without light get
-    UNLIT_ROW, VOID_ROW or BURIED_ROW for their ``rows`` and their ``stamp``.
+    ``slots`` (chunks of the view,) leads to the pages' table, -1 where a chunk is absent; texels
+    without light get UNLIT_ROW, VOID_ROW or BURIED_ROW for their ``rows`` and their ``stamp``.
     """
     bits = 3 * lattice.bits
     for t in range(places.shape[0]):
         slot = slots[places[t] >> bits]
-        row = pages.table[slot, within(places[t], bits)] if slot >= 0 else UNLIT_ROW
+        if slot >= 0:
+            row = pages.table[slot, within(places[t], bits)]
+        else:
+            row = UNLIT_ROW
         rows[t] = row
         error[t] = pages.error[row] if row >= 0 else 0.0
         stamp[t] = pages.stamp[row] if row >= 0 else row
@@ -252,11 +308,12 @@ def find_rows(lattice, places, slots, pages, rows, error, stamp):
 
 @kernel(types.void(LATTICE, POINT_ROWS, CORNER_ROWS, types.float64[::1]))
 def add_footprints(lattice, points, corners, seen):
-    """Add to ``seen`` (texels,) the squares of a texel's shares in the points; ``corners`` (points, 8), x fastest.
+    """Add to ``seen`` (texels,) the squares of a texel's shares in the points; ``corners`` (points,
+    8), x fastest.
 
-    Shares are those of ``carry_light`` where all texels hold light: their noises are independent, and so a point's
-    variance is the sum of w² times theirs. Where ``carry_ratios`` weighs them by normals too they are near enough, as
-    footprints say what to bake first and no more.
+    Shares are those of ``carry_light`` where all texels hold light: their noises are independent,
+    and so a point's variance is the sum of w² times theirs. Where ``carry_ratios`` weighs them by
+    normals too they are near enough, as footprints say what to bake first and no more.
     """
     for m in range(points.shape[0]):
         _, _, _, fz, fy, fx = base_texel(lattice, points, m)

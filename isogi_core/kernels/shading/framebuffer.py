@@ -1,4 +1,6 @@
-"""The framebuffer: radiance, state and error of each pixel, and its way to the eight bits of a screen."""
+"""The framebuffer: radiance, state and error of each pixel, and its way to the eight bits of a
+screen.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -8,14 +10,20 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 
-PROVISIONAL, CONVERGING, FINAL = 1, 2, 3
+PROVISIONAL = 1
+CONVERGING = 2
+FINAL = 3
 """States of a pixel that shows the surface; 0 where none is seen."""
 
-RED_LUMINANCE, GREEN_LUMINANCE, BLUE_LUMINANCE = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
+RED_LUMINANCE = np.float32(0.2126)
+GREEN_LUMINANCE = np.float32(0.7152)
+BLUE_LUMINANCE = np.float32(0.0722)
 
 
 class Framebuffer(NamedTuple):
-    """``radiance`` float32 (pixels, 3) linear RGB, ``state`` uint8 (pixels,), relative ``error`` float32 (pixels,)."""
+    """``radiance`` float32 (pixels, 3) linear RGB, ``state`` uint8 (pixels,), relative ``error``
+    float32 (pixels,).
+    """
 
     radiance: Any
     state: Any
@@ -34,41 +42,56 @@ def luminance(r, g, b):
 @kernel()
 def put_pixel(framebuffer, pixel, light, state, error):
     """Write one pixel; ``light`` is linear RGB."""
-    framebuffer.radiance[pixel, 0], framebuffer.radiance[pixel, 1], framebuffer.radiance[pixel, 2] = light
+    (
+        framebuffer.radiance[pixel, 0],
+        framebuffer.radiance[pixel, 1],
+        framebuffer.radiance[pixel, 2],
+    ) = light
     framebuffer.state[pixel] = state
     framebuffer.error[pixel] = error
 
 
 @kernel(types.void(FRAMEBUFFER, types.int64[::1], types.float64[::1]))
 def tally(framebuffer, counts, sums):
-    """Add up the surface pixels: ``counts`` (4,) by state, ``sums`` (2,) of luminance and of (luminance · error)²."""
+    """Add up the surface pixels: ``counts`` (4,) by state, ``sums`` (2,) of luminance and of
+    (luminance · error)².
+    """
     for i in range(framebuffer.state.shape[0]):
         counts[framebuffer.state[i]] += 1
         if framebuffer.state[i]:
             light = np.float64(
-                luminance(framebuffer.radiance[i, 0], framebuffer.radiance[i, 1], framebuffer.radiance[i, 2])
+                luminance(
+                    framebuffer.radiance[i, 0],
+                    framebuffer.radiance[i, 1],
+                    framebuffer.radiance[i, 2],
+                )
             )
             sums[0] += light
             sums[1] += (light * framebuffer.error[i]) ** 2
 
 
-TONE_GAIN, TONE_TOE, TONE_SHOULDER = 1.7, 0.16, 0.6
-"""The tone curve: light below TONE_TOE is deepened, the rest has TONE_GAIN, and from TONE_SHOULDER on it is bent
-towards 1.
+TONE_GAIN = 1.7
+TONE_TOE = 0.16
+TONE_SHOULDER = 0.6
+"""The tone curve: light below TONE_TOE is deepened, the rest has TONE_GAIN, and from TONE_SHOULDER
+on it is bent towards 1.
 
-Chosen by eye on ten volumes under sky, probes and studio: daylight leaves their shade near 0.15 and their sunlit sides
-near 0.65, which are shown as 0.12 and 0.81.
+Chosen by eye on ten volumes under sky, probes and studio: daylight leaves their shade near 0.15 and
+their sunlit sides near 0.65, which are shown as 0.12 and 0.81.
 """
 
 
 @kernel()
 def tone(x):
-    """The tone curve: y = TONE_GAIN x²/(x + TONE_TOE) up to s = TONE_SHOULDER, then s + (1 - s)(1 - exp(-(y - s)/(1 -
-    s))).
+    """The tone curve: y = TONE_GAIN x²/(x + TONE_TOE) up to s = TONE_SHOULDER, then s + (1 - s)(1 -
+    exp(-(y - s)/(1 - s))).
 
     It is 0 at 0, rises everywhere, has a continuous slope, and is never above 1.
     """
-    y = TONE_GAIN * x * (x / (x + TONE_TOE)) if x < 1e3 else TONE_GAIN * x
+    if x < 1e3:
+        y = TONE_GAIN * x * (x / (x + TONE_TOE))
+    else:
+        y = TONE_GAIN * x
     if y <= TONE_SHOULDER:
         return y
     return 1.0 - (1.0 - TONE_SHOULDER) * math.exp((TONE_SHOULDER - y) / (1.0 - TONE_SHOULDER))
@@ -90,7 +113,9 @@ def stripe(x, y, period):
 
 @kernel()
 def mark(state, x, y):
-    """Opacity of the mark that the overlay draws over pixel (x, y): broad hatching provisional, fine converging."""
+    """Opacity of the mark that the overlay draws over pixel (x, y): broad hatching provisional,
+    fine converging.
+    """
     if state == PROVISIONAL:
         return 0.55 if stripe(x, y, 12) else 0.15
     if state == CONVERGING:
@@ -100,7 +125,9 @@ def mark(state, x, y):
 
 @kernel()
 def place_on(top, light):
-    """The place of linear ``light`` on a curve from 0 to 1 that ends at ``top``; 0 for what is no number."""
+    """The place of linear ``light`` on a curve from 0 to 1 that ends at ``top``; 0 for what is no
+    number.
+    """
     if not light > 0.0:
         return 0
     return int(min(light, 1.0) * top + 0.5)
@@ -119,7 +146,8 @@ def place_on(top, light):
     )
 )
 def develop_rows(radiance, state, first, exposure, colours, overlay, curve, picture):
-    """Fill ``picture`` (rows, w, 3) uint8 from linear ``radiance`` (rows, w, 3) and ``state`` (rows, w).
+    """Fill ``picture`` (rows, w, 3) uint8 from linear ``radiance`` (rows, w, 3) and ``state``
+    (rows, w).
 
     Light times ``exposure`` goes through the tone curve on its largest channel, so that hues stay;
     ``colours`` (2, 3) linear: the background and the overlay's mark; ``curve`` is sRGB as a table.
@@ -128,11 +156,22 @@ def develop_rows(radiance, state, first, exposure, colours, overlay, curve, pict
     top = curve.shape[0] - 1
     for y in range(rows):
         for x in range(width):
-            peak = exposure * np.float64(max(radiance[y, x, 0], radiance[y, x, 1], radiance[y, x, 2]))
-            gain = exposure * (tone(peak) / peak) if peak > 0.0 else 0.0
-            veil = mark(state[y, x], x, y + first) if overlay else 0.0
+            peak = exposure * np.float64(
+                max(radiance[y, x, 0], radiance[y, x, 1], radiance[y, x, 2])
+            )
+            if peak > 0.0:
+                gain = exposure * (tone(peak) / peak)
+            else:
+                gain = 0.0
+            if overlay:
+                veil = mark(state[y, x], x, y + first)
+            else:
+                veil = 0.0
             for c in range(3):
-                light = gain * radiance[y, x, c] if state[y, x] else colours[0, c]
+                if state[y, x]:
+                    light = gain * radiance[y, x, c]
+                else:
+                    light = colours[0, c]
                 light = (1.0 - veil) * light + veil * colours[1, c]
                 picture[y, x, c] = curve[place_on(top, light)]
 

@@ -1,9 +1,9 @@
 """Irradiance ratios: texels' direct light over their unshadowed light, carried to the pixels.
 
-A pixel's direct light is Σ w D / Σ w U of its texels times its own unshadowed light, where D and U are a texel's direct
-and unshadowed light: what sees little of the light says little of shadows. Reflected light comes from surfaces and
-does not follow the light around: it is interpolated as it is. Where texels keep both as one, what they have beyond
-their unshadowed light is reflected.
+A pixel's direct light is Σ w D / Σ w U of its texels times its own unshadowed light, where D and U
+are a texel's direct and unshadowed light: what sees little of the light says little of shadows.
+Reflected light comes from surfaces and does not follow the light around: it is interpolated as it
+is. Where texels keep both as one, what they have beyond their unshadowed light is reflected.
 """
 
 import math
@@ -13,7 +13,13 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.shading.framebuffer import FINAL, FRAMEBUFFER, PROVISIONAL, luminance, put_pixel
+from isogi_core.kernels.shading.framebuffer import (
+    FINAL,
+    FRAMEBUFFER,
+    PROVISIONAL,
+    luminance,
+    put_pixel,
+)
 from isogi_core.kernels.shading.lattice import (
     BURIED_GRADE,
     CORNER_ROWS,
@@ -28,35 +34,39 @@ from isogi_core.kernels.shading.lattice import (
 from isogi_core.kernels.shading.surface_points import POINT_ROWS, SURFACE_POINTS
 
 MIN_UNSHADOWED = 0.05
-"""Share of the light's mean that unshadowed light is taken to be at least, so that ratios stay small."""
+"""Share of the light's mean that unshadowed light is taken to be at least, so that ratios stay
+small.
+"""
 
 LEAST_COSINE = np.float32(1e-3)
-"""Cosine between a texel's normal and a pixel's that weights count with at least: where all face away, all count."""
+"""Cosine between a texel's normal and a pixel's that weights count with at least: where all face
+away, all count.
+"""
 
 NORMAL_TURN_LIMIT = np.float32(0.1055)
 """1 - cosine, of 27°, at which weights have fallen to a fifth; they are a half at 16°."""
 
-ZERO_F32, ONE_F32 = np.float32(0.0), np.float32(1.0)
+ZERO_F32 = np.float32(0.0)
+ONE_F32 = np.float32(1.0)
 
-DIRECT_COLUMN, NOISE_COLUMN, UNSHADOWED_COLUMN, GRADE_COLUMN, REFLECTED_COLUMN, NORMAL_COLUMN, RECORD_LENGTH = (
-    0,
-    3,
-    4,
-    7,
-    8,
-    11,
-    16,
-)
-"""Where numbers of a texel begin in its record, and how many there are, a cache line: its direct light, linear RGB, the
-standard error of all its light, unshadowed light about its normal, its grade, reflected light, and the normal.
+DIRECT_COLUMN = 0
+NOISE_COLUMN = 3
+UNSHADOWED_COLUMN = 4
+GRADE_COLUMN = 7
+REFLECTED_COLUMN = 8
+NORMAL_COLUMN = 11
+RECORD_LENGTH = 16
+"""Where numbers of a texel begin in its record, and how many there are, a cache line: its direct
+light, linear RGB, the standard error of all its light, unshadowed light about its normal, its
+grade, reflected light, and the normal.
 """
 
 
 class Unshadowed(NamedTuple):
     """Unshadowed light by the normal.
 
-    ``quadric`` (3, 9) float32, of linear RGB over 1, y, z, x, xy, yz, z², xz, x² - y², and ``least`` (3,) of each
-    colour.
+    ``quadric`` (3, 9) float32, of linear RGB over 1, y, z, x, xy, yz, z², xz, x² - y², and
+    ``least`` (3,) of each colour.
     """
 
     quadric: Any
@@ -72,8 +82,13 @@ def unshadowed_light(unshadowed, x, y, z):
 
     ``least`` at least. Source: Ramamoorthi and Hanrahan 2001, eqs. 11 to 13.
     """
-    xy, yz, zz, xz, across = x * y, y * z, z * z, x * z, x * x - y * y
-    q, low = unshadowed.quadric, unshadowed.least
+    xy = x * y
+    yz = y * z
+    zz = z * z
+    xz = x * z
+    across = x * x - y * y
+    q = unshadowed.quadric
+    low = unshadowed.least
     r = q[0, 0] + y * q[0, 1] + z * q[0, 2] + x * q[0, 3]
     g = q[1, 0] + y * q[1, 1] + z * q[1, 2] + x * q[1, 3]
     b = q[2, 0] + y * q[2, 1] + z * q[2, 2] + x * q[2, 3]
@@ -86,37 +101,64 @@ def unshadowed_light(unshadowed, x, y, z):
 TEXEL_RECORDS = types.float32[:, ::1]
 
 
-@kernel(types.void(types.uint8[::1], types.float32[:, ::1], POINT_ROWS, UNSHADOWED, types.boolean, TEXEL_RECORDS))
+@kernel(
+    types.void(
+        types.uint8[::1],
+        types.float32[:, ::1],
+        POINT_ROWS,
+        UNSHADOWED,
+        types.boolean,
+        TEXEL_RECORDS,
+    )
+)
 def fill_records(grade, lit, normals, unshadowed, whole, texels):
-    """Fill the records ``texels`` (m, RECORD_LENGTH) by the ``grade`` (m,) and the light ``lit`` (m, LIGHT_NUMBERS) of
-    ``light_texels``.
+    """Fill the records ``texels`` (m, RECORD_LENGTH) by the ``grade`` (m,) and the light ``lit``
+    (m, LIGHT_NUMBERS) of ``light_texels``.
 
-    ``normals`` (m, 3) are those that they are lit about. Of what is not baked unshadowed light stands in; void and
-    buried texels have none. Of light that is kept as a ``whole`` no more is direct than the unshadowed light: were all
-    of it, texels that face away from a lamp would have reflected light alone, and pixels that face it many times that.
+    ``normals`` (m, 3) are those that they are lit about. Of what is not baked unshadowed light
+    stands in; void and buried texels have none. Of light that is kept as a ``whole`` no more is
+    direct than the unshadowed light: were all of it, texels that face away from a lamp would have
+    reflected light alone, and pixels that face it many times that.
     """
     for t in range(grade.shape[0]):
         x, y, z = normals[t, 0], normals[t, 1], normals[t, 2]
         under = unshadowed_light(unshadowed, x, y, z)
-        there, unbaked = PARTIAL_GRADE <= grade[t] <= FINAL, grade[t] == UNBAKED_GRADE
+        there = PARTIAL_GRADE <= grade[t] <= FINAL
+        unbaked = grade[t] == UNBAKED_GRADE
         for c in range(3):
-            reflected = max(lit[t, 4 + c], lit[t, c] - under[c] if whole else ZERO_F32) if there else ZERO_F32
-            texels[t, DIRECT_COLUMN + c] = lit[t, c] - reflected if there else under[c] if unbaked else ZERO_F32
-            texels[t, UNSHADOWED_COLUMN + c], texels[t, REFLECTED_COLUMN + c] = under[c], reflected
+            if there:
+                reflected = max(lit[t, 4 + c], lit[t, c] - under[c] if whole else ZERO_F32)
+            else:
+                reflected = ZERO_F32
+            if there:
+                texels[t, DIRECT_COLUMN + c] = lit[t, c] - reflected
+            elif unbaked:
+                texels[t, DIRECT_COLUMN + c] = under[c]
+            else:
+                texels[t, DIRECT_COLUMN + c] = ZERO_F32
+            texels[t, UNSHADOWED_COLUMN + c] = under[c]
+            texels[t, REFLECTED_COLUMN + c] = reflected
         texels[t, NOISE_COLUMN] = lit[t, 3] if there else ZERO_F32
-        texels[t, NORMAL_COLUMN], texels[t, NORMAL_COLUMN + 1], texels[t, NORMAL_COLUMN + 2] = x, y, z
+        texels[t, NORMAL_COLUMN] = x
+        texels[t, NORMAL_COLUMN + 1] = y
+        texels[t, NORMAL_COLUMN + 2] = z
         texels[t, GRADE_COLUMN] = np.float32(grade[t])
 
 
 @kernel()
 def agree(texels, t, n):
-    """What texel ``t`` counts by the cosine c between its normal and ``n``: (c / (1 + (1 - c) / NORMAL_TURN_LIMIT))².
+    """What texel ``t`` counts by the cosine c between its normal and ``n``: (c / (1 + (1 - c) /
+    NORMAL_TURN_LIMIT))².
 
-    It falls off slowly, so that where all texels are turned away from a pixel no single one decides: with the 16th
-    power of the cosine the error at rims of thin walls is a sixth higher, at its 99th percentile. What faces away
-    hardly counts.
+    It falls off slowly, so that where all texels are turned away from a pixel no single one
+    decides: with the 16th power of the cosine the error at rims of thin walls is a sixth higher, at
+    its 99th percentile. What faces away hardly counts.
     """
-    cosine = n[0] * texels[t, NORMAL_COLUMN] + n[1] * texels[t, NORMAL_COLUMN + 1] + n[2] * texels[t, NORMAL_COLUMN + 2]
+    cosine = (
+        n[0] * texels[t, NORMAL_COLUMN]
+        + n[1] * texels[t, NORMAL_COLUMN + 1]
+        + n[2] * texels[t, NORMAL_COLUMN + 2]
+    )
     weight = max(cosine, LEAST_COSINE) / (ONE_F32 + (ONE_F32 - cosine) / NORMAL_TURN_LIMIT)
     return weight * weight
 
@@ -124,35 +166,52 @@ def agree(texels, t, n):
 @kernel()
 def madd_colour(sums, w, texels, t, first):
     """``sums`` and ``w`` times the colour that begins at ``first`` in the record of texel ``t``."""
-    return sums[0] + w * texels[t, first], sums[1] + w * texels[t, first + 1], sums[2] + w * texels[t, first + 2]
+    return (
+        sums[0] + w * texels[t, first],
+        sums[1] + w * texels[t, first + 1],
+        sums[2] + w * texels[t, first + 2],
+    )
 
 
 @kernel(inline=True)
 def blend_records(corners, m, texels, n, f):
-    """Sums over the texels of point ``m`` that are not void or buried, float32, and the least grade of all eight.
+    """Sums over the texels of point ``m`` that are not void or buried, float32, and the least grade
+    of all eight.
 
-    They are of direct, unshadowed and reflected light, of variance, and of the weights: trilinear ones, for fractions
-    ``f`` (z, y, x), times what ``agree`` makes of the point's normal ``n``.
+    They are of direct, unshadowed and reflected light, of variance, and of the weights: trilinear
+    ones, for fractions ``f`` (z, y, x), times what ``agree`` makes of the point's normal ``n``.
     """
     direct = unshadowed = reflected = (ZERO_F32, ZERO_F32, ZERO_F32)
-    variance, weight, least, (fz, fy, fx) = ZERO_F32, ZERO_F32, np.float32(VOID_GRADE), f
+    variance = ZERO_F32
+    weight = ZERO_F32
+    least = np.float32(VOID_GRADE)
+    (fz, fy, fx) = f
     for c in range(8):
         t = corners[m, c]
         grade = texels[t, GRADE_COLUMN]
-        w = (fz if c & 4 else ONE_F32 - fz) * (fy if c & 2 else ONE_F32 - fy) * (fx if c & 1 else ONE_F32 - fx)
-        w *= agree(texels, t, n) if grade <= FINAL else ZERO_F32
-        direct, unshadowed = (
-            madd_colour(direct, w, texels, t, DIRECT_COLUMN),
-            madd_colour(unshadowed, w, texels, t, UNSHADOWED_COLUMN),
+        w = (
+            (fz if c & 4 else ONE_F32 - fz)
+            * (fy if c & 2 else ONE_F32 - fy)
+            * (fx if c & 1 else ONE_F32 - fx)
         )
-        reflected, noise = madd_colour(reflected, w, texels, t, REFLECTED_COLUMN), w * texels[t, NOISE_COLUMN]
-        variance, weight, least = variance + noise * noise, weight + w, min(least, grade)
+        if grade <= FINAL:
+            w *= agree(texels, t, n)
+        else:
+            w *= ZERO_F32
+        direct = madd_colour(direct, w, texels, t, DIRECT_COLUMN)
+        unshadowed = madd_colour(unshadowed, w, texels, t, UNSHADOWED_COLUMN)
+        reflected = madd_colour(reflected, w, texels, t, REFLECTED_COLUMN)
+        noise = w * texels[t, NOISE_COLUMN]
+        variance = variance + noise * noise
+        weight = weight + w
+        least = min(least, grade)
     return direct, unshadowed, reflected, variance, weight, least
 
 
 @kernel()
 def stand_in(corners, m, texels, under, f):
-    """Light at point ``m`` where no texel counts: none if any is buried, that which is not shadowed, ``under``, if not.
+    """Light at point ``m`` where no texel counts: none if any is buried, that which is not
+    shadowed, ``under``, if not.
 
     ``f`` are the point's fractions (z, y, x).
     """
@@ -160,41 +219,56 @@ def stand_in(corners, m, texels, under, f):
     for c in range(8):
         if texels[corners[m, c], GRADE_COLUMN] == BURIED_GRADE:
             buried += trilinear(c, f[0], f[1], f[2])
-    return (ZERO_F32, ZERO_F32, ZERO_F32) if buried > 0.0 else under
+    if buried > 0.0:
+        return (ZERO_F32, ZERO_F32, ZERO_F32)
+    return under
 
 
 @kernel()
 def shade_ratio(blended, under):
-    """Light under ``under`` by what ``blend_records`` found, linear RGB, and the standard error of its luminance."""
+    """Light under ``under`` by what ``blend_records`` found, linear RGB, and the standard error of
+    its luminance.
+    """
     direct, over, reflected, variance, weight, _ = blended
     r = direct[0] / max(over[0], MIN_LIGHT) * under[0] + reflected[0] / weight
     g = direct[1] / max(over[1], MIN_LIGHT) * under[1] + reflected[1] / weight
     b = direct[2] / max(over[2], MIN_LIGHT) * under[2] + reflected[2] / weight
-    brighter = luminance(under[0], under[1], under[2]) / max(luminance(over[0], over[1], over[2]), MIN_LIGHT)
+    brighter = luminance(under[0], under[1], under[2]) / max(
+        luminance(over[0], over[1], over[2]), MIN_LIGHT
+    )
     return (r, g, b), math.sqrt(variance) * brighter
 
 
-@kernel(types.void(LATTICE, SURFACE_POINTS, CORNER_ROWS, TEXEL_RECORDS, UNSHADOWED, types.float32, FRAMEBUFFER))
+@kernel(
+    types.void(
+        LATTICE, SURFACE_POINTS, CORNER_ROWS, TEXEL_RECORDS, UNSHADOWED, types.float32, FRAMEBUFFER
+    )
+)
 def carry_ratios(lattice, points, corners, texels, unshadowed, unit, framebuffer):
-    """Carry the light of records ``texels`` (m, RECORD_LENGTH) to the ``framebuffer`` at the pixels of
-    ``SurfacePoints``.
+    """Carry the light of records ``texels`` (m, RECORD_LENGTH) to the ``framebuffer`` at the pixels
+    of ``SurfacePoints``.
 
-    Weights are trilinear (S1, section 4.2), times what ``agree`` makes of a texel's normal and the point's;
-    ``corners`` (m, 8) are the numbers of the points' texels. Void and buried texels are left out, and of what is not
-    baked yet unshadowed light stands in. Light is counted in ``unit``, the radiance of 1; a point is as good as the
-    least of its texels.
+    Weights are trilinear (S1, section 4.2), times what ``agree`` makes of a texel's normal and the
+    point's; ``corners`` (m, 8) are the numbers of the points' texels. Void and buried texels are
+    left out, and of what is not baked yet unshadowed light stands in. Light is counted in ``unit``,
+    the radiance of 1; a point is as good as the least of its texels.
     """
     normals = points.normals
     for m in range(points.pixels.shape[0]):
         _, _, _, fz, fy, fx = base_texel(lattice, points.points, m)
-        f, n = (np.float32(fz), np.float32(fy), np.float32(fx)), (normals[m, 0], normals[m, 1], normals[m, 2])
+        f = (np.float32(fz), np.float32(fy), np.float32(fx))
+        n = (normals[m, 0], normals[m, 1], normals[m, 2])
         under = unshadowed_light(unshadowed, n[0], n[1], n[2])
         blended = blend_records(corners, m, texels, n, f)
         least = blended[5]
         if blended[4] > ZERO_F32:
             (r, g, b), noise = shade_ratio(blended, under)
         else:
-            (r, g, b), noise = stand_in(corners, m, texels, under, f), ZERO_F32
-        error = ONE_F32 if least <= PARTIAL_GRADE else min(noise / max(luminance(r, g, b), MIN_LIGHT), ONE_F32)
+            (r, g, b) = stand_in(corners, m, texels, under, f)
+            noise = ZERO_F32
+        if least <= PARTIAL_GRADE:
+            error = ONE_F32
+        else:
+            error = min(noise / max(luminance(r, g, b), MIN_LIGHT), ONE_F32)
         state = np.uint8(min(max(least, np.float32(PROVISIONAL)), np.float32(FINAL)))
         put_pixel(framebuffer, points.pixels[m], (r * unit, g * unit, b * unit), state, error)

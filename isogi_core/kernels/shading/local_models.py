@@ -1,4 +1,6 @@
-"""The local models that S1 compares with, hard shadows, and the per-pixel path tracer that is the reference."""
+"""The local models that S1 compares with, hard shadows, and the per-pixel path tracer that is the
+reference.
+"""
 
 import math
 from typing import NamedTuple
@@ -13,7 +15,16 @@ from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
 from isogi_core.kernels.tracing.field import FIELD_RECORD, normal, to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, launch
 from isogi_core.kernels.tracing.ray_stream import Rays
-from isogi_core.kernels.tracing.vec import column, dot, length, madd, normalize, put_column, scale, sub
+from isogi_core.kernels.tracing.vec import (
+    column,
+    dot,
+    length,
+    madd,
+    normalize,
+    put_column,
+    scale,
+    sub,
+)
 from isogi_core.kernels.transport.light_paths import to_world
 from isogi_core.kernels.transport.lights import fog, row
 
@@ -21,8 +32,8 @@ from isogi_core.kernels.transport.lights import fog, row
 class LocalModel(NamedTuple):
     """A local model's constants.
 
-    ``key`` unit world direction towards the key light; ``sun`` and ``ambient`` linear RGB of it and of
-    the rest, times the albedo; ``shine`` Phong's highlight (0 for Lambert) and ``exponent``;
+    ``key`` unit world direction towards the key light; ``sun`` and ``ambient`` linear RGB of it and
+    of the rest, times the albedo; ``shine`` Phong's highlight (0 for Lambert) and ``exponent``;
     ``shadow`` whether a shadow ray is cast; ``fog_near``, ``fog_far`` world depths (equal: no fog).
     """
 
@@ -38,13 +49,23 @@ class LocalModel(NamedTuple):
 
 REAL_NUMBER = types.float64
 LOCAL_MODEL = record(
-    LocalModel, REAL_TRIPLE, REAL_TRIPLE, REAL_TRIPLE, REAL_NUMBER, REAL_NUMBER, types.boolean, REAL_NUMBER, REAL_NUMBER
+    LocalModel,
+    REAL_TRIPLE,
+    REAL_TRIPLE,
+    REAL_TRIPLE,
+    REAL_NUMBER,
+    REAL_NUMBER,
+    types.boolean,
+    REAL_NUMBER,
+    REAL_NUMBER,
 )
 
 
 @kernel(types.void(FIELD_RECORD, POINT_ROWS, REAL_TRIPLE, POINT_ROWS))
 def find_normals(field, points, eye, normals):
-    """Fill ``normals`` (m, 3), world, outward, of the ``points`` (index space); towards the ``eye`` where flat."""
+    """Fill ``normals`` (m, 3), world, outward, of the ``points`` (index space); towards the ``eye``
+    where flat.
+    """
     for m in range(points.shape[0]):
         p = point_of(points, m)
         n = normal(field, p)
@@ -55,17 +76,23 @@ def find_normals(field, points, eye, normals):
 
 @kernel()
 def find_unoccluded(surface, starts, owners, ways, reached):
-    """Fill ``reached`` (n,): whether rays get away that start outside, in the rows ``owners`` (n,) of ``starts``.
+    """Fill ``reached`` (n,): whether rays get away that start outside, in the rows ``owners`` (n,)
+    of ``starts``.
 
     These are in index space, (m, 3), and the ``ways`` (3, n) in the world.
     """
-    count, field = owners.shape[0], surface.field
-    origins, directions = np.empty((3, count)), np.empty((3, count))
+    count = owners.shape[0]
+    field = surface.field
+    origins = np.empty((3, count))
+    directions = np.empty((3, count))
     for i in range(count):
         put_column(origins, i, row(starts, owners[i]))
         put_column(directions, i, to_index(column(ways, i), field.spacing))
-    t, came = np.empty(count), np.empty(count, np.int8)
-    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, OUTSIDE_SIGN, np.int8))
+    t = np.empty(count)
+    came = np.empty(count, np.int8)
+    rays = Rays(
+        np.full(count, surface.isovalue), origins, directions, np.full(count, OUTSIDE_SIGN, np.int8)
+    )
     cast_batch(field, surface.cells, rays, t, came)
     for i in range(count):
         reached[i] = not t[i] < math.inf
@@ -73,19 +100,25 @@ def find_unoccluded(surface, starts, owners, ways, reached):
 
 @kernel(types.void(SURFACE, SURFACE_POINTS, REAL_TRIPLE, types.boolean[::1]))
 def find_shadows(surface, points, key, seen):
-    """Fill ``seen`` (m,): whether the key light reaches each of ``SurfacePoints`` past the isosurface, by a shadow ray.
+    """Fill ``seen`` (m,): whether the key light reaches each of ``SurfacePoints`` past the
+    isosurface, by a shadow ray.
 
     Points that are turned away from the light count as unseen.
     """
-    owners, starts, count = np.empty(seen.shape[0], np.int64), np.empty((seen.shape[0], 3)), 0
+    owners = np.empty(seen.shape[0], np.int64)
+    starts = np.empty((seen.shape[0], 3))
+    count = 0
     for m in range(seen.shape[0]):
         p, n = point_of(points.points, m), point_of(points.normals, m)
         seen[m] = dot(n, key) > 0.0
         if seen[m]:
-            starts[m, 0], starts[m, 1], starts[m, 2] = launch(surface.field, surface.isovalue, p, n, OUTSIDE_SIGN)
+            starts[m, 0], starts[m, 1], starts[m, 2] = launch(
+                surface.field, surface.isovalue, p, n, OUTSIDE_SIGN
+            )
             owners[count] = m
             count += 1
-    ways, reached = np.empty((3, count)), np.empty(count, np.bool_)
+    ways = np.empty((3, count))
+    reached = np.empty(count, np.bool_)
     for i in range(count):
         put_column(ways, i, key)
     find_unoccluded(surface, starts, owners[:count], ways, reached)
@@ -102,7 +135,9 @@ def highlight(n, key, view, exponent):
 
 @kernel()
 def shade_point(p, n, eye, spacing, model, seen):
-    """Linear RGB of one point by a local ``model``; ``seen`` is 1 where the key light reaches it, else 0."""
+    """Linear RGB of one point by a local ``model``; ``seen`` is 1 where the key light reaches it,
+    else 0.
+    """
     cosine = max(dot(n, model.key), 0.0)
     v = to_world(sub(eye, p), spacing)
     shine = 0.0
@@ -114,15 +149,23 @@ def shade_point(p, n, eye, spacing, model, seen):
     return scale(madd(model.ambient, seen * cosine + shine, model.sun), clear)
 
 
-@kernel(types.void(SURFACE_POINTS, types.boolean[::1], REAL_TRIPLE, REAL_TRIPLE, LOCAL_MODEL, FRAMEBUFFER))
+@kernel(
+    types.void(
+        SURFACE_POINTS, types.boolean[::1], REAL_TRIPLE, REAL_TRIPLE, LOCAL_MODEL, FRAMEBUFFER
+    )
+)
 def shade_local(points, seen, eye, spacing, model, framebuffer):
-    """Lambert or Phong, with or without hard shadow and fog, at the pixels of ``SurfacePoints`` (S1, table 2).
+    """Lambert or Phong, with or without hard shadow and fog, at the pixels of ``SurfacePoints``
+    (S1, table 2).
 
     ``seen`` (m,) is what ``find_shadows`` says; it may hold no rows for a model without shadow. A
     surface seen from its solid side shows its outer side's light, as the cache does.
     """
     for m in range(points.pixels.shape[0]):
-        reached = 1.0 if not model.shadow or seen[m] else 0.0
+        if not model.shadow or seen[m]:
+            reached = 1.0
+        else:
+            reached = 0.0
         p, n = point_of(points.points, m), point_of(points.normals, m)
         light = shade_point(p, n, eye, spacing, model, reached)
         put_pixel(framebuffer, points.pixels[m], light, FINAL, 0.0)

@@ -1,10 +1,11 @@
-"""Shine: rays that a microfacet lobe sends from the points of a picture, and what they bring or meet.
+"""Shine: rays that a microfacet lobe sends from the points of a picture, and what they bring or
+meet.
 
-Ways are drawn either by the lobe or towards a light: the bright parts of a sharp environment, a lamp with an extent, or
-a luminaire; their density is that of all these together (Veach and Guibas 1995, balance heuristic for one sample). Of
-several ways one has a ray, by what it would bring were nothing before the lights (Talbot et al. 2005, resampled
-importance sampling). So its light is right on the average, whatever it meets. Lamps without an extent have shadow rays
-of their own.
+Ways are drawn either by the lobe or towards a light: the bright parts of a sharp environment, a
+lamp with an extent, or a luminaire; their density is that of all these together (Veach and Guibas
+1995, balance heuristic for one sample). Of several ways one has a ray, by what it would bring were
+nothing before the lights (Talbot et al. 2005, resampled importance sampling). So its light is right
+on the average, whatever it meets. Lamps without an extent have shadow rays of their own.
 """
 
 import math
@@ -14,7 +15,12 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import REAL_TRIPLE, SINGLE_ROWS, kernel, record
-from isogi_core.kernels.shading.surface_points import BINOMIAL_WEIGHTS, RADIUS, SURFACE_POINTS, point_of
+from isogi_core.kernels.shading.surface_points import (
+    BINOMIAL_WEIGHTS,
+    RADIUS,
+    SURFACE_POINTS,
+    point_of,
+)
 from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
 from isogi_core.kernels.tracing.field import normal, to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE_SIGN, launch
@@ -61,12 +67,15 @@ from isogi_core.kernels.transport.room_paths import ROOM_RECORD, lit_from
 from isogi_core.kernels.transport.sampling import BELOW_ONE, about
 from isogi_core.kernels.transport.streams import SHINE_CHOICE, SHINE_LAMP, SHINE_WAY
 
-MET_NOTHING, MET_ISOSURFACE = -2, -1
+MET_NOTHING = -2
+MET_ISOSURFACE = -1
 """What a ray ``met``, besides the numbers of walls: nothing, or the isosurface."""
 
 
 class ShineDraws(NamedTuple):
-    """n rays: the points that they start from, ``owners`` int64, and sample numbers of sequences ``seeds`` uint64."""
+    """n rays: the points that they start from, ``owners`` int64, and sample numbers of sequences
+    ``seeds`` uint64.
+    """
 
     owners: Any
     seeds: Any
@@ -74,9 +83,9 @@ class ShineDraws(NamedTuple):
 
 
 class ShineEnds(NamedTuple):
-    """What n rays bring and meet: light ``brought``, and what light that leaves where they end counts, ``weights``,
-    both float32 (n, 3); the ``points`` there, whose ``pixels`` are the rays' numbers; ``met`` int8 (n,) is a wall,
-    MET_ISOSURFACE or MET_NOTHING.
+    """What n rays bring and meet: light ``brought``, and what light that leaves where they end
+    counts, ``weights``, both float32 (n, 3); the ``points`` there, whose ``pixels`` are the rays'
+    numbers; ``met`` int8 (n,) is a wall, MET_ISOSURFACE or MET_NOTHING.
     """
 
     brought: Any
@@ -98,7 +107,8 @@ def to_local(n, w):
 
 @kernel()
 def to_viewer(p, n, eye, spacing):
-    """The unit direction from ``p`` to the ``eye``, both in index space, about the normal ``n``: z is along that.
+    """The unit direction from ``p`` to the ``eye``, both in index space, about the normal ``n``: z
+    is along that.
 
     A normal that is turned away from the viewer counts as seen from its other side.
     """
@@ -123,7 +133,9 @@ def draw_way(lobe, lights, p, n, v, seed, sample):
 @kernel()
 def share_aside(lobe, lights):
     """The share of ways that are drawn towards lights."""
-    return lobe.aside if count_lights(lights) > 0 else 0.0
+    if count_lights(lights) > 0:
+        return lobe.aside
+    return 0.0
 
 
 @kernel()
@@ -134,12 +146,13 @@ def mirrored(lobe, v, l):
 
 @kernel(inline=True)
 def judge_way(lobe, lights, p, v, l, w):
-    """What light along the way ``w``, locally ``l``, counts, and the light were nothing before it, linear RGB; what is
-    expected of both, and that over the density of ``draw_way``.
+    """What light along the way ``w``, locally ``l``, counts, and the light were nothing before it,
+    linear RGB; what is expected of both, and that over the density of ``draw_way``.
     """
     if not l[2] > 0.0:
         return NO_LIGHT, NO_LIGHT, 0.0, 0.0
-    share, aside = mirrored(lobe, v, l), share_aside(lobe, lights)
+    share = mirrored(lobe, v, l)
+    aside = share_aside(lobe, lights)
     light, density = expect_along(lights, p, w)
     hope = dot(share, light) + lights.ambient * (share[0] + share[1] + share[2])
     drawn = (1.0 - aside) * reflected_pdf(lobe.alpha, v, l) + aside * density
@@ -148,21 +161,32 @@ def judge_way(lobe, lights, p, v, l, w):
 
 @kernel(inline=True)
 def choose_way(lobe, lights, p, n, v, seed, sample):
-    """The way of a ray from the world point ``p``; what light from there counts, and that light were nothing before it.
+    """The way of a ray from the world point ``p``; what light from there counts, and that light
+    were nothing before it.
 
-    Of the ways x drawn with densities p(x) one is chosen as often as t(x)/p(x), t being what is expected; it counts
-    f cosθ/t times the mean of all t/p.
+    Of the ways x drawn with densities p(x) one is chosen as often as t(x)/p(x), t being what is
+    expected; it counts f cosθ/t times the mean of all t/p.
     """
-    chance = point_2d(seed, sample, SHINE_CHOICE)[0] if lights.ways > 1 else 0.0
-    total, expected = 0.0, 1.0
-    chosen, colour, bright = n, NO_LIGHT, NO_LIGHT
+    if lights.ways > 1:
+        chance = point_2d(seed, sample, SHINE_CHOICE)[0]
+    else:
+        chance = 0.0
+    total = 0.0
+    expected = 1.0
+    chosen = n
+    colour = NO_LIGHT
+    bright = NO_LIGHT
     for j in range(lights.ways):
         w = draw_way(lobe, lights, p, n, v, seed, sample * lights.ways + j)
         share, light, hope, part = judge_way(lobe, lights, p, v, to_local(n, w), w)
         total += part
         taken = part / total if total > 0.0 else 0.0
         if chance < taken:
-            chosen, colour, bright, expected, chance = w, share, light, hope, chance / taken
+            chosen = w
+            colour = share
+            bright = light
+            expected = hope
+            chance = chance / taken
         else:
             chance = (chance - taken) / max(1.0 - taken, SMALLEST_NORMAL)
     return chosen, scale(colour, total / (lights.ways * expected)), bright
@@ -183,16 +207,21 @@ def add_row(rows, m, weight, light):
 
 @kernel()
 def cast_from(surface, origins, directions, t):
-    """Fill ``t`` (n,) with how far rays (3, n), which start off the surface, come to it: inf where they never do."""
+    """Fill ``t`` (n,) with how far rays (3, n), which start off the surface, come to it: inf where
+    they never do.
+    """
     count = t.shape[0]
     came = np.empty(count, np.int8)
-    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, OUTSIDE_SIGN, np.int8))
+    rays = Rays(
+        np.full(count, surface.isovalue), origins, directions, np.full(count, OUTSIDE_SIGN, np.int8)
+    )
     cast_batch(surface.field, surface.cells, rays, t, came)
 
 
 @kernel()
 def end_ray(surface, room, ray, t, k, ends, i):
-    """Write where ray number ``i``, (origin, direction, way), ends: on wall ``k``, on the surface, or nowhere.
+    """Write where ray number ``i``, (origin, direction, way), ends: on wall ``k``, on the surface,
+    or nowhere.
 
     The back of a wall that is lit from its front alone is black.
     """
@@ -200,7 +229,10 @@ def end_ray(surface, room, ray, t, k, ends, i):
     p = madd(o, t, d)
     if k >= 0:
         slope = dot(row(room.normals, k), w)
-        ends.met[i] = k if lit_from(room, k, slope) else MET_NOTHING
+        if lit_from(room, k, slope):
+            ends.met[i] = k
+        else:
+            ends.met[i] = MET_NOTHING
         n = scale(row(room.normals, k), -1.0 if slope > 0.0 else 1.0)
     else:
         ends.met[i] = MET_ISOSURFACE
@@ -211,15 +243,29 @@ def end_ray(surface, room, ray, t, k, ends, i):
 
 
 @kernel(
-    types.void(SURFACE, ROOM_RECORD, SURFACE_POINTS, REAL_TRIPLE, SHINE_LOBE, SHINE_LIGHTS, SHINE_DRAWS, SHINE_ENDS),
+    types.void(
+        SURFACE,
+        ROOM_RECORD,
+        SURFACE_POINTS,
+        REAL_TRIPLE,
+        SHINE_LOBE,
+        SHINE_LIGHTS,
+        SHINE_DRAWS,
+        SHINE_ENDS,
+    ),
 )
 def cast_shine(surface, room, points, eye, lobe, lights, draws, ends):
-    """Cast the rays of a ``lobe`` from ``SurfacePoints``, as ``draws`` has them, and fill their ``ends``.
+    """Cast the rays of a ``lobe`` from ``SurfacePoints``, as ``draws`` has them, and fill their
+    ``ends``.
 
-    The ``eye`` is in index space. Rays meet the isosurface and the walls of a ``room``, which may have none.
+    The ``eye`` is in index space. Rays meet the isosurface and the walls of a ``room``, which may
+    have none.
     """
     count = draws.owners.shape[0]
-    origins, directions, ways, t = np.empty((3, count)), np.ones((3, count)), np.empty((3, count)), np.empty(count)
+    origins = np.empty((3, count))
+    directions = np.ones((3, count))
+    ways = np.empty((3, count))
+    t = np.empty(count)
     aim_rays(surface, points, eye, lobe, lights, draws, (origins, directions, ways), ends)
     cast_from(surface, origins, directions, t)
     end_rays(surface, room, lights, (origins, directions, ways), t, ends)
@@ -229,16 +275,19 @@ def cast_shine(surface, room, points, eye, lobe, lights, draws, ends):
 
 @kernel()
 def aim_rays(surface, points, eye, lobe, lights, draws, rays, ends):
-    """Choose the way of each of ``rays``, (origins, directions, ways); its weight, and what it brings where it meets
-    nothing, go to ``ends``.
+    """Choose the way of each of ``rays``, (origins, directions, ways); its weight, and what it
+    brings where it meets nothing, go to ``ends``.
     """
-    field, (origins, directions, ways) = surface.field, rays
+    field = surface.field
+    (origins, directions, ways) = rays
     for i in range(draws.owners.shape[0]):
         m = draws.owners[i]
         p, n = point_of(points.points, m), point_of(points.normals, m)
         o = launch(field, surface.isovalue, p, n, OUTSIDE_SIGN)
         v = to_viewer(p, n, eye, field.spacing)
-        w, weight, light = choose_way(lobe, lights, to_world(o, field.spacing), n, v, draws.seeds[i], draws.samples[i])
+        w, weight, light = choose_way(
+            lobe, lights, to_world(o, field.spacing), n, v, draws.seeds[i], draws.samples[i]
+        )
         alive = max(weight[0], weight[1], weight[2]) > 0.0
         put_column(ways, i, w)
         put_column(origins, i, o if alive else NO_START)
@@ -250,7 +299,9 @@ def aim_rays(surface, points, eye, lobe, lights, draws, rays, ends):
 
 @kernel()
 def end_rays(surface, room, lights, rays, t, ends):
-    """Fill the ``ends`` of ``rays``, (origins, directions, ways), which come as far as ``t`` (n,) on the surface."""
+    """Fill the ``ends`` of ``rays``, (origins, directions, ways), which come as far as ``t`` (n,)
+    on the surface.
+    """
     origins, directions, ways = rays
     for i in range(t.shape[0]):
         ends.met[i] = MET_NOTHING
@@ -266,15 +317,22 @@ def end_rays(surface, room, lights, rays, t, ends):
 
 @kernel()
 def add_lamp(surface, room, points, eye, lobe, lamp, draws, ends):
-    """Add what a ``lamp``, (lamps, its number), without an extent brings where nothing is before it; a ray each."""
+    """Add what a ``lamp``, (lamps, its number), without an extent brings where nothing is before
+    it; a ray each.
+    """
     lamps, k = lamp
-    count, field = draws.owners.shape[0], surface.field
-    origins, directions, lights = np.empty((3, count)), np.ones((3, count)), np.empty((3, count))
-    t, reach = np.empty(count), np.empty(count)
+    count = draws.owners.shape[0]
+    field = surface.field
+    origins = np.empty((3, count))
+    directions = np.ones((3, count))
+    lights = np.empty((3, count))
+    t = np.empty(count)
+    reach = np.empty(count)
     for i in range(count):
         m = draws.owners[i]
         p, n = point_of(points.points, m), point_of(points.normals, m)
-        o, v = launch(field, surface.isovalue, p, n, OUTSIDE_SIGN), to_viewer(p, n, eye, field.spacing)
+        o = launch(field, surface.isovalue, p, n, OUTSIDE_SIGN)
+        v = to_viewer(p, n, eye, field.spacing)
         w, reach[i], light = illuminate(lamps, k, to_world(o, field.spacing), n, 0.5, 0.5)
         l = to_local(n, w)
         put_column(origins, i, NO_START)
@@ -294,7 +352,9 @@ def add_lamp(surface, room, points, eye, lobe, lamp, draws, ends):
 
 @kernel(types.void(SURFACE_POINTS, REAL_TRIPLE, REAL_TRIPLE, SHINE_LOBE, SINGLE_ROWS))
 def fill_below(points, eye, spacing, lobe, below):
-    """Fill ``below`` (m, 3) with ``light_below`` of ``SurfacePoints`` seen from the ``eye``, in index space."""
+    """Fill ``below`` (m, 3) with ``light_below`` of ``SurfacePoints`` seen from the ``eye``, in
+    index space.
+    """
     for m in range(points.pixels.shape[0]):
         v = to_viewer(point_of(points.points, m), point_of(points.normals, m), eye, spacing)
         put_row(below, m, light_below(lobe, v[2]))
@@ -302,20 +362,30 @@ def fill_below(points, eye, spacing, lobe, below):
 
 @kernel(types.void(SURFACE, SURFACE_POINTS, LAMPS, types.uint64[::1], SINGLE_ROWS))
 def light_ends(surface, points, lamps, seeds, lit):
-    """Fill ``lit`` (m, 3) with an estimate of E/π straight from directional ``lamps`` at ``SurfacePoints``.
+    """Fill ``lit`` (m, 3) with an estimate of E/π straight from directional ``lamps`` at
+    ``SurfacePoints``.
 
-    One shadow ray from each point to each lamp, drawn from the disc of that by the sequences ``seeds``.
+    One shadow ray from each point to each lamp, drawn from the disc of that by the sequences
+    ``seeds``.
     """
-    count, field = points.pixels.shape[0], surface.field
+    count = points.pixels.shape[0]
+    field = surface.field
     lit[:] = 0.0
-    origins, directions, lights, t = np.empty((3, count)), np.ones((3, count)), np.empty((3, count)), np.empty(count)
+    origins = np.empty((3, count))
+    directions = np.ones((3, count))
+    lights = np.empty((3, count))
+    t = np.empty(count)
     for k in range(lamps.kinds.shape[0]):
         for i in range(count):
             p, n = point_of(points.points, i), point_of(points.normals, i)
             a, b = point_2d(seeds[i], 0, SHINE_LAMP + k)
             w, _, light = illuminate(lamps, k, p, n, a, b)
             facing = max(light[0], light[1], light[2]) > 0.0
-            put_column(origins, i, launch(field, surface.isovalue, p, n, OUTSIDE_SIGN) if facing else NO_START)
+            put_column(
+                origins,
+                i,
+                launch(field, surface.isovalue, p, n, OUTSIDE_SIGN) if facing else NO_START,
+            )
             put_column(directions, i, to_index(w, field.spacing))
             put_column(lights, i, light)
         cast_from(surface, origins, directions, t)
@@ -324,15 +394,18 @@ def light_ends(surface, points, lamps, seeds, lit):
                 add_row(lit, i, (1.0, 1.0, 1.0), column(lights, i))
 
 
-ZERO_F32, ONE_F32 = np.float32(0.0), np.float32(1.0)
+ZERO_F32 = np.float32(0.0)
+ONE_F32 = np.float32(1.0)
 
 
 @kernel(inline=True)
 def biweight(normals, n, normal, narrow):
-    """What the normal of point ``n`` counts for a ``normal``: Tukey's biweight of the length between both, by the
-    inverse of its squared width.
+    """What the normal of point ``n`` counts for a ``normal``: Tukey's biweight of the length
+    between both, by the inverse of its squared width.
     """
-    x, y, z = normals[n, 0] - normal[0], normals[n, 1] - normal[1], normals[n, 2] - normal[2]
+    x = normals[n, 0] - normal[0]
+    y = normals[n, 1] - normal[1]
+    z = normals[n, 2] - normal[2]
     rest = max(ONE_F32 - (x * x + y * y + z * z) * narrow, ZERO_F32)
     return rest * rest
 
@@ -350,13 +423,16 @@ def biweight(normals, n, normal, narrow):
     )
 )
 def filter_shine(rows, pixels, normals, first, light, step, width, found):
-    """Fill ``found`` (k, 4) with the mean ``light`` (m, 4) about the points of a picture from number ``first`` on.
+    """Fill ``found`` (k, 4) with the mean ``light`` (m, 4) about the points of a picture from
+    number ``first`` on.
 
-    Light is linear RGB and the variance of its luminance. The mean is that of five by five pixels, a ``step`` apart,
-    which count binomially, and by how like their ``normals`` (m, 3) are within a ``width``. ``rows`` and ``pixels`` are
-    as of ``pool_noise``. Source: Dammertz and others 2010; Schied and others 2017 on variance.
+    Light is linear RGB and the variance of its luminance. The mean is that of five by five pixels,
+    a ``step`` apart, which count binomially, and by how like their ``normals`` (m, 3) are within a
+    ``width``. ``rows`` and ``pixels`` are as of ``pool_noise``. Source: Dammertz and others 2010;
+    Schied and others 2017 on variance.
     """
-    (height, across), narrow = rows.shape, ONE_F32 / (width * width)
+    (height, across) = rows.shape
+    narrow = ONE_F32 / (width * width)
     for i in range(found.shape[0]):
         m = first + i
         y, x = divmod(np.int64(pixels[m]), across)
@@ -366,12 +442,18 @@ def filter_shine(rows, pixels, normals, first, light, step, width, found):
             v = y + dy * step
             for dx in range(-RADIUS if 0 <= v < height else RADIUS + 1, RADIUS + 1):
                 u = x + dx * step
-                n = np.int64(rows[v, u]) if 0 <= u < across else -1
+                if 0 <= u < across:
+                    n = np.int64(rows[v, u])
+                else:
+                    n = -1
                 if n >= 0:
-                    w = np.float32(BINOMIAL_WEIGHTS[dy + RADIUS] * BINOMIAL_WEIGHTS[dx + RADIUS]) * biweight(
-                        normals, n, normal, narrow
-                    )
-                    red, green, blue = red + w * light[n, 0], green + w * light[n, 1], blue + w * light[n, 2]
-                    variance, total = variance + w * w * light[n, 3], total + w
+                    w = np.float32(
+                        BINOMIAL_WEIGHTS[dy + RADIUS] * BINOMIAL_WEIGHTS[dx + RADIUS]
+                    ) * biweight(normals, n, normal, narrow)
+                    red = red + w * light[n, 0]
+                    green = green + w * light[n, 1]
+                    blue = blue + w * light[n, 2]
+                    variance = variance + w * w * light[n, 3]
+                    total = total + w
         found[i, 0], found[i, 1], found[i, 2] = red / total, green / total, blue / total
         found[i, 3] = variance / (total * total)

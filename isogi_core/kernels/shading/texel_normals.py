@@ -1,4 +1,6 @@
-"""Normals that texels are lit about. They are computed for the texels of each view, as no store keeps them."""
+"""Normals that texels are lit about. They are computed for the texels of each view, as no store
+keeps them.
+"""
 
 import math
 
@@ -13,20 +15,28 @@ from isogi_core.kernels.tracing.vec import is_zero
 from isogi_core.kernels.transport.transfer import TEXEL_PLACES, way_to
 
 NEARLY = 8
-"""Halvings that find a projected texel's place to a quarter of a thousandth of a voxel: enough for its normal."""
+"""Halvings that find a projected texel's place to a quarter of a thousandth of a voxel: enough for
+its normal.
+"""
 
 
 @kernel()
 def blur_row(voxels, k, j, i0, i, i2):
-    """The smoothed value and slope along x of a row at voxel ``i``, whose neighbours are ``i0`` and ``i2``."""
-    low, here, high = np.float64(voxels[k, j, i0]), np.float64(voxels[k, j, i]), np.float64(voxels[k, j, i2])
+    """The smoothed value and slope along x of a row at voxel ``i``, whose neighbours are ``i0`` and
+    ``i2``.
+    """
+    low = np.float64(voxels[k, j, i0])
+    here = np.float64(voxels[k, j, i])
+    high = np.float64(voxels[k, j, i2])
     return SIXTH * (low + high) + 4.0 * SIXTH * here, 0.5 * (high - low)
 
 
 @kernel()
 def plane_of(voxels, k, j0, j, j2, i0, i, i2):
     """The smoothed value of a plane at voxel (j, i), and its slopes along y and x."""
-    a, b, c = blur_row(voxels, k, j0, i0, i, i2), blur_row(voxels, k, j, i0, i, i2), blur_row(voxels, k, j2, i0, i, i2)
+    a = blur_row(voxels, k, j0, i0, i, i2)
+    b = blur_row(voxels, k, j, i0, i, i2)
+    c = blur_row(voxels, k, j2, i0, i, i2)
     return (
         SIXTH * (a[0] + c[0]) + 4.0 * SIXTH * b[0],
         0.5 * (c[0] - a[0]),
@@ -36,9 +46,14 @@ def plane_of(voxels, k, j0, j, j2, i0, i, i2):
 
 @kernel()
 def voxel_gradient(voxels, k, j, i):
-    """``smooth_gradient`` at voxel (k, j, i), where it is of 27 voxels; those beyond the border repeat the border's."""
+    """``smooth_gradient`` at voxel (k, j, i), where it is of 27 voxels; those beyond the border
+    repeat the border's.
+    """
     nz, ny, nx = voxels.shape
-    i0, i2, j0, j2 = max(i - 1, 0), min(i + 1, nx - 1), max(j - 1, 0), min(j + 1, ny - 1)
+    i0 = max(i - 1, 0)
+    i2 = min(i + 1, nx - 1)
+    j0 = max(j - 1, 0)
+    j2 = min(j + 1, ny - 1)
     a = plane_of(voxels, max(k - 1, 0), j0, j, j2, i0, i, i2)
     b = plane_of(voxels, k, j0, j, j2, i0, i, i2)
     c = plane_of(voxels, min(k + 1, nz - 1), j0, j, j2, i0, i, i2)
@@ -51,7 +66,9 @@ def voxel_gradient(voxels, k, j, i):
 
 @kernel()
 def texel_normal(field, step, texels, m):
-    """The normal at texel ``m``'s own point, and that point; where each voxel has a texel, by the voxels about it."""
+    """The normal at texel ``m``'s own point, and that point; where each voxel has a texel, by the
+    voxels about it.
+    """
     p = (texels[m, 2] * step[0], texels[m, 1] * step[1], texels[m, 0] * step[2])
     n = (0.0, 0.0, 0.0)
     if field.smooth and step[0] == 1.0 and step[1] == 1.0 and step[2] == 1.0:
@@ -62,21 +79,29 @@ def texel_normal(field, step, texels, m):
 
 @kernel(exact=True)
 def normal_there(field, p, n, level):
-    """The normal where ``p``, whose own is ``n``, comes to on the isosurface ``level``; (0, 0, 0) if out of reach."""
+    """The normal where ``p``, whose own is ``n``, comes to on the isosurface ``level``; (0, 0, 0)
+    if out of reach.
+    """
     if is_zero(n):
         return n
     d, t = way_to(field, p, n, level, NEARLY)
-    return normal(field, point_within(field.voxels.shape, p, d, t)) if t < math.inf else (0.0, 0.0, 0.0)
+    if t < math.inf:
+        return normal(field, point_within(field.voxels.shape, p, d, t))
+    return (0.0, 0.0, 0.0)
 
 
-@kernel(types.void(FIELD_RECORD, REAL_ARRAY, types.float64, types.boolean, TEXEL_PLACES, POINT_ROWS))
+@kernel(
+    types.void(FIELD_RECORD, REAL_ARRAY, types.float64, types.boolean, TEXEL_PLACES, POINT_ROWS)
+)
 def fill_texel_normals(field, step, level, projected, texels, normals):
-    """Fill ``normals`` (m, 3), outward unit world ones, of ``texels`` (m, 3; z, y, x) at their own points.
+    """Fill ``normals`` (m, 3), outward unit world ones, of ``texels`` (m, 3; z, y, x) at their own
+    points.
 
-    Or, where they are ``projected``, of the places that ``project_texels`` brings them to on the isosurface ``level``,
-    a voxel-space isovalue; what else may keep them where they are is not asked. ``step`` (3,) voxels per texel along x,
-    y, z. Normals are (0, 0, 0) where the field has no gradient or the level is out of reach. Of texels at the edge of a
-    plateau, which are lit a voxel or so away along the gradient, they are those of their own points too.
+    Or, where they are ``projected``, of the places that ``project_texels`` brings them to on the
+    isosurface ``level``, a voxel-space isovalue; what else may keep them where they are is not
+    asked. ``step`` (3,) voxels per texel along x, y, z. Normals are (0, 0, 0) where the field has
+    no gradient or the level is out of reach. Of texels at the edge of a plateau, which are lit a
+    voxel or so away along the gradient, they are those of their own points too.
     """
     for m in range(texels.shape[0]):
         n, p = texel_normal(field, step, texels, m)
@@ -86,7 +111,9 @@ def fill_texel_normals(field, step, level, projected, texels, normals):
 
 
 KEY_ARRAY = types.uint64[::1]
-"""Which texels a table of normals holds, each at the first free place from its own on: number plus 1; 0 is free."""
+"""Which texels a table of normals holds, each at the first free place from its own on: number plus
+1; 0 is free.
+"""
 
 HASH_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 """An odd number near 2⁶⁴ over the golden ratio: its multiples spread numbers in a row all over."""
@@ -94,8 +121,11 @@ HASH_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 
 @kernel()
 def slot_of(number, keys):
-    """Where in a table of a power of two of ``keys`` the texel ``number`` is, or where it may be put."""
-    last, key = np.uint64(keys.shape[0] - 1), number + np.uint64(1)
+    """Where in a table of a power of two of ``keys`` the texel ``number`` is, or where it may be
+    put.
+    """
+    last = np.uint64(keys.shape[0] - 1)
+    key = number + np.uint64(1)
     at = (number * HASH_MULTIPLIER >> np.uint64(32)) & last
     while keys[at] != key and keys[at] != np.uint64(0):
         at = (at + np.uint64(1)) & last
@@ -104,7 +134,9 @@ def slot_of(number, keys):
 
 @kernel(types.void(KEY_ARRAY, KEY_ARRAY, POINT_ROWS, POINT_ROWS, types.boolean[::1]))
 def look_up_normals(numbers, keys, table, normals, found):
-    """Fill ``normals`` (m, 3) of the texels ``numbers`` (m,) that a ``table`` holds, and which are ``found`` (m,)."""
+    """Fill ``normals`` (m, 3) of the texels ``numbers`` (m,) that a ``table`` holds, and which are
+    ``found`` (m,).
+    """
     for m in range(numbers.shape[0]):
         at = slot_of(numbers[m], keys)
         found[m] = keys[at] != np.uint64(0)
@@ -114,7 +146,9 @@ def look_up_normals(numbers, keys, table, normals, found):
 
 @kernel(types.void(KEY_ARRAY, POINT_ROWS, KEY_ARRAY, POINT_ROWS))
 def keep_normals(numbers, normals, keys, table):
-    """Put the ``normals`` (m, 3) of the texels ``numbers`` (m,) into a ``table`` that has room for them."""
+    """Put the ``normals`` (m, 3) of the texels ``numbers`` (m,) into a ``table`` that has room for
+    them.
+    """
     for m in range(numbers.shape[0]):
         at = slot_of(numbers[m], keys)
         keys[at] = numbers[m] + np.uint64(1)

@@ -18,10 +18,12 @@ WALL_VARIANCE_COLUMN = 3
 
 
 class WallTable(NamedTuple):
-    """The texels of k walls: ``light`` float32 (texels, 4), linear RGB that leaves them and its luminance's variance.
+    """The texels of k walls: ``light`` float32 (texels, 4), linear RGB that leaves them and its
+    luminance's variance.
 
-    ``first`` (k,) is each wall's first row of them, ``rows`` and ``columns`` (k,) how many it has along its second and
-    its first edge, at least 2, and ``states`` uint8 (k,) the state of pixels that show it.
+    ``first`` (k,) is each wall's first row of them, ``rows`` and ``columns`` (k,) how many it has
+    along its second and its first edge, at least 2, and ``states`` uint8 (k,) the state of pixels
+    that show it.
     """
 
     light: Any
@@ -31,12 +33,16 @@ class WallTable(NamedTuple):
     states: Any
 
 
-WALL_TABLE = record(WallTable, types.float32[:, ::1], INTEGER_ARRAY, INTEGER_ARRAY, INTEGER_ARRAY, types.uint8[::1])
+WALL_TABLE = record(
+    WallTable, types.float32[:, ::1], INTEGER_ARRAY, INTEGER_ARRAY, INTEGER_ARRAY, types.uint8[::1]
+)
 
 
 @kernel()
 def texel_before(share, count):
-    """The texel before a ``share`` of an edge with ``count`` texels, in their middles, and the way on to the next."""
+    """The texel before a ``share`` of an edge with ``count`` texels, in their middles, and the way
+    on to the next.
+    """
     place = min(max(share * count - 0.5, 0.0), count - 1.0)
     low = min(int(place), count - 2)
     return low, place - low
@@ -44,16 +50,30 @@ def texel_before(share, count):
 
 @kernel()
 def mix_texels(table, first, columns, way, c):
-    """Column ``c`` of a wall's texels between the four from row ``first`` on, at a ``way`` (x, y) between them."""
-    light, (x, y) = table.light, way
+    """Column ``c`` of a wall's texels between the four from row ``first`` on, at a ``way`` (x, y)
+    between them.
+    """
+    light = table.light
+    (x, y) = way
     low = (1.0 - x) * light[first, c] + x * light[first + 1, c]
     high = (1.0 - x) * light[first + columns, c] + x * light[first + columns + 1, c]
     return (1.0 - y) * low + y * high
 
 
-@kernel(types.void(WALLS_RECORD, WALL_TABLE, PIXEL_ARRAY, POINT_ROWS, types.int8[::1], types.float32, FRAMEBUFFER))
+@kernel(
+    types.void(
+        WALLS_RECORD,
+        WALL_TABLE,
+        PIXEL_ARRAY,
+        POINT_ROWS,
+        types.int8[::1],
+        types.float32,
+        FRAMEBUFFER,
+    )
+)
 def light_walls(walls, table, pixels, points, numbers, darkest, framebuffer):
-    """Write the light of walls at ``points`` (m, 3), in index space, of walls ``numbers`` (m,), to their ``pixels``.
+    """Write the light of walls at ``points`` (m, 3), in index space, of walls ``numbers`` (m,), to
+    their ``pixels``.
 
     The error is relative to the luminance, or to that of ``darkest``.
     """
@@ -62,12 +82,11 @@ def light_walls(walls, table, pixels, points, numbers, darkest, framebuffer):
         away = sub(point_of(points, m), row(walls.corners, k))
         i, x = texel_before(inner(walls.across[k], 0, away), table.columns[k])
         j, y = texel_before(inner(walls.across[k], 1, away), table.rows[k])
-        first, way = table.first[k] + j * table.columns[k] + i, (x, y)
-        r, g, b = (
-            mix_texels(table, first, table.columns[k], way, 0),
-            mix_texels(table, first, table.columns[k], way, 1),
-            mix_texels(table, first, table.columns[k], way, 2),
-        )
+        first = table.first[k] + j * table.columns[k] + i
+        way = (x, y)
+        r = mix_texels(table, first, table.columns[k], way, 0)
+        g = mix_texels(table, first, table.columns[k], way, 1)
+        b = mix_texels(table, first, table.columns[k], way, 2)
         noise = math.sqrt(mix_texels(table, first, table.columns[k], way, WALL_VARIANCE_COLUMN))
         error = min(noise / max(luminance(r, g, b), darkest), 1.0)
         put_pixel(framebuffer, pixels[m], (r, g, b), table.states[k], np.float32(error))

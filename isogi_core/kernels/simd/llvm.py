@@ -12,14 +12,12 @@ from numba.extending import models, register_model
 
 from isogi_core.kernels.simd.types import Vector
 
-BIT_TYPE, BYTE_TYPE, WORD_TYPE, LONG_TYPE, FLOAT_TYPE, DOUBLE_TYPE = (
-    ir.IntType(1),
-    ir.IntType(8),
-    ir.IntType(32),
-    ir.IntType(64),
-    ir.FloatType(),
-    ir.DoubleType(),
-)
+BIT_TYPE = ir.IntType(1)
+BYTE_TYPE = ir.IntType(8)
+WORD_TYPE = ir.IntType(32)
+LONG_TYPE = ir.IntType(64)
+FLOAT_TYPE = ir.FloatType()
+DOUBLE_TYPE = ir.DoubleType()
 ELEMENTS = {
     types.float32: FLOAT_TYPE,
     types.float64: DOUBLE_TYPE,
@@ -35,7 +33,9 @@ Typer = Callable[..., Any]
 ANYTHING = ((types.VarArg(types.Any),),)
 UNARY_PATTERNS = ((Vector,),)
 BINARY_PATTERNS = ((Vector, Vector), (Vector, types.Number), (types.Number, Vector))
-"""Patterns of arguments: those of functions that are ours alone, and of Python's with vectors among the arguments."""
+"""Patterns of arguments: those of functions that are ours alone, and of Python's with vectors among
+the arguments.
+"""
 
 
 def vector_type(vector: Vector) -> ir.VectorType:
@@ -51,16 +51,21 @@ class VectorModel(models.PrimitiveModel):
         super().__init__(dmm, fe_type, vector_type(fe_type))
 
 
-def define(function: Any, typer: Typer, patterns: Sequence[Any] = ANYTHING) -> Callable[[Build], Build]:
+def define(
+    function: Any, typer: Typer, patterns: Sequence[Any] = ANYTHING
+) -> Callable[[Build], Build]:
     """Decorator: ``build(context, builder, signature, *values)`` makes the code of ``function``.
 
-    ``typer(*arguments)`` gives the signature for these types of arguments, or None where there is none.
+    ``typer(*arguments)`` gives the signature for these types of arguments, or None where there is
+    none.
     """
 
     def _generic(self: Any, args: Any, kws: Any) -> Any:
         return typer(*args)
 
-    infer_global(function)(type("Case", (AbstractTemplate,), {"key": function, "generic": _generic}))
+    infer_global(function)(
+        type("Case", (AbstractTemplate,), {"key": function, "generic": _generic})
+    )
 
     def _register(build: Build) -> Build:
         for pattern in patterns:
@@ -79,16 +84,24 @@ def operand(arguments: Sequence[Any]) -> Vector:
     return next(each for each in arguments if isinstance(each, Vector))
 
 
-def elementwise(function: Any, arity: int, elements: set[Any], masks: bool = False) -> Callable[[Build], Build]:
-    """Decorator: ``build(builder, vector type, *vectors)`` for a function of vectors of one type, element by element.
+def elementwise(
+    function: Any, arity: int, elements: set[Any], masks: bool = False
+) -> Callable[[Build], Build]:
+    """Decorator: ``build(builder, vector type, *vectors)`` for a function of vectors of one type,
+    element by element.
 
-    Single numbers among the arguments are spread over all lanes first. The result is of the same type, or a mask.
+    Single numbers among the arguments are spread over all lanes first. The result is of the same
+    type, or a mask.
     """
 
     def _typer(*args: Any) -> Any:
         vectors = [each for each in args if isinstance(each, Vector)]
         others = [each for each in args if not isinstance(each, Vector)]
-        if len(args) != arity or not vectors or not all(isinstance(each, types.Number) for each in others):
+        if (
+            len(args) != arity
+            or not vectors
+            or not all(isinstance(each, types.Number) for each in others)
+        ):
             return None
         kind = vectors[0]
         if any(each != kind for each in vectors) or kind.number not in elements:
@@ -97,7 +110,11 @@ def elementwise(function: Any, arity: int, elements: set[Any], masks: bool = Fal
         return signature(kind.mask if masks else kind, *given)
 
     def _register(build: Build) -> Build:
-        @define(function, _typer, UNARY_PATTERNS if arity == 1 else BINARY_PATTERNS if arity == 2 else ANYTHING)
+        @define(
+            function,
+            _typer,
+            UNARY_PATTERNS if arity == 1 else BINARY_PATTERNS if arity == 2 else ANYTHING,
+        )
         def _lower(context: Any, builder: ir.IRBuilder, sig: Any, *values: ir.Value) -> ir.Value:
             kind = operand(sig.args)
             return build(builder, kind, *[spread(builder, value, kind) for value in values])
@@ -128,12 +145,17 @@ def splat(builder: ir.IRBuilder, value: ir.Value, count: int) -> ir.Value:
 
 
 def spread(builder: ir.IRBuilder, value: ir.Value, kind: Vector) -> ir.Value:
-    """A number in every lane of a ``kind``, cut to the size of its elements; vectors as they are."""
+    """A number in every lane of a ``kind``, cut to the size of its elements; vectors as they
+    are.
+    """
     if isinstance(value.type, ir.VectorType):
         return value
     element = ELEMENTS[kind.number]
     if value.type != element:
-        value = builder.fptrunc(value, FLOAT_TYPE) if element == FLOAT_TYPE else builder.trunc(value, element)
+        if element == FLOAT_TYPE:
+            value = builder.fptrunc(value, FLOAT_TYPE)
+        else:
+            value = builder.trunc(value, element)
     return splat(builder, value, kind.count)
 
 
@@ -170,6 +192,8 @@ def mask_bits(builder: ir.IRBuilder, mask: ir.Value) -> ir.Value:
 
 def ranks(builder: ir.IRBuilder, word: ir.Value, count: int) -> ir.Value:
     """How many bits below it are set in a word of 32 bits, for each of ``count`` lanes."""
-    before = ir.Constant(ir.VectorType(WORD_TYPE, count), [(1 << lane) - 1 for lane in range(count)])
+    before = ir.Constant(
+        ir.VectorType(WORD_TYPE, count), [(1 << lane) - 1 for lane in range(count)]
+    )
     below = builder.and_(splat(builder, word, count), before)
     return call(builder, f"llvm.ctpop.v{count}i32", before.type, below)

@@ -1,8 +1,8 @@
 """Mathematics that run on numbers and on vectors alike, and what turns the one into the other.
 
-``abs``, ``min``, ``max``, ``math.sqrt`` and ``math.copysign`` take vectors too. Of the lesser and the greater of two
-that are equal, or of which one is no number, a vector has the first, as Python does. ``vector[i]`` is the number in
-lane i.
+``abs``, ``min``, ``max``, ``math.sqrt`` and ``math.copysign`` take vectors too. Of the lesser and
+the greater of two that are equal, or of which one is no number, a vector has the first, as Python
+does. ``vector[i]`` is the number in lane i.
 """
 
 import math
@@ -41,7 +41,9 @@ TO_UNIT = 2.0**-32
 fma = stub("fma", "a · b + c of f32×N, rounded once.", __name__)
 f32 = stub("f32", "f64×N rounded, i32×N, or a number in RAY_WIDTH lanes, as f32×N.", __name__)
 f64 = stub("f64", "f32×N, i32×N, or a number in RAY_WIDTH lanes, as f64×N.", __name__)
-i32 = stub("i32", "f32×N or f64×N cut to i32×N (they must fit), or a number in RAY_WIDTH lanes.", __name__)
+i32 = stub(
+    "i32", "f32×N or f64×N cut to i32×N (they must fit), or a number in RAY_WIDTH lanes.", __name__
+)
 mask_of = stub("mask_of", "The truth in RAY_WIDTH lanes.", __name__)
 popcount = stub("popcount", "How many lanes of the mask are set.", __name__)
 bits = stub("bits", "The mask as an integer, bit i for lane i.", __name__)
@@ -49,11 +51,14 @@ lane_numbers = stub("lane_numbers", "0, 1, 2 … in RAY_WIDTH lanes of i32×N.",
 rank = stub("rank", "How many lanes before it are set in the mask, for each lane.", __name__)
 
 
-# --- choice -------------------------------------------------------------------------------------------------
+# --- choice
+# -------------------------------------------------------------------------------------------------
 
 
 def where(truth: Any, a: Any, b: Any) -> Any:
-    """``a`` where it is true, else ``b``: both are worked out. Of single numbers under a mask, f64×N or i32×N."""
+    """``a`` where it is true, else ``b``: both are worked out. Of single numbers under a mask,
+    f64×N or i32×N.
+    """
     return a if truth else b
 
 
@@ -63,7 +68,14 @@ def _type_of_choice(truth: Any, a: Any, b: Any) -> Any:
     numbers = all(isinstance(each, types.Number) for each in pair)
     whole = all(isinstance(each, types.Integer) for each in pair)
     if isinstance(truth, types.Boolean):
-        kind = types.int64 if whole else types.float64 if numbers else types.boolean if a == b == truth else None
+        if whole:
+            kind = types.int64
+        elif numbers:
+            kind = types.float64
+        elif a == b == truth:
+            kind = types.boolean
+        else:
+            kind = None
         return kind and signature(kind, truth, kind, kind)
     if not (isinstance(truth, Vector) and truth.number in BOOLEAN_TYPES):
         return None
@@ -71,12 +83,20 @@ def _type_of_choice(truth: Any, a: Any, b: Any) -> Any:
         kind = truth.of(types.int32 if whole else types.float64)
     else:
         kind = next((each for each in pair if isinstance(each, Vector)), None)
-    fits = kind and kind.count == truth.count and all(each == kind or isinstance(each, types.Number) for each in pair)
-    return signature(kind, truth, *[kind if each == kind else kind.scalar for each in pair]) if fits else None
+    fits = (
+        kind
+        and kind.count == truth.count
+        and all(each == kind or isinstance(each, types.Number) for each in pair)
+    )
+    if fits:
+        return signature(kind, truth, *[kind if each == kind else kind.scalar for each in pair])
+    return None
 
 
 @define(where, _type_of_choice)
-def _where(context: Any, builder: ir.IRBuilder, sig: Any, truth: ir.Value, *pair: ir.Value) -> ir.Value:
+def _where(
+    context: Any, builder: ir.IRBuilder, sig: Any, truth: ir.Value, *pair: ir.Value
+) -> ir.Value:
     kind = sig.return_type
     if isinstance(kind, Vector):
         pair = tuple(spread(builder, value, kind) for value in pair)
@@ -139,7 +159,8 @@ def _divide(context: Any, builder: ir.IRBuilder, sig: Any, *pair: ir.Value) -> i
     return builder.fdiv(*pair, flags=operators.FAST_FLAGS[types.float64])
 
 
-# --- functions ----------------------------------------------------------------------------------------------
+# --- functions
+# ----------------------------------------------------------------------------------------------
 
 
 @elementwise(fma, 3, {types.float32})
@@ -163,8 +184,14 @@ def _copysign(builder: ir.IRBuilder, kind: Vector, size: ir.Value, sign: ir.Valu
 
 
 def floor_within(x: Any, last: Any) -> Any:
-    """The whole number at or below ``x``, within 0 … ``last``, and 0 of no number; of f64×N, reals that are whole."""
-    return last if x >= last else int(x) if x > 0.0 else 0
+    """The whole number at or below ``x``, within 0 … ``last``, and 0 of no number; of f64×N, reals
+    that are whole.
+    """
+    if x >= last:
+        return last
+    if x > 0.0:
+        return int(x)
+    return 0
 
 
 @overload(floor_within)
@@ -174,7 +201,9 @@ def _overload_floor_within(x: Any, last: Any) -> Any:
         whole = where(whole > 0.0, whole, 0.0)
         return where(whole < last, whole, last)
 
-    return _of_vectors if isinstance(x, Vector) else floor_within
+    if isinstance(x, Vector):
+        return _of_vectors
+    return floor_within
 
 
 @intrinsic
@@ -185,17 +214,24 @@ def _floor(typing: Any, x: Any) -> Any:
     return x(x), _build
 
 
-# --- conversion ---------------------------------------------------------------------------------------------
+# --- conversion
+# ---------------------------------------------------------------------------------------------
 
 
 def _conversion(number: Any) -> Any:
-    """Typer of a conversion to vectors of ``number``: of other vectors, and of single numbers in RAY_WIDTH lanes."""
+    """Typer of a conversion to vectors of ``number``: of other vectors, and of single numbers in
+    RAY_WIDTH lanes.
+    """
 
     def _typer(value: Any) -> Any:
         if isinstance(value, Vector):
-            return signature(value.of(number), value) if value.number not in BOOLEAN_TYPES else None
+            if value.number not in BOOLEAN_TYPES:
+                return signature(value.of(number), value)
+            return None
         kind = Vector(number, RAY_WIDTH)
-        return signature(kind, kind.scalar) if isinstance(value, types.Number) else None
+        if isinstance(value, types.Number):
+            return signature(kind, kind.scalar)
+        return None
 
     return _typer
 
@@ -205,14 +241,17 @@ def _convert(context: Any, builder: ir.IRBuilder, sig: Any, value: ir.Value) -> 
     kind = sig.return_type
     if not isinstance(value.type, ir.VectorType):
         return spread(builder, value, kind)
-    given, result = sig.args[0].number, vector_type(kind)
+    given = sig.args[0].number
+    result = vector_type(kind)
     if given == kind.number:
         return value
     if given == types.int32:
         return builder.sitofp(value, result)
     if kind.number == types.int32:
         return builder.fptosi(value, result)
-    return builder.fptrunc(value, result) if kind.number == types.float32 else builder.fpext(value, result)
+    if kind.number == types.float32:
+        return builder.fptrunc(value, result)
+    return builder.fpext(value, result)
 
 
 for _function, _number in ((f32, types.float32), (f64, types.float64), (i32, types.int32)):
@@ -236,20 +275,23 @@ def fraction(word: Any) -> Any:
 
 def _type_of_fraction(word: Any) -> Any:
     """Signature of ``fraction``."""
-    return (
-        signature(word.of(types.float64), word) if isinstance(word, Vector) else signature(types.float64, types.uint64)
-    )
+    if isinstance(word, Vector):
+        return signature(word.of(types.float64), word)
+    return signature(types.float64, types.uint64)
 
 
 @define(fraction, _type_of_fraction)
 def _fraction(context: Any, builder: ir.IRBuilder, sig: Any, word: ir.Value) -> ir.Value:
-    kind, unit = DOUBLE_TYPE, DOUBLE_TYPE(TO_UNIT)
+    kind = DOUBLE_TYPE
+    unit = DOUBLE_TYPE(TO_UNIT)
     if isinstance(sig.return_type, Vector):
-        kind, unit = vector_type(sig.return_type), splat(builder, unit, sig.return_type.count)
+        kind = vector_type(sig.return_type)
+        unit = splat(builder, unit, sig.return_type.count)
     return builder.fmul(builder.uitofp(word, kind), unit)
 
 
-# --- masks and lanes ----------------------------------------------------------------------------------------
+# --- masks and lanes
+# ----------------------------------------------------------------------------------------
 
 
 @define(mask_of, lambda truth: signature(Vector(types.boolean, RAY_WIDTH), types.boolean))
@@ -279,9 +321,13 @@ def _rank(context: Any, builder: ir.IRBuilder, sig: Any, mask: ir.Value) -> ir.V
 
 def _type_of_item(vector: Any, lane: Any) -> Any:
     """Signature of ``vector[lane]``."""
-    return signature(vector.number, vector, types.int64) if isinstance(vector, Vector) else None
+    if isinstance(vector, Vector):
+        return signature(vector.number, vector, types.int64)
+    return None
 
 
 @define(operator.getitem, _type_of_item, ((Vector, types.Integer),))
-def _item(context: Any, builder: ir.IRBuilder, sig: Any, vector: ir.Value, lane: ir.Value) -> ir.Value:
+def _item(
+    context: Any, builder: ir.IRBuilder, sig: Any, vector: ir.Value, lane: ir.Value
+) -> ir.Value:
     return builder.extract_element(vector, lane)

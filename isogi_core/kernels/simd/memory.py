@@ -40,13 +40,21 @@ SINGLE = {types.float32, types.int32}
 """Elements as large as a float32."""
 
 gather = stub("gather", "array[index] of a flat array; every lane's index must be in it.", __name__)
-gather_pair = stub("gather_pair", "array[index] and array[index + 1] of a flat array of float32.", __name__)
-take = stub("take", "array[first], array[first + 1] … for the lanes that the mask has set, in turn.", __name__)
+gather_pair = stub(
+    "gather_pair", "array[index] and array[index + 1] of a flat array of float32.", __name__
+)
+take = stub(
+    "take",
+    "array[first], array[first + 1] … for the lanes that the mask has set, in turn.",
+    __name__,
+)
 scatter = stub("scatter", "array[index] = vector where the mask is set, lane by lane.", __name__)
 
 
 def load(array: Any, i: int, width: int) -> Any:
-    """``width`` elements of a flat array from place ``i`` on; the width is a constant of the module that calls it."""
+    """``width`` elements of a flat array from place ``i`` on; the width is a constant of the module
+    that calls it.
+    """
     return array[i]
 
 
@@ -56,16 +64,21 @@ def store(array: Any, i: int, vector: Any) -> None:
 
 
 def add_to(array: Any, i: Any, value: Any) -> Any:
-    """Add a number to element ``i`` of a flat array, or a vector to its ``width`` elements from width · i on."""
+    """Add a number to element ``i`` of a flat array, or a vector to its ``width`` elements from
+    width · i on.
+    """
     array[i] += value
 
 
 def prefetch(flat: Any, place: int) -> None:
-    """Have the line of ``flat[place]`` brought into the cache while other work goes on; without Numba nothing."""
+    """Have the line of ``flat[place]`` brought into the cache while other work goes on; without
+    Numba nothing.
+    """
 
 
 def access(function: Any, numbers: set[Any], typer: Callable[..., Any]) -> Callable[[Any], Any]:
-    """Decorator: ``build(context, builder, signature, base pointer, *values)`` for a function on flat arrays.
+    """Decorator: ``build(context, builder, signature, base pointer, *values)`` for a function on
+    flat arrays.
 
     ``numbers`` are the types of elements that it is made for.
     """
@@ -78,7 +91,9 @@ def access(function: Any, numbers: set[Any], typer: Callable[..., Any]) -> Calla
 
     def _register(build: Any) -> Any:
         @define(function, _flat)
-        def _lower(context: Any, builder: ir.IRBuilder, sig: Any, array: ir.Value, *values: ir.Value) -> ir.Value:
+        def _lower(
+            context: Any, builder: ir.IRBuilder, sig: Any, array: ir.Value, *values: ir.Value
+        ) -> ir.Value:
             base = context.make_array(sig.args[0])(context, builder, array).data
             return build(context, builder, sig, base, *values)
 
@@ -94,15 +109,20 @@ def _vector(array: Any, count: int) -> Vector:
 
 def _at(builder: ir.IRBuilder, base: ir.Value, place: ir.Value, count: int) -> ir.Value:
     """Pointer to ``count`` elements from ``place`` on."""
-    return builder.bitcast(builder.gep(base, [place]), ir.VectorType(base.type.pointee, count).as_pointer())
+    return builder.bitcast(
+        builder.gep(base, [place]), ir.VectorType(base.type.pointee, count).as_pointer()
+    )
 
 
 def _one(builder: ir.IRBuilder, base: ir.Value, index: ir.Value, lane: int) -> ir.Value:
     """Pointer to the element that one lane of an index names."""
-    return builder.gep(base, [builder.sext(builder.extract_element(index, WORD_TYPE(lane)), LONG_TYPE)])
+    return builder.gep(
+        base, [builder.sext(builder.extract_element(index, WORD_TYPE(lane)), LONG_TYPE)]
+    )
 
 
-# --- whole vectors ------------------------------------------------------------------------------------------
+# --- whole vectors
+# ------------------------------------------------------------------------------------------
 
 
 def _type_of_load(array: Any, i: Any, width: Any) -> Any:
@@ -113,22 +133,35 @@ def _type_of_load(array: Any, i: Any, width: Any) -> Any:
 
 
 @access(load, set(ELEMENT_OF), _type_of_load)
-def _load(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, width: Any) -> ir.Value:
-    kind, dtype = sig.return_type, sig.args[0].dtype
+def _load(
+    context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, width: Any
+) -> ir.Value:
+    kind = sig.return_type
+    dtype = sig.args[0].dtype
     vector = builder.load(_at(builder, base, place, kind.count), align=dtype.bitwidth // 8)
-    return builder.sext(vector, vector_type(kind)) if dtype == types.int8 else vector
+    if dtype == types.int8:
+        return builder.sext(vector, vector_type(kind))
+    return vector
 
 
 def _type_of_store(array: Any, i: Any, vector: Any) -> Any:
     """Signature of ``store``."""
     fits = isinstance(vector, Vector) and vector.number == ELEMENT_OF[array.dtype]
-    return signature(types.none, array, types.int64, vector) if fits else None
+    if fits:
+        return signature(types.none, array, types.int64, vector)
+    return None
 
 
 @access(store, set(ELEMENT_OF), _type_of_store)
-def _store(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, vector: Any) -> ir.Value:
-    dtype, count = sig.args[0].dtype, vector.type.count
-    narrow = builder.trunc(vector, ir.VectorType(BYTE_TYPE, count)) if dtype == types.int8 else vector
+def _store(
+    context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, vector: Any
+) -> ir.Value:
+    dtype = sig.args[0].dtype
+    count = vector.type.count
+    if dtype == types.int8:
+        narrow = builder.trunc(vector, ir.VectorType(BYTE_TYPE, count))
+    else:
+        narrow = vector
     builder.store(narrow, _at(builder, base, place, count), align=dtype.bitwidth // 8)
     return context.get_dummy_value()
 
@@ -146,25 +179,39 @@ def _overload_add_to(array: Any, i: Any, value: Any) -> Any:
 
 
 @access(prefetch, {types.float32}, lambda flat, place: signature(types.none, flat, types.int64))
-def _prefetch(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value) -> ir.Value:
+def _prefetch(
+    context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value
+) -> ir.Value:
     line = builder.bitcast(builder.gep(base, [place]), cgutils.voidptr_t)
     call(builder, "llvm.prefetch.p0", ir.VoidType(), line, WORD_TYPE(0), WORD_TYPE(3), WORD_TYPE(1))
     return context.get_dummy_value()
 
 
-# --- single elements ----------------------------------------------------------------------------------------
+# --- single elements
+# ----------------------------------------------------------------------------------------
 
 
-@access(gather, SINGLE | {types.float64}, lambda array, index: signature(_vector(array, index.count), array, index))
-def _gather(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, index: ir.Value) -> ir.Value:
+@access(
+    gather,
+    SINGLE | {types.float64},
+    lambda array, index: signature(_vector(array, index.count), array, index),
+)
+def _gather(
+    context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, index: ir.Value
+) -> ir.Value:
     kind = sig.return_type
     if REGISTER_LANES == 16:
         width = 8 if kind.number == types.float64 else 16
-        parts = [_gather_part(builder, kind, base, index, first, width) for first in range(0, kind.count, width)]
+        parts = [
+            _gather_part(builder, kind, base, index, first, width)
+            for first in range(0, kind.count, width)
+        ]
         return join(builder, parts)
     vector = ir.Constant(vector_type(kind), ir.Undefined)
     for lane in range(kind.count):
-        vector = builder.insert_element(vector, builder.load(_one(builder, base, index, lane)), WORD_TYPE(lane))
+        vector = builder.insert_element(
+            vector, builder.load(_one(builder, base, index, lane)), WORD_TYPE(lane)
+        )
     return vector
 
 
@@ -177,7 +224,13 @@ def _gather_part(
     every = ir.Constant(ir.VectorType(BIT_TYPE, width), [1] * width)
     places = builder.shuffle_vector(index, index, consecutive(first, first + width))
     pointer = builder.bitcast(base, BYTE_TYPE.as_pointer())
-    arguments = (ir.Constant(part, None), pointer, places, every, WORD_TYPE(kind.number.bitwidth // 8))
+    arguments = (
+        ir.Constant(part, None),
+        pointer,
+        places,
+        every,
+        WORD_TYPE(kind.number.bitwidth // 8),
+    )
     return call(builder, f"llvm.x86.avx512.mask.gather.d{letters}.512", part, *arguments)
 
 
@@ -187,17 +240,28 @@ def _type_of_pair(array: Any, index: Any) -> Any:
 
 
 @access(gather_pair, {types.float32}, _type_of_pair)
-def _gather_pair(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, index: ir.Value) -> ir.Value:
+def _gather_pair(
+    context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, index: ir.Value
+) -> ir.Value:
     width = REGISTER_LANES // 2
-    pairs = [_pairs(builder, base, index, first, width) for first in range(0, index.type.count, width)]
+    pairs = [
+        _pairs(builder, base, index, first, width) for first in range(0, index.type.count, width)
+    ]
     sides = [
-        join(builder, [builder.shuffle_vector(p, p, consecutive(side, 2 * width, 2)) for p in pairs]) for side in (0, 1)
+        join(
+            builder, [builder.shuffle_vector(p, p, consecutive(side, 2 * width, 2)) for p in pairs]
+        )
+        for side in (0, 1)
     ]
     return context.make_tuple(builder, sig.return_type, sides)
 
 
-def _pairs(builder: ir.IRBuilder, base: ir.Value, index: ir.Value, first: int, width: int) -> ir.Value:
-    """Two neighbours for each of ``width`` lanes from lane ``first`` on, side by side in one register of float32."""
+def _pairs(
+    builder: ir.IRBuilder, base: ir.Value, index: ir.Value, first: int, width: int
+) -> ir.Value:
+    """Two neighbours for each of ``width`` lanes from lane ``first`` on, side by side in one
+    register of float32.
+    """
     vector = ir.VectorType(DOUBLE_TYPE, width)
     if REGISTER_LANES == 16:
         every = ir.Constant(ir.VectorType(BIT_TYPE, width), [1] * width)
@@ -213,7 +277,9 @@ def _pairs(builder: ir.IRBuilder, base: ir.Value, index: ir.Value, first: int, w
     else:
         pairs = ir.Constant(vector, ir.Undefined)
         for lane in range(width):
-            pointer = builder.bitcast(_one(builder, base, index, first + lane), DOUBLE_TYPE.as_pointer())
+            pointer = builder.bitcast(
+                _one(builder, base, index, first + lane), DOUBLE_TYPE.as_pointer()
+            )
             pairs = builder.insert_element(pairs, builder.load(pointer, align=4), WORD_TYPE(lane))
     return builder.bitcast(pairs, ir.VectorType(FLOAT_TYPE, 2 * width))
 
@@ -224,8 +290,11 @@ def _type_of_take(array: Any, first: Any, mask: Any) -> Any:
 
 
 @access(take, SINGLE, _type_of_take)
-def _take(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, mask: ir.Value) -> ir.Value:
-    kind, parts = sig.return_type, []
+def _take(
+    context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, mask: ir.Value
+) -> ir.Value:
+    kind = sig.return_type
+    parts = []
     whole = kind.number == types.int32
     name = {16: "llvm.x86.avx512.permvar.s{}.512", 8: "llvm.x86.avx2.perm{}"}[REGISTER_LANES]
     name = name.format({16: "fi", 8: ("ps", "d")}[REGISTER_LANES][whole])
@@ -234,7 +303,15 @@ def _take(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: 
         own = builder.shuffle_vector(mask, mask, consecutive(first, first + REGISTER_LANES))
         word = builder.zext(builder.bitcast(own, ir.IntType(REGISTER_LANES)), WORD_TYPE)
         pointer = builder.bitcast(builder.gep(base, [place]), part.as_pointer())
-        parts.append(call(builder, name, part, builder.load(pointer, align=4), ranks(builder, word, REGISTER_LANES)))
+        parts.append(
+            call(
+                builder,
+                name,
+                part,
+                builder.load(pointer, align=4),
+                ranks(builder, word, REGISTER_LANES),
+            )
+        )
         taken = call(builder, "llvm.ctpop.i32", WORD_TYPE, word)
         place = builder.add(place, builder.zext(taken, place.type))
     return join(builder, parts)
@@ -243,16 +320,25 @@ def _take(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: 
 def _type_of_scatter(array: Any, index: Any, vector: Any, mask: Any) -> Any:
     """Signature of ``scatter``."""
     fits = vector == _vector(array, index.count)
-    return signature(types.none, array, index, vector, mask) if fits else None
+    if fits:
+        return signature(types.none, array, index, vector, mask)
+    return None
 
 
 @access(scatter, set(ELEMENT_OF), _type_of_scatter)
 def _scatter(
-    context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, index: ir.Value, vector: ir.Value, mask: ir.Value
+    context: Any,
+    builder: ir.IRBuilder,
+    sig: Any,
+    base: ir.Value,
+    index: ir.Value,
+    vector: ir.Value,
+    mask: ir.Value,
 ) -> ir.Value:
     for lane in range(index.type.count):
         with builder.if_then(builder.extract_element(mask, WORD_TYPE(lane))):
             element = builder.extract_element(vector, WORD_TYPE(lane))
-            element = builder.trunc(element, BYTE_TYPE) if sig.args[0].dtype == types.int8 else element
+            if sig.args[0].dtype == types.int8:
+                element = builder.trunc(element, BYTE_TYPE)
             builder.store(element, _one(builder, base, index, lane))
     return context.get_dummy_value()

@@ -1,7 +1,9 @@
-"""Python's operators on vectors: arithmetic, comparison and logic of masks, of any element and width.
+"""Python's operators on vectors: arithmetic, comparison and logic of masks, of any element and
+width.
 
-A single number on either side stands in every lane. Sums of float32 may be fused with products, as in kernels; those
-of float64 are rounded one by one, so that they have the same bits as a kernel that is ``exact``.
+A single number on either side stands in every lane. Sums of float32 may be fused with products, as
+in kernels; those of float64 are rounded one by one, so that they have the same bits as a kernel
+that is ``exact``.
 """
 
 import operator
@@ -13,9 +15,12 @@ from numba import types
 from isogi_core.kernels.simd.llvm import Build, elementwise
 from isogi_core.kernels.simd.types import Vector
 
-REAL_TYPES, INTEGER_TYPES, BOOLEAN_TYPES = {types.float32, types.float64}, {types.int32, types.uint32}, {types.boolean}
+REAL_TYPES = {types.float32, types.float64}
+INTEGER_TYPES = {types.int32, types.uint32}
+BOOLEAN_TYPES = {types.boolean}
 
-# An operation without a flag is given those of its kernel: products of float64 would be fused with sums.
+# An operation without a flag is given those of its kernel: products of float64 would be fused with
+# sums.
 FAST_FLAGS = {types.float32: ("contract", "nsz"), types.float64: ("nsz",)}
 
 
@@ -48,7 +53,9 @@ elementwise(operator.neg, 1, REAL_TYPES)(lambda builder, kind, a: builder.fneg(a
 
 def _shift_right(builder: ir.IRBuilder, kind: Vector, a: ir.Value, b: ir.Value) -> ir.Value:
     """By the sign of int32, by zeros of uint32."""
-    return builder.ashr(a, b) if kind.number == types.int32 else builder.lshr(a, b)
+    if kind.number == types.int32:
+        return builder.ashr(a, b)
+    return builder.lshr(a, b)
 
 
 define_binary("rshift", INTEGER_TYPES, _shift_right)
@@ -68,8 +75,10 @@ def comparison(sign: str) -> Build:
 
 
 for _operator, _sign in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">=")):
-    elementwise(getattr(operator, _operator), 2, REAL_TYPES | INTEGER_TYPES, masks=True)(comparison(_sign))
-for _operator, _sign in (("eq", "=="), ("ne", "!=")):
-    elementwise(getattr(operator, _operator), 2, REAL_TYPES | INTEGER_TYPES | BOOLEAN_TYPES, masks=True)(
+    elementwise(getattr(operator, _operator), 2, REAL_TYPES | INTEGER_TYPES, masks=True)(
         comparison(_sign)
     )
+for _operator, _sign in (("eq", "=="), ("ne", "!=")):
+    elementwise(
+        getattr(operator, _operator), 2, REAL_TYPES | INTEGER_TYPES | BOOLEAN_TYPES, masks=True
+    )(comparison(_sign))

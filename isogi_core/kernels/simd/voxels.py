@@ -9,13 +9,22 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
 
-from isogi_core.kernels.simd.llvm import DOUBLE_TYPE, FLOAT_TYPE, WORD_TYPE, consecutive, splat, vector_type
+from isogi_core.kernels.simd.llvm import (
+    DOUBLE_TYPE,
+    FLOAT_TYPE,
+    WORD_TYPE,
+    consecutive,
+    splat,
+    vector_type,
+)
 from isogi_core.kernels.simd.types import Vector
 
 FOUR = Vector(types.float64, 4)
 
 
-def open_voxels(context: Any, builder: ir.IRBuilder, kind: Any, voxels: ir.Value) -> tuple[ir.Value, ...]:
+def open_voxels(
+    context: Any, builder: ir.IRBuilder, kind: Any, voxels: ir.Value
+) -> tuple[ir.Value, ...]:
     """Pointer to the first element of a 3-D array, elements of a slab and of a row."""
     array = context.make_array(kind)(context, builder, voxels)
     _, ny, nx = cgutils.unpack_tuple(builder, array.shape, 3)
@@ -23,7 +32,9 @@ def open_voxels(context: Any, builder: ir.IRBuilder, kind: Any, voxels: ir.Value
 
 
 def cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
-    """The corners of cell (k, j, i), x fastest, as float64; as f64×N those of cells at vectors of whole reals."""
+    """The corners of cell (k, j, i), x fastest, as float64; as f64×N those of cells at vectors of
+    whole reals.
+    """
     below = np.float64(voxels[k, j, i]), np.float64(voxels[k, j, i + 1])
     behind = np.float64(voxels[k, j + 1, i]), np.float64(voxels[k, j + 1, i + 1])
     above = np.float64(voxels[k + 1, j, i]), np.float64(voxels[k + 1, j, i + 1])
@@ -32,12 +43,15 @@ def cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
 
 
 def load_pairs(builder: ir.IRBuilder, data: ir.Value, places: ir.Value) -> list[ir.Value]:
-    """Two float32 at each of the ``places``: the first ones and the second ones, as vectors of float64."""
+    """Two float32 at each of the ``places``: the first ones and the second ones, as vectors of
+    float64.
+    """
     count = places.type.count
     pairs = ir.Constant(ir.VectorType(DOUBLE_TYPE, count), ir.Undefined)
     for lane in range(count):
         pair = builder.bitcast(
-            builder.gep(data, [builder.extract_element(places, WORD_TYPE(lane))]), DOUBLE_TYPE.as_pointer()
+            builder.gep(data, [builder.extract_element(places, WORD_TYPE(lane))]),
+            DOUBLE_TYPE.as_pointer(),
         )
         pairs = builder.insert_element(pairs, builder.load(pair, align=4), WORD_TYPE(lane))
     singles = builder.bitcast(pairs, ir.VectorType(FLOAT_TYPE, 2 * count))
@@ -54,7 +68,10 @@ def _cube(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
         data, slab, row = open_voxels(context, builder, sig.args[0], values[0])
         whole = ir.VectorType(row.type, i.count)
         cell = [builder.fptosi(value, whole) for value in values[1:]]
-        along = [builder.mul(c, splat(builder, step, i.count)) for c, step in zip(cell, (slab, row), strict=False)]
+        along = [
+            builder.mul(c, splat(builder, step, i.count))
+            for c, step in zip(cell, (slab, row), strict=False)
+        ]
         first = builder.add(builder.add(along[0], along[1]), cell[2])
         corners = []
         for step in (row.type(0), row, slab, builder.add(slab, row)):
@@ -69,11 +86,15 @@ def _overload_cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
     def _of_vectors(voxels: Any, k: Any, j: Any, i: Any) -> Any:
         return _cube(voxels, k, j, i)
 
-    return _of_vectors if isinstance(i, Vector) else cube
+    if isinstance(i, Vector):
+        return _of_vectors
+    return cube
 
 
 def four(voxels: Any, k: int, j: int, i: int) -> Any:
-    """Voxels i - 1 … i + 2 of row (k, j) as four float64 side by side; beyond the row's ends, the end's."""
+    """Voxels i - 1 … i + 2 of row (k, j) as four float64 side by side; beyond the row's ends, the
+    end's.
+    """
     return voxels[k, j, np.clip(np.arange(i - 1, i + 3), 0, voxels.shape[2] - 1)].astype(np.float64)
 
 
@@ -81,8 +102,12 @@ def four(voxels: Any, k: int, j: int, i: int) -> Any:
 def _four_together(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
     def _build(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> ir.Value:
         data, slab, row = open_voxels(context, builder, sig.args[0], values[0])
-        place = builder.add(builder.mul(values[1], slab), builder.add(builder.mul(values[2], row), values[3]))
-        first = builder.bitcast(builder.gep(data, [place]), ir.VectorType(FLOAT_TYPE, 4).as_pointer())
+        place = builder.add(
+            builder.mul(values[1], slab), builder.add(builder.mul(values[2], row), values[3])
+        )
+        first = builder.bitcast(
+            builder.gep(data, [place]), ir.VectorType(FLOAT_TYPE, 4).as_pointer()
+        )
         return builder.fpext(builder.load(first, align=4), vector_type(FOUR))
 
     return FOUR(voxels, types.int64, types.int64, types.int64), _build
@@ -93,7 +118,9 @@ def _four_apart(typing: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
     def _build(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> ir.Value:
         vector = ir.Constant(vector_type(FOUR), ir.Undefined)
         for lane, value in enumerate(values):
-            vector = builder.insert_element(vector, builder.fpext(value, DOUBLE_TYPE), WORD_TYPE(lane))
+            vector = builder.insert_element(
+                vector, builder.fpext(value, DOUBLE_TYPE), WORD_TYPE(lane)
+            )
         return vector
 
     return FOUR(types.float32, types.float32, types.float32, types.float32), _build
@@ -102,7 +129,8 @@ def _four_apart(typing: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
 @numba.njit
 def _four_at_border(voxels: Any, k: Any, j: Any, i: Any) -> Any:
     last = voxels.shape[2] - 1
-    a, d = voxels[k, j, max(i - 1, 0)], voxels[k, j, min(i + 2, last)]
+    a = voxels[k, j, max(i - 1, 0)]
+    d = voxels[k, j, min(i + 2, last)]
     return _four_apart(a, voxels[k, j, i], voxels[k, j, min(i + 1, last)], d)
 
 

@@ -1,4 +1,6 @@
-"""The active-cell map: for a range of isovalues, which cells may hold the surface, and how far rays may skip."""
+"""The active-cell map: for a range of isovalues, which cells may hold the surface, and how far rays
+may skip.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -9,12 +11,20 @@ from numba import types
 from isogi_core.kernels._jit import SINGLE_ARRAY, kernel, plain, record
 from isogi_core.kernels.simd.memory import prefetch
 from isogi_core.kernels.tracing.field import VOXEL_ARRAY
-from isogi_core.kernels.tracing.macrocells import MACROCELL_SIDE, RANGES, SINGLE_INFINITY, blocks_along, find_ranges
+from isogi_core.kernels.tracing.macrocells import (
+    MACROCELL_SIDE,
+    RANGES,
+    SINGLE_INFINITY,
+    blocks_along,
+    find_ranges,
+)
 from isogi_core.kernels.tracing.skips import fill_skips
 
 BRICK_CELLS = 4
 POSITION_ERROR = 2.0**-20
-"""How far a float32 ray strays from the true one, over the longest side; twice what rounding can do."""
+"""How far a float32 ray strays from the true one, over the longest side; twice what rounding can
+do.
+"""
 
 VALUE_ERROR = 2.0**-19
 """Rounding of a float32 trilinear value, over the largest magnitude in it."""
@@ -26,11 +36,11 @@ EMPTY = types.boolean[::1]
 class ActiveCells(NamedTuple):
     """The bricks of one volume for one range of isovalues; arrays are flat, x fastest.
 
-    ``tops`` int32 (bricks): where cells are marked the brick's place in ``cells`` / BRICK_CELLS, less than
-    2²⁸; else its skips (see ``fill_skips``). ``cells`` int32, one for each layer of a marked brick along z:
-    bit i = y % 4 * 4 + x % 4 for a marked cell, and bit 16 + i where any cell of its aligned 2³ block is
-    marked. ``margins`` float32 (bricks): values nearer to zero than this have no certain sign there;
-    ``shape`` bricks along z, y, x.
+    ``tops`` int32 (bricks): where cells are marked the brick's place in ``cells`` / BRICK_CELLS,
+    less than 2²⁸; else its skips (see ``fill_skips``). ``cells`` int32, one for each layer of a
+    marked brick along z: bit i = y % 4 * 4 + x % 4 for a marked cell, and bit 16 + i where any cell
+    of its aligned 2³ block is marked. ``margins`` float32 (bricks): values nearer to zero than this
+    have no certain sign there; ``shape`` bricks along z, y, x.
     """
 
     tops: Any
@@ -44,7 +54,9 @@ class ActiveCells(NamedTuple):
         return self.tops.nbytes + self.cells.nbytes
 
 
-ACTIVE_CELLS = record(ActiveCells, WORD_ARRAY, WORD_ARRAY, SINGLE_ARRAY, types.UniTuple(types.int64, 3))
+ACTIVE_CELLS = record(
+    ActiveCells, WORD_ARRAY, WORD_ARRAY, SINGLE_ARRAY, types.UniTuple(types.int64, 3)
+)
 
 
 @plain
@@ -55,18 +67,24 @@ def brick_shape(shape):
 
 @kernel(types.void(VOXEL_ARRAY, types.int64, RANGES, RANGES, RANGES))
 def fill_ranges(voxels, size, low, high, margins):
-    """Fill ``low``, ``high`` and ``margins`` (blocks of ``size``³ cells along z, y, x), which serve every isovalue."""
+    """Fill ``low``, ``high`` and ``margins`` (blocks of ``size``³ cells along z, y, x), which serve
+    every isovalue.
+    """
     nz, ny, nx = voxels.shape
     stray = 3.0 * POSITION_ERROR * max(nx, ny, nz)
     find_ranges(voxels, size, 1, low, high)
-    least, most, margin = low.reshape(low.size), high.reshape(high.size), margins.reshape(margins.size)
+    least = low.reshape(low.size)
+    most = high.reshape(high.size)
+    margin = margins.reshape(margins.size)
     for b in range(margin.shape[0]):
         largest = max(abs(least[b]), abs(most[b]))
         margin[b] = stray * (most[b] - least[b]) + VALUE_ERROR * largest
 
 
 GROUP = 4
-"""Bricks along x that are marked together, in loops of fixed length that compilers turn into vectors."""
+"""Bricks along x that are marked together, in loops of fixed length that compilers turn into
+vectors.
+"""
 
 GROUP_CELLS = GROUP * BRICK_CELLS
 """Cells along x in a group."""
@@ -79,7 +97,9 @@ MAX_FINE_BRICKS = 1 << 21
 def below(level):
     """The largest float32 that is not above ``level``."""
     near = np.float32(level)
-    return np.nextafter(near, -SINGLE_INFINITY) if near > level else near
+    if near > level:
+        return np.nextafter(near, -SINGLE_INFINITY)
+    return near
 
 
 @kernel()
@@ -104,16 +124,22 @@ def at(flat, place):
 def mark_layer(flat, place, row, plane, levels, marks):
     """Write the ``marks`` (GROUP_CELLS,) of a layer of cells; their first voxel is ``flat[place]``.
 
-    ``row`` and ``plane`` are the steps to the next voxel along y and z. A mark has bit 4 y + x % 4 of a
-    cell that has not all corners above ``levels[0]`` or all below ``levels[1]``.
+    ``row`` and ``plane`` are the steps to the next voxel along y and z. A mark has bit 4 y + x % 4
+    of a cell that has not all corners above ``levels[0]`` or all below ``levels[1]``.
     """
     marks[:] = 0
     for r in range(BRICK_CELLS):
         for i in range(GROUP_CELLS):
             p = place + r * row + i
             q = p + plane
-            a, b, c, d = at(flat, p), at(flat, p + 1), at(flat, p + row), at(flat, p + row + 1)
-            e, f, g, h = at(flat, q), at(flat, q + 1), at(flat, q + row), at(flat, q + row + 1)
+            a = at(flat, p)
+            b = at(flat, p + 1)
+            c = at(flat, p + row)
+            d = at(flat, p + row + 1)
+            e = at(flat, q)
+            f = at(flat, q + 1)
+            g = at(flat, q + row)
+            h = at(flat, q + row + 1)
             least, most = min(a, b, c, d, e, f, g, h), max(a, b, c, d, e, f, g, h)
             certain = (least > levels[0, i]) | (most < levels[1, i])
             marks[i] |= np.int32(0 if certain else 1) << np.int32(BRICK_CELLS * r + i % BRICK_CELLS)
@@ -138,19 +164,22 @@ def mark_group(block, levels, marks, words, empty, b, count):
 
 @kernel()
 def set_levels(margins, first, count, side, iso_low, iso_high, levels):
-    """Write, for each cell along ``count`` blocks from ``first`` on, the ``levels`` beyond which it is certain.
+    """Write, for each cell along ``count`` blocks from ``first`` on, the ``levels`` beyond which it
+    is certain.
 
     Blocks have ``side`` bricks along each side.
     """
     for m in range(count):
-        solid, outside = below(iso_high + margins[first + m]), -below(margins[first + m] - iso_low)
+        solid = below(iso_high + margins[first + m])
+        outside = -below(margins[first + m] - iso_low)
         for i in range(BRICK_CELLS * side * m, BRICK_CELLS * side * (m + 1)):
             levels[0, i], levels[1, i] = solid, outside
 
 
 @kernel()
 def find_groups(ranges, side, iso_low, iso_high, k, shape, groups):
-    """List in ``groups`` the first bricks (j * bx + i) of the groups of layer ``k`` that may hold the surface.
+    """List in ``groups`` the first bricks (j * bx + i) of the groups of layer ``k`` that may hold
+    the surface.
 
     Returns how many there are.
     """
@@ -171,7 +200,9 @@ def find_groups(ranges, side, iso_low, iso_high, k, shape, groups):
 
 @kernel()
 def block_at(k, j, i, side, shape):
-    """Place of the block of ``side``³ bricks that brick (k, j, i) is in; there are ``shape`` bricks along z, y, x."""
+    """Place of the block of ``side``³ bricks that brick (k, j, i) is in; there are ``shape`` bricks
+    along z, y, x.
+    """
     _, by, bx = shape
     return ((k // side) * (-(-by // side)) + j // side) * (-(-bx // side)) + i // side
 
@@ -194,38 +225,69 @@ def prefetch_group(flat, place, row, plane):
 
 
 BLOCK_RANGES = types.UniTuple(SINGLE_ARRAY, 3)
-INTEGER, REAL_NUMBER = types.int64, types.float64
+INTEGER = types.int64
+REAL_NUMBER = types.float64
 
 
 @kernel(
-    types.void(VOXEL_ARRAY, BLOCK_RANGES, INTEGER, types.UniTuple(REAL_NUMBER, 2), INTEGER, INTEGER, WORD_ARRAY, EMPTY)
+    types.void(
+        VOXEL_ARRAY,
+        BLOCK_RANGES,
+        INTEGER,
+        types.UniTuple(REAL_NUMBER, 2),
+        INTEGER,
+        INTEGER,
+        WORD_ARRAY,
+        EMPTY,
+    )
 )
 def mark_bricks(voxels, ranges, side, isovalues, first, last, words, empty):
-    """Write the ``words`` of the bricks in layers ``first`` … ``last`` - 1 along z, and which are ``empty``.
+    """Write the ``words`` of the bricks in layers ``first`` … ``last`` - 1 along z, and which are
+    ``empty``.
 
-    Only bricks are looked into whose ``ranges`` (low, high, margins), of blocks of ``side``³ bricks, hold ``isovalues``
-    from the lowest to the highest; the words of others stay.
+    Only bricks are looked into whose ``ranges`` (low, high, margins), of blocks of ``side``³
+    bricks, hold ``isovalues`` from the lowest to the highest; the words of others stay.
     """
     iso_low, iso_high = isovalues
     nz, ny, nx = voxels.shape
     bz, by, bx = shape = brick_shape(voxels.shape)
-    flat, block = voxels.reshape(voxels.size), np.empty((BRICK_CELLS + 1) ** 2 * (GROUP_CELLS + 1), np.float32)
-    levels, marks = np.empty((2, GROUP_CELLS), np.float32), np.empty(GROUP_CELLS, np.int32)
+    flat = voxels.reshape(voxels.size)
+    block = np.empty((BRICK_CELLS + 1) ** 2 * (GROUP_CELLS + 1), np.float32)
+    levels = np.empty((2, GROUP_CELLS), np.float32)
+    marks = np.empty(GROUP_CELLS, np.int32)
     groups = np.empty(by * (bx // GROUP + 1) + 1, np.int64)
     empty[:] = True
     for k in range(first, last):
         for n in range(find_groups(ranges, side, iso_low, iso_high, k, shape, groups)):
-            j, i = groups[n] // bx, groups[n] % bx
-            i0, j0, k0, b = i * BRICK_CELLS, j * BRICK_CELLS, k * BRICK_CELLS, (k - first) * by * bx + groups[n]
+            j = groups[n] // bx
+            i = groups[n] % bx
+            i0 = i * BRICK_CELLS
+            j0 = j * BRICK_CELLS
+            k0 = k * BRICK_CELLS
+            b = (k - first) * by * bx + groups[n]
             ahead = groups[n + 1]
-            prefetch_group(flat, (k0 * ny + ahead // bx * BRICK_CELLS) * nx + ahead % bx * BRICK_CELLS, nx, ny * nx)
-            block_first, count = block_at(k, j, i, side, shape), across(i, side, bx)
+            prefetch_group(
+                flat,
+                (k0 * ny + ahead // bx * BRICK_CELLS) * nx + ahead % bx * BRICK_CELLS,
+                nx,
+                ny * nx,
+            )
+            block_first = block_at(k, j, i, side, shape)
+            count = across(i, side, bx)
             set_levels(ranges[2], block_first, count, side, iso_low, iso_high, levels)
-            source, place, row, plane = flat, (k0 * ny + j0) * nx + i0, nx, ny * nx
+            source = flat
+            place = (k0 * ny + j0) * nx + i0
+            row = nx
+            plane = ny * nx
             if i0 + GROUP_CELLS >= nx or j0 + BRICK_CELLS >= ny or k0 + BRICK_CELLS >= nz:
                 copy_voxels(voxels, i0, j0, k0, block)
-                source, place, row, plane = block, 0, GROUP_CELLS + 1, (BRICK_CELLS + 1) * (GROUP_CELLS + 1)
-            mark_group((source, place, row, plane), levels, marks, words, empty, b, min(GROUP, bx - i))
+                source = block
+                place = 0
+                row = GROUP_CELLS + 1
+                plane = (BRICK_CELLS + 1) * (GROUP_CELLS + 1)
+            mark_group(
+                (source, place, row, plane), levels, marks, words, empty, b, min(GROUP, bx - i)
+            )
 
 
 @kernel()
@@ -255,7 +317,9 @@ def pack_bricks(words, empty, cells):
 
 @kernel(types.void(EMPTY, types.UniTuple(types.int64, 3), WORD_ARRAY))
 def number_bricks(empty, shape, tops):
-    """Write the places of bricks that are not ``empty`` among each other to ``tops``, and the skips of the others."""
+    """Write the places of bricks that are not ``empty`` among each other to ``tops``, and the skips
+    of the others.
+    """
     marked = 0
     for b in range(empty.shape[0]):
         if not empty[b]:
@@ -265,10 +329,11 @@ def number_bricks(empty, shape, tops):
 
 
 class BlockRanges(NamedTuple):
-    """What serves every isovalue of a volume: the ranges of its blocks, which have ``side``³ bricks.
+    """What serves every isovalue of a volume: the ranges of its blocks, which have ``side``³
+    bricks.
 
-    ``low``, ``high`` and ``margins`` (blocks,) float32 are of the voxels in and around each; ``of_bricks`` (bricks,)
-    are the margins of each brick's block.
+    ``low``, ``high`` and ``margins`` (blocks,) float32 are of the voxels in and around each;
+    ``of_bricks`` (bricks,) are the margins of each brick's block.
     """
 
     low: np.ndarray
@@ -283,20 +348,31 @@ def measure_ranges(voxels, fine=MAX_FINE_BRICKS):
 
     Of its macrocells where there are more than ``fine`` bricks.
     """
-    size = BRICK_CELLS if math.prod(brick_shape(voxels.shape)) <= fine else MACROCELL_SIDE
+    if math.prod(brick_shape(voxels.shape)) <= fine:
+        size = BRICK_CELLS
+    else:
+        size = MACROCELL_SIDE
     found = np.empty((3, *blocks_along(voxels.shape, size)), np.float32)
     fill_ranges(voxels, size, *found)
     return found
 
 
 def block_ranges(voxels, fine=MAX_FINE_BRICKS, take=np.empty, measured=None):
-    """The ranges of a volume's blocks, from what ``measure_ranges`` ``measured`` where that was done before.
+    """The ranges of a volume's blocks, from what ``measure_ranges`` ``measured`` where that was
+    done before.
 
     ``take(count, dtype)`` makes the array of what is kept for each of many bricks.
     """
     bz, by, bx = shape = brick_shape(voxels.shape)
-    low, high, margins = measure_ranges(voxels, fine) if measured is None else measured
-    side, of_bricks = 1 if margins.shape == shape else MACROCELL_SIDE // BRICK_CELLS, margins
+    if measured is None:
+        low, high, margins = measure_ranges(voxels, fine)
+    else:
+        low, high, margins = measured
+    if margins.shape == shape:
+        side = 1
+    else:
+        side = MACROCELL_SIDE // BRICK_CELLS
+    of_bricks = margins
     if side > 1:
         of_bricks = take(bz * by * bx, np.float32).reshape(shape)
         y, x = np.arange(by) // side, np.arange(bx) // side
@@ -306,14 +382,18 @@ def block_ranges(voxels, fine=MAX_FINE_BRICKS, take=np.empty, measured=None):
 
 
 def make_active_cells(voxels, ranges, lowest, highest, run=None, take=np.empty):
-    """The map of isovalues from ``lowest`` to ``highest``; ``ranges`` are the volume's ``block_ranges``.
+    """The map of isovalues from ``lowest`` to ``highest``; ``ranges`` are the volume's
+    ``block_ranges``.
 
-    ``run(piece, total)`` may call ``piece(first, last)`` for parts of the whole on many threads. Words of bricks
-    without marks take memory for one part alone. ``take(count, dtype)`` makes the arrays of what is kept.
+    ``run(piece, total)`` may call ``piece(first, last)`` for parts of the whole on many threads.
+    Words of bricks without marks take memory for one part alone. ``take(count, dtype)`` makes the
+    arrays of what is kept.
     """
     bz, by, bx = shape = brick_shape(voxels.shape)
-    empty, layer = np.empty(bz * by * bx, np.bool_), by * bx
-    packed, ends = {}, (float(lowest), float(highest))
+    empty = np.empty(bz * by * bx, np.bool_)
+    layer = by * bx
+    packed = {}
+    ends = (float(lowest), float(highest))
 
     def _mark(first, last):
         own = empty[first * layer : last * layer]
@@ -330,11 +410,13 @@ def make_active_cells(voxels, ranges, lowest, highest, run=None, take=np.empty):
 
 
 def joined(packed, take):
-    """The ``packed`` words of parts, by their first layers, as one array; each part goes once it is copied.
+    """The ``packed`` words of parts, by their first layers, as one array; each part goes once it is
+    copied.
 
     At least one brick of zeros, as lanes read there that read nothing.
     """
-    cells, end = take(max(sum(map(len, packed.values())), BRICK_CELLS), np.int32), 0
+    cells = take(max(sum(map(len, packed.values())), BRICK_CELLS), np.int32)
+    end = 0
     cells[:BRICK_CELLS] = 0
     for first in sorted(packed):
         part = packed.pop(first)

@@ -35,13 +35,17 @@ PINHOLE = record(Pinhole, REAL_TRIPLE, REAL_TRIPLE, REAL_TRIPLE, REAL_TRIPLE)
 
 @kernel()
 def pixel_ray(camera, x, y):
-    """Direction, in index space per unit of depth, through picture point (x, y); pixel centres at half-integers."""
+    """Direction, in index space per unit of depth, through picture point (x, y); pixel centres at
+    half-integers.
+    """
     return madd(madd(camera.corner, x, camera.right), y, camera.down)
 
 
 @kernel()
 def write_hits(eye, directions, t, first, found, points):
-    """Write the numbers, from ``first``, of rays from the ``eye`` whose ways ``t`` end, and where; returns how many."""
+    """Write the numbers, from ``first``, of rays from the ``eye`` whose ways ``t`` end, and where;
+    returns how many.
+    """
     hits = 0
     for i in range(t.shape[0]):
         if t[i] < math.inf:
@@ -62,7 +66,9 @@ WINDOW_FACE = -2.0
 
 
 class Sight(NamedTuple):
-    """The ``walls``, and the planes of a ``window`` (k, 4) in index space, k >= 0: n · p + w >= 0 is left to see."""
+    """The ``walls``, and the planes of a ``window`` (k, 4) in index space, k >= 0: n · p + w >= 0
+    is left to see.
+    """
 
     walls: Any
     window: Any
@@ -73,27 +79,36 @@ SIGHT = record(Sight, WALLS_RECORD, REAL_ROWS)
 NO_WALLS = Walls(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2, 3)), np.empty(0))
 """No walls, as kernels take them."""
 
-PIXEL_ROWS, POINT_ROWS = types.uint32[:, ::1], types.float32[:, :, ::1]
+PIXEL_ROWS = types.uint32[:, ::1]
+POINT_ROWS = types.float32[:, :, ::1]
 
 
 @kernel()
 def look_through(window, eye, d):
-    """Part (near, far) of the ray eye + t·d, t >= 0, that a ``window`` leaves to see; (0, -inf) where none."""
-    near, far = 0.0, math.inf
+    """Part (near, far) of the ray eye + t·d, t >= 0, that a ``window`` leaves to see; (0, -inf)
+    where none.
+    """
+    near = 0.0
+    far = math.inf
     for k in range(window.shape[0]):
-        height, slope = inner(window, k, eye) + window[k, 3], inner(window, k, d)
+        height = inner(window, k, eye) + window[k, 3]
+        slope = inner(window, k, d)
         if slope > 0.0:
             near = max(near, -height / slope)
         elif slope < 0.0:
             far = min(far, -height / slope)
         elif height < 0.0:
             far = -math.inf
-    return (near, far) if near <= far else (0.0, -math.inf)
+    if near <= far:
+        return (near, far)
+    return (0.0, -math.inf)
 
 
 @kernel()
 def is_solid(surface, p):
-    """Whether a point in index space is in the volume's box, and above the isovalue there; never beside a hole."""
+    """Whether a point in index space is in the volume's box, and above the isovalue there; never
+    beside a hole.
+    """
     nz, ny, nx = surface.field.voxels.shape
     x, y, z = p
     within = 0.0 <= x <= nx - 1.0 and 0.0 <= y <= ny - 1.0 and 0.0 <= z <= nz - 1.0
@@ -102,34 +117,45 @@ def is_solid(surface, p):
 
 @kernel()
 def cast_through(surface, window, eye, directions, t, met):
-    """Cast rays in ``directions`` (3, n) from the ``eye`` through a ``window``: fill their ways ``t`` (n,), or inf.
+    """Cast rays in ``directions`` (3, n) from the ``eye`` through a ``window``: fill their ways
+    ``t`` (n,), or inf.
 
     ``met`` (n,) is WINDOW_FACE, on one of its faces, or NO_WALL.
     """
     count = t.shape[0]
-    origins, came, near, far = np.empty((3, count)), np.empty(count, np.int8), np.empty(count), np.empty(count)
+    origins = np.empty((3, count))
+    came = np.empty(count, np.int8)
+    near = np.empty(count)
+    far = np.empty(count)
     for i in range(count):
         d = column(directions, i)
         near[i], far[i] = look_through(window, eye, d)
         put_column(origins, i, madd(eye, near[i], d))
-    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN_SIDE, np.int8))
+    rays = Rays(
+        np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN_SIDE, np.int8)
+    )
     cast_batch(surface.field, surface.cells, rays, t, came)
     for i in range(count):
         opened = near[i] > 0.0 and is_solid(surface, column(origins, i))
         t[i] = near[i] if opened else near[i] + t[i]
         seen = t[i] <= far[i]
-        t[i], met[i] = t[i] if seen else math.inf, WINDOW_FACE if opened and seen else NO_WALL
+        t[i] = t[i] if seen else math.inf
+        if opened and seen:
+            met[i] = WINDOW_FACE
+        else:
+            met[i] = NO_WALL
 
 
 @kernel()
 def cast_sight(surface, sight, eye, directions, t, met):
-    """Cast rays from the ``eye``: their ways ``t`` (n,) or inf, and the numbers of the walls ``met`` (n,), or those of
-    ``cast_through``. No window takes walls away.
+    """Cast rays from the ``eye``: their ways ``t`` (n,) or inf, and the numbers of the walls
+    ``met`` (n,), or those of ``cast_through``. No window takes walls away.
     """
     cast_through(surface, sight.window, eye, directions, t, met)
     whole = t.shape[0] // PATH_WIDTH * PATH_WIDTH
     for i in range(0, whole, PATH_WIDTH):
-        d, reach = load_columns(directions, i), load(t, i, PATH_WIDTH)
+        d = load_columns(directions, i)
+        reach = load(t, i, PATH_WIDTH)
         reach, wall = nearest_wall(sight.walls, eye, d, d[0] * 0.0 + NO_WALL, reach)
         store(t, i, reach)
         store(met, i, where(wall > NO_WALL, wall, load(met, i, PATH_WIDTH)))
@@ -141,39 +167,61 @@ def cast_sight(surface, sight, eye, directions, t, met):
 SEEN_COUNTS = types.UniTuple(types.int64, 2)
 
 
-@kernel(SEEN_COUNTS(SURFACE, SIGHT, PINHOLE, types.int64, types.int64, PIXEL_ROWS, POINT_ROWS, types.int8[::1]))
+@kernel(
+    SEEN_COUNTS(
+        SURFACE, SIGHT, PINHOLE, types.int64, types.int64, PIXEL_ROWS, POINT_ROWS, types.int8[::1]
+    )
+)
 def trace_pixels(surface, sight, camera, first, width, pixels, points, numbers):
     """Cast the rays of the picture's pixels ``first`` … first + n, row by row.
 
-    Returns how many pixels show the surface, and how many show walls or faces of the window. Picture indices go to
-    ``pixels`` (2, n), ascending, and points in index space to ``points`` (2, n, 3): in the first row of the surface, in
-    the second one of walls and faces, whose ``numbers`` (n,) are a wall's or WINDOW_FACE.
+    Returns how many pixels show the surface, and how many show walls or faces of the window.
+    Picture indices go to ``pixels`` (2, n), ascending, and points in index space to ``points`` (2,
+    n, 3): in the first row of the surface, in the second one of walls and faces, whose ``numbers``
+    (n,) are a wall's or WINDOW_FACE.
     """
     count = pixels.shape[1]
-    directions, t, met = np.empty((3, count)), np.empty(count), np.empty(count)
+    directions = np.empty((3, count))
+    t = np.empty(count)
+    met = np.empty(count)
     for i in range(count):
         y, x = divmod(first + i, width)
         put_column(directions, i, pixel_ray(camera, x + 0.5, y + 0.5))
     cast_sight(surface, sight, camera.eye, directions, t, met)
     hits = beside = 0
     for i in range(count):
-        kind, place = (0, hits) if met[i] == NO_WALL else (1, beside)
+        if met[i] == NO_WALL:
+            kind = 0
+            place = hits
+        else:
+            kind = 1
+            place = beside
         if t[i] < math.inf:
             pixels[kind, place] = first + i
             put_point(points[kind], place, madd(camera.eye, t[i], column(directions, i)))
-            numbers[place] = np.int8(met[i]) if kind else numbers[place]
-            hits, beside = hits + 1 - kind, beside + kind
+            if kind:
+                numbers[place] = np.int8(met[i])
+            hits = hits + 1 - kind
+            beside = beside + kind
     return hits, beside
 
 
-@kernel(types.int64(SURFACE, SIGHT, PINHOLE, types.float32[:, ::1], types.uint32[::1], types.float32[:, ::1]))
+@kernel(
+    types.int64(
+        SURFACE, SIGHT, PINHOLE, types.float32[:, ::1], types.uint32[::1], types.float32[:, ::1]
+    )
+)
 def trace_places(surface, sight, camera, places, found, points):
-    """Cast the rays through the ``places`` (n, 2; x, y) of a picture; returns how many show anything.
+    """Cast the rays through the ``places`` (n, 2; x, y) of a picture; returns how many show
+    anything.
 
-    Their rows are written to ``found`` (n,), ascending, and what is seen there, in index space, to ``points`` (n, 3).
+    Their rows are written to ``found`` (n,), ascending, and what is seen there, in index space, to
+    ``points`` (n, 3).
     """
     count = places.shape[0]
-    directions, t, met = np.empty((3, count)), np.empty(count), np.empty(count)
+    directions = np.empty((3, count))
+    t = np.empty(count)
+    met = np.empty(count)
     for i in range(count):
         put_column(directions, i, pixel_ray(camera, places[i, 0], places[i, 1]))
     cast_sight(surface, sight, camera.eye, directions, t, met)
@@ -182,6 +230,8 @@ def trace_places(surface, sight, camera, places, found, points):
 
 @kernel(types.void(VOXEL_ARRAY, types.float32[:, ::1], types.float32[::1]))
 def read_values(voxels, points, values):
-    """Fill ``values`` (n,) with the voxels' trilinear values at ``points`` (n, 3) in index space, within the box."""
+    """Fill ``values`` (n,) with the voxels' trilinear values at ``points`` (n, 3) in index space,
+    within the box.
+    """
     for i in range(values.shape[0]):
         values[i] = value(voxels, (float(points[i, 0]), float(points[i, 1]), float(points[i, 2])))

@@ -1,4 +1,6 @@
-"""Casting many rays: the float32 traversal goes ahead, the float64 intersection has the last word."""
+"""Casting many rays: the float32 traversal goes ahead, the float64 intersection has the last
+word.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -24,7 +26,8 @@ BATCH_RAYS = 4096
 
 SIMD = REGISTER_LANES is not None
 
-MOST_VOXELS, LONGEST_SIDE = 2**31, 2**18
+MOST_VOXELS = 2**31
+LONGEST_SIDE = 2**18
 """Larger or longer volumes overflow the traversal's words of 32 bits, or its proofs in float32."""
 
 ORIGINS = types.float64[:, ::1]
@@ -33,7 +36,9 @@ RAYS_RECORD = record(Rays, REAL_ARRAY, ORIGINS, ORIGINS, SIDE_ARRAY)
 
 
 class TracedSurface(NamedTuple):
-    """An isosurface: the ``field``, the ``cells`` that may hold it (``ActiveCells``), and the normalised isovalue."""
+    """An isosurface: the ``field``, the ``cells`` that may hold it (``ActiveCells``), and the
+    normalised isovalue.
+    """
 
     field: Any
     cells: Any
@@ -45,9 +50,17 @@ SURFACE = record(TracedSurface, FIELD_RECORD, ACTIVE_CELLS, types.float64)
 
 @kernel()
 def settle_vector(volume, rays, columns, stream, found, entries, hits):
-    """Settle RAY_WIDTH rays of a stream, which stand in ``columns``; returns, as bits, the rays that need ``cast``."""
-    (flat, shape), (isovalues, origins, directions, _), (_, spans, owners), (t, came) = volume, rays, stream, hits
-    word, m = gather(found, columns), gather(owners, columns)
+    """Settle RAY_WIDTH rays of a stream, which stand in ``columns``; returns, as bits, the rays
+    that need ``cast``.
+    """
+    (flat, shape), (isovalues, origins, directions, _), (_, spans, owners), (t, came) = (
+        volume,
+        rays,
+        stream,
+        hits,
+    )
+    word = gather(found, columns)
+    m = gather(owners, columns)
     known = (word != MISS) & (word != UNSURE)
     span = gather(spans[0], columns), gather(spans[1], columns)
     o = gather(origins[0], m), gather(origins[1], m), gather(origins[2], m)
@@ -64,10 +77,13 @@ def settle_vector(volume, rays, columns, stream, found, entries, hits):
 
 @kernel()
 def settle(field, volume, rays, count, stream, found, entries, hits):
-    """Write the ``hits`` (t, came) of the ``count`` rays of a stream that were traversed: as ``cast`` gives them."""
+    """Write the ``hits`` (t, came) of the ``count`` rays of a stream that were traversed: as
+    ``cast`` gives them.
+    """
     isovalues, origins, directions, sides = rays
     t, came = hits
-    met, last = np.empty(count + RAY_WIDTH, np.int32), 0
+    met = np.empty(count + RAY_WIDTH, np.int32)
+    last = 0
     for i in range(count):
         met[last] = i
         last += found[i] != MISS
@@ -78,7 +94,9 @@ def settle(field, volume, rays, count, stream, found, entries, hits):
         while asked != 0 and lane < last:
             if asked & 1:
                 m = stream.owners[met[lane]]
-                t[m], came[m] = cast(field, isovalues[m], column(origins, m), column(directions, m), int(sides[m]))
+                t[m], came[m] = cast(
+                    field, isovalues[m], column(origins, m), column(directions, m), int(sides[m])
+                )
             asked >>= 1
             lane += 1
 
@@ -87,13 +105,18 @@ def settle(field, volume, rays, count, stream, found, entries, hits):
 def cast_simd(field, cells, rays, t, came):
     """``cast_batch`` by SIMD traversal; at least RAY_WIDTH rays."""
     room = min(BATCH_RAYS, t.shape[0]) + RAY_WIDTH
-    stream, entries, found = make_stream(room), np.empty(room, np.float32), np.empty(room, np.int32)
+    stream = make_stream(room)
+    entries = np.empty(room, np.float32)
+    found = np.empty(room, np.int32)
     shape = field.voxels.shape
-    volume, hits = (field.voxels.reshape(field.voxels.size), shape), (t, came)
+    volume = (field.voxels.reshape(field.voxels.size), shape)
+    hits = (t, came)
     t[:] = math.inf
     came[:] = UNKNOWN_SIDE
     for first in range(0, t.shape[0], BATCH_RAYS):
-        count = fill_stream(shape, cells.shape, rays, first, min(first + BATCH_RAYS, t.shape[0]), stream)
+        count = fill_stream(
+            shape, cells.shape, rays, first, min(first + BATCH_RAYS, t.shape[0]), stream
+        )
         found[:count] = MISS
         traverse(volume, cells, stream.records, count, found, entries)
         settle(field, volume, rays, count, stream, found, entries, hits)
@@ -114,8 +137,9 @@ CAST = types.void(FIELD_RECORD, ACTIVE_CELLS, RAYS_RECORD, REAL_ARRAY, SIDE_ARRA
 def cast_batch(field, cells, rays, t, came):
     """First crossings of n ``Rays``, as ``intersect.cast`` gives them, to the bit.
 
-    Their isovalues are within the range of ``cells``. Writes ``t`` (n,), inf where there is none, and ``came`` (n,),
-    the side that the ray came from. Rays need no order; neighbours side by side are faster.
+    Their isovalues are within the range of ``cells``. Writes ``t`` (n,), inf where there is none,
+    and ``came`` (n,), the side that the ray came from. Rays need no order; neighbours side by side
+    are faster.
     """
     fits = field.voxels.size < MOST_VOXELS and max(field.voxels.shape) < LONGEST_SIDE
     if SIMD and fits and t.shape[0] >= RAY_WIDTH:

@@ -1,7 +1,8 @@
 """The field along a ray through a cell: a cubic, its turning points and its first crossing of 0.
 
-For single numbers and for vectors alike, to the same bits: ``solid``, ``wanted`` and what crosses are truths or masks.
-Source: references, reliability, section 4: split at the roots of the slope, bracket, refine.
+For single numbers and for vectors alike, to the same bits: ``solid``, ``wanted`` and what crosses
+are truths or masks. Source: references, reliability, section 4: split at the roots of the slope,
+bracket, refine.
 """
 
 import math
@@ -22,7 +23,9 @@ def cubic_along(c, a, d):
     x, y, z = c[1] - c[0], c[2] - c[0], c[4] - c[0]
     xy, xz, yz = c[3] - c[2] - x, c[5] - c[4] - x, c[6] - c[4] - y
     xyz = c[7] - c[6] - c[5] + c[4] - (c[3] - c[2] - c[1] + c[0])
-    dxy, dxz, dyz = d[0] * d[1], d[0] * d[2], d[1] * d[2]
+    dxy = d[0] * d[1]
+    dxz = d[0] * d[2]
+    dyz = d[1] * d[2]
     A = xyz * dxy * d[2]
     B = xy * dxy + xz * dxz + yz * dyz + xyz * (a[0] * dyz + a[1] * dxz + a[2] * dxy)
     C = (x + xy * a[1] + xz * a[2] + xyz * a[1] * a[2]) * d[0]
@@ -40,11 +43,14 @@ def horner(q, t):
 
 @kernel(exact=True)
 def turning_points(q):
-    """Where the cubic's slope 3A t² + 2B t + C vanishes, ascending, clamped to [0, 1]; (1, 1) where it does not.
+    """Where the cubic's slope 3A t² + 2B t + C vanishes, ascending, clamped to [0, 1]; (1, 1) where
+    it does not.
 
     The stable quadratic formula: no cancellation, and A = 0 or A = B = 0 fall through.
     """
-    a, b, c = 3.0 * q[0], q[1], q[2]
+    a = 3.0 * q[0]
+    b = q[1]
+    c = q[2]
     disc = b * b - a * c
     turns = disc > 0.0
     s = -(b + math.copysign(math.sqrt(where(turns, disc, 0.0)), b))
@@ -55,11 +61,12 @@ def turning_points(q):
 
 @kernel(exact=True)
 def refine(q, lo, hi, solid, wanted):
-    """The crossing of the cubic ``q`` in [lo, hi], where it is monotone and leaves the side ``solid``.
+    """The crossing of the cubic ``q`` in [lo, hi], where it is monotone and leaves the side
+    ``solid``.
 
-    Newton's method from the chord's root, kept inside a shrinking bracket, so it ends even where the
-    values at the ends do not change sign (a root lost to rounding is at ``lo`` then). What is not ``wanted`` is
-    waited for no longer.
+    Newton's method from the chord's root, kept inside a shrinking bracket, so it ends even where
+    the values at the ends do not change sign (a root lost to rounding is at ``lo`` then). What is
+    not ``wanted`` is waited for no longer.
     """
     first, last = horner(q, lo), horner(q, hi)
     t = lo + (hi - lo) * divide(first, first - last)
@@ -93,13 +100,15 @@ def beyond(f, solid, blur):
 
 @kernel(exact=True)
 def first_crossing(q, solid, blur, wanted):
-    """Smallest t in [0, 1] at which the cubic leaves the side ``solid``: (t, whether it is there and ``wanted``).
+    """Smallest t in [0, 1] at which the cubic leaves the side ``solid``: (t, whether it is there
+    and ``wanted``).
 
-    Where there is none, t says nothing. Where the cubic turns within ``blur`` of 0 it only touches the surface, and
-    stays on its side.
+    Where there is none, t says nothing. Where the cubic turns within ``blur`` of 0 it only touches
+    the surface, and stays on its side.
     """
     across = ends_solid(q) != solid
-    b1, b2 = q[3] + q[2] / 3.0, q[3] + (2.0 * q[2] + q[1]) / 3.0
+    b1 = q[3] + q[2] / 3.0
+    b2 = q[3] + (2.0 * q[2] + q[1]) / 3.0
     leaves = wanted & (across | ((b1 > 0.0) != solid) | ((b2 > 0.0) != solid))
     if not any_of(leaves):
         return q[3], leaves

@@ -20,16 +20,18 @@ VOXEL_ARRAY = types.float32[:, :, ::1]
 SIXTH = 1.0 / 6.0
 
 RAY_OFFSET_VOXELS = 0.3
-"""Start of illumination rays above the surface, in voxels along the normal, by default (S1, section 4.1.1)."""
+"""Start of illumination rays above the surface, in voxels along the normal, by default (S1, section
+4.1.1).
+"""
 
 
 class Field(NamedTuple):
     """What a ray needs of a volume.
 
     ``voxels`` float32 (nz, ny, nx); ``low`` and ``high`` float32 (mz, my, mx), the smallest and
-    largest voxel of each macrocell; ``spacing`` world length of a voxel step along x, y, z. ``smooth`` is
-    whether normals are of the smoothed gradient, or of the plain one; rays leave a surface from ``offset`` voxels
-    above it.
+    largest voxel of each macrocell; ``spacing`` world length of a voxel step along x, y, z.
+    ``smooth`` is whether normals are of the smoothed gradient, or of the plain one; rays leave a
+    surface from ``offset`` voxels above it.
     """
 
     voxels: Any
@@ -41,13 +43,21 @@ class Field(NamedTuple):
 
 
 FIELD_RECORD = record(
-    Field, VOXEL_ARRAY, VOXEL_ARRAY, VOXEL_ARRAY, types.UniTuple(types.float64, 3), types.boolean, types.float64
+    Field,
+    VOXEL_ARRAY,
+    VOXEL_ARRAY,
+    VOXEL_ARRAY,
+    types.UniTuple(types.float64, 3),
+    types.boolean,
+    types.float64,
 )
 
 
 @kernel()
 def clamp_cell(x, n):
-    """Index of the cell along one axis of ``n`` voxels that holds coordinate ``x``; the last face belongs to it."""
+    """Index of the cell along one axis of ``n`` voxels that holds coordinate ``x``; the last face
+    belongs to it.
+    """
     return floor_within(x, n - 2)
 
 
@@ -58,17 +68,23 @@ def value(voxels, p):
     Takes vectors of points too.
     """
     nz, ny, nx = voxels.shape
-    i, j, k = floor_within(p[0], nx - 2), floor_within(p[1], ny - 2), floor_within(p[2], nz - 2)
+    i = floor_within(p[0], nx - 2)
+    j = floor_within(p[1], ny - 2)
+    k = floor_within(p[2], nz - 2)
     x, y, z = p[0] - i, p[1] - j, p[2] - k
     c = cube(voxels, k, j, i)
-    near = (1.0 - z) * (1.0 - y) * (c[0] + x * (c[1] - c[0])) + (1.0 - z) * y * (c[2] + x * (c[3] - c[2]))
+    near = (1.0 - z) * (1.0 - y) * (c[0] + x * (c[1] - c[0])) + (1.0 - z) * y * (
+        c[2] + x * (c[3] - c[2])
+    )
     far = z * (1.0 - y) * (c[4] + x * (c[5] - c[4])) + z * y * (c[6] + x * (c[7] - c[6]))
     return near + far
 
 
 @kernel(exact=True)
 def gradient(voxels, p):
-    """Gradient of the trilinear field at ``p``, per voxel step along x, y, z. Source: S1, figure 5, 'gradient'."""
+    """Gradient of the trilinear field at ``p``, per voxel step along x, y, z. Source: S1, figure 5,
+    'gradient'.
+    """
     nz, ny, nx = voxels.shape
     i, j, k = clamp_cell(p[0], nx), clamp_cell(p[1], ny), clamp_cell(p[2], nz)
     x, y, z = p[0] - i, p[1] - j, p[2] - k
@@ -77,7 +93,8 @@ def gradient(voxels, p):
         wz, sz = (z, 1.0) if c else (1.0 - z, -1.0)
         for b in range(2):
             wy, sy = (y, 1.0) if b else (1.0 - y, -1.0)
-            v0, v1 = np.float64(voxels[k + c, j + b, i]), np.float64(voxels[k + c, j + b, i + 1])
+            v0 = np.float64(voxels[k + c, j + b, i])
+            v1 = np.float64(voxels[k + c, j + b, i + 1])
             along = v0 + x * (v1 - v0)
             gx += wz * wy * (v1 - v0)
             gy += wz * sy * along
@@ -87,7 +104,9 @@ def gradient(voxels, p):
 
 @kernel(exact=True)
 def bspline(f):
-    """The four cubic B-spline weights at fraction ``f`` in [0, 1], for voxels -1, 0, 1, 2. They sum to 1."""
+    """The four cubic B-spline weights at fraction ``f`` in [0, 1], for voxels -1, 0, 1, 2. They sum
+    to 1.
+    """
     g = 1.0 - f
     return (
         SIXTH * (g * g * g),
@@ -112,23 +131,44 @@ def blend(w, a, b, c, d):
 
 @kernel(exact=True)
 def blend_cube(voxels, cell, weights, slopes):
-    """Σ over 4×4×4 voxels about ``cell`` (i, j, k) with ``weights``, and ``slopes`` along x, along y, along z.
+    """Σ over 4×4×4 voxels about ``cell`` (i, j, k) with ``weights``, and ``slopes`` along x, along
+    y, along z.
 
     Voxels beyond the border repeat the border's.
     """
-    (i, j, k), (wx, wy, wz), (sx, sy, sz) = cell, weights, slopes
+    (i, j, k) = cell
+    (wx, wy, wz) = weights
+    (sx, sy, sz) = slopes
     nz, ny, _ = voxels.shape
-    j0, j2, j3 = max(j - 1, 0), j + 1, min(j + 2, ny - 1)
-    k0, k2, k3 = max(k - 1, 0), k + 1, min(k + 2, nz - 1)
-    a, b, c, d = four(voxels, k0, j0, i), four(voxels, k0, j, i), four(voxels, k0, j2, i), four(voxels, k0, j3, i)
+    j0 = max(j - 1, 0)
+    j2 = j + 1
+    j3 = min(j + 2, ny - 1)
+    k0 = max(k - 1, 0)
+    k2 = k + 1
+    k3 = min(k + 2, nz - 1)
+    a = four(voxels, k0, j0, i)
+    b = four(voxels, k0, j, i)
+    c = four(voxels, k0, j2, i)
+    d = four(voxels, k0, j3, i)
     v0, s0 = blend(wy, a, b, c, d), blend(sy, a, b, c, d)
-    a, b, c, d = four(voxels, k, j0, i), four(voxels, k, j, i), four(voxels, k, j2, i), four(voxels, k, j3, i)
+    a = four(voxels, k, j0, i)
+    b = four(voxels, k, j, i)
+    c = four(voxels, k, j2, i)
+    d = four(voxels, k, j3, i)
     v1, s1 = blend(wy, a, b, c, d), blend(sy, a, b, c, d)
-    a, b, c, d = four(voxels, k2, j0, i), four(voxels, k2, j, i), four(voxels, k2, j2, i), four(voxels, k2, j3, i)
+    a = four(voxels, k2, j0, i)
+    b = four(voxels, k2, j, i)
+    c = four(voxels, k2, j2, i)
+    d = four(voxels, k2, j3, i)
     v2, s2 = blend(wy, a, b, c, d), blend(sy, a, b, c, d)
-    a, b, c, d = four(voxels, k3, j0, i), four(voxels, k3, j, i), four(voxels, k3, j2, i), four(voxels, k3, j3, i)
+    a = four(voxels, k3, j0, i)
+    b = four(voxels, k3, j, i)
+    c = four(voxels, k3, j2, i)
+    d = four(voxels, k3, j3, i)
     v3, s3 = blend(wy, a, b, c, d), blend(sy, a, b, c, d)
-    x, y, z = blend(wz, v0, v1, v2, v3), blend(wz, s0, s1, s2, s3), blend(sz, v0, v1, v2, v3)
+    x = blend(wz, v0, v1, v2, v3)
+    y = blend(wz, s0, s1, s2, s3)
+    z = blend(sz, v0, v1, v2, v3)
     return (
         blend(sx, x[0], x[1], x[2], x[3]),
         blend(wx, y[0], y[1], y[2], y[3]),
@@ -145,13 +185,16 @@ def smooth_gradient(voxels, p):
     nz, ny, nx = voxels.shape
     i, j, k = clamp_cell(p[0], nx), clamp_cell(p[1], ny), clamp_cell(p[2], nz)
     x, y, z = p[0] - i, p[1] - j, p[2] - k
-    weights, slopes = (bspline(x), bspline(y), bspline(z)), (bspline_slope(x), bspline_slope(y), bspline_slope(z))
+    weights = (bspline(x), bspline(y), bspline(z))
+    slopes = (bspline_slope(x), bspline_slope(y), bspline_slope(z))
     return blend_cube(voxels, (i, j, k), weights, slopes)
 
 
 @kernel(exact=True)
 def put_weights(p, n, out):
-    """Write the B-spline's weights, its slopes and the cells of coordinates ``p`` to rows of ``out``, vectors all."""
+    """Write the B-spline's weights, its slopes and the cells of coordinates ``p`` to rows of
+    ``out``, vectors all.
+    """
     i = floor_within(p, n - 2)
     for a, w in enumerate(bspline(p - i)):
         store(out[a], 0, w)
@@ -168,7 +211,8 @@ def four_at(rows, first, lane):
 
 @kernel()
 def smooth_gradients(voxels, points, first, lanes, w, out):
-    """``smooth_gradient`` at ``lanes`` columns of ``points`` (3, n) from ``first`` on, to those of ``out``.
+    """``smooth_gradient`` at ``lanes`` columns of ``points`` (3, n) from ``first`` on, to those of
+    ``out``.
 
     n is whole vectors; ``w`` (3, 9, PATH_WIDTH) is room for cells, weights and slopes.
     """
@@ -202,7 +246,8 @@ def to_index(v, spacing):
 
 @kernel(exact=True)
 def to_world_normal(g, spacing):
-    """Unit outward normal of a gradient given per voxel step; (0, 0, 0) where the gradient says nothing.
+    """Unit outward normal of a gradient given per voxel step; (0, 0, 0) where the gradient says
+    nothing.
 
     Takes vectors of gradients too.
     """
@@ -215,7 +260,8 @@ def to_world_normal(g, spacing):
 
 @kernel()
 def normal(field, p):
-    """Unit outward world normal of the isosurface through ``p``, from the smoothed gradient where ``field`` says so.
+    """Unit outward world normal of the isosurface through ``p``, from the smoothed gradient where
+    ``field`` says so.
 
     Falls back to the cell's own gradient where the smoothed one is zero or not a number, and is
     (0, 0, 0) where that is zero too: on a plateau there is no surface.

@@ -1,4 +1,6 @@
-"""Glow: parts of the volume that give off light and stop none, and what a ray gathers on its way through them."""
+"""Glow: parts of the volume that give off light and stop none, and what a ray gathers on its way
+through them.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -20,11 +22,12 @@ NO_WAY = (0.0, -math.inf)
 class Glows(NamedTuple):
     """k >= 0 regions that give off light, in the world; all float64.
 
-    Boxes about ``centres`` (3, k) with half edges ``halves`` (3, k), or balls where ``round`` (k,) is 1: then their
-    radius, thrice. ``radii`` (k,) are of the balls about them. Of each it is the part whose voxels are from
-    ``lows`` to ``highs`` (k,), which are infinite where all of it glows. A ray gathers the radiance ``rates`` (k,) on
-    each unit of its way. Where ``masked`` (k,) is 1 voxels whose ``bits`` lack number k do not glow: uint8 of the shape
-    of the field, or none where there is no mask. The ``lows`` of such are finite.
+    Boxes about ``centres`` (3, k) with half edges ``halves`` (3, k), or balls where ``round`` (k,)
+    is 1: then their radius, thrice. ``radii`` (k,) are of the balls about them. Of each it is the
+    part whose voxels are from ``lows`` to ``highs`` (k,), which are infinite where all of it glows.
+    A ray gathers the radiance ``rates`` (k,) on each unit of its way. Where ``masked`` (k,) is 1
+    voxels whose ``bits`` lack number k do not glow: uint8 of the shape of the field, or none where
+    there is no mask. The ``lows`` of such are finite.
     """
 
     centres: Any
@@ -44,7 +47,8 @@ GLOWS = record(Glows, REAL_ROWS, REAL_ROWS, *[REAL_ARRAY] * 6, types.uint8[:, :,
 
 @kernel()
 def way_through_ball(away, radius, w):
-    """Part (near, far) of a ray along the unit vector ``w`` within a ball whose middle is ``away`` from its start.
+    """Part (near, far) of a ray along the unit vector ``w`` within a ball whose middle is ``away``
+    from its start.
 
     It begins at the start, 0, at the earliest.
     """
@@ -59,12 +63,17 @@ def way_through_ball(away, radius, w):
 
 @kernel()
 def way_through_box(away, half, w):
-    """Part (near, far) of a ray along the unit vector ``w`` in a box with half edges ``half`` that is ``away``."""
-    near, far = 0.0, math.inf
+    """Part (near, far) of a ray along the unit vector ``w`` in a box with half edges ``half`` that
+    is ``away``.
+    """
+    near = 0.0
+    far = math.inf
     for c in range(3):
         if w[c] != 0.0:
-            middle, reach = away[c] / w[c], abs(half[c] / w[c])
-            near, far = max(near, middle - reach), min(far, middle + reach)
+            middle = away[c] / w[c]
+            reach = abs(half[c] / w[c])
+            near = max(near, middle - reach)
+            far = min(far, middle + reach)
         elif abs(away[c]) > half[c]:
             far = -math.inf
     return (near, far) if near < far else NO_WAY
@@ -72,7 +81,9 @@ def way_through_box(away, half, w):
 
 @kernel()
 def way_through(glows, k, p, w):
-    """Part (near, far) of the ray from the world point ``p`` along the unit vector ``w`` within region ``k``."""
+    """Part (near, far) of the ray from the world point ``p`` along the unit vector ``w`` within
+    region ``k``.
+    """
     away = sub(column(glows.centres, k), p)
     half = column(glows.halves, k)
     if glows.round[k] > 0.0:
@@ -82,10 +93,13 @@ def way_through(glows, k, p, w):
 
 @kernel()
 def share_between(low, high, before, after):
-    """Share of a way on which a value is from ``low`` to ``high`` that goes evenly from ``before`` to ``after``."""
+    """Share of a way on which a value is from ``low`` to ``high`` that goes evenly from ``before``
+    to ``after``.
+    """
     if before == after:
         return 1.0 if low <= before <= high else 0.0
-    enters, leaves = (low - before) / (after - before), (high - before) / (after - before)
+    enters = (low - before) / (after - before)
+    leaves = (high - before) / (after - before)
     return max(min(max(enters, leaves), 1.0) - max(min(enters, leaves), 0.0), 0.0)
 
 
@@ -99,13 +113,17 @@ def value_on(field, p, t, w):
 
 @kernel()
 def share_within(field, low, high, p, w, near, far):
-    """Share of the way from ``near`` to ``far`` along a ray on which the field is from ``low`` to ``high``.
+    """Share of the way from ``near`` to ``far`` along a ray on which the field is from ``low`` to
+    ``high``.
 
-    In steps of at most STEP voxels, between which values go evenly: so thin layers are as bright as they are thick.
+    In steps of at most STEP voxels, between which values go evenly: so thin layers are as bright as
+    they are thick.
     """
     sx, sy, sz = field.spacing
     steps = int(math.ceil((far - near) / (VALUE_STEP * min(sx, sy, sz))))
-    length, inside, before = (far - near) / steps, 0.0, value_on(field, p, near, w)
+    length = (far - near) / steps
+    inside = 0.0
+    before = value_on(field, p, near, w)
     for i in range(steps):
         after = value_on(field, p, near + (i + 1) * length, w)
         inside += share_between(low, high, before, after)
@@ -115,21 +133,28 @@ def share_within(field, low, high, p, w, near, far):
 
 @kernel()
 def in_mask(glows, k, x, y, z):
-    """Whether the voxel that is nearest to a place in index space is in the mask of region ``k``."""
+    """Whether the voxel that is nearest to a place in index space is in the mask of region
+    ``k``.
+    """
     nz, ny, nx = glows.bits.shape
-    a, b, c = min(max(int(x + 0.5), 0), nx - 1), min(max(int(y + 0.5), 0), ny - 1), min(max(int(z + 0.5), 0), nz - 1)
+    a = min(max(int(x + 0.5), 0), nx - 1)
+    b = min(max(int(y + 0.5), 0), ny - 1)
+    c = min(max(int(z + 0.5), 0), nz - 1)
     return (int(glows.bits[c, b, a]) >> k) & 1 == 1
 
 
 @kernel()
 def share_in_mask(field, glows, k, p, w, near, far):
-    """Share of the way from ``near`` to ``far`` along a ray that is in the mask and the range of region ``k``.
+    """Share of the way from ``near`` to ``far`` along a ray that is in the mask and the range of
+    region ``k``.
 
     By the steps of ``share_within``, each of which is in the mask where its middle is.
     """
     sx, sy, sz = field.spacing
     steps = int(math.ceil((far - near) / (VALUE_STEP * min(sx, sy, sz))))
-    length, inside, before = (far - near) / steps, 0.0, value_on(field, p, near, w)
+    length = (far - near) / steps
+    inside = 0.0
+    before = value_on(field, p, near, w)
     for i in range(steps):
         x, y, z = madd(p, near + (i + 0.5) * length, w)
         after = value_on(field, p, near + (i + 1) * length, w)
@@ -141,8 +166,9 @@ def share_in_mask(field, glows, k, p, w, near, far):
 
 @kernel()
 def gather_on_way(field, glows, k, p, w, reach):
-    """Radiance that the ray from the world point ``p`` along the unit vector ``w`` gathers of region ``k``, which has
-    radiance 1, before ``reach``: the rate times the way in it. Emission without absorption is exact to integrate.
+    """Radiance that the ray from the world point ``p`` along the unit vector ``w`` gathers of
+    region ``k``, which has radiance 1, before ``reach``: the rate times the way in it. Emission
+    without absorption is exact to integrate.
     """
     near, far = way_through(glows, k, p, w)
     far = min(far, reach)
@@ -156,15 +182,18 @@ def gather_on_way(field, glows, k, p, w, reach):
     return way * share_within(field, glows.lows[k], glows.highs[k], p, w, near, far)
 
 
-RAY_ROWS, LIGHT_ROWS = types.float64[:, ::1], types.float64[:, ::1]
+RAY_ROWS = types.float64[:, ::1]
+LIGHT_ROWS = types.float64[:, ::1]
 EYE = types.UniTuple(types.float64, 3)
 
 
 @kernel(types.void(FIELD_RECORD, GLOWS, EYE, RAY_ROWS, REAL_ARRAY, LIGHT_ROWS))
 def gather_from_eye(field, glows, eye, directions, reaches, light):
-    """Fill ``light`` (n, k) with what rays from the ``eye`` gather of each of k regions, which have radiance 1.
+    """Fill ``light`` (n, k) with what rays from the ``eye`` gather of each of k regions, which have
+    radiance 1.
 
-    The eye and the ``directions`` (3, n) are in index space; rays go ``reaches`` (n,) times their direction.
+    The eye and the ``directions`` (3, n) are in index space; rays go ``reaches`` (n,) times their
+    direction.
     """
     sx, sy, sz = field.spacing
     start = eye[0] * sx, eye[1] * sy, eye[2] * sz
@@ -173,4 +202,6 @@ def gather_from_eye(field, glows, eye, directions, reaches, light):
         way = x * sx, y * sy, z * sz
         size = length(way)
         for k in range(glows.rates.shape[0]):
-            light[m, k] = gather_on_way(field, glows, k, start, scale(way, 1.0 / size), size * reaches[m])
+            light[m, k] = gather_on_way(
+                field, glows, k, start, scale(way, 1.0 / size), size * reaches[m]
+            )

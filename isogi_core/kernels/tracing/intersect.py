@@ -1,9 +1,9 @@
 """Rays against an isosurface of the trilinear field, one at a time.
 
 Along a ray a cell's field is a cubic. Four rules keep the surface closed (references: reliability,
-section 4): solid is value > isovalue, half-open; a cell whose corners agree has no surface; the side
-on which a ray leaves a cell is the side on which it enters the next; and a ray that starts on its own
-surface is given its side, it does not ask the value.
+section 4): solid is value > isovalue, half-open; a cell whose corners agree has no surface; the
+side on which a ray leaves a cell is the side on which it enters the next; and a ray that starts on
+its own surface is given its side, it does not ask the value.
 """
 
 import math
@@ -24,20 +24,25 @@ UNKNOWN_SIDE = 0
 SLIVER = 1e-5
 """Way through a cell, in voxels, below which values are rounding: more than a root's own error.
 
-That is the cubic root of rounding where the field hardly leaves the isovalue, at the edge of a mask.
+That is the cubic root of rounding where the field hardly leaves the isovalue, at the edge of a
+mask.
 """
 
 CUBIC_ROUNDING = 2e-15
-"""Rounding of a cubic's values, over the largest corner value and for each voxel of the volume's longest side.
+"""Rounding of a cubic's values, over the largest corner value and for each voxel of the volume's
+longest side.
 
-A turn that is nearer to 0 only touches it. Three roundings of a place lie between the ray and its cell, each of them
-of half a bit of a coordinate, and six times the largest corner is what the field changes by at most in a voxel.
+A turn that is nearer to 0 only touches it. Three roundings of a place lie between the ray and its
+cell, each of them of half a bit of a coordinate, and six times the largest corner is what the field
+changes by at most in a voxel.
 """
 
 SKIN = 2.0 * SLIVER
-"""Voxels along a ray, whose side is not known, that it may begin behind the surface and still be outside.
+"""Voxels along a ray, whose side is not known, that it may begin behind the surface and still be
+outside.
 
-So a surface that lies in a face of the box is met from outside, wherever rounding or a sliver lets rays begin.
+So a surface that lies in a face of the box is met from outside, wherever rounding or a sliver lets
+rays begin.
 """
 
 
@@ -60,8 +65,9 @@ def extent(c):
 def cross_cell(volume, ray, cell, box, side):
     """First crossing in ``cell`` by a ray: (t, side it came from), or (inf, side at the exit).
 
-    ``volume`` (voxels, isovalue), ``ray`` (origin, direction, its reciprocals), ``box`` the part of it that is in the
-    volume's box. The sliver of a cell that a ray cuts off at an edge says nothing: the side is carried past it.
+    ``volume`` (voxels, isovalue), ``ray`` (origin, direction, its reciprocals), ``box`` the part of
+    it that is in the volume's box. The sliver of a cell that a ray cuts off at an edge says
+    nothing: the side is carried past it.
     """
     voxels, iso = volume
     o, d, inv = ray
@@ -79,29 +85,44 @@ def cross_cell(volume, ray, cell, box, side):
     span = far - near
     q = cubic_along(c, a, (d[0] * span, d[1] * span, d[2] * span))
     if side == UNKNOWN_SIDE:
-        side = SOLID_SIGN if q[3] * through > SKIN * abs(q[2]) else OUTSIDE_SIGN
-    t, crosses = first_crossing(q, side == SOLID_SIGN, CUBIC_ROUNDING * max(voxels.shape) * max(high, -low), True)
-    return (near + t * span, side) if crosses else (math.inf, SOLID_SIGN if ends_solid(q) else OUTSIDE_SIGN)
+        if q[3] * through > SKIN * abs(q[2]):
+            side = SOLID_SIGN
+        else:
+            side = OUTSIDE_SIGN
+    t, crosses = first_crossing(
+        q, side == SOLID_SIGN, CUBIC_ROUNDING * max(voxels.shape) * max(high, -low), True
+    )
+    if crosses:
+        return (near + t * span, side)
+    return (math.inf, SOLID_SIGN if ends_solid(q) else OUTSIDE_SIGN)
 
 
 @kernel()
 def carry_side(near, side, agreed):
-    """A block whose voxels all lie on the side ``agreed``: no surface, unless one was lost at its entry ``near``."""
-    return (near, side) if side == -agreed else (math.inf, agreed)
+    """A block whose voxels all lie on the side ``agreed``: no surface, unless one was lost at its
+    entry ``near``.
+    """
+    if side == -agreed:
+        return (near, side)
+    return (math.inf, agreed)
 
 
 @kernel()
 def cross_macrocell(volume, ray, block, box, part, side):
-    """Walk the cells of macrocell ``block`` through the ``part`` (near, far) of a ray; arguments and result are those
-    of ``cross_cell``.
+    """Walk the cells of macrocell ``block`` through the ``part`` (near, far) of a ray; arguments
+    and result are those of ``cross_cell``.
     """
     voxels, _ = volume
     o, d, inv = ray
     near, far = part
     nz, ny, nx = voxels.shape
     p = madd(o, near, d)
-    i0, j0, k0 = block[0] * MACROCELL_SIDE, block[1] * MACROCELL_SIDE, block[2] * MACROCELL_SIDE
-    i1, j1, k1 = min(i0 + MACROCELL_SIDE, nx - 1), min(j0 + MACROCELL_SIDE, ny - 1), min(k0 + MACROCELL_SIDE, nz - 1)
+    i0 = block[0] * MACROCELL_SIDE
+    j0 = block[1] * MACROCELL_SIDE
+    k0 = block[2] * MACROCELL_SIDE
+    i1 = min(i0 + MACROCELL_SIDE, nx - 1)
+    j1 = min(j0 + MACROCELL_SIDE, ny - 1)
+    k1 = min(k0 + MACROCELL_SIDE, nz - 1)
     i = min(max(clamp_cell(p[0], nx), i0), i1 - 1)
     j = min(max(clamp_cell(p[1], ny), j0), j1 - 1)
     k = min(max(clamp_cell(p[2], nz), k0), k1 - 1)
@@ -111,35 +132,39 @@ def cross_macrocell(volume, ray, block, box, part, side):
         t, side = cross_cell(volume, ray, (i, j, k), box, side)
         if t < math.inf or leave >= far:
             return t, side
-        i, j, k, near = i + si, j + sj, k + sk, leave
+        i = i + si
+        j = j + sj
+        k = k + sk
+        near = leave
     return math.inf, side
 
 
 @kernel()
 def cast(field, iso, o, d, side):
-    """First crossing of the isosurface by the ray o + t·d, t ≥ 0: (t, side it came from), or (inf, UNKNOWN).
+    """First crossing of the isosurface by the ray o + t·d, t ≥ 0: (t, side it came from), or (inf,
+    UNKNOWN).
 
-    ``o`` and ``d`` are in index space, ``d`` of any length; ``side`` is OUTSIDE_SIGN or SOLID_SIGN where the
-    start is known (a ray that leaves a surface), UNKNOWN where the value at the start decides.
-    Macrocells whose voxels all lie on one side are passed at once (empty-space skipping).
+    ``o`` and ``d`` are in index space, ``d`` of any length; ``side`` is OUTSIDE_SIGN or SOLID_SIGN
+    where the start is known (a ray that leaves a surface), UNKNOWN where the value at the start
+    decides. Macrocells whose voxels all lie on one side are passed at once (empty-space skipping).
     """
     box = clip_box(field.voxels.shape, o, d)
     near, far = box
     if not near < far:
         return math.inf, UNKNOWN_SIDE
-    t, most = math.inf, longest(d)
+    t = math.inf
+    most = longest(d)
     nz, ny, nx = field.voxels.shape
     mz, my, mx = field.low.shape
     p = madd(o, near, d)
-    i, j, k = (
-        clamp_cell(p[0], nx) // MACROCELL_SIDE,
-        clamp_cell(p[1], ny) // MACROCELL_SIDE,
-        clamp_cell(p[2], nz) // MACROCELL_SIDE,
-    )
+    i = clamp_cell(p[0], nx) // MACROCELL_SIDE
+    j = clamp_cell(p[1], ny) // MACROCELL_SIDE
+    k = clamp_cell(p[2], nz) // MACROCELL_SIDE
     if near > 0.0:
         side = UNKNOWN_SIDE
     inv = reciprocals(d)
-    volume, ray = (field.voxels, iso), (o, d, inv)
+    volume = (field.voxels, iso)
+    ray = (o, d, inv)
     while 0 <= i < mx and 0 <= j < my and 0 <= k < mz:
         face, si, sj, sk = leave_block(o, inv, (i, j, k), MACROCELL_SIDE)
         leave = max(near, min(face, far))
@@ -152,7 +177,10 @@ def cast(field, iso, o, d, side):
             return t, side
         if leave >= far:
             break
-        i, j, k, near = i + si, j + sj, k + sk, leave
+        i = i + si
+        j = j + sj
+        k = k + sk
+        near = leave
     return math.inf, UNKNOWN_SIDE
 
 
@@ -160,9 +188,9 @@ def cast(field, iso, o, d, side):
 def launch(field, iso, p, n, side):
     """Where a ray starts that leaves the surface at ``p`` along the world normal ``n`` on ``side``.
 
-    The field's offset off the surface; ``p`` itself where that point is on the other side, in a crease
-    or in noise: the ray is given its side and cannot hit what it starts on. Takes vectors of points
-    too.
+    The field's offset off the surface; ``p`` itself where that point is on the other side, in a
+    crease or in noise: the ray is given its side and cannot hit what it starts on. Takes vectors of
+    points too.
     """
     x, y, z = to_index(n, field.spacing)
     rise = field.offset / math.sqrt(x * x + y * y + z * z)
@@ -176,8 +204,12 @@ def launch(field, iso, p, n, side):
 
 @kernel()
 def shading_normal(field, p, side, d):
-    """Unit world normal at a hit, towards the ``side`` that the ray came from; -d where the field is flat."""
+    """Unit world normal at a hit, towards the ``side`` that the ray came from; -d where the field
+    is flat.
+    """
     n = normal(field, p)
     if n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0:
         return scale(d, -1.0 / length(d))
-    return n if side == OUTSIDE_SIGN else scale(n, -1.0)
+    if side == OUTSIDE_SIGN:
+        return n
+    return scale(n, -1.0)

@@ -1,4 +1,6 @@
-"""Macrocells: the smallest and largest voxel of each block of cells, and which cells hold an isovalue."""
+"""Macrocells: the smallest and largest voxel of each block of cells, and which cells hold an
+isovalue.
+"""
 
 import math
 
@@ -25,27 +27,33 @@ def blocks_along(shape, size):
 
 @kernel()
 def take_planes(voxels, first, last, low, high):
-    """Fill ``low`` and ``high`` (ny, nx) with the range of the voxels in planes ``first`` … ``last`` - 1.
+    """Fill ``low`` and ``high`` (ny, nx) with the range of the voxels in planes ``first`` …
+    ``last`` - 1.
 
     A NaN among them opens the range to (-inf, inf).
     """
     _, ny, nx = voxels.shape
     for j in range(ny):
         least, most = low[j], high[j]
-        least[:], most[:] = SINGLE_INFINITY, -SINGLE_INFINITY
+        least[:] = SINGLE_INFINITY
+        most[:] = -SINGLE_INFINITY
         for k in range(first, last):
             row = voxels[k, j]
             for i in range(nx):
                 whole = row[i] == row[i]
-                v, w = row[i] if whole else -SINGLE_INFINITY, row[i] if whole else SINGLE_INFINITY
+                v = row[i] if whole else -SINGLE_INFINITY
+                w = row[i] if whole else SINGLE_INFINITY
                 least[i] = v if v < least[i] else least[i]
                 most[i] = w if w > most[i] else most[i]
 
 
 @kernel()
 def take_rows(low, high, first, last, least, most):
-    """Fill ``least`` and ``most`` (nx,) with the range of rows ``first`` … ``last`` - 1 of ``low`` and ``high``."""
-    least[:], most[:] = SINGLE_INFINITY, -SINGLE_INFINITY
+    """Fill ``least`` and ``most`` (nx,) with the range of rows ``first`` … ``last`` - 1 of ``low``
+    and ``high``.
+    """
+    least[:] = SINGLE_INFINITY
+    most[:] = -SINGLE_INFINITY
     for j in range(first, last):
         v, w = low[j], high[j]
         for i in range(least.shape[0]):
@@ -55,13 +63,16 @@ def take_rows(low, high, first, last, least, most):
 
 @kernel()
 def window(block, size, apron, n):
-    """First and one past the last of ``n`` voxels along an axis in the cells of a block and ``apron`` cells around."""
+    """First and one past the last of ``n`` voxels along an axis in the cells of a block and
+    ``apron`` cells around.
+    """
     return max(block * size - apron, 0), min((block + 1) * size + apron + 1, n)
 
 
 @kernel()
 def find_ranges(voxels, size, apron, low, high):
-    """Fill ``low`` and ``high`` (blocks along z, y, x): the range of the voxels of each block of ``size``³ cells.
+    """Fill ``low`` and ``high`` (blocks along z, y, x): the range of the voxels of each block of
+    ``size``³ cells.
 
     ``apron`` cells around the block are taken in too. A block with a NaN gets (-inf, inf).
     """
@@ -76,16 +87,18 @@ def find_ranges(voxels, size, apron, low, high):
             take_rows(planes[0], planes[1], first, last, rows[0], rows[1])
             for i in range(low.shape[2]):
                 first, last = window(i, size, apron, nx)
-                least, most = SINGLE_INFINITY, -SINGLE_INFINITY
+                least = SINGLE_INFINITY
+                most = -SINGLE_INFINITY
                 for x in range(first, last):
                     least, most = min(least, rows[0, x]), max(most, rows[1, x])
-                low[k, j, i], high[k, j, i] = least, most
+                low[k, j, i] = least
+                high[k, j, i] = most
 
 
 @kernel(types.void(RANGES, RANGES, RANGES))
 def fill_macrocells(voxels, low, high):
-    """Fill ``low`` and ``high`` (mz, my, mx) from ``voxels`` (nz, ny, nx), mz = ceil((nz - 1) / MACROCELL_SIDE) and so
-    on.
+    """Fill ``low`` and ``high`` (mz, my, mx) from ``voxels`` (nz, ny, nx), mz = ceil((nz - 1) /
+    MACROCELL_SIDE) and so on.
 
     A macrocell takes in the voxels on all its faces, shared ones too. One with a NaN in it gets
     (-inf, +inf), so that it is never skipped: its cells decide one by one.
@@ -103,19 +116,30 @@ CELL_MARKS = types.boolean[:, :, ::1]
 
 @kernel(types.void(VOXEL_ARRAY, types.float32, types.float32, CELL_MARKS))
 def mark_cells(voxels, lowest, highest, cells):
-    """Fill ``cells`` (nz - 1, ny - 1, nx - 1): whether an isovalue lies between the least and greatest corner.
+    """Fill ``cells`` (nz - 1, ny - 1, nx - 1): whether an isovalue lies between the least and
+    greatest corner.
 
-    Both are included, and isovalues go from ``lowest`` to ``highest``, both normalised. A cell whose corners agree, or
-    with a NaN, has none.
+    Both are included, and isovalues go from ``lowest`` to ``highest``, both normalised. A cell
+    whose corners agree, or with a NaN, has none.
     """
     for k in range(cells.shape[0]):
         for j in range(cells.shape[1]):
-            near, far = voxels[k, j], voxels[k, j + 1]
-            upper, over = voxels[k + 1, j], voxels[k + 1, j + 1]
+            near = voxels[k, j]
+            far = voxels[k, j + 1]
+            upper = voxels[k + 1, j]
+            over = voxels[k + 1, j + 1]
             row = cells[k, j]
             for i in range(row.shape[0]):
-                a, b, c, d = near[i], near[i + 1], far[i], far[i + 1]
-                e, f, g, h = upper[i], upper[i + 1], over[i], over[i + 1]
+                a = near[i]
+                b = near[i + 1]
+                c = far[i]
+                d = far[i + 1]
+                e = upper[i]
+                f = upper[i + 1]
+                g = over[i]
+                h = over[i + 1]
                 least, most = min(a, b, c, d, e, f, g, h), max(a, b, c, d, e, f, g, h)
                 total = a + b + c + d + e + f + g + h
-                row[i] = (least <= highest) & (most >= lowest) & (least < most) & (not math.isnan(total))
+                row[i] = (
+                    (least <= highest) & (most >= lowest) & (least < most) & (not math.isnan(total))
+                )

@@ -14,7 +14,9 @@ from isogi_core.kernels.tracing.intersect import UNKNOWN_SIDE
 from isogi_core.kernels.tracing.slabs import clip_box, longest
 
 FIELDS = 10
-"""Numbers of a ray in a stream: origin, direction (x, y, z, mirrored), way to the exit, isovalue, sign, mirror."""
+"""Numbers of a ray in a stream: origin, direction (x, y, z, mirrored), way to the exit, isovalue,
+sign, mirror.
+"""
 
 EVERY = (1 << RAY_WIDTH) - 1
 """The bits of all lanes."""
@@ -24,9 +26,11 @@ STRAY_BIT = 8
 
 
 class Rays(NamedTuple):
-    """n rays ``origins`` + t · ``directions`` (3, n), float64, in index space, each against a surface of its own.
+    """n rays ``origins`` + t · ``directions`` (3, n), float64, in index space, each against a
+    surface of its own.
 
-    ``isovalues`` (n,) float64; ``sides`` (n,) int8, OUTSIDE_SIGN, SOLID_SIGN or UNKNOWN, that they start on.
+    ``isovalues`` (n,) float64; ``sides`` (n,) int8, OUTSIDE_SIGN, SOLID_SIGN or UNKNOWN, that they
+    start on.
     """
 
     isovalues: Any
@@ -38,8 +42,8 @@ class Rays(NamedTuple):
 class RayStream(NamedTuple):
     """The rays of a batch that meet the volume's box, in the first columns of arrays (…, n).
 
-    ``records`` float32 (FIELDS, n); ``spans`` float64 (2, n), the part of each in the box; ``owners`` int32 (n,),
-    which of the rays it is.
+    ``records`` float32 (FIELDS, n); ``spans`` float64 (2, n), the part of each in the box;
+    ``owners`` int32 (n,), which of the rays it is.
     """
 
     records: Any
@@ -55,7 +59,9 @@ def make_stream(n):
 
 @kernel()
 def mirrored_axis(d, here, size):
-    """A direction's component and a place along an axis of ``size``, mirrored where descending: (d, place, mask)."""
+    """A direction's component and a place along an axis of ``size``, mirrored where descending: (d,
+    place, mask).
+    """
     descends = d < 0.0
     return f32(abs(d)), f32(where(descends, size - here, here)), descends
 
@@ -68,15 +74,24 @@ def put_rays(shape, bricks, rays, m, stream, r):
     """
     records, spans, _ = stream
     isovalues, origins, directions, sides = rays
-    o = load(origins[0], m, RAY_WIDTH), load(origins[1], m, RAY_WIDTH), load(origins[2], m, RAY_WIDTH)
-    d = load(directions[0], m, RAY_WIDTH), load(directions[1], m, RAY_WIDTH), load(directions[2], m, RAY_WIDTH)
+    o = (
+        load(origins[0], m, RAY_WIDTH),
+        load(origins[1], m, RAY_WIDTH),
+        load(origins[2], m, RAY_WIDTH),
+    )
+    d = (
+        load(directions[0], m, RAY_WIDTH),
+        load(directions[1], m, RAY_WIDTH),
+        load(directions[2], m, RAY_WIDTH),
+    )
     near, far = clip_box(shape, o, d)
     most = longest(d)
     shrink = 1.0 / most
     sound = (shrink < math.inf) & (far < math.inf)
     mirror = where(sound, 0, STRAY_BIT)
     for a in range(3):
-        step, here = where(sound, d[a] * shrink, 1.0), where(sound, o[a] + near * d[a], 0.0)
+        step = where(sound, d[a] * shrink, 1.0)
+        here = where(sound, o[a] + near * d[a], 0.0)
         step, here, descends = mirrored_axis(step, here, float(BRICK_CELLS * bricks[2 - a]))
         mirror = mirror + where(descends, 1 << a, 0)
         store(records[a], r, here)
@@ -93,7 +108,9 @@ def put_rays(shape, bricks, rays, m, stream, r):
 
 @kernel()
 def compact_rays(stream, r, met):
-    """Move those of the RAY_WIDTH columns from ``r`` on whose bit is set in ``met`` together; returns their end."""
+    """Move those of the RAY_WIDTH columns from ``r`` on whose bit is set in ``met`` together;
+    returns their end.
+    """
     records, spans, owners = stream
     for column in range(r, r + RAY_WIDTH):
         if met & 1:
@@ -109,8 +126,8 @@ def compact_rays(stream, r, met):
 def fill_stream(shape, bricks, rays, first, last, stream):
     """Write those of the ``rays`` first … last that meet the box to a ``stream``; returns how many.
 
-    ``shape`` voxels and ``bricks`` along z, y, x. There are RAY_WIDTH rays or more from 0 on, and room for RAY_WIDTH
-    more in the stream.
+    ``shape`` voxels and ``bricks`` along z, y, x. There are RAY_WIDTH rays or more from 0 on, and
+    room for RAY_WIDTH more in the stream.
     """
     count = 0
     for i in range(first, last, RAY_WIDTH):
@@ -118,5 +135,8 @@ def fill_stream(shape, bricks, rays, first, last, stream):
         met = put_rays(shape, bricks, rays, m, stream, count)
         store(stream.owners, count, lane_numbers() + m)
         met &= EVERY << (i - m)
-        count = count + RAY_WIDTH if met == EVERY else compact_rays(stream, count, met)
+        if met == EVERY:
+            count = count + RAY_WIDTH
+        else:
+            count = compact_rays(stream, count, met)
     return count

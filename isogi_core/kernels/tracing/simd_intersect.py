@@ -1,7 +1,9 @@
-"""SIMD intersection: what ``cross_cell`` of ``intersect`` finds, for many rays at once, to the same bits.
+"""SIMD intersection: what ``cross_cell`` of ``intersect`` finds, for many rays at once, to the same
+bits.
 
-A twin of it, and kept as one: a vector of rays decides where all is plain, and leaves slivers, holes and cells whose
-corners agree to the one ray at a time. The geometry in both is the same source, ``slabs`` and ``cubic``.
+A twin of it, and kept as one: a vector of rays decides where all is plain, and leaves slivers,
+holes and cells whose corners agree to the one ray at a time. The geometry in both is the same
+source, ``slabs`` and ``cubic``.
 """
 
 import numpy as np
@@ -27,7 +29,9 @@ def corners_of(flat, place, stride):
 
 @kernel()
 def within_cell(o, middle, d, cell, n):
-    """Whether the ray's point at ``middle`` has the cell ``cell`` along one axis of ``n`` voxels."""
+    """Whether the ray's point at ``middle`` has the cell ``cell`` along one axis of ``n``
+    voxels.
+    """
     return min(max(i32(o + middle * d), 0), n - 2) == cell
 
 
@@ -35,8 +39,8 @@ def within_cell(o, middle, d, cell, n):
 def cross_cells(flat, shape, o, d, place, span, iso, solid):
     """The first crossings in the cells at ``place`` by rays that enter them ``solid`` or not.
 
-    ``span`` (near, far) as ``clip_box`` gives it. Returns (t, where it enters the cell, sure): where
-    ``sure``, t is what ``cross_cell`` gives; elsewhere that must be asked.
+    ``span`` (near, far) as ``clip_box`` gives it. Returns (t, where it enters the cell, sure):
+    where ``sure``, t is what ``cross_cell`` gives; elsewhere that must be asked.
     """
     nz, ny, nx = shape
     layer = i32((f64(place) + 0.5) / np.float64(nx))
@@ -46,12 +50,18 @@ def cross_cells(flat, shape, o, d, place, span, iso, solid):
     near, far = cut_cell(o, reciprocals(d), corner, span[0], span[1])
     through = far - near
     middle = 0.5 * (near + far)
-    sure = within_cell(o[0], middle, d[0], cell[0], nx) & within_cell(o[1], middle, d[1], cell[1], ny)
+    sure = within_cell(o[0], middle, d[0], cell[0], nx) & within_cell(
+        o[1], middle, d[1], cell[1], ny
+    )
     sure = sure & within_cell(o[2], middle, d[2], cell[2], nz) & (through * longest(d) >= SLIVER)
     c = less(corners_of(flat, place, (nx, nx * ny)), iso)
     low, high, total = extent(c)
     sure = sure & (high > 0.0) & ~(low > 0.0) & ((total <= 0.0) | (total > 0.0))
-    a = o[0] + near * d[0] - corner[0], o[1] + near * d[1] - corner[1], o[2] + near * d[2] - corner[2]
+    a = (
+        o[0] + near * d[0] - corner[0],
+        o[1] + near * d[1] - corner[1],
+        o[2] + near * d[2] - corner[2],
+    )
     q = cubic_along(c, a, (d[0] * through, d[1] * through, d[2] * through))
     t, crosses = first_crossing(q, solid, CUBIC_ROUNDING * max(shape) * max(high, -low), sure)
     return near + t * through, near, crosses

@@ -1,7 +1,7 @@
 """Skips: how far a ray may go from an empty brick, for each octant of directions.
 
-A skip is the side of the largest cube of empty bricks that begins at a brick and lies ahead in its octant. Cubes grow
-by one brick at a time, those of 64 bricks along x at once: a bit for each.
+A skip is the side of the largest cube of empty bricks that begins at a brick and lies ahead in its
+octant. Cubes grow by one brick at a time, those of 64 bricks along x at once: a bit for each.
 """
 
 import numpy as np
@@ -9,7 +9,8 @@ import numpy as np
 from isogi_core.kernels._jit import kernel
 
 SKIP_BITS = 4
-"""Bits of a skip; a word holds those of the octants 0 … 7, bit a of an octant set where axis a is descended.
+"""Bits of a skip; a word holds those of the octants 0 … 7, bit a of an octant set where axis a is
+descended.
 
 No skip is 0, so that words of skips are those whose uppermost four bits are not.
 """
@@ -20,27 +21,36 @@ LONGEST_SKIP = 2**SKIP_BITS - 1
 WORD_BRICKS = 64
 """Bricks along x whose bits are in one word."""
 
-NO_BITS, ALL_BITS = np.uint64(0), np.uint64(2**WORD_BRICKS - 1)
-NEXT_BIT, LAST_BIT = np.uint64(1), np.uint64(WORD_BRICKS - 1)
+NO_BITS = np.uint64(0)
+ALL_BITS = np.uint64(2**WORD_BRICKS - 1)
+NEXT_BIT = np.uint64(1)
+LAST_BIT = np.uint64(WORD_BRICKS - 1)
 
 
 @kernel()
 def write_bits(empty, hollow, outside):
-    """Write the bits of bricks that are ``empty`` (z, y, x), and of those beyond the volume, which count as empty.
+    """Write the bits of bricks that are ``empty`` (z, y, x), and of those beyond the volume, which
+    count as empty.
 
     ``hollow`` and ``outside`` (z, y, words) reach beyond the volume by one word on each side.
     """
     bz, by, bx = empty.shape
-    hollow[:], outside[:] = ALL_BITS, ALL_BITS
+    hollow[:] = ALL_BITS
+    outside[:] = ALL_BITS
     for k in range(bz):
         for j in range(by):
             for first in range(0, bx, WORD_BRICKS):
-                count, bits = min(WORD_BRICKS, bx - first), NO_BITS
+                count = min(WORD_BRICKS, bx - first)
+                bits = NO_BITS
                 for i in range(count):
                     bits |= np.uint64(empty[k, j, first + i]) << np.uint64(i)
-                beyond = ALL_BITS << np.uint64(count) if count < WORD_BRICKS else NO_BITS
+                if count < WORD_BRICKS:
+                    beyond = ALL_BITS << np.uint64(count)
+                else:
+                    beyond = NO_BITS
                 w = first // WORD_BRICKS + 1
-                hollow[k + 1, j + 1, w], outside[k + 1, j + 1, w] = bits | beyond, beyond
+                hollow[k + 1, j + 1, w] = bits | beyond
+                outside[k + 1, j + 1, w] = beyond
 
 
 @kernel()
@@ -52,9 +62,13 @@ def flip(bits, others):
 
 @kernel()
 def find_empty_pairs(cubes, dy, dz, first, last, rows):
-    """Write to ``rows`` which ``cubes`` from ``first`` to ``last`` are empty with those next along y, z, and both."""
-    a, b = cubes[first:last], cubes[first + dy : last + dy]
-    c, d = cubes[first + dz : last + dz], cubes[first + dy + dz : last + dy + dz]
+    """Write to ``rows`` which ``cubes`` from ``first`` to ``last`` are empty with those next along
+    y, z, and both.
+    """
+    a = cubes[first:last]
+    b = cubes[first + dy : last + dy]
+    c = cubes[first + dz : last + dz]
+    d = cubes[first + dy + dz : last + dy + dz]
     for q in range(rows.size):
         rows[q] = a[q] & b[q] & c[q] & d[q]
 
@@ -75,42 +89,60 @@ def meet_next(rows, following, descended, outside, larger):
 
 @kernel()
 def enlarge(cubes, octant, outside, steps, rows, larger):
-    """Write to ``larger`` which cubes of one more brick are empty: those whose eight ``cubes`` are, one at each corner.
+    """Write to ``larger`` which cubes of one more brick are empty: those whose eight ``cubes`` are,
+    one at each corner.
 
     ``steps`` lead to the next word along y and z; ``rows`` are of use meanwhile. All are flat.
     """
     along_y, along_z = steps
-    dx, dy, dz = octant & 1, (-along_y if octant & 2 else along_y), (-along_z if octant & 4 else along_z)
-    first, last = along_y + along_z + 1, cubes.size - along_y - along_z - 1
+    dx = octant & 1
+    dy = -along_y if octant & 2 else along_y
+    dz = -along_z if octant & 4 else along_z
+    first = along_y + along_z + 1
+    last = cubes.size - along_y - along_z - 1
     find_empty_pairs(cubes, dy, dz, first - 1, last + 1, rows[first - 1 : last + 1])
-    following = rows[first - 1 : last - 1] if dx else rows[first + 1 : last + 1]
+    if dx:
+        following = rows[first - 1 : last - 1]
+    else:
+        following = rows[first + 1 : last + 1]
     meet_next(rows[first:last], following, dx, outside[first:last], larger[first:last])
 
 
 @kernel()
 def write_octant(sides, octant, shape, tops):
-    """Add the skips of an octant to ``tops`` (bricks,): ``sides`` (SKIP_BITS, z, y, words) are the bits of each."""
+    """Add the skips of an octant to ``tops`` (bricks,): ``sides`` (SKIP_BITS, z, y, words) are the
+    bits of each.
+    """
     bz, by, bx = shape
-    one, shift = np.uint64(1), np.uint64(SKIP_BITS * octant)
+    one = np.uint64(1)
+    shift = np.uint64(SKIP_BITS * octant)
     for k in range(bz):
         for j in range(by):
             for first in range(0, bx, WORD_BRICKS):
-                z, y, w = k + 1, j + 1, first // WORD_BRICKS + 1
-                a, b, c, d = sides[0, z, y, w], sides[1, z, y, w], sides[2, z, y, w], sides[3, z, y, w]
+                z = k + 1
+                y = j + 1
+                w = first // WORD_BRICKS + 1
+                a = sides[0, z, y, w]
+                b = sides[1, z, y, w]
+                c = sides[2, z, y, w]
+                d = sides[3, z, y, w]
                 place = (k * by + j) * bx + first
                 row = tops[place : place + min(WORD_BRICKS, bx - first)]
                 for i in range(row.size):
                     s = np.uint64(i)
-                    low, high = a >> s & one | (b >> s & one) << one, c >> s & one | (d >> s & one) << one
+                    low = a >> s & one | (b >> s & one) << one
+                    high = c >> s & one | (d >> s & one) << one
                     row[i] |= np.int32(np.uint32((low | high << np.uint64(2)) << shift))
 
 
 @kernel()
 def fill_skips(empty, tops):
-    """Write the skips of bricks that are ``empty`` (z, y, x) to ``tops`` (bricks,); the others keep their word.
+    """Write the skips of bricks that are ``empty`` (z, y, x) to ``tops`` (bricks,); the others keep
+    their word.
 
-    A side is the number of cubes that are empty, as each lies in the next. Bit p of a number tells whether the
-    multiples of 2^p up to it are an odd many, so that each cube flips the bits whose 2^p divides its own side.
+    A side is the number of cubes that are empty, as each lies in the next. Bit p of a number tells
+    whether the multiples of 2^p up to it are an odd many, so that each cube flips the bits whose
+    2^p divides its own side.
     """
     bz, by, bx = empty.shape
     flat = empty.reshape(empty.size)
@@ -118,15 +150,18 @@ def fill_skips(empty, tops):
         if flat[b]:
             tops[b] = 0
     shape = (bz + 2, by + 2, -(-bx // WORD_BRICKS) + 2)
-    hollow, outside, sides = (
-        np.empty(shape, np.uint64),
-        np.empty(shape, np.uint64),
-        np.empty((SKIP_BITS, *shape), np.uint64),
-    )
+    hollow = np.empty(shape, np.uint64)
+    outside = np.empty(shape, np.uint64)
+    sides = np.empty((SKIP_BITS, *shape), np.uint64)
     write_bits(empty, hollow, outside)
-    count, steps = hollow.size, (shape[2], shape[1] * shape[2])
-    first_cubes, beyond, bits = hollow.reshape(count), outside.reshape(count), sides.reshape((SKIP_BITS, count))
-    cubes, rows, larger = np.empty(count, np.uint64), np.empty(count, np.uint64), np.full(count, ALL_BITS)
+    count = hollow.size
+    steps = (shape[2], shape[1] * shape[2])
+    first_cubes = hollow.reshape(count)
+    beyond = outside.reshape(count)
+    bits = sides.reshape((SKIP_BITS, count))
+    cubes = np.empty(count, np.uint64)
+    rows = np.empty(count, np.uint64)
+    larger = np.full(count, ALL_BITS)
     for octant in range(2**3):
         bits[:] = NO_BITS
         for b in range(count):

@@ -17,9 +17,12 @@ def longest(d):
 
 @kernel()
 def clip(o, d, n, near, far):
-    """Part of [near, far] in which o + t·d is within 0 … n - 1 along one axis; empty when near > far."""
+    """Part of [near, far] in which o + t·d is within 0 … n - 1 along one axis; empty when near >
+    far.
+    """
     still = d == 0.0
-    a, b = divide(-o, d), divide(n - 1 - o, d)
+    a = divide(-o, d)
+    b = divide(n - 1 - o, d)
     within = (o >= 0.0) & (o <= n - 1.0)
     first = where(still, where(within, near, math.inf), max(near, min(a, b)))
     return first, where(still, where(within, far, -math.inf), min(far, max(a, b)))
@@ -27,7 +30,9 @@ def clip(o, d, n, near, far):
 
 @kernel()
 def clip_box(shape, o, d):
-    """Part (near, far) of the ray o + t·d, t ≥ 0, inside the box of ``shape`` (nz, ny, nx) voxels."""
+    """Part (near, far) of the ray o + t·d, t ≥ 0, inside the box of ``shape`` (nz, ny, nx)
+    voxels.
+    """
     nz, ny, nx = shape
     near, far = clip(o[0], d[0], nx, 0.0, math.inf)
     near, far = clip(o[1], d[1], ny, near, far)
@@ -36,7 +41,9 @@ def clip_box(shape, o, d):
 
 @kernel(exact=True)
 def reciprocal(d):
-    """1 / d of a ray direction's component, 0 where the component is 0 or too small to leave a cell by."""
+    """1 / d of a ray direction's component, 0 where the component is 0 or too small to leave a cell
+    by.
+    """
     inverse = divide(1.0, d)
     return where(abs(inverse) < math.inf, inverse, 0.0)
 
@@ -49,15 +56,20 @@ def reciprocals(d):
 
 @kernel(exact=True)
 def cut_slab(o, inv, i, near, far):
-    """Part of [near, far] in which the ray is within cell ``i`` along one axis; ``inv`` from ``reciprocal``."""
+    """Part of [near, far] in which the ray is within cell ``i`` along one axis; ``inv`` from
+    ``reciprocal``.
+    """
     still = inv == 0.0
-    a, b = (i - o) * inv, (i + 1.0 - o) * inv
+    a = (i - o) * inv
+    b = (i + 1.0 - o) * inv
     return where(still, near, max(near, min(a, b))), where(still, far, min(far, max(a, b)))
 
 
 @kernel(exact=True)
 def cut_cell(o, inv, cell, near, far):
-    """Part of [near, far] in which the ray is within ``cell``: the same bits however the ray got there."""
+    """Part of [near, far] in which the ray is within ``cell``: the same bits however the ray got
+    there.
+    """
     near, far = cut_slab(o[0], inv[0], cell[0], near, far)
     near, far = cut_slab(o[1], inv[1], cell[1], near, far)
     return cut_slab(o[2], inv[2], cell[2], near, far)
@@ -65,7 +77,8 @@ def cut_cell(o, inv, cell, near, far):
 
 @kernel()
 def next_face(o, inv, i, size):
-    """Ray parameter at which the ray leaves block ``i`` (of ``size`` cells) along one axis; inf if it never does.
+    """Ray parameter at which the ray leaves block ``i`` (of ``size`` cells) along one axis; inf if
+    it never does.
 
     ``inv`` is the reciprocal of the direction's component.
     """
@@ -78,7 +91,9 @@ def next_face(o, inv, i, size):
 
 @kernel()
 def leave_block(o, inv, block, size):
-    """Where the ray leaves a cubic block: (t, steps along x, y, z), one step being ±1 and the others 0."""
+    """Where the ray leaves a cubic block: (t, steps along x, y, z), one step being ±1 and the
+    others 0.
+    """
     tx = next_face(o[0], inv[0], block[0], size)
     ty = next_face(o[1], inv[1], block[1], size)
     tz = next_face(o[2], inv[2], block[2], size)

@@ -1,14 +1,17 @@
-"""Stiffness: how the cells of isosurfaces lie to the plateaus, the noise and the holes of a field, for many at once.
+"""Stiffness: how the cells of isosurfaces lie to the plateaus, the noise and the holes of a field,
+for many at once.
 
-A cell belongs to all isovalues from its least corner up to its greatest, so that one pass serves them all: counts are
-kept as differences, +1 where a range of isovalues begins and -1 behind its end.
+A cell belongs to all isovalues from its least corner up to its greatest, so that one pass serves
+them all: counts are kept as differences, +1 where a range of isovalues begins and -1 behind its
+end.
 
-Plateaus: where texels at the edge of one are lit, as their own isosurface is one that no view shows. A texel that
-hardly any voxel about it exceeds, while many are as high, is at the edge of a plateau (a mask, a thin ramp, a
-terrace, clipped data): above its value next to nothing is solid. One that hardly any falls below is too: its
-isosurface is the hull of all that is higher, up to a voxel too far out. Such a texel is lit half-way between the ends
-of the values about it, which the isosurfaces that its cells show lie about. In a wall one voxel thin, whose sides
-have light of their own, a texel that is the wall itself has none.
+Plateaus: where texels at the edge of one are lit, as their own isosurface is one that no view
+shows. A texel that hardly any voxel about it exceeds, while many are as high, is at the edge of a
+plateau (a mask, a thin ramp, a terrace, clipped data): above its value next to nothing is solid.
+One that hardly any falls below is too: its isosurface is the hull of all that is higher, up to a
+voxel too far out. Such a texel is lit half-way between the ends of the values about it, which the
+isosurfaces that its cells show lie about. In a wall one voxel thin, whose sides have light of their
+own, a texel that is the wall itself has none.
 """
 
 import math
@@ -25,17 +28,20 @@ EDGE_SHARE = 0.1
 """Share of the range of the values about a texel within which it is at an end of it."""
 
 FLAT_SHARE = 2 / 7
-"""Share of the voxels about a texel that are as it is, at the edge of a plateau: a cube's corner has 8 of 27.
+"""Share of the voxels about a texel that are as it is, at the edge of a plateau: a cube's corner
+has 8 of 27.
 
-Without it the texels of noisy fields, many of which are the least or the greatest for a voxel around, would leave their
-isosurfaces too, and have a quarter more error.
+Without it the texels of noisy fields, many of which are the least or the greatest for a voxel
+around, would leave their isosurfaces too, and have a quarter more error.
 """
 
 MAX_SHIFT_VOXELS = 1.5
 """How far from its place, in voxels, a texel is lit at most."""
 
 BEHIND_VOXELS = -0.6
-"""How far ahead of a texel, in voxels, a place is at most that is behind it; a cube's corner has none such."""
+"""How far ahead of a texel, in voxels, a place is at most that is behind it; a cube's corner has
+none such.
+"""
 
 STEP_VOXELS = 0.0625
 """Voxels between places at which the field is asked for the side that it is on; a power of two."""
@@ -46,30 +52,41 @@ HALVINGS = 32
 
 @kernel(exact=True)
 def reach(x, n):
-    """First and last of the ``n`` voxels along an axis that the smoothed gradient at ``x`` is made of."""
+    """First and last of the ``n`` voxels along an axis that the smoothed gradient at ``x`` is made
+    of.
+    """
     return max(int(math.floor(x)) - 1, 0), min(int(math.ceil(x)) + 1, n - 1)
 
 
 @kernel(exact=True)
 def value_span(voxels, p):
-    """The least and the greatest voxel about ``p``, up to two away along each axis, and whether one is no number."""
+    """The least and the greatest voxel about ``p``, up to two away along each axis, and whether one
+    is no number.
+    """
     nz, ny, nx = voxels.shape
     xs, ys, zs = reach(p[0], nx), reach(p[1], ny), reach(p[2], nz)
-    low, high, hole = np.float32(math.inf), np.float32(-math.inf), False
+    low = np.float32(math.inf)
+    high = np.float32(-math.inf)
+    hole = False
     for k in range(zs[0], zs[1] + 1):
         for j in range(ys[0], ys[1] + 1):
             for i in range(xs[0], xs[1] + 1):
                 v = voxels[k, j, i]
-                low, high, hole = v if v < low else low, v if v > high else high, hole | math.isnan(v)
+                low = v if v < low else low
+                high = v if v > high else high
+                hole = hole | math.isnan(v)
     return low, high, hole
 
 
 @kernel(exact=True)
 def flat(voxels, p, own, edge):
-    """Whether a share FLAT_SHARE of the voxels about ``p`` is within ``edge`` of its value ``own``."""
+    """Whether a share FLAT_SHARE of the voxels about ``p`` is within ``edge`` of its value
+    ``own``.
+    """
     nz, ny, nx = voxels.shape
     xs, ys, zs = reach(p[0], nx), reach(p[1], ny), reach(p[2], nz)
-    alike, count = 0, 0
+    alike = 0
+    count = 0
     for k in range(zs[0], zs[1] + 1):
         for j in range(ys[0], ys[1] + 1):
             for i in range(xs[0], xs[1] + 1):
@@ -80,7 +97,9 @@ def flat(voxels, p, own, edge):
 
 @kernel(exact=True)
 def at_edge(voxels, p, own, low, high):
-    """Whether a point ``p`` of value ``own`` is at the edge of a plateau between the values ``low`` and ``high``."""
+    """Whether a point ``p`` of value ``own`` is at the edge of a plateau between the values ``low``
+    and ``high``.
+    """
     edge = EDGE_SHARE * (np.float64(high) - np.float64(low))
     return low < high and not low + edge < own < high - edge and flat(voxels, p, own, edge)
 
@@ -98,18 +117,21 @@ def point_within(shape, p, d, t):
 
 @kernel(exact=True)
 def crossing(voxels, p, d, level, halvings=HALVINGS):
-    """How far along ``d`` the isosurface ``level`` is first crossed, MAX_SHIFT_VOXELS at most; inf where it is not.
+    """How far along ``d`` the isosurface ``level`` is first crossed, MAX_SHIFT_VOXELS at most; inf
+    where it is not.
 
     Known to STEP_VOXELS over 2 to the power of the ``halvings``.
     """
-    t, v = 0.0, value(voxels, p)
+    t = 0.0
+    v = value(voxels, p)
     solid = v > level
     while t < MAX_SHIFT_VOXELS and (v > level) == solid and not math.isnan(v):
         t += STEP_VOXELS
         v = value(voxels, point_within(voxels.shape, p, d, t))
     if (v > level) == solid or math.isnan(v):
         return math.inf
-    near, far = t - STEP_VOXELS, t
+    near = t - STEP_VOXELS
+    far = t
     for _ in range(halvings):
         middle = 0.5 * (near + far)
         if (value(voxels, point_within(voxels.shape, p, d, middle)) > level) == solid:
@@ -129,8 +151,8 @@ def downhill(n, spacing, sign):
 
 @kernel(exact=True)
 def thin(voxels, p, d, level):
-    """Whether one of the 26 places a voxel away from ``p`` is open and BEHIND_VOXELS behind it: the wall's other side
-    is as near.
+    """Whether one of the 26 places a voxel away from ``p`` is open and BEHIND_VOXELS behind it: the
+    wall's other side is as near.
     """
     for place in range(27):
         o = (place % 3 - 1.0, place // 3 % 3 - 1.0, place // 9 - 1.0)
@@ -142,10 +164,12 @@ def thin(voxels, p, d, level):
 
 @kernel(exact=True)
 def leave_plateau(field, p, n):
-    """Where a texel at ``p``, with the normal ``n`` that is not zero, is lit: (point, normal, isovalue).
+    """Where a texel at ``p``, with the normal ``n`` that is not zero, is lit: (point, normal,
+    isovalue).
 
-    There and on its own isosurface, a float32, unless it is at the edge of a plateau. Where nothing half-way is found
-    near, one at the foot of it stays; one on top has no side, as in a thin wall, and its normal is (0, 0, 0).
+    There and on its own isosurface, a float32, unless it is at the edge of a plateau. Where nothing
+    half-way is found near, one at the foot of it stays; one on top has no side, as in a thin wall,
+    and its normal is (0, 0, 0).
     """
     own = np.float32(value(field.voxels, p))
     low, high, _ = value_span(field.voxels, p)
@@ -154,29 +178,42 @@ def leave_plateau(field, p, n):
     level = np.float32(0.5 * (np.float64(low) + np.float64(high)))
     top = own > level
     d = downhill(n, field.spacing, 1.0 if top else -1.0)
-    t = math.inf if top and thin(field.voxels, p, d, level) else crossing(field.voxels, p, d, level)
+    if top and thin(field.voxels, p, d, level):
+        t = math.inf
+    else:
+        t = crossing(field.voxels, p, d, level)
     if t < math.inf:
         there = point_within(field.voxels.shape, p, d, t)
         return there, normal(field, there), level
     return p, (0.0, 0.0, 0.0) if top else n, own
 
 
-EDGE_MARK, VOID_MARK, HOLE_MARK = 1, 2, 4
+EDGE_MARK = 1
+VOID_MARK = 2
+HOLE_MARK = 4
 """Marks of a voxel: at the edge of a plateau, without a gradient, beside one that is no number.
 
 A texel at the edge of a plateau is not lit on its own isosurface: see ``kernels.tracing.plateaus``.
 """
 
-CELLS_ROW, STEEP_ROW, PLATEAU_ROW, NOISY_ROW, HOLED_ROW, FACES_ROW = 0, 1, 2, 3, 4, 5
+CELLS_ROW = 0
+STEEP_ROW = 1
+PLATEAU_ROW = 2
+NOISY_ROW = 3
+HOLED_ROW = 4
+FACES_ROW = 5
 """Rows of counts; the six faces of the box, x = 0, x = 1, y = 0, …, come last."""
 
 COUNTED_ROWS = FACES_ROW + 6
 
 STEEP_CORNERS = 4
-"""Corners, half of a cell's, that make it steep where they are at an edge, or part of a plateau that they lie on."""
+"""Corners, half of a cell's, that make it steep where they are at an edge, or part of a plateau
+that they lie on.
+"""
 
 MIN_MEAN_NORMAL = 0.9
-"""Length of the mean of a cell's unit normals below which it counts as noisy: they then stray by 26° or more.
+"""Length of the mean of a cell's unit normals below which it counts as noisy: they then stray by
+26° or more.
 
 On a ball that is so at a radius of two voxels: finer detail cannot be distinguished from noise.
 """
@@ -187,8 +224,11 @@ COUNT_ROWS = types.int64[:, ::1]
 
 @kernel()
 def first_at(levels, value):
-    """The place of the first of the ascending ``levels`` that is at ``value`` or above; their number for NaN."""
-    first, last = 0, levels.shape[0]
+    """The place of the first of the ascending ``levels`` that is at ``value`` or above; their
+    number for NaN.
+    """
+    first = 0
+    last = levels.shape[0]
     while first < last:
         middle = (first + last) // 2
         if value <= levels[middle]:
@@ -200,7 +240,9 @@ def first_at(levels, value):
 
 @kernel()
 def look_at(field, levels, k, normals, marks):
-    """Write ``normals`` (ny, nx, 3) and ``marks`` (ny, nx) of the voxels of plane ``k`` that an isosurface passes."""
+    """Write ``normals`` (ny, nx, 3) and ``marks`` (ny, nx) of the voxels of plane ``k`` that an
+    isosurface passes.
+    """
     _, ny, nx = field.voxels.shape
     for j in range(ny):
         for i in range(nx):
@@ -208,9 +250,14 @@ def look_at(field, levels, k, normals, marks):
             low, high, hole = value_span(field.voxels, p)
             if not first_at(levels, low) < first_at(levels, high):
                 continue
-            n, edge = normal(field, p), at_edge(field.voxels, p, field.voxels[k, j, i], low, high)
+            n = normal(field, p)
+            edge = at_edge(field.voxels, p, field.voxels[k, j, i], low, high)
             normals[j, i, 0], normals[j, i, 1], normals[j, i, 2] = n
-            marks[j, i] = (EDGE_MARK if edge else 0) | (VOID_MARK if is_zero(n) else 0) | (HOLE_MARK if hole else 0)
+            marks[j, i] = (
+                (EDGE_MARK if edge else 0)
+                | (VOID_MARK if is_zero(n) else 0)
+                | (HOLE_MARK if hole else 0)
+            )
 
 
 @kernel()
@@ -222,11 +269,13 @@ def count_levels(row, first, last):
 
 @kernel()
 def passing(levels, corners, bit, side):
-    """The isovalues whose surface parts the corners of a cell whose ``bit`` is ``side``: first, one past the last.
+    """The isovalues whose surface parts the corners of a cell whose ``bit`` is ``side``: first, one
+    past the last.
 
     All corners where ``bit`` is 0. A corner at the isovalue is outside, as it is for rays.
     """
-    low, high = np.inf, -np.inf
+    low = np.inf
+    high = -np.inf
     for c in range(8):
         if c & bit == side:
             low, high = min(low, corners[c]), max(high, corners[c])
@@ -235,18 +284,28 @@ def passing(levels, corners, bit, side):
 
 @kernel()
 def corner_of(marks, normals, k, j, i):
-    """What the corners of the cell at (k, j, i) are: how many at an edge, all marks, length of the mean normal.
+    """What the corners of the cell at (k, j, i) are: how many at an edge, all marks, length of the
+    mean normal.
 
     ``marks`` and ``normals`` are of two planes of voxels: those of plane k stand in row k % 2.
     """
-    edges, together, known = 0, 0, 0
+    edges = 0
+    together = 0
+    known = 0
     x, y, z = 0.0, 0.0, 0.0
     for c in range(8):
-        plane, row, column = (k + (c >> 2)) & 1, j + ((c >> 1) & 1), i + (c & 1)
-        mark, n = marks[plane, row, column], normals[plane, row, column]
-        edges, together = edges + (mark & EDGE_MARK), together | mark
+        plane = (k + (c >> 2)) & 1
+        row = j + ((c >> 1) & 1)
+        column = i + (c & 1)
+        mark = marks[plane, row, column]
+        n = normals[plane, row, column]
+        edges = edges + (mark & EDGE_MARK)
+        together = together | mark
         if not mark & VOID_MARK:
-            x, y, z, known = x + n[0], y + n[1], z + n[2], known + 1
+            x = x + n[0]
+            y = y + n[1]
+            z = z + n[2]
+            known = known + 1
     return edges, together, math.sqrt(x * x + y * y + z * z) / max(known, 1)
 
 
@@ -263,9 +322,12 @@ def count_plateaus(levels, corners, first, last, row):
 
 @kernel()
 def count_faces(levels, corners, place, shape, counts):
-    """Count, for each face of the box that the cell at ``place`` (x, y, z) lies on, the surfaces that meet it there."""
+    """Count, for each face of the box that the cell at ``place`` (x, y, z) lies on, the surfaces
+    that meet it there.
+    """
     for face in range(6):
-        axis, side = face // 2, face % 2
+        axis = face // 2
+        side = face % 2
         if place[axis] == (shape[2 - axis] - 2 if side else 0):
             first, last = passing(levels, corners, 1 << axis, side << axis)
             if first < last:
@@ -274,7 +336,9 @@ def count_faces(levels, corners, place, shape, counts):
 
 @kernel()
 def count_cell(levels, corners, first, last, seen, counts):
-    """Count a cell that isovalues ``first`` … ``last`` - 1 pass; ``seen`` is what ``corner_of`` says of it."""
+    """Count a cell that isovalues ``first`` … ``last`` - 1 pass; ``seen`` is what ``corner_of``
+    says of it.
+    """
     edges, together, coherence = seen
     count_levels(counts[CELLS_ROW], first, last)
     if edges >= STEEP_CORNERS:
@@ -291,15 +355,18 @@ def count_cell(levels, corners, first, last, seen, counts):
 
 @kernel(types.void(FIELD_RECORD, LEVEL_ARRAY, types.int64, types.int64, COUNT_ROWS))
 def count_stiffness(field, levels, begin, end, counts):
-    """Add to ``counts`` (ROWS, levels + 1), as differences, the cells of layers ``begin`` … ``end`` - 1 along z.
+    """Add to ``counts`` (ROWS, levels + 1), as differences, the cells of layers ``begin`` … ``end``
+    - 1 along z.
 
-    ``levels`` are isovalues, ascending, in voxel units. CELLS_ROW are those that the surface passes; STEEP_ROW,
-    NOISY_ROW, HOLED_ROW and PLATEAU_ROW those of them with half of their corners at the edge of a plateau, with normals
-    that stray, beside a hole, and with a corner that has no gradient or half of the corners at the isovalue itself; a
-    row for each face of the box those whose corners on it are parted.
+    ``levels`` are isovalues, ascending, in voxel units. CELLS_ROW are those that the surface
+    passes; STEEP_ROW, NOISY_ROW, HOLED_ROW and PLATEAU_ROW those of them with half of their corners
+    at the edge of a plateau, with normals that stray, beside a hole, and with a corner that has no
+    gradient or half of the corners at the isovalue itself; a row for each face of the box those
+    whose corners on it are parted.
     """
     _, ny, nx = field.voxels.shape
-    normals, marks = np.zeros((2, ny, nx, 3)), np.zeros((2, ny, nx), np.uint8)
+    normals = np.zeros((2, ny, nx, 3))
+    marks = np.zeros((2, ny, nx), np.uint8)
     look_at(field, levels, begin, normals[begin & 1], marks[begin & 1])
     for k in range(begin, end):
         look_at(field, levels, k + 1, normals[(k + 1) & 1], marks[(k + 1) & 1])

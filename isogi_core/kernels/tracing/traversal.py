@@ -1,6 +1,8 @@
-"""Conservative traversal in float32: rays in SIMD lanes, followed to the first cell that may hold the surface.
+"""Conservative traversal in float32: rays in SIMD lanes, followed to the first cell that may hold
+the surface.
 
-Empty space is skipped by the active-cell map. What float32 cannot prove is left to the float64 intersection.
+Empty space is skipped by the active-cell map. What float32 cannot prove is left to the float64
+intersection.
 """
 
 from typing import Any, NamedTuple
@@ -18,7 +20,8 @@ MIN_BUSY_LANES = RAY_WIDTH // 2
 MAX_WAITING_LANES = max(RAY_WIDTH // 3, 1)
 """Lanes at a cell that may hold the surface before these cells are looked at."""
 
-MISS, UNSURE = -1, -2
+MISS = -1
+UNSURE = -2
 """Results of the traversal that are no cell: the ray meets nothing, or only ``cast`` can decide.
 
 Of 2³¹ voxels none of the last two names a cell, so that no word of a cell is one of these.
@@ -31,10 +34,11 @@ HUGE_INVERSE = 1e30
 class Ray(NamedTuple):
     """What stays the same while lanes follow their rays; all mirrored, f32×N and i32×N.
 
-    ``owner`` the ray's column in the stream; ``o``, ``d`` origin and direction, ``inv`` its reciprocals; ``end`` the
-    way to the exit, ``iso`` the isovalue; ``mirror`` the stream's; ``octant`` where the skips of the direction's
-    octant begin in a word, ``flip`` turns a cell's place in its brick back; ``stride`` and ``base`` lead to cells
-    (see ``linear``); ``limit`` the cells behind the last ones.
+    ``owner`` the ray's column in the stream; ``o``, ``d`` origin and direction, ``inv`` its
+    reciprocals; ``end`` the way to the exit, ``iso`` the isovalue; ``mirror`` the stream's;
+    ``octant`` where the skips of the direction's octant begin in a word, ``flip`` turns a cell's
+    place in its brick back; ``stride`` and ``base`` lead to cells (see ``linear``); ``limit`` the
+    cells behind the last ones.
     """
 
     owner: Any
@@ -71,7 +75,8 @@ def linear(c, stride, base):
 
 @kernel()
 def strides_of(mirror, y, z, last):
-    """Strides (x, y, z) and base in a flat array with rows of ``y`` and planes of ``z``, for mirrored lanes.
+    """Strides (x, y, z) and base in a flat array with rows of ``y`` and planes of ``z``, for
+    mirrored lanes.
 
     ``last`` is the index of the last element along x, y, z.
     """
@@ -88,13 +93,17 @@ def filled(n):
 
 @kernel()
 def last_cell(descends, n):
-    """The cell behind the last one along a mirrored axis of ``n`` voxels; ``descends`` is not 0 where it is turned."""
+    """The cell behind the last one along a mirrored axis of ``n`` voxels; ``descends`` is not 0
+    where it is turned.
+    """
     return where(descends != 0, filled(n), n - 1)
 
 
 @kernel()
 def first_cell(x, descends, limit, n):
-    """The cell of mirrored coordinate ``x`` along an axis of ``n`` voxels that ends before ``limit``."""
+    """The cell of mirrored coordinate ``x`` along an axis of ``n`` voxels that ends before
+    ``limit``.
+    """
     lowest = where(descends != 0, filled(n) - (n - 1), 0)
     return min(max(i32(x), lowest), limit - 1)
 
@@ -107,18 +116,23 @@ def unmirror(c, descends, n):
 
 @kernel()
 def least_node(c, mirror, shape):
-    """Flat index of the corner of the lanes' cells that is lowest in the volume, which names the cell.
+    """Flat index of the corner of the lanes' cells that is lowest in the volume, which names the
+    cell.
 
     Cells that stand beyond the last one, to fill up a brick, get the last one's name.
     """
     nz, ny, nx = shape
-    x, y, z = unmirror(c[0], mirror & 1, nx), unmirror(c[1], mirror & 2, ny), unmirror(c[2], mirror & 4, nz)
+    x = unmirror(c[0], mirror & 1, nx)
+    y = unmirror(c[1], mirror & 2, ny)
+    z = unmirror(c[2], mirror & 4, nz)
     return (z * ny + y) * nx + x
 
 
 @kernel()
 def look_up(cells, c, ray):
-    """What the active-cell map says of cells ``c``: (active, corner's bits of c, side of the empty cube there)."""
+    """What the active-cell map says of cells ``c``: (active, corner's bits of c, side of the empty
+    cube there).
+    """
     top = gather(cells.tops, linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), ray.stride, ray.base))
     near = (top >> 28) == 0
     layer = (top << 2) + ((c[2] ^ (ray.flip >> 4)) & 3)
@@ -132,7 +146,9 @@ def look_up(cells, c, ray):
 
 @kernel()
 def leave(ray, c, low, size):
-    """Where lanes leave a cube of cells with corner ``low``: (t, cell they enter then, whether that is outside)."""
+    """Where lanes leave a cube of cells with corner ``low``: (t, cell they enter then, whether that
+    is outside).
+    """
     n = low[0] + size, low[1] + size, low[2] + size
     tx = (f32(n[0]) - ray.o[0]) * ray.inv[0]
     ty = (f32(n[1]) - ray.o[1]) * ray.inv[1]
@@ -153,12 +169,19 @@ def lerp(a, b, t):
 
 @kernel()
 def bernstein(v, a, b):
-    """Bernstein coefficients of the trilinear field from ``a`` to ``b`` in the unit cell; ``v`` its corners.
+    """Bernstein coefficients of the trilinear field from ``a`` to ``b`` in the unit cell; ``v`` its
+    corners.
 
     By the field's blossom: its values at the corners of the box between a and b, averaged.
     """
-    x0, x1, x2, x3 = lerp(v[0], v[1], a[0]), lerp(v[2], v[3], a[0]), lerp(v[4], v[5], a[0]), lerp(v[6], v[7], a[0])
-    y0, y1, y2, y3 = lerp(v[0], v[1], b[0]), lerp(v[2], v[3], b[0]), lerp(v[4], v[5], b[0]), lerp(v[6], v[7], b[0])
+    x0 = lerp(v[0], v[1], a[0])
+    x1 = lerp(v[2], v[3], a[0])
+    x2 = lerp(v[4], v[5], a[0])
+    x3 = lerp(v[6], v[7], a[0])
+    y0 = lerp(v[0], v[1], b[0])
+    y1 = lerp(v[2], v[3], b[0])
+    y2 = lerp(v[4], v[5], b[0])
+    y3 = lerp(v[6], v[7], b[0])
     aa0, aa1 = lerp(x0, x1, a[1]), lerp(x2, x3, a[1])
     ab0, ab1 = lerp(x0, x1, b[1]), lerp(x2, x3, b[1])
     ba0, ba1 = lerp(y0, y1, a[1]), lerp(y2, y3, a[1])
@@ -171,7 +194,8 @@ def bernstein(v, a, b):
 
 @kernel()
 def corner_values(flat, place, turned, sy, sz, iso):
-    """The eight corner values less the isovalue of cells whose lowest x and first y, z corner is at ``place``.
+    """The eight corner values less the isovalue of cells whose lowest x and first y, z corner is at
+    ``place``.
 
     ``turned`` where x is mirrored; ``sy`` and ``sz`` lead to the second corner along y and z.
     """
@@ -193,10 +217,14 @@ def corner_values(flat, place, turned, sy, sz, iso):
 
 @kernel()
 def certain(volume, cells, ray, c, span, sign, lanes):
-    """Whether the field has ``sign`` for certain in cells ``c`` of the chosen ``lanes``, on the ``span`` (in, out)."""
+    """Whether the field has ``sign`` for certain in cells ``c`` of the chosen ``lanes``, on the
+    ``span`` (in, out).
+    """
     flat, (_, ny, nx) = volume
     bz, by, bx = cells.shape
-    stride, base = strides_of(ray.mirror, nx, nx * ny, (BRICK_CELLS * bx, BRICK_CELLS * by, BRICK_CELLS * bz))
+    stride, base = strides_of(
+        ray.mirror, nx, nx * ny, (BRICK_CELLS * bx, BRICK_CELLS * by, BRICK_CELLS * bz)
+    )
     turned = stride[0] < 0
     place = linear(c, stride, base) + where(turned, -1, 0)
     sy, sz = where(lanes, stride[1], 0), where(lanes, stride[2], 0)
@@ -217,14 +245,17 @@ def cell_of(word):
 
 @kernel()
 def put_cells(found, entries, owner, cell, sign, t, lanes):
-    """Write cell · 2 + (1 where solid) of the chosen lanes to ``found`` at their rays, and ``t`` to ``entries``."""
+    """Write cell · 2 + (1 where solid) of the chosen lanes to ``found`` at their rays, and ``t`` to
+    ``entries``.
+    """
     word = cell * 2 + where(sign > 0.0, 1, 0)
     chosen = bits(lanes)
     lane = 0
     while chosen != 0:
         if chosen & 1:
             m = owner[lane]
-            found[m], entries[m] = word[lane], t[lane]
+            found[m] = word[lane]
+            entries[m] = t[lane]
         chosen >>= 1
         lane += 1
 
@@ -244,20 +275,32 @@ def put_word(found, owner, word, lanes):
 @kernel()
 def no_ray():
     """Lanes that follow nothing yet."""
-    zero, nought = f32(0.0), i32(0)
-    point, cell = (zero, zero, zero), (nought, nought, nought)
+    zero = f32(0.0)
+    nought = i32(0)
+    point = (zero, zero, zero)
+    cell = (nought, nought, nought)
     return Ray(nought, point, point, point, zero, zero, nought, nought, nought, cell, nought, cell)
 
 
 @kernel()
 def take_rays(records, following, turn, fresh, ray, shape, cells):
-    """The ``ray`` with the stream's rays from ``following`` on in the ``fresh`` lanes; ``turn`` numbers them."""
+    """The ``ray`` with the stream's rays from ``following`` on in the ``fresh`` lanes; ``turn``
+    numbers them.
+    """
     nz, ny, nx = shape
     bz, by, bx = cells.shape
-    x, y, z = take(records[0], following, fresh), take(records[1], following, fresh), take(records[2], following, fresh)
-    u, v, w = take(records[3], following, fresh), take(records[4], following, fresh), take(records[5], following, fresh)
+    x = take(records[0], following, fresh)
+    y = take(records[1], following, fresh)
+    z = take(records[2], following, fresh)
+    u = take(records[3], following, fresh)
+    v = take(records[4], following, fresh)
+    w = take(records[5], following, fresh)
     o, d = choose_points(fresh, (x, y, z), ray.o), choose_points(fresh, (u, v, w), ray.d)
-    inv = min(1.0 / d[0], HUGE_INVERSE), min(1.0 / d[1], HUGE_INVERSE), min(1.0 / d[2], HUGE_INVERSE)
+    inv = (
+        min(1.0 / d[0], HUGE_INVERSE),
+        min(1.0 / d[1], HUGE_INVERSE),
+        min(1.0 / d[2], HUGE_INVERSE),
+    )
     end = where(fresh, take(records[6], following, fresh), ray.end)
     iso = where(fresh, take(records[7], following, fresh), ray.iso)
     mirror = where(fresh, i32(take(records[9], following, fresh)), ray.mirror)
@@ -270,10 +313,13 @@ def take_rays(records, following, turn, fresh, ray, shape, cells):
 
 @kernel()
 def enter(volume, cells, ray, given):
-    """Where rays begin: (cell, the field's sign there, whether that is in doubt); ``given`` the sign, or 0."""
+    """Where rays begin: (cell, the field's sign there, whether that is in doubt); ``given`` the
+    sign, or 0.
+    """
     flat, shape = volume
     nz, ny, nx = shape
-    mirror, limit = ray.mirror, ray.limit
+    mirror = ray.mirror
+    limit = ray.limit
     x = first_cell(ray.o[0], mirror & 1, limit[0], nx)
     y = first_cell(ray.o[1], mirror & 2, limit[1], ny)
     z = first_cell(ray.o[2], mirror & 4, limit[2], nz)
@@ -285,16 +331,22 @@ def enter(volume, cells, ray, given):
 
 @kernel()
 def traverse(volume, cells, records, count, found, entries):
-    """Write to ``found`` what each of ``count`` rays meets: UNSURE, or 2 · cell + (1 from a solid side).
+    """Write to ``found`` what each of ``count`` rays meets: UNSURE, or 2 · cell + (1 from a solid
+    side).
 
-    ``volume`` (flat voxels, shape), ``cells`` its active-cell map, ``records`` (FIELDS, n) the stream's, see
-    ``ray_stream``. Rays that meet nothing keep what was there. ``entries`` is the way to that cell, in steps of the
-    direction's largest component.
+    ``volume`` (flat voxels, shape), ``cells`` its active-cell map, ``records`` (FIELDS, n) the
+    stream's, see ``ray_stream``. Rays that meet nothing keep what was there. ``entries`` is the way
+    to that cell, in steps of the direction's largest component.
     """
     shape = volume[1]
-    ray, c, t, sign = no_ray(), (i32(0), i32(0), i32(0)), f32(0.0), f32(0.0)
-    walking, waiting = mask_of(False), mask_of(False)
-    following, slack = 0, POSITION_ERROR * max(shape)
+    ray = no_ray()
+    c = (i32(0), i32(0), i32(0))
+    t = f32(0.0)
+    sign = f32(0.0)
+    walking = mask_of(False)
+    waiting = mask_of(False)
+    following = 0
+    slack = POSITION_ERROR * max(shape)
     while True:
         idle = ~(walking | waiting)
         if following < count and popcount(idle) > RAY_WIDTH - MIN_BUSY_LANES:
@@ -303,7 +355,9 @@ def traverse(volume, cells, records, count, found, entries):
             ray = take_rays(records, following, turn, fresh, ray, shape, cells)
             start, first, doubtful = enter(volume, cells, ray, take(records[8], following, fresh))
             put_word(found, ray.owner, UNSURE, fresh & doubtful)
-            c, t, sign = choose_points(fresh, start, c), where(fresh, 0.0, t), where(fresh, first, sign)
+            c = choose_points(fresh, start, c)
+            t = where(fresh, 0.0, t)
+            sign = where(fresh, first, sign)
             walking = walking | (fresh & ~doubtful)
             following = min(count, following + popcount(idle))
         if popcount(walking | waiting) == 0:
@@ -326,8 +380,17 @@ def traverse(volume, cells, records, count, found, entries):
         if popcount(waiting) >= MAX_WAITING_LANES or popcount(walking) == 0:
             out, after, outside = leave(ray, c, c, i32(1))
             passed = certain(volume, cells, ray, c, (t, out), sign, waiting)
-            put_cells(found, entries, ray.owner, least_node(c, ray.mirror, shape), sign, t, waiting & ~passed)
+            put_cells(
+                found,
+                entries,
+                ray.owner,
+                least_node(c, ray.mirror, shape),
+                sign,
+                t,
+                waiting & ~passed,
+            )
             put_word(found, ray.owner, UNSURE, passed & outside & (out < ray.end - slack))
             passed = passed & ~outside
             t, c = where(passed, out, t), choose_points(passed, after, c)
-            walking, waiting = walking | passed, mask_of(False)
+            walking = walking | passed
+            waiting = mask_of(False)

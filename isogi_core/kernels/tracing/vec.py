@@ -87,7 +87,11 @@ def orthonormal_basis(n):
     sign = math.copysign(1.0, n[2])
     a = -1.0 / (sign + n[2])
     b = n[0] * n[1] * a
-    return (1.0 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]), (b, sign + n[1] * n[1] * a, -n[1])
+    return (1.0 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]), (
+        b,
+        sign + n[1] * n[1] * a,
+        -n[1],
+    )
 
 
 @kernel()
@@ -105,7 +109,11 @@ def put_column(vectors, m, v):
 @kernel()
 def load_columns(vectors, m):
     """PATH_WIDTH columns of a (3, n) array from ``m`` on, as f64×N."""
-    return load(vectors[0], m, PATH_WIDTH), load(vectors[1], m, PATH_WIDTH), load(vectors[2], m, PATH_WIDTH)
+    return (
+        load(vectors[0], m, PATH_WIDTH),
+        load(vectors[1], m, PATH_WIDTH),
+        load(vectors[2], m, PATH_WIDTH),
+    )
 
 
 @kernel()

@@ -1,4 +1,6 @@
-"""Walls: flat rectangles beside the isosurface. Rays meet them one at a time or in lanes, to the same bits."""
+"""Walls: flat rectangles beside the isosurface. Rays meet them one at a time or in lanes, to the
+same bits.
+"""
 
 from typing import Any, NamedTuple
 
@@ -14,15 +16,18 @@ NO_WALL = -1.0
 """The number of no wall."""
 
 WALL_RIM = 1e-9
-"""Share of its edges by which a wall reaches beyond them, so that no ray slips between two that meet."""
+"""Share of its edges by which a wall reaches beyond them, so that no ray slips between two that
+meet.
+"""
 
 
 class Walls(NamedTuple):
     """k >= 0 rectangles, as rays in index space meet them; all float64.
 
-    ``corners`` (k, 3) in index space. The ``planes`` (k, 3) times an index-space direction give its world component
-    along the wall's normal, and ``across`` (k, 2, 3) times the way from the corner its shares of the two edges. Rays
-    whose component is below ``backs`` (k,) are stopped: all where that is inf, those that meet the front where it is 0.
+    ``corners`` (k, 3) in index space. The ``planes`` (k, 3) times an index-space direction give its
+    world component along the wall's normal, and ``across`` (k, 2, 3) times the way from the corner
+    its shares of the two edges. Rays whose component is below ``backs`` (k,) are stopped: all where
+    that is inf, those that meet the front where it is 0.
     """
 
     corners: Any
@@ -42,28 +47,34 @@ def inner(rows, k, v):
 
 @kernel(exact=True)
 def nearest_wall(walls, o, d, own, reach):
-    """The first wall that the ray o + t·d meets, 0 < t < ``reach``: (t, its number), or (reach, NO_WALL).
+    """The first wall that the ray o + t·d meets, 0 < t < ``reach``: (t, its number), or (reach,
+    NO_WALL).
 
     It never meets its ``own`` wall, that it starts on. Takes vectors of rays too.
     """
     found = own * 0.0 + NO_WALL
     for k in range(walls.corners.shape[0]):
-        x, y, z = o[0] - walls.corners[k, 0], o[1] - walls.corners[k, 1], o[2] - walls.corners[k, 2]
+        x = o[0] - walls.corners[k, 0]
+        y = o[1] - walls.corners[k, 1]
+        z = o[2] - walls.corners[k, 2]
         slope = inner(walls.planes, k, d)
         t = divide(-inner(walls.planes, k, (x, y, z)), slope)
         p = x + t * d[0], y + t * d[1], z + t * d[2]
         a, b = inner(walls.across[k], 0, p), inner(walls.across[k], 1, p)
         within = (a >= -WALL_RIM) & (a <= 1.0 + WALL_RIM) & (b >= -WALL_RIM) & (b <= 1.0 + WALL_RIM)
         met = within & (t > 0.0) & (t < reach) & (own != float(k)) & (slope < walls.backs[k])
-        reach, found = where(met, t, reach), where(met, float(k), found)
+        reach = where(met, t, reach)
+        found = where(met, float(k), found)
     return reach, found
 
 
 @kernel()
 def meet_walls(walls, origins, directions, own, t, met):
-    """Shorten the ways ``t`` (n,) of rays ``origins`` + t · ``directions`` (3, n) to the walls that they meet first.
+    """Shorten the ways ``t`` (n,) of rays ``origins`` + t · ``directions`` (3, n) to the walls that
+    they meet first.
 
-    ``own`` (n,) are the walls that they start on; ``met`` (n,) those that they meet, or NO_WALL. n is whole vectors.
+    ``own`` (n,) are the walls that they start on; ``met`` (n,) those that they meet, or NO_WALL. n
+    is whole vectors.
     """
     for i in range(0, t.shape[0], PATH_WIDTH):
         o, d = load_columns(origins, i), load_columns(directions, i)

@@ -1,4 +1,6 @@
-"""Colours by data: the albedo of an isosurface from a grid of values or labels and a table, and how it is sampled."""
+"""Colours by data: the albedo of an isosurface from a grid of values or labels and a table, and how
+it is sampled.
+"""
 
 from typing import Any, NamedTuple
 
@@ -23,10 +25,12 @@ SLACK = 1e-6
 
 
 class Colours(NamedTuple):
-    """The ``codes`` uint8 (nz, ny, nx) of values, or the ``labels`` uint8 (nz, ny, nx, 3); the other has no places.
+    """The ``codes`` uint8 (nz, ny, nx) of values, or the ``labels`` uint8 (nz, ny, nx, 3); the
+    other has no places.
 
-    Places lie ``step`` (3,) voxels apart along x, y, z. A place has two labels, and the second one's share in SHAREs.
-    ``table`` (256, 3) float64 holds the albedo of each code, linear RGB; its first row is that of NO_VALUE.
+    Places lie ``step`` (3,) voxels apart along x, y, z. A place has two labels, and the second
+    one's share in SHAREs. ``table`` (256, 3) float64 holds the albedo of each code, linear RGB; its
+    first row is that of NO_VALUE.
     """
 
     codes: Any
@@ -35,74 +39,108 @@ class Colours(NamedTuple):
     table: Any
 
 
-NO_CODES, NO_LABELS = np.zeros((0, 0, 0), np.uint8), np.zeros((0, 0, 0, 3), np.uint8)
+NO_CODES = np.zeros((0, 0, 0), np.uint8)
+NO_LABELS = np.zeros((0, 0, 0, 3), np.uint8)
 NO_COLOURS = Colours(NO_CODES, NO_LABELS, np.ones(3), np.zeros((0, 3)))
 COLOURS_RECORD = record(
-    Colours, types.uint8[:, :, ::1], types.uint8[:, :, :, ::1], types.float64[::1], types.float64[:, ::1]
+    Colours,
+    types.uint8[:, :, ::1],
+    types.uint8[:, :, :, ::1],
+    types.float64[::1],
+    types.float64[:, ::1],
 )
 
 
 def colours_of(places: np.ndarray, step: tuple[float, float, float], table: np.ndarray) -> Colours:
     """The colours of ``places``: codes (nz, ny, nx), or labels (nz, ny, nx, 3)."""
-    codes, labels = (places, NO_LABELS) if places.ndim == 3 else (NO_CODES, places)
+    if places.ndim == 3:
+        codes = places
+        labels = NO_LABELS
+    else:
+        codes = NO_CODES
+        labels = places
     return Colours(codes, labels, np.array(step), table)
 
 
 @kernel()
 def known_code(codes, p):
-    """The trilinear code at ``p``, in steps of the grid, of the corners that have a value; and the share of these."""
+    """The trilinear code at ``p``, in steps of the grid, of the corners that have a value; and the
+    share of these.
+    """
     nz, ny, nx = codes.shape
     i, j, k = clamp_cell(p[0], nx), clamp_cell(p[1], ny), clamp_cell(p[2], nz)
-    x, y, z = min(max(p[0] - i, 0.0), 1.0), min(max(p[1] - j, 0.0), 1.0), min(max(p[2] - k, 0.0), 1.0)
-    known, total = 0.0, 0.0
+    x = min(max(p[0] - i, 0.0), 1.0)
+    y = min(max(p[1] - j, 0.0), 1.0)
+    z = min(max(p[2] - k, 0.0), 1.0)
+    known = 0.0
+    total = 0.0
     for c in range(2):
         for b in range(2):
             for a in range(2):
                 code = codes[k + c, j + b, i + a]
                 weight = (x if a else 1.0 - x) * (y if b else 1.0 - y) * (z if c else 1.0 - z)
                 if code != NO_VALUE:
-                    known, total = known + weight, total + weight * code
+                    known = known + weight
+                    total = total + weight * code
     return (total / known if known > 0.0 else 1.0), known
 
 
 @kernel()
 def next_label(labels, p, after):
-    """The least label above ``after`` at the corners of the cell at ``p``, and its trilinear share; LAST_CODE + 1 if
-    none.
+    """The least label above ``after`` at the corners of the cell at ``p``, and its trilinear share;
+    LAST_CODE + 1 if none.
 
     ``p`` is in steps of the grid.
     """
     nz, ny, nx = labels.shape[:3]
     i, j, k = clamp_cell(p[0], nx), clamp_cell(p[1], ny), clamp_cell(p[2], nz)
-    x, y, z = min(max(p[0] - i, 0.0), 1.0), min(max(p[1] - j, 0.0), 1.0), min(max(p[2] - k, 0.0), 1.0)
-    least, total = LAST_CODE + 1, 0.0
+    x = min(max(p[0] - i, 0.0), 1.0)
+    y = min(max(p[1] - j, 0.0), 1.0)
+    z = min(max(p[2] - k, 0.0), 1.0)
+    least = LAST_CODE + 1
+    total = 0.0
     for corner in range(8):
-        a, b, c = corner & 1, corner >> 1 & 1, corner >> 2
+        a = corner & 1
+        b = corner >> 1 & 1
+        c = corner >> 2
         weight = (x if a else 1.0 - x) * (y if b else 1.0 - y) * (z if c else 1.0 - z)
         second = LABEL_SHARE * labels[k + c, j + b, i + a, 2]
         for which in range(2):
             label = np.int64(labels[k + c, j + b, i + a, which])
             if after < label <= least:
-                total = (total if label == least else 0.0) + weight * (second if which else 1.0 - second)
+                total = (total if label == least else 0.0) + weight * (
+                    second if which else 1.0 - second
+                )
                 least = label
     return least, total
 
 
 @kernel()
 def label_albedo(colours, p):
-    """The albedo of labels at ``p``, in steps of the grid: Σ w⁸ c / Σ w⁸ over the trilinear shares w of those around.
+    """The albedo of labels at ``p``, in steps of the grid: Σ w⁸ c / Σ w⁸ over the trilinear shares
+    w of those around.
 
-    So a colour goes over to the next one within a quarter of a step, where their shares are equal: on a smooth seam.
+    So a colour goes over to the next one within a quarter of a step, where their shares are equal:
+    on a smooth seam.
     """
-    known, total, r, g, b = 0.0, 0.0, 0.0, 0.0, 0.0
+    known = 0.0
+    total = 0.0
+    r = 0.0
+    g = 0.0
+    b = 0.0
     label, share = next_label(colours.labels, p, NO_VALUE)
     while label <= LAST_CODE:
         weight = share**8
         colour = colours.table[label]
         r, g, b = r + weight * colour[0], g + weight * colour[1], b + weight * colour[2]
-        known, total = known + share, total + weight
+        known = known + share
+        total = total + weight
         label, share = next_label(colours.labels, p, label)
-    known, part = (known, known / total) if total > 0.0 else (0.0, 0.0)
+    if total > 0.0:
+        part = known / total
+    else:
+        known = 0.0
+        part = 0.0
     rest = 1.0 - known
     outside = colours.table[NO_VALUE]
     return part * r + rest * outside[0], part * g + rest * outside[1], part * b + rest * outside[2]
@@ -110,17 +148,29 @@ def label_albedo(colours, p):
 
 @kernel()
 def albedo_at(colours, p):
-    """The albedo, linear RGB, of the surface at ``p`` in index space: the table between the codes around, or labels."""
-    table, step = colours.table, colours.step
+    """The albedo, linear RGB, of the surface at ``p`` in index space: the table between the codes
+    around, or labels.
+    """
+    table = colours.table
+    step = colours.step
     place = (p[0] / step[0], p[1] / step[1], p[2] / step[2])
     if colours.labels.shape[0] > 0:
         return label_albedo(colours, place)
     code, known = known_code(colours.codes, place)
     low = min(max(int(code), 1), LAST_CODE - 1)
     share = code - low
-    r = known * (table[low, 0] + share * (table[low + 1, 0] - table[low, 0])) + (1.0 - known) * table[0, 0]
-    g = known * (table[low, 1] + share * (table[low + 1, 1] - table[low, 1])) + (1.0 - known) * table[0, 1]
-    b = known * (table[low, 2] + share * (table[low + 1, 2] - table[low, 2])) + (1.0 - known) * table[0, 2]
+    r = (
+        known * (table[low, 0] + share * (table[low + 1, 0] - table[low, 0]))
+        + (1.0 - known) * table[0, 0]
+    )
+    g = (
+        known * (table[low, 1] + share * (table[low + 1, 1] - table[low, 1]))
+        + (1.0 - known) * table[0, 1]
+    )
+    b = (
+        known * (table[low, 2] + share * (table[low + 1, 2] - table[low, 2]))
+        + (1.0 - known) * table[0, 2]
+    )
     return r, g, b
 
 
@@ -132,12 +182,17 @@ def fill_albedos(colours, points, albedos):
         albedos[m, 0], albedos[m, 1], albedos[m, 2] = albedo_at(colours, p)
 
 
-@kernel(types.void(VOXEL_ARRAY, types.float64[:, ::1], types.float64, types.float64[::1], types.float32[:, ::1]))
+@kernel(
+    types.void(
+        VOXEL_ARRAY, types.float64[:, ::1], types.float64, types.float64[::1], types.float32[:, ::1]
+    )
+)
 def sample_layer(voxels, matrix, z, step, values):
-    """Sample ``voxels`` at places of a layer ``z`` of another volume, ``step`` (3,) of whose voxels apart: trilinear.
+    """Sample ``voxels`` at places of a layer ``z`` of another volume, ``step`` (3,) of whose voxels
+    apart: trilinear.
 
-    ``matrix`` (3, 4) is from voxel indices x, y, z of that volume to those of ``voxels``. Fills ``values`` (ny, nx),
-    NaN outside.
+    ``matrix`` (3, 4) is from voxel indices x, y, z of that volume to those of ``voxels``. Fills
+    ``values`` (ny, nx), NaN outside.
     """
     nz, ny, nx = voxels.shape
     for row in range(values.shape[0]):
@@ -148,14 +203,23 @@ def sample_layer(voxels, matrix, z, step, values):
             c = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
             inside = a >= -SLACK and b >= -SLACK and c >= -SLACK
             inside = inside and a <= nx - 1 + SLACK and b <= ny - 1 + SLACK and c <= nz - 1 + SLACK
-            values[row, column] = value(voxels, (a, b, c)) if inside else np.nan
+            if inside:
+                values[row, column] = value(voxels, (a, b, c))
+            else:
+                values[row, column] = np.nan
 
 
-@kernel(types.void(VOXEL_ARRAY, types.float64[::1], types.float64, types.float64[::1], types.float32[:, ::1]))
+@kernel(
+    types.void(
+        VOXEL_ARRAY, types.float64[::1], types.float64, types.float64[::1], types.float32[:, ::1]
+    )
+)
 def slope_layer(voxels, spacing, z, step, values):
-    """Fill ``values`` (ny, nx) with |∇ρ|, per unit of the world, at places of layer ``z`` that lie ``step`` apart.
+    """Fill ``values`` (ny, nx) with |∇ρ|, per unit of the world, at places of layer ``z`` that lie
+    ``step`` apart.
 
-    The gradient is smoothed with the tricubic B-spline, as normals are. ``spacing`` (3,) is that of the ``voxels``.
+    The gradient is smoothed with the tricubic B-spline, as normals are. ``spacing`` (3,) is that of
+    the ``voxels``.
     """
     for row in range(values.shape[0]):
         for column in range(values.shape[1]):
@@ -163,22 +227,33 @@ def slope_layer(voxels, spacing, z, step, values):
             values[row, column] = length((g[0] / spacing[0], g[1] / spacing[1], g[2] / spacing[2]))
 
 
-@kernel(types.void(types.uint8[:, :, ::1], types.boolean[:, :, ::1], types.int64[::1], types.uint8[:, :, :, ::1]))
+@kernel(
+    types.void(
+        types.uint8[:, :, ::1],
+        types.boolean[:, :, ::1],
+        types.int64[::1],
+        types.uint8[:, :, :, ::1],
+    )
+)
 def weigh_labels(codes, mixed, bell, labels):
-    """Fill ``labels`` (nz, ny, nx, 3) of places that are ``mixed``: the two that weigh most around, the second's share.
+    """Fill ``labels`` (nz, ny, nx, 3) of places that are ``mixed``: the two that weigh most around,
+    the second's share.
 
-    Each of the ``codes`` (nz, ny, nx) weighs the product of the ``bell`` (2r + 1,) along each axis, in whole numbers,
-    so that sums are the same whichever way round a volume lies; NO_VALUE weighs nothing. The share is that of the
-    second among both, in SHAREs. The outermost places go on beyond the volume.
+    Each of the ``codes`` (nz, ny, nx) weighs the product of the ``bell`` (2r + 1,) along each axis,
+    in whole numbers, so that sums are the same whichever way round a volume lies; NO_VALUE weighs
+    nothing. The share is that of the second among both, in SHAREs. The outermost places go on
+    beyond the volume.
     """
     nz, ny, nx = codes.shape
-    reach, weights = len(bell) // 2, np.zeros(LAST_CODE + 1, np.int64)
+    reach = len(bell) // 2
+    weights = np.zeros(LAST_CODE + 1, np.int64)
     for k, j, i in np.argwhere(mixed):
         weights[:] = 0
         for c in range(len(bell)):
             z = min(max(k + c - reach, 0), nz - 1)
             for b in range(len(bell)):
-                y, weight = min(max(j + b - reach, 0), ny - 1), bell[b] * bell[c]
+                y = min(max(j + b - reach, 0), ny - 1)
+                weight = bell[b] * bell[c]
                 for a in range(len(bell)):
                     weights[codes[z, y, min(max(i + a - reach, 0), nx - 1)]] += bell[a] * weight
         weights[NO_VALUE] = 0
@@ -187,4 +262,6 @@ def weigh_labels(codes, mixed, bell, labels):
         weights[first] = 0
         second = np.argmax(weights)
         share = weights[second] / (weight + weights[second])
-        labels[k, j, i, 0], labels[k, j, i, 1], labels[k, j, i, 2] = first, second, np.uint8(share / LABEL_SHARE + 0.5)
+        labels[k, j, i, 0] = first
+        labels[k, j, i, 1] = second
+        labels[k, j, i, 2] = np.uint8(share / LABEL_SHARE + 0.5)

@@ -1,4 +1,6 @@
-"""The entry kernels of paths that gather light, by what the paths meet and what they gather: one table for all."""
+"""The entry kernels of paths that gather light, by what the paths meet and what they gather: one
+table for all.
+"""
 
 from typing import Any
 
@@ -17,7 +19,8 @@ PATH_KERNELS = {
     (Among, Glows): glow_among_surfaces,
     (Through, Surroundings): light_through_matter,
 }
-"""By the types of scene and source: kernels that take scene, starts, samples, rules, source, and the sums to add to.
+"""By the types of scene and source: kernels that take scene, starts, samples, rules, source, and
+the sums to add to.
 
 Texels in the Open have a kernel that takes them by their places, ``bake_irradiance``.
 """

@@ -1,8 +1,9 @@
-"""Paths that gather only the light of glowing regions, over isosurfaces and walls: see ``tracing.glow``.
+"""Paths that gather only the light of glowing regions, over isosurfaces and walls: see
+``tracing.glow``.
 
-Paths that gather the light of glowing regions alone, among several isosurfaces in a room: see ``glow_paths``. What
-glows may be behind surfaces that let rays pass: a ray that passes one by chance gathers on, and one that is aimed at
-a region gathers on with the share that passes.
+Paths that gather the light of glowing regions alone, among several isosurfaces in a room: see
+``glow_paths``. What glows may be behind surfaces that let rays pass: a ray that passes one by
+chance gathers on, and one that is aimed at a region gathers on with the share that passes.
 """
 
 import math
@@ -14,38 +15,61 @@ from isogi_core.kernels._jit import REAL_ROWS, kernel
 from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.glow import GLOWS, Glows, gather_on_way, way_through_ball
 from isogi_core.kernels.tracing.vec import SMALLEST_NORMAL, column, dot, normalize, put_column, sub
-from isogi_core.kernels.transport.integrator import add_paths, columns, gather_met, gather_sources, partition
+from isogi_core.kernels.transport.integrator import (
+    add_paths,
+    columns,
+    gather_met,
+    gather_sources,
+    partition,
+)
 from isogi_core.kernels.transport.light_paths import NO_START, cast_wave, to_world
 from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.room_paths import IN_ROOM, InRoom, gather_walls
 from isogi_core.kernels.transport.sampling import about
 from isogi_core.kernels.transport.streams import FIRST_SOURCE_PAIR, MAX_CROSSINGS, PAIRS_PER_PURPOSE
-from isogi_core.kernels.transport.surface_paths import AMONG_RECORD, Among, cast_at_all, cast_past, goes_on
+from isogi_core.kernels.transport.surface_paths import (
+    AMONG_RECORD,
+    Among,
+    cast_at_all,
+    cast_past,
+    goes_on,
+)
 
 
 @kernel()
 def cap_of(glows, k, p):
-    """1 - cosα of the cone from ``p`` about the ball about region ``k``; 0 where p is in that ball."""
+    """1 - cosα of the cone from ``p`` about the ball about region ``k``; 0 where p is in that
+    ball.
+    """
     away = sub(column(glows.centres, k), p)
     square = glows.radii[k] * glows.radii[k] / max(dot(away, away), SMALLEST_NORMAL)
-    return square / (1.0 + math.sqrt(1.0 - square)) if square < 1.0 else 0.0
+    if square < 1.0:
+        return square / (1.0 + math.sqrt(1.0 - square))
+    return 0.0
 
 
 @kernel()
 def density_towards(glows, k, p, w):
-    """Density, per steradian, of the direction ``w`` from ``p`` when drawn evenly from the cone of ``cap_of``."""
+    """Density, per steradian, of the direction ``w`` from ``p`` when drawn evenly from the cone of
+    ``cap_of``.
+    """
     cap = cap_of(glows, k, p)
     if not cap > 0.0:
         return 0.0
     near, far = way_through_ball(sub(column(glows.centres, k), p), glows.radii[k], w)
-    return 1.0 / (2.0 * math.pi * cap) if near < far else 0.0
+    if near < far:
+        return 1.0 / (2.0 * math.pi * cap)
+    return 0.0
 
 
 @kernel()
 def draw_towards(glows, k, p, u, v):
-    """A direction from ``p`` in the cone of ``cap_of``, from (u, v) in [0, 1)²; p must be outside of the ball."""
-    down, turn = u * cap_of(glows, k, p), 2.0 * math.pi * v
+    """A direction from ``p`` in the cone of ``cap_of``, from (u, v) in [0, 1)²; p must be outside
+    of the ball.
+    """
+    down = u * cap_of(glows, k, p)
+    turn = 2.0 * math.pi * v
     aside = math.sqrt(max(down * (2.0 - down), 0.0))
     axis = normalize(sub(column(glows.centres, k), p))
     return about(axis, (aside * math.cos(turn), aside * math.sin(turn), 1.0 - down))
@@ -53,10 +77,11 @@ def draw_towards(glows, k, p, u, v):
 
 @kernel()
 def balance_cone(glows, k, p, w, cosine):
-    """Share p_c/(p_c + p_k) of a ray between the two ways in which it is drawn, by cosine and towards region ``k``.
+    """Share p_c/(p_c + p_k) of a ray between the two ways in which it is drawn, by cosine and
+    towards region ``k``.
 
-    The same share of its radiance is what a ray of either sort adds to E/π. Source: Veach and Guibas 1995, balance
-    heuristic.
+    The same share of its radiance is what a ray of either sort adds to E/π. Source: Veach and
+    Guibas 1995, balance heuristic.
     """
     by_cosine = cosine / math.pi
     return by_cosine / max(by_cosine + density_towards(glows, k, p, w), SMALLEST_NORMAL)
@@ -64,19 +89,32 @@ def balance_cone(glows, k, p, w, cosine):
 
 @kernel()
 def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
-    """Turn the wave's rays towards region ``k``; returns how many; rays from its ball, or from behind, are none."""
-    shadow, rays, count = wave.shadow, wave.rays, vertices.count
-    origins, normals = columns(vertices.points, count), columns(vertices.normals, count)
-    starts, ways, directions = columns(shadow.starts, count), columns(rays.ways, count), columns(rays.directions, count)
+    """Turn the wave's rays towards region ``k``; returns how many; rays from its ball, or from
+    behind, are none.
+    """
+    shadow = wave.shadow
+    rays = wave.rays
+    count = vertices.count
+    origins = columns(vertices.points, count)
+    normals = columns(vertices.normals, count)
+    starts = columns(shadow.starts, count)
+    ways = columns(rays.ways, count)
+    directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
-    dimension, aimed = np.uint64(FIRST_SOURCE_PAIR + k * PAIRS_PER_PURPOSE + bounce), 0
+    dimension = np.uint64(FIRST_SOURCE_PAIR + k * PAIRS_PER_PURPOSE + bounce)
+    aimed = 0
     for i in range(count):
-        low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
+        low = np.uint64(rays.low[i])
+        high = np.uint64(rays.high[i])
+        sample = np.uint64(rays.samples[i])
         u, v = point_of_words(low, high, sample, dimension)
         o, n = column(origins, i), column(normals, i)
         p = to_world(o, spacing)
         outside = cap_of(glows, k, p) > 0.0
-        w = draw_towards(glows, k, p, u, v) if outside else n
+        if outside:
+            w = draw_towards(glows, k, p, u, v)
+        else:
+            w = n
         lit = outside and dot(n, w) > 0.0
         aimed += lit
         put_column(ways, i, w)
@@ -87,13 +125,19 @@ def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
 
 @kernel()
 def add_glow(wave, vertices, i, k, scene, glows, share):
-    """Add the ``share`` of what the ray from vertex ``i`` gathers of region ``k`` before its end to its path."""
-    rays, count = wave.rays, vertices.count
-    m, w = rays.owners[i], column(columns(rays.ways, count), i)
+    """Add the ``share`` of what the ray from vertex ``i`` gathers of region ``k`` before its end to
+    its path.
+    """
+    rays = wave.rays
+    count = vertices.count
+    m = rays.owners[i]
+    w = column(columns(rays.ways, count), i)
     p = to_world(column(columns(vertices.points, count), i), scene.field.spacing)
     light = gather_on_way(scene.field, glows, k, p, w, rays.t[i])
     if light > 0.0:
-        light *= share * balance_cone(glows, k, p, w, dot(column(columns(vertices.normals, count), i), w))
+        light *= share * balance_cone(
+            glows, k, p, w, dot(column(columns(vertices.normals, count), i), w)
+        )
         for c in range(3):
             wave.gathered[3 * k + c, m] += wave.carried[c, m] * light
 
@@ -101,7 +145,8 @@ def add_glow(wave, vertices, i, k, scene, glows, share):
 @gather_sources.case(InRoom, Glows)
 def gather_aimed_glow(scene, state, vertices, bounce, glows):
     """Add what rays towards each of the regions gather."""
-    shadow, count = state.wave.shadow, vertices.count
+    shadow = state.wave.shadow
+    count = vertices.count
     for k in range(glows.rates.shape[0]):
         if aim_at_glow(state.wave, vertices, bounce, glows, k, scene.field.spacing) == 0:
             continue
@@ -114,8 +159,11 @@ def gather_aimed_glow(scene, state, vertices, bounce, glows):
 
 @gather_met.case(Glows)
 def gather_met_glow(scene, state, vertices, bounce, glows):
-    """Add what paths gather of all that glows on the ways that were cast; returns how many go on."""
-    rays, count = state.wave.rays, vertices.count
+    """Add what paths gather of all that glows on the ways that were cast; returns how many go
+    on.
+    """
+    rays = state.wave.rays
+    count = vertices.count
     for k in range(glows.rates.shape[0]):
         for i in range(count):
             add_glow(state.wave, vertices, i, k, scene, glows, 1.0)
@@ -124,30 +172,37 @@ def gather_met_glow(scene, state, vertices, bounce, glows):
 
 @kernel(types.void(IN_ROOM, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, REAL_ROWS))
 def glow_in_room(scene, starts, samples, rules, glows, sums):
-    """Add E/π of each of k ``glows``, of radiance 1, at each of g ``PathStarts`` to ``sums`` (g, 3 k).
+    """Add E/π of each of k ``glows``, of radiance 1, at each of g ``PathStarts`` to ``sums`` (g, 3
+    k).
 
-    All light that is reflected is in it; bounces count as in ``light_in_room``, the room of the ``scene``, which is
-    InRoom, gives off no light, and may have no walls. Rays are drawn by cosine and towards the ball about each region,
-    and both are balanced. Sums grow sample by sample: the company of a start changes no bit. Source: Kajiya 1986, with
-    emission along the way.
+    All light that is reflected is in it; bounces count as in ``light_in_room``, the room of the
+    ``scene``, which is InRoom, gives off no light, and may have no walls. Rays are drawn by cosine
+    and towards the ball about each region, and both are balanced. Sums grow sample by sample: the
+    company of a start changes no bit. Source: Kajiya 1986, with emission along the way.
     """
     add_paths(scene, starts, samples, rules, glows, sums)
 
 
 @kernel()
 def gather_to_crossings(scene, company, vertices, k, glows, place, going):
-    """Add what pending rays gather of region ``k``, each time what ends at their next crossing: how many go on.
+    """Add what pending rays gather of region ``k``, each time what ends at their next crossing: how
+    many go on.
 
     Their ``place`` is the bounce and the crossing.
     """
-    wave, staying, (bounce, crossing) = company.wave, 0, place
+    wave = company.wave
+    staying = 0
+    (bounce, crossing) = place
     for j in range(going):
         i = company.pending[j]
         before = company.passed[i]
         company.pending[staying] = i
         on = goes_on(scene.surfaces, company, i, bounce, crossing, True)
         staying += on
-        ends = before - company.passed[i] if on else before
+        if on:
+            ends = before - company.passed[i]
+        else:
+            ends = before
         add_glow(wave, vertices, i, k, scene, glows, ends)
     return staying
 
@@ -155,15 +210,19 @@ def gather_to_crossings(scene, company, vertices, k, glows, place, going):
 @gather_sources.case(Among, Glows)
 def gather_aimed_among(scene, state, vertices, bounce, glows):
     """Add what rays towards each of the regions gather before what ends them, share by share."""
-    shadow, count = state.wave.shadow, vertices.count
+    shadow = state.wave.shadow
+    count = vertices.count
     for k in range(glows.rates.shape[0]):
         if aim_at_glow(state.wave, vertices, bounce, glows, k, scene.field.spacing) == 0:
             continue
-        origins, going = columns(shadow.starts, count), 0
+        origins = columns(shadow.starts, count)
+        going = 0
         origins[:, count:] = math.inf
         cast_at_all(scene, state, origins, count)
         for i in range(count):
-            state.passed[i], shadow.reach[i], state.pending[going] = 1.0, math.inf, i
+            state.passed[i] = 1.0
+            shadow.reach[i] = math.inf
+            state.pending[going] = i
             going += origins[0, i] < math.inf
         for crossing in range(MAX_CROSSINGS):
             going = gather_to_crossings(scene, state, vertices, k, glows, (bounce, crossing), going)
@@ -175,10 +234,11 @@ def gather_aimed_among(scene, state, vertices, bounce, glows):
 
 @kernel(types.void(AMONG_RECORD, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, GLOWS, REAL_ROWS))
 def glow_among_surfaces(scene, starts, samples, rules, glows, sums):
-    """Add E/π of each of k ``glows``, of radiance 1, at each of g ``PathStarts`` to ``sums`` (g, 3 k).
+    """Add E/π of each of k ``glows``, of radiance 1, at each of g ``PathStarts`` to ``sums`` (g, 3
+    k).
 
-    Rays meet the surfaces of the ``scene``, which is Among, as those of ``light_among_surfaces`` do, and gather as
-    those of ``glow_in_room``; the room about the surfaces gives off no light. Source: Kajiya 1986; a lesion behind
-    clear surfaces as in Beason et al. 2006 (S3).
+    Rays meet the surfaces of the ``scene``, which is Among, as those of ``light_among_surfaces``
+    do, and gather as those of ``glow_in_room``; the room about the surfaces gives off no light.
+    Source: Kajiya 1986; a lesion behind clear surfaces as in Beason et al. 2006 (S3).
     """
     add_paths(scene, starts, samples, rules, glows, sums)

@@ -1,9 +1,10 @@
 """Real spherical harmonics: basis and rotation.
 
-Y_lm are orthonormal over the sphere, without the Condon-Shortley phase, so that band 1 is
-√(3/4π) (y, z, x). Coefficient (l, m) has index i = l(l + 1) + m; order n means the bands 0 … n-1, n² numbers.
-With C_m + i S_m = (x + iy)^m, Y_lm = q_lm(z) C_m for m >= 0 and q_l|m|(z) S_|m| for m < 0: polynomials
-alone, no angle and no pole (Sloan, "Efficient Spherical Harmonic Evaluation", JCGT 2(2), 2013).
+Y_lm are orthonormal over the sphere, without the Condon-Shortley phase, so that band 1 is √(3/4π)
+(y, z, x). Coefficient (l, m) has index i = l(l + 1) + m; order n means the bands 0 … n-1, n²
+numbers. With C_m + i S_m = (x + iy)^m, Y_lm = q_lm(z) C_m for m >= 0 and q_l|m|(z) S_|m| for m < 0:
+polynomials alone, no angle and no pole (Sloan, "Efficient Spherical Harmonic Evaluation", JCGT
+2(2), 2013).
 """
 
 import math
@@ -19,14 +20,17 @@ MATRIX = types.Array(types.float64, 2, "C", readonly=True)
 
 
 def _diagonal() -> np.ndarray:
-    """q_mm = √(2 - δ_m0) √((2m+1)!!/(2m)!!) / √4π for m < MAX_ORDER: where the recurrence in l starts."""
+    """q_mm = √(2 - δ_m0) √((2m+1)!!/(2m)!!) / √4π for m < MAX_ORDER: where the recurrence in l
+    starts.
+    """
     m = np.arange(1, MAX_ORDER)
     growth = np.sqrt(np.cumprod((2 * m + 1) / (2 * m)))
     return np.concatenate(([1.0], math.sqrt(2.0) * growth)) / math.sqrt(4.0 * math.pi)
 
 
 def _recurrence() -> tuple[np.ndarray, np.ndarray]:
-    """Factors (a, b), each (MAX_ORDER+1, MAX_ORDER), of q_lm = a_lm z q_(l-1)m - b_lm q_(l-2)m, for l > m.
+    """Factors (a, b), each (MAX_ORDER+1, MAX_ORDER), of q_lm = a_lm z q_(l-1)m - b_lm q_(l-2)m, for
+    l > m.
 
     a² = (4l²-1)/(l²-m²); b = a_lm / a_(l-1)m, and 0 for l = m+1.
     """
@@ -44,15 +48,17 @@ RECURRENCE_SLOPE, RECURRENCE_OFFSET = _recurrence()
 
 @kernel(exact=True)
 def accumulate(order, x, y, z, weight, out):
-    """Add weight · Y_i(x, y, z) to out[i] for all i < order²; (x, y, z) is a unit vector, out float64.
+    """Add weight · Y_i(x, y, z) to out[i] for all i < order²; (x, y, z) is a unit vector, out
+    float64.
 
-    `order` <= MAX_ORDER; the recurrence runs in l for each m, the powers (x + iy)^m along with it. With
-    vectors of directions and weights each lane has sums of its own, out[width · i + lane].
+    `order` <= MAX_ORDER; the recurrence runs in l for each m, the powers (x + iy)^m along with it.
+    With vectors of directions and weights each lane has sums of its own, out[width · i + lane].
     """
     nothing = 0.0 * weight
     cosine, sine = weight, nothing
     for m in range(order):
-        before, q = nothing, nothing + DIAGONAL[m]
+        before = nothing
+        q = nothing + DIAGONAL[m]
         for l in range(m, order):
             middle = l * (l + 1)
             if m > 0:
@@ -73,7 +79,8 @@ def evaluate(order, x, y, z, out):
 def cosine_lobe_factors(order: int) -> np.ndarray:
     """A_l for l < order, float64: irradiance E_lm = A_l L_lm; π, 2π/3, π/4, 0, -π/24, 0, …
 
-    Ramamoorthi and Hanrahan, "An Efficient Representation for Irradiance Environment Maps", 2001, eq. 8.
+    Ramamoorthi and Hanrahan, "An Efficient Representation for Irradiance Environment Maps", 2001,
+    eq. 8.
     """
     factors = np.zeros(order)
     for l in range(0, order, 2):
@@ -85,19 +92,32 @@ def cosine_lobe_factors(order: int) -> np.ndarray:
 
 @kernel()
 def _step(first, before, l, i, m, n):
-    """P_i(l; m, n) of Ivanic and Ruedenberg, table 2: band 1 times band l-1. Matrices are centred."""
+    """P_i(l; m, n) of Ivanic and Ruedenberg, table 2: band 1 times band l-1. Matrices are
+    centred.
+    """
     c = MAX_ORDER
     if n == l:
-        return first[1 + i, 2] * before[c + m, c + l - 1] - first[1 + i, 0] * before[c + m, c - l + 1]
+        return (
+            first[1 + i, 2] * before[c + m, c + l - 1] - first[1 + i, 0] * before[c + m, c - l + 1]
+        )
     if n == -l:
-        return first[1 + i, 2] * before[c + m, c - l + 1] + first[1 + i, 0] * before[c + m, c + l - 1]
+        return (
+            first[1 + i, 2] * before[c + m, c - l + 1] + first[1 + i, 0] * before[c + m, c + l - 1]
+        )
     return first[1 + i, 1] * before[c + m, c + n]
 
 
 @kernel()
 def _inner_weights(m):
-    """Weights of P₁ and P₋₁ within V; rows 0 and ±1 reach the row 0, which stands for both signs at once."""
-    same, other = (math.sqrt(2.0), 0.0) if abs(m) == 1 else (1.0, 1.0)
+    """Weights of P₁ and P₋₁ within V; rows 0 and ±1 reach the row 0, which stands for both signs at
+    once.
+    """
+    if abs(m) == 1:
+        same = math.sqrt(2.0)
+        other = 0.0
+    else:
+        same = 1.0
+        other = 1.0
     if m == 0:
         return -math.sqrt(2.0), -math.sqrt(2.0)
     return (same, -other) if m > 0 else (other, same)
@@ -105,12 +125,21 @@ def _inner_weights(m):
 
 @kernel()
 def _element(first, before, l, m, n):
-    """Element (m, n) of band l: u U + v V + w W of Ivanic and Ruedenberg, tables 1 and 2 as corrected."""
-    k, s = abs(m), 1 if m > 0 else -1
-    below = 2 * l * (2 * l - 1) if abs(n) == l else (l + n) * (l - n)
+    """Element (m, n) of band l: u U + v V + w W of Ivanic and Ruedenberg, tables 1 and 2 as
+    corrected.
+    """
+    k = abs(m)
+    s = 1 if m > 0 else -1
+    if abs(n) == l:
+        below = 2 * l * (2 * l - 1)
+    else:
+        below = (l + n) * (l - n)
     u = math.sqrt((l + m) * (l - m) / below)
     v = 0.5 * math.sqrt((l + k - 1) * (l + k) / below)
-    w = 0.5 * math.sqrt(max(0, (l - k - 1) * (l - k)) / below) if k > 0 else 0.0
+    if k > 0:
+        w = 0.5 * math.sqrt(max(0, (l - k - 1) * (l - k)) / below)
+    else:
+        w = 0.0
     plus, minus = _inner_weights(m)
     total = 0.0
     for i, row, weight in (
@@ -126,10 +155,12 @@ def _element(first, before, l, m, n):
 
 @kernel()
 def band_rotation(l, first, before, out):
-    """Rotation matrix of band l >= 2 from bands 1 and l-1: element (m, n) at [MAX_ORDER+m, MAX_ORDER+n].
+    """Rotation matrix of band l >= 2 from bands 1 and l-1: element (m, n) at [MAX_ORDER+m,
+    MAX_ORDER+n].
 
-    `first` is (3, 3), `before` and `out` are (2 MAX_ORDER + 1, 2 MAX_ORDER + 1) with zeros around the band.
-    Ivanic and Ruedenberg, J. Phys. Chem. 100, 6342 (1996), with the corrections in A 102, 9099 (1998).
+    `first` is (3, 3), `before` and `out` are (2 MAX_ORDER + 1, 2 MAX_ORDER + 1) with zeros around
+    the band. Ivanic and Ruedenberg, J. Phys. Chem. 100, 6342 (1996), with the corrections in A 102,
+    9099 (1998).
     """
     for m in range(-l, l + 1):
         for n in range(-l, l + 1):
@@ -150,13 +181,15 @@ def _apply_band(l, band, coefficients, out):
 
 @kernel((types.int64, MATRIX, MATRIX, types.float64[:, ::1]))
 def rotate(order, matrix, coefficients, out):
-    """Coefficients of the rotated function L'(ω) = L(Q⁻¹ω), written to out; Q is the (3, 3) rotation matrix.
+    """Coefficients of the rotated function L'(ω) = L(Q⁻¹ω), written to out; Q is the (3, 3)
+    rotation matrix.
 
-    `coefficients` and `out` are (channels, order²) float64, different arrays. Rotate the unturned light
-    every time: chained rotations drift.
+    `coefficients` and `out` are (channels, order²) float64, different arrays. Rotate the unturned
+    light every time: chained rotations drift.
     """
     side = 2 * MAX_ORDER + 1
-    before, band = np.zeros((side, side)), np.zeros((side, side))
+    before = np.zeros((side, side))
+    band = np.zeros((side, side))
     first = np.empty((3, 3))
     for i in range(3):
         for j in range(3):

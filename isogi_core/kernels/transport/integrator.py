@@ -1,10 +1,11 @@
-"""The integrator: one loop for all paths of a wave, all first rays, then all second ones, and so on.
+"""The integrator: one loop for all paths of a wave, all first rays, then all second ones, and so
+on.
 
-Records choose what rays meet, what they gather, and how paths go on. ``scene`` is what rays meet, with its ``field``:
-Open, Coloured, InRoom, Among, or Through. ``source`` is what paths gather: the light of Surroundings or of Glows,
-PathEnds (after how many bounces each path left and in which direction, for any light to come), or Strays. ``rules`` say
-how they go on: PathRules, or a PathTree. The module of each record says how it takes the steps of the loop: see
-``Choice``.
+Records choose what rays meet, what they gather, and how paths go on. ``scene`` is what rays meet,
+with its ``field``: Open, Coloured, InRoom, Among, or Through. ``source`` is what paths gather: the
+light of Surroundings or of Glows, PathEnds (after how many bounces each path left and in which
+direction, for any light to come), or Strays. ``rules`` say how they go on: PathRules, or a
+PathTree. The module of each record says how it takes the steps of the loop: see ``Choice``.
 """
 
 import math
@@ -33,12 +34,14 @@ WAVE_PATHS = 4096
 
 
 class Wave(NamedTuple):
-    """The paths of a wave that go on, in the first places of arrays (n,), and room for columns (3 n,).
+    """The paths of a wave that go on, in the first places of arrays (n,), and room for columns (3
+    n,).
 
-    ``owners`` are their numbers; ``low``, ``high``, ``samples`` the words that own their random numbers;
-    ``isovalues`` those of their surfaces, ``sides`` where their next rays start, ``signs`` the same as float64; ``t``
-    and ``came`` what these meet; ``hits`` and ``escaped`` the places of those that meet something and of those that
-    do not; ``directions`` are in index space, ``ways`` in the world; ``weights`` are room for ``smooth_gradients``.
+    ``owners`` are their numbers; ``low``, ``high``, ``samples`` the words that own their random
+    numbers; ``isovalues`` those of their surfaces, ``sides`` where their next rays start, ``signs``
+    the same as float64; ``t`` and ``came`` what these meet; ``hits`` and ``escaped`` the places of
+    those that meet something and of those that do not; ``directions`` are in index space, ``ways``
+    in the world; ``weights`` are room for ``smooth_gradients``.
     """
 
     owners: Any
@@ -58,7 +61,9 @@ class Wave(NamedTuple):
 
 
 class Vertices(NamedTuple):
-    """The ``count`` vertices that a wave's paths are at: room (3 n,) for where rays start, and normals there."""
+    """The ``count`` vertices that a wave's paths are at: room (3 n,) for where rays start, and
+    normals there.
+    """
 
     points: Any
     normals: Any
@@ -114,39 +119,38 @@ def generate(wave, vertices, starts, origins, first, begin):
     ``origins`` (3, g) are where first rays start, ``first`` the number of the first sample.
     """
     count = vertices.count
-    here, normals = columns(vertices.points, count), columns(vertices.normals, count)
+    here = columns(vertices.points, count)
+    normals = columns(vertices.normals, count)
     g = starts.isovalues.shape[0]
-    i, sample = begin % g, first + begin // g
+    i = begin % g
+    sample = first + begin // g
     for m in range(count):
-        wave.owners[m], wave.samples[m], wave.isovalues[m] = begin + m, sample, starts.isovalues[i]
-        wave.sides[m], wave.low[m], wave.high[m] = (
-            OUTSIDE_SIGN,
-            starts.seeds[i] & WORD_MASK,
-            starts.seeds[i] >> WORD_BITS,
-        )
+        wave.owners[m] = begin + m
+        wave.samples[m] = sample
+        wave.isovalues[m] = starts.isovalues[i]
+        wave.sides[m] = OUTSIDE_SIGN
+        wave.low[m] = starts.seeds[i] & WORD_MASK
+        wave.high[m] = starts.seeds[i] >> WORD_BITS
         put_column(here, m, column(origins, i))
         put_column(normals, m, column(starts.normals, i))
         i += 1
         if i == g:
-            i, sample = 0, sample + 1
+            i = 0
+            sample = sample + 1
 
 
 @kernel()
 def sample_direction(wave, vertices, bounce, spacing):
     """Draw ``ways`` and ``directions`` of all paths about their normals, cosine-weighted."""
     count = vertices.count
-    normals, ways, directions = (
-        columns(vertices.normals, count),
-        columns(wave.ways, count),
-        columns(wave.directions, count),
-    )
+    normals = columns(vertices.normals, count)
+    ways = columns(wave.ways, count)
+    directions = columns(wave.directions, count)
     dimension = u32(DIRECTIONS + bounce)
     for i in range(0, count, PATH_WIDTH):
-        low, high, sample = (
-            load(wave.low, i, PATH_WIDTH),
-            load(wave.high, i, PATH_WIDTH),
-            load(wave.samples, i, PATH_WIDTH),
-        )
+        low = load(wave.low, i, PATH_WIDTH)
+        high = load(wave.high, i, PATH_WIDTH)
+        sample = load(wave.samples, i, PATH_WIDTH)
         u, v = point_of_words(low, high, sample, dimension)
         w = about(load_columns(normals, i), sample_cosine_hemisphere(u, v))
         store_columns(ways, i, w)
@@ -155,7 +159,9 @@ def sample_direction(wave, vertices, bounce, spacing):
 
 @kernel()
 def intersect(field, cells, wave, points, count):
-    """Cast the rays from ``points``; what fills up the last vector starts at infinity and meets nothing."""
+    """Cast the rays from ``points``; what fills up the last vector starts at infinity and meets
+    nothing.
+    """
     n = whole(count)
     origins = columns(points, count)
     origins[:, count:] = math.inf
@@ -165,11 +171,14 @@ def intersect(field, cells, wave, points, count):
 
 @kernel()
 def partition(wave, count):
-    """List the places of rays that hit something, and of those that escape; returns how many hit."""
+    """List the places of rays that hit something, and of those that escape; returns how many
+    hit.
+    """
     hits = escaped = 0
     for i in range(count):
         hit = wave.t[i] < math.inf
-        wave.hits[hits], wave.escaped[escaped] = i, i
+        wave.hits[hits] = i
+        wave.escaped[escaped] = i
         hits += hit
         escaped += not hit
     return hits
@@ -177,17 +186,21 @@ def partition(wave, count):
 
 @kernel()
 def russian_roulette(wave, hits, bounce, survival):
-    """Of paths that hit something, but the first time, a share ``survival`` goes on; returns how many.
+    """Of paths that hit something, but the first time, a share ``survival`` goes on; returns how
+    many.
 
-    Each stands for those that do not: its light counts over its chance. Source: Arvo and Kirk, "Particle Transport
-    and Image Synthesis", 1990.
+    Each stands for those that do not: its light counts over its chance. Source: Arvo and Kirk,
+    "Particle Transport and Image Synthesis", 1990.
     """
     if bounce == 0 or survival >= 1.0:
         return hits
-    staying, dimension = 0, np.uint64(FIRST_ROULETTE_PAIR + bounce)
+    staying = 0
+    dimension = np.uint64(FIRST_ROULETTE_PAIR + bounce)
     for h in range(hits):
         i = wave.hits[h]
-        u, _ = point_of_words(np.uint64(wave.low[i]), np.uint64(wave.high[i]), np.uint64(wave.samples[i]), dimension)
+        u, _ = point_of_words(
+            np.uint64(wave.low[i]), np.uint64(wave.high[i]), np.uint64(wave.samples[i]), dimension
+        )
         wave.hits[staying] = i
         staying += u < survival
     return staying
@@ -195,37 +208,54 @@ def russian_roulette(wave, hits, bounce, survival):
 
 @kernel()
 def compact(wave, vertices, following):
-    """Move the paths that hit something to the first places, and where they hit it to the vertices ``following``."""
-    count, hits = vertices.count, following.count
-    origins, directions = columns(vertices.points, count), columns(wave.directions, count)
+    """Move the paths that hit something to the first places, and where they hit it to the vertices
+    ``following``.
+    """
+    count = vertices.count
+    hits = following.count
+    origins = columns(vertices.points, count)
+    directions = columns(wave.directions, count)
     points = columns(following.points, hits)
     for h in range(hits):
         i = wave.hits[h]
         put_column(points, h, madd(column(origins, i), wave.t[i], column(directions, i)))
-        wave.owners[h], wave.isovalues[h] = wave.owners[i], wave.isovalues[i]
-        wave.sides[h], wave.signs[h] = wave.came[i], wave.came[i]
-        wave.low[h], wave.high[h], wave.samples[h] = wave.low[i], wave.high[i], wave.samples[i]
+        wave.owners[h] = wave.owners[i]
+        wave.isovalues[h] = wave.isovalues[i]
+        wave.sides[h] = wave.came[i]
+        wave.signs[h] = wave.came[i]
+        wave.low[h] = wave.low[i]
+        wave.high[h] = wave.high[i]
+        wave.samples[h] = wave.samples[i]
 
 
 @kernel()
 def mend_normals(field, wave, some, points, normals, ways):
-    """Turn normals of a flat field, of paths ``some`` (first, last), against the ray that hit: ``shading_normal``."""
+    """Turn normals of a flat field, of paths ``some`` (first, last), against the ray that hit:
+    ``shading_normal``.
+    """
     for h in range(some[0], some[1]):
         if normals[0, h] == 0.0 and normals[1, h] == 0.0 and normals[2, h] == 0.0:
             way = column(ways, wave.hits[h])
-            put_column(normals, h, shading_normal(field, column(points, h), int(wave.sides[h]), way))
+            put_column(
+                normals, h, shading_normal(field, column(points, h), int(wave.sides[h]), way)
+            )
 
 
 @kernel()
 def next_vertex(field, wave, count, following):
-    """Find the normals at the points ``following``, ``shading_normal``, and move these to where rays start, ``launch``.
+    """Find the normals at the points ``following``, ``shading_normal``, and move these to where
+    rays start, ``launch``.
 
     ``count`` rays were cast to get there.
     """
     hits = following.count
-    points, normals, ways = columns(following.points, hits), columns(following.normals, hits), columns(wave.ways, count)
+    points = columns(following.points, hits)
+    normals = columns(following.normals, hits)
+    ways = columns(wave.ways, count)
     for i in range(0, hits, PATH_WIDTH):
-        last, sign, p = min(i + PATH_WIDTH, hits), load(wave.signs, i, PATH_WIDTH), load_columns(points, i)
+        last = min(i + PATH_WIDTH, hits)
+        sign = load(wave.signs, i, PATH_WIDTH)
+        p = load_columns(points, i)
         gradients(field, points, i, last - i, wave.weights, normals)
         n = to_world_normal(load_columns(normals, i), field.spacing)
         store_columns(normals, i, (n[0] * sign, n[1] * sign, n[2] * sign))
@@ -247,10 +277,12 @@ def launch_all(field, starts):
 
 @kernel(types.void(FIELD_RECORD, REAL_ARRAY, ORIGINS, ORIGINS, REAL_ARRAY, SIDE_ARRAY, ORIGINS))
 def bounce_rays(field, isovalues, origins, directions, t, came, numbers):
-    """Turn rays ``origins`` + t · ``directions`` (3, n) that hit, in place, into cosine rays from there.
+    """Turn rays ``origins`` + t · ``directions`` (3, n) that hit, in place, into cosine rays from
+    there.
 
-    ``isovalues`` (n,) of the surfaces; ``t`` and ``came`` (n,) as ``cast_batch`` writes them; ``numbers``
-    (2, n) in [0, 1). They start off the surface as a path's do. Source: S1, section 4.1.
+    ``isovalues`` (n,) of the surfaces; ``t`` and ``came`` (n,) as ``cast_batch`` writes them;
+    ``numbers`` (2, n) in [0, 1). They start off the surface as a path's do. Source: S1, section
+    4.1.
     """
     for m in range(origins.shape[1]):
         d = column(directions, m)
@@ -262,7 +294,9 @@ def bounce_rays(field, isovalues, origins, directions, t, came, numbers):
 
 
 class ShadowRays(NamedTuple):
-    """Shadow rays of a wave: room (3 n,) for where they start and what they carry, and how far they reach, (n,)."""
+    """Shadow rays of a wave: room (3 n,) for where they start and what they carry, and how far they
+    reach, (n,).
+    """
 
     starts: Any
     light: Any
@@ -272,8 +306,8 @@ class ShadowRays(NamedTuple):
 class PathWave(NamedTuple):
     """The ``rays`` of a wave of paths that gather light, and its ``shadow`` rays.
 
-    (n,) are the walls that vertices stand on, ``own``, and that rays ``met``. ``carried`` (3, paths) is what light at a
-    path's vertex counts in what it has ``gathered`` (channels, paths).
+    (n,) are the walls that vertices stand on, ``own``, and that rays ``met``. ``carried`` (3,
+    paths) is what light at a path's vertex counts in what it has ``gathered`` (channels, paths).
     """
 
     rays: Any
@@ -286,12 +320,16 @@ class PathWave(NamedTuple):
 
 @Choice
 def limits(rules):
-    """How many bounces paths have at most, and in how many branches they go on from what they hit first."""
+    """How many bounces paths have at most, and in how many branches they go on from what they hit
+    first.
+    """
 
 
 @Choice
 def make_state(scene, starts, wave):
-    """The state of a wave in a scene: a record with that ``wave``, and room for what rays need besides."""
+    """The state of a wave in a scene: a record with that ``wave``, and room for what rays need
+    besides.
+    """
 
 
 @Choice
@@ -316,17 +354,23 @@ def meet(scene, state, vertices, bounce):
 
 @Choice
 def gather_met(scene, state, vertices, bounce, source):
-    """Gather what the cast rays brought; list the rays whose paths go on from what they hit: returns how many."""
+    """Gather what the cast rays brought; list the rays whose paths go on from what they hit:
+    returns how many.
+    """
 
 
 @Choice
 def advance(scene, state, vertices, following, bounce, rules):
-    """Move the paths that go on to the vertices ``following``; what they carry is multiplied by the albedo there."""
+    """Move the paths that go on to the vertices ``following``; what they carry is multiplied by the
+    albedo there.
+    """
 
 
 @Choice
 def split(scene, state, vertices, spare, bounce, rules, source):
-    """Let paths that go on from ``vertices`` branch: returns their vertices then, and the ``spare`` vertices."""
+    """Let paths that go on from ``vertices`` branch: returns their vertices then, and the ``spare``
+    vertices.
+    """
 
 
 @limits.case(PathRules)
@@ -354,12 +398,21 @@ def make_shadow_rays(n):
 
 @kernel()
 def make_paths(n, rules, total, gathered):
-    """The waves of ``n`` of ``total`` paths, which carry the first weight, and have ``gathered`` nothing yet."""
+    """The waves of ``n`` of ``total`` paths, which carry the first weight, and have ``gathered``
+    nothing yet.
+    """
     gathered[:, :total] = 0.0
     carried = np.empty((3, total))
     for c in range(3):
         carried[c] = rules.weights[0, c]
-    return PathWave(make_wave(n), make_shadow_rays(n), np.full(n, NO_WALL), np.full(n, NO_WALL), carried, gathered)
+    return PathWave(
+        make_wave(n),
+        make_shadow_rays(n),
+        np.full(n, NO_WALL),
+        np.full(n, NO_WALL),
+        carried,
+        gathered,
+    )
 
 
 @kernel()
@@ -372,8 +425,11 @@ def add_carried(wave, i, light):
 
 @kernel()
 def walk(scene, state, vertices, spare, rules, source):
-    """Walk the paths of a wave to their ends, and gather on the way; ``spare`` is room for other vertices."""
-    rays, (last, _) = state.wave.rays, limits(rules)
+    """Walk the paths of a wave to their ends, and gather on the way; ``spare`` is room for other
+    vertices.
+    """
+    rays = state.wave.rays
+    (last, _) = limits(rules)
     for bounce in range(last + 1):
         gather_sources(scene, state, vertices, bounce, source)
         sample_direction(rays, vertices, bounce, scene.field.spacing)
@@ -389,22 +445,25 @@ def walk(scene, state, vertices, spare, rules, source):
 
 @kernel()
 def places_for(total, branches):
-    """The places of a wave, at most WAVE_PATHS or so, for ``total`` paths that go on in this number of ``branches``."""
+    """The places of a wave, at most WAVE_PATHS or so, for ``total`` paths that go on in this number
+    of ``branches``.
+    """
     return whole(min(WAVE_PATHS // branches, total)) * branches
 
 
 @kernel()
 def trace_paths(scene, starts, samples, rules, source, wave):
-    """Walk a ``SampleRange`` of paths from each of g ``starts``, in waves that fill the places of ``wave``.
+    """Walk a ``SampleRange`` of paths from each of g ``starts``, in waves that fill the places of
+    ``wave``.
 
     Path s · g + i is the sample ``first + s`` of start i.
     """
-    total, n, most = (
-        starts.isovalues.shape[0] * samples.count,
-        wave.rays.owners.shape[0],
-        WAVE_PATHS // limits(rules)[1],
-    )
-    origins, room, spare = launch_starts(scene, starts), make_vertices(n), make_vertices(n)
+    total = starts.isovalues.shape[0] * samples.count
+    n = wave.rays.owners.shape[0]
+    most = WAVE_PATHS // limits(rules)[1]
+    origins = launch_starts(scene, starts)
+    room = make_vertices(n)
+    spare = make_vertices(n)
     state = make_state(scene, starts, wave)
     for first in range(0, total, most):
         vertices = Vertices(room.points, room.normals, min(most, total - first))
@@ -415,18 +474,29 @@ def trace_paths(scene, starts, samples, rules, source, wave):
 
 @kernel()
 def gather_paths(scene, starts, samples, rules, source, gathered):
-    """Write what each path of ``trace_paths`` gathers to ``gathered`` (channels, at least g · count)."""
+    """Write what each path of ``trace_paths`` gathers to ``gathered`` (channels, at least g ·
+    count).
+    """
     total = starts.isovalues.shape[0] * samples.count
-    trace_paths(scene, starts, samples, rules, source, make_paths(places_for(total, 1), rules, total, gathered))
+    trace_paths(
+        scene,
+        starts,
+        samples,
+        rules,
+        source,
+        make_paths(places_for(total, 1), rules, total, gathered),
+    )
 
 
 @kernel()
 def add_paths(scene, starts, samples, rules, source, sums):
-    """Add what a ``SampleRange`` of paths gathers at each of g ``starts`` to its ``sums`` (g, channels).
+    """Add what a ``SampleRange`` of paths gathers at each of g ``starts`` to its ``sums`` (g,
+    channels).
 
     Sums grow sample by sample: the company of a start changes no bit. Source: Kajiya 1986.
     """
-    g, last = sums.shape[0], samples.first + samples.count
+    g = sums.shape[0]
+    last = samples.first + samples.count
     step = max(WAVE_PATHS // max(g, 1), 1)
     gathered = np.empty((sums.shape[1], g * step))
     for first in range(samples.first, last, step):
@@ -438,9 +508,11 @@ def add_paths(scene, starts, samples, rules, source, sums):
 
 
 class EndWave(NamedTuple):
-    """The ``rays`` of a wave of paths that gather no light, of which ``starting`` ones start and may branch.
+    """The ``rays`` of a wave of paths that gather no light, of which ``starting`` ones start and
+    may branch.
 
-    ``carried`` (3, paths) are the albedos that each has met, multiplied, where these differ from place to place.
+    ``carried`` (3, paths) are the albedos that each has met, multiplied, where these differ from
+    place to place.
     """
 
     rays: Any
@@ -466,7 +538,9 @@ def limits_of_tree(rules):
 
 @kernel()
 def blocks(branches):
-    """How many parts the ``PathEnds`` have: one of paths as they start, and one for each of their ``branches``."""
+    """How many parts the ``PathEnds`` have: one of paths as they start, and one for each of their
+    ``branches``.
+    """
     return 1 if branches == 1 else 1 + branches
 
 
@@ -479,21 +553,34 @@ def make_ends(starts, count, branches):
 
 @kernel()
 def branch(wave, vertices, room, branches, stride):
-    """Let each of the wave's paths go on in a number of ``branches``, from vertices in ``room``, which it returns.
+    """Let each of the wave's paths go on in a number of ``branches``, from vertices in ``room``,
+    which it returns.
 
     Branch j of path m is path m + (1 + j) · ``stride``, and draws from sample ``branches`` · s + j.
     """
-    hits, count = vertices.count, branches * vertices.count
-    points, normals = columns(vertices.points, hits), columns(vertices.normals, hits)
-    further, around = columns(room.points, count), columns(room.normals, count)
+    hits = vertices.count
+    count = branches * vertices.count
+    points = columns(vertices.points, hits)
+    normals = columns(vertices.normals, hits)
+    further = columns(room.points, count)
+    around = columns(room.normals, count)
     for h in range(hits - 1, -1, -1):  # each is read before others are written in its place
-        owner, sample, isovalue = wave.owners[h], wave.samples[h], wave.isovalues[h]
-        low, high, side, sign = wave.low[h], wave.high[h], wave.sides[h], wave.signs[h]
+        owner = wave.owners[h]
+        sample = wave.samples[h]
+        isovalue = wave.isovalues[h]
+        low = wave.low[h]
+        high = wave.high[h]
+        side = wave.sides[h]
+        sign = wave.signs[h]
         for j in range(branches):
             i = branches * h + j
-            wave.owners[i], wave.samples[i] = owner + (1 + j) * stride, branches * sample + j
-            wave.low[i], wave.high[i], wave.isovalues[i] = low, high, isovalue
-            wave.sides[i], wave.signs[i] = side, sign
+            wave.owners[i] = owner + (1 + j) * stride
+            wave.samples[i] = branches * sample + j
+            wave.low[i] = low
+            wave.high[i] = high
+            wave.isovalues[i] = isovalue
+            wave.sides[i] = side
+            wave.signs[i] = sign
             put_column(further, i, column(points, h))
             put_column(around, i, column(normals, h))
     return Vertices(room.points, room.normals, count)
@@ -511,9 +598,12 @@ def branch_once(scene, state, vertices, spare, bounce, rules, source):
 
 @kernel()
 def branch_ends(wave, count, ends):
-    """Say of the wave's ``count`` branches that they have not left, and of the paths that they are of nothing."""
+    """Say of the wave's ``count`` branches that they have not left, and of the paths that they are
+    of nothing.
+    """
     for owner in wave.rays.owners[:count]:
-        ends.bounces[owner % wave.starting], ends.bounces[owner] = NO_PATH, -1
+        ends.bounces[owner % wave.starting] = NO_PATH
+        ends.bounces[owner] = -1
 
 
 @begin_branches.case(PathEnds)
@@ -525,8 +615,10 @@ def begin_ends(scene, wave, count, ends):
 @gather_met.case(PathEnds)
 def write_ends(scene, state, vertices, bounce, ends):
     """Write the ends of paths that leave; returns how many go on."""
-    rays, count = state.wave.rays, vertices.count
-    hits, ways = partition(rays, count), columns(rays.ways, count)
+    rays = state.wave.rays
+    count = vertices.count
+    hits = partition(rays, count)
+    ways = columns(rays.ways, count)
     for i in rays.escaped[: count - hits]:
         m = rays.owners[i]
         ends.bounces[m] = bounce
@@ -536,14 +628,17 @@ def write_ends(scene, state, vertices, bounce, ends):
 
 @kernel()
 def trace_ends(scene, starts, samples, tree, ends, carried):
-    """Walk a ``SampleRange`` of paths from each of g ``PathStarts``, as a ``PathTree`` says, to their ends.
+    """Walk a ``SampleRange`` of paths from each of g ``PathStarts``, as a ``PathTree`` says, to
+    their ends.
 
-    Isovalues are within the range of the scene's cells. Writes the ``PathEnds`` of at least g · count paths, and what
-    these have ``carried``.
+    Isovalues are within the range of the scene's cells. Writes the ``PathEnds`` of at least g ·
+    count paths, and what these have ``carried``.
     """
     total = starts.isovalues.shape[0] * samples.count
-    ends.bounces[:total], ends.bounces[total:] = -1, NO_PATH
-    ends.directions[:], carried[:, :total] = 0.0, 1.0
+    ends.bounces[:total] = -1
+    ends.bounces[total:] = NO_PATH
+    ends.directions[:] = 0.0
+    carried[:, :total] = 1.0
     rays = make_wave(places_for(total, tree.branches))
     wave = EndWave(rays, ends.bounces.shape[0] // blocks(tree.branches), carried)
     trace_paths(scene, starts, samples, tree, ends, wave)

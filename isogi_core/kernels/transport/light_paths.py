@@ -27,7 +27,14 @@ from isogi_core.kernels.transport.integrator import (
     next_vertex,
     partition,
 )
-from isogi_core.kernels.transport.lights import LAMPS, NO_LAMPS, NO_LIGHT, arriving, draw_bright, illuminate
+from isogi_core.kernels.transport.lights import (
+    LAMPS,
+    NO_LAMPS,
+    NO_LIGHT,
+    arriving,
+    draw_bright,
+    illuminate,
+)
 from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE, PathRules
 from isogi_core.kernels.transport.rng import point_of_words
 from isogi_core.kernels.transport.streams import FIRST_SOURCE_PAIR, PAIRS_PER_PURPOSE
@@ -36,8 +43,8 @@ from isogi_core.kernels.transport.streams import FIRST_SOURCE_PAIR, PAIRS_PER_PU
 class Open(NamedTuple):
     """One isosurface of a ``field``, within its active ``cells``, and nothing else that rays meet.
 
-    What paths carry by PathRules after k bounces is row k of their weights (bounces + 1, 3): R^k over the chance to get
-    there (see ``russian_roulette``).
+    What paths carry by PathRules after k bounces is row k of their weights (bounces + 1, 3): R^k
+    over the chance to get there (see ``russian_roulette``).
     """
 
     field: Any
@@ -97,7 +104,8 @@ def advance_in_the_open(scene, state, vertices, following, bounce, rules):
 @advance.case(Open, PathRules)
 def advance_by_weights(scene, state, vertices, following, bounce, rules):
     """Move the paths that hit the surface there, to carry the weight of one more bounce."""
-    rays, carried = state.wave.rays, state.wave.carried
+    rays = state.wave.rays
+    carried = state.wave.carried
     for i in rays.hits[: following.count]:
         for c in range(3):
             carried[c, rays.owners[i]] = rules.weights[bounce + 1, c]
@@ -113,8 +121,9 @@ NO_TABLE = (np.zeros(0), np.zeros((0, 0)))
 class Surroundings(NamedTuple):
     """All light that falls on a scene.
 
-    An environment, ``constant`` (3,) plus ``image`` (h, w, 3), turned by ``matrix`` (3, 3); a ``table`` to
-    draw its bright directions by (see ``draw_bright``), empty where that is not worth a ray; ``lamps``.
+    An environment, ``constant`` (3,) plus ``image`` (h, w, 3), turned by ``matrix`` (3, 3); a
+    ``table`` to draw its bright directions by (see ``draw_bright``), empty where that is not worth
+    a ray; ``lamps``.
     """
 
     constant: Any
@@ -142,7 +151,8 @@ def to_world(v, spacing):
 
 @kernel()
 def sample_source(light, source, p, n, u, v):
-    """Direction, distance and E/π of the light that one ``source`` sends to the world point ``p`` with normal ``n``.
+    """Direction, distance and E/π of the light that one ``source`` sends to the world point ``p``
+    with normal ``n``.
 
     Source 0 is the environment's bright parts, source k > 0 is lamp k - 1; (u, v) in [0, 1)².
     """
@@ -158,17 +168,25 @@ def sample_source(light, source, p, n, u, v):
 @kernel()
 def aim_shadow_rays(wave, vertices, bounce, light, source, spacing):
     """Turn the wave's rays towards a ``source``; those that it cannot light are to meet nothing."""
-    shadow, rays, count = wave.shadow, wave.rays, vertices.count
-    origins, normals = columns(vertices.points, count), columns(vertices.normals, count)
-    starts, lights = columns(shadow.starts, count), columns(shadow.light, count)
+    shadow = wave.shadow
+    rays = wave.rays
+    count = vertices.count
+    origins = columns(vertices.points, count)
+    normals = columns(vertices.normals, count)
+    starts = columns(shadow.starts, count)
+    lights = columns(shadow.light, count)
     directions = columns(rays.directions, count)
     directions[:, count:] = 1.0
     dimension = np.uint64(FIRST_SOURCE_PAIR + source * PAIRS_PER_PURPOSE + bounce)
     for i in range(count):
-        low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
+        low = np.uint64(rays.low[i])
+        high = np.uint64(rays.high[i])
+        sample = np.uint64(rays.samples[i])
         u, v = point_of_words(low, high, sample, dimension)
         o = column(origins, i)
-        w, shadow.reach[i], shine = sample_source(light, source, to_world(o, spacing), column(normals, i), u, v)
+        w, shadow.reach[i], shine = sample_source(
+            light, source, to_world(o, spacing), column(normals, i), u, v
+        )
         put_column(directions, i, to_index(w, spacing))
         put_column(lights, i, shine)
         put_column(starts, i, o if max(shine[0], shine[1], shine[2]) > 0.0 else NO_START)
@@ -182,8 +200,10 @@ def add_sent(scene, state, vertices, bounce):
 @add_sent.case()
 def add_unblocked(scene, state, vertices, bounce):
     """Add the light of those shadow rays that nothing blocks."""
-    shadow, count = state.wave.shadow, vertices.count
-    starts, lights = columns(shadow.starts, count), columns(shadow.light, count)
+    shadow = state.wave.shadow
+    count = vertices.count
+    starts = columns(shadow.starts, count)
+    lights = columns(shadow.light, count)
     cast_wave(scene, state, shadow.starts, count)
     for i in range(count):
         if starts[0, i] < math.inf and not state.wave.rays.t[i] < shadow.reach[i]:
@@ -192,7 +212,9 @@ def add_unblocked(scene, state, vertices, bounce):
 
 @gather_sources.case(Open, Surroundings)
 def gather_from_outside(scene, state, vertices, bounce, light):
-    """Add what lamps, and the bright parts of a sharp environment, send to the vertices of a wave."""
+    """Add what lamps, and the bright parts of a sharp environment, send to the vertices of a
+    wave.
+    """
     first = 0 if light.table[0].shape[0] > 0 else 1
     for source in range(first, 1 + light.lamps.kinds.shape[0]):
         aim_shadow_rays(state.wave, vertices, bounce, light, source, scene.field.spacing)
@@ -202,13 +224,17 @@ def gather_from_outside(scene, state, vertices, bounce, light):
 @kernel()
 def gather_ends(wave, vertices, light):
     """Add the environment that paths leave to; returns how many hit something."""
-    rays, count = wave.rays, vertices.count
-    normals, ways = columns(vertices.normals, count), columns(rays.ways, count)
+    rays = wave.rays
+    count = vertices.count
+    normals = columns(vertices.normals, count)
+    ways = columns(rays.ways, count)
     hits = partition(rays, count)
     for i in rays.escaped[: count - hits]:
         w = column(ways, i)
         cosine = dot(column(normals, i), w)
-        add_carried(wave, i, arriving(light.constant, light.image, light.matrix, light.table, w, cosine))
+        add_carried(
+            wave, i, arriving(light.constant, light.image, light.matrix, light.table, w, cosine)
+        )
     return hits
 
 
@@ -222,9 +248,9 @@ def gather_environment(scene, state, vertices, bounce, light):
 def light_in_the_open(scene, starts, samples, rules, light, sums):
     """Add what a ``SampleRange`` of paths brings to each of g ``PathStarts`` to ``sums`` (g, 3).
 
-    The ``scene`` is Open, ``light`` the Surroundings. What is gathered after k bounces counts row k of the weights
-    (bounces + 1, 3) of the ``rules``: R^k for E/π, R^(k + 1) for what leaves, over the chance to get there (see
-    ``russian_roulette``). Sums grow sample by sample, so that their bits do not depend on in how many goes. Source: S1,
-    figure 2; the reference of figures 7 and 11.
+    The ``scene`` is Open, ``light`` the Surroundings. What is gathered after k bounces counts row k
+    of the weights (bounces + 1, 3) of the ``rules``: R^k for E/π, R^(k + 1) for what leaves, over
+    the chance to get there (see ``russian_roulette``). Sums grow sample by sample, so that their
+    bits do not depend on in how many goes. Source: S1, figure 2; the reference of figures 7 and 11.
     """
     add_paths(scene, starts, samples, rules, light, sums)

@@ -1,4 +1,6 @@
-"""Lights: a constant and a latitude-longitude image infinitely far away, and lamps that stay in place."""
+"""Lights: a constant and a latitude-longitude image infinitely far away, and lamps that stay in
+place.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -22,7 +24,9 @@ from isogi_core.kernels.transport.sampling import (
 
 @kernel()
 def turn_back(matrix, w):
-    """The world direction ``w`` as seen by a light turned by ``matrix`` (3, 3): its transpose times w."""
+    """The world direction ``w`` as seen by a light turned by ``matrix`` (3, 3): its transpose times
+    w.
+    """
     return (
         matrix[0, 0] * w[0] + matrix[1, 0] * w[1] + matrix[2, 0] * w[2],
         matrix[0, 1] * w[0] + matrix[1, 1] * w[1] + matrix[2, 1] * w[2],
@@ -32,7 +36,9 @@ def turn_back(matrix, w):
 
 @kernel()
 def turn(matrix, d):
-    """The world direction of what a light turned by ``matrix`` (3, 3) sees in direction ``d``: the matrix times d."""
+    """The world direction of what a light turned by ``matrix`` (3, 3) sees in direction ``d``: the
+    matrix times d.
+    """
     return (
         matrix[0, 0] * d[0] + matrix[0, 1] * d[1] + matrix[0, 2] * d[2],
         matrix[1, 0] * d[0] + matrix[1, 1] * d[1] + matrix[1, 2] * d[2],
@@ -42,15 +48,23 @@ def turn(matrix, d):
 
 @kernel()
 def glow(constant, image, row, column):
-    """Linear RGB radiance of a constant and an image (h, w, 3) at a place in fractions of its height and width."""
+    """Linear RGB radiance of a constant and an image (h, w, 3) at a place in fractions of its
+    height and width.
+    """
     y = min(int(row * image.shape[0]), image.shape[0] - 1)
     x = min(int(column * image.shape[1]), image.shape[1] - 1)
-    return (constant[0] + image[y, x, 0], constant[1] + image[y, x, 1], constant[2] + image[y, x, 2])
+    return (
+        constant[0] + image[y, x, 0],
+        constant[1] + image[y, x, 1],
+        constant[2] + image[y, x, 2],
+    )
 
 
 @kernel()
 def radiance(constant, image, matrix, w):
-    """Linear RGB radiance that arrives from world direction ``w``; ``image`` (h, w, 3) is turned by ``matrix``."""
+    """Linear RGB radiance that arrives from world direction ``w``; ``image`` (h, w, 3) is turned by
+    ``matrix``.
+    """
     row, column = direction_to_latlong(turn_back(matrix, w))
     return glow(constant, image, row, column)
 
@@ -67,30 +81,38 @@ def draw_bright(table, matrix, u, v):
 
 @kernel()
 def balance_image(table, row, column, cosine):
-    """Share p_c/(p_c + p_e) of a direction, at a place of the image, between the two ways in which it is drawn.
+    """Share p_c/(p_c + p_e) of a direction, at a place of the image, between the two ways in which
+    it is drawn.
 
-    p_c is the density of cosine sampling, p_e that of ``draw_bright``. The same share of the radiance is
-    what a ray of either sort adds to E/π. Source: Veach and Guibas 1995, the balance heuristic.
+    p_c is the density of cosine sampling, p_e that of ``draw_bright``. The same share of the
+    radiance is what a ray of either sort adds to E/π. Source: Veach and Guibas 1995, the balance
+    heuristic.
     """
-    drawn = piecewise_2d_pdf(table[0], table[1], row, column) / max(latlong_jacobian(row), SMALLEST_NORMAL)
+    drawn = piecewise_2d_pdf(table[0], table[1], row, column) / max(
+        latlong_jacobian(row), SMALLEST_NORMAL
+    )
     by_cosine = cosine_hemisphere_pdf(cosine)
     return by_cosine / max(by_cosine + drawn, SMALLEST_NORMAL)
 
 
 @kernel()
 def arriving(constant, image, matrix, table, w, cosine):
-    """What a ray in world direction ``w``, at ``cosine`` to the normal, adds to E/π by the environment it reaches.
+    """What a ray in world direction ``w``, at ``cosine`` to the normal, adds to E/π by the
+    environment it reaches.
 
     The radiance, and with a ``table`` that is not empty its share by ``balance_image``.
     """
     row, column = direction_to_latlong(turn_back(matrix, w))
     light = glow(constant, image, row, column)
-    return scale(light, balance_image(table, row, column, cosine)) if table[0].shape[0] > 0 else light
+    if table[0].shape[0] > 0:
+        return scale(light, balance_image(table, row, column, cosine))
+    return light
 
 
 @kernel()
 def unshadowed_irradiance(order, lobe, light, n, basis, c):
-    """Unoccluded irradiance over π at unit normal ``n``: Σ A_l/π ℓ_lm Y_lm(n), clamped to 0, for channel ``c``.
+    """Unoccluded irradiance over π at unit normal ``n``: Σ A_l/π ℓ_lm Y_lm(n), clamped to 0, for
+    channel ``c``.
 
     ``lobe`` (n²) holds A_l/π per coefficient, ``light`` (3, n²) the turned environment, ``basis``
     (n²) the harmonics of ``n`` (see ``evaluate``). Source: Ramamoorthi and Hanrahan 2001.
@@ -103,7 +125,9 @@ def unshadowed_irradiance(order, lobe, light, n, basis, c):
 
 @kernel()
 def unshadowed(order, lobe, light, n, basis):
-    """Irradiance over π, linear RGB, of a point with normal ``n`` that nothing shadows. Overwrites ``basis``."""
+    """Irradiance over π, linear RGB, of a point with normal ``n`` that nothing shadows. Overwrites
+    ``basis``.
+    """
     evaluate(order, n[0], n[1], n[2], basis)
     return (
         unshadowed_irradiance(order, lobe, light, n, basis, 0),
@@ -114,12 +138,16 @@ def unshadowed(order, lobe, light, n, basis):
 
 @kernel()
 def fog(depth, near, far):
-    """Share of the surface seen through fog that begins at ``near``: exp(-(2u)²), u = (depth - near)/(far - near)."""
+    """Share of the surface seen through fog that begins at ``near``: exp(-(2u)²), u = (depth -
+    near)/(far - near).
+    """
     u = max(depth - near, 0.0) / max(far - near, 1e-30)
     return math.exp(-4.0 * u * u)
 
 
-DIRECTIONAL, POINT, AREA = 0, 1, 2
+DIRECTIONAL = 0
+POINT = 1
+AREA = 2
 
 NO_LIGHT = (0.0, 0.0, 0.0)
 
@@ -127,10 +155,10 @@ NO_LIGHT = (0.0, 0.0, 0.0)
 class LampArrays(NamedTuple):
     """k >= 0 lamps, all in the world.
 
-    ``kinds`` int8 (k,); ``places`` float64 (k, 3): the unit direction towards a directional lamp, the
-    position of a point, the corner of an area; ``edges`` (k, 2, 3): two radii of a directional lamp's disc, as
-    long as the sine of its half angle, zeros, the edges of an area; ``colours`` (k, 3) linear RGB over π:
-    irradiance, intensity, radiance.
+    ``kinds`` int8 (k,); ``places`` float64 (k, 3): the unit direction towards a directional lamp,
+    the position of a point, the corner of an area; ``edges`` (k, 2, 3): two radii of a directional
+    lamp's disc, as long as the sine of its half angle, zeros, the edges of an area; ``colours`` (k,
+    3) linear RGB over π: irradiance, intensity, radiance.
     """
 
     kinds: Any
@@ -140,7 +168,13 @@ class LampArrays(NamedTuple):
 
 
 NO_LAMPS = LampArrays(np.zeros(0, np.int8), np.zeros((0, 3)), np.zeros((0, 2, 3)), np.zeros((0, 3)))
-LAMPS = record(LampArrays, types.int8[::1], types.float64[:, ::1], types.float64[:, :, ::1], types.float64[:, ::1])
+LAMPS = record(
+    LampArrays,
+    types.int8[::1],
+    types.float64[:, ::1],
+    types.float64[:, :, ::1],
+    types.float64[:, ::1],
+)
 
 
 @kernel()
@@ -153,8 +187,8 @@ def row(vectors, m):
 def draw_from_disc(towards, edges, u, v):
     """A direction to the disc of a directional lamp, and its cosine to the disc's axis ``towards``.
 
-    Its density per steradian is that cosine over the disc's projected area: even radiance E/area then gives
-    a surface that faces the lamp E, without noise.
+    Its density per steradian is that cosine over the disc's projected area: even radiance E/area
+    then gives a surface that faces the lamp E, without noise.
     """
     x, y = sample_disc(u, v)
     across = madd(scale(row(edges, 0), x), y, row(edges, 1))
@@ -166,10 +200,12 @@ def draw_from_disc(towards, edges, u, v):
 def illuminate(lamps, k, p, n, u, v):
     """What lamp ``k`` sends to the world point ``p`` with normal ``n``, were nothing between.
 
-    Returns the unit direction towards it, its distance and an estimate of E/π, linear RGB, from (u, v) in
-    [0, 1)²: E cosθ/π, I cosθ/(π r²), or L A cosθ cosθ'/(π r²) (Veach 1997, section 8.2).
+    Returns the unit direction towards it, its distance and an estimate of E/π, linear RGB, from (u,
+    v) in [0, 1)²: E cosθ/π, I cosθ/(π r²), or L A cosθ cosθ'/(π r²) (Veach 1997, section 8.2).
     """
-    place, edges, colour = row(lamps.places, k), lamps.edges[k], row(lamps.colours, k)
+    place = row(lamps.places, k)
+    edges = lamps.edges[k]
+    colour = row(lamps.colours, k)
     if lamps.kinds[k] == DIRECTIONAL:
         w, cosine = draw_from_disc(place, edges, u, v)
         return w, math.inf, scale(colour, max(dot(n, w), 0.0) / cosine)
@@ -187,7 +223,8 @@ def illuminate(lamps, k, p, n, u, v):
 
 @kernel(types.void(types.int64, REAL_ROWS, REAL_ROWS, REAL_ROWS))
 def project_lamps(order, directions, irradiances, coefficients):
-    """Add Σ E Y_i(d) of lights without size in unit ``directions`` (k, 3) to ``coefficients`` (3, n²).
+    """Add Σ E Y_i(d) of lights without size in unit ``directions`` (k, 3) to ``coefficients`` (3,
+    n²).
 
     ``irradiances`` (k, 3) are those of a surface that faces each of them.
     """

@@ -1,7 +1,9 @@
-"""Microfacets: the GGX lobe of a rough mirror, its sampling, and the share of light that it reflects.
+"""Microfacets: the GGX lobe of a rough mirror, its sampling, and the share of light that it
+reflects.
 
-Directions are local, unit, with z along the normal; ``v`` is that to the viewer, above the surface, and ``l`` that to
-the light. Sources: Walter et al. 2007 (GGX); Heitz 2014 (masking) and 2018 (sampling); Schlick 1994 (Fresnel).
+Directions are local, unit, with z along the normal; ``v`` is that to the viewer, above the surface,
+and ``l`` that to the light. Sources: Walter et al. 2007 (GGX); Heitz 2014 (masking) and 2018
+(sampling); Schlick 1994 (Fresnel).
 """
 
 import math
@@ -24,11 +26,12 @@ GRID = 40
 
 
 class ShineLobe(NamedTuple):
-    """A microfacet lobe: ``alpha``, the roughness squared, and what it reflects head on, ``facing``, linear RGB.
+    """A microfacet lobe: ``alpha``, the roughness squared, and what it reflects head on,
+    ``facing``, linear RGB.
 
-    It counts ``strength`` times. Of a ``metal`` light below falls to 1 - strength, else to what the lobe leaves of it:
-    see ``light_below``. ``energy`` (ENERGY_STEPS + 1, 2) is that of ``fill_energy``. Of its rays the share ``aside`` is
-    drawn towards lights.
+    It counts ``strength`` times. Of a ``metal`` light below falls to 1 - strength, else to what the
+    lobe leaves of it: see ``light_below``. ``energy`` (ENERGY_STEPS + 1, 2) is that of
+    ``fill_energy``. Of its rays the share ``aside`` is drawn towards lights.
     """
 
     alpha: float
@@ -40,12 +43,16 @@ class ShineLobe(NamedTuple):
 
 
 ENERGY = types.float64[:, ::1]
-SHINE_LOBE = record(ShineLobe, types.float64, REAL_TRIPLE, types.float64, types.boolean, types.float64, ENERGY)
+SHINE_LOBE = record(
+    ShineLobe, types.float64, REAL_TRIPLE, types.float64, types.boolean, types.float64, ENERGY
+)
 
 
 @kernel()
 def facets_facing(alpha, cosine):
-    """D(h) of GGX: facets whose normals have the ``cosine`` to that of the surface, per steradian and area."""
+    """D(h) of GGX: facets whose normals have the ``cosine`` to that of the surface, per steradian
+    and area.
+    """
     square = alpha * alpha
     width = cosine * cosine * (square - 1.0) + 1.0
     return square / (math.pi * width * width)
@@ -72,7 +79,9 @@ def seen_and_lit(alpha, to_viewer, to_light):
 
 @kernel()
 def grazing(cosine):
-    """(1 - cosθ)⁵ of Schlick's Fresnel F₀ + (1 - F₀)(1 - cosθ)⁵, where θ is between a facet and the light."""
+    """(1 - cosθ)⁵ of Schlick's Fresnel F₀ + (1 - F₀)(1 - cosθ)⁵, where θ is between a facet and the
+    light.
+    """
     rest = 1.0 - min(max(cosine, 0.0), 1.0)
     return rest * rest * rest * rest * rest
 
@@ -85,10 +94,16 @@ def facet_between(v, l):
 
 @kernel()
 def reflected(alpha, v, l):
-    """D G₂/(4 cosθ_v): what facets bring of light from ``l`` to ``v``, cosθ_l included, but for Fresnel."""
+    """D G₂/(4 cosθ_v): what facets bring of light from ``l`` to ``v``, cosθ_l included, but for
+    Fresnel.
+    """
     if not l[2] > 0.0:
         return 0.0
-    return facets_facing(alpha, facet_between(v, l)[2]) * seen_and_lit(alpha, v[2], l[2]) / (4.0 * v[2])
+    return (
+        facets_facing(alpha, facet_between(v, l)[2])
+        * seen_and_lit(alpha, v[2], l[2])
+        / (4.0 * v[2])
+    )
 
 
 @kernel()
@@ -102,10 +117,15 @@ def reflected_pdf(alpha, v, l):
 
 @kernel()
 def sample_reflected(alpha, v, a, b):
-    """A direction to which a facet that is seen from ``v`` mirrors it, from (a, b) in [0, 1)²; some are below."""
+    """A direction to which a facet that is seen from ``v`` mirrors it, from (a, b) in [0, 1)²; some
+    are below.
+    """
     around = normalize((alpha * v[0], alpha * v[1], v[2]))
     flat = math.sqrt(around[0] * around[0] + around[1] * around[1])
-    s = (-around[1] / flat, around[0] / flat, 0.0) if flat > 0.0 else (1.0, 0.0, 0.0)
+    if flat > 0.0:
+        s = (-around[1] / flat, around[0] / flat, 0.0)
+    else:
+        s = (1.0, 0.0, 0.0)
     t = cross(around, s)
     x, y = sample_disc(a, b)
     share = 0.5 * (1.0 + around[2])
@@ -128,37 +148,50 @@ def schlick_fresnel(facing, v, l):
 
 @kernel()
 def towards_ends(k):
-    """Place number ``k`` of GRID in [0, 1], denser towards both ends, and what it counts: by t²(3 - 2t)."""
+    """Place number ``k`` of GRID in [0, 1], denser towards both ends, and what it counts: by t²(3 -
+    2t).
+    """
     t = (k + 0.5) / GRID
     return t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t)
 
 
 @kernel()
 def mean_energy(alpha, cosine):
-    """(A, B) such that a lobe seen at a ``cosine`` reflects F₀ A + B of light that is the same from everywhere.
+    """(A, B) such that a lobe seen at a ``cosine`` reflects F₀ A + B of light that is the same from
+    everywhere.
 
-    Facets at the rim of the disc that they are drawn from are steep, and change much: there are more of them.
+    Facets at the rim of the disc that they are drawn from are steep, and change much: there are
+    more of them.
     """
-    v, a, b, total = (math.sqrt(1.0 - cosine * cosine), 0.0, cosine), 0.0, 0.0, 0.0
+    v = (math.sqrt(1.0 - cosine * cosine), 0.0, cosine)
+    a = 0.0
+    b = 0.0
+    total = 0.0
     for i in range(GRID):
         for j in range(GRID):
-            (x, width), (y, height) = towards_ends(i), towards_ends(j)
-            l, total = sample_reflected(alpha, v, x, y), total + width * height
+            (x, width) = towards_ends(i)
+            (y, height) = towards_ends(j)
+            l = sample_reflected(alpha, v, x, y)
+            total = total + width * height
             if l[2] > 0.0:
                 share = width * height * seen_and_lit(alpha, v[2], l[2]) / seen_from(alpha, v[2])
                 edge = grazing(dot(v, facet_between(v, l)))
-                a, b = a + share * (1.0 - edge), b + share * edge
+                a = a + share * (1.0 - edge)
+                b = b + share * edge
     return a / total, b / total
 
 
 @kernel(types.void(types.float64, ENERGY))
 def fill_energy(alpha, energy):
-    """Fill ``energy`` (ENERGY_STEPS + 1, 2) with ``mean_energy`` at the cosines (k/NODES)²: single scattering.
+    """Fill ``energy`` (ENERGY_STEPS + 1, 2) with ``mean_energy`` at the cosines (k/NODES)²: single
+    scattering.
 
     The split is Karis's, "Real Shading in Unreal Engine 4", 2013.
     """
     for k in range(ENERGY_STEPS + 1):
-        energy[k, 0], energy[k, 1] = mean_energy(alpha, max((k / ENERGY_STEPS) ** 2, MIN_VIEW_COSINE))
+        energy[k, 0], energy[k, 1] = mean_energy(
+            alpha, max((k / ENERGY_STEPS) ** 2, MIN_VIEW_COSINE)
+        )
 
 
 @kernel()
@@ -177,7 +210,8 @@ def energy_at(energy, cosine):
 def light_below(lobe, cosine):
     """The share of diffuse light that a lobe leaves to the eye at a ``cosine``; linear RGB.
 
-    Of a metal 1 - strength; of a coat 1 - strength · (F₀ A + B), so that a white surface stays white in white light.
+    Of a metal 1 - strength; of a coat 1 - strength · (F₀ A + B), so that a white surface stays
+    white in white light.
     """
     a, b = energy_at(lobe.energy, cosine)
     strength = lobe.strength

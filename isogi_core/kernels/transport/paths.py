@@ -1,4 +1,6 @@
-"""Records of path tracing: where paths start, which samples are taken, by what rules, and how paths end."""
+"""Records of path tracing: where paths start, which samples are taken, by what rules, and how paths
+end.
+"""
 
 from typing import Any, NamedTuple
 
@@ -8,11 +10,13 @@ from isogi_core.kernels._jit import REAL_ARRAY, REAL_ROWS, record
 
 
 class PathStarts(NamedTuple):
-    """g starts of paths on an isosurface or a wall: ``points`` in index space and world ``normals``, (3, g) float64.
+    """g starts of paths on an isosurface or a wall: ``points`` in index space and world
+    ``normals``, (3, g) float64.
 
-    They are columns, as vectors of a wave are. ``isovalues`` (g,) float64, normalised, are those of the surface that
-    paths meet; ``seeds`` (g,) uint64 of the sequences that they draw from. ``walls`` (g,) float64 are numbers of walls,
-    or NO_WALL on the isosurface, where rays start outside.
+    They are columns, as vectors of a wave are. ``isovalues`` (g,) float64, normalised, are those of
+    the surface that paths meet; ``seeds`` (g,) uint64 of the sequences that they draw from.
+    ``walls`` (g,) float64 are numbers of walls, or NO_WALL on the isosurface, where rays start
+    outside.
     """
 
     points: Any
@@ -33,9 +37,11 @@ class SampleRange(NamedTuple):
 
 
 class PathRules(NamedTuple):
-    """What a path's light counts, and which paths go on: ``weights`` float64 (see the kernel), and ``survival``.
+    """What a path's light counts, and which paths go on: ``weights`` float64 (see the kernel), and
+    ``survival``.
 
-    That is the chance with which a path that has hit twice goes on from a hit: see ``russian_roulette``.
+    That is the chance with which a path that has hit twice goes on from a hit: see
+    ``russian_roulette``.
     """
 
     weights: Any
@@ -43,7 +49,9 @@ class PathRules(NamedTuple):
 
 
 class TransferRules(NamedTuple):
-    """``PathRules`` of paths that go on from the first surface that they hit in a number of ``branches``."""
+    """``PathRules`` of paths that go on from the first surface that they hit in a number of
+    ``branches``.
+    """
 
     weights: Any
     survival: float
@@ -51,11 +59,12 @@ class TransferRules(NamedTuple):
 
 
 class PathTree(NamedTuple):
-    """How paths go on: from ``bounces`` hits at most, with the chance ``survival`` (see ``russian_roulette``), and from
-    the first one in ``branches`` ways.
+    """How paths go on: from ``bounces`` hits at most, with the chance ``survival`` (see
+    ``russian_roulette``), and from the first one in ``branches`` ways.
 
-    What comes straight is soon known, and what was reflected takes many more paths: branches bring these without
-    first rays of their own. Source: splitting, Arvo and Kirk, "Particle Transport and Image Synthesis", 1990.
+    What comes straight is soon known, and what was reflected takes many more paths: branches bring
+    these without first rays of their own. Source: splitting, Arvo and Kirk, "Particle Transport and
+    Image Synthesis", 1990.
     """
 
     bounces: int
@@ -64,10 +73,12 @@ class PathTree(NamedTuple):
 
 
 class PathEnds(NamedTuple):
-    """How paths end: ``bounces`` int64 (n,) before they left, or -1, and world ``directions`` (3, n), or zeros.
+    """How paths end: ``bounces`` int64 (n,) before they left, or -1, and world ``directions`` (3,
+    n), or zeros.
 
-    In front are the paths as they start; where they branch, those of the first branches follow, those of the second,
-    and so on, as many each. ``NO_PATH`` stands for a path that branched, and for branches of one that did not.
+    In front are the paths as they start; where they branch, those of the first branches follow,
+    those of the second, and so on, as many each. ``NO_PATH`` stands for a path that branched, and
+    for branches of one that did not.
     """
 
     bounces: Any

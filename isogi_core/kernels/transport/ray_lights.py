@@ -1,4 +1,6 @@
-"""Lights that single rays are drawn towards, and what rays bring of them: panels, discs, and a sharp environment."""
+"""Lights that single rays are drawn towards, and what rays bring of them: panels, discs, and a
+sharp environment.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -6,17 +8,37 @@ from typing import Any, NamedTuple
 from numba import types
 
 from isogi_core.kernels._jit import REAL_ARRAY, REAL_ROWS, kernel, record
-from isogi_core.kernels.tracing.vec import SMALLEST_NORMAL, cross, dot, length, madd, normalize, scale, sub
+from isogi_core.kernels.tracing.vec import (
+    SMALLEST_NORMAL,
+    cross,
+    dot,
+    length,
+    madd,
+    normalize,
+    scale,
+    sub,
+)
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS_RECORD
-from isogi_core.kernels.transport.lights import NO_LIGHT, draw_bright, draw_from_disc, glow, row, turn_back
-from isogi_core.kernels.transport.sampling import direction_to_latlong, latlong_jacobian, piecewise_2d_pdf
+from isogi_core.kernels.transport.lights import (
+    NO_LIGHT,
+    draw_bright,
+    draw_from_disc,
+    glow,
+    row,
+    turn_back,
+)
+from isogi_core.kernels.transport.sampling import (
+    direction_to_latlong,
+    latlong_jacobian,
+    piecewise_2d_pdf,
+)
 
 
 class Panels(NamedTuple):
     """k >= 0 flat lamps and luminaires: ``corners`` (k, 3), ``edges`` (k, 2, 3).
 
-    Both sides have the ``radiances`` (k, 3) where ``twofold`` (k,) is 1. Lamps among them are no walls where rays end,
-    which ``clear`` (k,) says by 1.
+    Both sides have the ``radiances`` (k, 3) where ``twofold`` (k,) is 1. Lamps among them are no
+    walls where rays end, which ``clear`` (k,) says by 1.
     """
 
     corners: Any
@@ -35,9 +57,11 @@ class Discs(NamedTuple):
 
 
 class ShineLights(NamedTuple):
-    """All light that rays may bring: ``around`` has lamps without an extent alone, the others are panels and discs.
+    """All light that rays may bring: ``around`` has lamps without an extent alone, the others are
+    panels and discs.
 
-    Where rays end on something they are expected to bring the radiance ``ambient``. Each ray is chosen of ``ways``.
+    Where rays end on something they are expected to bring the radiance ``ambient``. Each ray is
+    chosen of ``ways``.
     """
 
     around: Any
@@ -55,18 +79,20 @@ SHINE_LIGHTS = record(ShineLights, SURROUNDINGS_RECORD, PANELS, DISCS, types.flo
 
 @kernel()
 def panel_met(panels, k, p, w):
-    """How far the ray from the world point ``p`` along ``w`` is from panel ``k``, inf where that is dark or missed; and
-    its density when drawn by area, per steradian.
+    """How far the ray from the world point ``p`` along ``w`` is from panel ``k``, inf where that is
+    dark or missed; and its density when drawn by area, per steradian.
     """
     u, v = row(panels.edges[k], 0), row(panels.edges[k], 1)
-    across, away = cross(u, v), sub(row(panels.corners, k), p)
+    across = cross(u, v)
+    away = sub(row(panels.corners, k), p)
     area = length(across)
     slope = dot(across, w) / area
     if slope == 0.0 or not (slope < 0.0 or panels.twofold[k] > 0.0):
         return math.inf, 0.0
     t = dot(across, away) / area / slope
     q = sub(scale(w, t), away)
-    a, b = dot(cross(q, v), across) / (area * area), dot(cross(u, q), across) / (area * area)
+    a = dot(cross(q, v), across) / (area * area)
+    b = dot(cross(u, q), across) / (area * area)
     if not (t > 0.0 and 0.0 <= a <= 1.0 and 0.0 <= b <= 1.0):
         return math.inf, 0.0
     return t, t * t / max(area * abs(slope), SMALLEST_NORMAL)
@@ -74,44 +100,58 @@ def panel_met(panels, k, p, w):
 
 @kernel()
 def disc_met(discs, k, w):
-    """The density of the direction ``w`` when drawn from disc ``k``, 0 beside it; see ``draw_from_disc``."""
+    """The density of the direction ``w`` when drawn from disc ``k``, 0 beside it; see
+    ``draw_from_disc``.
+    """
     towards = row(discs.towards, k)
     cosine = dot(towards, w)
-    across, radius = madd(w, -cosine, towards), row(discs.edges[k], 0)
+    across = madd(w, -cosine, towards)
+    radius = row(discs.edges[k], 0)
     square = dot(radius, radius)
-    return cosine / (math.pi * square) if cosine > 0.0 and dot(across, across) <= square else 0.0
+    if cosine > 0.0 and dot(across, across) <= square:
+        return cosine / (math.pi * square)
+    return 0.0
 
 
 @kernel()
 def count_lights(lights):
     """How many lights rays may be drawn towards."""
-    bright = 1 if lights.around.table[0].shape[0] > 0 else 0
+    if lights.around.table[0].shape[0] > 0:
+        bright = 1
+    else:
+        bright = 0
     return bright + lights.panels.corners.shape[0] + lights.discs.towards.shape[0]
 
 
 @kernel()
 def draw_light(lights, which, p, a, b):
     """A world direction from ``p`` towards light number ``which``, from (a, b) in [0, 1)²."""
-    around, panels = lights.around, lights.panels
+    around = lights.around
+    panels = lights.panels
     bright = 1 if around.table[0].shape[0] > 0 else 0
     if which < bright:
         return draw_bright(around.table, around.matrix, a, b)
     k = which - bright
     if k < panels.corners.shape[0]:
         edges = panels.edges[k]
-        return normalize(sub(madd(madd(row(panels.corners, k), a, row(edges, 0)), b, row(edges, 1)), p))
+        return normalize(
+            sub(madd(madd(row(panels.corners, k), a, row(edges, 0)), b, row(edges, 1)), p)
+        )
     k -= panels.corners.shape[0]
     return draw_from_disc(row(lights.discs.towards, k), lights.discs.edges[k], a, b)[0]
 
 
 @kernel(inline=True)
 def expect_along(lights, p, w):
-    """What a ray from ``p`` along ``w`` would bring were nothing before the lights, linear RGB; and the density of
-    ``draw_light`` over all of them, each as often.
+    """What a ray from ``p`` along ``w`` would bring were nothing before the lights, linear RGB; and
+    the density of ``draw_light`` over all of them, each as often.
     """
-    around, panels, discs = lights.around, lights.panels, lights.discs
+    around = lights.around
+    panels = lights.panels
+    discs = lights.discs
     height, width = direction_to_latlong(turn_back(around.matrix, w))
-    (r, g, b), total = glow(around.constant, around.image, height, width), 0.0
+    (r, g, b) = glow(around.constant, around.image, height, width)
+    total = 0.0
     if around.table[0].shape[0] > 0:
         drawn = piecewise_2d_pdf(around.table[0], around.table[1], height, width)
         total += drawn / max(latlong_jacobian(height), SMALLEST_NORMAL)
@@ -119,19 +159,28 @@ def expect_along(lights, p, w):
         t, density = panel_met(panels, k, p, w)
         if t < math.inf:
             light = row(panels.radiances, k)
-            r, g, b, total = r + light[0], g + light[1], b + light[2], total + density
+            r = r + light[0]
+            g = g + light[1]
+            b = b + light[2]
+            total = total + density
     for k in range(discs.towards.shape[0]):
         density = disc_met(discs, k, w)
         if density > 0.0:
             light = row(discs.radiances, k)
-            r, g, b, total = r + light[0], g + light[1], b + light[2], total + density
+            r = r + light[0]
+            g = g + light[1]
+            b = b + light[2]
+            total = total + density
     return (r, g, b), total / max(count_lights(lights), 1)
 
 
 @kernel()
 def lamps_before(lights, p, w, t):
-    """What a ray from ``p`` along ``w`` that ends on something at ``t`` brings of the lamps before that."""
-    panels, (r, g, b) = lights.panels, NO_LIGHT
+    """What a ray from ``p`` along ``w`` that ends on something at ``t`` brings of the lamps before
+    that.
+    """
+    panels = lights.panels
+    (r, g, b) = NO_LIGHT
     for k in range(panels.corners.shape[0]):
         if panels.clear[k] > 0.0 and panel_met(panels, k, p, w)[0] < t:
             light = row(panels.radiances, k)

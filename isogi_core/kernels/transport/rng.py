@@ -1,8 +1,9 @@
-"""Random numbers that belong to (seed, index, dimension), not to a thread: hashes and scrambled Sobol points.
+"""Random numbers that belong to (seed, index, dimension), not to a thread: hashes and scrambled
+Sobol points.
 
 All words are 32 bits wide and are carried in uint64 under a mask: products of two words then fit,
-so compiled code and plain Python agree bit for bit and nothing ever overflows. Vectors of words (u32×N), which need
-no mask, go through the same functions to the same bits.
+so compiled code and plain Python agree bit for bit and nothing ever overflows. Vectors of words
+(u32×N), which need no mask, go through the same functions to the same bits.
 """
 
 import numpy as np
@@ -19,17 +20,24 @@ WORD_BITS = np.uint64(32)
 MULTIPLIER = np.uint64(1664525)
 INCREMENT = np.uint64(1013904223)
 
-# Even multipliers of the Laine-Karras permutation, from N. Vegdahl, "Building a Better LK Hash", 2021.
+# Even multipliers of the Laine-Karras permutation, from N. Vegdahl, "Building a Better LK Hash",
+# 2021.
 LK_FIRST = np.uint64(0x3D20ADEA)
 LK_SECOND = np.uint64(0x05526C56)
 LK_THIRD = np.uint64(0x53A22864)
 
-# For each step of a butterfly over the 32 bits: the distance, and the places whose number lacks that bit.
-STEP_1, PLACES_1 = np.uint64(1), np.uint64(0x55555555)
-STEP_2, PLACES_2 = np.uint64(2), np.uint64(0x33333333)
-STEP_4, PLACES_4 = np.uint64(4), np.uint64(0x0F0F0F0F)
-STEP_8, PLACES_8 = np.uint64(8), np.uint64(0x00FF00FF)
-STEP_16, PLACES_16 = np.uint64(16), np.uint64(0x0000FFFF)
+# For each step of a butterfly over the 32 bits: the distance, and the places whose number lacks
+# that bit.
+STEP_1 = np.uint64(1)
+PLACES_1 = np.uint64(0x55555555)
+STEP_2 = np.uint64(2)
+PLACES_2 = np.uint64(0x33333333)
+STEP_4 = np.uint64(4)
+PLACES_4 = np.uint64(0x0F0F0F0F)
+STEP_8 = np.uint64(8)
+PLACES_8 = np.uint64(0x00FF00FF)
+STEP_16 = np.uint64(16)
+PLACES_16 = np.uint64(0x0000FFFF)
 
 
 @kernel()
@@ -45,8 +53,10 @@ def pcg4d(a, b, c, d):
     Jarzynski and Olano, "Hash Functions for GPU Rendering", JCGT 9(3), 2020. Their two rounds leave
     some bits of neighbouring counters related (seen in the tests' avalanche), three do not.
     """
-    a, b = (a * MULTIPLIER + INCREMENT) & WORD_MASK, (b * MULTIPLIER + INCREMENT) & WORD_MASK
-    c, d = (c * MULTIPLIER + INCREMENT) & WORD_MASK, (d * MULTIPLIER + INCREMENT) & WORD_MASK
+    a = (a * MULTIPLIER + INCREMENT) & WORD_MASK
+    b = (b * MULTIPLIER + INCREMENT) & WORD_MASK
+    c = (c * MULTIPLIER + INCREMENT) & WORD_MASK
+    d = (d * MULTIPLIER + INCREMENT) & WORD_MASK
     for _ in range(3):
         a = (a + ((b * d) & WORD_MASK)) & WORD_MASK
         b = (b + ((c * a) & WORD_MASK)) & WORD_MASK
@@ -58,7 +68,9 @@ def pcg4d(a, b, c, d):
 
 @kernel()
 def mix(a, b):
-    """Hash of two integers 0 <= a, b < 2⁶⁴ into 64 mixed bits: a seed from a texel and a replicate."""
+    """Hash of two integers 0 <= a, b < 2⁶⁴ into 64 mixed bits: a seed from a texel and a
+    replicate.
+    """
     a, b = np.uint64(a), np.uint64(b)
     high, low, _, _ = pcg4d(a & WORD_MASK, a >> WORD_BITS, b & WORD_MASK, b >> WORD_BITS)
     return (high << WORD_BITS) | low
@@ -76,7 +88,8 @@ def reverse_bits(word):
 
 @kernel()
 def pascal_bits(word):
-    """Product of the Pascal matrix modulo 2 with a word's bits: bit i = ⊕ of the bits j that contain i.
+    """Product of the Pascal matrix modulo 2 with a word's bits: bit i = ⊕ of the bits j that
+    contain i.
 
     The binomial C(j, i) is odd when the binary digits of i are among those of j (Lucas), so the
     matrix is a fivefold Kronecker product and five steps of a butterfly apply it.
@@ -90,7 +103,8 @@ def pascal_bits(word):
 
 @kernel()
 def sobol_2d(index):
-    """Point 0 <= index < 2³² of Sobol's (0,2)-sequence as two words, to be read as fractions of 2³².
+    """Point 0 <= index < 2³² of Sobol's (0,2)-sequence as two words, to be read as fractions of
+    2³².
 
     The first is van der Corput's radical inverse, the second Sobol's with the Pascal matrix.
     """
@@ -102,7 +116,8 @@ def sobol_2d(index):
 def laine_karras(word, seed):
     """Permutation of words in which a bit is changed by lower bits and the seed only.
 
-    Laine and Karras, "Stratified sampling for stochastic transparency", EGSR 2011; constants by Vegdahl 2021.
+    Laine and Karras, "Stratified sampling for stochastic transparency", EGSR 2011; constants by
+    Vegdahl 2021.
     """
     word = word ^ ((word * LK_FIRST) & WORD_MASK)
     word = (word + seed) & WORD_MASK
@@ -113,7 +128,8 @@ def laine_karras(word, seed):
 
 @kernel()
 def nested_uniform_scramble(word, seed):
-    """Owen's scrambling of a word: each bit is flipped or not by a hash of the seed and all higher bits.
+    """Owen's scrambling of a word: each bit is flipped or not by a hash of the seed and all higher
+    bits.
 
     Burley, "Practical Hash-based Owen Scrambling", JCGT 9(4), 2020. `seed` is one well mixed word.
     """
@@ -122,7 +138,9 @@ def nested_uniform_scramble(word, seed):
 
 @kernel()
 def point_of_words(low, high, index, dimension):
-    """``point_2d`` where each argument is a word, or a vector of words; ``low`` and ``high`` make the seed."""
+    """``point_2d`` where each argument is a word, or a vector of words; ``low`` and ``high`` make
+    the seed.
+    """
     shuffle, first, second, _ = pcg4d(low, high, dimension, dimension | WORD_MASK)
     place = nested_uniform_scramble(index, shuffle)
     u = reverse_bits(laine_karras(place, first))
@@ -132,7 +150,8 @@ def point_of_words(low, high, index, dimension):
 
 @kernel()
 def point_2d(seed, index, dimension):
-    """Point (u, v) in [0, 1)² number 0 <= index < 2³² of a pair of dimensions; doubles with 32 bits.
+    """Point (u, v) in [0, 1)² number 0 <= index < 2³² of a pair of dimensions; doubles with 32
+    bits.
 
     The first 2ᵏ points of every (seed, dimension) have one point in each elementary interval of
     area 2⁻ᵏ. Shuffling the index by a scramble of its own takes the correlation between pairs away
@@ -140,5 +159,8 @@ def point_2d(seed, index, dimension):
     """
     seed = np.uint64(seed)
     return point_of_words(
-        seed & WORD_MASK, seed >> WORD_BITS, np.uint64(index) & WORD_MASK, np.uint64(dimension) & WORD_MASK
+        seed & WORD_MASK,
+        seed >> WORD_BITS,
+        np.uint64(index) & WORD_MASK,
+        np.uint64(dimension) & WORD_MASK,
     )

@@ -1,12 +1,13 @@
-"""Directions of rays: densities to draw them from, each with `sample_x`, `x_pdf` and `invert_x`, and refraction.
+"""Directions of rays: densities to draw them from, each with `sample_x`, `x_pdf` and `invert_x`,
+and refraction.
 
 Uniform numbers come in as arguments, so sampling is a pure function; `invert_x` gives them back.
-Local directions have z along the normal. Densities are per steradian, or per unit area of the square.
-What has no branch takes vectors of numbers too.
+Local directions have z along the normal. Densities are per steradian, or per unit area of the
+square. What has no branch takes vectors of numbers too.
 
-At a smooth dielectric interface directions are unit vectors of the world; ``n`` is the normal on the side that light
-comes from, and ``ratio`` the index of refraction on the other side over that on this one. Source: Born and Wolf,
-"Principles of Optics", section 1.5.
+At a smooth dielectric interface directions are unit vectors of the world; ``n`` is the normal on
+the side that light comes from, and ``ratio`` the index of refraction on the other side over that on
+this one. Source: Born and Wolf, "Principles of Optics", section 1.5.
 """
 
 import math
@@ -17,7 +18,8 @@ from isogi_core.kernels.tracing.vec import madd, normalize, orthonormal_basis, s
 
 BELOW_ONE = 1.0 - 2.0**-53
 
-# Minimax polynomials in x² of cos and sin on [-π/4, π/4], lowest term first (fdlibm's k_cos.c and k_sin.c).
+# Minimax polynomials in x² of cos and sin on [-π/4, π/4], lowest term first (fdlibm's k_cos.c and
+# k_sin.c).
 COSINE = (
     4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05,
     -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11,
@@ -50,7 +52,8 @@ def sample_disc(u, v):
     """
     a, b = 2.0 * u - 1.0, 2.0 * v - 1.0
     wide = abs(a) > abs(b)
-    radius, other = where(wide, a, b), where(wide, b, a)
+    radius = where(wide, a, b)
+    other = where(wide, b, a)
     cosine, sine = cosine_and_sine(0.25 * math.pi * (other / where(radius != 0.0, radius, 1.0)))
     along, across = radius * cosine, radius * sine
     return where(wide, along, across), where(wide, across, along)
@@ -59,7 +62,9 @@ def sample_disc(u, v):
 @kernel()
 def disc_pdf(x, y):
     """Density of `sample_disc` per unit area: 1/π inside, 0 outside."""
-    return 1.0 / math.pi if x * x + y * y <= 1.0 else 0.0
+    if x * x + y * y <= 1.0:
+        return 1.0 / math.pi
+    return 0.0
 
 
 @kernel()
@@ -68,18 +73,26 @@ def invert_disc(x, y):
     radius = math.sqrt(x * x + y * y)
     if abs(x) > abs(y):
         a = math.copysign(radius, x)
-        b = math.atan2(y, x) if x > 0.0 else math.atan2(-y, -x)
+        if x > 0.0:
+            b = math.atan2(y, x)
+        else:
+            b = math.atan2(-y, -x)
         b *= a * 4.0 / math.pi
     else:
         b = math.copysign(radius, y)
-        a = math.atan2(x, y) if y > 0.0 else math.atan2(-x, -y)
+        if y > 0.0:
+            a = math.atan2(x, y)
+        else:
+            a = math.atan2(-x, -y)
         a *= b * 4.0 / math.pi
     return 0.5 * (a + 1.0), 0.5 * (b + 1.0)
 
 
 @kernel(exact=True)
 def sample_cosine_hemisphere(u, v):
-    """Unit direction about +z with density cosθ/π from (u, v) in [0, 1)²: a disc point, lifted (Malley)."""
+    """Unit direction about +z with density cosθ/π from (u, v) in [0, 1)²: a disc point, lifted
+    (Malley).
+    """
     x, y = sample_disc(u, v)
     height = 1.0 - x * x - y * y
     return x, y, math.sqrt(where(height > 0.0, height, 0.0))
@@ -110,7 +123,9 @@ def invert_cosine_hemisphere(d):
 
 @kernel()
 def sample_uniform_sphere(u, v):
-    """Unit direction, uniform over the sphere, from (u, v) in [0, 1)²: z = 1 - 2u, φ = 2πv (Archimedes)."""
+    """Unit direction, uniform over the sphere, from (u, v) in [0, 1)²: z = 1 - 2u, φ = 2πv
+    (Archimedes).
+    """
     radius = 2.0 * math.sqrt(max(0.0, u * (1.0 - u)))
     angle = 2.0 * math.pi * v
     return radius * math.cos(angle), radius * math.sin(angle), 1.0 - 2.0 * u
@@ -132,14 +147,17 @@ def invert_uniform_sphere(d):
 def _turn(x, y):
     """Azimuth of (x, y) from +x towards +y as a fraction of a turn, in [0, 1)."""
     turn = math.atan2(y, x) / (2.0 * math.pi)
-    return min(turn + 1.0, BELOW_ONE) if turn < 0.0 else turn
+    if turn < 0.0:
+        return min(turn + 1.0, BELOW_ONE)
+    return turn
 
 
 @kernel()
 def direction_to_latlong(d):
     """Place (row, column) of a direction in a lat-long image, as fractions of its height and width.
 
-    Row in [0, 1] is θ/π from +z down, column in [0, 1) is φ/2π from +x towards +y; d need not be unit.
+    Row in [0, 1] is θ/π from +z down, column in [0, 1) is φ/2π from +x towards +y; d need not be
+    unit.
     """
     return math.atan2(math.sqrt(d[0] * d[0] + d[1] * d[1]), d[2]) / math.pi, _turn(d[0], d[1])
 
@@ -147,7 +165,8 @@ def direction_to_latlong(d):
 @kernel()
 def latlong_to_direction(row, column):
     """Unit direction at fractions (row, column) of a lat-long image's height and width."""
-    theta, phi = math.pi * row, 2.0 * math.pi * column
+    theta = math.pi * row
+    phi = 2.0 * math.pi * column
     return math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)
 
 
@@ -162,8 +181,11 @@ def latlong_jacobian(row):
 
 @kernel()
 def find_interval(cdf, u):
-    """The last i <= len(cdf) - 2 with cdf[i] <= u; an interval of no width is never found for u < 1."""
-    low, high = 0, cdf.shape[0] - 1
+    """The last i <= len(cdf) - 2 with cdf[i] <= u; an interval of no width is never found for u <
+    1.
+    """
+    low = 0
+    high = cdf.shape[0] - 1
     while high - low > 1:
         middle = (low + high) // 2
         if cdf[middle] <= u:
@@ -175,10 +197,12 @@ def find_interval(cdf, u):
 
 @kernel()
 def sample_piecewise_2d(marginal_cdf, conditional_cdf, u, v):
-    """Place (row, column) in [0, 1)² from a density that is constant on each of h × w pixels, by inversion.
+    """Place (row, column) in [0, 1)² from a density that is constant on each of h × w pixels, by
+    inversion.
 
     `marginal_cdf` (h + 1,) runs from 0 to 1 over the rows, `conditional_cdf` (h, w + 1) from 0 to 1
-    over the columns of each row; both float64. Pixels of no weight are never drawn. (pbrt, section A.5.6.)
+    over the columns of each row; both float64. Pixels of no weight are never drawn. (pbrt, section
+    A.5.6.)
     """
     i = find_interval(marginal_cdf, u)
     j = find_interval(conditional_cdf[i], v)
@@ -190,14 +214,20 @@ def _place(cdf, i, u):
     """Where in [0, 1) the cdf, linear in interval i, takes the value u."""
     count = cdf.shape[0] - 1
     width = cdf[i + 1] - cdf[i]
-    inside = (u - cdf[i]) / width if width > 0.0 else 0.5
+    if width > 0.0:
+        inside = (u - cdf[i]) / width
+    else:
+        inside = 0.5
     return min((i + inside) / count, BELOW_ONE)
 
 
 @kernel()
 def piecewise_2d_pdf(marginal_cdf, conditional_cdf, row, column):
-    """Density of `sample_piecewise_2d` at (row, column), per unit area of the square; it integrates to 1."""
-    rows, columns = conditional_cdf.shape[0], conditional_cdf.shape[1] - 1
+    """Density of `sample_piecewise_2d` at (row, column), per unit area of the square; it integrates
+    to 1.
+    """
+    rows = conditional_cdf.shape[0]
+    columns = conditional_cdf.shape[1] - 1
     i, j = min(int(row * rows), rows - 1), min(int(column * columns), columns - 1)
     rise = marginal_cdf[i + 1] - marginal_cdf[i]
     return rise * rows * (conditional_cdf[i, j + 1] - conditional_cdf[i, j]) * columns
@@ -207,7 +237,9 @@ def piecewise_2d_pdf(marginal_cdf, conditional_cdf, row, column):
 def invert_piecewise_2d(marginal_cdf, conditional_cdf, row, column):
     """The (u, v) that `sample_piecewise_2d` maps to (row, column)."""
     rows = conditional_cdf.shape[0]
-    return _height(marginal_cdf, row), _height(conditional_cdf[min(int(row * rows), rows - 1)], column)
+    return _height(marginal_cdf, row), _height(
+        conditional_cdf[min(int(row * rows), rows - 1)], column
+    )
 
 
 @kernel()
@@ -220,8 +252,8 @@ def _height(cdf, place):
 
 @kernel()
 def refracted_cosine(cosine, ratio):
-    """Cosine of the refracted ray to the normal, by Snell's law, where the other one's is ``cosine``; 0 where all of
-    the light is mirrored.
+    """Cosine of the refracted ray to the normal, by Snell's law, where the other one's is
+    ``cosine``; 0 where all of the light is mirrored.
     """
     square = 1.0 - (1.0 - cosine * cosine) / (ratio * ratio)
     return math.sqrt(square) if square > 0.0 else 0.0
@@ -229,8 +261,8 @@ def refracted_cosine(cosine, ratio):
 
 @kernel()
 def fresnel(cosine, ratio):
-    """Share of unpolarised light that is mirrored, from its ``cosine`` to the normal: ½ (r_s² + r_p²), 1 beyond the
-    critical angle.
+    """Share of unpolarised light that is mirrored, from its ``cosine`` to the normal: ½ (r_s² +
+    r_p²), 1 beyond the critical angle.
     """
     other = refracted_cosine(cosine, ratio)
     if not other > 0.0:
@@ -248,6 +280,8 @@ def mirror(w, n, cosine):
 
 @kernel()
 def refract(w, n, cosine, ratio):
-    """The direction in which ``w`` goes on behind the interface, at ``cosine`` = -w·n, up to the critical angle."""
+    """The direction in which ``w`` goes on behind the interface, at ``cosine`` = -w·n, up to the
+    critical angle.
+    """
     other = refracted_cosine(cosine, ratio)
     return normalize(madd(scale(w, 1.0 / ratio), cosine / ratio - other, n))

@@ -1,11 +1,14 @@
-"""The table of random numbers: streams keep sequences apart, and dimensions the purposes that a path draws for.
+"""The table of random numbers: streams keep sequences apart, and dimensions the purposes that a
+path draws for.
 
-A seed owns a sequence, and words make the seed: a pixel and its stream plus the number of a replica, or a texel's place
-and its half. Each sample of a sequence has pairs of numbers, one for each dimension: see ``point_2d``. Two purposes
-that draw the same pair of one sequence are correlated, and no test of either sees that. So all of them stand here.
+A seed owns a sequence, and words make the seed: a pixel and its stream plus the number of a
+replica, or a texel's place and its half. Each sample of a sequence has pairs of numbers, one for
+each dimension: see ``point_2d``. Two purposes that draw the same pair of one sequence are
+correlated, and no test of either sees that. So all of them stand here.
 
-To add a stream, append the next free power of two, and list it in STREAMS. To add a purpose of paths, put its pairs
-below those of LEAVING, and list it in PURPOSES. Numbers that are here never change: stored light was drawn by these.
+To add a stream, append the next free power of two, and list it in STREAMS. To add a purpose of
+paths, put its pairs below those of LEAVING, and list it in PURPOSES. Numbers that are here never
+change: stored light was drawn by these.
 """
 
 PAIRS_PER_PURPOSE = 1 << 16
@@ -15,8 +18,8 @@ DIRECTIONS = 0
 """The first of the pairs that draw a path's directions, one for each vertex."""
 
 FIRST_SOURCE_PAIR = PAIRS_PER_PURPOSE
-"""The first pair that draws a point of a light source, PAIRS_PER_PURPOSE for each: bright sky, then lamps, then
-luminaires.
+"""The first pair that draws a point of a light source, PAIRS_PER_PURPOSE for each: bright sky, then
+lamps, then luminaires.
 """
 
 MAX_CROSSINGS = 64
@@ -47,8 +50,12 @@ PURPOSES = (
 )
 """For each purpose of a path the first of its pairs, and how many are its own."""
 
-SHINE_WAY, SHINE_CHOICE, SHINE_LAMP = 0, 1, 2
-"""Pairs of the sequences of shine's rays: for a way, for which way a ray takes, and one for each lamp from there on."""
+SHINE_WAY = 0
+SHINE_CHOICE = 1
+SHINE_LAMP = 2
+"""Pairs of the sequences of shine's rays: for a way, for which way a ray takes, and one for each
+lamp from there on.
+"""
 
 PICTURE_STREAM = 0
 """The first stream of path-traced pictures."""
@@ -63,7 +70,9 @@ PIXEL_LIGHT_STREAM = 1 << 18
 """The first stream of pixels that get light of their own."""
 
 WALLS_STREAM = 1 << 19
-"""The first word, in place of a lattice texel's z, of seeds of walls' texels: two for each wall, its front and back."""
+"""The first word, in place of a lattice texel's z, of seeds of walls' texels: two for each wall,
+its front and back.
+"""
 
 SHINE_STREAM = 1 << 20
 """The first stream of rays of shine, and of paths from their ends."""

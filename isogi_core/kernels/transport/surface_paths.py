@@ -1,6 +1,8 @@
-"""Paths among several isosurfaces: a ray meets the nearest, and a share of all rays passes straight through it.
+"""Paths among several isosurfaces: a ray meets the nearest, and a share of all rays passes straight
+through it.
 
-What meets a surface leaves it on the side it came from, or, diffuse too, on the other. Walls let nothing through.
+What meets a surface leaves it on the side it came from, or, diffuse too, on the other. Walls let
+nothing through.
 """
 
 import math
@@ -40,12 +42,13 @@ NO_SURFACE = -1
 
 
 class Surfaces(NamedTuple):
-    """s isosurfaces, the first of them the one that paths start on, whose isovalue each start has for
-    itself.
+    """s isosurfaces, the first of them the one that paths start on, whose isovalue each start has
+    for itself.
 
-    Of each the ``cells`` that may hold it (MOST of them: the others say nothing), its ``isovalues`` (s,), of which the
-    first is not read, the ``albedos`` (s, 3) of both its sides, and the share ``clears`` (s,) of rays that passes. Of
-    what falls on either side the share ``transmissions`` (s, 3) leaves the other, diffuse.
+    Of each the ``cells`` that may hold it (MOST of them: the others say nothing), its ``isovalues``
+    (s,), of which the first is not read, the ``albedos`` (s, 3) of both its sides, and the share
+    ``clears`` (s,) of rays that passes. Of what falls on either side the share ``transmissions``
+    (s, 3) leaves the other, diffuse.
     """
 
     cells: Any
@@ -56,7 +59,12 @@ class Surfaces(NamedTuple):
 
 
 SURFACES_RECORD = record(
-    Surfaces, types.UniTuple(ACTIVE_CELLS, MAX_SURFACES), REAL_ARRAY, REAL_ROWS, REAL_ARRAY, REAL_ROWS
+    Surfaces,
+    types.UniTuple(ACTIVE_CELLS, MAX_SURFACES),
+    REAL_ARRAY,
+    REAL_ROWS,
+    REAL_ARRAY,
+    REAL_ROWS,
 )
 
 
@@ -74,10 +82,11 @@ AMONG_RECORD = record(Among, FIELD_RECORD, SURFACES_RECORD, ROOM_RECORD)
 class Company(NamedTuple):
     """A ``wave`` of paths among s surfaces in a room.
 
-    (n,) the ``own`` isovalues of the surfaces that paths started on, and the numbers of those that vertices stand
-    ``on`` and that rays ``met``, or NONE. For each surface and ray the way ``t`` to it, and the side that it ``came``
-    from, (s, n). ``end`` (n,) is the way to the wall that a ray meets at last. ``passed`` (n,) is the share of a shadow
-    ray's light that gets through, ``pending`` (n,) the rays that go on.
+    (n,) the ``own`` isovalues of the surfaces that paths started on, and the numbers of those that
+    vertices stand ``on`` and that rays ``met``, or NONE. For each surface and ray the way ``t`` to
+    it, and the side that it ``came`` from, (s, n). ``end`` (n,) is the way to the wall that a ray
+    meets at last. ``passed`` (n,) is the share of a shadow ray's light that gets through,
+    ``pending`` (n,) the rays that go on.
     """
 
     wave: Any
@@ -93,13 +102,25 @@ class Company(NamedTuple):
 
 @kernel()
 def cast_at_all(scene, company, origins, count):
-    """Cast a wave's rays from ``origins`` at each surface, ways and sides, and at the walls that end them."""
-    surfaces, wave, n = scene.surfaces, company.wave, whole(count)
-    isovalues, sides, directions = np.empty(n), np.empty(n, np.int8), columns(wave.rays.directions, count)
+    """Cast a wave's rays from ``origins`` at each surface, ways and sides, and at the walls that
+    end them.
+    """
+    surfaces = scene.surfaces
+    wave = company.wave
+    n = whole(count)
+    isovalues = np.empty(n)
+    sides = np.empty(n, np.int8)
+    directions = columns(wave.rays.directions, count)
     for k in range(surfaces.clears.shape[0]):
         for i in range(n):
-            isovalues[i] = company.own[i] if k == 0 else surfaces.isovalues[k]
-            sides[i] = wave.rays.sides[i] if company.on[i] == k else UNKNOWN_SIDE
+            if k == 0:
+                isovalues[i] = company.own[i]
+            else:
+                isovalues[i] = surfaces.isovalues[k]
+            if company.on[i] == k:
+                sides[i] = wave.rays.sides[i]
+            else:
+                sides[i] = UNKNOWN_SIDE
         rays = Rays(isovalues, origins, directions, sides)
         cast_batch(scene.field, surfaces.cells[k], rays, company.t[k, :n], company.came[k, :n])
     company.end[:n] = math.inf
@@ -108,9 +129,13 @@ def cast_at_all(scene, company, origins, count):
 
 @kernel()
 def cast_past(scene, company, k, origins, count, going):
-    """Cast those of the first ``going`` pending rays on that have just passed surface ``k``, from there."""
-    n, directions = whole(going), columns(company.wave.rays.directions, count)
-    some, size = np.empty(n, np.int64), 0
+    """Cast those of the first ``going`` pending rays on that have just passed surface ``k``, from
+    there.
+    """
+    n = whole(going)
+    directions = columns(company.wave.rays.directions, count)
+    some = np.empty(n, np.int64)
+    size = 0
     for j in range(going):
         if company.met[company.pending[j]] == k:
             some[size] = company.pending[j]
@@ -118,11 +143,15 @@ def cast_past(scene, company, k, origins, count, going):
     if size == 0:
         return
     rays = Rays(np.empty(size), np.empty((3, size)), np.empty((3, size)), np.empty(size, np.int8))
-    t, came = np.empty(size), np.empty(size, np.int8)
+    t = np.empty(size)
+    came = np.empty(size, np.int8)
     for j in range(size):
         i = some[j]
         d = column(directions, i)
-        rays.isovalues[j] = company.own[i] if k == 0 else scene.surfaces.isovalues[k]
+        if k == 0:
+            rays.isovalues[j] = company.own[i]
+        else:
+            rays.isovalues[j] = scene.surfaces.isovalues[k]
         put_column(rays.origins, j, madd(column(origins, i), company.t[k, i], d))
         put_column(rays.directions, j, d)
         rays.sides[j] = -company.came[k, i]
@@ -134,7 +163,9 @@ def cast_past(scene, company, k, origins, count, going):
 
 @kernel()
 def nearest_surface(company, i):
-    """The surface that ray ``i`` meets next; the first of those at the same place, and 0 where it meets none."""
+    """The surface that ray ``i`` meets next; the first of those at the same place, and 0 where it
+    meets none.
+    """
     best = 0
     for k in range(1, company.t.shape[0]):
         if company.t[k, i] < company.t[best, i]:
@@ -144,14 +175,20 @@ def nearest_surface(company, i):
 
 @kernel()
 def happens(rays, i, number, chance):
-    """Whether path ``i`` of a wave draws what has this ``chance``, by its pair of random numbers of this ``number``."""
-    low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
+    """Whether path ``i`` of a wave draws what has this ``chance``, by its pair of random numbers of
+    this ``number``.
+    """
+    low = np.uint64(rays.low[i])
+    high = np.uint64(rays.high[i])
+    sample = np.uint64(rays.samples[i])
     return point_of_words(low, high, sample, np.uint64(number))[0] < chance
 
 
 @kernel()
 def passes(rays, i, bounce, crossing, clear):
-    """Whether ray ``i`` from a path's vertex passes the surface at its crossing of this number, by chance."""
+    """Whether ray ``i`` from a path's vertex passes the surface at its crossing of this number, by
+    chance.
+    """
     if clear <= 0.0 or clear >= 1.0:
         return clear > 0.0
     return happens(rays, i, PASSING + crossing * PAIRS_PER_PURPOSE + bounce, clear)
@@ -159,11 +196,21 @@ def passes(rays, i, bounce, crossing, clear):
 
 @kernel()
 def goes_on(surfaces, company, i, bounce, crossing, aimed):
-    """Whether ray ``i``, at its next crossing, goes on; an ``aimed`` one, as far as it reaches, with what it brings."""
-    rays, k = company.wave.rays, nearest_surface(company, i)
-    reach = company.wave.shadow.reach[i] if aimed else math.inf
+    """Whether ray ``i``, at its next crossing, goes on; an ``aimed`` one, as far as it reaches,
+    with what it brings.
+    """
+    rays = company.wave.rays
+    k = nearest_surface(company, i)
+    if aimed:
+        reach = company.wave.shadow.reach[i]
+    else:
+        reach = math.inf
     walled = company.end[i] <= company.t[k, i]
-    rays.t[i], rays.came[i] = company.end[i] if walled else company.t[k, i], company.came[k, i]
+    if walled:
+        rays.t[i] = company.end[i]
+    else:
+        rays.t[i] = company.t[k, i]
+    rays.came[i] = company.came[k, i]
     company.met[i] = NO_SURFACE if walled else k
     if rays.t[i] >= reach or (walled and not aimed):
         return False
@@ -177,8 +224,8 @@ def goes_on(surfaces, company, i, bounce, crossing, aimed):
 def follow_rays(scene, company, room, bounce, count, aimed):
     """Follow a wave's rays from the points in ``room`` to the surfaces that stop them.
 
-    Writes how far that is, and from which side they met which surface, or which wall. ``aimed`` rays go no farther than
-    they reach, and bring the share ``passed`` of their light.
+    Writes how far that is, and from which side they met which surface, or which wall. ``aimed``
+    rays go no farther than they reach, and bring the share ``passed`` of their light.
     """
     origins = columns(room, count)
     origins[:, count:] = math.inf
@@ -207,11 +254,16 @@ def follow_rays(scene, company, room, bounce, count, aimed):
 
 @add_sent.case(Among)
 def add_sent_among(scene, state, vertices, bounce):
-    """Add what the shadow rays of a wave bring, of which surfaces let a share pass, and walls nothing."""
-    shadow, count = state.wave.shadow, vertices.count
+    """Add what the shadow rays of a wave bring, of which surfaces let a share pass, and walls
+    nothing.
+    """
+    shadow = state.wave.shadow
+    count = vertices.count
     follow_rays(scene, state, shadow.starts, bounce, count, True)
-    starts, lights = columns(shadow.starts, count), columns(shadow.light, count)
-    carried, gathered = state.wave.carried, state.wave.gathered
+    starts = columns(shadow.starts, count)
+    lights = columns(shadow.light, count)
+    carried = state.wave.carried
+    gathered = state.wave.gathered
     for i in range(count):
         if state.passed[i] > 0.0 and starts[0, i] < math.inf:
             m = state.wave.rays.owners[i]
@@ -227,19 +279,31 @@ def meet_among(scene, state, vertices, bounce):
 
 @kernel()
 def choose_side(surfaces, company, h, k, vertex, chance):
-    """Have path ``h`` leave its ``vertex`` on surface ``k`` by its albedo, or by its transmission: whether by that.
+    """Have path ``h`` leave its ``vertex`` on surface ``k`` by its albedo, or by its transmission:
+    whether by that.
 
-    Each is drawn by what it leaves of the light that the path carries, so that no colour of it ever counts more than
-    three times that. What it carries counts over that chance, and over the ``chance`` to get there.
+    Each is drawn by what it leaves of the light that the path carries, so that no colour of it ever
+    counts more than three times that. What it carries counts over that chance, and over the
+    ``chance`` to get there.
     """
-    rays, carried = company.wave.rays, company.wave.carried
-    m, back, through = rays.owners[h], 0.0, 0.0
+    rays = company.wave.rays
+    carried = company.wave.carried
+    m = rays.owners[h]
+    back = 0.0
+    through = 0.0
     for c in range(3):
         back += carried[c, m] * surfaces.albedos[k, c]
         through += carried[c, m] * surfaces.transmissions[k, c]
-    share = through / (through + back) if through > 0.0 else 0.0
+    if through > 0.0:
+        share = through / (through + back)
+    else:
+        share = 0.0
     other = share > 0.0 and happens(rays, h, LEAVING + vertex, share)
-    counts, share = (surfaces.transmissions[k], share) if other else (surfaces.albedos[k], 1.0 - share)
+    if other:
+        counts = surfaces.transmissions[k]
+    else:
+        counts = surfaces.albedos[k]
+        share = 1.0 - share
     for c in range(3):
         carried[c, m] *= counts[c] / (chance * share)
     return other
@@ -247,30 +311,47 @@ def choose_side(surfaces, company, h, k, vertex, chance):
 
 @kernel()
 def stand_on(scene, company, following, count, bounce, chance):
-    """Put the vertices ``following`` the rays of a ``bounce`` on what was met: its number, its isovalue, and the side
-    that paths leave; of a wall, what these carry. ``count`` rays were cast, and hits were followed with a ``chance``.
+    """Put the vertices ``following`` the rays of a ``bounce`` on what was met: its number, its
+    isovalue, and the side that paths leave; of a wall, what these carry. ``count`` rays were cast,
+    and hits were followed with a ``chance``.
     """
-    rays, carried = company.wave.rays, company.wave.carried
-    ways, surfaces, walls = columns(rays.ways, count), scene.surfaces, scene.room.albedos
+    rays = company.wave.rays
+    carried = company.wave.carried
+    ways = columns(rays.ways, count)
+    surfaces = scene.surfaces
+    walls = scene.room.albedos
     for h in range(following.count):
         i = rays.hits[h]
         k = int(company.met[i])
-        company.own[h], company.on[h], rays.t[h] = company.own[i], k, rays.t[i]
-        rays.isovalues[h] = company.own[h] if k <= 0 else surfaces.isovalues[k]
+        company.own[h] = company.own[i]
+        company.on[h] = k
+        rays.t[h] = rays.t[i]
+        if k <= 0:
+            rays.isovalues[h] = company.own[h]
+        else:
+            rays.isovalues[h] = surfaces.isovalues[k]
         if k == NO_SURFACE:
             for c in range(3):
                 carried[c, rays.owners[h]] *= walls[int(company.wave.met[i]), c] / chance
         elif choose_side(surfaces, company, h, k, bounce + 1, chance):
-            rays.sides[h], rays.signs[h] = -rays.sides[h], -rays.signs[h]
-            put_column(ways, i, scale(column(ways, i), -1.0))  # where the field is flat normals are against them
+            rays.sides[h] = -rays.sides[h]
+            rays.signs[h] = -rays.signs[h]
+            put_column(
+                ways, i, scale(column(ways, i), -1.0)
+            )  # where the field is flat normals are against them
 
 
 @kernel()
 def start_on_either_side(scene, company, vertices, starts):
-    """Have paths leave the surface that they start on, on one of its sides, each counting its share of what leaves."""
-    surfaces, rays, g = scene.surfaces, company.wave.rays, starts.isovalues.shape[0]
+    """Have paths leave the surface that they start on, on one of its sides, each counting its share
+    of what leaves.
+    """
+    surfaces = scene.surfaces
+    rays = company.wave.rays
+    g = starts.isovalues.shape[0]
     through = surfaces.transmissions[0]
-    origins, normals = columns(vertices.points, vertices.count), columns(vertices.normals, vertices.count)
+    origins = columns(vertices.points, vertices.count)
+    normals = columns(vertices.normals, vertices.count)
     for h in range(vertices.count if max(through[0], through[1], through[2]) > 0.0 else 0):
         m = rays.owners[h]
         if company.on[h] == NO_SURFACE:
@@ -278,7 +359,8 @@ def start_on_either_side(scene, company, vertices, starts):
         for c in range(3):
             company.wave.carried[c, m] /= max(surfaces.albedos[0, c] + through[c], SMALLEST_NORMAL)
         if choose_side(surfaces, company, h, 0, 0, 1.0):
-            n, start = scale(column(normals, h), -1.0), column(starts.points, m % g)
+            n = scale(column(normals, h), -1.0)
+            start = column(starts.points, m % g)
             rays.sides[h] = SOLID_SIGN
             put_column(normals, h, n)
             put_column(origins, h, launch(scene.field, rays.isovalues[h], start, n, SOLID_SIGN))
@@ -287,7 +369,8 @@ def start_on_either_side(scene, company, vertices, starts):
 @advance.case(Among)
 def advance_among(scene, state, vertices, following, bounce, rules):
     """Move the paths that go on to where they hit surfaces or walls."""
-    rays, count = state.wave.rays, vertices.count
+    rays = state.wave.rays
+    count = vertices.count
     compact(rays, vertices, following)
     stand_on(scene, state, following, count, bounce, rules.survival if bounce > 0 else 1.0)
     next_vertex(scene.field, rays, count, following)
@@ -297,9 +380,12 @@ def advance_among(scene, state, vertices, following, bounce, rules):
 @make_state.case(Among)
 def make_company(scene, starts, wave):
     """The company of a ``wave`` of paths among surfaces."""
-    n, s = wave.own.shape[0], scene.surfaces.clears.shape[0]
-    numbers, places = np.zeros((3, n)), np.zeros((3, n), np.int64)
-    met, ways = (numbers[0], places[0], places[1]), (np.empty((s, n)), np.empty((s, n), np.int8))
+    n = wave.own.shape[0]
+    s = scene.surfaces.clears.shape[0]
+    numbers = np.zeros((3, n))
+    places = np.zeros((3, n), np.int64)
+    met = (numbers[0], places[0], places[1])
+    ways = (np.empty((s, n)), np.empty((s, n), np.int8))
     return Company(wave, *met, *ways, numbers[1], numbers[2], places[2])
 
 
@@ -315,17 +401,22 @@ def begin_among(scene, state, vertices, starts, first):
     start_on_either_side(scene, state, vertices, starts)
 
 
-@kernel(types.void(AMONG_RECORD, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS_RECORD, REAL_ROWS))
+@kernel(
+    types.void(AMONG_RECORD, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS_RECORD, REAL_ROWS)
+)
 def light_among_surfaces(scene, starts, samples, rules, light, sums):
-    """Add E/π of a ``SampleRange`` at each of g ``PathStarts``, with all light that is reflected, to ``sums`` (g, 3).
+    """Add E/π of a ``SampleRange`` at each of g ``PathStarts``, with all light that is reflected,
+    to ``sums`` (g, 3).
 
-    The ``scene`` is Among. A ray that meets a surface passes straight through it with the chance ``clear``, or meets a
-    diffuse one there: of a thin shell that is lit on either side. Light of shadow rays is multiplied by the ``clear``
-    of all that they cross. Each bounce counts the albedo of what it hit, or its transmission where it goes on from the
-    other side, over the chance of that side, and all the first of the weights (bounces + 1, 3) of the ``rules``, of
-    which the others are not read. Where the surface of the starts has a transmission t beside its albedo a, E is that
-    of both its sides by their shares in what leaves, (a E_own + t E_other) / (a + t). ``light`` are the Surroundings,
-    and luminaires are balanced as in ``light_in_room``. Sums grow sample by sample: the company of a start changes no
-    bit. Source: Kajiya 1986; clear shells as in Beason et al. 2006 (S3).
+    The ``scene`` is Among. A ray that meets a surface passes straight through it with the chance
+    ``clear``, or meets a diffuse one there: of a thin shell that is lit on either side. Light of
+    shadow rays is multiplied by the ``clear`` of all that they cross. Each bounce counts the albedo
+    of what it hit, or its transmission where it goes on from the other side, over the chance of
+    that side, and all the first of the weights (bounces + 1, 3) of the ``rules``, of which the
+    others are not read. Where the surface of the starts has a transmission t beside its albedo a, E
+    is that of both its sides by their shares in what leaves, (a E_own + t E_other) / (a + t).
+    ``light`` are the Surroundings, and luminaires are balanced as in ``light_in_room``. Sums grow
+    sample by sample: the company of a start changes no bit. Source: Kajiya 1986; clear shells as in
+    Beason et al. 2006 (S3).
     """
     add_paths(scene, starts, samples, rules, light, sums)

@@ -1,1 +1,3 @@
-"""What volumes a scene is of: opened from files, masked, cut open, labelled, and coloured by data."""
+"""What volumes a scene is of: opened from files, masked, cut open, labelled, and coloured by
+data.
+"""

@@ -1,9 +1,11 @@
-"""Colours of a scene: the table [[volumes]] with use = "colour", and its values at the voxels of the scene's volume.
+"""Colours of a scene: the table [[volumes]] with use = "colour", and its values at the voxels of
+the scene's volume.
 
-Colours of labels: at each place the two that weigh most around it, so that seams between them are smooth. Labels are
-weighed by the Gaussian that smooths their field, whose surface is theirs. Frames and paths interpolate the shares of
-both labels and take the greatest one's colour (``label_albedo``): where two touch it changes on a surface as smooth
-as the one that is seen, and no third label comes up between them.
+Colours of labels: at each place the two that weigh most around it, so that seams between them are
+smooth. Labels are weighed by the Gaussian that smooths their field, whose surface is theirs. Frames
+and paths interpolate the shares of both labels and take the greatest one's colour
+(``label_albedo``): where two touch it changes on a surface as smooth as the one that is seen, and
+no third label comes up between them.
 """
 
 import math
@@ -39,7 +41,9 @@ OF = ("gradient", "curvature")
 """What of the scene's own volume colours can be of."""
 
 CURVATURE_BLUR = 1.5
-"""Standard deviation in voxels of the Gaussian that curvature is smoothed by: else it would be that of stairs."""
+"""Standard deviation in voxels of the Gaussian that curvature is smoothed by: else it would be that
+of stairs.
+"""
 
 MOST_CODES = 1 << 26
 """Places of a grid of codes, at most: a larger volume has them some voxels apart."""
@@ -48,7 +52,9 @@ SAMPLED_LAYERS = 48
 """Layers of the volume in which the usual range of values is looked up."""
 
 COLOUR_PERCENTILES = (1.0, 99.0)
-"""Percentiles of the values on the surface that views start with: the range where a scene gives none."""
+"""Percentiles of the values on the surface that views start with: the range where a scene gives
+none.
+"""
 
 USUAL_EVEN = 90.0
 """Percentile of the magnitudes of values that lie about 0: that of the ends of their range."""
@@ -57,14 +63,17 @@ MIN_PERCENTILE_VALUES = 64
 """Values of which percentiles tell something."""
 
 Layer = Callable[[float, np.ndarray, np.ndarray], None]
-"""Fills values (ny, nx) float32 at places of layer z that lie a step (3,) of voxels apart; NaN where there is none."""
+"""Fills values (ny, nx) float32 at places of layer z that lie a step (3,) of voxels apart; NaN
+where there is none.
+"""
 
 
 @dataclass(frozen=True)
 class ColourTable:
     """The table [[volumes]] of colours: its ``file``, or what ``of`` the volume itself it is.
 
-    ``map`` is None where the scene gives its own ``colours``; ``span`` is None where the values on the surface decide.
+    ``map`` is None where the scene gives its own ``colours``; ``span`` is None where the values on
+    the surface decide.
     """
 
     file: str
@@ -78,16 +87,25 @@ class ColourTable:
 
 def find_table(settings: Settings) -> ColourTable | None:
     """The table of a scene's colours, None where it has none. Raises SceneError."""
-    tables = [table for table in settings.nested("volumes") if table.source.document.get("use") == "colour"]
+    tables = [
+        table
+        for table in settings.nested("volumes")
+        if table.source.document.get("use") == "colour"
+    ]
     if not tables:
         return None
     if len(tables) > 1:
-        raise SceneError(f"The scene '{settings.source.name}' has {len(tables)} volumes of colour: give one.")
+        raise SceneError(
+            f"The scene '{settings.source.name}' has {len(tables)} volumes of colour: give one."
+        )
     return read_colour_table(tables[0])
 
 
-def read_colours(table: ColourTable, settings: Settings, volume: Volume, isovalue: float) -> SurfaceColours:
-    """The colours of a scene by its ``table``; ``volume`` is the whole of it, and views start at an ``isovalue``.
+def read_colours(
+    table: ColourTable, settings: Settings, volume: Volume, isovalue: float
+) -> SurfaceColours:
+    """The colours of a scene by its ``table``; ``volume`` is the whole of it, and views start at an
+    ``isovalue``.
 
     Raises SceneError, and VolumeError where a file cannot be read.
     """
@@ -99,21 +117,33 @@ def read_colour_table(table: Settings) -> ColourTable:
     """The table of colours. Raises SceneError, also for keys that are unknown in it."""
     source = table.source
     table.choice("use", ("colour",))
-    file, of = table.text("file", ""), table.choice("of", OF)
+    file = table.text("file", "")
+    of = table.choice("of", OF)
     if bool(file) == (of is not None):
         raise SceneError(
-            f"Colours in the scene '{source.name}' need a file, or of = 'gradient' or 'curvature': give one."
+            f"Colours in the scene '{source.name}' need a file, or of = 'gradient' or "
+            "'curvature': give one."
         )
-    named, listed = table.choice("map", tuple(COLOUR_MAPS)), source.document.get("colours")
-    own = own_colours(listed, source.name) if listed is not None else ()
+    named = table.choice("map", tuple(COLOUR_MAPS))
+    listed = source.document.get("colours")
+    if listed is not None:
+        own = own_colours(listed, source.name)
+    else:
+        own = ()
     if named and own:
         raise SceneError(f"The scene '{source.name}' gives a map and colours: leave one out.")
     table.known.add("colours")
     span = table.span("range", -math.inf, math.inf)
-    name, outside = table.text("name", ""), table.colour("outside", 0.5)
+    name = table.text("name", "")
+    outside = table.colour("outside", 0.5)
     table.refuse_unknown()
-    usual = "coolwarm" if of == "curvature" else "viridis"
-    return ColourTable(file, of, name, named or (None if own else usual), own, span, capped(outside))
+    if of == "curvature":
+        usual = "coolwarm"
+    else:
+        usual = "viridis"
+    return ColourTable(
+        file, of, name, named or (None if own else usual), own, span, capped(outside)
+    )
 
 
 def own_colours(listed: Any, scene: str) -> tuple[Colour, ...]:
@@ -121,7 +151,8 @@ def own_colours(listed: Any, scene: str) -> tuple[Colour, ...]:
     whole = isinstance(listed, list) and 2 <= len(listed) <= VALUES
     if not whole or not all(map(is_albedo, listed)):
         raise SceneError(
-            f"colours in the scene '{scene}' is not a list of 2 to {VALUES} albedos [r, g, b] from 0 to 1."
+            f"colours in the scene '{scene}' is not a list of 2 to {VALUES} albedos [r, g, b] "
+            "from 0 to 1."
         )
     return tuple(map(capped, listed))
 
@@ -137,7 +168,9 @@ def capped(albedo: Colour | list[float]) -> Colour:
 
 
 def source_of(table: ColourTable, settings: Settings, volume: Volume) -> tuple[str, Layer, float]:
-    """Where values come from: their name, how a layer is filled, and what filled values are multiplied by."""
+    """Where values come from: their name, how a layer is filled, and what filled values are
+    multiplied by.
+    """
     if table.of is not None:
         return table.of, *own_layers(table.of, volume)
     voxels, matrix = placed_file(table.file, settings, volume)
@@ -149,7 +182,9 @@ def source_of(table: ColourTable, settings: Settings, volume: Volume) -> tuple[s
 
 
 def own_layers(of: str, volume: Volume) -> tuple[Layer, float]:
-    """How layers are filled with what of the ``volume`` itself colours are, and what these values are multiplied by."""
+    """How layers are filled with what of the ``volume`` itself colours are, and what these values
+    are multiplied by.
+    """
     shortest = min(volume.spacing)  # in its units slopes stay far from the ends of float32
     spacing = np.array(volume.spacing) / shortest
 
@@ -159,18 +194,22 @@ def own_layers(of: str, volume: Volume) -> tuple[Layer, float]:
     def _bend(z: float, step: np.ndarray, values: np.ndarray) -> None:
         whole = mean_curvature(volume.voxels, spacing, int(z))
         places = [
-            np.minimum(np.arange(n) * int(step[0]), m - 1) for n, m in zip(values.shape, whole.shape, strict=True)
+            np.minimum(np.arange(n) * int(step[0]), m - 1)
+            for n, m in zip(values.shape, whole.shape, strict=True)
         ]
         values[:] = whole[np.ix_(*places)]
 
-    return (_slope, abs(volume.scale) / shortest) if of == "gradient" else (_bend, 1.0 / shortest)
+    if of == "gradient":
+        return (_slope, abs(volume.scale) / shortest)
+    return (_bend, 1.0 / shortest)
 
 
 def mean_curvature(voxels: np.ndarray, spacing: np.ndarray, z: int) -> np.ndarray:
-    """The mean curvature of the isosurfaces through the voxels of layer ``z``, per unit of ``spacing``; (ny, nx).
+    """The mean curvature of the isosurfaces through the voxels of layer ``z``, per unit of
+    ``spacing``; (ny, nx).
 
-    H = (gᵀ∇²ρ g − |g|² Δρ) / 2|g|³ with g = ∇ρ, smoothed: 1/r on a ball of radius r, less than 0 in hollows; NaN where
-    g is 0. (Kindlmann et al., Curvature-based transfer functions, 2003.)
+    H = (gᵀ∇²ρ g − |g|² Δρ) / 2|g|³ with g = ∇ρ, smoothed: 1/r on a ball of radius r, less than 0 in
+    hollows; NaN where g is 0. (Kindlmann et al., Curvature-based transfer functions, 2003.)
     """
     weights = gaussian_derivatives(CURVATURE_BLUR).astype(np.float32)
     around = np.clip(z + np.arange(weights.shape[1]) - weights.shape[1] // 2, 0, len(voxels) - 1)
@@ -184,13 +223,19 @@ def mean_curvature(voxels: np.ndarray, spacing: np.ndarray, z: int) -> np.ndarra
     xx, yy, zz = _derivative(2, 0, 0), _derivative(0, 2, 0), _derivative(0, 0, 2)
     xy, xz, yz = _derivative(1, 1, 0), _derivative(1, 0, 1), _derivative(0, 1, 1)
     square = gx * gx + gy * gy + gz * gz
-    along = gx * gx * xx + gy * gy * yy + gz * gz * zz + 2.0 * (gx * gy * xy + gx * gz * xz + gy * gz * yz)
+    along = (
+        gx * gx * xx
+        + gy * gy * yy
+        + gz * gz * zz
+        + 2.0 * (gx * gy * xy + gx * gz * xz + gy * gz * yz)
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray((along / square - (xx + yy + zz)) / (2.0 * np.sqrt(square)))
 
 
 def gaussian_derivatives(sigma: float) -> np.ndarray:
-    """What samples in a row count in a Gaussian mean at the middle one, and in its two derivatives; (3, n) float64.
+    """What samples in a row count in a Gaussian mean at the middle one, and in its two derivatives;
+    (3, n) float64.
 
     They are exact on squares: those of 1, x and x² / 2 are 1, 1 and 1.
     """
@@ -203,14 +248,21 @@ def gaussian_derivatives(sigma: float) -> np.ndarray:
 
 
 def combine_rows(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Each row of ``values`` (n, m) with those around it, by ``weights`` (odd); rows at the ends go on for ever."""
-    reach, count = len(weights) // 2, len(values)
+    """Each row of ``values`` (n, m) with those around it, by ``weights`` (odd); rows at the ends go
+    on for ever.
+    """
+    reach = len(weights) // 2
+    count = len(values)
     padded = np.pad(values, ((reach, reach), (0, 0)), mode="edge")
-    return np.asarray(sum(weight * padded[i : i + count] for i, weight in enumerate(weights.tolist())))
+    return np.asarray(
+        sum(weight * padded[i : i + count] for i, weight in enumerate(weights.tolist()))
+    )
 
 
 def placed_file(file: str, settings: Settings, volume: Volume) -> tuple[np.ndarray, np.ndarray]:
-    """The values (nz, ny, nx) float32 in a file of colours, and the matrix (3, 4) into its voxels' indices."""
+    """The values (nz, ny, nx) float32 in a file of colours, and the matrix (3, 4) into its voxels'
+    indices.
+    """
     grid = open_beside(settings, file)
     whole, straight = volume_grids(settings, volume)
     matrix = np.ascontiguousarray(matrix_into(f"volume of colour '{file}'", grid, whole, straight))
@@ -228,7 +280,9 @@ def volume_grids(settings: Settings, volume: Volume) -> tuple[Grid, Grid]:
         return grid, grid
     grid, _ = open_own(settings)
     if spacing and grid.affine is not None:
-        raise SceneError("spacing moves the volume away from its colours: leave it out, or add axes = 'raw'.")
+        raise SceneError(
+            "spacing moves the volume away from its colours: leave it out, or add axes = 'raw'."
+        )
     return grid, on_right_angles(grid, spacing)
 
 
@@ -238,19 +292,28 @@ def coloured(
     """The colours of a ``volume`` whose values a ``layer`` fills, times the ``factor``."""
     step = max(math.ceil((math.prod(volume.shape) / MOST_CODES) ** (1.0 / 3.0)), 1)
     source = table.file or f"its {table.of}"
-    span = table.span or usual_span(volume, layer, factor, isovalue, source, even=table.of == "curvature")
+    span = table.span or usual_span(
+        volume, layer, factor, isovalue, source, even=table.of == "curvature"
+    )
     shape = [max(math.ceil((n - 1) / step) + 1, 2) for n in volume.shape]
-    codes, values, steps = np.empty(shape, np.uint8), np.empty(shape[1:], np.float32), np.full(3, float(step))
+    codes = np.empty(shape, np.uint8)
+    values = np.empty(shape[1:], np.float32)
+    steps = np.full(3, float(step))
     for z in range(shape[0]):
         layer(float(min(z * step, volume.shape[0] - 1)), steps, values)
         codes[z] = codes_of(factor * values.astype(np.float64), span)
-    colours = table_of(table.map) if table.map else spread_colours(np.array(table.colours))
+    if table.map:
+        colours = table_of(table.map)
+    else:
+        colours = spread_colours(np.array(table.colours))
     scale = Scale(table.name or name, span, table.map or "own", colours, table.outside)
     return SurfaceColours(codes, (float(step),) * 3, scale)
 
 
 def codes_of(values: np.ndarray, span: tuple[float, float]) -> np.ndarray:
-    """The codes of values: 1 at the low end of the ``span`` and below, 255 at the high end, 0 where there is none."""
+    """The codes of values: 1 at the low end of the ``span`` and below, 255 at the high end, 0 where
+    there is none.
+    """
     place = np.clip((values - span[0]) / (span[1] - span[0]), 0.0, 1.0)
     return np.where(np.isnan(place), 0.0, 1.0 + np.rint(place * (VALUES - 1))).astype(np.uint8)
 
@@ -258,11 +321,13 @@ def codes_of(values: np.ndarray, span: tuple[float, float]) -> np.ndarray:
 def usual_span(
     volume: Volume, layer: Layer, factor: float, isovalue: Isovalue, source: str, even: bool = False
 ) -> tuple[float, float]:
-    """The COLOUR_PERCENTILES of values at the surface of an ``isovalue``; of all values where that is nowhere.
+    """The COLOUR_PERCENTILES of values at the surface of an ``isovalue``; of all values where that
+    is nowhere.
 
     An ``even`` range has 0 in its middle. Raises SceneError where there is no value at all.
     """
-    near, everywhere = [], []
+    near = []
+    everywhere = []
     for z in np.unique(np.linspace(0, volume.shape[0] - 1, SAMPLED_LAYERS).round()).astype(int):
         values = np.empty(volume.shape[1:], np.float32)
         layer(float(z), np.ones(3), values)
@@ -273,28 +338,42 @@ def usual_span(
         near.append(values[beside & ~np.isnan(values)])
         everywhere.append(values[~np.isnan(values)][::7])
     found = np.concatenate(near)
-    found = np.concatenate(everywhere) if len(found) < MIN_PERCENTILE_VALUES else found
+    if len(found) < MIN_PERCENTILE_VALUES:
+        found = np.concatenate(everywhere)
     if not len(found):
-        raise SceneError(f"The volume has no value of '{source}' anywhere: check where both lie, or give another file.")
+        raise SceneError(
+            f"The volume has no value of '{source}' anywhere: check where both lie, or give "
+            "another file."
+        )
     low, high = (factor * np.percentile(found.astype(np.float64), COLOUR_PERCENTILES)).tolist()
     if even:
         high = factor * float(np.percentile(np.abs(found), USUAL_EVEN))
         low = -high
-    return (low, high) if low < high else (low - 0.5 * (abs(low) or 1.0), low + 0.5 * (abs(low) or 1.0))
+    if low < high:
+        return (low, high)
+    return (low - 0.5 * (abs(low) or 1.0), low + 0.5 * (abs(low) or 1.0))
 
 
 MAX_LABELLED_PLACES = 355**3
-"""Places with labels, at most, of three bytes each: larger volumes have labels at every second voxel, or fewer."""
+"""Places with labels, at most, of three bytes each: larger volumes have labels at every second
+voxel, or fewer.
+"""
 
 MIDDLE_WEIGHT = 1024
-"""What the middle of the Gaussian weighs: weights are whole numbers, so that their sums are exact."""
+"""What the middle of the Gaussian weighs: weights are whole numbers, so that their sums are
+exact.
+"""
 
 
-def colours_of_labels(listed: tuple[LabelTable, ...], settings: Settings, volume: Volume) -> SurfaceColours:
+def colours_of_labels(
+    listed: tuple[LabelTable, ...], settings: Settings, volume: Volume
+) -> SurfaceColours:
     """The colours of a scene's ``volume``, a segmentation. Raises SceneError and VolumeError."""
     grid, straight = volume_grids(settings, volume)
     if straight.shape != volume.shape:
-        raise VolumeError(f"The volume '{volume.name}' changed while it was read: try again once it is written.")
+        raise VolumeError(
+            f"The volume '{volume.name}' changed while it was read: try again once it is written."
+        )
     found = Segmentation(grid, listed)
     matrix = matrix_into("segmentation", grid, grid, straight)
     stride = stride_of(volume.shape)
@@ -315,23 +394,30 @@ def places(n: int, stride: int) -> int:
     return max(math.ceil((n - 1) / stride) + 1, 2)
 
 
-def sampled(codes: np.ndarray, matrix: np.ndarray, shape: tuple[int, ...], stride: int) -> np.ndarray:
-    """The nearest of ``codes`` at every ``stride``-th voxel of a volume of a ``shape``, its last ones at its end."""
+def sampled(
+    codes: np.ndarray, matrix: np.ndarray, shape: tuple[int, ...], stride: int
+) -> np.ndarray:
+    """The nearest of ``codes`` at every ``stride``-th voxel of a volume of a ``shape``, its last
+    ones at its end.
+    """
     z, y, x = (np.minimum(np.arange(places(n, stride)) * stride, n - 1) for n in shape)
     return np.stack([nearest_layer(codes, matrix, (x, y[:, None]), int(layer)) for layer in z])
 
 
 def weighed(codes: np.ndarray) -> np.ndarray:
-    """The labels of places with ``codes`` (nz, ny, nx), as ``Colours`` has them, (nz, ny, nx, 3) uint8.
+    """The labels of places with ``codes`` (nz, ny, nx), as ``Colours`` has them, (nz, ny, nx, 3)
+    uint8.
 
-    A place without one has that of its neighbours as far as the Gaussian is summed: beyond, the field is zero.
+    A place without one has that of its neighbours as far as the Gaussian is summed: beyond, the
+    field is zero.
     """
     highest = _extreme(codes, np.maximum)
     lowest = _extreme(codes - np.uint8(1), np.minimum) + np.uint8(1)
     labels = np.zeros((*codes.shape, 3), np.uint8)
     labels[..., 0] = highest
     bell = np.rint(
-        MIDDLE_WEIGHT * np.exp(-0.5 * (np.arange(-SMOOTHING_REACH, SMOOTHING_REACH + 1) / SIGMA) ** 2)
+        MIDDLE_WEIGHT
+        * np.exp(-0.5 * (np.arange(-SMOOTHING_REACH, SMOOTHING_REACH + 1) / SIGMA) ** 2)
     ).astype(np.int64)
     weigh_labels(codes, np.ascontiguousarray(lowest < highest), bell, labels)
     return labels
@@ -350,10 +436,14 @@ def _extreme(codes: np.ndarray, extreme: np.ufunc) -> np.ndarray:
 
 
 def scale_of(found: Segmentation, name: str) -> Scale:
-    """The labels as a table of albedos; places far from all of them have the mean of those that are shown."""
+    """The labels as a table of albedos; places far from all of them have the mean of those that are
+    shown.
+    """
     shown = [capped(label.colour) for label in found.labels if label.shown]
     outside: Colour = capped(np.mean(shown, axis=0).tolist())
     table = np.tile(outside, (VALUES, 1))
     table[: len(shown)] = shown
     values = [label.value for label in found.labels if label.shown]
-    return Scale(name, (float(values[0]), float(values[-1])), "labels", table, outside, found.labels)
+    return Scale(
+        name, (float(values[0]), float(values[-1])), "labels", table, outside, found.labels
+    )

@@ -1,4 +1,6 @@
-"""Labels of a segmentation: which are shown, and the field whose surfaces are theirs, smoothed over a voxel."""
+"""Labels of a segmentation: which are shown, and the field whose surfaces are theirs, smoothed over
+a voxel.
+"""
 
 import re
 from collections.abc import Iterator
@@ -19,7 +21,9 @@ from isogi_core.model.value_survey import check
 from isogi_core.model.volume import Volume
 
 ALL_LABELS = "all"
-"""What ``labels`` is where a scene lists none: its volume is a segmentation, and all that is not zero is shown."""
+"""What ``labels`` is where a scene lists none: its volume is a segmentation, and all that is not
+zero is shown.
+"""
 
 MAX_LABELS = 255
 """Most labels that are shown: codes of a byte, less the one of places without a label."""
@@ -27,32 +31,55 @@ MAX_LABELS = 255
 LABEL_ISOVALUE = 0.5
 """The isovalue of the labels' surfaces: half-way from voxels within to voxels without."""
 
-SIGMA, SMOOTHING_REACH = 1.0, 3
-"""Width of the Gaussian that smooths labels, and how far it is summed, in voxels along each axis."""
+SIGMA = 1.0
+SMOOTHING_REACH = 3
+"""Width of the Gaussian that smooths labels, and how far it is summed, in voxels along each
+axis.
+"""
 
 THIN_FIELD = 0.8
-"""What the field is in parts that the Gaussian would take away: of a lone voxel 0.8 of its width stays."""
+"""What the field is in parts that the Gaussian would take away: of a lone voxel 0.8 of its width
+stays.
+"""
 
 MAX_LABEL_VALUE = 2**53
-"""Values of labels are less: beyond, pages and scripts that read JSON cannot tell two from each other."""
+"""Values of labels are less: beyond, pages and scripts that read JSON cannot tell two from each
+other.
+"""
 
 VALUE_SETTINGS = (
-    *("isovalue", "isovalues", "presets", "solid", "inside_out", "missing", "albedo", "albedos", "material"),
+    *(
+        "isovalue",
+        "isovalues",
+        "presets",
+        "solid",
+        "inside_out",
+        "missing",
+        "albedo",
+        "albedos",
+        "material",
+    ),
     *("surfaces", "clear", "transmission"),
 )
-"""Settings that labels do not have: a scene with one of them shows the values of a file that says it is labels."""
+"""Settings that labels do not have: a scene with one of them shows the values of a file that says
+it is labels.
+"""
 
 PALETTE = re.findall(
     "......",
     "e6194b3cb44b4363d8f58231911eb442d4f4ffe119f032e64699909a6324"
     "bfef45fabed4800000dcbeff808000aaffc3000075ffd8b1a9a9a9fffac8",
 )
-"""Colours of labels that have none of their own, sRGB: twenty that differ well (S. Trubetskoy 2017), and again."""
+"""Colours of labels that have none of their own, sRGB: twenty that differ well (S. Trubetskoy
+2017), and again.
+"""
 
 
 @dataclass(frozen=True)
 class LabelTable:
-    """A table [[labels]] of a scene; ``colour`` is linear. Name and colour that it lacks may be in the file."""
+    """A table [[labels]] of a scene; ``colour`` is linear. Name and colour that it lacks may be in
+    the file.
+    """
 
     value: int
     name: str = ""
@@ -61,7 +88,9 @@ class LabelTable:
 
 
 def find_labels(settings: Settings) -> tuple[LabelTable, ...] | None:
-    """The labels that a scene lists; None where its volume is no segmentation. Raises SceneError."""
+    """The labels that a scene lists; None where its volume is no segmentation. Raises
+    SceneError.
+    """
     settings.known.add("labels")
     if settings.source.document.get("labels") == ALL_LABELS:
         return ()
@@ -69,7 +98,9 @@ def find_labels(settings: Settings) -> tuple[LabelTable, ...] | None:
     values = [label.value for label in found]
     twice = next((value for value in values if values.count(value) > 1), None)
     if twice is not None:
-        raise SceneError(f"The scene '{settings.source.name}' lists label {twice} twice: leave one out.")
+        raise SceneError(
+            f"The scene '{settings.source.name}' lists label {twice} twice: leave one out."
+        )
     return found or None
 
 
@@ -77,13 +108,19 @@ def _read_label(table: Settings) -> LabelTable:
     source = table.source
     value = source.document.get("value")
     if not isinstance(value, int) or isinstance(value, bool) or value == 0:
-        raise SceneError(f"value = {value!r} in the scene '{source.name}' is not a whole number other than 0.")
+        raise SceneError(
+            f"value = {value!r} in the scene '{source.name}' is not a whole number other than 0."
+        )
     table.known.update(("value", "colour"))
     given = source.document.get("colour")
-    colour = (
-        None if given is None else _hex(given, source.name) if isinstance(given, str) else table.colour("colour", 0)
-    )
-    name, hidden = table.text("name", ""), table.flag("hidden", False)
+    if given is None:
+        colour = None
+    elif isinstance(given, str):
+        colour = _hex(given, source.name)
+    else:
+        colour = table.colour("colour", 0)
+    name = table.text("name", "")
+    hidden = table.flag("hidden", False)
     table.refuse_unknown()
     return LabelTable(value, name, colour, bool(hidden))
 
@@ -91,7 +128,9 @@ def _read_label(table: Settings) -> LabelTable:
 def _hex(code: str, scene: str) -> Colour:
     """The linear colour of ``#rrggbb``; SceneError where it is none."""
     if not re.fullmatch(r"#[0-9a-fA-F]{6}", code):
-        raise SceneError(f"colour = '{code}' in the scene '{scene}' is neither '#rrggbb' nor linear [r, g, b].")
+        raise SceneError(
+            f"colour = '{code}' in the scene '{scene}' is neither '#rrggbb' nor linear [r, g, b]."
+        )
     return linear_hex(code[1:])
 
 
@@ -102,14 +141,18 @@ def linear_hex(code: str) -> Colour:
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """A ``grid`` of labels, whole numbers of which 0 is nothing, and the labels that a scene has ``listed``."""
+    """A ``grid`` of labels, whole numbers of which 0 is nothing, and the labels that a scene has
+    ``listed``.
+    """
 
     grid: Grid
     listed: tuple[LabelTable, ...]
 
     @cached_property
     def values(self) -> np.ndarray:
-        """The values that are there, ascending; with 0. VolumeError where one is no whole number."""
+        """The values that are there, ascending; with 0. VolumeError where one is no whole
+        number.
+        """
         found = [np.zeros(1, np.int64)]
         for slab in self.grid.slabs():
             distinct = _distinct(slab)
@@ -117,19 +160,29 @@ class Segmentation:
             wrong = distinct[~whole]
             if len(wrong):
                 raise VolumeError(
-                    f"The segmentation holds {wrong[0]:g}: labels are whole numbers; or leave labels out."
+                    f"The segmentation holds {wrong[0]:g}: labels are whole numbers; or leave "
+                    "labels out."
                 )
             large = next(
-                (int(value) for value in (distinct[0], distinct[-1]) if abs(int(value)) >= MAX_LABEL_VALUE), None
+                (
+                    int(value)
+                    for value in (distinct[0], distinct[-1])
+                    if abs(int(value)) >= MAX_LABEL_VALUE
+                ),
+                None,
             )
             if large is not None:
-                raise VolumeError(f"The segmentation has the label {large}: give its labels numbers below 2^53.")
+                raise VolumeError(
+                    f"The segmentation has the label {large}: give its labels numbers below 2^53."
+                )
             found.append(distinct.astype(np.int64))
         return np.unique(np.concatenate(found))
 
     @cached_property
     def labels(self) -> tuple[Label, ...]:
-        """All labels that are there. Raises SceneError and VolumeError where they cannot be shown."""
+        """All labels that are there. Raises SceneError and VolumeError where they cannot be
+        shown.
+        """
         values = [value for value in self.values.tolist() if value]
         if not values:
             raise VolumeError("The segmentation has no label: every voxel is 0.")
@@ -138,7 +191,9 @@ class Segmentation:
         lacking = next((label for label in self.listed if label.value not in values), None)
         if lacking is not None:
             there = ", ".join(map(str, values[:8])) + (" …" if len(values) > 8 else "")
-            raise SceneError(f"The segmentation has no voxel of label {lacking.value}: it has {there}.")
+            raise SceneError(
+                f"The segmentation has no voxel of label {lacking.value}: it has {there}."
+            )
         found = tuple(
             _label(place, tables.get(value, LabelTable(value)), named.get(value, LabelName(value)))
             for place, value in enumerate(values)
@@ -147,12 +202,17 @@ class Segmentation:
         if not shown:
             raise SceneError("All labels of the segmentation are hidden: show one.")
         if shown > MAX_LABELS:
-            raise VolumeError(f"The segmentation has {shown} labels, and {MAX_LABELS} can be shown: hide or join some.")
+            raise VolumeError(
+                f"The segmentation has {shown} labels, and {MAX_LABELS} can be shown: hide or "
+                "join some."
+            )
         return found
 
     @cached_property
     def codes(self) -> np.ndarray:
-        """The place among the shown labels, from 1 on, of each voxel's, 0 where there is none; (nz, ny, nx) uint8."""
+        """The place among the shown labels, from 1 on, of each voxel's, 0 where there is none; (nz,
+        ny, nx) uint8.
+        """
         require_memory(self.grid.size, "The segmentation takes", "give a coarser one")
         table = np.zeros(len(self.values), np.uint8)
         shown = [label.value for label in self.labels if label.shown]
@@ -166,12 +226,17 @@ class Segmentation:
 
     def stamp(self) -> str:
         """What the field follows from."""
-        return repr(["labels", self.grid.stamp(), [label.value for label in self.listed if label.hidden]])
+        return repr(
+            ["labels", self.grid.stamp(), [label.value for label in self.listed if label.hidden]]
+        )
 
 
 def _distinct(slab: np.ndarray) -> np.ndarray:
     """The values of a slab, ascending."""
-    values = slab.view(np.uint8) if slab.dtype.kind == "b" else slab
+    if slab.dtype.kind == "b":
+        values = slab.view(np.uint8)
+    else:
+        values = slab
     if values.dtype.kind in "iu" and values.dtype.itemsize <= 2:
         low = int(values.min())
         return np.flatnonzero(np.bincount((values.astype(np.int32) - low).ravel())) + low
@@ -179,19 +244,23 @@ def _distinct(slab: np.ndarray) -> np.ndarray:
 
 
 def _label(place: int, listed: LabelTable, named: LabelName) -> Label:
-    """The label at a ``place`` among all that are there: as the scene lists it, else as the file names it."""
+    """The label at a ``place`` among all that are there: as the scene lists it, else as the file
+    names it.
+    """
     code = named.colour[1:] or PALETTE[place % len(PALETTE)]
     name = listed.name or named.name or f"label {listed.value}"
     return Label(listed.value, name, listed.colour or linear_hex(code), not listed.hidden)
 
 
 def smooth(shown: np.ndarray) -> Iterator[np.ndarray]:
-    """The field of voxels that are ``shown`` (nz, ny, nx): from 0 to 1 by a Gaussian, float32, slab by slab.
+    """The field of voxels that are ``shown`` (nz, ny, nx): from 0 to 1 by a Gaussian, float32, slab
+    by slab.
 
-    Parts so thin that nothing of them or beside them would be above LABEL_ISOVALUE are THIN_FIELD instead, up to what
-    is. The volume's outermost voxels go on beyond it.
+    Parts so thin that nothing of them or beside them would be above LABEL_ISOVALUE are THIN_FIELD
+    instead, up to what is. The volume's outermost voxels go on beyond it.
     """
-    nz, halo = len(shown), SMOOTHING_REACH + 2
+    nz = len(shown)
+    halo = SMOOTHING_REACH + 2
     layers = slab_layers(4 * shown[0].size)
     for z in range(0, nz, layers):
         end = min(z + layers, nz)
@@ -229,32 +298,52 @@ def _widened(part: np.ndarray) -> np.ndarray:
 
 
 def are_labels(grid: Grid, settings: Settings) -> bool:
-    """Whether a volume's file says that it is a segmentation, and the scene nothing that labels do not have."""
+    """Whether a volume's file says that it is a segmentation, and the scene nothing that labels do
+    not have.
+    """
     document = settings.source.document
     coloured = any(each.get("use") == "colour" for each in tables_in(document, "volumes"))
-    return grid.labels is not None and not coloured and not any(key in document for key in VALUE_SETTINGS)
+    return (
+        grid.labels is not None
+        and not coloured
+        and not any(key in document for key in VALUE_SETTINGS)
+    )
 
 
-SAMPLED_VOXELS, SAMPLED_LAYERS, MIN_ALIKE_SHARE, MAX_LABEL_VALUES = 1 << 18, 16, 0.8, 4096
-"""Voxels, of how many layers, that are looked at for labels; the share of neighbours within objects that are equal, at
-least, and how many values there are, at most. Seventeen real volumes had 0 to 0.72, two segmentations 0.83 and 0.93."""
+SAMPLED_VOXELS = 1 << 18
+SAMPLED_LAYERS = 16
+MIN_ALIKE_SHARE = 0.8
+MAX_LABEL_VALUES = 4096
+"""Voxels, of how many layers, that are looked at for labels; the share of neighbours within objects
+that are equal, at least, and how many values there are, at most. Seventeen real volumes had 0 to
+0.72, two segmentations 0.83 and 0.93."""
 
 
 def look_like_labels(volume: Volume) -> int:
-    """How many values a volume has that look like labels, of a sample of its rows; 0 where they do not."""
+    """How many values a volume has that look like labels, of a sample of its rows; 0 where they do
+    not.
+    """
     if not volume.dtype.startswith(("int", "uint")):
         return 0
     layers = volume.voxels[:: max(len(volume.voxels) // SAMPLED_LAYERS, 1)]
     rows = layers[:, :: max(layers.size // SAMPLED_VOXELS, 1)]
     values, counts = np.unique(rows[~np.isnan(rows)], return_counts=True)
     around = values[np.argmax(counts)]
-    one, other = rows[..., :-1], rows[..., 1:]
+    one = rows[..., :-1]
+    other = rows[..., 1:]
     within = (one != around) & (other != around)
-    alike = np.count_nonzero((one == other) & within) >= MIN_ALIKE_SHARE * max(int(np.count_nonzero(within)), 1)
-    return len(values) if alike and 3 <= len(values) <= MAX_LABEL_VALUES else 0
+    alike = np.count_nonzero((one == other) & within) >= MIN_ALIKE_SHARE * max(
+        int(np.count_nonzero(within)), 1
+    )
+    if alike and 3 <= len(values) <= MAX_LABEL_VALUES:
+        return len(values)
+    return 0
 
 
-PROPOSED = 'Its values look like labels, {count} of them: labels = "all" in the scene, or #labels=all, shows them so.'
+PROPOSED = (
+    'Its values look like labels, {count} of them: labels = "all" in the scene, or '
+    "#labels=all, shows them so."
+)
 
 
 BY_ITSELF = "The file says that it is a segmentation: its labels are shown."
@@ -265,10 +354,18 @@ def solid_of_labels(grid: Grid, listed: tuple[LabelTable, ...], settings: Settin
     check(grid, "above")
     for key in ("solid", "missing"):
         if key in settings.source.document:
-            raise SceneError(f"The scene '{settings.source.name}' shows labels, which need no {key}: leave it out.")
+            raise SceneError(
+                f"The scene '{settings.source.name}' shows labels, which need no {key}: leave "
+                "it out."
+            )
     found = Segmentation(grid, listed)
     hidden = [label.name for label in found.labels if not label.shown]
     notes: tuple[str, ...] = (BY_ITSELF,) if "labels" not in settings.source.document else ()
-    notes += (f"Hidden: {', '.join(hidden)}.",) if hidden else ()
-    facts: dict[str, Any] = {"dtype": np.dtype(np.float32), "slabs": found.field, "stamp": found.stamp}
+    if hidden:
+        notes += (f"Hidden: {', '.join(hidden)}.",)
+    facts: dict[str, Any] = {
+        "dtype": np.dtype(np.float32),
+        "slabs": found.field,
+        "stamp": found.stamp,
+    }
     return replace(grid, **facts, notes=(*grid.notes, *notes))

@@ -1,8 +1,10 @@
-"""Masks: volumes of a scene's world, outside of which there is no surface. They lie there in grids of their own.
+"""Masks: volumes of a scene's world, outside of which there is no surface. They lie there in grids
+of their own.
 
-Cuts: parts of a volume that are taken away, so that light comes in. What is left is a volume like any other. Voxels
-that are taken away hold CUT_AWAY_VALUE, outside of every isosurface. Between them and what is left the field falls so
-steeply that each isosurface has its face at the last voxels left: flat, at the same place for all isovalues.
+Cuts: parts of a volume that are taken away, so that light comes in. What is left is a volume like
+any other. Voxels that are taken away hold CUT_AWAY_VALUE, outside of every isosurface. Between them
+and what is left the field falls so steeply that each isosurface has its face at the last voxels
+left: flat, at the same place for all isovalues.
 """
 
 import hashlib
@@ -35,14 +37,17 @@ MASK_USES = ("mask", "colour")
 
 @dataclass(frozen=True)
 class MaskTable:
-    """A table [[volumes]]: the mask's ``file``, and the values in it that are inside, or none for all but zero."""
+    """A table [[volumes]]: the mask's ``file``, and the values in it that are inside, or none for
+    all but zero.
+    """
 
     file: str
     labels: tuple[float, ...]
 
 
 def read_tables(settings: Settings) -> list[MaskTable]:
-    """The tables [[volumes]] of a scene that are masks; those of colour are read by ``plan.colours``.
+    """The tables [[volumes]] of a scene that are masks; those of colour are read by
+    ``plan.colours``.
 
     Raises SceneError, also for keys that are unknown in them.
     """
@@ -54,18 +59,23 @@ def read_tables(settings: Settings) -> list[MaskTable]:
 
 
 def _read_table(table: Settings) -> MaskTable:
-    file, use, labels = table.text("file", ""), table.choice("use", MASK_USES), table.listed("labels")
+    file = table.text("file", "")
+    use = table.choice("use", MASK_USES)
+    labels = table.listed("labels")
     table.refuse_unknown()
     if not file or use is None:
         raise SceneError(
-            f"A table in the scene '{table.source.name}' lacks 'file' or use = 'mask' or 'colour': give both."
+            f"A table in the scene '{table.source.name}' lacks 'file' or use = 'mask' or "
+            "'colour': give both."
         )
     return MaskTable(file, labels)
 
 
 @dataclass(frozen=True, eq=False)
 class Mask:
-    """A mask's ``grid``, with the ``matrix`` (3, 4) from a volume's voxel indices x, y, z to its own."""
+    """A mask's ``grid``, with the ``matrix`` (3, 4) from a volume's voxel indices x, y, z to its
+    own.
+    """
 
     table: MaskTable
     grid: Grid
@@ -78,32 +88,46 @@ class Mask:
 
     @cached_property
     def _inside(self) -> np.ndarray:
-        """Whether each of the mask's own voxels is inside, (nz, ny, nx) bool. VolumeError where they are too many."""
+        """Whether each of the mask's own voxels is inside, (nz, ny, nx) bool. VolumeError where
+        they are too many.
+        """
         require_memory(self.grid.size, f"The mask '{self.table.file}' takes", "give a coarser one")
-        is_inside = partial(is_one_of, labels=self.table.labels) if self.table.labels else _is_something
+        is_inside = (
+            partial(is_one_of, labels=self.table.labels) if self.table.labels else _is_something
+        )
         return gathered(self.grid.shape, bool, map(is_inside, self.grid.slabs()))
 
     def layer(self, z: int, shape: Sequence[int]) -> np.ndarray:
-        """Whether each voxel of layer ``z`` of a volume is inside, by the mask's nearest voxel; (ny, nx) bool."""
+        """Whether each voxel of layer ``z`` of a volume is inside, by the mask's nearest voxel;
+        (ny, nx) bool.
+        """
         ny, nx = shape[1:]
         return nearest_layer(self._inside, self.matrix, (np.arange(nx), np.arange(ny)[:, None]), z)
 
 
-def nearest_layer(voxels: np.ndarray, matrix: np.ndarray, steps: tuple[np.ndarray, np.ndarray], z: int) -> np.ndarray:
-    """The nearest ``voxels`` of places x (nx,) and y (ny, 1), the ``steps``, of a layer ``z`` of another grid.
+def nearest_layer(
+    voxels: np.ndarray, matrix: np.ndarray, steps: tuple[np.ndarray, np.ndarray], z: int
+) -> np.ndarray:
+    """The nearest ``voxels`` of places x (nx,) and y (ny, 1), the ``steps``, of a layer ``z`` of
+    another grid.
 
-    ``matrix`` (3, 4) is from that grid's voxel indices x, y, z. Returns (ny, nx), zero beyond the voxels.
+    ``matrix`` (3, 4) is from that grid's voxel indices x, y, z. Returns (ny, nx), zero beyond the
+    voxels.
     """
     sides = voxels.shape[::-1]
     found = [_nearest(row, steps, z) for row in matrix]
-    reached = reduce(np.logical_and, [(index >= 0) & (index < n) for index, n in zip(found, sides, strict=True)])
+    reached = reduce(
+        np.logical_and, [(index >= 0) & (index < n) for index, n in zip(found, sides, strict=True)]
+    )
     x, y, z_index = (np.clip(index, 0, n - 1) for index, n in zip(found, sides, strict=True))
     values = np.where(reached, voxels[z_index, y, x], voxels.dtype.type(0))
     return np.broadcast_to(values, (steps[1].size, steps[0].size))
 
 
 def is_one_of(slab: np.ndarray, labels: Sequence[float]) -> np.ndarray:
-    """Whether values equal one of the ``labels``, in the values' type: whole numbers of 64 bits are told apart."""
+    """Whether values equal one of the ``labels``, in the values' type: whole numbers of 64 bits are
+    told apart.
+    """
     return np.isin(usable(slab), find_marks(labels, usable_type(slab.dtype)))
 
 
@@ -113,8 +137,8 @@ def _is_something(slab: np.ndarray) -> np.ndarray:
 
 
 def _nearest(row: np.ndarray, steps: tuple[np.ndarray, np.ndarray], z: int) -> np.ndarray:
-    """One index of the mask's nearest voxels, of a shape that broadcasts to a layer's: an axis that does not matter
-    costs nothing."""
+    """One index of the mask's nearest voxels, of a shape that broadcasts to a layer's: an axis that
+    does not matter costs nothing."""
     place: Any = row[3] + row[2] * z
     for factor, along in zip(row, steps, strict=False):
         if abs(factor) * along.size > 1e-6:
@@ -124,9 +148,11 @@ def _nearest(row: np.ndarray, steps: tuple[np.ndarray, np.ndarray], z: int) -> n
 
 @dataclass(frozen=True, eq=False)
 class Masked:
-    """The slabs of a ``grid`` whose voxels outside of one of the ``masks`` have the value farthest outside.
+    """The slabs of a ``grid`` whose voxels outside of one of the ``masks`` have the value farthest
+    outside.
 
-    That is the least value of the volume, or the greatest where ``solid`` is "below"; ``missing`` ones do not count.
+    That is the least value of the volume, or the greatest where ``solid`` is "below"; ``missing``
+    ones do not count.
     """
 
     grid: Grid
@@ -141,18 +167,23 @@ class Masked:
 
     def slabs(self) -> Iterator[np.ndarray]:
         """The slabs; VolumeError where no voxel is inside."""
-        z, kept = 0, False
+        z = 0
+        kept = False
         for slab in self.grid.slabs():
             filled = np.array(slab)
             for layer in filled:
-                inside = np.logical_and.reduce([mask.layer(z, self.grid.shape) for mask in self.masks])
+                inside = np.logical_and.reduce(
+                    [mask.layer(z, self.grid.shape) for mask in self.masks]
+                )
                 layer[~inside] = self._outermost
                 kept |= bool(inside.any())
                 z += 1
             yield filled
         if not kept:
             names = ", ".join(f"'{mask.table.file}'" for mask in self.masks)
-            raise VolumeError(f"No voxel of the volume is inside {names}: check its labels, and where it lies.")
+            raise VolumeError(
+                f"No voxel of the volume is inside {names}: check its labels, and where it lies."
+            )
 
     def stamp(self) -> str:
         """The state of the volume's source and of those of its masks."""
@@ -160,14 +191,17 @@ class Masked:
 
 
 def cut_out(grid: Grid, masks: Sequence[Mask], solid: str, missing: tuple[float, ...]) -> Grid:
-    """A volume's ``grid`` without surface outside of its ``masks``: only files' headers are read now."""
+    """A volume's ``grid`` without surface outside of its ``masks``: only files' headers are read
+    now.
+    """
     masked = Masked(grid, tuple(masks), solid, missing)
     notes = tuple(f"Outside of '{mask.table.file}' there is no surface." for mask in masks)
     return replace(grid, slabs=masked.slabs, stamp=masked.stamp, notes=(*grid.notes, *notes))
 
 
 def place(table: MaskTable, grid: Grid, whole: Grid, volume: Grid) -> Mask:
-    """The mask in a ``grid``, placed for a ``volume`` on right angles that the file's grid ``whole`` became.
+    """The mask in a ``grid``, placed for a ``volume`` on right angles that the file's grid
+    ``whole`` became.
 
     Raises SceneError, and VolumeError where it cannot be used; see ``matrix_into``.
     """
@@ -175,26 +209,29 @@ def place(table: MaskTable, grid: Grid, whole: Grid, volume: Grid) -> Mask:
 
 
 def matrix_into(what: str, grid: Grid, whole: Grid, volume: Grid) -> np.ndarray:
-    """From voxel indices x, y, z of a ``volume`` on right angles, that the file's grid ``whole`` became, to those of a
-    ``grid``; (3, 4).
+    """From voxel indices x, y, z of a ``volume`` on right angles, that the file's grid ``whole``
+    became, to those of a ``grid``; (3, 4).
 
-    Both lie where their files say. Where one does not say, both have the same voxels, or neither says and their first
-    voxels lie together. Raises SceneError where these do not hold, and where their units differ; it says ``what`` the
-    grid is of.
+    Both lie where their files say. Where one does not say, both have the same voxels, or neither
+    says and their first voxels lie together. Raises SceneError where these do not hold, and where
+    their units differ; it says ``what`` the grid is of.
     """
     try:
         check(grid, "above")
     except VolumeError as error:
         raise VolumeError(f"The {what} cannot be used. {error}") from error
     if grid.unit and whole.unit and grid.unit != whole.unit:
-        raise SceneError(f"The {what} is in {grid.unit} and the volume in {whole.unit}: convert one.")
+        raise SceneError(
+            f"The {what} is in {grid.unit} and the volume in {whole.unit}: convert one."
+        )
     silent = grid.affine is None or whole.affine is None
     if silent and grid.shape == whole.shape:
         grid = replace(grid, affine=whole.affine, spacing=volume.spacing)
     elif (grid.affine is None) != (whole.affine is None):
         reason = f"Of the {what} and the volume, one does not say where it lies"
         raise SceneError(f"{reason}: give both the same voxels, or axes = 'raw'.")
-    theirs, ours = _to_world(grid), _to_world(volume)
+    theirs = _to_world(grid)
+    ours = _to_world(volume)
     if abs(np.linalg.det(theirs[:3, :3])) == 0.0 or not np.isfinite(theirs).all():
         raise SceneError(f"The axes of the {what} lie in one plane: mend its affine.")
     return np.asarray((np.linalg.inv(theirs) @ ours)[:3])
@@ -202,15 +239,20 @@ def matrix_into(what: str, grid: Grid, whole: Grid, volume: Grid) -> np.ndarray:
 
 def _to_world(grid: Grid) -> np.ndarray:
     """From voxel indices x, y, z to the world, (4, 4)."""
-    rows = np.column_stack([np.diag(grid.spacing), np.zeros(3)]) if grid.affine is None else grid.affine.array
+    if grid.affine is None:
+        rows = np.column_stack([np.diag(grid.spacing), np.zeros(3)])
+    else:
+        rows = grid.affine.array
     return np.vstack([rows, [0.0, 0.0, 0.0, 1.0]])
 
 
 CUT_AWAY_VALUE = -8.0
-"""What voxels that are taken away hold, in units of voxels: those that are left are from 0 to 1, but for outliers.
+"""What voxels that are taken away hold, in units of voxels: those that are left are from 0 to 1,
+but for outliers.
 
-A face of the isovalue c lies (f - c) / (f - CUT_AWAY_VALUE) of a voxel before the last voxels left, f. Were it farther,
-faces would be flatter, and edges beside them rounder: normals are smoothed over four voxels.
+A face of the isovalue c lies (f - c) / (f - CUT_AWAY_VALUE) of a voxel before the last voxels left,
+f. Were it farther, faces would be flatter, and edges beside them rounder: normals are smoothed over
+four voxels.
 """
 
 AXIS_TOLERANCE = 1e-6
@@ -220,7 +262,9 @@ PLANE_TOLERANCE = 1e-6
 """Voxels by which a plane may miss those that it leaves, and leave them still."""
 
 NORMAL_REACH = 2.5
-"""Voxels from a face within which a texel is lit about another normal than in the whole volume: four are smoothed."""
+"""Voxels from a face within which a texel is lit about another normal than in the whole volume:
+four are smoothed.
+"""
 
 Ranges = tuple[range, range, range]
 """The voxels that are left, along x, y, z."""
@@ -229,10 +273,12 @@ Ranges = tuple[range, range, range]
 def cut_away(volume: Volume, text: str) -> Volume:
     """What planes leave of a ``volume``; ``text`` is as ``read_window`` has it, in the world.
 
-    Planes lie along the axes of the voxels; voxels on a plane are left. Raises SceneError where they cannot be read,
-    lie otherwise or leave nothing, and VolumeError where the copy of a large volume cannot be kept.
+    Planes lie along the axes of the voxels; voxels on a plane are left. Raises SceneError where
+    they cannot be read, lie otherwise or leave nothing, and VolumeError where the copy of a large
+    volume cannot be kept.
     """
-    left, digest = voxels_left(volume, text), cut_digest(volume, text)
+    left = voxels_left(volume, text)
+    digest = cut_digest(volume, text)
     if digest == volume.digest:
         return volume
     known = replace(volume.counted(), digest=digest)
@@ -242,7 +288,9 @@ def cut_away(volume: Volume, text: str) -> Volume:
     def write(draft: Draft) -> dict[str, Any]:
         for plane in (plane for slab in slabs_left(volume, left) for plane in slab):
             draft.write(plane)
-        facts = {name: value for name, value in vars(known).items() if name not in UNMEASURED_FIELDS}
+        facts = {
+            name: value for name, value in vars(known).items() if name not in UNMEASURED_FIELDS
+        }
         draft.seal(volume.shape, facts)
         return facts
 
@@ -250,11 +298,16 @@ def cut_away(volume: Volume, text: str) -> Volume:
 
 
 def cut_digest(volume: Volume, text: str) -> str:
-    """The digest of a ``volume`` that is cut: plane by plane, so that one cut after another is both at once."""
-    digest, whole = volume.digest, tuple(map(range, volume.size))
+    """The digest of a ``volume`` that is cut: plane by plane, so that one cut after another is both
+    at once.
+    """
+    digest = volume.digest
+    whole = tuple(map(range, volume.size))
     for left in (voxels_left(volume, term) for term in text.split(";")):
         if left != whole:
-            digest = hashlib.blake2b(f"{digest} {left} {CUT_AWAY_VALUE}".encode(), digest_size=16).hexdigest()
+            digest = hashlib.blake2b(
+                f"{digest} {left} {CUT_AWAY_VALUE}".encode(), digest_size=16
+            ).hexdigest()
     return digest
 
 
@@ -275,7 +328,9 @@ def voxels_left(volume: Volume, text: str) -> Ranges:
             last = min(last, math.floor(max(place + PLANE_TOLERANCE, -1.0)) + 1)
         left[axis] = range(first, max(last, first))
     if not all(left):
-        raise SceneError(f"cut = '{text}' leaves nothing of the volume '{volume.name}': take less away.")
+        raise SceneError(
+            f"cut = '{text}' leaves nothing of the volume '{volume.name}': take less away."
+        )
     x, y, z = left
     return x, y, z
 
@@ -284,31 +339,44 @@ def _axis_of(plane: Plane, text: str) -> int:
     """The axis that a plane's normal is along."""
     axis = int(np.argmax(np.abs(plane[:3])))
     if 1.0 - abs(plane[axis]) > AXIS_TOLERANCE:
-        raise SceneError(f"cut = '{text}' lies across the voxels: cut along their axes, or look through a window=.")
+        raise SceneError(
+            f"cut = '{text}' lies across the voxels: cut along their axes, or look through a "
+            "window=."
+        )
     return axis
 
 
 def box_left(left: Ranges, size: tuple[int, int, int]) -> np.ndarray:
-    """The box in which surfaces are what they are in the whole volume, of this ``size``: NORMAL_REACH from all faces.
+    """The box in which surfaces are what they are in the whole volume, of this ``size``:
+    NORMAL_REACH from all faces.
 
-    (2, 3) float64, its least and its greatest corner in index space; infinite where nothing is taken away.
+    (2, 3) float64, its least and its greatest corner in index space; infinite where nothing is
+    taken away.
     """
     low = [each.start + NORMAL_REACH if each.start else -np.inf for each in left]
-    high = [each.stop - 1 - NORMAL_REACH if each.stop < n else np.inf for each, n in zip(left, size, strict=True)]
+    high = [
+        each.stop - 1 - NORMAL_REACH if each.stop < n else np.inf
+        for each, n in zip(left, size, strict=True)
+    ]
     return np.array([low, high])
 
 
 def values_beyond(volume: Volume, box: np.ndarray) -> tuple[float, float]:
-    """The least and the greatest voxel of a ``volume`` at cells that are not wholly within a ``box``: see ``box_left``.
+    """The least and the greatest voxel of a ``volume`` at cells that are not wholly within a
+    ``box``: see ``box_left``.
 
     Isosurfaces below and above these do not leave the box; (inf, -inf) where it holds all.
     """
     size = np.array(volume.size)
-    first, end = np.clip(np.ceil(box[0]) + 1, 0, size).astype(int), np.clip(np.floor(box[1]), 0, size).astype(int)
-    low, high, z = np.inf, -np.inf, 0
+    first = np.clip(np.ceil(box[0]) + 1, 0, size).astype(int)
+    end = np.clip(np.floor(box[1]), 0, size).astype(int)
+    low = np.inf
+    high = -np.inf
+    z = 0
     for slab in volume.slabs():
         a, b = (int(np.clip(each[2] - z, 0, len(slab))) for each in (first, end))
-        across, rows = slab[a:b], slab[a:b, first[1] : end[1]]
+        across = slab[a:b]
+        rows = slab[a:b, first[1] : end[1]]
         parts = slab[:a], slab[max(a, b) :], across[:, : first[1]], across[:, end[1] :]
         for part in (*parts, rows[:, :, : first[0]], rows[:, :, end[0] :]):
             low = float(np.fmin.reduce(part, axis=None, initial=low))
@@ -323,8 +391,11 @@ def is_within(points: np.ndarray, box: np.ndarray) -> np.ndarray:
 
 
 def slabs_left(volume: Volume, left: Ranges) -> Iterator[np.ndarray]:
-    """The slabs of a ``volume``, with CUT_AWAY_VALUE in place of the voxels that are not ``left``."""
-    z, inside = 0, tuple(slice(each.start, each.stop) for each in (left[1], left[0]))
+    """The slabs of a ``volume``, with CUT_AWAY_VALUE in place of the voxels that are not
+    ``left``.
+    """
+    z = 0
+    inside = tuple(slice(each.start, each.stop) for each in (left[1], left[0]))
     for slab in volume.slabs():
         cut = np.full_like(slab, CUT_AWAY_VALUE)
         first, last = (min(max(end - z, 0), len(slab)) for end in (left[2].start, left[2].stop))

@@ -1,4 +1,6 @@
-"""Opening volumes: a demo, a file or a Zarr array, in memory where small, as a mapped copy where not."""
+"""Opening volumes: a demo, a file or a Zarr array, in memory where small, as a mapped copy where
+not.
+"""
 
 import hashlib
 import json
@@ -20,7 +22,13 @@ from isogi_core.files.volume_copies import Draft, get_copy
 from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.value_survey import Progress, check, checked_spacing, no_progress, survey
 from isogi_core.model.volume import Orientation, Volume, make_volume
-from isogi_core.plan.volumes.labels import PROPOSED, are_labels, find_labels, look_like_labels, solid_of_labels
+from isogi_core.plan.volumes.labels import (
+    PROPOSED,
+    are_labels,
+    find_labels,
+    look_like_labels,
+    solid_of_labels,
+)
 from isogi_core.plan.volumes.masks import cut_out, place, read_tables
 
 COPY_FORMAT = 2
@@ -36,39 +44,63 @@ AXES_CHOICES = ("world", "raw")
 """What a scene's ``axes`` may be: as the volume's file says, or voxel indices times spacing."""
 
 
-def open_volume(settings: Settings, progress: Progress = no_progress, fallback: str = "above") -> Volume:
-    """Open the volume that the scene names, a demo or a file, with the scene's spacing, solid side and missing values.
+def open_volume(
+    settings: Settings, progress: Progress = no_progress, fallback: str = "above"
+) -> Volume:
+    """Open the volume that the scene names, a demo or a file, with the scene's spacing, solid side
+    and missing values.
 
-    Outside of the scene's masks it has no surface. A segmentation, as the scene says or the file, is made a field of
-    its labels. ``fallback`` is the solid side where the scene names none. ``progress`` is called while a copy is made.
-    Raises VolumeError and SceneError.
+    Outside of the scene's masks it has no surface. A segmentation, as the scene says or the file,
+    is made a field of its labels. ``fallback`` is the solid side where the scene names none.
+    ``progress`` is called while a copy is made. Raises VolumeError and SceneError.
     """
     name = settings.text("volume", DEFAULT_DEMO)
     solid = settings.text("solid", fallback)
-    raw, chosen = is_raw(settings), chosen_part(settings)
-    spacing, missing = settings.numbers("spacing", 3), settings.listed("missing")
-    tables, labels = read_tables(settings), find_labels(settings)
+    raw = is_raw(settings)
+    chosen = chosen_part(settings)
+    spacing = settings.numbers("spacing", 3)
+    missing = settings.listed("missing")
+    tables = read_tables(settings)
+    labels = find_labels(settings)
     if not name.startswith("demo:"):
         grid, stem = open_own(settings)
-        moment, segmented = grid.moment, labels is not None or are_labels(grid, settings)
+        moment = grid.moment
+        segmented = labels is not None or are_labels(grid, settings)
         if segmented:
             grid = solid_of_labels(grid, labels or (), settings)
         elif "missing" not in settings.source.document:
             grid = without_fill(grid)
         straight = on_right_angles(grid, spacing)
         if tables and spacing and grid.affine is not None:
-            raise SceneError("spacing moves the volume away from its masks: leave it out, or add axes = 'raw'.")
-        masks = [place(table, open_beside(settings, table.file), grid, straight) for table in tables]
-        straight = cut_out(straight, masks, solid, missing) if masks else straight
+            raise SceneError(
+                "spacing moves the volume away from its masks: leave it out, or add axes = 'raw'."
+            )
+        masks = [
+            place(table, open_beside(settings, table.file), grid, straight) for table in tables
+        ]
+        if masks:
+            straight = cut_out(straight, masks, solid, missing)
         volume = volume_of(straight, solid, stem, missing, progress)
-        count = 0 if segmented else look_like_labels(volume)
-        straight = replace(straight, notes=(*straight.notes, *((PROPOSED.format(count=count),) if count else ())))
-        return replace(volume, orientation=Orientation.of(straight), moment=moment, segmented=segmented)
+        if segmented:
+            count = 0
+        else:
+            count = look_like_labels(volume)
+        straight = replace(
+            straight, notes=(*straight.notes, *((PROPOSED.format(count=count),) if count else ()))
+        )
+        return replace(
+            volume, orientation=Orientation.of(straight), moment=moment, segmented=segmented
+        )
     if name.removeprefix("demo:") not in DEMOS:
-        raise VolumeError(f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}.")
+        raise VolumeError(
+            f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}."
+        )
     if spacing or missing or chosen or raw or tables or labels is not None or solid != "above":
         made = "is made with spacing 1, solid above and nothing missing"
-        named = ", ".join(f"'{key}'" for key in ("spacing", "solid", "missing", "axes", "volumes", "labels", *chosen))
+        named = ", ".join(
+            f"'{key}'"
+            for key in ("spacing", "solid", "missing", "axes", "volumes", "labels", *chosen)
+        )
         raise SceneError(f"{name} {made}: leave out {named}.")
     return demo_volume(name.removeprefix("demo:"))
 
@@ -80,18 +112,24 @@ def chosen_part(settings: Settings) -> dict[str, Any]:
     return {**numbers, **{key: value for key, value in others.items() if value}}
 
 
-FIRST_STEP_NOTE = "The file holds {steps} steps in time: the first is shown, and time = 0 to {last} chooses another."
+FIRST_STEP_NOTE = (
+    "The file holds {steps} steps in time: the first is shown, and time = 0 to "
+    "{last} chooses another."
+)
 
 
 def is_raw(settings: Settings) -> bool:
-    """Whether volumes of a scene lie as their voxels do, whatever their files say. Raises SceneError."""
+    """Whether volumes of a scene lie as their voxels do, whatever their files say. Raises
+    SceneError.
+    """
     return settings.choice("axes", AXES_CHOICES) == "raw"
 
 
 def open_own(settings: Settings) -> tuple[Grid, str]:
     """The grid of the volume that a scene names, a file, and its display name.
 
-    Of a series in time of which no step is chosen it is the first one, with a note. Raises VolumeError and SceneError.
+    Of a series in time of which no step is chosen it is the first one, with a note. Raises
+    VolumeError and SceneError.
     """
     chosen = chosen_part(settings)
     grid, stem = _open_placed(settings.source.base, settings.text("volume", DEFAULT_DEMO), chosen)
@@ -102,18 +140,25 @@ def open_own(settings: Settings) -> tuple[Grid, str]:
 
 
 def open_beside(settings: Settings, name: str) -> Grid:
-    """The grid of another volume of a scene, at a path or a URL; what follows a # in its ``name`` chooses too.
+    """The grid of another volume of a scene, at a path or a URL; what follows a # in its ``name``
+    chooses too.
 
     Raises SceneError, and VolumeError, for a series in time of which no step is chosen, too.
     """
     grid, _ = _open_placed(settings.source.base, name, {})
     if grid.unchosen:
-        raise VolumeError(f"'{name}' has {grid.moment[1]} time steps: choose one, such as '{name}#time=0'.")
-    return grid.raw(None) if is_raw(settings) else grid
+        raise VolumeError(
+            f"'{name}' has {grid.moment[1]} time steps: choose one, such as '{name}#time=0'."
+        )
+    if is_raw(settings):
+        return grid.raw(None)
+    return grid
 
 
 def _open_placed(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]:
-    """The grid at a path or a URL, and its display name. VolumeError where the system cannot read it."""
+    """The grid at a path or a URL, and its display name. VolumeError where the system cannot read
+    it.
+    """
     try:
         return _open_any(base, name, chosen)
     except OSError as error:
@@ -125,17 +170,25 @@ def _open_placed(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, s
 def _open_any(base: Path, name: str, chosen: dict[str, Any]) -> tuple[Grid, str]:
     region: Region | None = chosen.get("region")
     chosen = {key: value for key, value in chosen.items() if key != "region"}
-    named, inside = (name, {}) if (base / name).exists() else split_part(name)
+    (named, inside) = (name, {}) if (base / name).exists() else split_part(name)
     place = named if "://" in named else base / named
     if isinstance(place, str) or is_zarr(place):
         from isogi_core.files.zarr_volume import open_zarr  # noqa: PLC0415 (loads Zarr, which NRRD does not need)
 
         wanted = {key: str(value) for key, value in {**inside, **chosen}.items()}
         place = _below(place, wanted.pop("part", ""))
-        wrong = next((key for key, value in wanted.items() if key not in ZARR_SETTINGS or not value.isdecimal()), None)
+        wrong = next(
+            (
+                key
+                for key, value in wanted.items()
+                if key not in ZARR_SETTINGS or not value.isdecimal()
+            ),
+            None,
+        )
         if wrong is not None:
             raise SceneError(
-                f"{wrong} = {wanted[wrong]} chooses nothing in '{named}': give {' or '.join(ZARR_SETTINGS)}."
+                f"{wrong} = {wanted[wrong]} chooses nothing in '{named}': give "
+                f"{' or '.join(ZARR_SETTINGS)}."
             )
         facts = {key: int(value) for key, value in wanted.items()}
         return open_zarr(place, region=region, **facts), name_of(Path(place))
@@ -147,25 +200,37 @@ def _below(place: Path | str, part: str) -> Path | str:
     """The place of a ``part`` of a Zarr hierarchy. VolumeError where it leads out of it."""
     if ".." in PurePath(part).parts or PurePath(part).is_absolute():
         raise VolumeError(f"'{part}' leads out of '{place}': name an image in it, such as #A/1/0.")
-    return f"{place}/{part}".rstrip("/") if isinstance(place, str) else place / part
+    if isinstance(place, str):
+        return f"{place}/{part}".rstrip("/")
+    return place / part
 
 
 def stem_of(path: Path, inside: dict[str, str]) -> str:
     """The display name of a file and what is chosen in it."""
     stem = path.name.removesuffix(".gz").removesuffix(".bz2")
-    return "-".join([Path(stem).stem if path.suffix else stem, *(value.strip("/") for value in inside.values())])
+    return "-".join(
+        [Path(stem).stem if path.suffix else stem, *(value.strip("/") for value in inside.values())]
+    )
 
 
-def volume_of(grid: Grid, solid: str, name: str, missing: Sequence[float], progress: Progress) -> Volume:
-    """Make the volume of a ``grid``: in memory where it is small beside the budget, else as a copy that is mapped."""
+def volume_of(
+    grid: Grid, solid: str, name: str, missing: Sequence[float], progress: Progress
+) -> Volume:
+    """Make the volume of a ``grid``: in memory where it is small beside the budget, else as a copy
+    that is mapped.
+    """
     check(grid, solid)
     size = grid.size * np.dtype(np.float32).itemsize
     if size <= UNMAPPED_SHARE * budget():
         return make_volume(grid.whole(), grid.spacing, solid, name, missing)
-    lying = [] if grid.affine is None else [grid.affine.array.tolist(), grid.shape]  # it may be mirrored or resampled
+    lying = (
+        [] if grid.affine is None else [grid.affine.array.tolist(), grid.shape]
+    )  # it may be mirrored or resampled
     parts = [COPY_FORMAT, grid.stamp(), checked_spacing(grid.spacing), solid, missing, *lying]
     key = hashlib.blake2b(json.dumps(parts).encode(), digest_size=16).hexdigest()
-    voxels, facts = get_copy(key, size, lambda draft: make_copy(grid, draft, solid, name, missing, progress))
+    voxels, facts = get_copy(
+        key, size, lambda draft: make_copy(grid, draft, solid, name, missing, progress)
+    )
     return Volume(voxels, **{**facts, "name": name})
 
 
@@ -179,9 +244,13 @@ def make_copy(
     before = grid.stamp()
     found = survey(grid, solid, missing, progress)
     facts = found.facts(name, found.pour(draft.write, progress))
-    known = Volume(draft.voxels(grid.shape), **facts).counted(progress=progress, tally=found.tallied())
+    known = Volume(draft.voxels(grid.shape), **facts).counted(
+        progress=progress, tally=found.tallied()
+    )
     facts |= {"counts": known.counts, "span": known.span}
     if grid.stamp() != before:
-        raise VolumeError(f"The volume '{name}' changed while it was read: try again once it is written.")
+        raise VolumeError(
+            f"The volume '{name}' changed while it was read: try again once it is written."
+        )
     draft.seal(grid.shape, facts)
     return facts

@@ -1,4 +1,6 @@
-"""Paths among walls about matter that light passes: they wander over walls, and their rays pass what they meet."""
+"""Paths among walls about matter that light passes: they wander over walls, and their rays pass
+what they meet.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -30,17 +32,25 @@ from isogi_core.kernels.transport.lights import arriving, radiance, row
 from isogi_core.kernels.transport.matter.passage import MATTER_RECORD, make_passage, pass_matter
 from isogi_core.kernels.transport.paths import PATH_RULES, PATH_STARTS, SAMPLE_RANGE
 from isogi_core.kernels.transport.rng import point_of_words
-from isogi_core.kernels.transport.room_paths import ROOM_RECORD, balance_area, cast_among_walls, lit_from
+from isogi_core.kernels.transport.room_paths import (
+    ROOM_RECORD,
+    balance_area,
+    cast_among_walls,
+    lit_from,
+)
 from isogi_core.kernels.transport.sampling import about, sample_cosine_hemisphere
 from isogi_core.kernels.transport.streams import DIRECTIONS
 
-INWARD, ALONG_RAY = -2.0, -3.0
-"""In place of a wall's number: a start on the isosurface whose rays go in, cosine-weighted about its inner normal; and
-one from anywhere whose ray goes along its ``normal``."""
+INWARD = -2.0
+ALONG_RAY = -3.0
+"""In place of a wall's number: a start on the isosurface whose rays go in, cosine-weighted about
+its inner normal; and one from anywhere whose ray goes along its ``normal``."""
 
 
 class Through(NamedTuple):
-    """An isosurface of a ``field``, within its active ``cells``, whose ``matter`` light passes, and its ``room``."""
+    """An isosurface of a ``field``, within its active ``cells``, whose ``matter`` light passes, and
+    its ``room``.
+    """
 
     field: Any
     cells: Any
@@ -52,7 +62,9 @@ THROUGH_RECORD = record(Through, FIELD_RECORD, ACTIVE_CELLS, ROOM_RECORD, MATTER
 
 
 class Crossing(NamedTuple):
-    """The state of a ``wave`` whose rays pass matter: their ``passage``, and the ``starts`` of its paths."""
+    """The state of a ``wave`` whose rays pass matter: their ``passage``, and the ``starts`` of its
+    paths.
+    """
 
     wave: Any
     passage: Any
@@ -77,7 +89,9 @@ def begin_through(scene, state, vertices, starts, first):
 
     Those that are on no wall lose their normals: nothing is sent straight to them.
     """
-    wave, g, normals = state.wave, starts.walls.shape[0], columns(vertices.normals, vertices.count)
+    wave = state.wave
+    g = starts.walls.shape[0]
+    normals = columns(vertices.normals, vertices.count)
     for m in range(vertices.count):
         wave.own[m] = starts.walls[(first + m) % g]
         wave.rays.sides[m] = UNKNOWN_SIDE
@@ -91,16 +105,23 @@ def first_way(rays, starts, k, i):
     n = column(starts.normals, k)
     if starts.walls[k] == ALONG_RAY:
         return n
-    low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
+    low = np.uint64(rays.low[i])
+    high = np.uint64(rays.high[i])
+    sample = np.uint64(rays.samples[i])
     u, v = point_of_words(low, high, sample, np.uint64(DIRECTIONS))
     return about(scale(n, -1.0), sample_cosine_hemisphere(u, v))
 
 
 @kernel()
 def set_out(wave, vertices, passage, starts, bounce):
-    """Put the wave's rays at the start of their passage; the first ones of paths that start on no wall too."""
-    rays, count, g = wave.rays, vertices.count, starts.walls.shape[0]
-    points, ways = columns(vertices.points, count), columns(rays.ways, count)
+    """Put the wave's rays at the start of their passage; the first ones of paths that start on no
+    wall too.
+    """
+    rays = wave.rays
+    count = vertices.count
+    g = starts.walls.shape[0]
+    points = columns(vertices.points, count)
+    ways = columns(rays.ways, count)
     for i in range(count):
         k = rays.owners[i] % g
         free = bounce == 0 and starts.walls[k] < 0.0
@@ -108,8 +129,12 @@ def set_out(wave, vertices, passage, starts, bounce):
             put_column(ways, i, first_way(rays, starts, k, i))
         put_column(passage.origins, i, column(points, i))
         put_column(passage.ways, i, column(ways, i))
-        passage.sides[i] = SOLID_SIGN if free and starts.walls[k] == INWARD else UNKNOWN_SIDE
-        passage.own[i], passage.straight[i] = NO_WALL if free else wave.own[i], 0.0 if free else 1.0
+        if free and starts.walls[k] == INWARD:
+            passage.sides[i] = SOLID_SIGN
+        else:
+            passage.sides[i] = UNKNOWN_SIDE
+        passage.own[i] = NO_WALL if free else wave.own[i]
+        passage.straight[i] = 0.0 if free else 1.0
 
 
 @kernel()
@@ -118,30 +143,43 @@ def arrive(wave, passage, count):
     rays = wave.rays
     for i in range(count):
         wave.met[i] = passage.met[i]
-        rays.t[i] = math.inf if passage.met[i] == NO_WALL else 0.0
+        if passage.met[i] == NO_WALL:
+            rays.t[i] = math.inf
+        else:
+            rays.t[i] = 0.0
 
 
 @kernel()
 def gather_passed_ends(wave, vertices, passage, escaped, light):
-    """Add the environment that the ``escaped`` paths leave to: all of it where no shadow ray could bring it."""
+    """Add the environment that the ``escaped`` paths leave to: all of it where no shadow ray could
+    bring it.
+    """
     normals = columns(vertices.normals, vertices.count)
     for i in wave.rays.escaped[:escaped]:
         w = column(passage.ways, i)
         if passage.straight[i] > 0.0:
             cosine = dot(column(normals, i), w)
-            add_carried(wave, i, arriving(light.constant, light.image, light.matrix, light.table, w, cosine))
+            add_carried(
+                wave, i, arriving(light.constant, light.image, light.matrix, light.table, w, cosine)
+            )
         else:
             add_carried(wave, i, radiance(light.constant, light.image, light.matrix, w))
 
 
 @kernel()
 def gather_passed_walls(wave, vertices, passage, hits, room, spacing):
-    """Add the light of luminaires that paths meet; ``hits`` stay that meet a lit side: returns how many."""
-    rays, staying, count = wave.rays, 0, vertices.count
-    normals, starts = columns(vertices.normals, count), columns(vertices.points, count)
+    """Add the light of luminaires that paths meet; ``hits`` stay that meet a lit side: returns how
+    many.
+    """
+    rays = wave.rays
+    staying = 0
+    count = vertices.count
+    normals = columns(vertices.normals, count)
+    starts = columns(vertices.points, count)
     for h in range(hits):
         i = rays.hits[h]
-        k, w = int(passage.met[i]), column(passage.ways, i)
+        k = int(passage.met[i])
+        w = column(passage.ways, i)
         slope = dot(row(room.normals, k), w)
         rays.hits[staying] = i
         if lit_from(room, k, slope):
@@ -159,39 +197,54 @@ def gather_passed_walls(wave, vertices, passage, hits, room, spacing):
 
 @kernel()
 def stand_at_ends(wave, passage, following, room, chance):
-    """Put the vertices ``following`` on the walls that were met, whose albedo over the ``chance`` paths now carry."""
-    rays, hits = wave.rays, following.count
-    points, normals = columns(following.points, hits), columns(following.normals, hits)
+    """Put the vertices ``following`` on the walls that were met, whose albedo over the ``chance``
+    paths now carry.
+    """
+    rays = wave.rays
+    hits = following.count
+    points = columns(following.points, hits)
+    normals = columns(following.normals, hits)
     for h in range(hits):
         i, m = rays.hits[h], rays.owners[h]
         k = int(passage.met[i])
         n = row(room.normals, k)
         put_column(points, h, column(passage.origins, i))
         put_column(normals, h, scale(n, 1.0 if dot(n, column(passage.ways, i)) < 0.0 else -1.0))
-        wave.own[h], rays.sides[h] = k, UNKNOWN_SIDE
+        wave.own[h] = k
+        rays.sides[h] = UNKNOWN_SIDE
         for c in range(3):
             wave.carried[c, m] *= room.albedos[k, c] / chance
 
 
 @cast_wave.case(Through)
 def cast_past_matter(scene, state, points, count):
-    """Cast a wave's shadow rays from ``points`` to what they meet first: matter stops them as walls do."""
+    """Cast a wave's shadow rays from ``points`` to what they meet first: matter stops them as walls
+    do.
+    """
     cast_among_walls(scene, state, points, count)
 
 
 @meet.case(Through)
 def meet_through(scene, state, vertices, bounce):
     """Follow the rays of a wave through matter to where they meet walls or leave."""
-    wave, passage, count = state.wave, state.passage, vertices.count
+    wave = state.wave
+    passage = state.passage
+    count = vertices.count
     set_out(wave, vertices, passage, state.starts, bounce)
-    pass_matter(scene.field, scene.cells, scene.room.walls, scene.matter, wave, passage, bounce, count)
+    pass_matter(
+        scene.field, scene.cells, scene.room.walls, scene.matter, wave, passage, bounce, count
+    )
     arrive(wave, passage, count)
 
 
 @gather_met.case(Through, Surroundings)
 def gather_met_through(scene, state, vertices, bounce, light):
-    """Add the environment that paths leave to, and luminaires that they meet: returns how many go on."""
-    wave, passage, count = state.wave, state.passage, vertices.count
+    """Add the environment that paths leave to, and luminaires that they meet: returns how many go
+    on.
+    """
+    wave = state.wave
+    passage = state.passage
+    count = vertices.count
     hits = partition(wave.rays, count)
     gather_passed_ends(wave, vertices, passage, count - hits, light)
     return gather_passed_walls(wave, vertices, passage, hits, scene.room, scene.field.spacing)
@@ -201,18 +254,25 @@ def gather_met_through(scene, state, vertices, bounce, light):
 def advance_through(scene, state, vertices, following, bounce, rules):
     """Move the paths that go on to where they met walls."""
     compact(state.wave.rays, vertices, following)
-    stand_at_ends(state.wave, state.passage, following, scene.room, rules.survival if bounce > 0 else 1.0)
+    stand_at_ends(
+        state.wave, state.passage, following, scene.room, rules.survival if bounce > 0 else 1.0
+    )
 
 
-@kernel(types.void(THROUGH_RECORD, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS_RECORD, REAL_ROWS))
+@kernel(
+    types.void(
+        THROUGH_RECORD, PATH_STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS_RECORD, REAL_ROWS
+    )
+)
 def light_through_matter(scene, starts, samples, rules, light, sums):
     """Add what a ``SampleRange`` of paths brings to each of g ``PathStarts`` to ``sums`` (g, 3).
 
-    The ``scene`` is Through. Of a start on a wall that is E/π, with all light that is reflected by walls. Of one that
-    goes INWARD it is the radiance of the solid side over π and cosines there, B/π, of one ALONG_RAY a way the radiance
-    that arrives from there. Rays meet the isosurface as ``Matter`` does: refracted and mirrored by Fresnel's share,
-    absorbed and scattered. So what arrives through it of luminaires and of what lies outside, caustics, comes by chance
-    alone, and lamps that no ray can meet cast shadows. Bounces, weights and sums are as in ``light_in_room``. Source:
-    Kajiya 1986; Beason et al. 2006 (S3).
+    The ``scene`` is Through. Of a start on a wall that is E/π, with all light that is reflected by
+    walls. Of one that goes INWARD it is the radiance of the solid side over π and cosines there,
+    B/π, of one ALONG_RAY a way the radiance that arrives from there. Rays meet the isosurface as
+    ``Matter`` does: refracted and mirrored by Fresnel's share, absorbed and scattered. So what
+    arrives through it of luminaires and of what lies outside, caustics, comes by chance alone, and
+    lamps that no ray can meet cast shadows. Bounces, weights and sums are as in ``light_in_room``.
+    Source: Kajiya 1986; Beason et al. 2006 (S3).
     """
     add_paths(scene, starts, samples, rules, light, sums)

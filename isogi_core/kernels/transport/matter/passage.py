@@ -1,4 +1,5 @@
-"""The way of a wave's rays through matter: refracted, mirrored, scattered by chance until they meet a wall or leave.
+"""The way of a wave's rays through matter: refracted, mirrored, scattered by chance until they meet
+a wall or leave.
 
 What is random there belongs to the path, the bounce and the step, as all random numbers do.
 """
@@ -27,8 +28,9 @@ from isogi_core.kernels.transport.streams import IN_MATTER, MAX_STEPS, PAIRS_PER
 class Matter(NamedTuple):
     """What fills the solid side of an isosurface; lengths are the world's.
 
-    Its ``index`` of refraction; the ``absorption`` (3,) per unit of length, linear RGB; how often light is scattered,
-    ``extinction`` per unit of length, evenly to all sides, and the share of it that goes on then, ``albedo`` (3,).
+    Its ``index`` of refraction; the ``absorption`` (3,) per unit of length, linear RGB; how often
+    light is scattered, ``extinction`` per unit of length, evenly to all sides, and the share of it
+    that goes on then, ``albedo`` (3,).
     """
 
     index: float
@@ -41,7 +43,9 @@ MATTER_RECORD = record(Matter, types.float64, REAL_ARRAY, types.float64, REAL_AR
 
 
 class Passable(NamedTuple):
-    """What rays meet that pass an isosurface: the ``room`` about it, and the ``matter`` behind it."""
+    """What rays meet that pass an isosurface: the ``room`` about it, and the ``matter`` behind
+    it.
+    """
 
     room: Any
     matter: Any
@@ -52,15 +56,17 @@ PASSABLE = record(Passable, ROOM_RECORD, MATTER_RECORD)
 
 @kernel()
 def way_inside(shape, o, d, side, came, reach):
-    """Part (near, far) of the ray o + t·d, t up to ``reach``, in what is solid; (0, 0) where it is outside.
+    """Part (near, far) of the ray o + t·d, t up to ``reach``, in what is solid; (0, 0) where it is
+    outside.
 
-    ``side`` is where it starts, and ``came`` the side that it met the surface from, both UNKNOWN where that is not
-    known. Faces of the volume's box, of ``shape``, let light pass as it goes.
+    ``side`` is where it starts, and ``came`` the side that it met the surface from, both UNKNOWN
+    where that is not known. Faces of the volume's box, of ``shape``, let light pass as it goes.
     """
     if side != SOLID_SIGN and came != SOLID_SIGN:
         return 0.0, 0.0
     near, far = clip_box(shape, o, d)
-    near, far = max(near, 0.0), min(far, reach)
+    near = max(near, 0.0)
+    far = min(far, reach)
     return (near, far) if near < far else (0.0, 0.0)
 
 
@@ -73,17 +79,22 @@ def transmitted(matter, way):
 
 @kernel()
 def meet_interface(field, matter, p, w, came):
-    """Where the unit way ``w`` meets the surface at ``p``: (share mirrored, mirrored way, way that goes on).
+    """Where the unit way ``w`` meets the surface at ``p``: (share mirrored, mirrored way, way that
+    goes on).
 
-    The normal is that of shading. Where it is turned away from the ray, as at outlines of smoothed normals, the ray
-    grazes: all of it is passed on.
+    The normal is that of shading. Where it is turned away from the ray, as at outlines of smoothed
+    normals, the ray grazes: all of it is passed on.
     """
     n = shading_normal(field, p, came, w)
     cosine = -dot(n, w)
     if matter.index == 1.0 or not cosine > 0.0:
         return 0.0, w, w
-    ratio = 1.0 / matter.index if came == SOLID_SIGN else matter.index
-    share, back = fresnel(cosine, ratio), mirror(w, n, cosine)
+    if came == SOLID_SIGN:
+        ratio = 1.0 / matter.index
+    else:
+        ratio = matter.index
+    share = fresnel(cosine, ratio)
+    back = mirror(w, n, cosine)
     return share, back, refract(w, n, cosine, ratio) if share < 1.0 else back
 
 
@@ -106,10 +117,12 @@ def parted(light, share):
 
 
 class Passage(NamedTuple):
-    """Rays of a wave on their way, (n,) or (3, n) each: ``origins`` in index space, unit world ``ways``, ``sides``.
+    """Rays of a wave on their way, (n,) or (3, n) each: ``origins`` in index space, unit world
+    ``ways``, ``sides``.
 
-    ``own`` are the walls that they start on, ``straight`` is 1 as long as nothing turned them. ``pending`` (n,) int64
-    are those that go on. At the end ``met`` are the walls that they meet at ``origins``, or NO_WALL.
+    ``own`` are the walls that they start on, ``straight`` is 1 as long as nothing turned them.
+    ``pending`` (n,) int64 are those that go on. At the end ``met`` are the walls that they meet at
+    ``origins``, or NO_WALL.
     """
 
     origins: Any
@@ -124,28 +137,39 @@ class Passage(NamedTuple):
 @kernel()
 def make_passage(n):
     """Room for ``n`` rays."""
-    origins, ways, numbers = np.zeros((3, n)), np.zeros((3, n)), np.zeros((3, n))
-    sides, pending = np.zeros(n, np.int8), np.zeros(n, np.int64)
+    origins = np.zeros((3, n))
+    ways = np.zeros((3, n))
+    numbers = np.zeros((3, n))
+    sides = np.zeros(n, np.int8)
+    pending = np.zeros(n, np.int64)
     return Passage(origins, ways, sides, numbers[0], numbers[1], numbers[2], pending)
 
 
 @kernel(inline=True)
 def draw(wave, i, bounce, step, second):
-    """A pair of random numbers in [0, 1) of ray ``i`` of a wave at a ``step`` of its way; each step has two."""
+    """A pair of random numbers in [0, 1) of ray ``i`` of a wave at a ``step`` of its way; each step
+    has two.
+    """
     rays = wave.rays
     dimension = np.uint64(IN_MATTER + (2 * step + second) * PAIRS_PER_PURPOSE + bounce)
-    return point_of_words(np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i]), dimension)
+    return point_of_words(
+        np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i]), dimension
+    )
 
 
 @kernel()
 def gather_rays(field, wave, passage, going):
-    """The first ``going`` pending rays side by side, in whole vectors: ``Rays``, and the walls that they start on."""
+    """The first ``going`` pending rays side by side, in whole vectors: ``Rays``, and the walls that
+    they start on.
+    """
     n = whole(going)
     rays = Rays(np.zeros(n), np.full((3, n), math.inf), np.ones((3, n)), np.zeros(n, np.int8))
     own = np.full(n, NO_WALL)
     for j in range(going):
         i = passage.pending[j]
-        rays.isovalues[j], rays.sides[j], own[j] = wave.isovalues[i], passage.sides[i], passage.own[i]
+        rays.isovalues[j] = wave.isovalues[i]
+        rays.sides[j] = passage.sides[i]
+        own[j] = passage.own[i]
         put_column(rays.origins, j, column(passage.origins, i))
         put_column(rays.directions, j, to_index(column(passage.ways, i), field.spacing))
     for j in range(going, n):
@@ -171,7 +195,8 @@ def end_at(passage, i, p, wall):
 
 @kernel(inline=True)
 def scatter(matter, wave, passage, i, bounce, step):
-    """Turn ray ``i`` where it is scattered, or end it by chance: in as many cases as the brightest channel is absorbed.
+    """Turn ray ``i`` where it is scattered, or end it by chance: in as many cases as the brightest
+    channel is absorbed.
 
     What it carries is divided by the chance to go on. Returns whether it does.
     """
@@ -183,17 +208,20 @@ def scatter(matter, wave, passage, i, bounce, step):
         return end_at(passage, i, column(passage.origins, i), NO_WALL)
     dim(wave, i, (albedo[0] / chance, albedo[1] / chance, albedo[2] / chance))
     put_column(passage.ways, i, sample_uniform_sphere(u / chance, v))
-    passage.sides[i], passage.straight[i] = SOLID_SIGN, 0.0
+    passage.sides[i] = SOLID_SIGN
+    passage.straight[i] = 0.0
     return True
 
 
 @kernel(inline=True)
 def go_on(field, matter, wave, passage, ray, i, place):
-    """Bring ray ``i`` to what it met, ``ray`` = (o, d, t, side it came from, wall); returns whether it goes on there.
+    """Bring ray ``i`` to what it met, ``ray`` = (o, d, t, side it came from, wall); returns whether
+    it goes on there.
 
     The ``place`` of its random numbers is its bounce and step.
     """
-    (o, d, t, came, wall), (bounce, step) = ray, place
+    (o, d, t, came, wall) = ray
+    (bounce, step) = place
     w = column(passage.ways, i)
     passage.own[i] = NO_WALL
     near, far = way_inside(field.voxels.shape, o, d, passage.sides[i], came, t)
@@ -210,7 +238,8 @@ def go_on(field, matter, wave, passage, ray, i, place):
     p = madd(o, t, d)
     share, mirrored, passed = meet_interface(field, matter, p, w, came)
     back = v < share
-    passage.sides[i], passage.straight[i] = came if back else -came, 0.0
+    passage.sides[i] = came if back else -came
+    passage.straight[i] = 0.0
     put_column(passage.origins, i, p)
     put_column(passage.ways, i, mirrored if back else passed)
     return True
@@ -218,7 +247,8 @@ def go_on(field, matter, wave, passage, ray, i, place):
 
 @kernel()
 def pass_matter(field, cells, walls, matter, wave, passage, bounce, count):
-    """Follow the first ``count`` rays of a ``PathWave`` on their passage to where they meet walls or leave.
+    """Follow the first ``count`` rays of a ``PathWave`` on their passage to where they meet walls
+    or leave.
 
     What they carry dims on the way; ``bounce`` is the number of the vertex that they come from.
     """
@@ -228,7 +258,9 @@ def pass_matter(field, cells, walls, matter, wave, passage, bounce, count):
     for step in range(MAX_STEPS):
         rays, own = gather_rays(field, wave.rays, passage, going)
         n = own.shape[0]
-        t, came, met = np.empty(n), np.empty(n, np.int8), np.empty(n)
+        t = np.empty(n)
+        came = np.empty(n, np.int8)
+        met = np.empty(n)
         cast_batch(field, cells, rays, t, came)
         meet_walls(walls, rays.origins, rays.directions, own, t, met)
         staying = 0

@@ -1,4 +1,6 @@
-"""What the eye sees through matter that refracts: each ray parts in two at every interface, as far as that counts."""
+"""What the eye sees through matter that refracts: each ray parts in two at every interface, as far
+as that counts.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -29,18 +31,24 @@ from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.room_paths import lit_from
 
 PARTED_PLACES = 16
-"""A ray parts where each part counts at least 1 / (PARTED_PLACES · places), of the places that its point may see."""
+"""A ray parts where each part counts at least 1 / (PARTED_PLACES · places), of the places that its
+point may see.
+"""
 
 START_BACK_VOXELS = 1e-2
-"""Voxels before the surface at which the eye's rays start, so that they meet it whatever the rounding of the point."""
+"""Voxels before the surface at which the eye's rays start, so that they meet it whatever the
+rounding of the point.
+"""
 
 
 class Leaves(NamedTuple):
-    """What n points show: ``sky`` (n, 3) float32 of what lies outside, and the walls that their rays end on.
+    """What n points show: ``sky`` (n, 3) float32 of what lies outside, and the walls that their
+    rays end on.
 
-    Of at most b places each, row b · m + j is place j of point m: ``weights`` (rows, 3) and ``points`` (rows, 3; index
-    space) float32, and the number of the wall, or -1, in ``met`` (rows,) int8; ``sides`` (rows,) int8 is 1 for its
-    front, -1 for its back. ``cut`` (n,) float32 is the share of light that went the way of another.
+    Of at most b places each, row b · m + j is place j of point m: ``weights`` (rows, 3) and
+    ``points`` (rows, 3; index space) float32, and the number of the wall, or -1, in ``met`` (rows,)
+    int8; ``sides`` (rows,) int8 is 1 for its front, -1 for its back. ``cut`` (n,) float32 is the
+    share of light that went the way of another.
     """
 
     sky: Any
@@ -52,13 +60,16 @@ class Leaves(NamedTuple):
 
 
 SMALL_INTEGERS = types.int8[::1]
-LEAVES_OF = record(Leaves, SINGLE_ROWS, SINGLE_ROWS, SINGLE_ROWS, SMALL_INTEGERS, SMALL_INTEGERS, SINGLE_ARRAY)
+LEAVES_OF = record(
+    Leaves, SINGLE_ROWS, SINGLE_ROWS, SINGLE_ROWS, SMALL_INTEGERS, SMALL_INTEGERS, SINGLE_ARRAY
+)
 
 
 class Chances(NamedTuple):
-    """How rays choose their way where they do not part: by random numbers of a point's ``seeds`` (n,) uint64 and of its
-    ``samples`` (n,) int64; where that is NO_SAMPLE, the way of the greater part. Their light passes ``deep`` interfaces
-    at most: then it goes on as it would without the matter.
+    """How rays choose their way where they do not part: by random numbers of a point's ``seeds``
+    (n,) uint64 and of its ``samples`` (n,) int64; where that is NO_SAMPLE, the way of the greater
+    part. Their light passes ``deep`` interfaces at most: then it goes on as it would without the
+    matter.
     """
 
     seeds: Any
@@ -73,7 +84,9 @@ NO_SAMPLE = -1
 
 
 class Progress(NamedTuple):
-    """Of each of n points how many places it has ``used`` and ``shown``, and the choices it has ``made``, (n,) each."""
+    """Of each of n points how many places it has ``used`` and ``shown``, and the choices it has
+    ``made``, (n,) each.
+    """
 
     used: Any
     shown: Any
@@ -81,7 +94,8 @@ class Progress(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """Rays that are still to be followed, r at most: their ``origins``, unit world ``ways`` and ``weights``, (3, r).
+    """Rays that are still to be followed, r at most: their ``origins``, unit world ``ways`` and
+    ``weights``, (3, r).
 
     (r,) ``sides`` that they start on, and the ``owners`` among the points that they belong to.
     """
@@ -96,7 +110,13 @@ class Sight(NamedTuple):
 @kernel()
 def make_sight(r):
     """Room for ``r`` rays."""
-    return Sight(np.empty((3, r)), np.empty((3, r)), np.empty((3, r)), np.empty(r, np.int8), np.empty(r, np.int64))
+    return Sight(
+        np.empty((3, r)),
+        np.empty((3, r)),
+        np.empty((3, r)),
+        np.empty(r, np.int8),
+        np.empty(r, np.int64),
+    )
 
 
 @kernel()
@@ -105,7 +125,8 @@ def push(sight, j, o, w, weight, side, owner):
     put_column(sight.origins, j, o)
     put_column(sight.ways, j, w)
     put_column(sight.weights, j, weight)
-    sight.sides[j], sight.owners[j] = side, owner
+    sight.sides[j] = side
+    sight.owners[j] = owner
     return j + 1
 
 
@@ -113,13 +134,17 @@ def push(sight, j, o, w, weight, side, owner):
 def put_leaf(leaves, place, p, weight, wall, side):
     """Write a wall that is seen."""
     for c in range(3):
-        leaves.weights[place, c], leaves.points[place, c] = np.float32(weight[c]), np.float32(p[c])
-    leaves.met[place], leaves.sides[place] = np.int8(wall), np.int8(side)
+        leaves.weights[place, c] = np.float32(weight[c])
+        leaves.points[place, c] = np.float32(p[c])
+    leaves.met[place] = np.int8(wall)
+    leaves.sides[place] = np.int8(side)
 
 
 @kernel()
 def choice(chances, progress, m):
-    """The number in [0, 1) that point ``m`` chooses by next: one half where nothing is left to chance."""
+    """The number in [0, 1) that point ``m`` chooses by next: one half where nothing is left to
+    chance.
+    """
     progress.made[m] += 1
     sample = chances.samples[m]
     if sample == NO_SAMPLE:
@@ -129,13 +154,15 @@ def choice(chances, progress, m):
 
 @kernel()
 def part(surface, matter, sight, j, ray, shown):
-    """Put what becomes of a ``ray`` = (p, w, weight, side it came from, owner) at the surface, from place ``j`` on.
+    """Put what becomes of a ``ray`` = (p, w, weight, side it came from, owner) at the surface, from
+    place ``j`` on.
 
-    Returns the next place. It parts where its owner may see more places and neither part is too small; else all of its
-    light goes one way, as often as that has a share of it: right on the average. ``shown`` is (leaves, chances,
-    progress).
+    Returns the next place. It parts where its owner may see more places and neither part is too
+    small; else all of its light goes one way, as often as that has a share of it: right on the
+    average. ``shown`` is (leaves, chances, progress).
     """
-    (p, w, weight, came, owner), (leaves, chances, progress) = ray, shown
+    (p, w, weight, came, owner) = ray
+    (leaves, chances, progress) = shown
     share, mirrored, passed = meet_interface(surface.field, matter, p, w, came)
     places = leaves.met.shape[0] // leaves.sky.shape[0]
     less = brightest(weight) * min(share, 1.0 - share)
@@ -151,10 +178,15 @@ def part(surface, matter, sight, j, ray, shown):
 
 @kernel()
 def meet_surface(surface, sight, count):
-    """Where the first ``count`` rays meet the surface: (index directions, ways t or inf, sides they came from)."""
+    """Where the first ``count`` rays meet the surface: (index directions, ways t or inf, sides they
+    came from).
+    """
     n = whole(count)
-    directions, t, came = np.ones((3, n)), np.empty(n), np.empty(n, np.int8)
-    origins, sides = np.full((3, n), math.inf), np.zeros(n, np.int8)
+    directions = np.ones((3, n))
+    t = np.empty(n)
+    came = np.empty(n, np.int8)
+    origins = np.full((3, n), math.inf)
+    sides = np.zeros(n, np.int8)
     for j in range(count):
         put_column(origins, j, column(sight.origins, j))
         put_column(directions, j, to_index(column(sight.ways, j), surface.field.spacing))
@@ -166,7 +198,9 @@ def meet_surface(surface, sight, count):
 
 @kernel()
 def show_end(room, light, shown, ends, m, weight):
-    """Show point ``m`` what a ray ends on, ``ends`` = (point, way, wall or NO_WALL): a wall's lit side, or outside."""
+    """Show point ``m`` what a ray ends on, ``ends`` = (point, way, wall or NO_WALL): a wall's lit
+    side, or outside.
+    """
     leaves, _, progress = shown
     p, w, wall = ends
     if wall == NO_WALL:
@@ -183,7 +217,8 @@ def show_end(room, light, shown, ends, m, weight):
 
 @kernel()
 def follow_trees(surface, met, light, sight, count, following, depth, shown):
-    """Follow the first ``count`` rays to what they meet; returns how many go on from there, in ``following``.
+    """Follow the first ``count`` rays to what they meet; returns how many go on from there, in
+    ``following``.
 
     What is ``shown`` is (leaves, chances, progress).
     """
@@ -191,10 +226,14 @@ def follow_trees(surface, met, light, sight, count, following, depth, shown):
     directions, t, came = meet_surface(surface, sight, count)
     going = 0
     for j in range(count):
-        o, w, d = column(sight.origins, j), column(sight.ways, j), column(directions, j)
+        o = column(sight.origins, j)
+        w = column(sight.ways, j)
+        d = column(directions, j)
         met_at = t[j] if depth < chances.deep else math.inf
         reach, wall = nearest_wall(met.room.walls, o, d, NO_WALL, met_at)
-        near, far = way_inside(surface.field.voxels.shape, o, d, int(sight.sides[j]), int(came[j]), reach)
+        near, far = way_inside(
+            surface.field.voxels.shape, o, d, int(sight.sides[j]), int(came[j]), reach
+        )
         weight = dimmed(column(sight.weights, j), transmitted(met.matter, far - near))
         owner = sight.owners[j]
         if wall == NO_WALL and reach < math.inf:
@@ -203,33 +242,59 @@ def follow_trees(surface, met, light, sight, count, following, depth, shown):
         else:
             if depth == chances.deep and t[j] < math.inf:
                 leaves.cut[owner] += np.float32(brightest(weight))
-            p = madd(o, reach, d) if reach < math.inf else o
+            if reach < math.inf:
+                p = madd(o, reach, d)
+            else:
+                p = o
             show_end(met.room, light, shown, (p, w, wall), owner, weight)
     return going
 
 
 @kernel(
     types.void(
-        SURFACE, PASSABLE, SURROUNDINGS_RECORD, types.UniTuple(types.float64, 3), SINGLE_ROWS, CHANCES_RECORD, LEAVES_OF
+        SURFACE,
+        PASSABLE,
+        SURROUNDINGS_RECORD,
+        types.UniTuple(types.float64, 3),
+        SINGLE_ROWS,
+        CHANCES_RECORD,
+        LEAVES_OF,
     )
 )
 def see_through(surface, met, light, eye, points, chances, leaves):
-    """Fill the ``leaves`` of n ``points`` (n, 3), where rays from the ``eye`` meet the ``surface``; in index space.
+    """Fill the ``leaves`` of n ``points`` (n, 3), where rays from the ``eye`` meet the ``surface``;
+    in index space.
 
-    Without absorption the weights of all that a point shows sum to 1. What it shows by all ``chances`` is right on the
-    average. Source: Whitted 1980; Arvo and Kirk 1990 on rays that part as long as that counts.
+    Without absorption the weights of all that a point shows sum to 1. What it shows by all
+    ``chances`` is right on the average. Source: Whitted 1980; Arvo and Kirk 1990 on rays that part
+    as long as that counts.
     """
     leaves.met[:] = np.int8(NO_WALL)
     leaves.sky[:] = np.float32(0.0)
     leaves.cut[:] = np.float32(0.0)
-    spacing, n, places = surface.field.spacing, points.shape[0], leaves.met.shape[0]
-    sight, following = make_sight(places), make_sight(places)
-    shown = leaves, chances, Progress(np.ones(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64))
+    spacing = surface.field.spacing
+    n = points.shape[0]
+    places = leaves.met.shape[0]
+    sight = make_sight(places)
+    following = make_sight(places)
+    shown = (
+        leaves,
+        chances,
+        Progress(np.ones(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)),
+    )
     for m in range(n):
         p = float(points[m, 0]), float(points[m, 1]), float(points[m, 2])
         w = normalize(to_world(sub(p, eye), spacing))
         d = to_index(w, spacing)
-        push(sight, m, madd(p, -START_BACK_VOXELS / longest(d), d), w, (1.0, 1.0, 1.0), UNKNOWN_SIDE, m)
+        push(
+            sight,
+            m,
+            madd(p, -START_BACK_VOXELS / longest(d), d),
+            w,
+            (1.0, 1.0, 1.0),
+            UNKNOWN_SIDE,
+            m,
+        )
     count = n
     for depth in range(chances.deep + 1):
         count = follow_trees(surface, met, light, sight, count, following, depth, shown)
