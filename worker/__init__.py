@@ -1,1 +1,3 @@
-"""Bake requests, the queue that orders them, the tasks that bake them, and the processes that run tasks."""
+"""Bake requests, the queue that orders them, the tasks that bake them, and the processes that run
+tasks.
+"""

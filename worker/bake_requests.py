@@ -1,8 +1,8 @@
 """Bake requests: light of a chunk that clients wait for, its priority, and the state of its task.
 
-Fair turns: of all that wait, the client that was served least is next (start-time fair queueing). P. Goyal, H. M.
-Vin, H. Cheng: Start-time Fair Queuing, SIGCOMM 1996. Workers share their processor seconds by it, and clients of the
-server the threads that render.
+Fair turns: of all that wait, the client that was served least is next (start-time fair queueing).
+P. Goyal, H. M. Vin, H. Cheng: Start-time Fair Queuing, SIGCOMM 1996. Workers share their processor
+seconds by it, and clients of the server the threads that render.
 """
 
 import math
@@ -22,11 +22,12 @@ from worker.tasks import BakeResult
 
 @dataclass(frozen=True)
 class Viewer:
-    """One ``visit`` of a ``client``. When it leaves, the requests that it was the last to renew are dropped.
+    """One ``visit`` of a ``client``. When it leaves, the requests that it was the last to renew are
+    dropped.
 
-    Clients share the workers evenly. A ``single`` viewer shows one view at a time: its newest view replaces the
-    requests of older ones; otherwise requests add up until they expire. A ``patient`` viewer yields to all others. One
-    that ``bakes`` not is shown what is there.
+    Clients share the workers evenly. A ``single`` viewer shows one view at a time: its newest view
+    replaces the requests of older ones; otherwise requests add up until they expire. A ``patient``
+    viewer yields to all others. One that ``bakes`` not is shown what is there.
     """
 
     client: Hashable = ""
@@ -47,24 +48,26 @@ MOST_FAILURES = 3
 """Failed tries after which a chunk is given up, until its request expires."""
 
 LONG_TASK_PATHS = 1 << 14
-"""Paths beyond which what is left of a chunk is not one task, but one level of samples more: about a tenth of a second,
-for which others may have to wait.
+"""Paths beyond which what is left of a chunk is not one task, but one level of samples more: about
+a tenth of a second, for which others may have to wait.
 """
 
 SHORT_TASK_SECONDS = 0.1
-"""Processor seconds below which a task is not split: each part costs up to 0.02 to hand out, read and write."""
+"""Processor seconds below which a task is not split: each part costs up to 0.02 to hand out, read
+and write.
+"""
 
 NO_EFFORT = Effort(0, 0.0, 0.0)
 
 
 @dataclass(eq=False)
 class Interest:
-    """The interest of a ``viewer`` in a chunk: texels ``offsets``, seen by their ``footprints``, until ``target``, or
-    ``enough`` samples.
+    """The interest of a ``viewer`` in a chunk: texels ``offsets``, seen by their ``footprints``,
+    until ``target``, or ``enough`` samples.
 
-    ``priority`` is the squared visible error of the light, over the paths taken. ``view`` numbers the view that asked
-    last, the newest being the highest, at the time ``asked``; the first request came at ``since``. ``ticket`` marks its
-    current place in the client's queue.
+    ``priority`` is the squared visible error of the light, over the paths taken. ``view`` numbers
+    the view that asked last, the newest being the highest, at the time ``asked``; the first request
+    came at ``since``. ``ticket`` marks its current place in the client's queue.
     """
 
     viewer: Viewer
@@ -79,19 +82,22 @@ class Interest:
     ticket: int = 0
 
     def covers(self, offsets: np.ndarray, target: float, enough: int) -> bool:
-        """Whether texels at ``offsets`` until a ``target``, or ``enough`` samples, are wanted already."""
+        """Whether texels at ``offsets`` until a ``target``, or ``enough`` samples, are wanted
+        already.
+        """
         return self.target <= target and self.enough >= enough and contained(offsets, self.offsets)
 
     def joined(self, newer: "Interest") -> "Interest":
         """Merge with a ``newer`` interest; priority and age are those of the newer."""
         offsets, footprints, target, enough = merged((self, newer))
-        both, since = (offsets, footprints, target), min(self.since, newer.since)
+        both = (offsets, footprints, target)
+        since = min(self.since, newer.since)
         return Interest(newer.viewer, *both, newer.priority, newer.view, newer.asked, since, enough)
 
 
 class MergedInterest(NamedTuple):
-    """Several interests as one: texels ``offsets``, the largest ``footprints`` of each, the strictest ``target``, and
-    the most samples that are ``enough``."""
+    """Several interests as one: texels ``offsets``, the largest ``footprints`` of each, the
+    strictest ``target``, and the most samples that are ``enough``."""
 
     offsets: np.ndarray
     footprints: np.ndarray
@@ -106,11 +112,12 @@ NO_INTEREST = MergedInterest(np.empty(0, np.int32), np.empty(0, np.float32), np.
 class BakeRequest:
     """A request for light of the chunk ``key``, with the ``interests`` of its clients.
 
-    ``effort`` is the work that it takes, as far as is known, and ``priority`` the squared visible error in all views,
-    over the paths taken. ``in_flight`` is whether it has a task, which was charged to ``payers``. ``ranked`` holds
-    whether it lacked light, and its priority, when it was last ranked in the queues of all its clients. It is
-    ``suspect`` when a worker died with its task: that task may be the cause, or one beside it. It is ``postponed``
-    while another baker is at the chunk, and has ``waited`` so many seconds for that. It has ``begun`` once a few texels
+    ``effort`` is the work that it takes, as far as is known, and ``priority`` the squared visible
+    error in all views, over the paths taken. ``in_flight`` is whether it has a task, which was
+    charged to ``payers``. ``ranked`` holds whether it lacked light, and its priority, when it was
+    last ranked in the queues of all its clients. It is ``suspect`` when a worker died with its
+    task: that task may be the cause, or one beside it. It is ``postponed`` while another baker is
+    at the chunk, and has ``waited`` so many seconds for that. It has ``begun`` once a few texels
     have light; its chunk has 1 << ``bits`` texels a side, see ``Demand``.
     """
 
@@ -145,7 +152,9 @@ class BakeRequest:
 
     @property
     def next(self) -> tuple[np.ndarray, np.ndarray]:
-        """The offsets and footprints of the texels that its next task is for: all, or those that have light first."""
+        """The offsets and footprints of the texels that its next task is for: all, or those that
+        have light first.
+        """
         wanted = self._merge()
         if not self.sparse:
             return wanted.offsets, wanted.footprints
@@ -155,24 +164,38 @@ class BakeRequest:
 
     @property
     def sparse(self) -> bool:
-        """Whether its next task lights a few texels alone: where none has light yet, and anybody is impatient."""
+        """Whether its next task lights a few texels alone: where none has light yet, and anybody is
+        impatient.
+        """
         unlit = not self.begun and self.effort.unlit >= len(self.offsets)
-        return unlit and self.bits > 0 and not all(each.viewer.patient for each in self.interests.values())
+        return (
+            unlit
+            and self.bits > 0
+            and not all(each.viewer.patient for each in self.interests.values())
+        )
 
     @property
     def stage(self) -> int:
         """How far its first light has come: 0 without any, 1 where some texels lack it, else 2."""
-        return 2 if not self.effort.unlit else int(self.begun)
+        if not self.effort.unlit:
+            return 2
+        return int(self.begun)
 
     @property
     def target(self) -> float:
-        """The strictest target: known without merging the texels, which frames that ask for the time left need not."""
-        return min((interest.target for interest in self.interests.values()), default=self._merged.target)
+        """The strictest target: known without merging the texels, which frames that ask for the
+        time left need not.
+        """
+        return min(
+            (interest.target for interest in self.interests.values()), default=self._merged.target
+        )
 
     @property
     def enough(self) -> int:
         """The most samples that are enough for anybody."""
-        return max((interest.enough for interest in self.interests.values()), default=self._merged.enough)
+        return max(
+            (interest.enough for interest in self.interests.values()), default=self._merged.enough
+        )
 
     @property
     def asked(self) -> float:
@@ -195,7 +218,9 @@ class BakeRequest:
         unlit, taken, left, *_ = self.effort
         if unlit:
             return FIRST_LEVEL * (len(self.next[0]) if self.sparse else unlit)
-        return left if left <= LONG_TASK_PATHS else min(left, taken)
+        if left <= LONG_TASK_PATHS:
+            return left
+        return min(left, taken)
 
     @property
     def given_up(self) -> bool:
@@ -208,20 +233,31 @@ class BakeRequest:
         return not (self.in_flight or self.postponed or self.given_up)
 
     def add_interest(
-        self, demand: Demand, target: float, viewer: Viewer, view: int, now: float, enough: int = MAX_SAMPLES
+        self,
+        demand: Demand,
+        target: float,
+        viewer: Viewer,
+        view: int,
+        now: float,
+        enough: int = MAX_SAMPLES,
     ) -> None:
         """Add the demand of a ``viewer``'s newest ``view``.
 
-        It may be of a frame that was drawn before the last task ended: that one knows better what its texels lack.
+        It may be of a frame that was drawn before the last task ended: that one knows better what
+        its texels lack.
         """
         older = self.interests.get(viewer.client)
         known = self._known and older is not None and older.covers(demand.offsets, target, enough)
         since = now if older is None else older.since
         seen = demand.offsets, demand.footprints, target, priority_of(demand)
         interest = Interest(viewer, *seen, view, now, since, enough)
-        self.interests[viewer.client] = interest if older is None or viewer.single else older.joined(interest)
+        if older is None or viewer.single:
+            self.interests[viewer.client] = interest
+        else:
+            self.interests[viewer.client] = older.joined(interest)
         self._change_priority(interest.priority - (0.0 if older is None else older.priority))
-        self.effort, self._stale = self.effort if known else demand.effort, True
+        self.effort = self.effort if known else demand.effort
+        self._stale = True
         self.bits = demand.bits
 
     def release(self, client: Hashable) -> None:
@@ -230,7 +266,9 @@ class BakeRequest:
         self._stale = True
 
     def exceeds(self, offsets: np.ndarray, target: float, enough: int) -> bool:
-        """Whether more is wanted than texels ``offsets`` until ``target``, or ``enough`` samples."""
+        """Whether more is wanted than texels ``offsets`` until ``target``, or ``enough``
+        samples.
+        """
         return exceeds(self._merge(), offsets, target, enough)
 
     def advance(self, result: BakeResult, grown: bool) -> None:
@@ -238,17 +276,27 @@ class BakeRequest:
 
         Where newer views made the request grow meanwhile (``grown``), their facts stand.
         """
-        self.begun, self._known = self.begun or self.sparse, not grown
+        self.begun = self.begun or self.sparse
+        self._known = not grown
         if grown:
             return
         for interest in self.interests.values():
             interest.priority = result.priority / len(self.interests)
-        self.priority, self.effort = result.priority, result.effort
+        self.priority = result.priority
+        self.effort = result.effort
 
     def _change_priority(self, change: float) -> None:
-        """Add a change of one interest to the sum; summing all again would be slow with a thousand clients."""
-        first = next(iter(self.interests.values())).priority if self.interests else 0.0
-        self.priority = first if len(self.interests) < 2 else max(self.priority + change, 0.0)
+        """Add a change of one interest to the sum; summing all again would be slow with a thousand
+        clients.
+        """
+        if self.interests:
+            first = next(iter(self.interests.values())).priority
+        else:
+            first = 0.0
+        if len(self.interests) < 2:
+            self.priority = first
+        else:
+            self.priority = max(self.priority + change, 0.0)
 
     def _merge(self) -> MergedInterest:
         """All interests as one, merged on use: most of them change again before that.
@@ -256,7 +304,9 @@ class BakeRequest:
         Of new texels, or a stricter target, the last result knows nothing.
         """
         if self._stale and self.interests:
-            before, self._merged, self._stale = self._merged, merged(self.interests.values()), False
+            before = self._merged
+            self._merged = merged(self.interests.values())
+            self._stale = False
             if exceeds(self._merged, before.offsets, before.target, before.enough):
                 self._known = False
         return self._merged
@@ -265,17 +315,21 @@ class BakeRequest:
 def next_until(effort: Effort) -> int:
     """The sample count beyond which a task takes no texel, of a chunk that wants this ``effort``.
 
-    It is the first while some have no light, and then all that there are, or where that is LONG_TASK_PATHS, the next
-    one.
+    It is the first while some have no light, and then all that there are, or where that is
+    LONG_TASK_PATHS, the next one.
     """
     if effort.unlit:
         return FIRST_LEVEL
     mean = max(effort.taken / max(effort.lit, 1.0), 1.0)
-    return MAX_SAMPLES if effort.left <= LONG_TASK_PATHS else next_level(2 ** int(math.log2(mean)))
+    if effort.left <= LONG_TASK_PATHS:
+        return MAX_SAMPLES
+    return next_level(2 ** int(math.log2(mean)))
 
 
 def merged(interests: Collection[Interest]) -> MergedInterest:
-    """The texels of all ``interests``, ascending, the largest footprint of each, and the strictest target."""
+    """The texels of all ``interests``, ascending, the largest footprint of each, and the strictest
+    target.
+    """
     if len(interests) == 1:
         (alone,) = interests
         return MergedInterest(alone.offsets, alone.footprints, alone.target, alone.enough)
@@ -283,13 +337,18 @@ def merged(interests: Collection[Interest]) -> MergedInterest:
     seen = np.full(1 + int(wanted.max(initial=-1)), -1.0, np.float32)
     np.maximum.at(seen, wanted, np.concatenate([interest.footprints for interest in interests]))
     offsets = np.flatnonzero(seen >= 0.0).astype(np.int32)
-    target, enough = min(each.target for each in interests), max(each.enough for each in interests)
+    target = min(each.target for each in interests)
+    enough = max(each.enough for each in interests)
     return MergedInterest(offsets, seen[offsets], target, enough)
 
 
 def exceeds(wanted: MergedInterest, offsets: np.ndarray, target: float, enough: int) -> bool:
-    """Whether more is ``wanted`` than texels ``offsets`` until ``target``, or ``enough`` samples."""
-    return wanted.target < target or wanted.enough > enough or not contained(wanted.offsets, offsets)
+    """Whether more is ``wanted`` than texels ``offsets`` until ``target``, or ``enough``
+    samples.
+    """
+    return (
+        wanted.target < target or wanted.enough > enough or not contained(wanted.offsets, offsets)
+    )
 
 
 def contained(offsets: np.ndarray, others: np.ndarray) -> bool:
@@ -301,9 +360,11 @@ def contained(offsets: np.ndarray, others: np.ndarray) -> bool:
 
 
 def priority_of(demand: Demand) -> float:
-    """The squared visible error over the paths that the light is of, or the paths of its first level.
+    """The squared visible error over the paths that the light is of, or the paths of its first
+    level.
 
-    The squared error falls with a power of the samples, so that the next path reduces it in proportion to this.
+    The squared error falls with a power of the samples, so that the next path reduces it in
+    proportion to this.
     """
     return demand.weight / (demand.effort.taken + FIRST_LEVEL * demand.effort.unlit or FIRST_LEVEL)
 
@@ -327,8 +388,8 @@ class Account:
 class FairClock:
     """The clock of a queue: it is at the turn of the client that was served last.
 
-    A client saves nothing up while it asks for nothing, and is at most ``debt`` seconds ahead of the clock for the
-    work that it had done: nobody waits longer than this for the past.
+    A client saves nothing up while it asks for nothing, and is at most ``debt`` seconds ahead of
+    the clock for the work that it had done: nobody waits longer than this for the past.
     """
 
     debt: float = math.inf
@@ -353,7 +414,9 @@ class FairClock:
 
 @dataclass(eq=False)
 class Shares:
-    """Fair shares of the workers: the ``accounts`` of clients, and processor seconds that a task ``usual``-ly takes."""
+    """Fair shares of the workers: the ``accounts`` of clients, and processor seconds that a task
+    ``usual``-ly takes.
+    """
 
     accounts: dict[Hashable, Account] = field(default_factory=dict)
     clock: FairClock = field(default_factory=FairClock)
@@ -361,22 +424,30 @@ class Shares:
 
     def turns(self, waiting: Collection[Hashable]) -> list[Hashable]:
         """Sort waiting clients by the processor seconds they were served; ties keep their order."""
-        self.accounts = {client: each for client, each in self.accounts.items() if self.clock.is_ahead(each)}
+        self.accounts = {
+            client: each for client, each in self.accounts.items() if self.clock.is_ahead(each)
+        }
         return sorted(waiting, key=lambda client: self._account(client).spent)
 
     def begin(self, first: Hashable, clients: Collection[Hashable]) -> float:
-        """Begin a task for these clients, in the turn of the ``first``; returns the seconds charged in advance."""
+        """Begin a task for these clients, in the turn of the ``first``; returns the seconds charged
+        in advance.
+        """
         self.clock.serve(self._account(first).spent)
         self._charge(clients, self.usual)
         return self.usual
 
     def end(self, clients: Collection[Hashable], charged: float, seconds: float) -> None:
-        """End a task that took so many ``seconds``: correct what the clients were ``charged`` when it began."""
+        """End a task that took so many ``seconds``: correct what the clients were ``charged`` when
+        it began.
+        """
         self._charge(clients, seconds - charged)
         self.usual = PAST_TASKS_WEIGHT * self.usual + (1.0 - PAST_TASKS_WEIGHT) * seconds
 
     def _account(self, client: Hashable) -> Account:
-        """The account of a client; one without an account begins level with the client that is served now."""
+        """The account of a client; one without an account begins level with the client that is
+        served now.
+        """
         if client not in self.accounts:
             self.accounts[client] = Account(spent=self.clock.now)
         return self.accounts[client]

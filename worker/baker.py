@@ -31,14 +31,19 @@ from worker.tasks import BakeResult, BakeTask, Whole, open_spec
 if TYPE_CHECKING:
     from worker.pool import WorkerPool
 
-SHORTEST_PAUSE, LONGEST_PAUSE = 1.0, 8.0
-"""Seconds until the first try, and the most that pass until the next; each pause is twice as long as the last."""
+SHORTEST_PAUSE = 1.0
+LONGEST_PAUSE = 8.0
+"""Seconds until the first try, and the most that pass until the next; each pause is twice as long
+as the last.
+"""
 
 
 class Pause:
-    """A pause and its ``reason``, empty while there is none; ``resume`` is called when it is time for a try.
+    """A pause and its ``reason``, empty while there is none; ``resume`` is called when it is time
+    for a try.
 
-    The caller holds its lock around all methods. ``resume`` is called from another thread without that lock.
+    The caller holds its lock around all methods. ``resume`` is called from another thread without
+    that lock.
     """
 
     def __init__(self, clock: Callable[[], float], resume: Callable[[], None]) -> None:
@@ -57,21 +62,28 @@ class Pause:
         return self._clock() >= self._until
 
     def begin(self, reason: str) -> None:
-        """Begin or prolong the pause: a task has failed for this ``reason``. A single failure is ignored."""
+        """Begin or prolong the pause: a task has failed for this ``reason``. A single failure is
+        ignored.
+        """
         if not self._stumbled:
             self._stumbled = True
             return
         if self.reason and not self.over:
             return
-        self._seconds = min(2.0 * self._seconds, LONGEST_PAUSE) if self.reason else SHORTEST_PAUSE
-        self.reason, self._until = reason, self._clock() + self._seconds
+        if self.reason:
+            self._seconds = min(2.0 * self._seconds, LONGEST_PAUSE)
+        else:
+            self._seconds = SHORTEST_PAUSE
+        self._until = self._clock() + self._seconds
+        self.reason = reason
         self._timer = threading.Timer(self._seconds, self.stir)
         self._timer.daemon = True
         self._timer.start()
 
     def end(self) -> None:
         """End the pause: a task went well, or the baker stops."""
-        self.reason, self._stumbled = "", False
+        self.reason = ""
+        self._stumbled = False
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -82,9 +94,10 @@ log = logging.getLogger("isogi.worker")
 CLEAR_CORES_SECONDS = 0.5
 """Seconds for which the workers leave cores free after a view has moved."""
 
-POSTPONE_SECONDS, LONGEST_REST = 0.25, 5.0
-"""Seconds for which a chunk is postponed that another baker has claimed, and the most of these together: the other
-baker may have been killed."""
+POSTPONE_SECONDS = 0.25
+LONGEST_REST = 5.0
+"""Seconds for which a chunk is postponed that another baker has claimed, and the most of these
+together: the other baker may have been killed."""
 
 Listener = Callable[[str, Index, bool], None]
 """Is called, from any thread, with a bake, a chunk, and whether more of the chunk will be baked."""
@@ -92,11 +105,13 @@ Listener = Callable[[str, Index, bool], None]
 
 @dataclass(frozen=True, eq=False)
 class Bake:
-    """A bake: the ``plan`` for the scene in ``source``, and the ``digest`` and ``store_url`` of its light.
+    """A bake: the ``plan`` for the scene in ``source``, and the ``digest`` and ``store_url`` of its
+    light.
 
-    ``layers`` are the digests of the layers that it writes, ``costs`` the measured costs of its chunks. ``arrived`` is
-    called with each chunk that has new light. Workers that lack the scene's files read its ``assets`` instead. Texels
-    lie on the isosurface that is ``shown``, if any. The scene may be cut from a ``whole``.
+    ``layers`` are the digests of the layers that it writes, ``costs`` the measured costs of its
+    chunks. ``arrived`` is called with each chunk that has new light. Workers that lack the scene's
+    files read its ``assets`` instead. Texels lie on the isosurface that is ``shown``, if any. The
+    scene may be cut from a ``whole``.
     """
 
     source: SceneSource
@@ -112,21 +127,31 @@ class Bake:
 
 
 class Baker:
-    """One queue and one pool for all scenes; ``paths`` counts those baked. Safe to use from many threads."""
+    """One queue and one pool for all scenes; ``paths`` counts those baked. Safe to use from many
+    threads.
+    """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic, workers: int | None = 1) -> None:
-        """Begin without a pool: requests wait until ``employ``. ``workers`` is the expected number, None if unknown."""
+    def __init__(
+        self, clock: Callable[[], float] = time.monotonic, workers: int | None = 1
+    ) -> None:
+        """Begin without a pool: requests wait until ``employ``. ``workers`` is the expected number,
+        None if unknown.
+        """
         self._expected = workers
         self._clock = clock
         self._name = uuid4().hex
-        self._queue = BakeQueue(clock, self._shared, lambda key: self._bakes[key[0]].costs.rate(key[1]))
-        self._estimator, self._pace = TimeEstimator(clock), Pace(clock)
+        self._queue = BakeQueue(
+            clock, self._shared, lambda key: self._bakes[key[0]].costs.rate(key[1])
+        )
+        self._estimator = TimeEstimator(clock)
+        self._pace = Pace(clock)
         self._bakes: dict[str, Bake] = {}
         self._pool: WorkerPool | None = None
         self._in_flight = 0
         self._done_tasks = self._failed_tasks = 0
         self._duplicate = self._healed = self._kept = 0
-        self.paths, self._seconds = 0, 0.0
+        self.paths = 0
+        self._seconds = 0.0
         self._way = -CLEAR_CORES_SECONDS
         self._pause = Pause(clock, self.stir)
         self._changed = threading.Condition()
@@ -153,13 +178,20 @@ class Baker:
             self._feed()
 
     def prepare(self, scene: str | None = None) -> None:
-        """Have every worker open what a bake of a scene needs, by default the first one, before a view asks for it."""
-        pool, bake = self._pool, self._bakes.get(scene or next(iter(self._bakes), ""))
+        """Have every worker open what a bake of a scene needs, by default the first one, before a
+        view asks for it.
+        """
+        pool = self._pool
+        bake = self._bakes.get(scene or next(iter(self._bakes), ""))
         if pool is not None and bake is not None:
-            pool.prepare(partial(open_spec, bake.source, bake.plan, bake.digest, bake.store_url, bake.assets))
+            pool.prepare(
+                partial(open_spec, bake.source, bake.plan, bake.digest, bake.store_url, bake.assets)
+            )
 
     def stir(self) -> None:
-        """Hand out the tasks that there is room for: workers have come, can be reached again, or a pause is over."""
+        """Hand out the tasks that there is room for: workers have come, can be reached again, or a
+        pause is over.
+        """
         with self._changed:
             self._feed()
 
@@ -175,7 +207,8 @@ class Baker:
         viewer: Viewer = GUEST_VIEWER,
         enough: int = MAX_SAMPLES,
     ) -> frozenset[Index]:
-        """Request the light that a viewer's newest view lacks. Returns the chunks that will be baked.
+        """Request the light that a viewer's newest view lacks. Returns the chunks that will be
+        baked.
 
         There are none where the scene was dropped.
         """
@@ -185,10 +218,13 @@ class Baker:
                 return frozenset()
             self._queue.request(wanted, target, viewer, enough)
             self._feed()
-            return frozenset(request.key[1] for request in self._queue.open(key for key, _ in wanted))
+            return frozenset(
+                request.key[1] for request in self._queue.open(key for key, _ in wanted)
+            )
 
     def make_way(self) -> None:
-        """Leave cores to frames and a browser while a view moves: for CLEAR_CORES_SECONDS half the workers rest.
+        """Leave cores to frames and a browser while a view moves: for CLEAR_CORES_SECONDS half the
+        workers rest.
 
         The others get one task each, at lower priority. Workers on other machines go on.
         """
@@ -208,7 +244,9 @@ class Baker:
             self._changed.wait_for(lambda: not self._queue.open(keys), seconds)
 
     def open(self, scene: str, indices: Iterable[Index], viewer: Viewer = GUEST_VIEWER) -> int:
-        """Count the chunks with open requests, neither done nor given up, and renew the viewer's interest in them."""
+        """Count the chunks with open requests, neither done nor given up, and renew the viewer's
+        interest in them.
+        """
         keys: list[Key] = [(scene, index) for index in indices]
         with self._changed:
             self._queue.renew(keys, viewer)
@@ -223,7 +261,9 @@ class Baker:
     def spent(self, scene: str, indices: Iterable[Index]) -> Cost:
         """The cost of these chunks' tasks so far; none where the scene was dropped."""
         bake = self._bakes.get(scene)
-        return Cost() if bake is None else bake.costs.of(indices)
+        if bake is None:
+            return Cost()
+        return bake.costs.of(indices)
 
     @property
     def manned(self) -> bool:
@@ -234,12 +274,15 @@ class Baker:
     def workers(self) -> int:
         """Number of workers, present or expected; 1 where that is unknown."""
         pool = self._pool
-        return pool.workers if pool is not None else self._expected or 1
+        if pool is not None:
+            return pool.workers
+        return self._expected or 1
 
     def time_left(
         self, scene: str, subject: Hashable, indices: Iterable[Index], later: Iterable[Stage] = ()
     ) -> TimeLeft | None:
-        """Estimate the time until all requests of these chunks, and ``later`` stages of the same picture, are done.
+        """Estimate the time until all requests of these chunks, and ``later`` stages of the same
+        picture, are done.
 
         None where their cost is unknown.
         """
@@ -249,14 +292,21 @@ class Baker:
             open_now = self._queue.open((scene, index) for index in indices)
             work = [Work(each.key[1], each.effort, each.target, each.enough) for each in open_now]
             work += [
-                Work(each.index, each.effort, stage.target, stage.enough) for stage in later for each in stage.demands
+                Work(each.index, each.effort, stage.target, stage.enough)
+                for stage in later
+                for each in stage.demands
             ]
             seconds = work_seconds(work, self._bakes[scene].costs)
-            workers = self._expected if self._pool is None else self._pool.workers
+            if self._pool is None:
+                workers = self._expected
+            else:
+                workers = self._pool.workers
             if seconds is None or workers is None:
                 return None
             left = max(sum(seconds) / workers, *seconds, 0.0)
-            return self._estimator.estimate(subject, left, self._seconds / workers).times(self._pace.value)
+            return self._estimator.estimate(subject, left, self._seconds / workers).times(
+                self._pace.value
+            )
 
     def trouble(self) -> str:
         """Why requested light is not baked; empty where all is well."""
@@ -270,9 +320,19 @@ class Baker:
     def tally(self) -> Tally:
         """Counts of waiting, done and failed work so far."""
         with self._changed:
-            pool, counts = self._pool, self._queue.counts()
-            tasks = (self._in_flight, self._done_tasks, self._failed_tasks, self._duplicate, self._healed)
-            people = (0, 0) if pool is None else (pool.workers, pool.deaths)
+            pool = self._pool
+            counts = self._queue.counts()
+            tasks = (
+                self._in_flight,
+                self._done_tasks,
+                self._failed_tasks,
+                self._duplicate,
+                self._healed,
+            )
+            if pool is None:
+                people = (0, 0)
+            else:
+                people = (pool.workers, pool.deaths)
             return Tally(*counts, *tasks, self.paths, *people, self._kept)
 
     def stop(self) -> None:
@@ -305,11 +365,16 @@ class Baker:
         self._pace.working(min(self._in_flight, self.workers))
 
     def _room(self, pool: "WorkerPool") -> int:
-        """How many tasks may be in flight now: none, or one trial, in a pause; fewer while a view moves."""
+        """How many tasks may be in flight now: none, or one trial, in a pause; fewer while a view
+        moves.
+        """
         if self._pause.reason:
             return min(int(self._pause.over), pool.room)
         return min(
-            max(pool.workers // 2, 1) if self._clock() - self._way < CLEAR_CORES_SECONDS else pool.room, pool.room
+            max(pool.workers // 2, 1)
+            if self._clock() - self._way < CLEAR_CORES_SECONDS
+            else pool.room,
+            pool.room,
         )
 
     def _submit(self, pool: "WorkerPool", requests: Sequence[BakeRequest]) -> None:
@@ -318,7 +383,9 @@ class Baker:
         bake = self._bakes[scene]
         tasks = [self._task(bake, request) for request in requests]
         if len(tasks) == 1:
-            pool.submit(tasks[0], lambda result, error: self._done(scene, bake, tasks, [result or error]))
+            pool.submit(
+                tasks[0], lambda result, error: self._done(scene, bake, tasks, [result or error])
+            )
         else:
             pool.submit_all(tasks, lambda outcomes: self._done(scene, bake, tasks, outcomes))
 
@@ -327,10 +394,16 @@ class Baker:
         place = (bake.source, bake.plan, bake.digest, bake.store_url, index)
         what = (*request.next, request.until, request.target)
         insists = request.waited >= LONGEST_REST
-        return BakeTask(*place, *what, bake.assets, self._name, insists, bake.shown, bake.whole, request.enough)
+        return BakeTask(
+            *place, *what, bake.assets, self._name, insists, bake.shown, bake.whole, request.enough
+        )
 
     def _done(
-        self, scene: str, bake: Bake, tasks: Sequence[BakeTask], outcomes: Sequence[BakeResult | BaseException | None]
+        self,
+        scene: str,
+        bake: Bake,
+        tasks: Sequence[BakeTask],
+        outcomes: Sequence[BakeResult | BaseException | None],
     ) -> None:
         """Take over what became of tasks that were done together."""
         for task, outcome in zip(tasks, outcomes, strict=True):
@@ -349,7 +422,9 @@ class Baker:
                 self._notify(scene, task.index, more)
         bake.costs.save(at_once=self._pool is None)
 
-    def _settle(self, scene: str, task: BakeTask, outcome: BakeResult | BaseException | None) -> None:
+    def _settle(
+        self, scene: str, task: BakeTask, outcome: BakeResult | BaseException | None
+    ) -> None:
         """Note in the queue what became of a task; the caller holds the lock."""
         key = scene, task.index
         if isinstance(outcome, BakeResult) and outcome.elsewhere:
@@ -372,7 +447,9 @@ class Baker:
             self._fail(key, outcome)
 
     def _put_off(self, key: Key, error: StoreAwayError) -> None:
-        """Postpone a task that could not reach the store, and pause baking until the store is there again."""
+        """Postpone a task that could not reach the store, and pause baking until the store is there
+        again.
+        """
         waited = self._pause.reason
         self._queue.put_off(key)
         if self._pool is not None:

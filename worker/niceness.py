@@ -1,6 +1,7 @@
 """Niceness: workers run at lower priority than the server, and still lower while a view moves.
 
-Linux shares the cores among sessions first (autogroups), so workers lead sessions of their own, whose niceness changes.
+Linux shares the cores among sessions first (autogroups), so workers lead sessions of their own,
+whose niceness changes.
 """
 
 import os
@@ -50,7 +51,9 @@ class Nice(WorkerPlugin):
 
 
 def leads_session(pid: int) -> bool:
-    """Whether a process leads a session, so that the session's niceness affects no other process."""
+    """Whether a process leads a session, so that the session's niceness affects no other
+    process.
+    """
     try:
         return os.getsid(pid) == pid
     except OSError:
@@ -60,8 +63,9 @@ def leads_session(pid: int) -> bool:
 def set_session_niceness(pid: int, niceness: int) -> bool:
     """Set the niceness of the session of process ``pid`` (Linux: autogroups).
 
-    Returns False where it should be tried again: the kernel grants all unprivileged processes together one change in
-    0.1 s. Where a kernel has no autogroups, or the process is gone, there is nothing to do.
+    Returns False where it should be tried again: the kernel grants all unprivileged processes
+    together one change in 0.1 s. Where a kernel has no autogroups, or the process is gone, there is
+    nothing to do.
     """
     try:
         with open(f"/proc/{pid}/autogroup", "wb", buffering=0) as file:
@@ -71,17 +75,22 @@ def set_session_niceness(pid: int, niceness: int) -> bool:
 
 
 BACK_NICENESS = 10
-"""Niceness of a session while a view moves: one of niceness 0 then has nine times as much of a core."""
+"""Niceness of a session while a view moves: one of niceness 0 then has nine times as much of a
+core.
+"""
 
 CHANGE_SECONDS = 0.1
-"""Seconds between two rounds of changes: the kernel grants an unprivileged process one change in this time."""
+"""Seconds between two rounds of changes: the kernel grants an unprivileged process one change in
+this time.
+"""
 
 CLOSING_SECONDS = 2.0
 """Seconds for which closing waits until all sessions have FORWARD_NICENESS again."""
 
 
 class Sessions:
-    """Sessions that worker processes lead: at BACK_NICENESS for a while, and FORWARD_NICENESS at all other times.
+    """Sessions that worker processes lead: at BACK_NICENESS for a while, and FORWARD_NICENESS at
+    all other times.
 
     A thread changes them, and ends once all have FORWARD_NICENESS again.
     """
@@ -93,11 +102,16 @@ class Sessions:
         clock: Callable[[], float] = time.monotonic,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Change the sessions of the processes in ``leaders()``, called each time, as workers come and go.
+        """Change the sessions of the processes in ``leaders()``, called each time, as workers come
+        and go.
 
-        ``change`` takes a process id and a niceness, and returns False where it should be tried again.
+        ``change`` takes a process id and a niceness, and returns False where it should be tried
+        again.
         """
-        self._leaders, self._change, self._clock, self._pause = leaders, change, clock, pause
+        self._leaders = leaders
+        self._change = change
+        self._clock = clock
+        self._pause = pause
         self._back: frozenset[int] = frozenset()
         self._until = clock()
         self._thread: threading.Thread | None = None
@@ -114,7 +128,8 @@ class Sessions:
     def close(self) -> None:
         """Give all sessions FORWARD_NICENESS, and wait for that."""
         with self._lock:
-            self._until, thread = self._clock(), self._thread
+            self._until = self._clock()
+            thread = self._thread
         if thread is not None:
             thread.join(CLOSING_SECONDS)
 
@@ -123,7 +138,9 @@ class Sessions:
             self._pause(CHANGE_SECONDS)
 
     def _round(self) -> bool:
-        """Make the changes that are due and granted. Returns whether all have FORWARD_NICENESS: the thread may end."""
+        """Make the changes that are due and granted. Returns whether all have FORWARD_NICENESS: the
+        thread may end.
+        """
         leaders = frozenset(self._leaders())
         self._back &= leaders
         moving = self._clock() < self._until

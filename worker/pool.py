@@ -36,15 +36,22 @@ from worker.tasks import (
 CERTIFICATE_NAME = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "isogi")])
 
 CERTIFICATE_LIFETIME = timedelta(days=36500)
-"""How long a certificate is good: longer than any process. Dask's own temporary ones end after a year."""
+"""How long a certificate is good: longer than any process. Dask's own temporary ones end after a
+year.
+"""
 
-KEY_ENCODING = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+KEY_ENCODING = (
+    serialization.Encoding.PEM,
+    serialization.PrivateFormat.PKCS8,
+    serialization.NoEncryption(),
+)
 
 
 def temporary_security() -> Security:
     """TLS for both sides of each connection, with a new key whose certificate is its own authority.
 
-    Only who has the key can connect, and only to who has it. Workers have it through the pipe of their start.
+    Only who has the key can connect, and only to who has it. Workers have it through the pipe of
+    their start.
     """
     key = ec.generate_private_key(ec.SECP256R1())
     certificate = own_certificate(key).public_bytes(serialization.Encoding.PEM).decode()
@@ -69,13 +76,16 @@ def own_certificate(key: ec.EllipticCurvePrivateKey) -> x509.Certificate:
 
 
 def show_certificate(authority: str, certificate: str, key: str) -> "dask.config.set":
-    """Show a certificate to each scheduler that this process joins, and trust those of an ``authority``: PEM files.
+    """Show a certificate to each scheduler that this process joins, and trust those of an
+    ``authority``: PEM files.
 
     It is so from now on, or until the end of a ``with`` block of what is returned.
     """
     tls = "distributed.comm.tls"
     own = {f"{tls}.client.cert": certificate, f"{tls}.client.key": key}
-    return dask.config.set({f"{tls}.ca-file": authority, **own, "distributed.comm.require-encryption": True})
+    return dask.config.set(
+        {f"{tls}.ca-file": authority, **own, "distributed.comm.require-encryption": True}
+    )
 
 
 CLIENT_CLOSE_SECONDS = 1.0
@@ -85,12 +95,15 @@ CLIENT_CLOSE_SECONDS = 1.0
 class OwnClient(Client):
     """A client that the garbage collector never closes.
 
-    Dask's own client takes a lock when it is collected. Where the same thread is making a client or a cluster then, and
-    holds that lock, it waits for ever. A client that finds no scheduler is such garbage.
+    Dask's own client takes a lock when it is collected. Where the same thread is making a client or
+    a cluster then, and holds that lock, it waits for ever. A client that finds no scheduler is such
+    garbage.
     """
 
     def __init__(self, address: "str | LocalCluster | None", timeout: str) -> None:
-        """Join a scheduler by its address, or a cluster; OSError where none is found within the ``timeout``."""
+        """Join a scheduler by its address, or a cluster; OSError where none is found within the
+        ``timeout``.
+        """
         try:
             super().__init__(address, timeout=timeout, set_as_default=False)  # type: ignore[no-untyped-call]
         except BaseException:
@@ -122,25 +135,32 @@ SETTINGS: dict[str, object] = {
 }
 """Settings of Dask. A worker's death ends all its tasks, and the queue tries each again.
 
-By default Dask observes itself a hundred times a second: 5 % of a core with one idle worker. So set it takes 1 %.
+By default Dask observes itself a hundred times a second: 5 % of a core with one idle worker. So set
+it takes 1 %.
 """
 
 CLUSTER_SETTINGS = {
     "distributed.deploy.lost-worker-timeout": "10000 days",
     "distributed.worker.multiprocessing-method": START_METHOD,
 }
-"""Set for the life of the process, as Dask reads them at each death. A cluster dismisses the nanny of a worker that is
-missing so long after a death; with the default 15 s also of one that came back and died once more."""
+"""Set for the life of the process, as Dask reads them at each death. A cluster dismisses the nanny
+of a worker that is missing so long after a death; with the default 15 s also of one that came back
+and died once more."""
 
-CHECK_SECONDS, REJOIN_SECONDS = 1.0, 5.0
+CHECK_SECONDS = 1.0
+REJOIN_SECONDS = 5.0
 """Seconds between two checks of the scheduler, and seconds that a try to join it again may take."""
 
 WORKERS_COMPILE = "The workers compile their kernels."
 
 WORKERS_LOST = "The worker processes are gone: restart the server."
-SCHEDULER_AWAY = "The scheduler at {scheduler} cannot be reached at the moment: baking goes on when it is there again."
+SCHEDULER_AWAY = (
+    "The scheduler at {scheduler} cannot be reached at the moment: baking goes on "
+    "when it is there again."
+)
 NO_WORKER_JOINED = (
-    "No worker has joined the scheduler at {scheduler}: start one with 'dask worker', see docs/cluster.md."
+    "No worker has joined the scheduler at {scheduler}: start one with 'dask "
+    "worker', see docs/cluster.md."
 )
 
 log = logging.getLogger("isogi.worker")
@@ -150,18 +170,23 @@ AllDone = Callable[[Sequence[BakeResult | BaseException]], None]
 
 
 class WorkerPool:
-    """Worker processes. Those started here load the kernels of bakes at once, ahead of their first task.
+    """Worker processes. Those started here load the kernels of bakes at once, ahead of their first
+    task.
 
     Workers that are joined may run on other machines, and load kernels when they start: see
-    ``worker.tasks.dask_setup``. They and their scheduler may come and go: a thread of the pool follows that.
+    ``worker.tasks.dask_setup``. They and their scheduler may come and go: a thread of the pool
+    follows that.
     """
 
-    def __init__(self, workers: int, scheduler: str | None = None, kinds: Collection[str] = PLAIN_LAYER_KINDS) -> None:
+    def __init__(
+        self, workers: int, scheduler: str | None = None, kinds: Collection[str] = PLAIN_LAYER_KINDS
+    ) -> None:
         """Start ``workers`` processes of one thread each, or join the ``scheduler``.
 
         Raises WorkersError, and WorkersAwayError where the scheduler is not there.
 
-        Workers started here load the kernels that bake layers of these ``kinds`` at once, or compile them.
+        Workers started here load the kernels that bake layers of these ``kinds`` at once, or
+        compile them.
         """
         self._scheduler = scheduler
         self._cluster: LocalCluster | None = None
@@ -170,10 +195,12 @@ class WorkerPool:
         self._deaths = 0
         self._sessions = Sessions(self._leaders)
         self._stir: Callable[[], None] = lambda: None
-        self._moved, self._closing = threading.Event(), threading.Event()
+        self._moved = threading.Event()
+        self._closing = threading.Event()
         self._open: dict[Any, tuple[Future[Any], Done]] = {}
         self._ended: set[Any] = set()
-        self._kinds, self._baked = set(kinds), set[str]()
+        self._kinds = set(kinds)
+        self._baked = set[str]()
         try:
             with dask.config.set(SETTINGS):
                 if scheduler is None:
@@ -183,7 +210,11 @@ class WorkerPool:
         except Exception as error:
             if self._cluster is not None:
                 self._cluster.close()
-            kind = WorkersAwayError if scheduler is not None and isinstance(error, OSError) else WorkersError
+            kind = (
+                WorkersAwayError
+                if scheduler is not None and isinstance(error, OSError)
+                else WorkersError
+            )
             raise kind(f"Cannot start or reach the workers: {error}") from error
         self._keeper = threading.Thread(target=self._keep, name="workers", daemon=True)
         self._keeper.start()
@@ -201,7 +232,9 @@ class WorkerPool:
     @property
     def room(self) -> int:
         """Most tasks in flight; none while the scheduler is away."""
-        return TASKS_AHEAD * self.workers if self.connected else 0
+        if self.connected:
+            return TASKS_AHEAD * self.workers
+        return 0
 
     @property
     def together(self) -> int:
@@ -217,19 +250,26 @@ class WorkerPool:
     def trouble(self) -> str:
         """Why nothing is baked at the moment; empty when all is well."""
         if not self.connected:
-            return SCHEDULER_AWAY.format(scheduler=self._scheduler) if self._scheduler else WORKERS_LOST
+            if self._scheduler:
+                return SCHEDULER_AWAY.format(scheduler=self._scheduler)
+            return WORKERS_LOST
         if not self._addresses:
-            return NO_WORKER_JOINED.format(scheduler=self._scheduler) if self._scheduler else WORKERS_LOST
+            if self._scheduler:
+                return NO_WORKER_JOINED.format(scheduler=self._scheduler)
+            return WORKERS_LOST
         return ""
 
     @property
     def preparing(self) -> str:
-        """What workers started here do before they can bake: they compile kernels that this machine lacks; else empty.
+        """What workers started here do before they can bake: they compile kernels that this machine
+        lacks; else empty.
 
         Kernels of joined workers are not known here: those load them before they come.
         """
         lacking = self._kinds - self._baked
-        return WORKERS_COMPILE if self._cluster is not None and not self.trouble and kernels_missing(lacking) else ""
+        if self._cluster is not None and not self.trouble and kernels_missing(lacking):
+            return WORKERS_COMPILE
+        return ""
 
     def attend(self, stir: Callable[[], None]) -> None:
         """Call ``stir``, from another thread, whenever workers have come or gone."""
@@ -240,7 +280,9 @@ class WorkerPool:
         self._send(bake, task, task.plan, done)
 
     def submit_all(self, tasks: Sequence[BakeTask], done: AllDone) -> None:
-        """Hand tasks of one bake over, to be done together; ``done`` is called with the result or error of each."""
+        """Hand tasks of one bake over, to be done together; ``done`` is called with the result or
+        error of each.
+        """
 
         def ended(outcomes: Sequence[Outcome] | None, error: BaseException | None) -> None:
             done(outcomes or [error or WorkersError("Nothing came of it.")] * len(tasks))
@@ -248,13 +290,23 @@ class WorkerPool:
         self._send(bake_all, tasks, tasks[0].plan, ended)
 
     def prepare(self, work: Callable[[], object]) -> None:
-        """Have each worker started here do some ``work`` ahead of its tasks; what fails then fails again with these."""
+        """Have each worker started here do some ``work`` ahead of its tasks; what fails then fails
+        again with these.
+        """
         if self._cluster is not None:
             with suppress(Exception):  # the client closed at this moment
                 for address in self._addresses:
-                    fire_and_forget(self._client.submit(attempt, work, workers=[address], pure=False))
+                    fire_and_forget(
+                        self._client.submit(attempt, work, workers=[address], pure=False)
+                    )
 
-    def _send(self, work: Callable[[Any], Any], what: Any, plan: ScenePlan, done: Callable[[Any, Any], None]) -> None:
+    def _send(
+        self,
+        work: Callable[[Any], Any],
+        what: Any,
+        plan: ScenePlan,
+        done: Callable[[Any, Any], None],
+    ) -> None:
         """Have a worker do some ``work`` on ``what``, by a plan."""
         self._kinds |= (kinds := {layer.kind for layer in plan.layers})
         try:
@@ -286,19 +338,28 @@ class WorkerPool:
         self._moved.set()
         self._keeper.join()
         self._sessions.close()
-        with suppress(Exception):  # the scheduler may be away; else it would tell a client that leaves of its leaving
+        with suppress(
+            Exception
+        ):  # the scheduler may be away; else it would tell a client that leaves of its leaving
             self._client.unsubscribe_topic("all")
         self._client.close()
         if self._cluster is not None:
             self._cluster.close()
 
     def _leaders(self) -> list[int]:
-        """The workers started here that lead sessions of their own, as they do soon after they were started."""
-        nannies = [] if self._cluster is None else list(self._cluster.workers.values())
+        """The workers started here that lead sessions of their own, as they do soon after they were
+        started.
+        """
+        if self._cluster is None:
+            nannies = []
+        else:
+            nannies = list(self._cluster.workers.values())
         return [pid for pid in map(pid_under, nannies) if pid and leads_session(pid)]
 
     def _connect(self, timeout: str) -> Client:
-        """Connect a client that hears of workers that come and go, and list the present ones; raises OSError."""
+        """Connect a client that hears of workers that come and go, and list the present ones;
+        raises OSError.
+        """
         client: Client = OwnClient(self._cluster or self._scheduler, timeout)
         try:
             client.register_plugin(Nice(apart=self._scheduler is None))
@@ -316,7 +377,8 @@ class WorkerPool:
             self._moved.set()
 
     def _keep(self) -> None:
-        """Follow the workers: count them when some came or went, and join the scheduler again after it was lost.
+        """Follow the workers: count them when some came or went, and join the scheduler again after
+        it was lost.
 
         Events may be lost, so the number of workers is polled too.
         """
@@ -339,7 +401,9 @@ class WorkerPool:
             hand_on_result(*entry)
 
     def _look_after(self) -> None:
-        """Report tasks that had ended at the last check already, where Dask's own callback has not come."""
+        """Report tasks that had ended at the last check already, where Dask's own callback has not
+        come.
+        """
         ended = {key for key, (future, _) in list(self._open.items()) if future.status != "pending"}
         for key in ended & self._ended:
             log.info("a task had ended unnoticed: %s", key)
@@ -347,9 +411,11 @@ class WorkerPool:
         self._ended = ended
 
     def _join_again(self) -> None:
-        """Join the scheduler with a new client: a restarted one knows neither the old client nor its tasks.
+        """Join the scheduler with a new client: a restarted one knows neither the old client nor
+        its tasks.
 
-        A Dask client that reconnects by itself has lost its subscription to events, so it is replaced too.
+        A Dask client that reconnects by itself has lost its subscription to events, so it is
+        replaced too.
         """
         if self._cluster is not None or self._closing.is_set():
             return
@@ -357,7 +423,9 @@ class WorkerPool:
             self._client.close(timeout=CHECK_SECONDS)
         with dask.config.set(SETTINGS):
             self._client = self._connect(f"{REJOIN_SECONDS:g}s")
-        log.warning("the scheduler at %s is back, with %d workers", self._scheduler, len(self._addresses))
+        log.warning(
+            "the scheduler at %s is back, with %d workers", self._scheduler, len(self._addresses)
+        )
         self._stir()
 
     def _count(self) -> None:
@@ -374,10 +442,11 @@ def addresses(client: Client) -> frozenset[str]:
 
 
 def start_cluster(workers: int) -> LocalCluster:
-    """Start worker processes on the loopback interface, forked from the fork server, without a dashboard.
+    """Start worker processes on the loopback interface, forked from the fork server, without a
+    dashboard.
 
-    They speak TLS with a key of their own, as any user of the machine can reach loopback. Their environment is that of
-    now, which may differ from the one that the fork server began with.
+    They speak TLS with a key of their own, as any user of the machine can reach loopback. Their
+    environment is that of now, which may differ from the one that the fork server began with.
 
     Dask serves a health page all the same, on a free port: two servers must not compete for one.
     """
@@ -399,7 +468,9 @@ def start_cluster(workers: int) -> LocalCluster:
 
 
 def pid_under(nanny: Any) -> int | None:
-    """The process id of a nanny's worker; None where it has none, or its worker ends at this moment."""
+    """The process id of a nanny's worker; None where it has none, or its worker ends at this
+    moment.
+    """
     try:
         return cast("int | None", nanny.pid)
     except AttributeError:
@@ -420,8 +491,8 @@ def noting(done: Done, baked: Callable[[], None]) -> Done:
 def hand_on_result(ended: "Future[Any]", done: Done) -> None:
     """Call ``done`` with the result or the error of a future.
 
-    A result stays with its worker until it is fetched here. Where that worker dies in between, Dask runs the task
-    again; fetching waits for that, or raises its error.
+    A result stays with its worker until it is fetched here. Where that worker dies in between, Dask
+    runs the task again; fetching waits for that, or raises its error.
     """
     try:
         result = ended.result()

@@ -21,10 +21,11 @@ from isogi_core.prepared.prepared_scene import Index
 class Tally:
     """Counts of a baker's work.
 
-    Chunks ``waiting`` and ``given_up``, and the ``age`` of the oldest request in seconds; tasks ``in_flight``, ``done``
-    and ``failed``; done tasks whose light was there already (``duplicate``) or was damaged and is baked again
-    (``healed``); the ``paths`` that were baked; the present ``workers``, and the ``deaths`` of workers; texels that
-    ``kept`` the light of a whole volume where that is cut.
+    Chunks ``waiting`` and ``given_up``, and the ``age`` of the oldest request in seconds; tasks
+    ``in_flight``, ``done`` and ``failed``; done tasks whose light was there already (``duplicate``)
+    or was damaged and is baked again (``healed``); the ``paths`` that were baked; the present
+    ``workers``, and the ``deaths`` of workers; texels that ``kept`` the light of a whole volume
+    where that is cut.
     """
 
     waiting: int
@@ -46,7 +47,9 @@ class Tally:
 
 @dataclass(frozen=True)
 class TimeLeft:
-    """Seconds until work is done: most likely, and the range within which four of five estimates come true."""
+    """Seconds until work is done: most likely, and the range within which four of five estimates
+    come true.
+    """
 
     low: float
     likely: float
@@ -54,7 +57,9 @@ class TimeLeft:
 
     @classmethod
     def of(cls, work: float, ratios: Sequence[float], rest: float = 0.0) -> "TimeLeft":
-        """The time for so many seconds of ``work``, by ``ratios`` of true to estimated times, and a fixed ``rest``."""
+        """The time for so many seconds of ``work``, by ``ratios`` of true to estimated times, and a
+        fixed ``rest``.
+        """
         low, *_, high = statistics.quantiles(ratios, n=10, method="inclusive")
         return cls(low * work + rest, statistics.median(ratios) * work + rest, high * work + rest)
 
@@ -68,7 +73,9 @@ class TimeLeft:
 
 
 def log_normal_ratios(spread: float) -> tuple[float, ...]:
-    """The deciles of ratios of true to estimated times whose logarithm has the standard deviation ``spread``."""
+    """The deciles of ratios of true to estimated times whose logarithm has the standard deviation
+    ``spread``.
+    """
     normal = statistics.NormalDist()
     return tuple(math.exp(spread * normal.inv_cdf(p / 100)) for p in (5, *range(10, 100, 10), 95))
 
@@ -79,18 +86,25 @@ ASSUMED_WORK_RATIOS = (0.25, 0.5, 1.0, 2.0, 4.0)
 MAX_KNOWN_RATIOS = 50
 """Known ratios that are kept; the oldest are dropped first."""
 
-MIN_JUDGING_SPACING, MIN_JUDGING_SHARE = 0.5, 0.25
-"""Least seconds between two estimates of one subject that are judged later, and the same as a share of their work."""
+MIN_JUDGING_SPACING = 0.5
+MIN_JUDGING_SHARE = 0.25
+"""Least seconds between two estimates of one subject that are judged later, and the same as a share
+of their work.
+"""
 
 FORGET_SECONDS = 60.0
-"""Seconds without an estimate after which a subject is new: what happened meanwhile says nothing of work."""
+"""Seconds without an estimate after which a subject is new: what happened meanwhile says nothing of
+work.
+"""
 
 MAX_SUBJECTS = 16
 """Subjects whose estimates are kept; the one not used for the longest time is dropped first."""
 
 
 class Estimate(NamedTuple):
-    """An estimate of so many seconds of ``work`` left, when it was made, and the seconds ``worked`` by then."""
+    """An estimate of so many seconds of ``work`` left, when it was made, and the seconds ``worked``
+    by then.
+    """
 
     work: float
     made: float
@@ -106,36 +120,53 @@ class Subject:
 
 
 class TimeEstimator:
-    """Estimates the time left of subjects, such as a view and its target, and learns from how its estimates come true.
+    """Estimates the time left of subjects, such as a view and its target, and learns from how its
+    estimates come true.
 
     Call under one lock from several threads.
     """
 
     def __init__(
-        self, clock: Callable[[], float] = time.monotonic, prior: tuple[float, ...] = ASSUMED_WORK_RATIOS
+        self,
+        clock: Callable[[], float] = time.monotonic,
+        prior: tuple[float, ...] = ASSUMED_WORK_RATIOS,
     ) -> None:
-        """Begin without estimates; ``prior`` are assumed ratios of true to estimated times, ascending."""
-        self._clock, self._prior = clock, prior
+        """Begin without estimates; ``prior`` are assumed ratios of true to estimated times,
+        ascending.
+        """
+        self._clock = clock
+        self._prior = prior
         self._ratios: deque[float] = deque(maxlen=MAX_KNOWN_RATIOS)
         self._subjects: OrderedDict[Hashable, Subject] = OrderedDict()
 
     def estimate(self, subject: Hashable, work: float, worked: float) -> TimeLeft:
-        """The time left of a ``subject`` with so many seconds of ``work``; its earlier estimates are judged by this.
+        """The time left of a ``subject`` with so many seconds of ``work``; its earlier estimates
+        are judged by this.
 
         ``worked`` are the seconds of work that were done so far, whosesoever.
         """
-        now, known = self._clock(), self._subject(subject)
+        now = self._clock()
+        known = self._subject(subject)
         estimate = Estimate(work, now, worked)
         self._judge(known, estimate)
-        last = known.estimates[-1].made if known.estimates else -math.inf
+        if known.estimates:
+            last = known.estimates[-1].made
+        else:
+            last = -math.inf
         if work > 0.0 and now - last >= max(MIN_JUDGING_SPACING, MIN_JUDGING_SHARE * work):
             known.estimates.append(estimate)
         return TimeLeft.of(work, (*self._prior, *self._ratios))
 
     def _subject(self, name: Hashable) -> Subject:
-        """The subject of this name, marked as used now; a new one where it was not used for FORGET_SECONDS seconds."""
-        now, known = self._clock(), self._subjects.pop(name, None)
-        subject = known if known is not None and now - known.asked <= FORGET_SECONDS else Subject(now)
+        """The subject of this name, marked as used now; a new one where it was not used for
+        FORGET_SECONDS seconds.
+        """
+        now = self._clock()
+        known = self._subjects.pop(name, None)
+        if known is not None and now - known.asked <= FORGET_SECONDS:
+            subject = known
+        else:
+            subject = Subject(now)
         subject.asked = now
         self._subjects[name] = subject
         if len(self._subjects) > MAX_SUBJECTS:
@@ -145,8 +176,8 @@ class TimeEstimator:
     def _judge(self, subject: Subject, now: Estimate) -> None:
         """Judge estimates once as much was worked as they said, or nothing is left.
 
-        What was worked since, and what is left ``now``, over what was estimated is noted. Where nothing was worked,
-        that says nothing of the time that work takes.
+        What was worked since, and what is left ``now``, over what was estimated is noted. Where
+        nothing was worked, that says nothing of the time that work takes.
         """
         for each in tuple(subject.estimates):
             worked = now.worked - each.worked
@@ -156,21 +187,27 @@ class TimeEstimator:
 
 
 PACE_WINDOW_SECONDS = 20.0
-"""Processor seconds of tasks that the pace is measured over; what was before counts half as much."""
+"""Processor seconds of tasks that the pace is measured over; what was before counts half as
+much.
+"""
 
 
 class Pace:
-    """How many seconds a worker takes for a counted processor second of its tasks, by what they took lately.
+    """How many seconds a worker takes for a counted processor second of its tasks, by what they
+    took lately.
 
-    Others use its core too, and tasks are handed out, read and write. Before the first is done workers open what they
-    need, which says nothing of others. Call under one lock.
+    Others use its core too, and tasks are handed out, read and write. Before the first is done
+    workers open what they need, which says nothing of others. Call under one lock.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
         """Assume one second, until more is known."""
         self._clock = clock
-        self._busy, self._spent, self._begun = 1.0, 1.0, False
-        self._working, self._since = 0, clock()
+        self._busy = 1.0
+        self._spent = 1.0
+        self._begun = False
+        self._working = 0
+        self._since = clock()
 
     @property
     def value(self) -> float:
@@ -181,7 +218,8 @@ class Pace:
         """Count so many ``workers`` as busy from now on."""
         now = self._clock()
         self._busy += self._begun * self._working * (now - self._since)
-        self._working, self._since = workers, now
+        self._working = workers
+        self._since = now
 
     def spent(self, seconds: float) -> None:
         """Count so many processor ``seconds`` of tasks that are done."""
@@ -189,15 +227,16 @@ class Pace:
             self._spent += seconds
         self._begun = True
         if self._spent >= 2.0 * PACE_WINDOW_SECONDS:
-            self._busy, self._spent = self._busy / 2.0, self._spent / 2.0
+            self._busy = self._busy / 2.0
+            self._spent = self._spent / 2.0
 
 
 # --- cost of open requests, by measured costs
 
 
 class Work(NamedTuple):
-    """Work at a ``chunk``: the ``effort`` that its texels want to come to the relative error ``target``, or to
-    ``enough`` samples.
+    """Work at a ``chunk``: the ``effort`` that its texels want to come to the relative error
+    ``target``, or to ``enough`` samples.
     """
 
     chunk: Index
@@ -207,21 +246,26 @@ class Work(NamedTuple):
 
 
 def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
-    """Processor seconds that each piece of ``work`` will take, by the measured ``costs`` of a bake; None if unknown.
+    """Processor seconds that each piece of ``work`` will take, by the measured ``costs`` of a bake;
+    None if unknown.
 
-    What is at hand comes first, what has the same target goes with it. A texel without light needs what is ``expected``
-    of it; where that is unknown, as many paths as others of the bake did, or will, or as many more as its own target is
-    stricter. Those may have been lit elsewhere, or for another target, so the paths are bounded by what its own allows.
+    What is at hand comes first, what has the same target goes with it. A texel without light needs
+    what is ``expected`` of it; where that is unknown, as many paths as others of the bake did, or
+    will, or as many more as its own target is stricter. Those may have been lit elsewhere, or for
+    another target, so the paths are bounded by what its own allows.
     """
-    total, left = costs.total, sum(each.effort.left for each in work if each.target == work[0].target)
+    total = costs.total
+    left = sum(each.effort.left for each in work if each.target == work[0].target)
     rates = [costs.rate(each.chunk) for each in work]
     if None in rates or (not total.texels and any(each.effort.unlit for each in work)):
         return None
     texels = max(total.texels, 1)
-    usual, first = (total.paths + left) / texels, total.first / texels
+    usual = (total.paths + left) / texels
+    first = total.first / texels
 
     def _paths(each: Work) -> float:
-        unlit, stricter = each.effort.unlit, (work[0].target / each.target) ** RATE
+        unlit = each.effort.unlit
+        stricter = (work[0].target / each.target) ** RATE
         if unlit and each.effort.expected:
             return each.effort.left + each.effort.expected - FIRST_LEVEL * unlit
         return each.effort.left + paths_after_first(stricter * usual, each) * unlit
@@ -243,10 +287,11 @@ def paths_after_first(usual: float, work: Work) -> float:
 
 @dataclass(frozen=True)
 class ChunkCost:
-    """The measured cost of a chunk's ``texels``: ``seconds`` of a worker, ``processor`` seconds, and ``tasks``.
+    """The measured cost of a chunk's ``texels``: ``seconds`` of a worker, ``processor`` seconds,
+    and ``tasks``.
 
-    ``seconds`` include the time in which others had the worker's core. ``maps`` are seconds that a process spends once,
-    ``stored`` the bytes of the chunk's objects.
+    ``seconds`` include the time in which others had the worker's core. ``maps`` are seconds that a
+    process spends once, ``stored`` the bytes of the chunk's objects.
     """
 
     texels: int
@@ -261,15 +306,18 @@ PER_TASK = 0.008
 """Processor seconds of a worker that a task takes beside its paths."""
 
 UNREHEARSED_SPREAD = math.log(2.0)
-"""Spread of true over estimated times that no rehearsal shows, relative: pictures end a rung sooner or later."""
+"""Spread of true over estimated times that no rehearsal shows, relative: pictures end a rung sooner
+or later.
+"""
 
 
 @dataclass(frozen=True)
 class CostEstimate:
-    """The estimated cost of a bake: ``seconds`` of all workers by the clock, and ``processor`` seconds of its paths.
+    """The estimated cost of a bake: ``seconds`` of all workers by the clock, and ``processor``
+    seconds of its paths.
 
-    ``unsure`` is the relative standard error of these. ``maps`` are seconds that each worker spends once, and
-    ``stored`` the bytes of the objects.
+    ``unsure`` is the relative standard error of these. ``maps`` are seconds that each worker spends
+    once, and ``stored`` the bytes of the objects.
     """
 
     seconds: float = 0.0
@@ -280,25 +328,37 @@ class CostEstimate:
 
     def times(self, more: float) -> "CostEstimate":
         """The cost of so many times as many texels."""
-        seconds, processor, stored = more * self.seconds, more * self.processor, round(more * self.stored)
+        seconds = more * self.seconds
+        processor = more * self.processor
+        stored = round(more * self.stored)
         return replace(self, seconds=seconds, processor=processor, stored=stored)
 
     def time_left(self, workers: int, around: float) -> TimeLeft:
-        """The time of the whole bake with so many ``workers``, and of the seconds spent ``around`` it."""
+        """The time of the whole bake with so many ``workers``, and of the seconds spent ``around``
+        it.
+        """
         ratios = log_normal_ratios(math.hypot(self.unsure, UNREHEARSED_SPREAD))
         return TimeLeft.of(self.seconds / workers, ratios, around + self.maps)
 
 
-def extrapolated(measured: Sequence[ChunkCost], texels: int, whole: bool, per_task: float) -> CostEstimate:
-    """The cost of so many ``texels`` by chunks that were ``measured``, which are the ``whole`` or a sample of it.
+def extrapolated(
+    measured: Sequence[ChunkCost], texels: int, whole: bool, per_task: float
+) -> CostEstimate:
+    """The cost of so many ``texels`` by chunks that were ``measured``, which are the ``whole`` or a
+    sample of it.
 
-    Chunks were sampled in proportion to their texels, so the mean of the seconds per texel of each is that of all.
+    Chunks were sampled in proportion to their texels, so the mean of the seconds per texel of each
+    is that of all.
     """
     if not measured:
         return CostEstimate()
-    known, each = sum(one.texels for one in measured), seconds_per_texel(measured, per_task)
+    known = sum(one.texels for one in measured)
+    each = seconds_per_texel(measured, per_task)
     seconds = sum(one.texels * rate for one, rate in zip(measured, each, strict=True))
-    total = seconds if whole else float(each.mean()) * texels
+    if whole:
+        total = seconds
+    else:
+        total = float(each.mean()) * texels
     return CostEstimate(
         seconds=total,
         processor=total / seconds * sum(one.processor for one in measured),
@@ -309,11 +369,19 @@ def extrapolated(measured: Sequence[ChunkCost], texels: int, whole: bool, per_ta
 
 
 def seconds_per_texel(measured: Sequence[ChunkCost], per_task: float = PER_TASK) -> np.ndarray:
-    """Seconds of a worker for a texel of each chunk, (chunks,) float64; tasks are slowed down as much as paths are."""
+    """Seconds of a worker for a texel of each chunk, (chunks,) float64; tasks are slowed down as
+    much as paths are.
+    """
     slow = sum(one.seconds for one in measured) / max(sum(one.processor for one in measured), 1e-9)
-    return np.array([(one.seconds + max(slow, 1.0) * per_task * one.tasks) / one.texels for one in measured])
+    return np.array(
+        [(one.seconds + max(slow, 1.0) * per_task * one.tasks) / one.texels for one in measured]
+    )
 
 
 def relative_standard_error(values: np.ndarray) -> float:
-    """The standard error of the mean of ``values`` (n,), over the mean; 1 for a single value, which shows none."""
-    return float(values.std(ddof=1) / values.mean() / math.sqrt(len(values))) if len(values) > 1 else 1.0
+    """The standard error of the mean of ``values`` (n,), over the mean; 1 for a single value, which
+    shows none.
+    """
+    if len(values) > 1:
+        return float(values.std(ddof=1) / values.mean() / math.sqrt(len(values)))
+    return 1.0

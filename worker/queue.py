@@ -1,10 +1,11 @@
 """The queue: decides which chunk is baked next, and how far.
 
-The requests of all live views are merged: a chunk that several views see is baked once, for all texels that any of
-them wants. Clients take turns, so that each is served as long. In a client's turn its newest view comes first; within
-a view, chunks without light come first, of which a quarter of the texels is lit, then those where some texels have none
-yet, then those where a second of work removes most visible error from all pictures, weighted towards their centres, and
-among equals those nearest to final. Patient clients come after all others. Pure data: no threads, no clock of its own.
+The requests of all live views are merged: a chunk that several views see is baked once, for all
+texels that any of them wants. Clients take turns, so that each is served as long. In a client's
+turn its newest view comes first; within a view, chunks without light come first, of which a quarter
+of the texels is lit, then those where some texels have none yet, then those where a second of work
+removes most visible error from all pictures, weighted towards their centres, and among equals those
+nearest to final. Patient clients come after all others. Pure data: no threads, no clock of its own.
 """
 
 import heapq
@@ -34,7 +35,9 @@ MIN_PLACES = 64
 
 @dataclass(eq=False)
 class ClientQueue:
-    """The requests of one client: a heap of places, from which outdated ones are removed beyond ``most``."""
+    """The requests of one client: a heap of places, from which outdated ones are removed beyond
+    ``most``.
+    """
 
     places: list[Place] = field(default_factory=list)
     most: int = MIN_PLACES
@@ -69,7 +72,9 @@ class ClientQueues:
         return self._queues[patient].keys()
 
     def push(self, request: BakeRequest, client: Hashable, rank: Rank) -> None:
-        """Put a request into a client's queue at this rank; its former place there becomes outdated."""
+        """Put a request into a client's queue at this rank; its former place there becomes
+        outdated.
+        """
         interest = request.interests[client]
         interest.ticket = next(self._tickets)
         queues = self._queues[interest.viewer.patient]
@@ -77,7 +82,9 @@ class ClientQueues:
         queue.push(client, (rank, interest.ticket, request))
 
     def pop(self, patient: bool, client: Hashable) -> tuple[Rank, BakeRequest] | None:
-        """Take out the first request of a client's queue, with its rank; None where the queue is empty, and removed."""
+        """Take out the first request of a client's queue, with its rank; None where the queue is
+        empty, and removed.
+        """
         place = self._queues[patient][client].pop(client)
         if place is None:
             del self._queues[patient][client]
@@ -92,11 +99,14 @@ def is_current(place: Place, client: Hashable) -> bool:
     return interest is not None and interest.ticket == ticket
 
 
-FORGET_AFTER, EXPIRY_CHECK_SECONDS = 60.0, 1.0
+FORGET_AFTER = 60.0
+EXPIRY_CHECK_SECONDS = 1.0
 """Seconds after which a request that was not renewed expires, and between two checks for these."""
 
-RERANK_GROWTH, RERANK_LOSS = 1.5, 1.0 / 3.0
-"""Growth of a request's priority, and share of its loss, from which on it is ranked again in all its clients' queues.
+RERANK_GROWTH = 1.5
+RERANK_LOSS = 1.0 / 3.0
+"""Growth of a request's priority, and share of its loss, from which on it is ranked again in all
+its clients' queues.
 
 Below these it keeps its places, as a thousand clients may see one chunk.
 """
@@ -106,8 +116,9 @@ Below these it keeps its places, as a thousand clients may see one chunk.
 class BakeQueue:
     """Bake requests by chunk. Call under one lock when several threads use it.
 
-    ``shared`` says whether two bakes have a layer in common: of these, one at a time works on a chunk, as the last
-    writer would undo what the other has added. ``rate`` gives the seconds that a path of a chunk takes.
+    ``shared`` says whether two bakes have a layer in common: of these, one at a time works on a
+    chunk, as the last writer would undo what the other has added. ``rate`` gives the seconds that a
+    path of a chunk takes.
     """
 
     clock: Callable[[], float]
@@ -156,9 +167,11 @@ class BakeQueue:
         return dropped
 
     def take(self) -> BakeRequest | None:
-        """Take the next request, marked as in flight; None where there is nothing to do until a task has ended.
+        """Take the next request, marked as in flight; None where there is nothing to do until a
+        task has ended.
 
-        A request that may have killed a worker comes last and runs alone: it harms no other, and is then known for it.
+        A request that may have killed a worker comes last and runs alone: it harms no other, and is
+        then known for it.
         """
         self._forget()
         self._bring_back()
@@ -173,16 +186,24 @@ class BakeQueue:
         return None
 
     def take_along(self, first: BakeRequest, most: int) -> list[BakeRequest]:
-        """Take what goes with the request that was just taken: ``most`` texels and SHORT_TASK_SECONDS of the same turn.
+        """Take what goes with the request that was just taken: ``most`` texels and
+        SHORT_TASK_SECONDS of the same turn.
 
-        They are the next of that client, as long as these are of the same bake, target and sample level.
+        They are the next of that client, as long as these are of the same bake, target and sample
+        level.
         """
-        taken, left, seconds = [first], most - len(first.next[0]), self.seconds(first)
+        taken = [first]
+        left = most - len(first.next[0])
+        seconds = self.seconds(first)
         patient, client = self._turn
         while (
-            left > 0 and seconds < SHORT_TASK_SECONDS and not first.suspect and (found := self._first(patient, client))
+            left > 0
+            and seconds < SHORT_TASK_SECONDS
+            and not first.suspect
+            and (found := self._first(patient, client))
         ):
-            left, seconds = left - len(found.next[0]), seconds + self.seconds(found)
+            left = left - len(found.next[0])
+            seconds = seconds + self.seconds(found)
             if left < 0 or seconds > SHORT_TASK_SECONDS or not alike(first, found):
                 self._rank_for(found, client)
                 break
@@ -191,7 +212,9 @@ class BakeQueue:
         return taken
 
     def seconds(self, request: BakeRequest) -> float:
-        """The seconds that the next task of a request is predicted to take; 0 where that is unknown."""
+        """The seconds that the next task of a request is predicted to take; 0 where that is
+        unknown.
+        """
         return request.paths * (self.rate(request.key) or 0.0)
 
     def rank(self, request: BakeRequest, client: Hashable) -> Rank:
@@ -200,15 +223,28 @@ class BakeQueue:
 
     def _merits(self, request: BakeRequest) -> tuple[int, float, float]:
         """The rank of a request among those of a view."""
-        return request.stage, -request.priority / (self.rate(request.key) or 1.0), request.effort.left
+        return (
+            request.stage,
+            -request.priority / (self.rate(request.key) or 1.0),
+            request.effort.left,
+        )
 
     def finish(
-        self, key: Key, offsets: np.ndarray, target: float, result: BakeResult, enough: int = MAX_SAMPLES
+        self,
+        key: Key,
+        offsets: np.ndarray,
+        target: float,
+        result: BakeResult,
+        enough: int = MAX_SAMPLES,
     ) -> None:
-        """Take over the result of a task for ``offsets`` of a chunk; the request stays where work is left."""
+        """Take over the result of a task for ``offsets`` of a chunk; the request stays where work
+        is left.
+        """
         request = self.requests[key]
         self._end_task(request, result.cost.seconds)
-        request.failures, request.suspect, request.waited = 0, False, 0.0
+        request.failures = 0
+        request.suspect = False
+        request.waited = 0.0
         grown = request.exceeds(offsets, target, enough)
         if not request.interests:
             del self.requests[key]
@@ -227,13 +263,15 @@ class BakeQueue:
                 claimed[request.key] = claimed.pop(request.key)
 
     def fail(self, key: Key, trouble: str, suspect: bool = False) -> bool:
-        """Note that a task failed, and why: it is tried again, or given up. Returns whether it was given up.
+        """Note that a task failed, and why: it is tried again, or given up. Returns whether it was
+        given up.
 
         It is ``suspect`` where its worker died.
         """
         request = self.requests[key]
         self._end_task(request, request.charged)
-        request.trouble, request.suspect = trouble, suspect
+        request.trouble = trouble
+        request.suspect = suspect
         request.failures += 1
         if not request.interests:
             del self.requests[key]
@@ -241,12 +279,15 @@ class BakeQueue:
         return request.given_up
 
     def put_off(self, key: Key, seconds: float = 0.0) -> None:
-        """Note that a task could not be done, through no fault of the chunk; it waits again after ``seconds``."""
+        """Note that a task could not be done, through no fault of the chunk; it waits again after
+        ``seconds``.
+        """
         request = self.requests[key]
         self._end_task(request, 0.0)
         if not request.interests:
             del self.requests[key]
-        request.postponed, request.waited = seconds > 0.0, request.waited + seconds
+        request.postponed = seconds > 0.0
+        request.waited = request.waited + seconds
         if request.postponed:
             self._postponed.append((self.clock() + seconds, request))
         self._rank_everywhere(request)
@@ -262,23 +303,37 @@ class BakeQueue:
         return {request.key: request.trouble for request in found if request.given_up}
 
     def counts(self) -> tuple[int, int, float]:
-        """Numbers of waiting and of given-up requests, and the age in seconds of the oldest waiting one.
+        """Numbers of waiting and of given-up requests, and the age in seconds of the oldest waiting
+        one.
 
         Tasks in flight that no client waits for any more are not counted.
         """
         self._forget()
-        waiting = [request.since for request in self.requests.values() if request.interests and not request.given_up]
-        age = self.clock() - min(waiting) if waiting else 0.0
+        waiting = [
+            request.since
+            for request in self.requests.values()
+            if request.interests and not request.given_up
+        ]
+        if waiting:
+            age = self.clock() - min(waiting)
+        else:
+            age = 0.0
         return len(waiting), sum(request.given_up for request in self.requests.values()), age
 
     def trouble(self) -> str:
-        """Why the given-up request that was renewed last was given up; empty where there is none."""
+        """Why the given-up request that was renewed last was given up; empty where there is
+        none.
+        """
         self._forget()
         given_up = [request for request in self.requests.values() if request.given_up]
-        return max(given_up, key=lambda request: request.asked).trouble if given_up else ""
+        if given_up:
+            return max(given_up, key=lambda request: request.asked).trouble
+        return ""
 
     def _add_for(self, request: BakeRequest, client: Hashable) -> None:
-        """Note a client's new interest, and rank the request again for all clients where it has changed much."""
+        """Note a client's new interest, and rank the request again for all clients where it has
+        changed much.
+        """
         self._interesting.setdefault(client, {}).pop(request.key, None)
         self._interesting[client][request.key] = request
         lacking, priority = request.ranked
@@ -294,7 +349,9 @@ class BakeQueue:
         self._queues.push(request, client, self.rank(request, client))
 
     def _rank_everywhere(self, request: BakeRequest) -> None:
-        """Rank a request in the queues of all its clients; one in flight is ranked when its task has ended."""
+        """Rank a request in the queues of all its clients; one in flight is ranked when its task
+        has ended.
+        """
         request.ranked = bool(request.effort.unlit), request.priority
         if request.interests and request.ready:
             merits = self._merits(request)
@@ -319,7 +376,9 @@ class BakeQueue:
         return None
 
     def _take(self, request: BakeRequest, client: Hashable) -> BakeRequest | None:
-        """Mark the request as in flight and return it; None where it must run alone and others are in flight."""
+        """Mark the request as in flight and return it; None where it must run alone and others are
+        in flight.
+        """
         if request.suspect and self._in_flight:
             self._rank_for(request, client)
             return None
@@ -334,11 +393,15 @@ class BakeQueue:
         """Begin the task of a request, in the turn of a client."""
         bake, index = request.key
         self._in_flight.setdefault(index, set()).add(bake)
-        request.in_flight, request.payers, self._alone = True, tuple(request.interests), request.suspect
+        request.payers = tuple(request.interests)
+        request.in_flight = True
+        self._alone = request.suspect
         request.charged = self.shares.begin(client, request.payers)
 
     def _end_task(self, request: BakeRequest, seconds: float) -> None:
-        """End the task of a request after so many processor seconds; requests held up by it go on."""
+        """End the task of a request after so many processor seconds; requests held up by it go
+        on.
+        """
         bake, index = request.key
         self._in_flight[index].remove(bake)
         if not self._in_flight[index]:
@@ -368,10 +431,14 @@ class BakeQueue:
     def _older_than(self, client: Hashable, horizon: float) -> list[BakeRequest]:
         """The requests that a client has not renewed since; they come first in its order."""
         requests = self._interesting[client].values()
-        return list(itertools.takewhile(lambda request: request.interests[client].asked < horizon, requests))
+        return list(
+            itertools.takewhile(lambda request: request.interests[client].asked < horizon, requests)
+        )
 
     def _release(self, viewer: Viewer, view: int) -> None:
-        """Drop the interests of a ``viewer`` in views before this one, but for given-up requests, which expire."""
+        """Drop the interests of a ``viewer`` in views before this one, but for given-up requests,
+        which expire.
+        """
         for request in list(self._interesting.get(viewer.client, {}).values()):
             interest = request.interests[viewer.client]
             if interest.viewer == viewer and interest.view < view and not request.given_up:
@@ -383,7 +450,9 @@ class BakeQueue:
             self._drop(request, client)
 
     def _drop(self, request: BakeRequest, client: Hashable) -> None:
-        """Drop a client's interest, and a request without interests; one in flight stays until its task has ended."""
+        """Drop a client's interest, and a request without interests; one in flight stays until its
+        task has ended.
+        """
         request.release(client)
         del self._interesting[client][request.key]
         if not self._interesting[client]:
@@ -394,7 +463,12 @@ class BakeQueue:
 
 def alike(one: BakeRequest, other: BakeRequest) -> bool:
     """Whether one task can bake both."""
-    same = (one.key[0], one.target, one.enough, one.until) == (other.key[0], other.target, other.enough, other.until)
+    same = (one.key[0], one.target, one.enough, one.until) == (
+        other.key[0],
+        other.target,
+        other.enough,
+        other.until,
+    )
     return same and not other.suspect
 
 

@@ -15,18 +15,37 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import Effort, efforts, level, standard_error
-from isogi_core.bake.refine import Located, Remains, find_kept, keeps, locate, next_samples, refine, some_located
+from isogi_core.bake.refine import (
+    Located,
+    Remains,
+    find_kept,
+    keeps,
+    locate,
+    next_samples,
+    refine,
+    some_located,
+)
 from isogi_core.bake.texel_light import FIRST_LEVEL, Light
 from isogi_core.cache.chunk_record import Chunk
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.costs import Cost
 from isogi_core.cache.inventory import Claims
-from isogi_core.cache.scene_assets import SceneAssets, receive_assets, receive_colours, receive_glow_bits
+from isogi_core.cache.scene_assets import (
+    SceneAssets,
+    receive_assets,
+    receive_colours,
+    receive_glow_bits,
+)
 from isogi_core.errors import SceneError, StoreAwayError
 from isogi_core.files.mappings import budget
 from isogi_core.files.scene_file import MATERIAL_NUMBERS, VOXEL_SETTINGS, SceneSource
 from isogi_core.kernels._jit import entries_of, load
-from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, number_bricks, pack_bricks
+from isogi_core.kernels.tracing.active_cells import (
+    fill_ranges,
+    mark_bricks,
+    number_bricks,
+    pack_bricks,
+)
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.kernels.transport.entries import path_kernels
 from isogi_core.kernels.transport.transfer import (
@@ -50,37 +69,57 @@ from isogi_core.storage.store import Store
 
 @dataclass(frozen=True)
 class Whole:
-    """The scene that one was cut from: its ``source``, and its ``assets`` where workers lack its files."""
+    """The scene that one was cut from: its ``source``, and its ``assets`` where workers lack its
+    files.
+    """
 
     source: SceneSource
     assets: SceneAssets | None = None
 
     def planes(self, cut: SceneSource) -> str:
-        """What a ``cut`` of it takes away, as its document has that besides what the whole is cut by itself."""
+        """What a ``cut`` of it takes away, as its document has that besides what the whole is cut
+        by itself.
+        """
         own, both = (str(each.document.get("cut", "")) for each in (self.source, cut))
-        return both.removeprefix(f"{own};") if own else both
+        if own:
+            return both.removeprefix(f"{own};")
+        return both
 
 
 @dataclass(frozen=True, eq=False)
 class WholeLight:
-    """The light of a whole volume in a store, ``chunks``, and what ``remains`` of it where it is cut."""
+    """The light of a whole volume in a store, ``chunks``, and what ``remains`` of it where it is
+    cut.
+    """
 
     chunks: ChunkStore
     remains: Remains
 
     def lend(
-        self, light: Light, waiting: np.ndarray, places: Sequence[tuple[Index, np.ndarray]], walks: bool
+        self,
+        light: Light,
+        waiting: np.ndarray,
+        places: Sequence[tuple[Index, np.ndarray]],
+        walks: bool,
     ) -> np.ndarray:
-        """Give texels that are ``waiting`` (m,) bool the light that they keep; which have it now, (m,) bool.
+        """Give texels that are ``waiting`` (m,) bool the light that they keep; which have it now,
+        (m,) bool.
 
-        Without ``walks`` those alone of which this is known without walking paths. ``places`` are chunks and offsets
-        in them, whose texels have the rows of ``light``, in place, one chunk's after the other's.
+        Without ``walks`` those alone of which this is known without walking paths. ``places`` are
+        chunks and offsets in them, whose texels have the rows of ``light``, in place, one chunk's
+        after the other's.
         """
-        lattice, kept = self.chunks.spec.prepared.lattice, np.zeros(len(light), np.bool_)
+        lattice = self.chunks.spec.prepared.lattice
+        kept = np.zeros(len(light), np.bool_)
         bounds = np.cumsum([0, *(len(offsets) for _, offsets in places)]).tolist()
-        rows, texels, found = list[np.ndarray](), list[np.ndarray](), list[Light]()
+        rows = list[np.ndarray]()
+        texels = list[np.ndarray]()
+        found = list[Light]()
         for (index, offsets), (first, last) in zip(places, pairwise(bounds), strict=True):
-            chunk = self.chunks.read(index) if waiting[first:last].any() else None
+            if waiting[first:last].any():
+                chunk = self.chunks.read(index)
+            else:
+                chunk = None
             if chunk is None:
                 continue
             own = np.flatnonzero(waiting[first:last] & np.isin(offsets, chunk.offsets))
@@ -89,7 +128,8 @@ class WholeLight:
             found.append(chunk.light.rows(chunk.rows_of(offsets[own])))
         if not any(map(len, rows)):
             return kept
-        whole, every = Light.joined(found), np.concatenate(rows)
+        whole = Light.joined(found)
+        every = np.concatenate(rows)
         whole.agree_on_void()
         ahead = np.flatnonzero(whole.samples > light.samples[every])
         own = np.concatenate(texels)[ahead]
@@ -100,10 +140,11 @@ class WholeLight:
 
 
 def light_of_whole(spec: BakeSpec, planes: str, cut: BakeSpec, store: Store) -> WholeLight | None:
-    """The light by a ``spec`` of a whole volume, of which a ``cut`` by some ``planes`` may keep some; None where none
-    can.
+    """The light by a ``spec`` of a whole volume, of which a ``cut`` by some ``planes`` may keep
+    some; None where none can.
     """
-    whole, left = spec.prepared.scene.volume, cut.prepared.scene.volume
+    whole = spec.prepared.scene.volume
+    left = cut.prepared.scene.volume
     if not keeps(spec) or cut_digest(whole, planes) != left.digest:
         return None
     load((find_strays,))
@@ -115,9 +156,13 @@ KERNELS_OF_LAYER = {
     **{"irradiance": (bake_irradiance,), COLOURED_KIND: (bake_coloured_texels,)},
     **{kind: path_kernels(*cell) for cell, kind in PATH_KINDS.items()},
 }
-"""Entry kernels by the kind of layer that they bake; among walls or surfaces and on colours they are others."""
+"""Entry kernels by the kind of layer that they bake; among walls or surfaces and on colours they
+are others.
+"""
 
-PLAIN_LAYER_KINDS = tuple(kind for kind in KERNELS_OF_LAYER if kind not in (COLOURED_KIND, *PATH_KINDS.values()))
+PLAIN_LAYER_KINDS = tuple(
+    kind for kind in KERNELS_OF_LAYER if kind not in (COLOURED_KIND, *PATH_KINDS.values())
+)
 """The kinds of layers of scenes with one surface, without walls, colours and glow."""
 
 OPENING_KERNELS = (fill_macrocells, fill_ranges, mark_bricks, pack_bricks, number_bricks)
@@ -125,7 +170,9 @@ OPENING_KERNELS = (fill_macrocells, fill_ranges, mark_bricks, pack_bricks, numbe
 
 
 def bake_kernels(kinds: Iterable[str]) -> tuple[Any, ...]:
-    """The entry kernels for baking layers of these ``kinds``, and those of rooms, besides those that open a scene."""
+    """The entry kernels for baking layers of these ``kinds``, and those of rooms, besides those
+    that open a scene.
+    """
     return (*{kernel for kind in kinds for kernel in KERNELS_OF_LAYER[kind]}, locate_texels)
 
 
@@ -141,15 +188,16 @@ def load_kernels(kinds: Iterable[str]) -> None:
 
 @dataclass(frozen=True, eq=False)
 class BakeTask:
-    """Bring the texels at ``offsets`` of a chunk, which are seen by their ``footprints``, to ``until`` samples.
+    """Bring the texels at ``offsets`` of a chunk, which are seen by their ``footprints``, to
+    ``until`` samples.
 
-    Texels need no more once they are good for pictures of the relative error ``target``, or have ``enough`` samples.
-    ``plan`` is what is baked.
-    ``digest`` names the light that the server means, as the scene's files may have changed since. Where there are
-    ``assets``, these are read in place of the scene's files. ``owner`` names the baker, which claims the chunk while
-    others are at work too; where it ``insists``, whoever claimed it before. Texels lie on the isosurface that is
-    ``shown``, where one is: see ``BakeSpec``. Where the scene was cut from a ``whole``, they keep what light of that
-    the cut leaves as it is.
+    Texels need no more once they are good for pictures of the relative error ``target``, or have
+    ``enough`` samples. ``plan`` is what is baked. ``digest`` names the light that the server means,
+    as the scene's files may have changed since. Where there are ``assets``, these are read in place
+    of the scene's files. ``owner`` names the baker, which claims the chunk while others are at work
+    too; where it ``insists``, whoever claimed it before. Texels lie on the isosurface that is
+    ``shown``, where one is: see ``BakeSpec``. Where the scene was cut from a ``whole``, they keep
+    what light of that the cut leaves as it is.
     """
 
     source: SceneSource
@@ -173,10 +221,11 @@ class BakeTask:
 class BakeResult:
     """The result of a task.
 
-    ``unfinished`` texels are not final yet. ``priority`` is that of their next path, a mean over the paths taken, and
-    ``effort`` the work done and left. ``cost`` is the task's own. The task is a ``duplicate`` where all its light was
-    there already, and has ``healed`` the chunk where that was damaged. So many texels ``kept`` the light of a whole
-    volume. With another baker at the chunk (``elsewhere``) nothing was done.
+    ``unfinished`` texels are not final yet. ``priority`` is that of their next path, a mean over
+    the paths taken, and ``effort`` the work done and left. ``cost`` is the task's own. The task is
+    a ``duplicate`` where all its light was there already, and has ``healed`` the chunk where that
+    was damaged. So many texels ``kept`` the light of a whole volume. With another baker at the
+    chunk (``elsewhere``) nothing was done.
     """
 
     unfinished: int
@@ -194,7 +243,9 @@ BAKED_ELSEWHERE = BakeResult(0, 0.0, Effort(0, 0.0, 0.0), Cost(), elsewhere=True
 
 @lru_cache(maxsize=4)
 def open_store(store_url: StoreUrl) -> Store:
-    """The store at a URL, opened once a process with the process's own credentials. The server has made it."""
+    """The store at a URL, opened once a process with the process's own credentials. The server has
+    made it.
+    """
     return Store(store_url, make=False)
 
 
@@ -205,8 +256,12 @@ def claims_of(store_url: StoreUrl) -> Claims:
 
 
 @lru_cache(maxsize=4)
-def prepared_scene(source: SceneSource, assets: SceneAssets | None, store_url: StoreUrl) -> PreparedScene:
-    """The prepared scene, opened once a process for all of its bakes: from its files, or its assets in the store."""
+def prepared_scene(
+    source: SceneSource, assets: SceneAssets | None, store_url: StoreUrl
+) -> PreparedScene:
+    """The prepared scene, opened once a process for all of its bakes: from its files, or its assets
+    in the store.
+    """
     if assets is None:
         return opened(source)
     received, volume = receive_assets(source, assets, open_store(store_url))
@@ -216,7 +271,9 @@ def prepared_scene(source: SceneSource, assets: SceneAssets | None, store_url: S
 
 
 MAP_BYTES_SHARE = 3 / 8
-"""Bytes of active-cell maps that a worker keeps of a volume, over those that it may hold of mapped voxels."""
+"""Bytes of active-cell maps that a worker keeps of a volume, over those that it may hold of mapped
+voxels.
+"""
 
 
 def most_maps() -> int:
@@ -238,11 +295,15 @@ VOXEL_INDEPENDENT_SETTINGS = (
     "clear",
     "material",
 )
-"""Settings of a scene, besides a material's numbers, that nothing depends on which is worked out of its voxels."""
+"""Settings of a scene, besides a material's numbers, that nothing depends on which is worked out of
+its voxels.
+"""
 
 
 def opened(source: SceneSource) -> PreparedScene:
-    """A scene opened from its files; another of the same volume that is open shares what it has worked out of it."""
+    """A scene opened from its files; another of the same volume that is open shares what it has
+    worked out of it.
+    """
     rest = {
         key: value
         for key, value in source.document.items()
@@ -253,7 +314,9 @@ def opened(source: SceneSource) -> PreparedScene:
     if known is None:
         prepared = PreparedScene(build_scene(source), most_maps())
     else:
-        bare = {name: value for name, value in source.document.items() if name not in VOXEL_SETTINGS}
+        bare = {
+            name: value for name, value in source.document.items() if name not in VOXEL_SETTINGS
+        }
         scene = known.scene
         shared = scene.volume, scene.surfaces.colours, scene.lighting.glowing.bits
         prepared = known.beside(build_scene(replace(source, document=bare), no_progress, *shared))
@@ -280,7 +343,10 @@ def open_spec(
         OPEN.clear()
         found = BakeSpec(prepared_scene(source, assets, store_url), plan, shown)
     if found.digest != digest:
-        raise SceneError(f"The files of the scene '{source.name}' have changed since the server began: restart it.")
+        raise SceneError(
+            f"The files of the scene '{source.name}' have changed since the server began: "
+            "restart it."
+        )
     load_kernels(found.kinds)
     if shown is not None:
         load((project_texels,))
@@ -289,16 +355,25 @@ def open_spec(
 
 @lru_cache(maxsize=8)
 def open_whole(
-    whole: Whole, source: SceneSource, plan: ScenePlan, digest: str, store_url: StoreUrl, assets: SceneAssets | None
+    whole: Whole,
+    source: SceneSource,
+    plan: ScenePlan,
+    digest: str,
+    store_url: StoreUrl,
+    assets: SceneAssets | None,
 ) -> WholeLight | None:
-    """The light of the whole that a bake's scene was cut from, opened once a process; None where it keeps none."""
+    """The light of the whole that a bake's scene was cut from, opened once a process; None where it
+    keeps none.
+    """
     spec = BakeSpec(prepared_scene(whole.source, whole.assets, store_url), plan)
     cut, _ = open_spec(source, plan, digest, store_url, assets)
     return light_of_whole(spec, whole.planes(source), cut, open_store(store_url))
 
 
 def attempt(work: Callable[[], object]) -> None:
-    """Do some work ahead of its time: where it fails, it will fail again when it is due, and be reported then."""
+    """Do some work ahead of its time: where it fails, it will fail again when it is due, and be
+    reported then.
+    """
     with suppress(Exception):
         work()
 
@@ -308,7 +383,8 @@ Outcome = BakeResult | Exception
 
 
 def bake_all(tasks: Sequence[BakeTask]) -> list[Outcome]:
-    """Do tasks of one bake and target together, each as ``bake`` does it, so that their texels' paths fill waves.
+    """Do tasks of one bake and target together, each as ``bake`` does it, so that their texels'
+    paths fill waves.
 
     Where that fails each is done alone: what is wrong with one chunk harms no other.
     """
@@ -329,7 +405,9 @@ def outcome_of(task: BakeTask) -> Outcome:
 
 
 def bake(task: BakeTask) -> BakeResult:
-    """Do a task, unless another baker has claimed its chunk. Raises StoreAwayError where the store is away."""
+    """Do a task, unless another baker has claimed its chunk. Raises StoreAwayError where the store
+    is away.
+    """
     (result,) = bake_together([task])
     return result
 
@@ -337,8 +415,11 @@ def bake(task: BakeTask) -> BakeResult:
 def bake_together(tasks: Sequence[BakeTask]) -> list[BakeResult]:
     """Do tasks of one bake and target, but those whose chunks other bakers have claimed."""
     first = tasks[0]
-    spec, chunk_store = open_spec(first.source, first.plan, first.digest, first.store_url, first.assets, first.shown)
-    claims, digest = claims_of(first.store_url), chunk_store.layers[0].digest
+    spec, chunk_store = open_spec(
+        first.source, first.plan, first.digest, first.store_url, first.assets, first.shown
+    )
+    claims = claims_of(first.store_url)
+    digest = chunk_store.layers[0].digest
     with ExitStack() as held:
         names = [".".join(map(str, (digest, *task.index))) for task in tasks]
         ours = [
@@ -353,7 +434,8 @@ def bake_together(tasks: Sequence[BakeTask]) -> list[BakeResult]:
 class Work:
     """A task on its way: its ``chunk``, the ``rows`` of its texels there, and their ``light``.
 
-    ``known`` are the samples of the chunk's parts as they were read, ``healed`` is whether it was damaged.
+    ``known`` are the samples of the chunk's parts as they were read, ``healed`` is whether it was
+    damaged.
     """
 
     chunk: Chunk
@@ -373,7 +455,9 @@ class Work:
         return cls(chunk, rows, chunk.light.rows(rows), known, chunk_store.damaged > damaged)
 
     def end(self, light: Light, chunk_store: ChunkStore, claims: Claims) -> bool:
-        """Write the chunk back as one object, with new ``light`` of its texels; whether any of that is new."""
+        """Write the chunk back as one object, with new ``light`` of its texels; whether any of that
+        is new.
+        """
         self.chunk.light.put(self.rows, light)
         pairs = zip(self.chunk.light.parts, self.known, strict=True)
         changed = [not np.array_equal(part.samples, old) for part, old in pairs]
@@ -382,11 +466,14 @@ class Work:
         return any(changed)
 
 
-def bake_chunks(tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkStore, claims: Claims) -> list[BakeResult]:
+def bake_chunks(
+    tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkStore, claims: Claims
+) -> list[BakeResult]:
     """Read the chunks of tasks, add samples to all of them together, write each back as one object.
 
-    The outcome depends on the texels and their sample counts alone, so a task that is done twice, done again after a
-    kill, or done beside others, leaves the same bytes. What it took, to read and write as well, is shared by paths.
+    The outcome depends on the texels and their sample counts alone, so a task that is done twice,
+    done again after a kill, or done beside others, leaves the same bytes. What it took, to read and
+    write as well, is shared by paths.
     """
     if not tasks:
         return []
@@ -394,7 +481,9 @@ def bake_chunks(tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkSto
     works = [Work.begin(task, chunk_store) for task in tasks]
     light = Light.joined([work.light for work in works])
     before = light.samples
-    texels = np.concatenate([spec.prepared.lattice.positions(task.index, task.offsets) for task in tasks])
+    texels = np.concatenate(
+        [spec.prepared.lattice.positions(task.index, task.offsets) for task in tasks]
+    )
     kept = keep_light(light, texels, spec, tasks)
     before[kept] = light.samples[kept]
     sample_texels(light, texels, spec, *tasks)
@@ -405,9 +494,13 @@ def bake_chunks(tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkSto
         for work, own in zip(works, rows, strict=True)
     ]
     results = results_of(light, spec, tasks)
-    seconds, samples = time.process_time() - begun, light.samples
+    seconds = time.process_time() - begun
+    samples = light.samples
     taken = np.maximum(samples, 0) - np.maximum(before, 0)
-    shares = taken if taken.any() else np.ones(len(light))
+    if taken.any():
+        shares = taken
+    else:
+        shares = np.ones(len(light))
     each = seconds / max(shares.sum(), 1)
     return [
         replace(
@@ -421,61 +514,84 @@ def bake_chunks(tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkSto
     ]
 
 
-def keep_light(light: Light, texels: np.ndarray, spec: BakeSpec, tasks: Sequence[BakeTask]) -> np.ndarray:
-    """Give texels of tasks of one bake the light that a cut leaves as it is, in place; which have it now, (m,) bool.
+def keep_light(
+    light: Light, texels: np.ndarray, spec: BakeSpec, tasks: Sequence[BakeTask]
+) -> np.ndarray:
+    """Give texels of tasks of one bake the light that a cut leaves as it is, in place; which have
+    it now, (m,) bool.
 
-    Those whose isosurface is not in what is taken away have it at once. Each other takes the first samples for the cut
-    itself, which show what that lets in, and walks old paths later.
+    Those whose isosurface is not in what is taken away have it at once. Each other takes the first
+    samples for the cut itself, which show what that lets in, and walks old paths later.
     """
     first = tasks[0]
     own = first.source, first.plan, first.digest, first.store_url, first.assets
-    lender = open_whole(first.whole, *own) if first.whole else None
+    if first.whole:
+        lender = open_whole(first.whole, *own)
+    else:
+        lender = None
     if lender is None:
         return np.zeros(len(light), np.bool_)
     places = [(task.index, task.offsets) for task in tasks]
-    kept = lender.lend(light, next_samples(light, spec, first.target, first.enough) == 0, places, walks=False)
-    sample_texels(light, texels, spec, *(replace(task, until=min(task.until, FIRST_LEVEL)) for task in tasks))
-    going_on = np.repeat([task.until > FIRST_LEVEL for task in tasks], [len(task.offsets) for task in tasks])
+    kept = lender.lend(
+        light, next_samples(light, spec, first.target, first.enough) == 0, places, walks=False
+    )
+    sample_texels(
+        light, texels, spec, *(replace(task, until=min(task.until, FIRST_LEVEL)) for task in tasks)
+    )
+    going_on = np.repeat(
+        [task.until > FIRST_LEVEL for task in tasks], [len(task.offsets) for task in tasks]
+    )
     waiting = going_on & (next_samples(light, spec, first.target, first.enough) == FIRST_LEVEL)
     return kept | lender.lend(light, waiting, places, walks=True)
 
 
 def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: BakeTask) -> None:
-    """Sample the ``texels`` (m, 3; z, y, x) of tasks of one target, one task's after the other's, as far as they go.
+    """Sample the ``texels`` (m, 3; z, y, x) of tasks of one target, one task's after the other's,
+    as far as they go.
 
     Level by level; ``light`` is in place. How far a texel goes depends on its own task alone.
     """
-    target, enough = tasks[0].target, tasks[0].enough
+    target = tasks[0].target
+    enough = tasks[0].enough
     until = np.repeat([task.until for task in tasks], [len(task.offsets) for task in tasks])
     waiting = next_samples(light, spec, target, enough)
     located: Located | None = None
     while (climbing := (waiting >= 0) & (waiting < until)).any():
         lowest = int(waiting[climbing].min())
         rows = np.flatnonzero(climbing & (waiting == lowest))
-        part, located = light.rows(rows), located or locate(texels, spec.prepared, spec.shown)
+        part = light.rows(rows)
+        located = located or locate(texels, spec.prepared, spec.shown)
         refine(part, texels[rows], spec, lowest + 1, target, some_located(located, rows))
         light.put(rows, part)
         waiting[rows] = next_samples(part, spec, target, enough)
 
 
 def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:
-    """The cost of texels that had so many samples ``before``; parts that are sampled together share their paths."""
+    """The cost of texels that had so many samples ``before``; parts that are sampled together share
+    their paths.
+    """
     taken = np.maximum(samples, 0) - np.maximum(before, 0)
-    paths, lit = int(taken.sum()), int(((before == 0) & (samples > 0)).sum())
+    paths = int(taken.sum())
+    lit = int(((before == 0) & (samples > 0)).sum())
     return Cost(seconds, paths, lit, seconds * FIRST_LEVEL * lit / max(paths, 1))
 
 
 def results_of(light: Light, spec: BakeSpec, tasks: Sequence[BakeTask]) -> list[BakeResult]:
-    """The results of tasks of one target: what their ``light``, one's after the other's, still lacks of that.
+    """The results of tasks of one target: what their ``light``, one's after the other's, still
+    lacks of that.
 
     What they cost is still to be reported.
     """
-    target, enough, count = tasks[0].target, tasks[0].enough, len(tasks)
+    target = tasks[0].target
+    enough = tasks[0].enough
+    count = len(tasks)
     numbers = np.repeat(np.arange(count), [len(task.offsets) for task in tasks])
-    error, waiting = standard_error(light, spec), next_samples(light, spec, target, enough) >= 0
+    error = standard_error(light, spec)
+    waiting = next_samples(light, spec, target, enough) >= 0
     visible = np.concatenate([task.footprints for task in tasks]) * error**2
     lacking, seen, taken = (
-        np.bincount(numbers[waiting], some, count) for some in (None, visible[waiting], light.samples[waiting])
+        np.bincount(numbers[waiting], some, count)
+        for some in (None, visible[waiting], light.samples[waiting])
     )
     work = efforts(numbers, count, error / level(light, spec), light.samples, target, enough)
     priorities = (seen / np.maximum(taken, 1)).tolist()
@@ -486,5 +602,7 @@ def results_of(light: Light, spec: BakeSpec, tasks: Sequence[BakeTask]) -> list[
 
 
 async def dask_setup(worker: Any) -> None:
-    """Load the kernels of all bakes in a ``worker`` started with ``--preload worker.tasks``, before it joins."""
+    """Load the kernels of all bakes in a ``worker`` started with ``--preload worker.tasks``, before
+    it joins.
+    """
     await asyncio.to_thread(load_kernels, PLAIN_LAYER_KINDS)
